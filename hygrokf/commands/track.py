@@ -116,7 +116,6 @@ def _logged(options: argparse.Namespace) -> int:
 
 
 def _track(options: argparse.Namespace) -> int:
-    """Track until a signal ends it."""
     from hygrokf.live.tracking import track
 
     load_causes(options.library)
@@ -168,7 +167,7 @@ def _doctor_arguments(parser: argparse.ArgumentParser) -> None:
     add_tracked(parser)
     parser.add_argument(
         "--wait",
-        type=_duration,
+        type=reader("a duration such as 10s", _duration),
         default=10.0,
         metavar="TIME",
         help="time to listen to the sources (default 10s)",
@@ -185,13 +184,9 @@ def _doctor_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _duration(text: str) -> float:
-    """The seconds of a duration such as 10s."""
     from hygrokf.data.timestamps import duration
 
-    try:
-        return duration(text)
-    except ValueError as fault:
-        raise argparse.ArgumentTypeError(str(fault)) from None
+    return duration(text)
 
 
 def _doctor(options: argparse.Namespace) -> int:

@@ -411,7 +411,7 @@ def _plain(value: Any, kind: Any, stated: Key) -> Any:
     """A value of a plain type.  Raises TypeError for another type."""
     if kind is Any or get_origin(kind) is Mapping:
         good = kind is Any or isinstance(value, Mapping)
-    elif stated.choices:
+    elif stated.choices and kind is str:
         good = isinstance(value, str) and value in stated.choices
     elif kind in (float, int):
         number = isinstance(value, numbers.Integral if kind is int else numbers.Real)
@@ -431,9 +431,9 @@ def _plain(value: Any, kind: Any, stated: Key) -> Any:
 
 def _words(kind: Any, stated: Key) -> str:
     """Description of a valid value."""
-    if stated.expected or stated.choices:
-        return stated.expected or f"one of {', '.join(stated.choices)}"
     inner = get_args(kind)
+    if stated.expected or stated.choices:
+        return stated.expected or f"{'a list' if inner else 'one'} of {', '.join(stated.choices)}"
     if get_origin(kind) is Mapping:
         return "a table"
     if inner:

@@ -30,7 +30,7 @@ from hygrokf.live.sources.payload import PayloadMapping
 from hygrokf.live.sources.postgres import PostgresForm
 from hygrokf.live.sources.sparkplug import MqttForm
 from hygrokf.live.sources.stream import SourceKeys, Stream
-from hygrokf.live.storage.postgres import url_fault
+from hygrokf.live.storage.postgres import SCHEMES, url_fault
 from hygrokf.live.turbines import STALE_S, Turbine
 from hygrokf.live.web.page_settings import PAGE, PageSettings, page_settings
 
@@ -98,10 +98,15 @@ def _names(value: object) -> dict[str, str]:
     return value
 
 
-def _store(value: object) -> str:
+def store_url(value: object) -> str:
+    """The URL of a store, which messages do not show because it may hold a password.  Raises ValueError."""
     if not isinstance(value, str):
         raise ValueError(f"expected text in quotes, found {value!r}")
-    if (wrong := url_fault(value)) is not None:
+    wrong = url_fault(value)
+    if wrong is None and not value.startswith(("sqlite:", *SCHEMES)):
+        begin = repr(value.partition(":")[0])
+        wrong = f"expected sqlite:PATH or postgresql://USER@HOST/NAME, found one that begins with {begin}"
+    if wrong is not None:
         raise ValueError(wrong)
     return value
 
@@ -165,7 +170,7 @@ WanderingForm = make_dataclass(
 class TrackForm:
     """The tracker's file."""
 
-    store: str = setting("sqlite:live.db", "URL of the store", read=_store)
+    store: str = setting("sqlite:live.db", "URL of the store", read=store_url)
     page: Any = setting(PAGE, "HOST:PORT, or a table")
     lateness_s: float = setting(LATENESS_S, "of a reading behind the newest one", read=duration)
     retention_s: float = setting(
@@ -223,7 +228,6 @@ def read_config(path: str | os.PathLike[str]) -> Config:
 
 
 def _channels(form: TrackForm, folder: Path, place: Place) -> tuple[Channel, ...]:
-    """The channels of the [[notify]] tables."""
     channels: list[Channel] = []
     turbines = [one.name for one in form.turbine]
     for number, table in enumerate(form.notify):

@@ -25,11 +25,10 @@ from hygrokf.data.timestamps import DAY_S
 from hygrokf.data.toml_form import Place
 from hygrokf.identification.fit import read_fit, write_fit
 from hygrokf.identification.procedure import identify
-from hygrokf.live.config import Config, ConfigFault, read_turbine, stream_of, turbine_of
+from hygrokf.live.config import Config, ConfigFault, read_turbine, store_url, stream_of, turbine_of
 from hygrokf.live.plan import Form, plan
 from hygrokf.live.sources.local import Playback, form_of, record_mapping, record_messages
 from hygrokf.live.sources.payload import Field, PayloadMapping
-from hygrokf.live.storage.postgres import SCHEMES, url_fault
 from hygrokf.live.turbines import Turbine
 from hygrokf.live.web.page_settings import PAGE, PageSettings, page_settings
 
@@ -75,17 +74,11 @@ def page_at(address: str | None) -> PageSettings:
 
 
 def store_at(url: str) -> str:
-    """Check a store's URL from the command line.  Raises ConfigFault, whose message never shows a possible
-    password."""
-    wrong = url_fault(url)
-    if wrong is None and not url.startswith(("sqlite:", *SCHEMES)):
-        wrong = (
-            "expected sqlite:PATH or postgresql://USER@HOST/NAME, found one that begins with "
-            f"{url.partition(':')[0]!r}"
-        )
-    if wrong is not None:
-        raise ConfigFault("--store", [wrong])
-    return url
+    """A store's URL from the command line.  Raises ConfigFault."""
+    try:
+        return store_url(url)
+    except ValueError as fault:
+        raise ConfigFault("--store", [str(fault)]) from None
 
 
 def default_config(fits: Sequence[Path], sources: Sequence[str], store: str, page: PageSettings) -> Config:

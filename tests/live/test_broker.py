@@ -10,6 +10,8 @@ from pathlib import Path
 
 import pytest
 from builders.brokers import authority
+from paho.mqtt.packettypes import PacketTypes
+from paho.mqtt.reasoncodes import ReasonCode
 
 from hygrokf.data.toml_form import Place, read_form
 from hygrokf.live.batch import Alarm
@@ -227,8 +229,9 @@ def test_topics_of_alarms() -> None:
 
 
 def test_reasons_in_words() -> None:
-    assert "its own client_id" in reason_words(142, "Session taken over")
-    assert reason_words(153, "Payload format invalid") == "payload format invalid (reason code 153)"
+    assert "its own client_id" in reason_words(ReasonCode(PacketTypes.DISCONNECT, "Session taken over"))
+    unusual = ReasonCode(PacketTypes.DISCONNECT, "Payload format invalid")
+    assert reason_words(unusual) == "payload format invalid (reason code 153)"
     assert "requires a client certificate" in tls_words(
         "[SSL: TLSV13_ALERT_CERTIFICATE_REQUIRED] tlsv13 alert"
     )

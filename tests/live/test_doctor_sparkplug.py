@@ -58,7 +58,7 @@ def read(text: str) -> tuple[object, list[str]]:
 @pytest.mark.parametrize("topics", ["spBv1.0/#", "spBv1.0/Farm/#", "spBv1.0/+/+/N1/#", "spBv1.0/Farm/+/N1"])
 def test_a_sparkplug_table(topics: str) -> None:
     stream, faults = read(f'{TABLE}topics = ["{topics}"]')
-    assert faults == [] and isinstance(stream, Sparkplug) and not stream.rebirth_requests
+    assert faults == [] and isinstance(stream, Sparkplug) and not stream.broker.rebirth_requests
     # the layout of its payloads is its own; turbines and signals are those of the mapping
     assert (stream.mapping.tag, stream.mapping.quality, stream.mapping.turbine) == ("", "quality", "{4}")
     assert stream.signals("T1") == {"cabinet_temperature"}
@@ -221,6 +221,6 @@ def test_messages_of_edge_nodes_can_be_tried(broker: Mosquitto) -> None:
     with publishing(node, lambda number: node.bear(None, **values), **values):
         (found,) = try_payloads([stream], "spBv1.0/Farm/+/N1/W01", 2.0)
     assert found.used == found.count > 0
-    assert {(one.turbine, one.value, one.unit) for p in found.payloads for one in p.readings} == {
+    assert {(one["turbine"], one["value"], one["unit"]) for p in found.payloads for one in p["readings"]} == {
         ("T1", 21.5, "degC")
     }

@@ -672,6 +672,12 @@ def test_what_does_not_fit_is_said_in_words(
     assert not [secret for secret in ("pa55", "guess7", key) if secret in shown]
 
 
+def test_a_user_s_password_is_not_shown(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("HYGROKF_OPCUA", "pa55")
+    stated = server("opc.tcp://localhost", [], user="hygrokf", password_env="HYGROKF_OPCUA")
+    assert stated.password.read() == "pa55" and "pa55" not in repr(stated)
+
+
 # -- the tracker's file --------------------------------------------------------------------------------------
 NODES = {"ns=2;s=T07.CabinetTemp": {"turbine": "T07", "field": "Tcab"}}
 PLAIN = {"url": "opc.tcp://localhost:4840/plant", "nodes": NODES}

@@ -474,7 +474,7 @@ def test_the_doctor_reads_the_newest_rows(postgresql: Server, historian: str, tm
     assert [level for level, _ in found] == ["fault"] and 'database "nowhere" does not exist' in found[0][1]
     postgresql.execute(historian, "DROP TABLE reading")
     found = examined(tmp_path, postgresql.url(historian))
-    assert found == [("fault", 'the query cannot be run: relation "reading" does not exist')]
+    assert found == [("fault", 'relation "reading" does not exist')]
 
 
 def test_two_queries_of_a_database_need_names(postgresql: Server, historian: str, tmp_path: Path) -> None:

@@ -253,7 +253,7 @@ def test_a_restart_recalls_who_has_left(peer: EdgeNode, followed: Followed) -> N
     assert set(node.left_s) == {"", "W01", "W02"}
 
 
-@pytest.mark.parametrize("content", [None, 3, {"types": {"a": 3}}, {"left_s": {"": "yesterday"}}])
+@pytest.mark.parametrize("content", [None, 3, {"tables": {"a": 3}}, {"left_s": {"": "yesterday"}}])
 def test_memories_that_cannot_be_read_are_forgotten(content: object) -> None:
     nodes = EdgeNodes()
     nodes.recall({"edge node Farm/N1": content, "sequence of Farm/N1": "x", "batch": 1})

@@ -7,7 +7,7 @@ import ctypes
 import math
 import os
 import time
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -19,6 +19,7 @@ from hygrokf.identification.wording import one_line
 from hygrokf.live.sources.endpoint import OTHERS_READ
 from hygrokf.live.sources.payload import PayloadStatistics
 from hygrokf.live.sources.payload_values import AHEAD_S
+from hygrokf.live.sources.stream import several
 
 LEVELS = ("ok", "doubt", "fault")
 CLOSE_S = 60.0
@@ -54,6 +55,14 @@ def lasting(seconds: float) -> str:
     return duration_text(max(float(round(seconds, 0 if seconds >= 10.0 else 1)), 0.0))
 
 
+def of_names(about: str, *rows: tuple[str, Collection[str], str, str]) -> Iterator[Check]:
+    """A check of each row (level, names, finding, remedy) that has names, the first of which stand in place
+    of the {} of its finding."""
+    for level, names, finding, remedy in rows:
+        if names:
+            yield Check(level, about, finding.format(several(names)), remedy)
+
+
 def worst(checks: Iterable[Check]) -> str:
     """The worst level of some checks; "ok" without any."""
     return max((one.level for one in checks), key=LEVELS.index, default=LEVELS[0])
@@ -68,12 +77,8 @@ def payload_checks(about: str, statistics: PayloadStatistics, what: str = "paylo
     if statistics.rejected:
         found += f"; not used: {statistics.rejected}"
     remedy = "compare [mapping] and known_as of each [[turbine]] with the delivered payloads"
-    if not statistics.used:
-        yield fault(about, found, remedy)
-    elif statistics.rejected:
-        yield doubt(about, found, remedy)
-    else:
-        yield ok(about, found)
+    level = "fault" if not statistics.used else "doubt" if statistics.rejected else "ok"
+    yield Check(level, about, found, remedy if level != "ok" else "")
 
 
 def stamp_check(about: str, lag_s: float, lateness_s: float = math.inf, fresh: bool = True) -> Check | None:
@@ -198,62 +203,35 @@ def _secret(about: str, path: Path) -> Check:
 
 
 def _certificate(about: str, path: Path, key: str) -> Check:
-    try:
-        found = validities(path.read_bytes())
-    except ValueError as error:
-        return fault(about, f"{path}: {error}", "name a file with a certificate, PEM or DER")
-    except ImportError:
-        return unread_certificate(about, str(path))
-    # a chain expires with the first of its certificates; of several trusted CAs the last one to expire counts
-    ends = (max if key == "ca" else min)(found, key=lambda one: one.end)
-    check = validity_check(about, ends, str(path))
-    if (
-        key == "server_certificate" and check.level == "fault"
-    ):  # the pinned certificate is only compared, its validity is not checked
+    check = validity_check(about, path.read_bytes(), str(path), max if key == "ca" else min)
+    if key == "server_certificate" and check.level == "fault":  # it is only compared with the server's
         return doubt(about, check.found, check.remedy)
     return check
 
 
-def validity_check(about: str, found: Validity, where: str) -> Check:
-    """How long a certificate remains valid."""
-    now = time.time()
-    if found.begin > now:
-        return fault(
-            about, f"{where} is not valid before {stamp_text(found.begin)}", "compare the clocks, or wait"
-        )
-    if found.end < now:
-        return fault(about, f"{where} has expired {lasting(now - found.end)} ago", "replace the certificate")
-    left = f"{where} is valid for {lasting(found.end - now)}"
-    if found.end - now < SOON_S:
-        return doubt(about, left, "order a new certificate now")
-    return ok(about, left)
+def validity_check(about: str, content: bytes, where: str, ends: Callable[[list[Any]], Any] = min) -> Check:
+    """How long a certificate, PEM or DER, remains valid.
 
-
-def unread_certificate(about: str, where: str) -> Check:
-    """The check of a certificate that cannot be read because cryptography is missing."""
-    return doubt(about, f"{where} was not examined: cryptography is missing", "pip install cryptography")
-
-
-@dataclass(frozen=True)
-class Validity:
-    """A certificate is valid from `begin` to `end` [s since 1970]."""
-
-    begin: float
-    end: float
-
-
-def validities(content: bytes) -> list[Validity]:
-    """Validity of every certificate in a PEM file, or of the one in a DER file.
-
-    Raises ValueError if the content is no certificate, ImportError without cryptography.
+    ends: whether several of a PEM file expire with the first (of a chain) or with the last (of trusted CAs).
     """
-    from cryptography import x509
-
     try:
-        if b"-----BEGIN" in content:
-            found = x509.load_pem_x509_certificates(content)
-        else:
-            found = [x509.load_der_x509_certificate(content)]
-    except ValueError as fault:
-        raise ValueError("expected a certificate, found something else") from fault
-    return [Validity(c.not_valid_before_utc.timestamp(), c.not_valid_after_utc.timestamp()) for c in found]
+        from cryptography import x509
+    except ImportError:
+        missing = f"{where} was not examined: cryptography is missing"
+        return doubt(about, missing, "pip install cryptography")
+    try:
+        pem = b"-----BEGIN" in content
+        found = (
+            x509.load_pem_x509_certificates(content) if pem else [x509.load_der_x509_certificate(content)]
+        )
+    except ValueError:
+        wrong = f"{where}: expected a certificate, found something else"
+        return fault(about, wrong, "name a file with a certificate, PEM or DER")
+    spans = [(one.not_valid_after_utc.timestamp(), one.not_valid_before_utc.timestamp()) for one in found]
+    (end, begin), now = ends(spans), time.time()
+    if begin > now:
+        return fault(about, f"{where} is not valid before {stamp_text(begin)}", "compare the clocks, or wait")
+    if end < now:
+        return fault(about, f"{where} has expired {lasting(now - end)} ago", "replace the certificate")
+    left = f"{where} is valid for {lasting(end - now)}"
+    return doubt(about, left, "order a new certificate now") if end - now < SOON_S else ok(about, left)

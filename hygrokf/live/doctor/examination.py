@@ -28,6 +28,7 @@ from hygrokf.live.doctor.check import (
     fault,
     file_checks,
     machine_checks,
+    of_names,
     ok,
     worst,
 )
@@ -171,11 +172,11 @@ def model_checks(
     fine, unheard = [], []
     for name, one in turbines.items():
         mapped = set[str]().union(*(stream.signals(name) for stream in streams))
-        for part, found in one.verdicts.items():
-            if found.verdict == REJECT:
+        for part, verdict in one.verdicts.items():
+            if verdict.verdict == REJECT:
                 yield doubt(
                     f"turbine {name}",
-                    f"the {part} time constant of its model is {found.words}: {found.why}",
+                    f"the {part} time constant of its model is {verdict.words}: {verdict.why}",
                     "read the fit's report; estimates and alarms that rest on this number say so",
                 )
         wrong = model_fault(one.plan, mapped)
@@ -194,22 +195,16 @@ def model_checks(
                 "add the field to [mapping.signals]",
             )
         absent = lacking(one.plan, mapped, came.get(name, ()))
+        names = "compare the names in [mapping.signals] with the delivered payloads"
         if not came.get(name):
             unheard.append(name)
         elif absent:
-            yield doubt(
-                f"turbine {name}",
-                f"its model reads {several(absent)}, which never arrived",
-                "compare the names in [mapping.signals] with the delivered payloads",
-            )
+            found = f"its model reads {several(absent)}, which never arrived"
+            yield doubt(f"turbine {name}", found, names)
         else:
             fine.append(name)
-    if unheard:
-        yield doubt(
-            "turbines",
-            f"no reading of {several(unheard)} has ever arrived",
-            "compare their known_as with the names in the payloads, or wait longer (--wait 10min)",
-        )
+    known_as = "compare their known_as with the names in the payloads, or wait longer (--wait 10min)"
+    yield from of_names("turbines", ("doubt", unheard, "no reading of {} has ever arrived", known_as))
     if fine:
         yield ok("turbines", f"{len(fine)} have a model that can run, and have delivered all its inputs")
 

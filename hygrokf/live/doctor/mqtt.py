@@ -12,10 +12,10 @@ import secrets
 import ssl
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Generator, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TypeAlias
 
 from hygrokf.live.doctor.check import (
     SECRETS,
@@ -23,24 +23,19 @@ from hygrokf.live.doctor.check import (
     doubt,
     fault,
     lasting,
+    of_names,
     ok,
     payload_checks,
-    stamp_check,
-    unread_certificate,
-    validities,
     validity_check,
 )
 from hygrokf.live.sources.broker import Broker, unreachable
 from hygrokf.live.sources.mqtt import Mqtt
-from hygrokf.live.sources.mqtt_link import Link
+from hygrokf.live.sources.mqtt_link import Arrival, Link
 from hygrokf.live.sources.payload import PayloadStatistics
-from hygrokf.live.sources.payload_formats import Content, Unreadable
+from hygrokf.live.sources.payload_formats import Unreadable
 from hygrokf.live.sources.sparkplug import ASK, EdgeNodes, Sparkplug
 from hygrokf.live.sources.sparkplug_node import UNEXPLAINED
-from hygrokf.live.sources.stream import SourceFault, several
-
-if TYPE_CHECKING:
-    from paho.mqtt.client import Client, MQTTMessage
+from hygrokf.live.sources.stream import SourceFault
 
 ANSWER_S = 10.0
 """[s] allowed for a broker to accept the client and answer its subscription."""
@@ -51,74 +46,51 @@ KEPT = (
 SILENT = "check topic, publisher and the rights of this user; wait longer (--wait 10min) if messages are rare"
 
 
-class Listener(Link):
-    """A link that keeps each message as it is and acknowledges it at once, because nobody else uses this
-    session.
-
-    `messages`: (message, time of arrival [s]), and None once the link is lost.
-    """
-
-    def __init__(self, broker: Broker) -> None:
-        self.messages: queue.SimpleQueue[tuple[MQTTMessage, float] | None] = queue.SimpleQueue()
-        super().__init__(broker, (), lambda link: None)
-
-    def lose(self, reason: str) -> None:
-        super().lose(reason)
-        self.messages.put(None)
-
-    def _on_message(self, client: Client, userdata: object, message: MQTTMessage) -> None:
-        self.acknowledge(message.mid if message.qos else None)
-        with suppress(UnicodeDecodeError):
-            if not self.is_own(message.topic):
-                self.messages.put((message, time.time()))
+Look: TypeAlias = Generator[Check, None, str]
+"""The checks of a source; it returns the name of what it has read."""
 
 
-def mqtt_checks(
-    source: Mqtt,
-    statistics: PayloadStatistics,
-    wait_s: float,
-    lateness_s: float,
-    contents: Callable[[str, bytes, float], Sequence[Content]] | None = None,
-    keep: str = "publish at QoS 1",
-) -> Iterator[Check]:
+def mqtt_checks(source: Mqtt, statistics: PayloadStatistics, wait_s: float) -> Look:
     """Connect, subscribe and listen for `wait_s` [s]; messages that are not retained also go into the
     statistics.
 
-    contents: gives the payloads of a message (topic, payload, time of arrival [s]), None for the reader of
-    the source; `keep`: what to do where the broker does not keep the messages.
+    Of edge nodes only births within this time are known, so that values by other aliases are not judged.
     """
-    broker, mapping = source.broker, source.mapping
-    about = f"source {source.url}"
+    broker, about = source.broker, f"source {source.url}"
     for caution in broker.cautions():
         if not caution.startswith(SECRETS):  # `file_checks` reports these
             yield doubt(about, *caution.split(": ", 1))
-    with listening(doctor_session(broker)) as link:
+    with listening(doctor_session(broker), source.largest) as link:
         if link.lost.is_set() or not link.answered:
-            reason = link.reason or f"{broker.where} has not answered within {ANSWER_S:g} s"
-            yield fault(about, reason, REACH)
-            return
+            raise SourceFault(link.reason or f"{broker.where} has not answered within {ANSWER_S:g} s")
         user = f" as user {broker.user_name}" if broker.user_name else ""
         yield ok(about, f"connected{' by TLS' * broker.tls}{user}")
         yield from _certificate(link, about)
-        retained, read = PayloadStatistics(mapping), contents or source.reader()
+        retained = PayloadStatistics(source.mapping)
 
-        def take(message: MQTTMessage, came: float) -> None:
-            payload = bytes(message.payload[: source.largest + 1])
-            for content in read(message.topic, payload, came):
-                (retained if message.retain else statistics).take(content, came, message.topic)
+        from paho.mqtt.client import topic_matches_sub
 
-        heard = _count_messages(link, take, wait_s)
+        heard = {topics: Counter[str]() for topics in link.broker.topics}
+        for arrival in arrivals(link, wait_s):
+            for topics, one in heard.items():
+                if topic_matches_sub(topics, arrival.topic):
+                    one["retained" if arrival.retained else "live"] += 1
+                    one["unkept"] += not arrival.retained and arrival.identifier is None
+            for content in source.read(arrival):
+                if isinstance(content, Unreadable) and content.kind in UNEXPLAINED:
+                    continue
+                (retained if arrival.retained else statistics).take(content, arrival.time, arrival.topic)
         if link.lost.is_set():
             yield fault(about, f"the connection was lost: {link.reason}", REACH)
         denied = link.denied
+    keep = KEPT if isinstance(source, Sparkplug) else "publish at QoS 1"
     for topics, one in heard.items():
         yield _filter_check(f"{about} {topics}", one, denied.get(topics), wait_s, keep)
     if retained.payloads and not statistics.payloads:
         yield from payload_checks(f"{about} retained messages", retained)
-    yield from payload_checks(about, statistics)
-    found = stamp_check(about, statistics.lag_s, lateness_s)
-    if found is not None and not mapping.weather:
-        yield found
+    if isinstance(source, Sparkplug):
+        yield from _edge_node_checks(about, source.edge_nodes, f"within {lasting(wait_s)}")
+    return "payloads"
 
 
 def doctor_session(broker: Broker) -> Broker:
@@ -137,9 +109,10 @@ def plain_filter(topics: str) -> str:
 
 
 @contextmanager
-def listening(broker: Broker) -> Iterator[Listener]:
-    """A link within this context, once the broker has answered the subscription or the link is lost."""
-    link = Listener(broker)
+def listening(broker: Broker, largest: int) -> Iterator[Link]:
+    """A link within this context, once the broker has answered the subscription or the link is lost;
+    `largest`: payload [bytes] from which the rest is cut off."""
+    link = Link(broker, largest)
     try:
         try:
             link.open()
@@ -156,38 +129,23 @@ def listening(broker: Broker) -> Iterator[Listener]:
 
 
 def _certificate(link: Link, about: str) -> Iterator[Check]:
-    """Check the validity of the broker's certificate."""
     socket = link.client.socket()
     shown = socket.getpeercert(binary_form=True) if isinstance(socket, ssl.SSLSocket) else None
     if shown:
-        where = "the broker's certificate"
-        try:
-            yield validity_check(about, validities(shown)[0], where)
-        except ImportError:
-            yield unread_certificate(about, where)
+        yield validity_check(about, shown, "the broker's certificate")
 
 
-def _count_messages(
-    link: Listener, take: Callable[[MQTTMessage, float], None], wait_s: float
-) -> dict[str, Counter[str]]:
-    """Take messages with their times of arrival [s] for `wait_s` [s]; returns their numbers under each
-    filter: "live", of these "unkept" (published at QoS 0), and "retained"."""
-    from paho.mqtt.client import topic_matches_sub
-
-    heard = {topics: Counter[str]() for topics in link.broker.topics}
+def arrivals(link: Link, wait_s: float) -> Iterator[Arrival]:
+    """The messages of the doctor's session within a time [s], or until the link is lost; they are
+    acknowledged at once, because nobody else uses this session."""
     end = time.monotonic() + wait_s
     while (left := end - time.monotonic()) > 0.0:
         with suppress(queue.Empty):
-            found = link.messages.get(timeout=left)
-            if found is None:
-                break
-            message, came = found
-            for topics, one in heard.items():
-                if topic_matches_sub(topics, message.topic):
-                    one["retained" if message.retain else "live"] += 1
-                    one["unkept"] += not message.retain and message.qos == 0
-            take(message, came)
-    return heard
+            arrival = link.arrived.get(timeout=left)
+            if arrival is None:
+                return
+            link.acknowledge(arrival.identifier)
+            yield arrival
 
 
 def _filter_check(about: str, one: Counter[str], denied: str | None, wait_s: float, keep: str) -> Check:
@@ -216,43 +174,23 @@ def _filter_check(about: str, one: Counter[str], denied: str | None, wait_s: flo
     )
 
 
-# -- Sparkplug -----------------------------------------------------------------------------------------------
-def sparkplug_checks(
-    source: Sparkplug, statistics: PayloadStatistics, wait_s: float, lateness_s: float
-) -> Iterator[Check]:
-    """The checks of the broker, then those of the edge nodes heard within `wait_s` [s].
-
-    The doctor knows only births within this time, so that it does not judge values by other aliases.
-    """
-    nodes = EdgeNodes()
-    read = source.reader(nodes)
-
-    def contents(topic: str, payload: bytes, received: float) -> Sequence[Content]:
-        found = read(topic, payload, received)
-        return [one for one in found if not (isinstance(one, Unreadable) and one.kind in UNEXPLAINED)]
-
-    yield from mqtt_checks(source, statistics, wait_s, lateness_s, contents, KEPT)
+def _edge_node_checks(about: str, nodes: EdgeNodes, within: str) -> Iterator[Check]:
     for node in nodes.nodes.values():
         node.look(time.time())
-    about = f"source {source.url}"
-    within = f"within {lasting(wait_s)}"
     gaps = [name for name, node in nodes.nodes.items() if node.gap_s is not None]
     unborn = [name for name in nodes.without_birth() if name not in gaps]
     left = [name for name, node in nodes.nodes.items() if "" in node.left_s]
     sound = [name for name in nodes.nodes if name not in (*gaps, *unborn, *left)]
-    if sound:
-        yield ok(about, f"every message is explained, of edge nodes {several(sound)}")
-    if gaps:
-        yield doubt(
-            about,
-            f"messages are missing in the sequence of {several(gaps)}",
+    yield from of_names(
+        about,
+        ("ok", sound, "every message is explained, of edge nodes {}", ""),
+        (
+            "doubt", gaps, "messages are missing in the sequence of {}",
             "look for a bad connection of the edge node, and for two that bear one name",
-        )
-    if unborn:
-        yield doubt(
-            about,
-            f"values came by aliases, but no birth certificate {within}, of {several(unborn)}",
+        ),
+        (
+            "doubt", unborn, f"values came by aliases, but no birth certificate {within}, of {{}}",
             f"if the tracker does not know these either: {ASK}, or set rebirth_requests = true",
-        )
-    if left:
-        yield doubt(about, f"a death certificate came {within}, of {several(left)}", "check the edge node")
+        ),
+        ("doubt", left, f"a death certificate came {within}, of {{}}", "check the edge node"),
+    )  # fmt: skip

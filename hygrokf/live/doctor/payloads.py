@@ -7,27 +7,25 @@ temporary session of its own is used, so that the tracker's session keeps its me
 from __future__ import annotations
 
 import gzip
-import queue
 import time
 import zlib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import IO, cast
+from typing import IO, Any, cast
 
 from hygrokf.data.signals import from_si, signal_named
 from hygrokf.data.structured import JsonObject
 from hygrokf.data.timestamps import stamp_text
-from hygrokf.errors import HygrokfError
 from hygrokf.identification.wording import one_line
-from hygrokf.live.doctor.mqtt import doctor_session, listening
+from hygrokf.live.doctor.mqtt import arrivals, doctor_session, listening
 from hygrokf.live.sources.broker import filter_fault
 from hygrokf.live.sources.local import Lines, TailedFile, next_line
 from hygrokf.live.sources.mqtt import Mqtt
 from hygrokf.live.sources.payload import USED_THOUGH, PayloadMapping, PayloadStatistics
 from hygrokf.live.sources.payload_formats import JSON, UNPACKED, Content, Unreadable, decoded
-from hygrokf.live.sources.stream import Delivery, Stream
+from hygrokf.live.sources.stream import Delivery, SourceFault, Stream
 from hygrokf.live.tracker import Reading
 
 MOST = 20
@@ -40,51 +38,16 @@ WIDTH = 100
 """Characters of a payload that are shown."""
 
 
-class TrialFault(HygrokfError):
-    """Nothing can be tried; the message says why."""
-
-
-@dataclass(frozen=True)
-class TriedReading:
-    """A reading of a payload: `value` in `unit`, `time` in ISO 8601."""
-
-    turbine: str
-    signal: str
-    time: str
-    value: float
-    unit: str
-
-    def __str__(self) -> str:
-        return f"{self.turbine or 'all'}  {self.signal}  {self.time}  {self.value:.6g} {self.unit}"
-
-
-@dataclass(frozen=True)
-class TriedRejection:
-    """Something in a payload that is counted, and not used unless uncertain: its `kind`, and why."""
-
-    turbine: str
-    kind: str
-    why: str
-
-    def __str__(self) -> str:
-        return f"{'used' if self.kind == USED_THOUGH else 'not used'}: {self.kind}: {self.why}"
-
-
-@dataclass(frozen=True)
-class TriedPayload:
-    """A payload, shortened, and what it gave."""
-
-    payload: str
-    readings: tuple[TriedReading, ...]
-    rejections: tuple[TriedRejection, ...]
-
-
 @dataclass(frozen=True)
 class Trial:
-    """What the payloads gave by the mapping of some `sources`; `payloads` holds the first ones."""
+    """What the payloads gave by the mapping of some `sources`.
+
+    `payloads`: the first ones, each its shortened text as `payload`, with `readings` (turbine, signal, time
+    in ISO 8601, value and unit) and `rejections` (turbine, kind and why).
+    """
 
     sources: tuple[str, ...]
-    payloads: tuple[TriedPayload, ...]
+    payloads: tuple[dict[str, Any], ...]
     count: int
     used: int
     rejected: str
@@ -95,13 +58,13 @@ def try_payloads(streams: Sequence[Stream], what: str, wait_s: float) -> list[Tr
     """Try the payloads of a file, or those that arrive at a topic within `wait_s` [s].
 
     A file is read by the mapping of the source whose file it is, otherwise by each mapping.  Raises
-    TrialFault.
+    SourceFault.
     """
     path = Path(what)
     if path.exists() or not any(isinstance(one, Mqtt) for one in streams):
         return _try_file(streams, path)
     if (wrong := filter_fault(what)) is not None:
-        raise TrialFault(f"expected a file or a topic; there is no file {what!r}, and {wrong}")
+        raise SourceFault(f"expected a file or a topic; there is no file {what!r}, and {wrong}")
     brokers = [one for one in streams if isinstance(one, Mqtt)]
     return [trial((one.url,), one.mapping, heard(one, what, wait_s)) for one in brokers]
 
@@ -118,9 +81,9 @@ def _try_file(streams: Sequence[Stream], path: Path) -> list[Trial]:
     try:
         return [trial(tuple(urls), mapping, filed(path, mapping)) for mapping, urls in found]
     except FileNotFoundError:
-        raise TrialFault(f"{path}: no such file; a topic needs a [[source]] that is a broker") from None
+        raise SourceFault(f"{path}: no such file; a topic needs a [[source]] that is a broker") from None
     except (OSError, EOFError, zlib.error) as fault:
-        raise TrialFault(f"{path}: cannot be read: {getattr(fault, 'strerror', None) or fault}") from None
+        raise SourceFault(f"{path}: cannot be read: {getattr(fault, 'strerror', None) or fault}") from None
 
 
 def filed(path: Path, mapping: PayloadMapping) -> Iterator[Delivery]:
@@ -153,45 +116,48 @@ def filed(path: Path, mapping: PayloadMapping) -> Iterator[Delivery]:
 
 
 def heard(source: Mqtt, topic: str, wait_s: float) -> Iterator[Delivery]:
-    """The messages at a topic within `wait_s` [s], retained ones included.  Raises TrialFault."""
-    with listening(replace(doctor_session(source.broker), topics=(topic,), alarms="")) as link:
+    """The messages at a topic within `wait_s` [s], retained ones included.  Raises SourceFault."""
+    session = replace(doctor_session(source.broker), topics=(topic,), alarms="")
+    with listening(session, source.largest) as link:
         if link.lost.is_set() or not link.answered or link.denied:
             words = link.reason or f"{source.broker.where} has not answered"
-            raise TrialFault(f"{source.url}: {'; '.join(link.denied.values()) or words}")
-        end, contents = time.monotonic() + wait_s, source.reader()
-        while (left := end - time.monotonic()) > 0.0:
-            with suppress(queue.Empty):
-                found = link.messages.get(timeout=left)
-                if found is None:
-                    raise TrialFault(f"{source.url}: {link.reason}")
-                message, came = found
-                payload = bytes(message.payload[: source.largest + 1])
-                for content in contents(message.topic, payload, came):
-                    yield Delivery(content, came, message.topic)
+            raise SourceFault(f"{source.url}: {'; '.join(link.denied.values()) or words}")
+        for arrival in arrivals(link, wait_s):
+            for content in source.read(arrival):
+                yield Delivery(content, arrival.time, arrival.topic)
+        if link.lost.is_set():
+            raise SourceFault(f"{source.url}: {link.reason}")
 
 
 # -- what they give ------------------------------------------------------------------------------------------
 def trial(sources: tuple[str, ...], mapping: PayloadMapping, payloads: Iterable[Delivery]) -> Trial:
     """Read payloads by a mapping."""
     statistics = PayloadStatistics(mapping)
-    shown: list[TriedPayload] = []
+    shown: list[dict[str, Any]] = []
     for one in payloads:
         found = statistics.take(one.content, one.received, one.topic)
         if len(shown) < MOST:
             readings = [_tried(of.turbine, reading) for of in found for reading in of.readings]
-            rejections = [TriedRejection(of.turbine, *one) for of in found for one in of.rejections]
+            rejections = [
+                {"turbine": turbine, "kind": kind, "why": why}
+                for turbine, _, refused in found
+                for kind, why in refused
+            ]
             text = f"{one.topic} {_text(one.content)}".strip()
-            shown.append(TriedPayload(text, tuple(readings[:MOST_VALUES]), tuple(rejections[:MOST_VALUES])))
+            those = {"readings": readings[:MOST_VALUES], "rejections": rejections[:MOST_VALUES]}
+            shown.append({"payload": text, **those})
         if statistics.payloads == MOST_READ:
             break
     return Trial(sources, tuple(shown), statistics.payloads, statistics.used, statistics.rejected)
 
 
-def _tried(turbine: str, one: Reading) -> TriedReading:
+def _tried(turbine: str, one: Reading) -> dict[str, Any]:
     row = signal_named(one.signal)
     unit = row.display or row.unit
     value = float(from_si(one.value, unit, one.signal))
-    return TriedReading(turbine, one.signal, stamp_text(one.time), value, unit)
+    return {
+        "turbine": turbine, "signal": one.signal, "time": stamp_text(one.time), "value": value, "unit": unit,
+    }  # fmt: skip
 
 
 def _text(content: Content) -> str:
@@ -212,8 +178,13 @@ def as_text(trials: Sequence[Trial]) -> str:
     for one in trials:
         lines.append(f"by the mapping of {', '.join(one.sources)}:")
         for payload in one.payloads:
-            lines.append(f"  {payload.payload}")
-            lines += [f"      {said}" for said in (*payload.readings, *payload.rejections)]
+            lines.append(f"  {payload['payload']}")
+            for row in payload["readings"]:
+                shown = row | {"turbine": row["turbine"] or "all"}
+                lines.append("      {turbine}  {signal}  {time}  {value:.6g} {unit}".format_map(shown))
+            for row in payload["rejections"]:
+                used = "used" if row["kind"] == USED_THOUGH else "not used"
+                lines.append(f"      {used}: {row['kind']}: {row['why']}")
         if one.count > len(one.payloads):
             lines.append(f"  … and {one.count - len(one.payloads)} more")
         unused = f"; not used: {one.rejected}" if one.rejected else ""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import math
 import os
 import threading
 import time
@@ -20,12 +21,13 @@ from hygrokf.live.doctor.check import (
     doubt,
     fault,
     lasting,
+    of_names,
     ok,
     payload_checks,
     server_check,
     stamp_check,
 )
-from hygrokf.live.doctor.mqtt import mqtt_checks, sparkplug_checks
+from hygrokf.live.doctor.mqtt import REACH, Look, mqtt_checks
 from hygrokf.live.sources.local import Lines, Playback, TailedFile, is_whole, next_line
 from hygrokf.live.sources.mqtt import Mqtt
 from hygrokf.live.sources.opcua import OpcUa
@@ -33,8 +35,7 @@ from hygrokf.live.sources.opcua_client import Connection, HistoryFault, Sample
 from hygrokf.live.sources.opcua_form import Node
 from hygrokf.live.sources.payload import PayloadStatistics
 from hygrokf.live.sources.postgres import LOWEST, TIMES, PostgresQuery, reason_of, rows_above
-from hygrokf.live.sources.sparkplug import Sparkplug
-from hygrokf.live.sources.stream import PAUSE_S, SourceFault, Stream, several
+from hygrokf.live.sources.stream import PAUSE_S, SourceFault, Stream
 from hygrokf.live.storage.database import Row
 
 if TYPE_CHECKING:
@@ -47,34 +48,28 @@ ASKED = 20
 REACH_SERVER = "check url, certificates and user of this [[source]], and that the server runs"
 
 
-def opcua_checks(
-    source: OpcUa, statistics: PayloadStatistics, wait_s: float, lateness_s: float
-) -> Iterator[Check]:
+def opcua_checks(source: OpcUa, statistics: PayloadStatistics, wait_s: float) -> Look:
     """Connect, subscribe, and wait up to `wait_s` [s] for the first values, which go into the statistics."""
     yield from asyncio.run(_examine(source, statistics, wait_s))
+    return "values"
 
 
 async def _examine(source: OpcUa, statistics: PayloadStatistics, wait_s: float) -> list[Check]:
     about, connection = f"source {source.url}", source.connection()
     try:
         await connection.open()
-        checks = [ok(about, "connected")]
-        checks += await _clock(connection, about)
+        checks = [ok(about, "connected"), *await _clock(connection, about)]
         refused = await connection.subscribe(source.nodes)
-        first = await _first_samples(connection, set(source.nodes) - set(refused), wait_s)
         there = [node for node in source.nodes if node not in refused]
+        first = await _first_samples(connection, set(there), wait_s)
         checks += _node_checks(about, source.nodes, refused, first, wait_s)
         checks += await _histories(connection, about, there)
-        for one in first.values():
-            delivery = source.delivery(one)
-            statistics.take(delivery.content, delivery.received)
-        checks += payload_checks(about, statistics, "values")
-        found = stamp_check(about, statistics.lag_s, fresh=False)
-        return checks + ([found] if found else [])
-    except SourceFault as error:
-        return [fault(about, str(error), REACH_SERVER)]
     finally:
         await connection.close()
+    for one in first.values():
+        delivery = source.delivery(one)
+        statistics.take(delivery.content, delivery.received)
+    return checks
 
 
 async def _clock(connection: Connection, about: str) -> list[Check]:
@@ -98,47 +93,36 @@ async def _first_samples(connection: Connection, awaited: set[Node], wait_s: flo
 
 def _node_checks(
     about: str, nodes: Sequence[Node], refused: dict[Node, str], first: dict[Node, Sample], wait_s: float
-) -> list[Check]:
-    """One check per kind of problem, and one for the nodes without problems."""
-    checks = []
-    if refused:
-        said = several(f"{node.id} ({word})" for node, word in refused.items())
-        checks.append(
-            fault(
-                about,
-                f"{len(refused)} of {len(nodes)} nodes do not exist or are denied: {said}",
-                "compare the ids with the server's address space, and give this user the right to read them",
-            )
-        )
+) -> Iterator[Check]:
+    now, sensor = time.time(), "check the sensor and its connection to the server"
     silent = [node.id for node in nodes if node not in refused and node not in first]
-    if silent:
-        checks.append(
-            doubt(
-                about,
-                f"no value of {several(silent)} within {lasting(wait_s)}",
-                "wait longer (--wait 1min), or check whether the server samples these nodes",
-            )
-        )
-    now = time.time()
-    wanting = {
-        "values that are not good": {n: one.word for n, one in first.items() if one.quality != "good"},
-        f"values older than {lasting(OLD_S)}": {
-            n: stamp_text(one.time) for n, one in first.items() if one.time and now - one.time > OLD_S
-        },
-        "values without a time stamp, which are not used": {
-            n: "no stamp" for n, one in first.items() if one.time is None and one.quality == "good"
-        },
+    bad = {n: one.word for n, one in first.items() if one.quality != "good"}
+    old = {n: stamp_text(one.time) for n, one in first.items() if one.time and now - one.time > OLD_S}
+    unstamped = {
+        n: "no stamp" for n, one in first.items() if one.time is None and one.quality == "good"
     }
-    for words, found in wanting.items():
-        if found:
-            said = several(f"{node.id} ({word})" for node, word in found.items())
-            checks.append(
-                doubt(about, f"{words}: {said}", "check the sensor and its connection to the server")
-            )
-    fine = set(first).difference(*wanting.values())
+    yield from of_names(
+        about,
+        (
+            "fault", _with_words(refused),
+            f"{len(refused)} of {len(nodes)} nodes do not exist or are denied: {{}}",
+            "compare the ids with the server's address space, and give this user the right to read them",
+        ),
+        (
+            "doubt", silent, f"no value of {{}} within {lasting(wait_s)}",
+            "wait longer (--wait 1min), or check whether the server samples these nodes",
+        ),
+        ("doubt", _with_words(bad), "values that are not good: {}", sensor),
+        ("doubt", _with_words(old), f"values older than {lasting(OLD_S)}: {{}}", sensor),
+        ("doubt", _with_words(unstamped), "values without a time stamp, which are not used: {}", sensor),
+    )  # fmt: skip
+    fine = set(first).difference(bad, old, unstamped)
     if fine:
-        checks.append(ok(about, f"{len(fine)} of {len(nodes)} nodes have a good value"))
-    return checks
+        yield ok(about, f"{len(fine)} of {len(nodes)} nodes have a good value")
+
+
+def _with_words(nodes: Mapping[Node, str]) -> list[str]:
+    return [f"{node.id} ({word})" for node, word in nodes.items()]
 
 
 async def _histories(connection: Connection, about: str, nodes: Sequence[Node]) -> list[Check]:
@@ -151,21 +135,20 @@ async def _histories(connection: Connection, about: str, nodes: Sequence[Node]) 
                 unread.pop(node, None)  # whatever its access level says
         except HistoryFault as error:
             unread[node] = str(error)
-    if unread:
-        said = several(f"{node.id} ({word})" for node, word in unread.items())
-        return [
-            doubt(
-                about,
-                f"no history of {len(unread)} of {len(asked)} nodes: {said}",
-                "enable history on the server and let this user read it: otherwise samples are lost while "
-                "the tracker is not running",
-            )
-        ]
-    return [ok(about, f"the server keeps the history of the {len(asked)} nodes examined")] if asked else []
+    if asked and not unread:
+        return [ok(about, f"the server keeps the history of the {len(asked)} nodes examined")]
+    missing = f"no history of {len(unread)} of {len(asked)} nodes: {{}}"
+    enable = (
+        "enable history on the server and let this user read it: otherwise samples are lost while the "
+        "tracker is not running"
+    )
+    return list(of_names(about, ("doubt", _with_words(unread), missing, enable)))
 
 
 TAIL = 4_000_000
 """[bytes] read from the end of a file."""
+FIRST_ROWS = "first rows"
+"""Rows of a watermark that is no time, whose age says nothing."""
 REACH_DATABASE = "check url, password and query of this [[source]], and that the server runs"
 MOST_ROWS = 20_000
 """Rows of a database's query that are examined at most."""
@@ -206,70 +189,75 @@ def _checks(
     stream: Stream, statistics: PayloadStatistics, wait_s: float, lateness_s: float
 ) -> Iterator[Check]:
     about = f"source {stream.url}"
-    checks_of_kind = next((checks for kind, checks in KINDS.items() if isinstance(stream, kind)), None)
-    if checks_of_kind is None:
+    kind = next((one for one in KINDS if isinstance(stream, one)), None)
+    if kind is None:
         yield ok(about, "can be read only while the tracker runs; not examined")
-    else:
-        yield from checks_of_kind(stream, statistics, wait_s, lateness_s)
+        return
+    (look, remedy), what = KINDS[kind], "payloads"
+    try:
+        what = yield from look(stream, statistics, wait_s)
+    except SourceFault as error:
+        yield fault(about, str(error), remedy)
+    yield from payload_checks(about, statistics, what)
+    newest = max(statistics.newest.values(), default=-math.inf)
     if stream.mapping.weather and statistics.newest:
-        ahead = max(statistics.newest.values()) - time.time()
+        ahead = newest - time.time()
         said = f"its weather forecast reaches {lasting(ahead)} ahead"
         need = "deliver at least a day: shorter forecasts are not used"
         yield doubt(about, said, need) if ahead < DAY_S else ok(about, said)
+    if stream.mapping.weather or stream.played_back:
+        return
+    is_heard = isinstance(stream, Mqtt)
+    if statistics.newest and not is_heard:
+        age = time.time() - newest
+        said = f"its newest reading is from {stamp_text(newest)}, {lasting(max(age, 0.0))} ago"
+        judged = age > OLD_S and what != FIRST_ROWS
+        writer = "check the program that writes the file, or fills the table"
+        yield doubt(about, said, writer) if judged else ok(about, said)
+    stamped = stamp_check(
+        about,
+        statistics.lag_s,
+        lateness_s if is_heard else math.inf,
+        fresh=is_heard or isinstance(stream, TailedFile),
+    )
+    if stamped is not None and (is_heard or stamped.level != "ok"):
+        yield stamped
 
 
-def playback_checks(
-    stream: Playback, statistics: PayloadStatistics, wait_s: float, lateness_s: float
-) -> Iterator[Check]:
+def playback_checks(stream: Playback, statistics: PayloadStatistics, wait_s: float) -> Look:
     """Check what the rows of a played-back file give."""
     for at, content in stream.messages:
         statistics.take(content, at)
-    yield from payload_checks(f"source {stream.url}", statistics, "rows that are played back")
+    yield from ()
+    return "rows that are played back"
 
 
-def file_checks(
-    stream: TailedFile, statistics: PayloadStatistics, wait_s: float, lateness_s: float
-) -> Iterator[Check]:
+def file_checks(stream: TailedFile, statistics: PayloadStatistics, wait_s: float) -> Look:
     """Check that a followed file exists, is readable and grows, and what its last rows give."""
-    about, path = f"source {stream.url}", stream.path
+    about, path, what = f"source {stream.url}", stream.path, "last rows"
     try:
         found = path.stat()
         size, written = found.st_size, found.st_mtime
         read_rows(path, statistics)
     except FileNotFoundError:
-        waits = "does not exist yet; the tracker waits for it"
-        if not stream.follow:
-            yield fault(about, "no such file", "check the path")
-        elif path.parent.is_dir():
+        if stream.follow and path.parent.is_dir():
+            waits = "does not exist yet; the tracker waits for it"
             yield doubt(about, waits, "check the path and the program that writes the file")
-        else:
-            yield fault(about, f"its folder {path.parent} does not exist", "check the path")
-        return
+            return what
+        raise SourceFault(
+            f"its folder {path.parent} does not exist" if stream.follow else "no such file"
+        ) from None
     except OSError as error:
-        yield fault(
-            about, f"cannot be read: {error.strerror}", "check its permissions for the user of the tracker"
-        )
-        return
+        raise SourceFault(f"cannot be read: {error.strerror}") from None
     if stream.follow:
         yield _growth(about, path, size, written, wait_s)
     if not statistics.payloads:
         yield doubt(
             about, "it has no rows yet", "write a line of names and then rows, or one JSON object per line"
         )
-    yield from payload_checks(about, statistics, "last rows")
-    if statistics.newest and not stream.mapping.weather:
-        newest = max(statistics.newest.values())
-        yield _newest_reading(about, newest, "check the program that writes the file")
-        stamped = stamp_check(f"{about} as it was last written", min(statistics.lag_s, written - newest))
-        if stamped is not None and stamped.level != "ok":
-            yield stamped
-
-
-def _newest_reading(about: str, newest: float, remedy: str, judged: bool = True) -> Check:
-    """The time [s] of the newest reading, with doubt where it is old, unless its age is not `judged`."""
-    age = time.time() - newest
-    said = f"its newest reading is from {stamp_text(newest)}, {lasting(max(age, 0.0))} ago"
-    return doubt(about, said, remedy) if judged and age > OLD_S else ok(about, said)
+    if statistics.newest:  # its clock is judged by the time at which it was last written
+        statistics.lag_s = min(statistics.lag_s, written - max(statistics.newest.values()))
+    return what
 
 
 def _growth(about: str, path: Path, size: int, written: float, wait_s: float) -> Check:
@@ -309,20 +297,15 @@ def read_rows(path: Path, statistics: PayloadStatistics) -> None:
                 statistics.take(content, now)
 
 
-def postgres_checks(
-    source: PostgresQuery, statistics: PayloadStatistics, wait_s: float, lateness_s: float
-) -> Iterator[Check]:
+def postgres_checks(source: PostgresQuery, statistics: PayloadStatistics, wait_s: float) -> Look:
     """Connect, run the query for its newest rows, and read them."""
-    about = f"source {source.url}"
     try:
-        yield from _postgres_checks(source, statistics, about)
-    except SourceFault as error:
-        yield fault(about, str(error), REACH_DATABASE)
+        return (yield from _postgres_checks(source, statistics, f"source {source.url}"))
     except Exception as error:  # of the driver, which only the source imports
-        yield fault(about, f"the query cannot be run: {reason_of(error)}", REACH_DATABASE)
+        raise SourceFault(reason_of(error)) from None
 
 
-def _postgres_checks(source: PostgresQuery, statistics: PayloadStatistics, about: str) -> Iterator[Check]:
+def _postgres_checks(source: PostgresQuery, statistics: PayloadStatistics, about: str) -> Look:
     with closing(source.open()) as connection:
         columns = source.columns(connection)
         yield ok(about, f"connected; the query gives {', '.join(columns.names)}")
@@ -333,24 +316,18 @@ def _postgres_checks(source: PostgresQuery, statistics: PayloadStatistics, about
         rows, span, took_s = _newest_rows(source, columns.kind, connection)
     if not rows:
         yield doubt(about, f"no {span}", "check the query and the program that fills its table")
-        return
+        return span
     now = time.time()
     for row in rows:
         columns.watermark(row)
         statistics.take(columns.payload(row), now)
-    yield from payload_checks(about, statistics, span)
     if took_s > source.form.poll_s:
         yield doubt(
             about,
             f"the query took {lasting(took_s)}, longer than poll ({lasting(source.form.poll_s)})",
             f"create an index on {source.form.watermark}, or poll less often",
         )
-    if statistics.newest and not statistics.mapping.weather:
-        newest, remedy = max(statistics.newest.values()), "check the program that fills its table"
-        yield _newest_reading(about, newest, remedy, columns.kind in TIMES)
-        ahead = stamp_check(about, statistics.lag_s, fresh=False)
-        if ahead is not None and ahead.level != "ok":
-            yield ahead
+    return span
 
 
 def _newest_rows(
@@ -376,16 +353,15 @@ def _starts(kind: str) -> Iterator[tuple[str, str]]:
             since = datetime.fromtimestamp(time.time() - span, UTC)
             yield since.isoformat(), f"rows of the last {lasting(span)}"
     else:
-        yield LOWEST[kind], "first rows"
+        yield LOWEST[kind], FIRST_ROWS
 
 
-KINDS: Mapping[type[Stream], Callable[..., Iterator[Check]]] = {
-    TailedFile: file_checks,
-    Playback: playback_checks,
-    Sparkplug: sparkplug_checks,
-    Mqtt: mqtt_checks,
-    OpcUa: opcua_checks,
-    PostgresQuery: postgres_checks,
+KINDS: Mapping[type[Stream], tuple[Callable[..., Look], str]] = {
+    TailedFile: (file_checks, "check the path, and its permissions for the user of the tracker"),
+    Playback: (playback_checks, ""),
+    Mqtt: (mqtt_checks, REACH),
+    OpcUa: (opcua_checks, REACH_SERVER),
+    PostgresQuery: (postgres_checks, REACH_DATABASE),
 }
-"""Kind of source -> its checks, a function of (stream, statistics, wait_s, lateness_s); a kind stands before
-the one that it extends."""
+"""Kind of source -> its checks, a function of (stream, statistics, wait_s) that returns the name of what it
+has read; and what to do where it cannot be reached."""

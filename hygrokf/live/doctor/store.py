@@ -11,7 +11,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 
 from hygrokf.data.timestamps import DAY_S
-from hygrokf.live.doctor.check import Check, doubt, fault, lasting, ok
+from hygrokf.live.doctor.check import Check, doubt, fault, lasting, of_names, ok
 from hygrokf.live.sources.stream import several
 from hygrokf.live.storage.database import StoreUnready, one_line
 from hygrokf.live.storage.schema import VERSION
@@ -148,31 +148,28 @@ def _turbines(store: Store, turbines: Mapping[str, Turbine]) -> Iterator[Check]:
     known = {name: model for name, model in store.rows("SELECT name, model FROM turbine")}
     claimed = {name for kind, name in store.database.claims() if kind == "turbine"}
     left = sorted(set(known) - set(turbines) - claimed)
-    if left:
-        yield doubt(
-            "store",
-            f"no process tracks {several(left)}, which it contains",
-            "add a [[turbine]], or delete their rows by hand",
-        )
     new = [name for name in turbines if name not in known]
-    if new and store.rows("SELECT url FROM source"):
-        yield doubt(
-            "store",
-            f"it does not contain {several(new)} yet, but its sources were read for others: only what "
-            "comes after that is read for these",
-            "nothing if this is intended; name a new store to read a file from its start",
-        )
-    elif new:
-        yield ok("store", f"it does not contain {several(new)} yet: their first readings add them")
     changed = [
         name for name, one in turbines.items() if known.get(name, digest(one.plan)) != digest(one.plan)
     ]
-    if changed:
-        yield doubt(
-            "store",
-            f"{several(changed)} had another model, or readings in another form, when last tracked",
+    was_read = new and store.rows("SELECT url FROM source")
+    yield from of_names(
+        "store",
+        (
+            "doubt", left, "no process tracks {}, which it contains",
+            "add a [[turbine]], or delete their rows by hand",
+        ),
+        (
+            "doubt", new if was_read else [], "it does not contain {} yet, but its sources were read for "
+            "others: only what comes after that is read for these",
+            "nothing if this is intended; name a new store to read a file from its start",
+        ),
+        ("ok", [] if was_read else new, "it does not contain {} yet: their first readings add them", ""),
+        (
+            "doubt", changed, "{} had another model, or readings in another form, when last tracked",
             "nothing if this is intended: the next start filters their readings again",
-        )
+        ),
+    )  # fmt: skip
 
 
 def _estimates(store: Store, turbines: Mapping[str, Turbine], played_back: bool) -> Iterator[Check]:
@@ -188,22 +185,17 @@ def _estimates(store: Store, turbines: Mapping[str, Turbine], played_back: bool)
     if played_back:
         yield ok("store", f"it has estimates of {several(newest)}")
         return
-    ages = {name: time.time() - at for name, at in sorted(newest.items(), key=lambda one: one[1])}
-    old = {name: age for name, age in ages.items() if age > turbines[name].stale_s}
-    fresh = {name: age for name, age in ages.items() if name not in old}
-    if old:
-        yield doubt(
-            "store",
-            f"newest estimates are old: {_ages_text(old)}",
-            "check whether the tracker runs and readings arrive",
-        )
-    if fresh:
-        yield ok("store", f"newest estimates: {_ages_text(fresh)}")
-
-
-def _ages_text(ages: Mapping[str, float]) -> str:
-    """Text of turbines with their ages [s], in the given order."""
-    return several(f"{name} {lasting(age)} ago" for name, age in ages.items())
+    old: list[str] = []
+    fresh: list[str] = []
+    for name, at in sorted(newest.items(), key=lambda one: one[1]):
+        age = time.time() - at
+        (old if age > turbines[name].stale_s else fresh).append(f"{name} {lasting(age)} ago")
+    check = "check whether the tracker runs and readings arrive"
+    yield from of_names(
+        "store",
+        ("doubt", old, "newest estimates are old: {}", check),
+        ("ok", fresh, "newest estimates: {}", ""),
+    )
 
 
 def _bytes(count: float) -> str:

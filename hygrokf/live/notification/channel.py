@@ -8,16 +8,15 @@ import math
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field, replace
-from functools import partial
 
 from hygrokf.data.structured import JsonObject
 from hygrokf.data.timestamps import DAY_S, duration, stamp_text
 from hygrokf.data.toml_form import FolderKeys, across, setting
-from hygrokf.errors import HygrokfError, suggestion
+from hygrokf.errors import HygrokfError
 from hygrokf.identification.wording import one_line
 from hygrokf.live.alarms import RULES
 from hygrokf.live.batch import Alarm
-from hygrokf.live.sources.endpoint import Address, address_of, bracketed
+from hygrokf.live.sources.endpoint import UrlKeys
 
 SEVERITIES = ("notice", "warning", "alarm")
 """Severities of an alarm, the lowest first."""
@@ -138,22 +137,11 @@ def data(message: Message) -> JsonObject:
 
 # -- the keys that the tables of all channels have -----------------------------------------------------------
 LONGEST_NAME = 40
-PORTS = {"smtp": 587, "smtps": 465, "http": 80, "https": 443}
-"""Scheme of a URL -> default port."""
 MOST_HOLD_OFF_S, MOST_DIGEST_S = 7.0 * DAY_S, DAY_S
 
 
-def _of(value: object, choices: tuple[str, ...]) -> tuple[str, ...]:
-    if not isinstance(value, list) or not all(isinstance(one, str) for one in value):
-        raise ValueError(f"expected a list of {', '.join(choices)}, found {value!r}")
-    for one in value:
-        if one not in choices:
-            raise ValueError(f'expected {", ".join(choices)}, found "{one}"{suggestion(one, choices)}')
-    return tuple(value)
-
-
 @dataclass(frozen=True, kw_only=True, repr=False)
-class Channel(FolderKeys):
+class Channel(UrlKeys, FolderKeys):
     """Where notices go, and which alarms they are about; empty `kinds`, `severities`, `turbines` stand for
     all.
 
@@ -178,21 +166,11 @@ class Channel(FolderKeys):
         0.0, "interval of collected messages", read=duration, least=0.0, most=MOST_DIGEST_S,
         expected="at most 1 d",
     )  # fmt: skip
-    kinds: tuple[str, ...] = setting((), "kinds of alarms", read=partial(_of, choices=tuple(RULES)))
-    severities: tuple[str, ...] = setting((), "severities of alarms", read=partial(_of, choices=SEVERITIES))
+    kinds: tuple[str, ...] = setting((), "kinds of alarms", choices=tuple(RULES))
+    severities: tuple[str, ...] = setting((), "severities of alarms", choices=SEVERITIES)
     turbines: tuple[str, ...] = setting((), "names of turbines", empty=True)
     ca: str = setting("", "certificates of the CAs to trust, PEM")
     url: str
-
-    @property
-    def address(self) -> Address:
-        """The parts of the url."""
-        return address_of(self.url, PORTS, has_path=self.url.startswith("http"))
-
-    @property
-    def where(self) -> str:
-        """HOST:PORT."""
-        return f"{bracketed(self.address.host)}:{self.address.port}"
 
     @across("url")
     def url_form(self) -> str | None:

@@ -12,27 +12,21 @@ import socket
 import ssl
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 from urllib.parse import quote
 
 from hygrokf.data.timestamps import DAY_S, duration
 from hygrokf.data.toml_form import across, setting
 from hygrokf.live.batch import Alarm
-from hygrokf.live.sources.endpoint import (
-    OTHERS_READ,
-    Address,
-    PasswordKeys,
-    address_of,
-    bracketed,
-    is_loopback,
-    tls_context,
-)
+from hygrokf.live.sources.endpoint import OTHERS_READ, PasswordKeys, UrlKeys, is_loopback, tls_context
 from hygrokf.live.sources.sparkplug_node import NAMESPACE
 from hygrokf.live.sources.stream import SourceKeys
 
+if TYPE_CHECKING:
+    from paho.mqtt.reasoncodes import ReasonCode
+
 EXPIRY_S = 7.0 * DAY_S
 """[s] a broker keeps the session of a disconnected tracker."""
-PORTS = {"mqtt": 1883, "mqtts": 8883}
-"""Scheme of a URL -> default port."""
 LEAST_EXPIRY_S, MOST_EXPIRY_S = 60.0, 2.0**32 - 2.0
 LONGEST_NAME = 100
 _TLS = ("ca", "certificate", "key")
@@ -129,7 +123,7 @@ def alarm_topic(prefix: str, alarm: Alarm) -> str:
 
 # -- the session ---------------------------------------------------------------------------------------------
 @dataclass(frozen=True)
-class Broker(PasswordKeys, SourceKeys):
+class Broker(UrlKeys, PasswordKeys, SourceKeys):
     """A [[source]] of `mqtt://[USER@]HOST[:PORT]`, or `mqtts://` for TLS: a broker and a session on it."""
 
     url: str = setting(help="mqtt://[USER@]HOST[:PORT], or mqtts:// for TLS; never with a password")
@@ -222,16 +216,6 @@ class Broker(PasswordKeys, SourceKeys):
                 )
 
     @property
-    def address(self) -> Address:
-        """The parts of the url."""
-        return address_of(self.url, PORTS)
-
-    @property
-    def where(self) -> str:
-        """HOST:PORT as in a URL."""
-        return f"{bracketed(self.address.host)}:{self.address.port}"
-
-    @property
     def tls(self) -> bool:
         return self.url.startswith("mqtts:")
 
@@ -306,6 +290,6 @@ def tls_words(text: str) -> str | None:
     return next((words for name, words in _TLS_ERRORS.items() if name in shown), None)
 
 
-def reason_words(code: int, name: str) -> str:
-    """Message for a reason code of MQTT 5 with its `name`."""
-    return _REASONS.get(code, f"{name.lower()} (reason code {code})")
+def reason_words(code: ReasonCode) -> str:
+    """Message for a reason code of MQTT 5."""
+    return _REASONS.get(code.value, f"{str(code).lower()} (reason code {code.value})")

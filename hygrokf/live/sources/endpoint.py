@@ -5,7 +5,6 @@ from __future__ import annotations
 import ipaddress
 import os
 import ssl
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar, NamedTuple
@@ -14,6 +13,12 @@ from urllib.parse import unquote, urlsplit
 from hygrokf.data.toml_form import FolderKeys, across, setting
 from hygrokf.live.sources.stream import SourceFault
 
+PORTS = {
+    "mqtt": 1883, "mqtts": 8883, "opc.tcp": 4840, "smtp": 587, "smtps": 465, "http": 80, "https": 443,
+}  # fmt: skip
+"""Scheme of a URL -> default port."""
+WITH_PATH = ("opc.tcp", "http", "https")
+"""Schemes of URLs with a path."""
 OTHERS_READ = 0o004
 """Mode bit of a file that every user of the machine may read."""
 NO_PASSWORD_HERE = (
@@ -46,29 +51,39 @@ def bracketed(host: str) -> str:
     return f"[{host}]" if ":" in host else host
 
 
-def address_of(url: str, ports: Mapping[str, int], has_path: bool = False) -> Address:
-    """The parts of a url of a scheme with a default port; a fault does not show it, because it may hold a
-    secret."""
-    scheme, rest = url.partition(":")[0], url.partition("://")[2]
-    default = ports.get(scheme, 0)
-    expected = f"url must be {scheme}://" + (
-        "HOST[:PORT]/PATH" if has_path else "[USER@]HOST[:PORT] and no more"
-    )
-    login = (rest.partition("/")[0] if has_path else rest).rpartition("@")[0]
-    if ":" in login:
-        return Address(scheme, "", default, fault=f"url: {NO_PASSWORD_HERE}")
-    try:
-        parts = urlsplit(url)
-        host, port = parts.hostname or "", parts.port
-    except ValueError:
-        port = 0
-    if port == 0:
-        return Address(scheme, "", default, fault=f"{expected}, with a port of 1 to 65535")
-    more = f"?{parts.query}" if parts.query else ""
-    fits = host and url.isprintable() and " " not in url and not parts.fragment
-    if not fits or (not has_path and (more or parts.path not in ("", "/"))):
-        return Address(scheme, host, default, fault=expected)
-    return Address(scheme, host, port or default, unquote(login), (parts.path or "/") + more)
+class UrlKeys:
+    """Keys with the `url` of another machine."""
+
+    url: str
+
+    @property
+    def address(self) -> Address:
+        """The parts of the url; a fault does not show it, because it may hold a secret."""
+        scheme, rest = self.url.partition(":")[0], self.url.partition("://")[2]
+        default, has_path = PORTS.get(scheme, 0), scheme in WITH_PATH
+        expected = f"url must be {scheme}://" + (
+            "HOST[:PORT]/PATH" if has_path else "[USER@]HOST[:PORT] and no more"
+        )
+        login = (rest.partition("/")[0] if has_path else rest).rpartition("@")[0]
+        if ":" in login:
+            return Address(scheme, "", default, fault=f"url: {NO_PASSWORD_HERE}")
+        try:
+            parts = urlsplit(self.url)
+            host, port = parts.hostname or "", parts.port
+        except ValueError:
+            port = 0
+        if port == 0:
+            return Address(scheme, "", default, fault=f"{expected}, with a port of 1 to 65535")
+        more = f"?{parts.query}" if parts.query else ""
+        fits = host and self.url.isprintable() and " " not in self.url and not parts.fragment
+        if not fits or (not has_path and (more or parts.path not in ("", "/"))):
+            return Address(scheme, host, default, fault=expected)
+        return Address(scheme, host, port or default, unquote(login), (parts.path or "/") + more)
+
+    @property
+    def where(self) -> str:
+        """HOST:PORT as in a URL."""
+        return f"{bracketed(self.address.host)}:{self.address.port}"
 
 
 def tls_context(ca: Path | None, certificate: Path | None = None, key: Path | None = None) -> ssl.SSLContext:

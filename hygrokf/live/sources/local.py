@@ -8,7 +8,6 @@ import os
 import re
 import select
 import sys
-import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Sequence
@@ -205,19 +204,36 @@ class StandardInput(Stream):
         super().__init__(mapping)
         self._file = file
         self._lines = Lines(mapping.form)
-        self._pipe: _Pipe | None = None
+        self._held = bytearray()
 
     def _deliver(self, place: str | None, put: Callable[[Delivery], None]) -> None:
         file: IO[Any] = getattr(sys.stdin, "buffer", sys.stdin) if self._file is None else self._file
         descriptor = _descriptor(file)
-        if descriptor is not None and self._pipe is None:
-            self._pipe = _Pipe(descriptor, self._ended)
-        while line := next_line(file) if self._pipe is None else self._pipe.next_line():
+        while line := next_line(file) if descriptor is None else self._next_line(descriptor):
             if self._ended.is_set():
                 return
             content = self._lines.content(line)
             if content is not None:
                 put(Delivery(content, self.clock()))
+
+    def _next_line(self, descriptor: int) -> bytes:
+        """As `next_line`; empty once the stream is told to end: a thread that blocks in a buffered read would
+        keep the process from ending."""
+        searched = 0
+        while (end := self._held.find(b"\n", searched) + 1) == 0 and len(self._held) <= LONGEST_LINE:
+            searched, more = len(self._held), b""
+            while not self._ended.is_set():
+                if select.select([descriptor], [], [], PAUSE_S)[0]:
+                    more = os.read(descriptor, PIECE)
+                    break
+            if not more:
+                end = len(self._held)
+                break
+            self._held += more
+        count = min(end or LONGEST_LINE + 1, LONGEST_LINE + 1)
+        line = bytes(self._held[:count])
+        del self._held[:count]
+        return line
 
 
 def _descriptor(file: IO[Any]) -> int | None:
@@ -228,36 +244,6 @@ def _descriptor(file: IO[Any]) -> int | None:
     except (OSError, UnsupportedOperation, ValueError):
         return None
     return descriptor
-
-
-class _Pipe:
-    """Lines of a descriptor.  Waiting for more ends with an event: a thread that blocks in a buffered read
-    would keep the process from ending."""
-
-    def __init__(self, descriptor: int, ended: threading.Event) -> None:
-        self._descriptor, self._ended = descriptor, ended
-        self._held = bytearray()
-
-    def next_line(self) -> bytes:
-        """The next line, or a piece of one that is too long; empty at the end, and once the event is set."""
-        searched = 0
-        while (end := self._held.find(b"\n", searched) + 1) == 0 and len(self._held) <= LONGEST_LINE:
-            searched = len(self._held)
-            more = self._read()
-            if not more:
-                end = len(self._held)
-                break
-            self._held += more
-        count = min(end or LONGEST_LINE + 1, LONGEST_LINE + 1)
-        line = bytes(self._held[:count])
-        del self._held[:count]
-        return line
-
-    def _read(self) -> bytes:
-        while not self._ended.is_set():
-            if select.select([self._descriptor], [], [], PAUSE_S)[0]:
-                return os.read(self._descriptor, PIECE)
-        return b""
 
 
 class Playback(Stream):

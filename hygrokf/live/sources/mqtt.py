@@ -14,7 +14,8 @@ import threading
 import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict
-from typing import TYPE_CHECKING, NamedTuple
+from functools import partial
+from typing import TYPE_CHECKING
 
 from hygrokf.data.structured import JsonObject
 from hygrokf.live.batch import Alarm
@@ -32,16 +33,6 @@ AGAIN_S = 60.0
 """[s] after which a denied filter is requested again."""
 LINGER_S = 10.0
 """[s] a stopped source waits for its deliveries to be committed."""
-
-
-class MqttReceipt(NamedTuple):
-    """The link that delivered a message, and the packet identifier there (None at QoS 0)."""
-
-    link: Link
-    identifier: int | None
-
-    def acknowledge(self) -> None:
-        self.link.acknowledge(self.identifier)
 
 
 class Mqtt(Stream):
@@ -76,8 +67,8 @@ class Mqtt(Stream):
     def acknowledge(self, deliveries: Iterable[Delivery]) -> None:
         count = 0
         for one in deliveries:
-            assert one.token is not None, "every delivery of this source has a receipt"
-            one.token.acknowledge()
+            if one.acknowledge is not None:
+                one.acknowledge()
             count += 1
         with self._lock:
             self._uncommitted -= count
@@ -117,7 +108,7 @@ class Mqtt(Stream):
     # -- the source's own thread -----------------------------------------------------------------------------
     def _deliver(self, place: str | None, put: Callable[[Delivery], None]) -> None:
         former = [one for one in (place or "").split("\n") if one and one not in self.broker.topics]
-        link = self._link = Link(self.broker, former, self._ready, self.largest)
+        link = self._link = Link(self.broker, self.largest, former, self._ready)
         try:
             link.open()
             self._hand_over(link, put)
@@ -156,13 +147,12 @@ class Mqtt(Stream):
             if self._closing.wait(0.02):
                 break
 
-    def reader(self) -> Callable[[str, bytes, float], Sequence[Content]]:
-        """Gives the payloads of messages (topic, payload, time of arrival [s]) that another session hears."""
-        return lambda topic, payload, received: [payload]
+    def read(self, arrival: Arrival) -> Sequence[Content]:
+        """The payloads of a message that another session hears."""
+        return [arrival.payload]
 
     def _take(self, link: Link, found: Arrival, put: Callable[[Delivery], None]) -> None:
-        """Hand over what a message gives."""
-        self._put([found.payload], found.time, found.topic, MqttReceipt(link, found.identifier), put)
+        self._put([found.payload], found.time, found.topic, partial(link.acknowledge, found.identifier), put)
 
     def _look_after(self, link: Link, put: Callable[[Delivery], None]) -> None:
         """Does what is due without a message, at least every second: nothing here."""
@@ -172,19 +162,18 @@ class Mqtt(Stream):
         contents: Sequence[Content],
         received: float,
         topic: str,
-        receipt: MqttReceipt,
+        acknowledge: Callable[[], None] | None,
         put: Callable[[Delivery], None],
         memories: JsonObject | None = None,
     ) -> None:
-        """Put the deliveries of a message; its last one has its receipt and the data to keep."""
+        """Put the deliveries of a message; with its last one it is acknowledged, and the data are kept."""
         with self._lock:
             self._uncommitted += len(contents)
         for content in contents[:-1]:
-            put(Delivery(content, received, topic, self._place, token=MqttReceipt(receipt.link, None)))
-        put(Delivery(contents[-1], received, topic, self._place, memories or {}, receipt))
+            put(Delivery(content, received, topic, self._place))
+        put(Delivery(contents[-1], received, topic, self._place, memories or {}, acknowledge))
 
     def _open_ends(self) -> bool:
-        """Whether a delivery is still unacknowledged or an alarm still unconfirmed."""
         with self._lock:
             return self._uncommitted > 0 or not all(is_confirmed(info) for _, info in self._alarms.values())
 

@@ -57,13 +57,15 @@ MOST = 500
 
 class Arrival(NamedTuple):
     """A received message, its arrival `time` [s] and its packet `identifier`, None if it needs no
-    acknowledgement (QoS 0); `repeated`: the broker may have sent it before."""
+    acknowledgement (QoS 0); `repeated`: the broker may have sent it before; `retained`: it sends what it had
+    kept."""
 
     payload: bytes
     topic: str
     time: float
     identifier: int | None
     repeated: bool = False
+    retained: bool = False
 
 
 class Link:
@@ -79,9 +81,9 @@ class Link:
     def __init__(
         self,
         broker: Broker,
-        dropped: Sequence[str],
-        ready: Callable[[Link], None],
         largest: int = LARGEST,
+        dropped: Sequence[str] = (),
+        ready: Callable[[Link], None] = lambda link: None,
     ) -> None:
         self.broker = broker
         self.arrived: queue.SimpleQueue[Arrival | None] = queue.SimpleQueue()
@@ -237,15 +239,10 @@ class Link:
         self.client.subscribe([(one, options) for one in filters])
 
     def _on_connect(
-        self,
-        client: Client,
-        userdata: object,
-        flags: ConnectFlags,
-        reason_code: ReasonCode,
-        properties: Properties | None,
+        self, client: Client, _: object, flags: ConnectFlags, code: ReasonCode, properties: Properties | None
     ) -> None:
-        if reason_code.is_failure:
-            self.lose(f"{self.broker.where}: {reason_words(reason_code.value, str(reason_code))}")
+        if code.is_failure:
+            self.lose(f"{self.broker.where}: {reason_words(code)}")
             return
         self.accepted, self.resumed = True, flags.session_present
         kept, asked = getattr(properties, "SessionExpiryInterval", None), int(self.broker.session_expiry_s)
@@ -260,16 +257,11 @@ class Link:
         self._ready(self)
 
     def _on_subscribe(
-        self,
-        client: Client,
-        userdata: object,
-        identifier: int,
-        reason_codes: Sequence[ReasonCode],
-        properties: Properties | None,
+        self, client: Client, userdata: object, identifier: int, codes: Sequence[ReasonCode], *_: object
     ) -> None:
-        for one, code in zip(self._asked, reason_codes, strict=False):
+        for one, code in zip(self._asked, codes, strict=False):
             if code.is_failure:
-                self.denied[one] = reason_words(code.value, str(code))
+                self.denied[one] = reason_words(code)
             else:
                 self.denied.pop(one, None)
         self.answered = True
@@ -288,31 +280,17 @@ class Link:
             self._heard = True
             # an oversized payload keeps one byte too many, so that it is refused and counted with the others
             payload = bytes(message.payload[: self._largest + 1])
-            self.arrived.put(Arrival(payload, topic, time.time(), identifier, message.dup))
+            self.arrived.put(Arrival(payload, topic, time.time(), identifier, message.dup, message.retain))
 
-    def _on_publish(
-        self,
-        client: Client,
-        userdata: object,
-        identifier: int,
-        reason_code: ReasonCode,
-        properties: Properties | None,
-    ) -> None:
-        self._alarms_denied = (
-            reason_words(reason_code.value, str(reason_code)) if reason_code.is_failure else ""
-        )
+    def _on_publish(self, client: Client, _: object, identifier: int, code: ReasonCode, *__: object) -> None:
+        self._alarms_denied = reason_words(code) if code.is_failure else ""
 
     def _on_disconnect(
-        self,
-        client: Client,
-        userdata: object,
-        flags: DisconnectFlags,
-        reason_code: ReasonCode,
-        properties: Properties | None,
+        self, client: Client, userdata: object, flags: DisconnectFlags, code: ReasonCode, *_: object
     ) -> None:
         where = self.broker.where
         if flags.is_disconnect_packet_from_server:
-            self.lose(f"{where}: {reason_words(reason_code.value, str(reason_code))}")
+            self.lose(f"{where}: {reason_words(code)}")
         elif (words := tls_words(self._last_words.text)) is not None:
             self.lose(f"{where}: {words}")
         elif not self.accepted:
@@ -320,7 +298,7 @@ class Link:
                 f"{where}: the connection was closed before the broker answered: is this the port of an MQTT "
                 f"broker, and does it expect {'no TLS (mqtt://)' if self.broker.tls else 'TLS (mqtts://)'}?"
             )
-        elif reason_code.getName() == "Keep alive timeout":
+        elif code.getName() == "Keep alive timeout":
             self.lose(f"{where}: it has not answered for {KEEPALIVE_S} s")
         else:
             self.lose(

@@ -106,7 +106,6 @@ class OpcUa(Stream):
         return Connection(self.server, self._security)
 
     async def _follow(self) -> None:
-        """Serve one connection until it is lost or the stream is stopped."""
         connection = self.connection()
         try:
             await connection.open()
@@ -118,7 +117,6 @@ class OpcUa(Stream):
             await connection.close()
 
     async def _serve(self, connection: Connection) -> None:
-        """Deliver the samples of one connection until it is lost or the stream is stopped."""
         self._refused, self._unread, self._bad, self._without_history = {}, {}, {}, {}
         self._owed = set()
         await self._begin(connection, self.nodes)
@@ -273,7 +271,7 @@ async def in_order(histories: Iterable[AsyncIterator[Sample]]) -> AsyncIterator[
     for number, history in enumerate(histories):
         sample = await anext(history, None)
         if sample is not None:
-            heapq.heappush(heads, (_time(sample), number, sample, history))
+            heapq.heappush(heads, (sample.time or 0.0, number, sample, history))
     while heads:
         _, number, sample, history = heads[0]
         yield sample
@@ -281,13 +279,7 @@ async def in_order(histories: Iterable[AsyncIterator[Sample]]) -> AsyncIterator[
         if following is None:
             heapq.heappop(heads)
         else:
-            heapq.heapreplace(heads, (_time(following), number, following, history))
-
-
-def _time(sample: Sample) -> float:
-    """The time [s] of a sample from a history, which always has a time."""
-    assert sample.time is not None
-    return sample.time
+            heapq.heapreplace(heads, (following.time or 0.0, number, following, history))
 
 
 def _nodes_text(words: str, nodes: Mapping[Node, str]) -> str:

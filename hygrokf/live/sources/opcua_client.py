@@ -144,11 +144,8 @@ def words_of(fault: Exception) -> str:
     if isinstance(fault, TimeoutError):
         return "no answer in time"
     name = name_of(fault)
-    return f"{REMEDIES[name]} ({name})" if name in REMEDIES else _shown(fault)
-
-
-def _shown(fault: Exception) -> str:
-    """An exception in one short line."""
+    if name in REMEDIES:
+        return f"{REMEDIES[name]} ({name})"
     return " ".join(f"{type(fault).__name__} {fault}".split())[:160].strip()
 
 
@@ -184,7 +181,7 @@ class Connection:
         self._server, self._security = server, security
         self._ua = library().ua
         self._client: Client | None = None
-        self._subscription: Subscription | None = None
+        self._subscription: Subscription
         self._handles: dict[int, Node] = {}
         self._ids: dict[Node, ua.NodeId] = {}
         self._held: list[tuple[Node, ua.DataValue, float]] = []
@@ -208,18 +205,10 @@ class Connection:
 
     @property
     def _open_client(self) -> Client:
-        """The client of an open connection."""
         assert self._client is not None
         return self._client
 
-    @property
-    def _open_subscription(self) -> Subscription:
-        """The subscription of an open connection."""
-        assert self._subscription is not None
-        return self._subscription
-
     async def _new_client(self) -> Client:
-        """A client with this connection's security and user, not connected yet."""
         from asyncua.crypto import security_policies
         from asyncua.crypto.uacrypto import CertProperties
 
@@ -272,7 +261,7 @@ class Connection:
 
     def check(self) -> None:
         """Raises SourceFault if the connection is lost or the server has stopped publishing."""
-        last = self._open_subscription.last_publish_at
+        last = self._subscription.last_publish_at
         silent_s = 0.0 if last is None else time.monotonic() - last
         if not self._lost and silent_s > self._stale_s:
             self._lost = f"the server has not published for {silent_s:.0f} s"
@@ -342,7 +331,7 @@ class Connection:
                 ]
                 for start in range(0, len(asked), AT_ONCE):
                     part = asked[start : start + AT_ONCE]
-                    results = await self._open_subscription.create_monitored_items(
+                    results = await self._subscription.create_monitored_items(
                         [self._item(node, filtered) for node in part]
                     )
                     for node, result in zip(part, results, strict=True):

@@ -5,22 +5,18 @@ Certificates and keys are read once, together with the tracker's file, the passw
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, Any
 
 from hygrokf.data.timestamps import duration
 from hygrokf.data.toml_form import Place, across, entry_name, setting
-from hygrokf.live.sources.endpoint import Address, PasswordKeys, address_of, bracketed, is_loopback
+from hygrokf.live.sources.endpoint import PasswordKeys, UrlKeys, is_loopback
 from hygrokf.live.sources.stream import SourceKeys
 
 if TYPE_CHECKING:
-    from cryptography.hazmat.primitives.asymmetric.rsa import RSAPrivateKey
     from cryptography.x509 import Certificate
 
-T = TypeVar("T")
-PORTS = {"opc.tcp": 4840}
-"""Scheme of a URL -> default port."""
 HELD = 20_000
 """Largest number of waiting samples."""
 POLICIES = ("Basic256Sha256", "Aes128Sha256RsaOaep", "Aes256Sha256RsaPss")
@@ -54,7 +50,7 @@ class Security:
 
 
 @dataclass(frozen=True)
-class Server(PasswordKeys, SourceKeys):
+class Server(UrlKeys, PasswordKeys, SourceKeys):
     """A [[source]] of `opc.tcp://HOST:PORT/PATH`: a server, its nodes, the security of the connection and
     the user."""
 
@@ -86,15 +82,9 @@ class Server(PasswordKeys, SourceKeys):
     user: str = setting("", "with password_file or password_env")
 
     @property
-    def address(self) -> Address:
-        """The parts of the url."""
-        return address_of(self.url, PORTS, has_path=True)
-
-    @property
     def endpoint(self) -> str:
         """The url with the port; empty where it is at fault."""
-        scheme, host, port, _, path, _ = self.address
-        return f"{scheme}://{bracketed(host)}:{port}{path}" if host else ""
+        return f"opc.tcp://{self.where}{self.address.path}" if self.address.host else ""
 
     @across("url")
     def url_form(self) -> str | None:
@@ -154,9 +144,9 @@ class Server(PasswordKeys, SourceKeys):
         except ImportError:
             place.fault("certificates need cryptography: pip install 'hygrokf[opcua]'")
             return None
-        own = self._read("certificate", place, _certificate)
-        key = self._read("key", place, _key)
-        server = self._read("server_certificate", place, _certificate)
+        own = self._read("certificate", place)
+        key = self._read("key", place)
+        server = self._read("server_certificate", place)
         uri = "" if own is None else _application_uri(own)
         if own is not None:
             if not uri:
@@ -178,40 +168,37 @@ class Server(PasswordKeys, SourceKeys):
             own.not_valid_after_utc.timestamp(),
         )
 
-    def _read(self, key: str, place: Place, read: Callable[[bytes], T]) -> T | None:
-        """The file named by a key, parsed by `read`; None if there is none or it cannot be parsed."""
-        path = self.path(key)
+    def _read(self, key: str, place: Place) -> Any:
+        """The private key or certificate in the file named by a key; None if there is none that can be read,
+        with a fault in `place`."""
+        from cryptography import x509
+        from cryptography.hazmat.primitives import serialization
+        from cryptography.hazmat.primitives.asymmetric.rsa import RSAPrivateKey, RSAPublicKey
+
+        path, is_key = self.path(key), key == "key"
+        if path is None:
+            return None
         try:
-            return None if path is None else read(path.read_bytes())
+            content = path.read_bytes()
+            pem = b"-----BEGIN" in content
+            if is_key:
+                load = serialization.load_pem_private_key if pem else serialization.load_der_private_key
+                private = load(content, None)
+                if isinstance(private, RSAPrivateKey):
+                    return private
+            else:
+                read = x509.load_pem_x509_certificate if pem else x509.load_der_x509_certificate
+                certificate = read(content)
+                if isinstance(certificate.public_key(), RSAPublicKey):
+                    return certificate
         except OSError as fault:
             place.fault(f"{key}: {path}: {fault.strerror}")
+            return None
         except (ValueError, TypeError):
-            kind = "a private RSA key without a password" if key == "key" else "an RSA certificate"
-            place.fault(f"{key}: {path}: expected {kind}, as PEM or DER")
+            pass
+        kind = "a private RSA key without a password" if is_key else "an RSA certificate"
+        place.fault(f"{key}: {path}: expected {kind}, as PEM or DER")
         return None
-
-
-def _certificate(content: bytes) -> Certificate:
-    from cryptography import x509
-    from cryptography.hazmat.primitives.asymmetric import rsa
-
-    pem = b"-----BEGIN" in content
-    found = x509.load_pem_x509_certificate(content) if pem else x509.load_der_x509_certificate(content)
-    if not isinstance(found.public_key(), rsa.RSAPublicKey):
-        raise ValueError("not RSA")
-    return found
-
-
-def _key(content: bytes) -> RSAPrivateKey:
-    from cryptography.hazmat.primitives import serialization
-    from cryptography.hazmat.primitives.asymmetric import rsa
-
-    pem = b"-----BEGIN" in content
-    load = serialization.load_pem_private_key if pem else serialization.load_der_private_key
-    found = load(content, None)
-    if not isinstance(found, rsa.RSAPrivateKey):
-        raise ValueError("not RSA")
-    return found
 
 
 def _application_uri(certificate: Certificate) -> str:

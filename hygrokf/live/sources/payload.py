@@ -18,6 +18,7 @@ from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -174,11 +175,52 @@ class PayloadMapping:
     marks: Marks | None = None
     names: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
     revision: str = "last"
-    layout: Layout = field(init=False, repr=False, compare=False)
-    """The same, prepared for reading."""
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "layout", _layout(self))
+        self.table(EVERYONE)  # a unit that does not fit is refused at once
+
+    # -- prepared for reading --------------------------------------------------------------------------------
+    @cached_property
+    def steps(self) -> tuple[str, ...]:
+        """Of the path to the records."""
+        return tuple(self.records.split(".")) if self.records else ()
+
+    @cached_property
+    def readers(self) -> Mapping[str, Reader]:
+        """Key of the mapping → reader of its path."""
+        return {key: reader(getattr(self, key)) for key in ("turbine", "time", "quality", "tag", "value")}
+
+    @cached_property
+    def own(self) -> tuple[bool, bool]:
+        """Whether each value of a record has its own time, and its own quality."""
+        return NAME in self.time and not self.tag, NAME in self.quality and not self.tag
+
+    @cached_property
+    def only(self) -> str | None:
+        """The only turbine; None of several."""
+        turbines = set(self.turbines.values())
+        return turbines.pop() if len(turbines) == 1 else None
+
+    @cached_property
+    def conversions(self) -> Mapping[str, Mapping[str, Conversion]]:
+        """Turbine with names of its own, or `EVERYONE` → name in its payloads → conversion."""
+        common = {name: one.conversion for name, one in self.fields.items()}
+        tables = {EVERYONE: common}
+        for turbine, own in self.names.items():
+            kept = {name: one for name, one in common.items() if name not in own.values()}
+            renamed = {name: common[field] for name, field in own.items() if field in common}
+            tables[turbine] = kept | renamed
+        return tables
+
+    def table(self, turbine: str) -> Mapping[str, Conversion]:
+        """Name in the payloads of a turbine → conversion."""
+        return self.conversions.get(turbine, self.conversions[EVERYONE])
+
+    @cached_property
+    def split(self) -> Callable[[str], Tag | None] | None:
+        """Reads tags by their pattern; None without one."""
+        known = {name for table in self.conversions.values() for name in table}
+        return tag_reader(self.tag_pattern, self.turbines, known) if self.tag_pattern else None
 
     def of_own_payloads(self, use_uncertain: bool, turbines: Mapping[str, str]) -> PayloadMapping:
         """The mapping for a source that makes its payloads itself, one flat object each: `turbine`, `time`,
@@ -211,7 +253,7 @@ class PayloadMapping:
         ahead of the arrival by more than `FORECAST_S`.
         """
         found, fault = Found(), None
-        for record in records(content, self.form, self.layout.steps, topic, received):
+        for record in records(content, self.form, self.steps, topic, received):
             try:
                 self._read_record(record if order is None else record._replace(order=order), found)
             except Refused as refusal:
@@ -226,8 +268,8 @@ class PayloadMapping:
     def stamp(self, content: Content) -> float | None:
         """The first time [s] that a payload states; None if it states none that can be read."""
         try:
-            for record in records(content, self.form, self.layout.steps):
-                found = seconds(self.layout.time(record), self.clock) if record.scopes else None
+            for record in records(content, self.form, self.steps):
+                found = seconds(self.readers["time"](record), self.clock) if record.scopes else None
                 if found is not None:
                     return found
         except Refused:
@@ -241,100 +283,99 @@ class PayloadMapping:
             raise Refused("malformed", "expected an object as a record, found something else")
         if self.tag:
             self._read_tag(record, found)
-        elif self.layout.split is not None:
-            self._read_names(record, self.layout.split, found)
+        elif self.split is not None:
+            self._read_names(record, self.split, found)
         else:
             self._read_fields(record, found)
 
     def _read_fields(self, record: Record, found: Found) -> None:
         """Read every field that a record of one turbine has."""
-        layout = self.layout
-        turbine = self._turbine(layout.turbine(record))
-        time, own = 0.0 if layout.own_time else self._time(record, turbine), layout.own
-        of = found[turbine]
+        turbine = self._turbine(self.readers["turbine"](record))
+        own_time, own_quality = self.own
+        time, of = 0.0 if own_time else self._time(record, turbine), found[turbine]
         _, readings, rejections = of
-        if layout.quality is not None and not self._has_quality(layout.quality(record), rejections):
+        if not own_quality and not self._has_quality(record, rejections):
             return
         before = len(readings) + len(rejections)
-        scopes, table = record.scopes, layout.table(turbine)
+        scopes, table = record.scopes, self.table(turbine)
         for name, conversion in table.items():
             raw = at(scopes, name)
-            if raw is None or raw == "":
-                continue
-            of_value = self._own_time(record, turbine, name, time, rejections) if own else time
-            if of_value is not None:
-                self._convert(name, raw, conversion, of_value, of)
+            if raw is not None and raw != "":
+                self._convert(record, name, raw, conversion, time, of)
         if len(readings) + len(rejections) == before and not any(has(scopes, name) for name in table):
             rejections.append(Rejection("no known field", f"no field is among {_names(scopes)}"))
 
     def _read_names(self, record: Record, split: Callable[[str], Tag | None], found: Found) -> None:
         """Read every value of a record whose names say field and perhaps turbine."""
-        layout = self.layout
-        spoken, own = layout.turbine(record), layout.own
-        time = 0.0 if layout.own_time else self._time(record, str(spoken))
-        if layout.quality is not None:
-            marked: list[Rejection] = []
-            if not self._has_quality(layout.quality(record), marked):
-                raise Refused(marked[0].kind, marked[0].words)
-            if marked:
-                found[NOBODY if layout.only is None else layout.only].rejections.extend(marked)
+        spoken, (own_time, own_quality) = self.readers["turbine"](record), self.own
+        time = 0.0 if own_time else self._time(record, str(spoken))
+        marked: list[Rejection] = []
+        if not own_quality and not self._has_quality(record, marked):
+            raise Refused(marked[0].kind, marked[0].words)
+        if marked:
+            found[NOBODY if self.only is None else self.only].rejections.extend(marked)
         seen = False
         for name, raw in record.scopes[0].items():
             tag = split(name)
             if tag is None or not tag.known:
                 continue
             turbine = self._turbine(spoken if tag.turbine is None else tag.turbine)
-            conversion = layout.table(turbine).get(tag.field)
+            conversion = self.table(turbine).get(tag.field)
             if conversion is None:
                 continue
             seen = True
-            if raw is None or raw == "":
-                continue
-            of = found[turbine]
-            of_value = self._own_time(record, turbine, name, time, of.rejections) if own else time
-            if of_value is not None:
-                self._convert(name, raw, conversion, of_value, of)
+            if raw is not None and raw != "":
+                self._convert(record, name, raw, conversion, time, found[turbine])
         if not seen:
             said = f"no field like {self.tag_pattern} is among {_names(record.scopes)}"
             raise Refused("no known field", said)
 
     def _read_tag(self, record: Record, found: Found) -> None:
         """Read the only value of a record, whose field a tag names."""
-        layout = self.layout
         # tag and value belong together: those of the objects around it are not this record's
         inner = record if len(record.scopes) == 1 else record._replace(scopes=record.scopes[:1])
-        stated, spoken = layout.tag(inner), layout.turbine(record)
+        stated, spoken = self.readers["tag"](inner), self.readers["turbine"](record)
         name = str(stated)[: LONGEST + 1]
-        if layout.split is not None:
-            tag = layout.split(name)
+        if self.split is not None:
+            tag = self.split(name)
             if tag is None:
                 raise Refused("unknown tag", f"tag {quoted(stated)} is not like {self.tag_pattern}")
             name, spoken = tag.field, spoken if tag.turbine is None else tag.turbine
         turbine = self._turbine(spoken)
         time, of = self._time(record, turbine, name), found[turbine]
-        if layout.quality is not None:
-            mark = layout.quality(record)
-            if not self._has_quality(mark, of.rejections, f"{quoted(stated)}: "):
-                return
-        conversion = layout.table(turbine).get(name)
+        if not self._has_quality(record, of.rejections, f"{quoted(stated)}: "):
+            return
+        conversion = self.table(turbine).get(name)
         if conversion is None:
             of.rejections.append(Rejection("unknown tag", f"tag {quoted(stated)} is no field"))
             return
-        raw = layout.value(inner)
+        raw = self.readers["value"](inner)
         if raw is not None and raw != "":
-            self._convert(name, raw, conversion, time, of)
+            self._convert(record, name, raw, conversion, time, of)
         elif raw is None and not has(inner.scopes, self.value):
             said = f"no {self.value} is among {_names(record.scopes)}"
             of.rejections.append(Rejection("no known field", said))
 
     # -- parts of a record -----------------------------------------------------------------------------------
     def _convert(
-        self, name: str, raw: Json, conversion: Conversion, time: float, of: TurbineReadings
+        self,
+        record: Record,
+        name: str,
+        raw: Json,
+        conversion: Conversion,
+        time: float,
+        of: TurbineReadings,
     ) -> None:
-        """Add the reading of a value, or why it is none."""
+        """Add the reading of a value at its own time or else this one, or why it is none."""
         signal, factor, offset, shift_s, low, high, meaning = conversion
-        found = number(raw, self.marks or POINT)
+        own_time, own_quality = self.own
         try:
+            if own_time or own_quality:
+                record = record._replace(name=name)
+                time = self._time(record, of.turbine, name) if own_time else time
+                if own_quality and not self._has_quality(record, of.rejections, f"{name}: "):
+                    return
+            found = number(raw, self.marks or POINT)
             if found is None:
                 found = measured(raw, meaning, self.marks or POINT)
             if self.marks is None and isinstance(raw, str) and PARTED.match(raw):
@@ -357,16 +398,16 @@ class PayloadMapping:
     def _turbine(self, name: Json) -> str:
         if name is None and self.weather:
             return EVERYONE
-        if not self.turbine and self.layout.only is not None:
-            return self.layout.only
+        if not self.turbine and self.only is not None:
+            return self.only
         turbine = self.turbines.get(str(name)[: LONGEST + 1]) if name is not None else None
         if turbine is None:
             raise Refused("unknown turbine", f"turbine {quoted(name)} is not tracked")
         return turbine
 
     def _time(self, record: Record, *series: str) -> float:
-        stamp = self.layout.time(record)
-        if stamp is None and self.layout.on_receipt:
+        stamp = self.readers["time"](record)
+        if stamp is None and RECEIVED in alternatives(self.time):
             return record.received
         time = seconds(stamp, self.clock, record.received, record.order, series)
         if time is None:
@@ -376,22 +417,11 @@ class PayloadMapping:
             raise Refused("impossible time", f"time {quoted(stamp)} is before 1990 or {late}")
         return time
 
-    def _own_time(
-        self, record: Record, turbine: str, name: str, time: float, rejections: list[Rejection]
-    ) -> float | None:
-        """The time of one value, the common one or its own; None if its own time or quality is refused."""
-        own = record._replace(name=name)
-        try:
-            time = self._time(own, turbine, name) if self.layout.own_time else time
-        except Refused as refusal:
-            rejections.append(Rejection(refusal.kind, f"{name}: {refusal}"))
-            return None
-        quality = self.layout.own_quality
-        usable = quality is None or self._has_quality(quality(own), rejections, f"{name}: ")
-        return time if usable else None
-
-    def _has_quality(self, mark: Json, rejections: list[Rejection], what: str = "") -> bool:
-        """Whether what bears a mark of quality is used; adds its count where the mark is not good."""
+    def _has_quality(self, record: Record, rejections: list[Rejection], what: str = "") -> bool:
+        """Whether a record, or a value of it, is used by its quality; adds its count where it is not good."""
+        if not self.quality:
+            return True
+        mark = self.readers["quality"](record)
         outcome = GOOD if mark is None else self.vocabulary.judge(mark)
         if outcome == UNCERTAIN and not self.use_uncertain:
             outcome = BAD
@@ -401,70 +431,10 @@ class PayloadMapping:
 
 
 def _names(scopes: Scopes) -> str:
-    """The first names of a record for a message."""
     return ", ".join(quoted(name) for name in list(scopes[0])[:3]) or "nothing"
 
 
-# -- prepared for reading ------------------------------------------------------------------------------------
-@dataclass(frozen=True)
-class Layout:
-    """A mapping prepared for reading: readers of its paths, and conversions by turbine.
-
-    `steps`: of the path to the records; `on_receipt`: whether the time of arrival stands in for a missing
-    one; `quality`: of all values of a record, `own_quality`: of each; `own_time`: whether each has its own
-    time; `own`: one of the two; `split`: reads tags by their pattern; `only`: the only turbine.
-    """
-
-    steps: tuple[str, ...]
-    turbine: Reader
-    time: Reader
-    quality: Reader | None
-    tag: Reader
-    value: Reader
-    on_receipt: bool
-    own_time: bool
-    own_quality: Reader | None
-    own: bool
-    split: Callable[[str], Tag | None] | None
-    only: str | None
-    conversions: Mapping[str, Conversion]
-    of_turbines: Mapping[str, Mapping[str, Conversion]]
-
-    def table(self, turbine: str) -> Mapping[str, Conversion]:
-        """Name in the payloads of a turbine → conversion."""
-        return self.of_turbines.get(turbine, self.conversions)
-
-
-def _layout(mapping: PayloadMapping) -> Layout:
-    conversions = {name: one.conversion for name, one in mapping.fields.items()}
-    of_turbines = {}
-    for turbine, own in mapping.names.items():
-        kept = {name: one for name, one in conversions.items() if name not in own.values()}
-        renamed = {name: conversions[common] for name, common in own.items() if common in conversions}
-        of_turbines[turbine] = kept | renamed
-    turbines = set(mapping.turbines.values())
-    known = {name for table in (conversions, *of_turbines.values()) for name in table}
-    pattern = mapping.tag_pattern
-    own_time, own_quality = (NAME in path and not mapping.tag for path in (mapping.time, mapping.quality))
-    quality = reader(mapping.quality) if mapping.quality else None
-    return Layout(
-        steps=tuple(mapping.records.split(".")) if mapping.records else (),
-        turbine=reader(mapping.turbine),
-        time=reader(mapping.time),
-        quality=None if own_quality else quality,
-        tag=reader(mapping.tag),
-        value=reader(mapping.value),
-        on_receipt=RECEIVED in alternatives(mapping.time),
-        own_time=own_time,
-        own_quality=quality if own_quality else None,
-        own=own_time or own_quality,
-        split=tag_reader(pattern, mapping.turbines, known) if pattern else None,
-        only=next(iter(turbines)) if len(turbines) == 1 else None,
-        conversions=conversions,
-        of_turbines=of_turbines,
-    )
-
-
+# -- counted ------------------------------------------------------------------------------------------------
 @dataclass(frozen=True)
 class _Noting(QualityVocabulary):
     """A vocabulary that notes the marks that it judges."""
@@ -530,7 +500,7 @@ class PayloadStatistics:
         """Note the marks in fields that, by their names, hold the quality of others."""
         mapping = self.mapping
         with suppress(Refused):
-            for one in records(content, mapping.form, mapping.layout.steps, topic):
+            for one in records(content, mapping.form, mapping.steps, topic):
                 payload = one.scopes[0] if one.scopes else {}
                 columns = [mapping.value] if mapping.tag else [n for n in payload if n in mapping.fields]
                 for names in quality_columns(list(payload), columns).items():

@@ -11,18 +11,19 @@ import logging
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 from hygrokf.data.structured import JsonObject
 from hygrokf.data.timestamps import stamp_text
 from hygrokf.data.toml_form import Place
 from hygrokf.live.sources.broker import SPARKPLUG, Broker
-from hygrokf.live.sources.mqtt import Mqtt, MqttReceipt
+from hygrokf.live.sources.mqtt import Mqtt
 from hygrokf.live.sources.mqtt_link import Arrival, Link, libraries_fault
 from hygrokf.live.sources.payload import PayloadMapping
-from hygrokf.live.sources.payload_formats import Content, Payload, Refused, Unreadable
+from hygrokf.live.sources.payload_formats import Content, Payload, Record, Refused, Unreadable
 from hygrokf.live.sources.sparkplug_node import NAMESPACE, Arrived, EdgeNode, Released, address_of
 from hygrokf.live.sources.sparkplug_payload import LARGEST_MESSAGE, decode, rebirth_request
-from hygrokf.live.sources.stream import Delivery, Receipt, SourceFault, SourceState, several
+from hygrokf.live.sources.stream import Delivery, SourceFault, SourceState, several
 
 LOG = logging.getLogger("hygrokf.track")
 MOST_NODES = 1_000
@@ -51,7 +52,7 @@ class EdgeNodes:
         topic: str,
         payload: bytes,
         received: float,
-        receipt: Receipt | None = None,
+        acknowledge: Callable[[], None] | None = None,
         repeated: bool = False,
     ) -> tuple[EdgeNode | None, list[Released]]:
         """The edge node of a message received at a time [s], and what the message releases.
@@ -61,7 +62,7 @@ class EdgeNodes:
         try:
             address = address_of(topic)
             if address is None:
-                return None, [Released((), topic, received, receipt)]
+                return None, [Released((), topic, received, acknowledge)]
             node = self.nodes.get(address.edge_node)
             if node is None:
                 if len(self.nodes) >= MOST_NODES:
@@ -69,9 +70,9 @@ class EdgeNodes:
                 node = EdgeNode(address.edge_node)
             message = decode(payload)
         except Refused as fault:
-            return None, [Released((Unreadable(fault.kind, str(fault)),), topic, received, receipt)]
+            return None, [Released((Unreadable(fault.kind, str(fault)),), topic, received, acknowledge)]
         self.nodes[node.name] = node
-        return node, node.take(Arrived(address, topic, message, payload, received, receipt, repeated))
+        return node, node.take(Arrived(address, topic, message, payload, received, acknowledge, repeated))
 
     def recall(self, memories: JsonObject) -> None:
         """Resume from what `EdgeNode.memories` gave."""
@@ -111,12 +112,14 @@ class Sparkplug(Mqtt):
 
     # -- the source's own thread -----------------------------------------------------------------------------
     def _take(self, link: Link, found: Arrival, put: Callable[[Delivery], None]) -> None:
-        receipt = MqttReceipt(link, found.identifier)
-        node, released = self.edge_nodes.take(found.topic, found.payload, found.time, receipt, found.repeated)
+        acknowledge = partial(link.acknowledge, found.identifier)
+        node, released = self.edge_nodes.take(
+            found.topic, found.payload, found.time, acknowledge, found.repeated
+        )
         if node is None and not released[0].contents:
-            receipt.acknowledge()
+            acknowledge()
         else:
-            self._put_released(link, node, released, put)
+            self._put_released(node, released, put)
 
     def _look_after(self, link: Link, put: Callable[[Delivery], None]) -> None:
         """Release messages that wait in vain for those before them; ask for births."""
@@ -124,7 +127,7 @@ class Sparkplug(Mqtt):
             return
         self._looked = time.monotonic()
         for node in self.edge_nodes.nodes.values():
-            self._put_released(link, node, node.look(time.time()), put)
+            self._put_released(node, node.look(time.time()), put)
         if self.broker.rebirth_requests and link.answered:
             for name in self.edge_nodes.without_birth():
                 if self._looked > self._asked.get(name, -ASK_AGAIN_S) + ASK_AGAIN_S:
@@ -134,24 +137,16 @@ class Sparkplug(Mqtt):
                     LOG.info("asked for a rebirth", extra={"source": self.url, "edge_node": name})
 
     def _put_released(
-        self, link: Link, node: EdgeNode | None, released: list[Released], put: Callable[[Delivery], None]
+        self, node: EdgeNode | None, released: list[Released], put: Callable[[Delivery], None]
     ) -> None:
         for place, one in enumerate(released, 1):
-            receipt = one.receipt if isinstance(one.receipt, MqttReceipt) else MqttReceipt(link, None)
             # the data to keep describe the edge node after all that is released
             memories = node.memories() if node is not None and place == len(released) else None
-            self._put(self.contents(one), one.received, one.topic, receipt, put, memories)
+            self._put(self.contents(one), one.received, one.topic, one.acknowledge, put, memories)
 
-    def reader(self, nodes: EdgeNodes | None = None) -> Callable[[str, bytes, float], Sequence[Content]]:
-        """Gives the payloads of messages that another session hears, of edge nodes that it knows from these
-        messages alone."""
-        known = EdgeNodes() if nodes is None else nodes
-
-        def contents(topic: str, payload: bytes, received: float) -> Sequence[Content]:
-            _, released = known.take(topic, payload, received)
-            return [content for one in released for content in self.contents(one)]
-
-        return contents
+    def read(self, arrival: Arrival) -> Sequence[Content]:
+        _, released = self.edge_nodes.take(arrival.topic, arrival.payload, arrival.time)
+        return [content for one in released for content in self.contents(one)]
 
     def contents(self, one: Released) -> Sequence[Payload | Unreadable]:
         """What the mapping is given: where turbines are devices, nothing that an edge node says of itself."""
@@ -187,12 +182,10 @@ class Sparkplug(Mqtt):
 
     def _turbine(self, topic: str) -> str | None:
         """The turbine that a level of the topic names, or the only one; None for any other."""
-        place, turbines = self.mapping.turbine, self.mapping.turbines
-        levels = {f"{{{number}}}": level for number, level in enumerate(topic.split("/"))}
-        only = set(turbines.values())
-        if not place and len(only) == 1:
-            return only.pop()
-        return turbines.get(levels.get(place, ""))
+        mapping = self.mapping
+        if not mapping.turbine:
+            return mapping.only
+        return mapping.turbines.get(str(mapping.readers["turbine"](Record((), topic=topic))))
 
     @property
     def state(self) -> SourceState:
@@ -205,7 +198,6 @@ class Sparkplug(Mqtt):
         return SourceState("lost" if nodes and len(left) == len(nodes) else "connected", "; ".join(notes))
 
     def _notes(self) -> list[str]:
-        """What keeps edge nodes from being read."""
         left = [f"{sender} since {stamp_text(since)}" for sender, _, since in self._absences()]
         notes = (
             [f"left, so that its signals are stale until it is born again: {several(left)}"] if left else []

@@ -9,15 +9,15 @@ held until the next birth certificate, and is read only if its alias means the s
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import NamedTuple
 
 from hygrokf.data.quality import BAD, GOOD, VOCABULARIES
 from hygrokf.data.structured import Json, JsonObject, StructureFault, plain, structured
 from hygrokf.live.sources.payload_formats import Payload, Refused, Unreadable
 from hygrokf.live.sources.sparkplug_payload import Message, Metric, decode
-from hygrokf.live.sources.stream import Receipt
 
 NAMESPACE = "spBv1.0"
 CERTIFICATES = ("NBIRTH", "NDATA", "NDEATH", "DBIRTH", "DDATA", "DDEATH")
@@ -77,7 +77,7 @@ class Arrived(NamedTuple):
     message: Message
     payload: bytes
     received: float
-    receipt: Receipt | None = None
+    acknowledge: Callable[[], None] | None = None
     repeated: bool = False
 
 
@@ -87,22 +87,27 @@ class Released(NamedTuple):
     contents: tuple[Payload | Unreadable, ...]
     topic: str
     received: float
-    receipt: Receipt | None = None
+    acknowledge: Callable[[], None] | None = None
 
 
 @dataclass(frozen=True)
 class Table:
-    """What a birth certificate defines: name -> data type, and alias -> name."""
+    """What a birth certificate defines: name -> data type, and name -> alias."""
 
     types: Mapping[str, int] = field(default_factory=dict)
-    names: Mapping[int, str] = field(default_factory=dict)
+    aliases: Mapping[str, int] = field(default_factory=dict)
+
+    @cached_property
+    def names(self) -> Mapping[int, str]:
+        """Alias -> name."""
+        return {alias: name for name, alias in self.aliases.items()}
 
     @classmethod
     def of(cls, message: Message) -> Table:
         named = [one for one in message.metrics if one.name and len(one.name) <= LONGEST_METRIC_NAME]
         return cls(
             {one.name: one.datatype for one in named if one.name},
-            {one.alias: one.name for one in named if one.name and one.alias is not None},
+            {one.name: one.alias for one in named if one.name and one.alias is not None},
         )
 
     def name_of(self, metric: Metric) -> str | None:
@@ -156,7 +161,7 @@ def contents_of(one: Arrived, table: Table) -> list[Payload | Unreadable]:
 def refused(one: Arrived, kind: str, words: str) -> Released:
     """A message of which nothing is used."""
     text = f"{one.address.kind} of {one.address.where}: {words}"
-    return Released((Unreadable(kind, text),), one.topic, one.received, one.receipt)
+    return Released((Unreadable(kind, text),), one.topic, one.received, one.acknowledge)
 
 
 def metrics_text(one: Arrived, metrics: Sequence[Metric], words: str) -> str:
@@ -183,16 +188,14 @@ BESIDE = 500
 class NodeMemory:
     """What an edge node resumes from, as plain data.
 
-    `bdseq`: number of the session that its birth certificate names; `types`, `aliases`: device -> name ->
-    data type or alias; `former_types`, `former_aliases`: those in doubt since a gap or a death; `gap_s`: time
-    [s] of the gap; `left_s`: device -> time [s] of its death certificate, "" for the edge node.
+    `bdseq`: number of the session that its birth certificate names; `tables` by device, and the `former` ones
+    in doubt since a gap or a death; `gap_s`: time [s] of the gap; `left_s`: device -> time [s] of its death
+    certificate, "" for the edge node.
     """
 
     bdseq: int | None = None
-    types: Mapping[str, Mapping[str, int]] = field(default_factory=dict)
-    aliases: Mapping[str, Mapping[str, int]] = field(default_factory=dict)
-    former_types: Mapping[str, Mapping[str, int]] = field(default_factory=dict)
-    former_aliases: Mapping[str, Mapping[str, int]] = field(default_factory=dict)
+    tables: Mapping[str, Table] = field(default_factory=dict)
+    former: Mapping[str, Table] = field(default_factory=dict)
     gap_s: float | None = None
     left_s: Mapping[str, float] = field(default_factory=dict)
 
@@ -209,7 +212,7 @@ class HeldMessages:
 
     def add(self, one: Arrived) -> None:
         """Hold a message, and drop the oldest ones that have no place beside it."""
-        self._messages.append(one._replace(message=Message(), receipt=None))
+        self._messages.append(one._replace(message=Message(), acknowledge=None))
         self._size += len(one.payload) + BESIDE
         while self._size > MOST_HELD:
             self._size -= len(self._messages.popleft().payload) + BESIDE
@@ -270,7 +273,6 @@ class EdgeNode:
         return self._without_missing(now, waiting)
 
     def _next(self, one: Arrived) -> list[Released]:
-        """Apply a message that is next in the sequence."""
         if one.message.sequence is not None:
             self._expected = (one.message.sequence + 1) % 256
         self._last = one
@@ -302,14 +304,13 @@ class EdgeNode:
         released = self._without_missing(one.received, old) if old else []
         self._former |= self._tables
         self._tables = {}
-        number = one.message.value_of("bdSeq")
-        self._bdseq = number % 256 if isinstance(number, int) else None
+        self._bdseq = one.message.session
         self.gap_s, self._expected = None, None
         return [*released, *self._next(one)]
 
     def _node_death(self, one: Arrived) -> list[Released]:
-        number = one.message.value_of("bdSeq")
-        if isinstance(number, int) and self._bdseq is not None and (number - self._bdseq) % 256 >= 128:
+        number = one.message.session
+        if number is not None and self._bdseq is not None and (number - self._bdseq) % 256 >= 128:
             return [refused(one, "former death certificate", "it belongs to a former session")]
         released = self._without_missing(one.received, self._waiting) if self._waiting else []
         self._former |= self._tables
@@ -362,7 +363,7 @@ class EdgeNode:
             contents.append(
                 Unreadable("no value", f"{one.address.kind} of {one.address.where} without a value")
             )
-        return Released(tuple(contents), one.topic, one.received, one.receipt)
+        return Released(tuple(contents), one.topic, one.received, one.acknowledge)
 
     def _released_by_birth(self, device: str) -> list[Released]:
         """Held metrics of a device: read if the new birth certificate gives their aliases the old meaning."""
@@ -385,17 +386,8 @@ class EdgeNode:
         found: JsonObject = {f"sequence of {self.name}": self._expected}
         if self._changed:
             self._changed = False
-            found[f"edge node {self.name}"] = plain(
-                NodeMemory(
-                    self._bdseq,
-                    {device: table.types for device, table in self._tables.items()},
-                    {device: _by_name(table) for device, table in self._tables.items()},
-                    {device: table.types for device, table in self._former.items()},
-                    {device: _by_name(table) for device, table in self._former.items()},
-                    self.gap_s,
-                    self.left_s,
-                )
-            )
+            known = NodeMemory(self._bdseq, self._tables, self._former, self.gap_s, self.left_s)
+            found[f"edge node {self.name}"] = plain(known)
         return found
 
     @classmethod
@@ -406,23 +398,7 @@ class EdgeNode:
             known = structured(NodeMemory, content)
         except StructureFault:
             return found
-        found._bdseq = known.bdseq
-        found._tables = _tables(known.types, known.aliases)
-        found._former = _tables(known.former_types, known.former_aliases)
-        found.gap_s, found.left_s, found.present = known.gap_s, dict(known.left_s), set(known.types)
+        found._bdseq, found._tables, found._former = known.bdseq, dict(known.tables), dict(known.former)
+        found.gap_s, found.left_s, found.present = known.gap_s, dict(known.left_s), set(known.tables)
         found._expected = sequence % 256 if isinstance(sequence, int) else None
         return found
-
-
-def _by_name(table: Table) -> dict[str, int]:
-    """Name -> alias."""
-    return {name: alias for alias, name in table.names.items()}
-
-
-def _tables(
-    types: Mapping[str, Mapping[str, int]], aliases: Mapping[str, Mapping[str, int]]
-) -> dict[str, Table]:
-    return {
-        device: Table(dict(known), {alias: name for name, alias in aliases.get(device, {}).items()})
-        for device, known in types.items()
-    }

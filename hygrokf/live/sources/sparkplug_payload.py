@@ -111,9 +111,11 @@ class Message:
     sequence: int | None = None
     metrics: tuple[Metric, ...] = ()
 
-    def value_of(self, name: str) -> int | float | str | None:
-        """The value of the metric with a name; None without one."""
-        return next((one.reading(one.datatype) for one in self.metrics if one.name == name), None)
+    @property
+    def session(self) -> int | None:
+        """The number of the edge node's session (bdSeq) of a birth or death certificate."""
+        number = next((one.reading(one.datatype) for one in self.metrics if one.name == "bdSeq"), None)
+        return number % 256 if isinstance(number, int) else None
 
 
 def decode(payload: bytes) -> Message:
@@ -163,7 +165,6 @@ def _payload_class() -> Any:
 
 
 def _decode(payload: bytes) -> tuple[Message, str, bytes]:
-    """A message with its uuid and body."""
     from google.protobuf.message import DecodeError
 
     if len(payload) > LARGEST_MESSAGE:

@@ -13,7 +13,7 @@ import threading
 import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 from hygrokf.data.structured import JsonObject
 from hygrokf.data.timestamps import MINUTE_S, duration
@@ -32,20 +32,14 @@ NAMED = 5
 """Names of a list that are shown; further names are only counted."""
 
 
-class Receipt(Protocol):
-    """The source's handle on a delivery, used to acknowledge it."""
-
-    def acknowledge(self) -> None: ...
-
-
 @dataclass(frozen=True)
 class Delivery:
     """A payload that a source delivers.
 
     `received`: time of arrival [s]; `topic`: MQTT topic; `place`: position from which the source resumes
     after this delivery; `memories`: name → JSON data of the source that the store keeps together with this
-    delivery and gives back by `Stream.recall`; `token`: the source's receipt, None if there is nothing to
-    acknowledge; `mark`: the source's own number of this version of its values (`Reading.mark`).
+    delivery and gives back by `Stream.recall`; `acknowledge`: tells the source that it is committed, None if
+    there is nothing to tell; `mark`: the source's own number of this version of its values (`Reading.mark`).
     """
 
     content: Content
@@ -53,7 +47,7 @@ class Delivery:
     topic: str = ""
     place: str = ""
     memories: JsonObject = field(default_factory=dict)
-    token: Receipt | None = field(default=None, compare=False)
+    acknowledge: Callable[[], None] | None = field(default=None, compare=False)
     mark: float = field(default=math.nan, compare=False)
 
 
@@ -270,7 +264,6 @@ class Stream:
 
 
 def _reason(fault: Exception, url: str) -> str:
-    """Why a source is lost."""
     if isinstance(fault, SourceFault):
         return str(fault)
     if isinstance(fault, OSError):
