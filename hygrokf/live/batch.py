@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
@@ -160,7 +161,7 @@ class Batch:
     assessments: list[Assessment] = field(default_factory=list)
     notices: list[Notice] = field(default_factory=list)
     memories: dict[tuple[str, str], Json] = field(default_factory=dict)
-    counters: dict[tuple[str, str], int] = field(default_factory=dict)
+    counters: Counter[tuple[str, str]] = field(default_factory=Counter)
     place: dict[str, str] = field(default_factory=dict)
     forecasts: dict[str, Forecast | None] = field(default_factory=dict)
     weather: list[Observation] = field(default_factory=list)

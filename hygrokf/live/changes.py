@@ -17,7 +17,7 @@ import numpy as np
 from hygrokf.data.timestamps import DAY_S
 from hygrokf.estimation.likelihood import Gaussian, Likelihood, Trace
 from hygrokf.live.ceiling import censored_trace, joined
-from hygrokf.live.properties import WATCHED, TrackedState
+from hygrokf.live.properties import WATCHED, TrackedState, observable
 from hygrokf.physics.model import Model
 
 SENSOR_WRONG = "humidity sensor wrong"
@@ -86,9 +86,4 @@ def settled(
 
     A property gets one as soon as it has settled and is observable.
     """
-    found = dict(references)
-    if time >= changed_s + SETTLED_S:
-        for one in WATCHED:
-            if one.name in states and states[one.name].sd < one.blind:
-                found.setdefault(one.name, states[one.name])
-    return found
+    return {**(observable(states) if time >= changed_s + SETTLED_S else {}), **references}

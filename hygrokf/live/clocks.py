@@ -12,7 +12,7 @@ by the same time delivers none.
 from __future__ import annotations
 
 import math
-from collections import Counter, defaultdict
+from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 
 from hygrokf.data.timestamps import HOUR_S, MINUTE_S, duration_text
@@ -33,21 +33,29 @@ MACHINE = ""
 """Turbine name of alarms about this machine's clock."""
 
 
-class HeldReadings:
-    """The readings that are held back in a store; without a store nothing is."""
+class Ahead:
+    """Readings that are ahead of this machine's clock: those that are held back in a store (without a store
+    nothing is), and how far the newest ones of each turbine were ahead when they arrived."""
 
     def __init__(self, store: Store | None) -> None:
         self._store = store
-        self._turbines = set() if store is None else {turbine for turbine, _, _ in store.held_ahead()}
+        self._ahead_s: dict[str, dict[str, float]] = defaultdict(dict)
+        for turbine, signal, ahead_s in () if store is None else store.held_ahead():
+            self._ahead_s[turbine][signal] = ahead_s
+        self._held = set(self._ahead_s)
 
     @property
     def turbines(self) -> tuple[str, ...]:
         """Turbines of which readings are held back."""
-        return tuple(sorted(self._turbines))
+        return tuple(sorted(self._held))
 
-    def hold(
-        self, turbine: str, ahead: Sequence[Observation], batch: Batch, counts: Counter[tuple[str, str]]
-    ) -> None:
+    def note(self, turbine: str, observations: Iterable[Observation]) -> None:
+        """Note readings of a turbine, in the order of their arrival."""
+        for one in observations:
+            ahead_s = one.reading.time - one.received
+            self._ahead_s[turbine][one.reading.signal] = ahead_s if ahead_s > AHEAD_S else 0.0
+
+    def hold(self, turbine: str, ahead: Sequence[Observation], batch: Batch) -> None:
         """Put readings that are ahead into the batch; those beyond `HELD_MOST` are counted."""
         if not ahead:
             return
@@ -55,42 +63,24 @@ class HeldReadings:
         if self._store is not None:
             known += self._store.held_count(turbine)
         kept = ahead[: max(HELD_MOST - known, 0)]
-        counts[turbine, "too many ahead"] += len(ahead) - len(kept)
+        if len(kept) < len(ahead):
+            batch.counters[turbine, "too many ahead"] += len(ahead) - len(kept)
         batch.held += kept
-        self._turbines.add(turbine)
+        self._held.add(turbine)
 
     def release(self, turbine: str, now: float, batch: Batch) -> list[Observation]:
         """The readings of a turbine that are no longer ahead at `now` [s]; the batch releases them."""
-        if self._store is None or turbine not in self._turbines:
+        if self._store is None or turbine not in self._held:
             return []
         due = self._store.held(turbine, now + AHEAD_S)
         batch.released += due
         if self._store.held_count(turbine) == len(due) and all(o.turbine != turbine for o in batch.held):
-            self._turbines.discard(turbine)
+            self._held.discard(turbine)
         return due
 
-
-class Clocks:
-    """How far the newest readings of each turbine were ahead of this machine's clock when they arrived.
-
-    After a restart it goes on from those that are held: (turbine, signal, time [s] ahead).
-    """
-
-    def __init__(self, held: Iterable[tuple[str, str, float]] = ()) -> None:
-        self._ahead: dict[str, dict[str, float]] = {}
-        for turbine, signal, ahead in held:
-            self._ahead.setdefault(turbine, {})[signal] = ahead
-
-    def note(self, turbine: str, observations: Iterable[Observation]) -> None:
-        """Note readings of a turbine, in the order of their arrival."""
-        known = self._ahead.setdefault(turbine, {})
-        for one in observations:
-            ahead = one.reading.time - one.received
-            known[one.reading.signal] = ahead if ahead > AHEAD_S else 0.0
-
-    def ahead(self) -> dict[str, float]:
+    def by_turbine(self) -> dict[str, float]:
         """Time [s] by which each turbine's newest readings were ahead, 0 if by no more than `AHEAD_S`."""
-        return {turbine: max(known.values()) for turbine, known in self._ahead.items() if known}
+        return {turbine: max(known.values()) for turbine, known in self._ahead_s.items()}
 
 
 def clock_levels(ahead_s: Mapping[str, float]) -> dict[str, list[Level]]:

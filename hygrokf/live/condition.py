@@ -6,7 +6,7 @@ their covariance, which is propagated to first order.  Shapes: T instants, n sta
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -66,6 +66,11 @@ class Condition:
     condensation: np.ndarray | None
     surface_humidity: Quantity | None
     excess_g_m3: np.ndarray | None = None
+
+    def mapped(self, change: Callable[[str, Quantity], Quantity], **others: np.ndarray | None) -> Condition:
+        """The condition with each quantity that the model has changed by its name, and with other fields."""
+        found = {name: change(name, one) for name, one in vars(self).items() if isinstance(one, Quantity)}
+        return replace(self, **found, **others)  # type: ignore[arg-type]
 
 
 @dataclass(frozen=True)
@@ -170,13 +175,11 @@ def air_condition(
 
 def only(found: Condition, kept: np.ndarray | slice) -> Condition:
     """The condition at a selection of its instants."""
-    chosen = {
-        name: Quantity(q.value[kept], q.sd[kept])
-        for name, q in vars(found).items()
-        if isinstance(q, Quantity)
-    }
     chance, excess = (one if one is None else one[kept] for one in (found.condensation, found.excess_g_m3))
-    return replace(found, time_s=found.time_s[kept], condensation=chance, excess_g_m3=excess, **chosen)
+    return found.mapped(
+        lambda name, one: Quantity(one.value[kept], one.sd[kept]),
+        time_s=found.time_s[kept], condensation=chance, excess_g_m3=excess,
+    )  # fmt: skip
 
 
 def probability_below(quantity: Quantity, limit: float) -> np.ndarray:

@@ -9,8 +9,7 @@ bounds include their spread.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -59,11 +58,13 @@ class Forecast:
 @dataclass(frozen=True)
 class ForecastMade:
     """What the store keeps of a forecast beside its courses: time [s] of the state it starts from, the
-    scenarios in words, and the limit of relative humidity [1]."""
+    scenarios in words or why there are none, the limit of relative humidity [1], and the advice for a restart
+    at standstill."""
 
     made: float
-    weather: str = ""
-    limit: float | None = None
+    weather: str
+    limit: float
+    advice: str | None = None
 
 
 def forecast(
@@ -146,15 +147,11 @@ def _series(plan: Plan, signal: str, scenarios: Scenarios, values: np.ndarray) -
 
 def mixture(found: Sequence[Condition]) -> Condition:
     """The mixture of equally likely conditions at the same instants: means and standard deviations."""
-    first = found[0]
-    mixed: dict[str, Any] = {}
-    for name, quantity in vars(first).items():
-        if not isinstance(quantity, Quantity):
-            continue
+
+    def mixed(name: str, _: Quantity) -> Quantity:
         values = np.array([getattr(one, name).value for one in found])
         spreads = np.array([getattr(one, name).sd for one in found])
-        mixed[name] = Quantity(values.mean(axis=0), np.sqrt(values.var(axis=0) + np.mean(spreads**2, axis=0)))
+        return Quantity(values.mean(axis=0), np.sqrt(values.var(axis=0) + np.mean(spreads**2, axis=0)))
+
     chances = [one.condensation for one in found if one.condensation is not None]
-    return replace(
-        first, time_s=first.time_s, condensation=np.mean(chances, axis=0) if chances else None, **mixed
-    )
+    return found[0].mapped(mixed, condensation=np.mean(chances, axis=0) if chances else None)

@@ -3,8 +3,10 @@ weeks."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import asdict, replace
+from itertools import groupby
+from operator import itemgetter
 
 import numpy as np
 
@@ -45,12 +47,12 @@ def make_forecast(name: str, one: Turbine, tracker: Tracker, store: Store) -> tu
         found, words = forecast(plan, state, scenarios, one.surface, one.limit, excess), scenarios.words
         # a running turbine needs no restart advice
         if not tracker.running:
-            advice = restart(plan, state, scenarios, one.surface, one.limit, one.heating_sd_K, excess)
+            said = restart(plan, state, scenarios, one.surface, one.limit, one.heating_sd_K, excess)
+            advice = said.statement
     except (NoScenarios, NoForecast) as fault:
         found, words = None, str(fault)
     batch = Batch(forecasts={name: found})
-    batch.memories[name, "forecast"] = asdict(ForecastMade(state.time, words, one.limit))
-    batch.memories[name, "advice"] = None if advice is None else advice.statement
+    batch.memories[name, "forecast"] = asdict(ForecastMade(state.time, words, one.limit, advice))
     return state.time, batch
 
 
@@ -96,26 +98,22 @@ def isolation_steps(
 def _history(
     store: Store, name: str, plan: Plan, signals: tuple[str, ...], since: float, until: float
 ) -> Record:
-    times: dict[str, list[float]] = {}
-    values: dict[str, list[float]] = {}
-    for signal, at, value in store.course(name, signals, since, until):
-        times.setdefault(signal, []).append(at)
-        values.setdefault(signal, []).append(value)
+    courses = _by_signal(store.course(name, signals, since, until))
+    times, values = ({signal: one[column] for signal, one in courses.items()} for column in (0, 1))
     return record_of(plan, times, values, store.losses(name))
 
 
 def _stored_weather(store: Store, name: str, now_s: float) -> Mapping[str, Series]:
     """The stored weather forecast for a turbine or, else, for all; empty without one."""
-    rows: dict[str, list[tuple[float, float]]] = {}
-    for signal, at, value in store.weather(name, now_s - DAY_S):
-        rows.setdefault(signal, []).append((at, value))
-    series = tuple(
-        Series(signal, np.array([t for t, _ in pairs]), np.array([v for _, v in pairs]))
-        for signal, pairs in sorted(rows.items())
-        if len(pairs) > 1
-    )
-    record = Record(name, series)
+    courses = _by_signal(store.weather(name, now_s - DAY_S))
+    record = Record(name, tuple(Series(signal, *one) for signal, one in courses.items() if len(one[0]) > 1))
     if "ambient_temperature" not in record:
         return {}
     vapour = ambient_absolute_humidity(record)
     return {} if vapour is None else {"temperature": record["ambient_temperature"], "vapour": vapour}
+
+
+def _by_signal(rows: Iterable[tuple[str, float, float]]) -> dict[str, np.ndarray]:
+    """Times and values (2, T) of each signal, from rows that are sorted by it."""
+    groups = groupby(rows, key=itemgetter(0))
+    return {signal: np.array([row[1:] for row in group]).T.copy() for signal, group in groups}

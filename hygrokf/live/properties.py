@@ -132,6 +132,12 @@ def states_of(
     return found
 
 
+def observable(states: Mapping[str, TrackedState]) -> dict[str, TrackedState]:
+    """The states of those properties that are observable."""
+    blind = {one.name: one.blind for one in WATCHED}
+    return {name: state for name, state in states.items() if state.sd < blind[name]}
+
+
 def properties(
     states: Mapping[str, TrackedState], values: Mapping[str, float], errors: Mapping[str, float]
 ) -> list[Property]:
@@ -163,17 +169,13 @@ def deviations(
     `references`: the states from which shifts count after a stated change, None for the fit's values; a
     property without one is not judged.
     """
-    found = {}
-    for one in WATCHED:
-        if one.name not in states or states[one.name].sd >= one.blind:
-            continue
-        x, sd = states[one.name]
-        if references is None:
-            found[one.name] = TrackedState(x, math.hypot(sd, errors.get(one.name, 0.0)))
-        elif one.name in references:
-            reference = references[one.name]
-            found[one.name] = TrackedState(x - reference.x, math.hypot(sd, reference.sd))
-    return found
+    if references is None:
+        references = {name: TrackedState(0.0, errors.get(name, 0.0)) for name in states}
+    return {
+        name: TrackedState(x - references[name].x, math.hypot(sd, references[name].sd))
+        for name, (x, sd) in observable(states).items()
+        if name in references
+    }
 
 
 def relative_shift(name: str, deviation: TrackedState) -> float:

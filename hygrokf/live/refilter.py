@@ -17,7 +17,7 @@ from hygrokf.live.storage.store import Store
 from hygrokf.live.tracker import Tracker
 from hygrokf.live.turbines import Fleet, Turbine, digest
 
-KEPT = ("alarms", "known_s", "forecast", "advice")
+KEPT = ("alarms", "known_s", "forecast")
 """Memories of a turbine that do not follow from its final estimates; alarms stay as they were told."""
 
 

@@ -190,7 +190,6 @@ class Service:
             LOG.info("ended", extra={"deliveries": self.health.deliveries, "rounds": self.health.rounds})
 
     def _open(self) -> None:
-        """Open the store, claim its turbines and sources for this tracker, and open the fleet."""
         store = open_store(self.store_url)
         try:
             store.claim("turbine", self.turbines)
@@ -242,7 +241,6 @@ class Service:
         return bool(found)
 
     def _process(self, url: str, deliveries: Sequence[Delivery]) -> None:
-        """Process deliveries, commit the resulting batch and acknowledge them."""
         stream = self.streams[url]
         batch = self._commit(lambda: self._open_fleet.round(deliveries, stream.mapping, url, FILTER_S), url)
         stream.acknowledge(deliveries)

@@ -309,10 +309,6 @@ class Tracker:
         first, last, longest = self._overlap()
         return first + longest if last - first <= longest else None
 
-    def record(self) -> Record:
-        """The stored readings as a record, without those that the gate keeps out."""
-        return record_of(self.plan, self._times, self._values, self.lost)
-
     def awaited(self) -> tuple[str, ...]:
         """Signals that the model needs but that are still missing; a missing ambient humidity is named by its
         first variant."""

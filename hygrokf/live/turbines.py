@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import math
 import time
-from collections import Counter, defaultdict
+from collections import defaultdict
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from itertools import count
 
 import numpy as np
@@ -42,7 +42,7 @@ from hygrokf.live.alarms import (
 from hygrokf.live.assessment import STANDSTILL_S, Known, Outlook, assess
 from hygrokf.live.batch import Alarm, Assessment, Batch, Estimates, Event, Loss, Observation
 from hygrokf.live.changes import Change, settled
-from hygrokf.live.clocks import Backlogs, Clocks, HeldReadings, clock_levels
+from hygrokf.live.clocks import Ahead, Backlogs, clock_levels
 from hygrokf.live.condition import Condition
 from hygrokf.live.fault_isolation import Finding, ShiftStep, shift_step
 from hygrokf.live.forecast import ForecastMade
@@ -84,7 +84,7 @@ class TurbineState(Kept):
 
     `newest`: time [s] of its newest estimate and the probability of condensation [1]; `outlook`: that of its
     forecast; `fault`: why its readings cannot be filtered; `slot`: of its newest properties; `turn`: number
-    of the last fault isolation; `counted`: the tracker's counts that the store has.
+    of the last fault isolation.
     """
 
     turbine: Turbine
@@ -96,7 +96,6 @@ class TurbineState(Kept):
     fault: str = ""
     slot: float = -math.inf
     turn: int = 0
-    counted: Counter[str] = field(default_factory=Counter)
 
     @classmethod
     def from_store(cls, name: str, turbine: Turbine, store: Store) -> TurbineState:
@@ -160,9 +159,8 @@ class Fleet:
         self._common = Kept()
         self._turns = count(1)
         self._store = store
-        self.held = HeldReadings(store)
+        self.ahead = Ahead(store)
         self.backlogs = Backlogs()
-        self.clocks = Clocks(() if store is None else store.held_ahead())
         # turbines with readings that are not yet filtered, longest waiting first
         self.waiting: dict[str, None] = {}
         self._orders: dict[str, Order] = defaultdict(dict)
@@ -192,35 +190,33 @@ class Fleet:
         next round.
         """
         batch = Batch()
-        counts: Counter[tuple[str, str]] = Counter()
         self._now = max((one.received for one in deliveries), default=self._now)
         touched: dict[str, list[Observation]] = defaultdict(list)
         for one in deliveries:
             try:
                 found = mapping.read(one.content, one.received, one.topic, self._orders[source])
             except Refused as fault:
-                counts[SOURCE, fault.kind] += 1
+                batch.counters[SOURCE, fault.kind] += 1
                 continue
             for turbine, stated, rejections in found:
                 mark = NEITHER if mapping.revision == "neither" else one.mark
                 readings = [reading.as_stored(mark) for reading in stated]
-                counts.update((turbine, rejection.kind) for rejection in rejections)
+                batch.counters.update((turbine, rejection.kind) for rejection in rejections)
                 observations = [Observation(turbine, reading, one.received) for reading in readings]
                 if mapping.weather:
                     batch.weather += observations
                 elif observations:
                     touched[turbine] += observations
         for name, observations in touched.items():
-            self.clocks.note(name, observations)
+            self.ahead.note(name, observations)
             limit = self._now + AHEAD_S
             ahead = [one for one in observations if one.reading.time > limit]
             present = [one for one in observations if one.reading.time <= limit]
             self.backlogs.note(source, name, (one.reading for one in present), self._now)
             # the filter takes readings that were ahead before those that came after them
-            due = self.held.release(name, self._now, batch)
-            self.held.hold(name, ahead, batch, counts)
-            self._take(name, [*due, *present], batch, counts)
-        batch.counters = {key: count for key, count in counts.items() if count}
+            due = self.ahead.release(name, self._now, batch)
+            self.ahead.hold(name, ahead, batch)
+            self._take(name, [*due, *present], batch)
         places = [one.place for one in deliveries if one.place]
         if source and places:
             batch.place[source] = places[-1]
@@ -231,10 +227,7 @@ class Fleet:
             self._assess(name, batch)
         return batch
 
-    def _take(
-        self, name: str, observations: Sequence[Observation], batch: Batch, counts: Counter[tuple[str, str]]
-    ) -> None:
-        """Let a turbine's tracker take readings, and count those that it does not use."""
+    def _take(self, name: str, observations: Sequence[Observation], batch: Batch) -> None:
         if not observations:
             return
         state = self.tracked[name]
@@ -248,8 +241,8 @@ class Fleet:
         ]
         self._note_doubt(name, batch)
         self.waiting.setdefault(name)
-        counts.update({(name, kind): n for kind, n in (tracker.counts - state.counted).items()})
-        state.counted = Counter(tracker.counts)
+        batch.counters.update({(name, kind): n for kind, n in tracker.counts.items() if n})
+        tracker.counts.clear()
 
     def _note_doubt(self, name: str, batch: Batch) -> None:
         """Keep that alarms will be judged anew from the point on."""
@@ -289,7 +282,6 @@ class Fleet:
         return course
 
     def _add_results(self, name: str, course: Course, found: Condition, batch: Batch) -> None:
-        """Put estimates, properties and alarms that follow from a course into the batch."""
         state = self.tracked[name]
         tracker, point = state.tracker, state.tracker.point
         final = 0 if point is None else int(np.sum(found.time_s <= point.time + SAME_S))
@@ -407,20 +399,18 @@ class Fleet:
         left: turbine -> text about a sender that has left. quiet: turbines whose silence is no news.
         """
         batch, left = Batch(), left or {}
-        counts: Counter[tuple[str, str]] = Counter()
         self._began, self._now = min(self._began, now), now
-        for name in self.held.turbines:
-            self._take(name, self.held.release(name, now, batch), batch, counts)
+        for name in self.ahead.turbines:
+            self._take(name, self.ahead.release(name, now, batch), batch)
         for name in self.tracked:
             if name in left or name not in quiet:
                 self._judge_missing(name, now, left.get(name, ""), batch)
-        clocks = clock_levels(self.clocks.ahead())
+        clocks = clock_levels(self.ahead.by_turbine())
         for name in (*self.tracked, SOURCE):
             self._judge(name, now, clocks.get(name, []), (CLOCK,), batch)
         self._judge(SOURCE, now, source_levels(sources, now), (LOST,), batch)
         for name in self.tracked:
             self._assess(name, batch)
-        batch.counters = {key: count for key, count in counts.items() if count}
         return batch
 
     def note_connections(
@@ -527,7 +517,6 @@ class Fleet:
     def _judge(
         self, name: str, now: float, levels: list[Level], rules: tuple[Rule, ...], batch: Batch
     ) -> None:
-        """Judge the alarms of some rules by their levels."""
         before = self.tracked.get(name, self._common).alarms
         after, changed = judge(name, before, now, levels, [rule.kind for rule in rules])
         if after != before:

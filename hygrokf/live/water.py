@@ -10,8 +10,6 @@ or a person tells.  Shapes: T instants, n states.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
@@ -97,12 +95,9 @@ def on_the_safe_side(
     assert by_sensor.condensation is not None, "both are of one model"
     larger = np.fmax(by_model.condensation, by_sensor.condensation)
     wetter = larger > by_model.condensation + SHOWN
-    chosen: dict[str, Any] = {
-        name: Quantity(
-            np.where(wetter, getattr(by_sensor, name).value, one.value),
-            np.where(wetter, getattr(by_sensor, name).sd, one.sd),
-        )
-        for name, one in vars(by_model).items()
-        if isinstance(one, Quantity)
-    }
-    return replace(by_model, condensation=larger, excess_g_m3=excess, **chosen)
+
+    def chosen(name: str, one: Quantity) -> Quantity:
+        other = getattr(by_sensor, name)
+        return Quantity(np.where(wetter, other.value, one.value), np.where(wetter, other.sd, one.sd))
+
+    return by_model.mapped(chosen, condensation=larger, excess_g_m3=excess)

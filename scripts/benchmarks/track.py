@@ -32,7 +32,7 @@ from hygrokf.live.sources.broker import Broker
 from hygrokf.live.sources.mqtt import Mqtt
 from hygrokf.live.sources.stream import Delivery
 from hygrokf.live.storage.store import open_store
-from hygrokf.live.tracker import offline_course
+from hygrokf.live.tracker import offline_course, record_of
 from hygrokf.live.turbines import Fleet, Turbine, conditions
 from hygrokf.modelling.inputs import model_inputs
 
@@ -82,12 +82,13 @@ def update(quick: bool) -> Iterator[Figure]:
 def _parts(fleet: Fleet, repetitions: int) -> Iterator[Figure]:
     (name, state), *_ = fleet.tracked.items()
     one, tracker = state.turbine, state.tracker
-    record = tracker.record()
+    stored = one.plan, tracker._times, tracker._values, tracker.lost
+    record = record_of(*stored)
     made = model_inputs(one.plan.design, record)
     course = tracker._course(made)
     found = interleaved(
         {
-            "readings as a record": tracker.record,
+            "readings as a record": lambda: record_of(*stored),
             "from the record to instants": lambda: model_inputs(one.plan.design, record),
             "the filter": lambda: tracker._course(made),
             "the air's condition": lambda: conditions({name: (one, course)}),

@@ -103,6 +103,7 @@ def _stated(service: Service) -> None:
     from hygrokf.data.timestamps import DAY_S, stamp_text
     from hygrokf.live.assessment import Outlook
     from hygrokf.live.batch import Assessment, Batch, Event, Shelf
+    from hygrokf.live.notification.notices import acknowledge
 
     store, now = opened(service), service.now
     advice = "from 06:00 on pre-heat for 40 min before a start; from 11:00 on none is needed."
@@ -118,7 +119,7 @@ def _stated(service: Service) -> None:
     # a detail of the last alarm of the fleet, as the control room would have left it
     ended = store.rows("SELECT id FROM alarm WHERE ended IS NOT NULL ORDER BY began DESC")
     for (alarm,), cause in zip(ended, 3 * ("defect", "defect", "false alarm"), strict=False):
-        store.acknowledge(alarm, "K. Maier", now - DAY_S / 2.0, cause)
+        acknowledge(store, alarm, "K. Maier", now - DAY_S / 2.0, cause)
     store.shelve(
         Shelf("Synthetic 08", "cabinet changed", now + 3 * DAY_S, now, "K. Maier", "filter is ordered")
     )

@@ -19,7 +19,7 @@ from hygrokf.live.notification import sender as sending
 from hygrokf.live.notification.notices import notices_of
 from hygrokf.live.notification.sender import Sender
 from hygrokf.live.notification.transports import Mail, Webhook
-from hygrokf.live.storage.outbox import waiting
+from hygrokf.live.storage.outbox import channel_states
 from hygrokf.live.storage.store import open_store
 from validation.counts import markdown
 from validation.frame import Claim
@@ -103,7 +103,7 @@ def _outages(kind: str, count: int, seed: int, folder: Path, random: np.random.G
                 sender, restarts = Sender(channel, url), restarts + 1
                 sender.start()
             server.fail("")
-        eventually(lambda: not waiting(store))
+        eventually(lambda: not any(one.waiting for one in channel_states(store).values()))
     finally:
         sender.stop()
         server.stop()

@@ -9,7 +9,7 @@ import queue
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from datetime import UTC, datetime, timedelta
 from ipaddress import ip_address
 from pathlib import Path
@@ -24,7 +24,7 @@ from builders.live_case import live_record, live_turbine
 from builders.record_edits import without
 from hygrokf.data.record import Record
 from hygrokf.live.condition import Surface
-from hygrokf.live.forecast import LIMIT
+from hygrokf.live.forecast import LIMIT, ForecastMade
 from hygrokf.live.service import Service
 from hygrokf.live.sources.local import Playback, record_mapping, record_messages
 from hygrokf.live.sources.payload import PayloadMapping
@@ -129,15 +129,11 @@ def add_forecast(
     with store.transaction() as cursor:
         cursor.execute("DELETE FROM forecast WHERE turbine = ?", (name,))
         cursor.executemany(f"INSERT INTO forecast VALUES ({', '.join('?' * 17)})", rows)
-        for key, content in (
-            ("forecast", {"made": made, "limit": LIMIT}),
-            ("advice", statement),
-        ):
-            cursor.execute(
-                "INSERT INTO memory (turbine, name, content) VALUES (?, ?, ?) "
-                "ON CONFLICT (turbine, name) DO UPDATE SET content = excluded.content",
-                (name, key, json.dumps(content)),
-            )
+        cursor.execute(
+            "INSERT INTO memory (turbine, name, content) VALUES (?, 'forecast', ?) "
+            "ON CONFLICT (turbine, name) DO UPDATE SET content = excluded.content",
+            (name, json.dumps(asdict(ForecastMade(made, "", LIMIT, statement)))),
+        )
 
 
 def opened(service: Service) -> Store:

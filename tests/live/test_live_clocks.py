@@ -14,7 +14,7 @@ from builders.waiting import eventually
 from hygrokf.data.record import Record
 from hygrokf.live import clocks, service
 from hygrokf.live.batch import Alarm, Batch, Observation
-from hygrokf.live.clocks import MACHINE, Clocks, clock_levels
+from hygrokf.live.clocks import MACHINE, Ahead, clock_levels
 from hygrokf.live.service import Service
 from hygrokf.live.sources.local import TailedFile, record_mapping, record_messages
 from hygrokf.live.sources.payload_values import AHEAD_S
@@ -191,10 +191,11 @@ def test_whose_clock_is_wrong() -> None:
 
 
 def test_the_newest_reading_tells_the_clock() -> None:
-    found = Clocks([("B", "cabinet_temperature", 9e9)])
+    found = Ahead(None)
+    found.note("B", ahead("B", 9e9))
     found.note("A", ahead("A", 7200.0))
     found.note("A", ahead("A", 0.0, "ambient_temperature"))
-    assert found.ahead() == {"A": 7200.0, "B": 9e9}
+    assert found.by_turbine() == {"A": 7200.0, "B": 9e9}
     found.note("A", ahead("A", AHEAD_S))
     found.note("B", ahead("B", -30.0))
-    assert found.ahead() == {"A": 0.0, "B": 0.0}
+    assert found.by_turbine() == {"A": 0.0, "B": 0.0}

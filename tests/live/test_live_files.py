@@ -35,9 +35,10 @@ from hygrokf.live.condition import Condition, Quantity
 from hygrokf.live.config import read_config
 from hygrokf.live.forecast import Forecast
 from hygrokf.live.service import Service
-from hygrokf.live.sources.stream import Reach
+from hygrokf.live.sources.payload import PayloadMapping
+from hygrokf.live.sources.stream import Stream
 from hygrokf.live.storage.database import Row
-from hygrokf.live.web.metrics import Snapshot, exposition
+from hygrokf.live.web.metrics import exposition
 from hygrokf.live.web.views import fleet_view
 
 FILES = DOCS / "live_files"
@@ -85,16 +86,14 @@ def test_prometheus_reads_its_example(tmp_path: Path) -> None:
     assert "SUCCESS" in done("promtool", "check", "config", "prometheus.yml", cwd=tmp_path)
 
 
-def test_the_alert_rules_name_metrics_that_there_are(filled_store: Service) -> None:
+def test_the_alert_rules_name_metrics_that_there_are(
+    filled_store: Service, monkeypatch: pytest.MonkeyPatch
+) -> None:
     with closing(opened(filled_store)) as store:
         rows = fleet_view(store, [NAME], time.time())
-    states = {url: stream.state for url, stream in filled_store.streams.items()}
-    text, _ = exposition(
-        Snapshot(
-            time.time(), filled_store.health, states, 0, rows, (), {("", "malformed"): 1},
-            notices={"mail": 1}, reaches={"mqtt://b": Reach(None, 60.0)},
-        )
-    )
+    streams = {**filled_store.streams, "mqtt://b": Stream(PayloadMapping({}))}
+    monkeypatch.setattr(filled_store, "streams", streams)
+    text, _ = exposition(filled_store, 0, rows, (), {("", "malformed"): 1}, {"mail": 1})
     samples = [one for family in text_string_to_metric_families(text.decode()) for one in family.samples]
     labels = {(key, value) for one in samples for key, value in one.labels.items()}
     for group in yaml.safe_load(RULES.read_text(encoding="utf-8"))["groups"]:

@@ -27,6 +27,7 @@ from hygrokf.identification.verdict_terms import REJECT, Inherited, Reason
 from hygrokf.live import service as service_module
 from hygrokf.live.batch import Alarm, Assessment, Batch
 from hygrokf.live.condition import Surface
+from hygrokf.live.notification.notices import acknowledge
 from hygrokf.live.service import Service
 from hygrokf.live.sources.local import Playback, record_mapping, record_messages
 from hygrokf.live.web.application import Page as LivePage
@@ -523,7 +524,7 @@ def test_what_is_refused_is_said_in_the_dialog(tab: Tab, live: tuple[str, Hub], 
     expect(page.locator(".item.ended button")).to_have_count(0)
     page.locator(".item button.acknowledge").click()
     store = opened(service)
-    assert store.acknowledge("wet", "someone else", time.time())
+    assert acknowledge(store, "wet", "someone else", time.time(), "unexplained")
     store.close()
     page.locator("#acknowledge-by").fill("me")
     page.locator("#acknowledge button[type=submit]").click()

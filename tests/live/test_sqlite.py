@@ -22,6 +22,7 @@ from builders.waiting import eventually
 
 from hygrokf.data.record import Record
 from hygrokf.live.batch import Batch
+from hygrokf.live.notification.notices import acknowledge
 from hygrokf.live.service import Service
 from hygrokf.live.storage import database
 from hygrokf.live.storage.schema import VERSION
@@ -164,7 +165,7 @@ def test_one_file_has_one_tracker_and_many_readers(file: Path, monkeypatch: pyte
     second = open_store(url)
     with pytest.raises(StoreFault, match=f"turbine T9 .* by process {os.getpid()} on "):
         second.claim("turbine", ["T9"])
-    assert page.acknowledge("a1", "control room", T0) and page.size()["observation"] == 5002
+    assert acknowledge(page, "a1", "control room", T0, "defect") and page.size()["observation"] == 5002
     assert first.rows("SELECT name FROM claim ORDER BY name") == [("T1",), ("T2",), ("T3",)]
     first.close()
     second.claim("turbine", ["T9"])

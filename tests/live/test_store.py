@@ -150,9 +150,13 @@ def test_another_model_begins_anew_from_the_observations(store: Store) -> None:
 
 def test_alarms_are_acknowledged_once(store: Store) -> None:
     store.commit(everything())
-    assert store.acknowledge("a1", "control room", T0 + 5.0, "look again", "filter ordered", T0 + 7 * 86400.0)
-    assert not store.acknowledge("a1", "someone else", T0 + 6.0)
-    assert not store.acknowledge("a2", "someone else", T0 + 6.0)
+    known = replace(
+        everything().alarms[0], acknowledged=T0 + 5.0, acknowledged_by="control room", cause="look again",
+        note="filter ordered", look_again=T0 + 7 * 86400.0,
+    )  # fmt: skip
+    assert store.acknowledge(known)
+    assert not store.acknowledge(replace(known, acknowledged_by="someone else"))
+    assert not store.acknowledge(replace(known, id="a2"))
     # a later round ends it and leaves the acknowledgement
     ended = Alarm("a1", "T1", "condensation", "warning", T0, "water condensed", "dry it", ended=T0 + 60.0)
     store.commit(Batch(alarms=[ended]))
@@ -165,7 +169,7 @@ def test_readings_ahead_of_the_clock_are_kept_apart_until_they_are_released(stor
     ahead = [observed("rain", T0 + i, float(i)) for i in range(3)]
     store.commit(Batch(held=ahead))
     store.commit(Batch(held=ahead[:1]))
-    assert store.held() == store.held("T1") == ahead
+    assert store.held("T1") == ahead
     assert store.held("T2") == [] and store.readings("T1", 0.0) == []
     assert store.held("T1", T0 + 1.0) == ahead[:2]
     assert store.held_count("T1") == 3 and store.held_count("T2") == 0
@@ -173,7 +177,7 @@ def test_readings_ahead_of_the_clock_are_kept_apart_until_they_are_released(stor
     latest, arrival = max(one.reading.time for one in ahead), max(one.received for one in ahead)
     assert (turbine, signal, ahead_s) == ("T1", "rain", pytest.approx(latest - arrival))
     store.commit(Batch(observations=ahead[:2], released=ahead[:2]))
-    assert store.held() == ahead[2:] and len(store.readings("T1", 0.0)) == 2
+    assert store.held("T1") == ahead[2:] and len(store.readings("T1", 0.0)) == 2
 
 
 def test_what_an_assessment_resumes_from(store: Store) -> None:
@@ -207,8 +211,9 @@ def test_events_of_a_turbine(store: Store) -> None:
     event = Event("e1", "T1", T0, "settings changed", "heater at 5 °C", T0 + 60.0, "control room")
     store.note_event(event)
     store.note_event(event)
-    store.note_event(replace(event, id="e0", time=T0 - 60.0))
-    assert store.events("T1", T0) == [event] and len(store.events("T1")) == 2 and store.events("T2") == []
+    earlier = replace(event, id="e0", time=T0 - 60.0)
+    store.note_event(earlier)
+    assert store.events("T1") == [earlier, event] and store.events("T2") == []
 
 
 def test_a_notice_is_written_once_and_sent_once(store: Store) -> None:

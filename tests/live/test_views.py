@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +10,7 @@ import pytest
 
 from hygrokf.live.batch import Alarm, Assessment, Batch, Estimates, Observation
 from hygrokf.live.condition import Condition, Quantity
-from hygrokf.live.forecast import LIMIT
+from hygrokf.live.forecast import LIMIT, ForecastMade
 from hygrokf.live.properties import Property
 from hygrokf.live.service import Health, SourceTimes
 from hygrokf.live.sources.payload import PayloadMapping
@@ -111,10 +112,11 @@ def test_open_alarms_come_first(store: Store) -> None:
     assert [a.id for a in alarms_view(store, "A")] == ["b"]
 
 
-def test_a_forecast_of_an_older_store_has_the_usual_limit(store: Store) -> None:
-    store.commit(Batch(memories={("A", "forecast"): {"made": T0}}))
+def test_the_limit_is_that_of_the_forecast(store: Store) -> None:
+    assert turbine_view(store, "A", T0, T0)["humid"]["limit"] == LIMIT
+    store.commit(Batch(memories={("A", "forecast"): asdict(ForecastMade(T0, "", 0.7))}))
     found = turbine_view(store, "A", T0, T0)
-    assert found["humid"]["limit"] == LIMIT and found["forecast"]["limit"] is None
+    assert found["humid"]["limit"] == found["forecast"]["limit"] == 0.7
 
 
 def test_long_courses_are_thinned(store: Store) -> None:

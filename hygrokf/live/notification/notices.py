@@ -80,8 +80,7 @@ def acknowledge(
     )
     at = time.time()
     notices = [_notice(one, known, ACKNOWLEDGED, at, at) for one in channels if one.concerns(known)]
-    done = store.acknowledge(alarm, by, now, cause, note, look_again_s, notices)
-    return found.turbine if done else None
+    return found.turbine if store.acknowledge(known, notices) else None
 
 
 def look_again(store: Store, now: float, channels: Sequence[Channel]) -> Batch:

@@ -14,10 +14,15 @@ import time
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from functools import cache
-from typing import Any, Protocol, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 from hygrokf.errors import HygrokfError
 from hygrokf.live.storage.schema import SQLITE, VERSION, Dialect, creation
+
+if TYPE_CHECKING:
+    import sqlite3
+
+    import psycopg
 
 CLAIM_S = 3.0
 """[s] a claim waits for the previous holder to go: the end of a process is noticed with a delay."""
@@ -36,31 +41,8 @@ Row = tuple[Any, ...]
 """A row of a query or the parameters of a statement: text, numbers and None, as the driver returns them."""
 
 
-class Cursor(Protocol):
-    """The part of a PEP 249 cursor that the store uses."""
-
-    @property
-    def rowcount(self) -> int: ...
-
-    def execute(self, statement: str, parameters: Sequence[SqlValue] = ..., /) -> object: ...
-
-    def executemany(self, statement: str, rows: Iterable[Sequence[SqlValue]], /) -> object: ...
-
-    def fetchone(self) -> Row | None: ...
-
-    def fetchall(self) -> list[Row]: ...
-
-    def close(self) -> object: ...
-
-
-class Connection(Protocol):
-    """The part of a PEP 249 connection that the store uses."""
-
-    def cursor(self) -> Cursor: ...
-
-    def rollback(self) -> object: ...
-
-    def close(self) -> object: ...
+Cursor: TypeAlias = "sqlite3.Cursor | psycopg.Cursor[Row]"
+Connection: TypeAlias = "sqlite3.Connection | psycopg.Connection[Row]"
 
 
 class StoreFault(HygrokfError):
@@ -79,7 +61,7 @@ class Database:
     """One connection in autocommit mode: a statement takes effect at once unless it is part of a
     `transaction`.
 
-    `connection` follows PEP 249.  `mark`: its parameter placeholder; `begin`: the statement that opens a
+    `mark`: its parameter placeholder; `begin`: the statement that opens a
     writing transaction; `errors`: base class of the driver's exceptions; `dialect`: its SQL (see `schema`).
     """
 
@@ -240,6 +222,12 @@ class Database:
             time.sleep(AGAIN_S)
         self._held.update(wanted)
 
+    def insert_claims(self, cursor: Cursor, wanted: Sequence[tuple[str, str]], holder: int) -> None:
+        """Write claims of this process within a transaction."""
+        who = f"process {os.getpid()} on {socket.gethostname()}"
+        statement = "INSERT INTO claim (kind, name, holder, who, since) VALUES (?, ?, ?, ?, ?)"
+        cursor.executemany(self.text(statement), [(*one, holder, who, time.time()) for one in wanted])
+
     def close(self) -> None:
         with suppress(Exception):
             self.connection.close()
@@ -263,8 +251,3 @@ def refuse_other_schema(place: object, found: int | None) -> None:
 def one_line(error: BaseException) -> str:
     """The text of a driver's exception in one line."""
     return " ".join(str(error).split())
-
-
-def this_process() -> str:
-    """Name of this process, shown to a process whose claim is refused."""
-    return f"process {os.getpid()} on {socket.gethostname()}"

@@ -38,12 +38,6 @@ def channel_states(store: Store) -> dict[str, ChannelState]:
     return {channel: ChannelState(int(count), *rest) for channel, count, *rest in rows}
 
 
-def waiting(store: Store) -> dict[str, int]:
-    """Number of notices that are not sent, by channel."""
-    rows = store.rows("SELECT channel, COUNT(*) FROM outbox WHERE sent IS NULL GROUP BY channel")
-    return {channel: int(count) for channel, count in rows}
-
-
 def beginning_with(store: Store, channel: str, prefix: str) -> list[Notice]:
     """A channel's notices whose ids begin with a text."""
     rest = "WHERE channel = ? AND substr(id, 1, ?) = ? ORDER BY made, id"

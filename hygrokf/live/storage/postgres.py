@@ -8,11 +8,10 @@ from __future__ import annotations
 import os
 import secrets
 import struct
-import time
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-from hygrokf.live.storage.database import Cursor, Database, Row, StoreFault, one_line, this_process
+from hygrokf.live.storage.database import Cursor, Database, Row, StoreFault, one_line
 from hygrokf.live.storage.schema import POSTGRESQL
 
 if TYPE_CHECKING:
@@ -114,10 +113,7 @@ class PostgresDatabase(Database):
             for kind, name in wanted:
                 if (kind, name) in others:
                     return kind, name, others[kind, name]
-            rows = [(kind, name, self._key, this_process(), time.time()) for kind, name in wanted]
-            cursor.executemany(
-                "INSERT INTO claim (kind, name, holder, who, since) VALUES (%s, %s, %s, %s, %s)", rows
-            )
+            self.insert_claims(cursor, wanted, self._key)
         return None
 
     def claims(self) -> dict[tuple[str, str], str]:

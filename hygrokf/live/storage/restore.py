@@ -170,5 +170,4 @@ def postgres_commands(copy: Path, url: str) -> list[str]:
 
 
 def _quoted(name: str) -> str:
-    """A name as SQL quotes it."""
     return '"' + name.replace('"', '""') + '"'

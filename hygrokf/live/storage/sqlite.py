@@ -18,7 +18,6 @@ from hygrokf.live.storage.database import (
     StoreFault,
     StoreUnready,
     refuse_other_schema,
-    this_process,
 )
 from hygrokf.live.storage.schema import SQLITE
 
@@ -71,11 +70,8 @@ class SqliteDatabase(Database):
                 return (*wanted[0], found[0][0] if found else "another process")
             with self.transaction() as cursor:
                 cursor.execute("DELETE FROM claim")
-        rows = [(kind, name, 0, this_process(), time.time()) for kind, name in wanted]
         with self.transaction() as cursor:
-            cursor.executemany(
-                "INSERT INTO claim (kind, name, holder, who, since) VALUES (?, ?, ?, ?, ?)", rows
-            )
+            self.insert_claims(cursor, wanted, 0)
         return None
 
     def claims(self) -> dict[tuple[str, str], str]:

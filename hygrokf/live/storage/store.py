@@ -151,29 +151,15 @@ class Store:
                 )
 
     # -- what people state -----------------------------------------------------------------------------------
-    def acknowledge(
-        self,
-        alarm: str,
-        by: str,
-        at: float,
-        cause: str = "unexplained",
-        note: str = "",
-        look_again: float | None = None,
-        notices: Iterable[Notice] = (),
-    ) -> bool:
-        """Acknowledge an alarm at a time [s] with its cause (one of `batch.CAUSES`), to be looked at again at
-        `look_again` [s]; write its notices.
+    def acknowledge(self, known: Alarm, notices: Iterable[Notice] = ()) -> bool:
+        """Write the acknowledgement of an alarm, and its notices.
 
         Returns False if there is no such alarm or it was acknowledged before.
         """
+        columns = ", ".join(f"{name} = ?" for name in ACKNOWLEDGED)
+        statement = f"UPDATE alarm SET {columns} WHERE id = ? AND acknowledged IS NULL"
         with self.transaction() as cursor:
-            cursor.execute(
-                self._text(
-                    f"UPDATE alarm SET {', '.join(f'{name} = ?' for name in ACKNOWLEDGED)} "
-                    "WHERE id = ? AND acknowledged IS NULL"
-                ),
-                (at, by, cause, note, look_again, alarm),
-            )
+            cursor.execute(self._text(statement), [getattr(known, name) for name in (*ACKNOWLEDGED, "id")])
             changed = cursor.rowcount == 1
             if changed:
                 self._many(cursor, inserting("outbox") + UNLESS_THERE, map(astuple, notices))
@@ -246,14 +232,13 @@ class Store:
             found.setdefault(signal, []).append((lost, math.inf if regained is None else regained))
         return found
 
-    def held(self, turbine: str | None = None, until: float = math.inf) -> list[Observation]:
-        """Readings of a turbine (None: of all) that came with stamps ahead of the clock and are from before
-        `until` [s], by time."""
-        where = "" if turbine is None else " AND turbine = ?"
+    def held(self, turbine: str, until: float = math.inf) -> list[Observation]:
+        """Readings of a turbine that came with stamps ahead of the clock and are from before `until` [s], by
+        time."""
         found = self.rows(
-            f"SELECT {', '.join(TABLES['held'].columns)} FROM held WHERE time <= ?{where} "
-            "ORDER BY time, turbine, signal, received",
-            (until,) if turbine is None else (until, turbine),
+            f"SELECT {', '.join(TABLES['held'].columns)} FROM held WHERE time <= ? AND turbine = ? "
+            "ORDER BY time, signal, received",
+            (until, turbine),
         )
         return [
             Observation(name, _reading(s, at, value, mark), received)
@@ -299,9 +284,9 @@ class Store:
         """Events at all turbines, by the time at which they were stated."""
         return self.found(Event, "ORDER BY made, id")
 
-    def events(self, turbine: str, since: float = -math.inf) -> list[Event]:
-        """Events at a turbine from `since` [s] on, by time."""
-        return self.found(Event, "WHERE turbine = ? AND time >= ? ORDER BY time, id", (turbine, since))
+    def events(self, turbine: str) -> list[Event]:
+        """Events at a turbine, by time."""
+        return self.found(Event, "WHERE turbine = ? ORDER BY time, id", (turbine,))
 
     def course(
         self, turbine: str, signals: Sequence[str], since: float, until: float

@@ -15,11 +15,11 @@ from typing import TYPE_CHECKING
 from hygrokf.data.timestamps import DAY_S
 from hygrokf.live.batch import STATES
 from hygrokf.live.service import Service
-from hygrokf.live.storage.outbox import ChannelState, channel_states, waiting
+from hygrokf.live.storage.outbox import ChannelState, channel_states
 from hygrokf.live.storage.store import StoreFault
 from hygrokf.live.web.exchange import Access, guard, posted_json, refusal, reply
 from hygrokf.live.web.margins import MarginsKept
-from hygrokf.live.web.metrics import Snapshot, exposition
+from hygrokf.live.web.metrics import exposition
 from hygrokf.live.web.page_settings import NEEDED, PageFault, PageSettings
 from hygrokf.live.web.reader import Reader, StoreAnswers
 from hygrokf.live.web.server import EventStream, Hub
@@ -183,20 +183,16 @@ class Page:
     def metrics(self, request: Request) -> Response:
         from starlette.responses import Response
 
-        now = self.service.now
+        told: dict[str, ChannelState] = {}
         try:
-            rows: list[View] | None = self.rows(now)
+            rows: list[View] | None = self.rows(self.service.now)
             counters, alarms, told = self.reader.read(
-                lambda store: (store.counters(), alarms_view(store, since=math.inf), waiting(store))
+                lambda store: (store.counters(), alarms_view(store, since=math.inf), channel_states(store))
             )
         except StoreFault:
-            rows, counters, alarms, told = None, {}, [], {}
-        sources = {url: one.state for url, one in self.service.streams.items()}
-        reaches, clients = self.service.reaches(), len(self.hub)
-        notices = {one.name: told.get(one.name, 0) for one in self.service.channels}
-        text, kind = exposition(
-            Snapshot(now, self.service.health, sources, clients, rows, alarms, counters, notices, reaches)
-        )
+            rows, counters, alarms = None, {}, []
+        notices = {one.name: told.get(one.name, ChannelState()).waiting for one in self.service.channels}
+        text, kind = exposition(self.service, len(self.hub), rows, alarms, counters, notices)
         return Response(text, headers={"Content-Type": kind})
 
     async def healthz(self, request: Request) -> Response:

@@ -11,15 +11,13 @@ import platform
 import time
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
 from itertools import accumulate
 from typing import TYPE_CHECKING
 
 from hygrokf.live.alarms import CLOCK, LOST, RULES
 from hygrokf.live.batch import STATES as TURBINE_STATES
 from hygrokf.live.batch import Alarm
-from hygrokf.live.service import WAITS_S, Health
-from hygrokf.live.sources.stream import Reach, SourceState
+from hygrokf.live.service import WAITS_S, Health, Service
 from hygrokf.live.turbines import SOURCE
 from hygrokf.live.web.page_settings import NEEDED, PageFault
 from hygrokf.live.web.views import View
@@ -31,28 +29,20 @@ if TYPE_CHECKING:
 SOURCE_STATES = ("connected", "waiting", "lost", "ended", "stopped", "idle")
 
 
-@dataclass(frozen=True)
-class Snapshot:
-    """What is measured at one instant.
+def exposition(
+    service: Service,
+    clients: int,
+    fleet: Sequence[View] | None,
+    alarms: Sequence[Alarm],
+    counters: Mapping[tuple[str, str], int],
+    notices: Mapping[str, int],
+) -> tuple[bytes, str]:
+    """The metrics as text, and its media type.  Raises PageFault if prometheus_client is missing.
 
-    `now` [s]; `clients`: number of pages that are notified of changes; `fleet`: rows of `fleet_view`, None if
-    the store cannot be reached; `alarms` that are open; `counters`: (turbine, kind) → count;
-    `notices`: channel → notices that are not sent yet; `reaches` of the sources.
+    clients: number of pages that are notified of changes.  fleet: rows of `fleet_view`, None if the store
+    cannot be reached.  alarms: that are open.  counters: (turbine, kind) → count.  notices: channel → notices
+    that are not sent yet.
     """
-
-    now: float
-    health: Health
-    sources: Mapping[str, SourceState]
-    clients: int
-    fleet: Sequence[View] | None
-    alarms: Sequence[Alarm]
-    counters: Mapping[tuple[str, str], int]
-    notices: Mapping[str, int] = field(default_factory=dict)
-    reaches: Mapping[str, Reach] = field(default_factory=dict)
-
-
-def exposition(found: Snapshot) -> tuple[bytes, str]:
-    """The metrics as text, and its media type.  Raises PageFault if prometheus_client is missing."""
     try:
         from prometheus_client import CollectorRegistry, ProcessCollector
     except ImportError:
@@ -61,11 +51,12 @@ def exposition(found: Snapshot) -> tuple[bytes, str]:
 
     class Now:
         def collect(self) -> Iterator[Metric]:
-            yield from _tracker(found)
-            yield from _sources(found)
-            yield from _set_aside(found.counters)
-            yield from _turbines(found)
-            waiting = [((channel,), count) for channel, count in found.notices.items()]
+            yield from _tracker(service.health, fleet is not None, clients)
+            yield from _sources(service)
+            yield from _set_aside(counters)
+            yield from _turbines(service.now, fleet or ())
+            yield _open_alarms([] if fleet is None else [SOURCE, *(row["turbine"] for row in fleet)], alarms)
+            waiting = [((channel,), count) for channel, count in notices.items()]
             words = "Notices of alarms that are not sent yet"
             yield _gauge("hygrokf_notices_waiting", words, waiting, ("channel",))
 
@@ -87,10 +78,9 @@ def _gauge(
     return made
 
 
-def _tracker(found: Snapshot) -> Iterator[Metric]:
+def _tracker(health: Health, store_reached: bool, clients: int) -> Iterator[Metric]:
     from prometheus_client.core import CounterMetricFamily, HistogramMetricFamily
 
-    health = found.health
     build = [((__version__, platform.python_version()), 1)]
     words = "1, with the version of the tracker and of Python"
     yield _gauge("hygrokf_build_info", words, build, ("version", "python"))
@@ -105,23 +95,24 @@ def _tracker(found: Snapshot) -> Iterator[Metric]:
     )
     age = [((), time.time() - health.committed_s)] if health.committed_s else []
     yield _gauge("hygrokf_last_commit_age_seconds", "Time since the last commit", age)
-    reached = int(found.fleet is not None and not health.store)
+    reached = int(store_reached and not health.store)
     yield _gauge("hygrokf_store_reached", "1 if tracker and page reach the store", [((), reached)])
-    yield _gauge("hygrokf_page_clients", "Pages that are notified of changes", [((), found.clients)])
+    yield _gauge("hygrokf_page_clients", "Pages that are notified of changes", [((), clients)])
 
 
-def _sources(found: Snapshot) -> Iterator[Metric]:
+def _sources(service: Service) -> Iterator[Metric]:
     yield _gauge(
         "hygrokf_source_state",
         "1 for the state that a source is in",
         (
             ((url, one), int(one == word))
-            for url, (word, _) in found.sources.items()
+            for url, stream in service.streams.items()
+            for word in (stream.state.word,)
             for one in dict.fromkeys((*SOURCE_STATES, word))
         ),
         ("source", "state"),
     )
-    times = [(url, found.health.sources[url]) for url in found.sources if url in found.health.sources]
+    times = [(url, one) for url, one in service.health.sources.items() if url in service.streams]
     yield _gauge(
         "hygrokf_source_last_message_timestamp_seconds",
         "When a source last delivered something, since 1970",
@@ -137,7 +128,7 @@ def _sources(found: Snapshot) -> Iterator[Metric]:
     yield _gauge(
         "hygrokf_source_not_reached_ratio",
         "Time that a source has not been reached, as a multiple of its limit",
-        (((url,), reach.share(found.now)) for url, reach in found.reaches.items()),
+        (((url,), reach.share(service.now)) for url, reach in service.reaches().items()),
         ("source",),
     )
 
@@ -156,13 +147,12 @@ def _set_aside(counters: Mapping[tuple[str, str], int]) -> Iterator[Metric]:
     yield from (refused, aside)
 
 
-def _turbines(found: Snapshot) -> Iterator[Metric]:
-    fleet = found.fleet or ()
+def _turbines(now: float, fleet: Sequence[View]) -> Iterator[Metric]:
     for name, words, numbers in (
         (
             "hygrokf_heard_age_seconds",
             "Time since a turbine was last heard",
-            [None if row["heard"] is None else found.now - row["heard"] for row in fleet],
+            [None if row["heard"] is None else now - row["heard"] for row in fleet],
         ),
         (
             "hygrokf_condensation_probability",
@@ -183,22 +173,20 @@ def _turbines(found: Snapshot) -> Iterator[Metric]:
         (((row["turbine"], one), int(one == row["state"])) for row in fleet for one in TURBINE_STATES),
         ("turbine", "state"),
     )
-    yield _open_alarms(found)
 
 
-def _open_alarms(found: Snapshot) -> Metric:
+def _open_alarms(names: Sequence[str], alarms: Sequence[Alarm]) -> Metric:
     """Open alarms of every turbine and kind, zeros included, so that a rule sees an alarm begin and end.
 
     Alarms that belong to no turbine have an empty label `turbine`.
     """
     counts: Counter[tuple[str, str, str]] = Counter()
-    names = [SOURCE, *(row["turbine"] for row in found.fleet or ())]
-    for name in names if found.fleet is not None else ():
+    for name in names:
         for rule in RULES.values():
             if (name == SOURCE and rule in (LOST, CLOCK)) or (name != SOURCE and rule != LOST):
                 counts[name, rule.kind, rule.severity] = 0
                 if math.isfinite(rule.severe):
                     counts[name, rule.kind, "alarm"] = 0
-    counts.update((one.turbine, one.kind, one.severity) for one in found.alarms if one.turbine in names)
+    counts.update((one.turbine, one.kind, one.severity) for one in alarms if one.turbine in names)
     labels = ("turbine", "kind", "severity")
     return _gauge("hygrokf_open_alarms", "Open alarms", sorted(counts.items()), labels)

@@ -28,18 +28,20 @@ def signal_rows(
     there = store.signals(name)
     used = {signal: "required" if one.required else "used" for one in needs for signal in one.signals}
     missing = [one.signals[0] for one in needs if not set(one.signals) & set(there)]
-    for signal in (*missing, *there):
-        row, last, value, received, count = SIGNALS.get(signal), None, None, None, 0
-        if signal in there:
-            ((last, value, received),) = store.rows(
-                "SELECT time, value, received FROM observation WHERE turbine = ? AND signal = ? ORDER BY "
+    for signal in sorted({*missing, *there}):
+        row, newest = (
+            SIGNALS.get(signal),
+            store.rows(
+                "SELECT value, time, received FROM observation WHERE turbine = ? AND signal = ? ORDER BY "
                 "time DESC LIMIT 1",
                 (name, signal),
-            )
-            ((count,),) = store.rows(
-                "SELECT COUNT(*) FROM observation WHERE turbine = ? AND signal = ? AND time >= ?",
-                (name, signal, now - DAY_S),
-            )
+            ),
+        )
+        value, last, received = newest[0] if newest else (None, None, None)
+        ((count,),) = store.rows(
+            "SELECT COUNT(*) FROM observation WHERE turbine = ? AND signal = ? AND time >= ?",
+            (name, signal, now - DAY_S),
+        )
         found.append(
             {
                 "signal": signal,
@@ -52,4 +54,4 @@ def signal_rows(
                 "contradicts": any(f":{CONTRADICTS.kind} {signal}:" in one.id for one in open_),
             }
         )
-    return sorted(found, key=lambda one: one["signal"])
+    return found

@@ -6,8 +6,7 @@ import logging
 import math
 import uuid
 from collections.abc import Callable, Collection, Mapping
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from hygrokf.data.structured import Json
 from hygrokf.data.timestamps import DAY_S, HOUR_S
@@ -50,29 +49,19 @@ class StatementFault(HygrokfError):
 
 
 # -- reading -------------------------------------------------------------------------------------------------
-@dataclass(frozen=True)
-class Acknowledgement:
-    """A person's acknowledgement of the alarm with an `id`; `days` until it is looked at again, or None."""
-
-    id: str
-    by: str
-    cause: str
-    note: str
-    days: float | None
-
-
-def acknowledgement_of(given: Mapping[str, Json]) -> Acknowledgement:
-    """The acknowledgement in a posted object.  Raises StatementFault."""
+def acknowledgement_of(given: Mapping[str, Json], now: float) -> dict[str, Any]:
+    """The acknowledgement in a posted object, as arguments of `acknowledge`.  Raises StatementFault."""
     alarm, cause = given.get("id"), given.get("cause", "unexplained")
     if not isinstance(alarm, str) or not 0 < len(alarm) <= LONGEST_ID or not alarm.isprintable():
         raise StatementFault("expected the id of an alarm")
     cause = _chosen(cause, CAUSES, f"expected a cause of {', '.join(CAUSES)}")
-    days = None
+    later = None
     if cause == LOOK_AGAIN:
-        days = _days(given, MOST_LATER_DAYS)
+        later = now + DAY_S * _days(given, MOST_LATER_DAYS)
     elif given.get("days") is not None:
         raise StatementFault(f'days belong to the cause "{LOOK_AGAIN}" alone')
-    return Acknowledgement(alarm, _name(given), cause, _note(given), days)
+    note = _note(given)
+    return {"alarm": alarm, "by": _name(given), "cause": cause, "note": note, "look_again_s": later}
 
 
 def shelf_of(given: Mapping[str, Json], turbines: Collection[str], now: float) -> Shelf:
@@ -162,19 +151,14 @@ class Statements:
         ]
 
     async def acknowledge(self, request: Request) -> Response:
-        stated = acknowledgement_of(await posted_json(request))
-        now = self.service.now
-        later = None if stated.days is None else now + DAY_S * stated.days
-        done = await self._write(
-            lambda store: acknowledge(
-                store, stated.id, stated.by, now, stated.cause, stated.note, later, self.service.channels
-            )
-        )
+        now, channels = self.service.now, self.service.channels
+        stated = acknowledgement_of(await posted_json(request), now)
+        done = await self._write(lambda store: acknowledge(store, now=now, channels=channels, **stated))
         if done is None:
             return refusal(409, "there is no such alarm, or it is already acknowledged")
         LOG.info(
             "an alarm was acknowledged",
-            extra={"alarm": stated.id, "by": stated.by, "cause": stated.cause},
+            extra={name: stated[name] for name in ("alarm", "by", "cause")},
         )
         self.hub.changed({done} - {SOURCE})
         return reply({"turbine": done})

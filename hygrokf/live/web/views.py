@@ -13,14 +13,13 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from hygrokf.data.structured import structured
 from hygrokf.data.timestamps import HOUR_S
 from hygrokf.identification.verdict_terms import MARKS, PARAMETER_OF, VERDICTS, Inherited
 from hygrokf.live.alarms import CHANGED
 from hygrokf.live.assessment import NOT_ASSESSED
 from hygrokf.live.batch import CAUSES, STATES, Alarm, Assessment
 from hygrokf.live.condition import QUANTITIES, Z95, Quantity, probability_above
-from hygrokf.live.forecast import LIMIT, ForecastMade
+from hygrokf.live.forecast import LIMIT
 from hygrokf.live.plan import Need
 from hygrokf.live.properties import WATCHED
 from hygrokf.live.service import Health
@@ -189,7 +188,7 @@ def turbine_view(
             }
     time, chances = [row[-3] for row in found], [row[-1] for row in found]
     forecast = _forecast(store, name)
-    limit = LIMIT if forecast is None or forecast["limit"] is None else forecast["limit"]
+    limit = LIMIT if forecast is None else forecast["limit"]
     alarms = alarms_view(store, name, since)
     return {
         "turbine": name,
@@ -255,25 +254,21 @@ def _courses(rows: Sequence[Row]) -> View:
 
 
 def _forecast(store: Store, name: str) -> View | None:
-    """A turbine's newest forecast, from the state at `made` [s] on, and the advice for a restart; None before
-    the first one.  `weather` describes the scenarios, or says why the courses are empty."""
-    memory = store.memory(name, "forecast")
-    if not memory:
+    """A turbine's newest forecast: what the store keeps of it (`ForecastMade`), and its courses; None before
+    the first one."""
+    made = store.memory(name, "forecast")
+    if not isinstance(made, dict):
         return None
-    made = structured(ForecastMade, memory)
     rows = store.rows(
         f"SELECT {_COLUMNS}, time, condensation, above_limit FROM forecast WHERE turbine = ? ORDER BY time",
         (name,),
     )
     return {
-        "made": made.made,
-        "weather": made.weather,
-        "limit": made.limit,
+        **made,
         "time": [row[-3] for row in rows],
         "condensation": [row[-2] for row in rows],
         "above_limit": [row[-1] for row in rows],
         "courses": _courses(rows),
-        "advice": store.memory(name, "advice"),
     }
 
 
