@@ -5,8 +5,7 @@ vectors.
 runs, (blocks, width, RUNS); the data of a step are stored in columns, (width, runs).  Every load thus takes
 one number of each run in a block.  Values that depend on the parameters and on the length of a step only are
 kept between steps and recomputed for blocks that are marked as changed.  Lanes differ in their number of
-sub-steps and in the readings they have: all lanes compute, and lanes that a result does not concern keep
-their previous value.
+sub-steps: all lanes compute, and lanes that a result does not concern keep their previous value.
 """
 
 from __future__ import annotations
@@ -31,12 +30,11 @@ from hygrokf.physics.holds import LINEAR, PREVIOUS
 
 VECTOR, TRUTHS, LONGS = vector(RUNS), vector(RUNS, TRUTH), vector(RUNS, "i64")
 ARGUMENTS = [("i64", "blocks")] + [
-    ("ptr", name)
-    for name in ("theta", "keys", "parts", "most", "changed", "known", "before", "now", "y", "state")
+    ("ptr", name) for name in ("theta", "keys", "parts", "most", "changed", "known", "before", "now", "state")
 ]
-"""In columns: key leaves, sub-steps of each run, inputs before and now,
-readings.  In blocks: parameters, values kept between steps, moments.  Per block: the largest number of
-sub-steps, and whether its parameters or keys have changed.
+"""In columns: key leaves, sub-steps of each run, inputs before and now.  In blocks: parameters, values kept
+between steps, moments.  Per block: the largest number of sub-steps, and whether its parameters or keys have
+changed.
 """
 
 
@@ -70,7 +68,6 @@ class _Emission:
             for c, slot in enumerate(slots.values()):
                 w.store(VECTOR, self._load("state", block, len(slots), c), slot)
             self._predict(slots, block)
-            self._correct(slots, block)
             for c, slot in enumerate(slots.values()):
                 place = w.integer("add", w.integer("mul", block, len(slots)), c)
                 w.store(VECTOR, w.load(VECTOR, slot), w.at(VECTOR, "%state", place))
@@ -214,17 +211,3 @@ class _Emission:
                 result[r.start[name].index] = at[0]
                 result[r.end[name].index] = self._where(whole, now, at[1])
         return result
-
-    def _correct(self, slots: dict[int, str], block: str) -> None:
-        r, w = self.recursion, self.writer
-        now = {r.now[name].index: self._column("now", block, c) for c, name in enumerate(r.varying)}
-        for c, update in enumerate(r.updates):
-            y = self._column("y", block, c)
-            there = w.value(f"fcmp ord {VECTOR} {y}, zeroinitializer")
-            bits = w.value(f"bitcast {TRUTHS} {there} to i{RUNS}")
-            with w.when(w.value(f"icmp ne i{RUNS} {bits}, 0")):
-                old = {i: w.load(VECTOR, slot) for i, slot in slots.items()}
-                leaves = old | self._known(block) | now | {r.reading.index: y}
-                made = self._values(update[: len(slots)], leaves)
-                for (i, slot), value in zip(slots.items(), made, strict=True):
-                    w.store(VECTOR, self._where(there, value, old[i]), slot)
