@@ -30,7 +30,7 @@ from hygrokf.estimation.optimiser import (
 from hygrokf.estimation.output_error import OutputError, fit_output_error
 from hygrokf.estimation.profile_likelihood import profile
 from hygrokf.estimation.smoother import smoothed_states
-from hygrokf.evaluation.simulation import air_temperature, project, settled
+from hygrokf.evaluation.simulation import project, settled
 from hygrokf.identification.clock_offsets import NO_OFFSETS, ClockOffsets, clock_offsets
 from hygrokf.identification.forms import ADOPTED, Form, ended_at_limits, weigh_forms
 from hygrokf.identification.needed_inputs import WithoutInput, without_input
@@ -204,7 +204,7 @@ def smoothed_temperature(
     """
     t = run.timeline
     mean, _ = smoothed_states(Likelihood(base.model, t), values, covariance=False)
-    air, _ = project(base.model, t, values, mean, None, air_temperature)
+    air, _ = project(base.model, t, values, mean, None, "cabinet_air_temperature")
     seconds = t.seconds
     raw = early["cabinet_temperature"]
     moist = early[humidity]
