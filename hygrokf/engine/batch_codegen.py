@@ -89,10 +89,8 @@ class _Emission:
     def _parameters_and_keys(self, block: str) -> dict[int, str]:
         r = self.recursion
         leaves = [e.index for e in (*r.p.values(), *r.given)]
-        return self._row("theta", block, leaves) | self._keys(block)
-
-    def _keys(self, block: str) -> dict[int, str]:
-        return {e.index: self._column("keys", block, c) for c, e in enumerate(self.recursion.key_leaves)}
+        keys = {e.index: self._column("keys", block, c) for c, e in enumerate(r.key_leaves)}
+        return self._row("theta", block, leaves) | keys
 
     def _keep(self, block: str) -> None:
         r, w = self.recursion, self.writer
@@ -163,9 +161,6 @@ class _Emission:
         power = w.value(f"select {TRUTHS} {possible}, {LONGS} {power}, {LONGS} zeroinitializer")
         return power, w.value(f"call i64 @llvm.vector.reduce.smax.v{RUNS}i64({LONGS} {power})")
 
-    def _known(self, block: str) -> dict[int, str]:
-        return self._parameters_and_keys(block) | self._row("known", block, kept_nodes(self.recursion))
-
     def _values(self, outputs: list[Expression], leaves: dict[int, str]) -> list[str]:
         w = self.writer
         made = w.block(self.recursion.graph, outputs, leaves, list(leaves))
@@ -179,7 +174,8 @@ class _Emission:
             here = w.splat(w.value(f"sitofp i64 {j} to double"))
             still = w.value(f"fcmp olt {VECTOR} {here}, {parts}")
             old = {i: w.load(VECTOR, slot) for i, slot in slots.items()}
-            leaves = old | self._known(block) | self._inputs_within(block, here, parts)
+            leaves = old | self._parameters_and_keys(block) | self._row("known", block, kept_nodes(r))
+            leaves |= self._inputs_within(block, here, parts)
             if not r.exact:
                 leaves |= self._matrices(leaves, SHARE)
             made = self._values(r.predict, leaves)

@@ -409,38 +409,26 @@ class Likelihood:
             state = state.copy()
             self._run(values, steps, part, state)
             states.append(state)
-        sums, theta_bar, state_bar = [], np.zeros(len(self.recursion.p)), np.zeros(len(state))
+        sums: list[np.ndarray] = []
+        r, theta_bar, state_bar = self.recursion, np.zeros(len(self.recursion.p)), np.zeros(len(state))
+        keys = max(1, len(steps.keys) * len(r.key_nodes))
+        most = max(int(np.diff(steps.offset).max(initial=1)), len(r.updates)) + 1
+        buffer, levels = np.empty((most, len(state))), np.empty(level_room(r))
         for part, state in zip(reversed(pieces), reversed(states), strict=True):
             entered = self._widened(part.start, state).copy()
-            share, slopes = self._pulled_back(values, steps, part, entered, state_bar)
-            sums.append(share)
-            theta_bar = theta_bar + slopes
+            own = np.zeros_like(theta_bar)
+            sums.append(self._sums())
+            self._loop(
+                "adjoint", values, steps, entered, part, sums[-1], self._store, np.zeros(keys), own,
+                state_bar, buffer, levels,
+            )  # fmt: skip
+            theta_bar = theta_bar + own
             if part.start in self._gaps:
                 state_bar = self._widening(part.start, state) @ state_bar
         loglik = self._loglik(sums)
         if math.isnan(loglik):
             return self._in_factors.score(values)
         return loglik, theta_bar + first_slopes @ state_bar
-
-    def _pulled_back(
-        self,
-        values: Mapping[str, float],
-        steps: SubSteps,
-        part: slice,
-        state: np.ndarray,
-        state_bar: np.ndarray,
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Sums of a piece, and its derivatives (d,); moves `state_bar` back through it, in place."""
-        r = self.recursion
-        width = len(state)
-        out, theta_bar, store = self._sums(), np.zeros(len(r.p)), self._store
-        key_bar = np.zeros(max(1, len(steps.keys) * len(r.key_nodes)))
-        most = max(int(np.diff(steps.offset).max(initial=1)), len(r.updates)) + 1
-        buffer, levels = np.empty((most, width)), np.empty(level_room(r))
-        self._loop(
-            "adjoint", values, steps, state, part, out, store, key_bar, theta_bar, state_bar, buffer, levels
-        )
-        return out, theta_bar
 
     # where the filter breaks down and the value is −∞, these sums are not finite either
     @np.errstate(invalid="ignore")

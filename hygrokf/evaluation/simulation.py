@@ -134,9 +134,13 @@ def expected_readings(
     found = {
         name: (trace.prediction[:, i], np.sqrt(trace.variance[:, i])) for i, name in enumerate(model.outputs)
     }
-    return found | {
-        name: _between_means(model, t, values, trace, name, found[name]) for name in model.averaged
-    }
+    mean, covariance = trace.prior_mean, trace.prior_covariance
+    for name, interval in model.averaged.items():  # at instants without a mean the reading of an instant
+        rate, variance = project(model, t, values, mean, covariance, f"mean_{name}")
+        sd = np.sqrt(np.maximum(variance, 0.0) * interval**2 + _noise(model, t, values, name) ** 2)
+        read = np.isfinite(t.reading(name))
+        found[name] = np.where(read, found[name][0], rate * interval), np.where(read, found[name][1], sd)
+    return found
 
 
 def predicted_readings(design: Design, values: Mapping[str, float], run: Run, trace: Trace) -> Prediction:
@@ -164,23 +168,6 @@ def predicted_readings(design: Design, values: Mapping[str, float], run: Run, tr
         vapour = ratio * np.sqrt(np.maximum(trace.prior_covariance[:, state, state], 0.0))
         absolute = (value, np.sqrt(vapour**2 + by_humidity**2 + by_temperature**2))
     return Prediction(temperature, relative, absolute)
-
-
-def _between_means(
-    model: Model,
-    t: Timeline,
-    values: Mapping[str, float],
-    trace: Trace,
-    name: str,
-    pair: tuple[np.ndarray, np.ndarray],
-) -> tuple[np.ndarray, np.ndarray]:
-    """The reading of an interval mean at the instants that have one; at other instants the reading of an
-    instant."""
-    interval, mean, covariance = model.averaged[name], trace.prior_mean, trace.prior_covariance
-    rate, variance = project(model, t, values, mean, covariance, f"mean_{name}")
-    sd = np.sqrt(np.maximum(variance, 0.0) * interval**2 + _noise(model, t, values, name) ** 2)
-    read = np.isfinite(t.reading(name))
-    return np.where(read, pair[0], rate * interval), np.where(read, pair[1], sd)
 
 
 def _noise(model: Model, t: Timeline, values: Mapping[str, float], output: str) -> float:

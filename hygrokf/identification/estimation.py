@@ -226,7 +226,10 @@ def output_errors(early: Record, base: Design, values: Mapping[str, float]) -> d
             priors={},  # priors from other turbines have no place in this criterion
         )
     if base.humidity is not None and "cabinet_temperature" in early:
-        fitted["hygric_k"] = _with_sensors_of(base, design(early, kind=CASCADE, coloured=False))
+        plain = design(early, kind=CASCADE, coloured=False)
+        own = {name: settings for name, settings in base.mechanisms if name.endswith("humidity_sensor")}
+        made = tuple((name, own.get(name, settings)) for name, settings in plain.mechanisms)
+        fitted["hygric_k"] = replace(plain, mechanisms=made)
 
     def free_run(one: Design) -> OutputError:
         start = {p.name: values.get(p.name, p.start) for p in one.model.parameters}
@@ -245,11 +248,3 @@ _THERMAL_PLAIN = (
     "temperature_sensor",
     *(thermal for thermal, _ in ACTUATORS.values() if thermal is not None),
 )
-
-
-def _with_sensors_of(base: Design, other: Design) -> Design:
-    """The other design with the sensors of the base, including their response."""
-    sensors = {name: settings for name, settings in base.mechanisms if name.endswith("humidity_sensor")}
-    return replace(
-        other, mechanisms=tuple((name, sensors.get(name, settings)) for name, settings in other.mechanisms)
-    )
