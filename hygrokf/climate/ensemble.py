@@ -30,7 +30,6 @@ import numpy as np
 
 from hygrokf.data.record import Record
 from hygrokf.estimation.batch_filter import SideBySide
-from hygrokf.estimation.likelihood import Gaussian
 from hygrokf.evaluation.self_switching import Switchboard, cut, switches_of
 from hygrokf.identification.fit import Fit
 from hygrokf.modelling.design import read_as
@@ -308,13 +307,10 @@ def shots_of(fit: Fit, record: Record) -> tuple[Shots, ...]:
     """The shots of a fit's disturbances, under inputs that are typical of a record."""
     t, model = course(fit, record).timeline, read_as(fit.design, record).model
     inputs = {name: _typical(t.input(name), name in t.regimes) for name in model.inputs}
-    first = Gaussian(
-        np.array(model.initial(fit.values, inputs)[0], dtype=float), np.zeros((len(model.states),) * 2)
-    )
-    runs = SideBySide(model, [fit.values], [first], STEP_TOLERANCE)
-    walk = _EnsembleWalk(
-        runs, {name: np.full(2, value) for name, value in inputs.items()}, np.array([0.0, STEP_H]), None
-    )
+    first = np.array([model.initial(fit.values, inputs)[0]], dtype=float)
+    still = {name: np.full(2, value) for name, value in inputs.items()}
+    runs = SideBySide(model, [fit.values], STEP_TOLERANCE)
+    walk = _EnsembleWalk(runs, first, still, np.array([0.0, STEP_H]), None)
     walk.through(range(1))
     for _ in range(int(SPIN_UP_H / STEP_H)):
         walk.through(range(1, 2), jump=False)
@@ -362,12 +358,14 @@ def simulate_years(
         mean, variance = (np.array(part, dtype=float) for part in model.initial(values, first))
         kick = random.standard_normal(n) if process else np.zeros(n)
         begin = mean + np.sqrt(variance) * kick
-        starts.append(Gaussian(np.where(model.amounts, np.maximum(begin, 0.0), begin), np.zeros((n, n))))
-    runs = SideBySide(model, members, starts, STEP_TOLERANCE)
+        starts.append(np.where(model.amounts, np.maximum(begin, 0.0), begin))
+    runs = SideBySide(model, members, STEP_TOLERANCE)
     spread = {p.name: np.array([one[p.name] for one in members]) for p in model.parameters}
     off = {name: np.zeros(len(members)) for name in switches}
     board = Switchboard(model, spread, switches, off) if switches else None
-    walk = _EnsembleWalk(runs, inputs, t.time, random if process else None, rare, board, ~made.operating)
+    walk = _EnsembleWalk(
+        runs, np.array(starts), inputs, t.time, random if process else None, rare, board, ~made.operating
+    )
     again = int(np.searchsorted(t.time, t.time[0] + SPIN_UP_H, side="right"))
     walk.through(range(min(again, len(t.time))))
     at = 0
@@ -413,6 +411,7 @@ class _EnsembleWalk:
     def __init__(
         self,
         runs: SideBySide,
+        state: np.ndarray,
         inputs: Mapping[str, np.ndarray],
         time_h: np.ndarray,
         random: np.random.Generator | None,
@@ -423,7 +422,7 @@ class _EnsembleWalk:
         self.runs, self.inputs, self.time_h, self.random = runs, inputs, time_h, random
         self.board, self.idle = board, np.zeros(len(time_h), bool) if idle is None else idle
         self.rare = [one for one in rare if one.every_h > 0.0 and one.states.any()]
-        self.state = runs.mean
+        self.state = state
         self._amounts = np.array(runs.model.amounts)
         self._kicks = np.empty((0, *self.state.shape))
         self._at = 0
@@ -453,13 +452,10 @@ class _EnsembleWalk:
         return {} if self.board is None else self.board.flags
 
     def _step(self, step_h: float, inputs: Mapping[str, Value]) -> None:
-        self.runs.step(step_h, inputs)
-        mean = self.runs.mean
+        self.state, gained = self.runs.step(self.state, step_h, inputs)
         if self.random is not None:
-            mean = mean + _drawn(self.runs.covariance, self._kick(step_h))
-            mean[:, self._amounts] = np.maximum(mean[:, self._amounts], 0.0)
-        self.runs.settle(mean)
-        self.state = mean
+            self.state = self.state + _drawn(gained, self._kick(step_h))
+            self.state[:, self._amounts] = np.maximum(self.state[:, self._amounts], 0.0)
 
     def _kick(self, step_h: float) -> np.ndarray:
         assert self.random is not None, "a walk without chance has no kicks"

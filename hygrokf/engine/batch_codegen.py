@@ -5,8 +5,7 @@ vectors.
 runs, (blocks, width, RUNS); the data of a step are stored in columns, (width, runs).  Every load thus takes
 one number of each run in a block.  Values that depend on the parameters and on the length of a step only are
 kept between steps and recomputed for blocks that are marked as changed.  Lanes differ in their number of
-sub-steps and in the readings they have: all lanes compute, and lanes that a result does not concern keep
-their previous value.
+sub-steps: all lanes compute, and lanes that a result does not concern keep their previous value.
 """
 
 from __future__ import annotations
@@ -31,12 +30,11 @@ from hygrokf.physics.holds import LINEAR, PREVIOUS
 
 VECTOR, TRUTHS, LONGS = vector(RUNS), vector(RUNS, TRUTH), vector(RUNS, "i64")
 ARGUMENTS = [("i64", "blocks")] + [
-    ("ptr", name)
-    for name in ("theta", "keys", "parts", "most", "changed", "known", "before", "now", "y", "state")
+    ("ptr", name) for name in ("theta", "keys", "parts", "most", "changed", "known", "before", "now", "state")
 ]
-"""In columns: key leaves, sub-steps of each run, inputs before and now,
-readings.  In blocks: parameters, values kept between steps, moments.  Per block: the largest number of
-sub-steps, and whether its parameters or keys have changed.
+"""In columns: key leaves, sub-steps of each run, inputs before and now.  In blocks: parameters, values kept
+between steps, moments.  Per block: the largest number of sub-steps, and whether its parameters or keys have
+changed.
 """
 
 
@@ -70,7 +68,6 @@ class _Emission:
             for c, slot in enumerate(slots.values()):
                 w.store(VECTOR, self._load("state", block, len(slots), c), slot)
             self._predict(slots, block)
-            self._correct(slots, block)
             for c, slot in enumerate(slots.values()):
                 place = w.integer("add", w.integer("mul", block, len(slots)), c)
                 w.store(VECTOR, w.load(VECTOR, slot), w.at(VECTOR, "%state", place))
@@ -92,10 +89,8 @@ class _Emission:
     def _parameters_and_keys(self, block: str) -> dict[int, str]:
         r = self.recursion
         leaves = [e.index for e in (*r.p.values(), *r.given)]
-        return self._row("theta", block, leaves) | self._keys(block)
-
-    def _keys(self, block: str) -> dict[int, str]:
-        return {e.index: self._column("keys", block, c) for c, e in enumerate(self.recursion.key_leaves)}
+        keys = {e.index: self._column("keys", block, c) for c, e in enumerate(r.key_leaves)}
+        return self._row("theta", block, leaves) | keys
 
     def _keep(self, block: str) -> None:
         r, w = self.recursion, self.writer
@@ -166,9 +161,6 @@ class _Emission:
         power = w.value(f"select {TRUTHS} {possible}, {LONGS} {power}, {LONGS} zeroinitializer")
         return power, w.value(f"call i64 @llvm.vector.reduce.smax.v{RUNS}i64({LONGS} {power})")
 
-    def _known(self, block: str) -> dict[int, str]:
-        return self._parameters_and_keys(block) | self._row("known", block, kept_nodes(self.recursion))
-
     def _values(self, outputs: list[Expression], leaves: dict[int, str]) -> list[str]:
         w = self.writer
         made = w.block(self.recursion.graph, outputs, leaves, list(leaves))
@@ -182,7 +174,8 @@ class _Emission:
             here = w.splat(w.value(f"sitofp i64 {j} to double"))
             still = w.value(f"fcmp olt {VECTOR} {here}, {parts}")
             old = {i: w.load(VECTOR, slot) for i, slot in slots.items()}
-            leaves = old | self._known(block) | self._inputs_within(block, here, parts)
+            leaves = old | self._parameters_and_keys(block) | self._row("known", block, kept_nodes(r))
+            leaves |= self._inputs_within(block, here, parts)
             if not r.exact:
                 leaves |= self._matrices(leaves, SHARE)
             made = self._values(r.predict, leaves)
@@ -214,17 +207,3 @@ class _Emission:
                 result[r.start[name].index] = at[0]
                 result[r.end[name].index] = self._where(whole, now, at[1])
         return result
-
-    def _correct(self, slots: dict[int, str], block: str) -> None:
-        r, w = self.recursion, self.writer
-        now = {r.now[name].index: self._column("now", block, c) for c, name in enumerate(r.varying)}
-        for c, update in enumerate(r.updates):
-            y = self._column("y", block, c)
-            there = w.value(f"fcmp ord {VECTOR} {y}, zeroinitializer")
-            bits = w.value(f"bitcast {TRUTHS} {there} to i{RUNS}")
-            with w.when(w.value(f"icmp ne i{RUNS} {bits}, 0")):
-                old = {i: w.load(VECTOR, slot) for i, slot in slots.items()}
-                leaves = old | self._known(block) | now | {r.reading.index: y}
-                made = self._values(update[: len(slots)], leaves)
-                for (i, slot), value in zip(slots.items(), made, strict=True):
-                    w.store(VECTOR, self._where(there, value, old[i]), slot)

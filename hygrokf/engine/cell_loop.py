@@ -113,7 +113,8 @@ class TracedCell:
             ]
             self._stage(model.vapour, state, *warm)
         self.after = [state[name] for name in model.states]
-        self.readings = self._readings(state, end)
+        shown = self._shown(state, end)
+        self.readings = [g.lift(shown[name]) for name in model.outputs]
 
     def _positions(self) -> dict[str, Expression]:
         """What the controllers do in the cell."""
@@ -185,10 +186,6 @@ class TracedCell:
             made = model.evaluate([state[name] for name in model.states], given, self.values).outputs
             found |= {name: value for name, (value, _) in made.items()}
         return found
-
-    def _readings(self, state: Mapping[str, Value], inputs: Mapping[str, Value]) -> list[Expression]:
-        shown = self._shown(state, inputs)
-        return [self.graph.lift(shown[name]) for name in self.model.outputs]
 
 
 def _phi(z: Value) -> tuple[Value, Value]:

@@ -18,22 +18,10 @@ from hygrokf.engine.step_codegen import Names, Stages, Symbols, seed
 from hygrokf.engine.traced_filter import INSTANT, KEY, Block, Recursion
 from hygrokf.physics.expression import Expression, forward, reverse
 
-COMMON = [
-    ("i64", "count"),
-    ("i64", "nkeys"),
-    ("ptr", "theta"),
-    ("ptr", "keys"),
-    ("ptr", "nsub"),
-    ("ptr", "table"),
-    ("ptr", "key"),
-    ("ptr", "offset"),
-    ("ptr", "row"),
-    ("ptr", "within"),
-    ("ptr", "u"),
-    ("ptr", "y"),
-    ("ptr", "reset"),
-    ("ptr", "state"),
-    ("ptr", "first"),
+COMMON = [("i64", "count"), ("i64", "nkeys")]
+COMMON += [
+    ("ptr", name)
+    for name in "theta keys nsub table key offset row within u y reset state first".split()
 ]
 """Instants and keys; parameters, key leaves, doublings and workspace of the keys; key of every instant, first
 of its sub-steps, and key and fractions of the step (S, 2) of every sub-step; inputs, readings and resets of

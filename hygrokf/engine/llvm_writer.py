@@ -127,32 +127,27 @@ class Writer:
     def loop(self, count: str, *, backwards: bool = False) -> Iterator[str]:
         """for i in range(count) (or reversed): yields the counter's value."""
         counter = self.slot("i64", "0")
-        head, body, done = (self._label(x) for x in ("head", "body", "done"))
-        self.line(f"br label %{head}")
-        self._lines.append(f"{head}:")
-        i = self.load("i64", counter)
-        test = self.value(f"icmp slt i64 {i}, {count}")
-        self.line(f"br i1 {test}, label %{body}, label %{done}")
-        self._lines.append(f"{body}:")
-        if backwards:
-            last = self.integer("sub", count, 1)
-            yield self.integer("sub", last, i)
-        else:
-            yield i
-        self.store("i64", self.integer("add", i, 1), counter)
-        self.line(f"br label %{head}")
-        self._lines.append(f"{done}:")
+        with self._repeated(counter, f"slt i64 {{}}, {count}") as i:
+            yield self.integer("sub", self.integer("sub", count, 1), i) if backwards else i
+            self.store("i64", self.integer("add", i, 1), counter)
 
     @contextmanager
     def during(self, going: str) -> Iterator[None]:
         """Repeat as long as the i64 in the slot `going` is not 0."""
+        with self._repeated(going, "ne i64 {}, 0"):
+            yield
+
+    @contextmanager
+    def _repeated(self, slot: str, comparison: str) -> Iterator[str]:
+        """Repeat as long as the i64 in a slot compares so: yields its value."""
         head, body, done = (self._label(x) for x in ("head", "body", "done"))
         self.line(f"br label %{head}")
         self._lines.append(f"{head}:")
-        test = self.value(f"icmp ne i64 {self.load('i64', going)}, 0")
+        value = self.load("i64", slot)
+        test = self.value(f"icmp {comparison.format(value)}")
         self.line(f"br i1 {test}, label %{body}, label %{done}")
         self._lines.append(f"{body}:")
-        yield
+        yield value
         self.line(f"br label %{head}")
         self._lines.append(f"{done}:")
 

@@ -6,7 +6,6 @@ Shapes: T instants, S sub-steps, K distinct sub-steps (rows of the key table).
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 
@@ -49,7 +48,7 @@ class Schedule:
 class SubSteps:
     """Sub-steps as the compiled loops take them: the K distinct ones `keys` (K, 1 + regimes) with their
     lengths [h] and `times` (K,) doubled; `key` (T,) of every instant; `offset` (T+1,), `row` (S,) among the
-    keys and `within` (S, 2) fractions of the step; `ends` the instants after the ends of gaps."""
+    keys and `within` (S, 2) fractions of the step."""
 
     keys: np.ndarray
     times: np.ndarray
@@ -57,12 +56,6 @@ class SubSteps:
     offset: np.ndarray
     row: np.ndarray
     within: np.ndarray
-    ends: tuple[int, ...]
-
-    def pieces(self, part: slice) -> list[slice]:
-        """Stretches of instants that the loops take in one call; every end of a gap begins a new one."""
-        inner = {k for k in self.ends if part.start < k < part.stop}
-        return [slice(a, b) for a, b in pairwise([part.start, *sorted(inner), part.stop])]
 
     def of(self, part: slice) -> SubSteps:
         """Those of some instants, with no more keys than these need."""
@@ -79,16 +72,16 @@ class SubSteps:
             place = place.astype(np.int32)
             key, row = place[: len(key)], np.ascontiguousarray(place[len(key) :])
             keys, times = keys[used], times[used]
-        return SubSteps(keys, times, np.ascontiguousarray(key), offset, row, np.ascontiguousarray(within), ())
+        return SubSteps(keys, times, np.ascontiguousarray(key), offset, row, np.ascontiguousarray(within))
 
 
-def whole_steps(t: Timeline, ends: tuple[int, ...]) -> SubSteps:
+def whole_steps(t: Timeline) -> SubSteps:
     """One exact step to every instant."""
     none = np.zeros(1, np.int32)
-    return SubSteps(t.steps, np.zeros(len(t.steps), np.int32), t.key, none, none[:0], np.zeros((0, 2)), ends)
+    return SubSteps(t.steps, np.zeros(len(t.steps), np.int32), t.key, none, none[:0], np.zeros((0, 2)))
 
 
-def sub_steps(t: Timeline, schedule: Schedule, ends: tuple[int, ...]) -> SubSteps:
+def sub_steps(t: Timeline, schedule: Schedule) -> SubSteps:
     """The sub-steps of a schedule."""
     count = np.diff(schedule.offset)
     owner = np.repeat(t.key, count).astype(np.int64)
@@ -102,7 +95,7 @@ def sub_steps(t: Timeline, schedule: Schedule, ends: tuple[int, ...]) -> SubStep
     keys[:, 0] *= 2.0 ** -(found // 1024 % 64).astype(float)
     within = np.column_stack([schedule.place * share, (schedule.place + 1) * share])
     row, key = np.ascontiguousarray(place[: len(kind)]), np.ascontiguousarray(place[len(kind) :])
-    return SubSteps(keys, (found % 1024).astype(np.int32), key, schedule.offset, row, within, ends)
+    return SubSteps(keys, (found % 1024).astype(np.int32), key, schedule.offset, row, within)
 
 
 @dataclass(frozen=True)

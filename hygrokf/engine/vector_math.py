@@ -8,8 +8,7 @@ from __future__ import annotations
 
 import math
 
-from hygrokf.engine.jit import has_fused_multiply_add
-from hygrokf.engine.llvm_writer import literal, vector
+from hygrokf.engine.llvm_writer import Writer, literal, vector
 
 _MAGIC = 6755399441055744.0
 """1.5 · 2⁵²: adding it rounds to whole numbers, which then stand in the lowest bits."""
@@ -20,83 +19,79 @@ _SMALLEST = -708.0
 _LARGEST = 709.0
 
 
-class _Text:
-    def __init__(self, name: str, lanes: int) -> None:
-        self.kind, self.integers = vector(lanes), vector(lanes, "i64")
-        self.truths = vector(lanes, "i1")
-        self.lanes, self.count = lanes, 0
-        self.lines = [f"define internal {self.kind} @{name}({self.kind} %x) alwaysinline {{"]
+class _Function(Writer):
+    """A function of one vector, which the compiler copies into its callers."""
 
-    def value(self, text: str) -> str:
-        self.count += 1
-        self.lines.append(f"  %t{self.count} = {text}")
-        return f"%t{self.count}"
+    def __init__(self, name: str, lanes: int) -> None:
+        super().__init__(name, [], lanes)
+        self.integers = vector(lanes, "i64")
 
     def all(self, number: float) -> str:
-        return "<" + ", ".join([f"double {literal(number)}"] * self.lanes) + ">"
+        return self.splat_of("double", literal(number))
 
     def whole(self, number: int) -> str:
-        return "<" + ", ".join([f"i64 {number}"] * self.lanes) + ">"
+        return self.splat_of("i64", str(number))
+
+    def splat_of(self, kind: str, number: str) -> str:
+        return "<" + ", ".join([f"{kind} {number}"] * self.lanes) + ">"
 
     def real(self, operation: str, a: str, b: str) -> str:
-        return self.value(f"{operation} {self.kind} {a}, {b}")
+        return self.value(f"{operation} {self.vector} {a}, {b}")
 
-    def integer(self, operation: str, a: str, b: str) -> str:
+    def integer(self, operation: str, a: str | int, b: str | int) -> str:
         return self.value(f"{operation} {self.integers} {a}, {b}")
 
-    def fma(self, a: str, b: str, c: str) -> str:
-        if has_fused_multiply_add():
-            three = ", ".join(f"{self.kind} {one}" for one in (a, b, c))
-            return self.value(f"call {self.kind} @llvm.fma.v{self.lanes}f64({three})")
-        return self.real("fadd", self.real("fmul", a, b), c)
+    def fused(self, a: str, b: str, c: str) -> str:
+        return self.fma(self.vector, (a, b, c))
 
     def select(self, test: str, yes: str, no: str) -> str:
-        return self.value(f"select {self.truths} {test}, {self.kind} {yes}, {self.kind} {no}")
+        return self.value(f"select {self.truths} {test}, {self.vector} {yes}, {self.vector} {no}")
 
     def compare(self, word: str, a: str, b: str) -> str:
-        return self.value(f"fcmp {word} {self.kind} {a}, {b}")
+        return self.value(f"fcmp {word} {self.vector} {a}, {b}")
 
     def bits(self, a: str) -> str:
-        return self.value(f"bitcast {self.kind} {a} to {self.integers}")
+        return self.value(f"bitcast {self.vector} {a} to {self.integers}")
 
     def number(self, a: str) -> str:
-        return self.value(f"bitcast {self.integers} {a} to {self.kind}")
+        return self.value(f"bitcast {self.integers} {a} to {self.vector}")
 
     def done(self, result: str) -> str:
-        return "\n".join([*self.lines, f"  ret {self.kind} {result}", "}"]) + "\n"
+        head = f"define internal {self.vector} @{self._name}({self.vector} %x) alwaysinline {{"
+        return "\n".join([head, *self._lines, f"  ret {self.vector} {result}", "}"]) + "\n"
 
 
 def exponential(lanes: int) -> str:
     """LLVM text of `@exponential`: e^x of a vector; 0 below −708 in effect, limited above 709."""
-    t = _Text("exponential", lanes)
+    t = _Function("exponential", lanes)
     low = t.select(t.compare("olt", "%x", t.all(_SMALLEST)), t.all(_SMALLEST), "%x")
     x = t.select(t.compare("ogt", low, t.all(_LARGEST)), t.all(_LARGEST), low)
-    shifted = t.fma(x, t.all(1.0 / math.log(2.0)), t.all(_MAGIC))
+    shifted = t.fused(x, t.all(1.0 / math.log(2.0)), t.all(_MAGIC))
     n = t.real("fsub", shifted, t.all(_MAGIC))
-    r = t.fma(n, t.all(-_LN2_LOW), t.fma(n, t.all(-_LN2_HIGH), x))
+    r = t.fused(n, t.all(-_LN2_LOW), t.fused(n, t.all(-_LN2_HIGH), x))
     total = t.all(1.0 / math.factorial(_TERMS))
     for k in range(_TERMS - 1, -1, -1):
-        total = t.fma(total, r, t.all(1.0 / math.factorial(k)))
+        total = t.fused(total, r, t.all(1.0 / math.factorial(k)))
     raised = t.integer("add", t.bits(total), t.integer("shl", t.bits(shifted), t.whole(52)))
     return t.done(t.select(t.compare("ord", "%x", "%x"), t.number(raised), "%x"))
 
 
 def logarithm(lanes: int) -> str:
     """LLVM text of `@logarithm`: ln x of a vector of normal numbers and ∞; NaN where x is not positive."""
-    t = _Text("logarithm", lanes)
+    t = _Function("logarithm", lanes)
     bits = t.bits("%x")
     exponent = t.integer("sub", t.integer("lshr", bits, t.whole(52)), t.whole(1023))
     one = t.integer("and", bits, t.whole(0x000FFFFFFFFFFFFF))
     mantissa = t.number(t.integer("or", one, t.whole(0x3FF0000000000000)))
     large = t.compare("ogt", mantissa, t.all(math.sqrt(2.0)))
     m = t.select(large, t.real("fmul", mantissa, t.all(0.5)), mantissa)
-    n = t.value(f"sitofp {t.integers} {exponent} to {t.kind}")
+    n = t.value(f"sitofp {t.integers} {exponent} to {t.vector}")
     n = t.select(large, t.real("fadd", n, t.all(1.0)), n)
     f = t.real("fdiv", t.real("fsub", m, t.all(1.0)), t.real("fadd", m, t.all(1.0)))
     s = t.real("fmul", f, f)
     total = t.all(2.0 / (2 * _LOG_TERMS + 1))
     for k in range(_LOG_TERMS - 1, -1, -1):
-        total = t.fma(total, s, t.all(2.0 / (2 * k + 1)))
-    result = t.fma(n, t.all(_LN2_HIGH), t.fma(n, t.all(_LN2_LOW), t.real("fmul", total, f)))
+        total = t.fused(total, s, t.all(2.0 / (2 * k + 1)))
+    result = t.fused(n, t.all(_LN2_HIGH), t.fused(n, t.all(_LN2_LOW), t.real("fmul", total, f)))
     result = t.select(t.compare("olt", "%x", t.all(math.inf)), result, "%x")
     return t.done(t.select(t.compare("ogt", "%x", t.all(0.0)), result, t.all(math.nan)))

@@ -1,6 +1,6 @@
-"""One filter step of many runs of the same model side by side, for fleets that are filtered in step.
+"""One step of many simulations of the same model side by side, for ensembles.
 
-Every run has its own parameters, inputs, step, readings and state, held in arrays; one call of compiled code
+Every run has its own parameters, inputs, step and state, held in arrays; one call of compiled code
 (`hygrokf.engine.batch_codegen`) advances all runs by one step.
 """
 
@@ -16,9 +16,9 @@ from hygrokf.engine.jit import Code
 from hygrokf.engine.llvm_writer import RUNS
 from hygrokf.engine.packing import pack, unpack
 from hygrokf.engine.schedule import TOLERANCE
-from hygrokf.engine.schedule_codegen import CHANGE, DEEPEST, KINK, KNOWN, ROUNDING, VALUE
+from hygrokf.engine.schedule_codegen import CHANGE, DEEPEST, KNOWN, ROUNDING, VALUE
 from hygrokf.engine.traced_filter import traced
-from hygrokf.estimation.likelihood import Gaussian, RatesFault
+from hygrokf.estimation.likelihood import RatesFault
 from hygrokf.physics.holds import between
 from hygrokf.physics.model import Model
 
@@ -27,61 +27,31 @@ TRIED = 3
 
 
 class SideBySide:
-    """The states of N runs of one model as arrays; `step` advances all of them.
+    """N runs of one model; `step` advances all of them.
 
-    `values` are N sets of parameter values, `states` N Gaussians; `tolerance` [1] is the largest error of a
-    step, as in `Likelihood`: where rates vary, all runs take as many equal sub-steps as the worst of them
-    needs. `mean` (N, n) and `covariance` (N, n, n) are the states after the last step.
+    `values` are N sets of parameter values; `tolerance` [1] is the largest error of a step, as in
+    `Likelihood`: where rates vary, all runs take as many equal sub-steps as the worst of them needs.
     """
 
     def __init__(
-        self,
-        model: Model,
-        values: Sequence[Mapping[str, float]],
-        states: Sequence[Gaussian],
-        tolerance: float = TOLERANCE,
+        self, model: Model, values: Sequence[Mapping[str, float]], tolerance: float = TOLERANCE
     ) -> None:
-        count = len(values)
-        if count != len(states) or not count:
-            raise ValueError(f"expected as many states as sets of values, found {len(states)} and {count}")
-        recursion = traced(model)
-        self.model = model
-        self.varying = tuple(recursion.varying)
-        self.regimes = tuple(recursion.regimes)
-        self._tolerance, self._divided, self._uncertain = tolerance, 1, True
-        self._exact = recursion.exact
-        self._count = count
-        given = list(recursion.constants)
+        self.model, self._recursion = model, traced(model)
+        self._tolerance, self._divided, self._count = tolerance, 1, len(values)
+        given = list(self._recursion.constants)
         parameters = np.array([[*(v[p.name] for p in model.parameters), *given] for v in values], dtype=float)
-        self._values = {p.name: parameters[:, i] for i, p in enumerate(model.parameters)}
-        moments = np.array([np.concatenate([s.mean, pack(s.covariance)]) for s in states], dtype=float)
-        self._theta, self._state = self._in_blocks(parameters), self._in_blocks(moments)
-        blocks = len(self._state)
+        self._theta = self._in_blocks(parameters)
+        blocks = len(self._theta)
         runs = blocks * RUNS
-        self._keys = np.full((1 + len(self.regimes), runs), np.nan)
+        self._keys = np.empty((1 + len(self._recursion.regimes), runs))
+        # before the first step these are NaN, so that everything kept is computed then
+        self._kept_keys = np.full_like(self._keys, np.nan)
         self._parts = np.ones(runs)
-        self._known = np.empty((blocks, max(1, len(kept_nodes(recursion))), RUNS))
-        self._before, self._now = (np.zeros((max(1, len(self.varying)), runs)) for _ in range(2))
-        self._y = np.full((max(1, len(model.outputs)), runs), np.nan)
-        self._code = Code(lambda: fleet_text(recursion), ["fleet"], f"fleet {recursion.structure}")
-
-    def __len__(self) -> int:
-        return self._count
-
-    @property
-    def mean(self) -> np.ndarray:
-        return self._in_rows(self._state)[:, : traced(self.model).n]
-
-    @property
-    def covariance(self) -> np.ndarray:
-        return unpack(self._in_rows(self._state)[:, traced(self.model).n :], traced(self.model).n)
-
-    def settle(self, mean: np.ndarray) -> None:
-        """Set every run's state to `mean` (N, n) with zero covariance, as at the start of each step of a
-        simulation."""
-        rows = np.zeros((self._count, self._state.shape[1]))
-        rows[:, : mean.shape[1]] = mean
-        self._state[...] = self._in_blocks(rows)
+        self._known = np.empty((blocks, max(1, len(kept_nodes(self._recursion))), RUNS))
+        self._before, self._now = (np.zeros((max(1, len(self._recursion.varying)), runs)) for _ in range(2))
+        self._code = Code(
+            lambda: fleet_text(self._recursion), ["fleet"], f"fleet {self._recursion.structure}"
+        )
 
     def _in_blocks(self, rows: np.ndarray) -> np.ndarray:
         """(N, width) as (blocks, width, RUNS); the last run fills the unused lanes of the last block."""
@@ -97,59 +67,50 @@ class SideBySide:
         column[: self._count] = values
         column[self._count :] = column[self._count - 1]
 
+    def begin(self, inputs: Mapping[str, np.ndarray]) -> None:
+        """Set the inputs at the current instants, from which linear inputs start."""
+        for place, name in enumerate(self._recursion.varying):
+            self._fill(self._now[place], inputs[name])
+
     def step(
-        self,
-        hours: np.ndarray | float,
-        inputs: Mapping[str, np.ndarray],
-        readings: Mapping[str, np.ndarray] | None = None,
-    ) -> None:
-        """Advance by `hours` (N,) [h] to instants with `inputs` (N,), and apply `readings` (N,) there (NaN:
-        none).
+        self, mean: np.ndarray, hours: np.ndarray | float, inputs: Mapping[str, np.ndarray]
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """States (N, n) after `hours` (N,) [h] from `mean` (N, n), at instants with `inputs` (N,), and the
+        covariances (N, n, n) that the noise gave them on the way.
 
         Linear inputs start from the values of the previous step.  Raises ValueError for an input that is
-        missing or not finite.
+        missing or not finite, and RatesFault where no sub-step resolves the rates.
         """
         faults = [n for n in self.model.inputs if n not in inputs or not _finite(inputs[n])]
         if faults:
             raise ValueError(
                 f"expected finite inputs for every run, found none or others of: {', '.join(faults)}"
             )
-        unknown = sorted(set(readings or {}) - set(self.model.outputs))
-        if unknown:
-            raise ValueError(f"expected readings of {list(self.model.outputs)}, found {unknown}")
         self._before, self._now = self._now, self._before
         self.begin(inputs)
-        for place, name in enumerate(self.model.outputs):
-            self._fill(self._y[place], (readings or {}).get(name, np.nan))
-        if self._exact:
-            self._advance(hours, inputs, 1)
-            return
-        self._uncertain = bool(self._state[:, traced(self.model).n :].any())
-        y, before, now = self._y.copy(), self._before.copy(), self._now.copy()
-        self._y[:] = np.nan
-        self._state[...] = self._through(self._state.copy(), np.asarray(hours, float), inputs, before, now, 0)
-        self._y[:], self._before[:], self._now[:] = y, before, now
-        if not np.isnan(y).all():
-            self._advance(0.0, inputs, 1)
+        for place, name in enumerate(self._recursion.regimes):
+            self._fill(self._keys[1 + place], inputs[name])
+        before, now = self._before.copy(), self._now.copy()
+        n, q = self._recursion.n, self._recursion.q
+        begun = self._in_blocks(np.concatenate([mean, np.zeros((self._count, q))], axis=1))
+        if self._recursion.exact:
+            moved = self._moved(begun, hours, before, now, 1)
+        else:
+            moved = self._through(begun, np.asarray(hours, float), before, now, 0)
+            self._before[:], self._now[:] = before, now
+        rows = self._in_rows(moved)
+        return rows[:, :n], unpack(rows[:, n:], n)
 
     def _through(
-        self,
-        begun: np.ndarray,
-        hours: np.ndarray,
-        inputs: Mapping[str, np.ndarray],
-        before: np.ndarray,
-        now: np.ndarray,
-        depth: int,
+        self, begun: np.ndarray, hours: np.ndarray, before: np.ndarray, now: np.ndarray, depth: int
     ) -> np.ndarray:
         """Moments (blocks, width, RUNS) after `hours` between two sets of inputs: in equal parts, or where
         these do not do, in two halves."""
         parts = 1 if depth else self._divided
-        once = self._moved(begun, hours, inputs, before, now, parts)
+        once = self._moved(begun, hours, before, now, parts)
         for _ in range(TRIED):
-            twice = self._moved(begun, hours, inputs, before, now, 2 * parts)
+            twice = self._moved(begun, hours, before, now, 2 * parts)
             error = self._error(begun, once, twice)
-            if error <= self._tolerance and depth < KINK and self._kinked(begun, twice, inputs):
-                break
             if error <= self._tolerance:
                 if not depth:
                     # half as many next time where their error, of at least fourth order, would do as well
@@ -162,27 +123,33 @@ class SideBySide:
                 f"{error:.1g} standard deviations: narrow the bounds of the parameters, or smooth what jumps"
             )
         middle = now.copy()
-        for place, name in enumerate(self.varying):
+        for place, name in enumerate(self._recursion.varying):
             middle[place] = between(self.model.holds[name], before[place], now[place], 0.5)
-        half = self._through(begun, 0.5 * hours, inputs, before, middle, depth + 1)
-        return self._through(half, 0.5 * hours, inputs, middle, now, depth + 1)
+        half = self._through(begun, 0.5 * hours, before, middle, depth + 1)
+        return self._through(half, 0.5 * hours, middle, now, depth + 1)
 
     def _moved(
         self,
         begun: np.ndarray,
-        hours: np.ndarray,
-        inputs: Mapping[str, np.ndarray],
+        hours: np.ndarray | float,
         before: np.ndarray,
         now: np.ndarray,
         parts: int,
     ) -> np.ndarray:
-        self._state[...], self._before[:], self._now[:] = begun, before, now
-        self._advance(hours, inputs, parts)
-        return self._state.copy()
+        """Moments after `hours` in equal parts."""
+        self._fill(self._parts, float(parts))
+        self._fill(self._keys[0], np.asarray(hours) / parts)
+        changed, state = np.any(self._keys != self._kept_keys, axis=0), begun.copy()
+        self._kept_keys[:] = self._keys
+        self._code(
+            "fleet", len(state), self._theta, self._keys, self._parts, _of_blocks(self._parts),
+            _of_blocks(changed), self._known, before, now, state,
+        )  # fmt: skip
+        return state
 
     def _error(self, begun: np.ndarray, once: np.ndarray, twice: np.ndarray) -> float:
         """Largest error of a run, as of `schedule_codegen.Walk`; infinite where a moment is not finite."""
-        n = traced(self.model).n
+        n = self._recursion.n
         first, one, two = (self._in_rows(part) for part in (begun, once, twice))
         if not (np.isfinite(one).all() and np.isfinite(two).all()):
             return math.inf
@@ -196,37 +163,6 @@ class SideBySide:
                 (apart[:, n:] / spread).max(),
             )
         )
-
-    def _kinked(self, begun: np.ndarray, ended: np.ndarray, inputs: Mapping[str, np.ndarray]) -> bool:
-        """Whether a comparison of the rates changes its result, where a state is uncertain before the step; a
-        mean alone feels a kink to second order only."""
-        r, n = traced(self.model), traced(self.model).n
-        if not r.comparisons or not self._uncertain:
-            return False
-        found = [
-            r.graph.evaluate(r.comparisons, r.symbols(self._values, self._in_rows(part)[:, :n].T, inputs))
-            for part in (begun, ended)
-        ]
-        return any(np.any(np.not_equal(a, b)) for a, b in zip(*found, strict=True))
-
-    def _advance(self, hours: np.ndarray | float, inputs: Mapping[str, np.ndarray], parts: int) -> None:
-        keys = self._keys.copy()
-        self._fill(self._parts, float(parts))
-        self._fill(self._keys[0], np.asarray(hours) / parts)
-        for place, name in enumerate(self.regimes):
-            self._fill(self._keys[1 + place], inputs[name])
-        # before the first step the keys are NaN, so that everything kept is computed then
-        changed = np.any(self._keys != keys, axis=0)
-        self._code(
-            "fleet", len(self._state), self._theta, self._keys, self._parts, _of_blocks(self._parts),
-            _of_blocks(changed),
-            self._known, self._before, self._now, self._y, self._state,
-        )  # fmt: skip
-
-    def begin(self, inputs: Mapping[str, np.ndarray]) -> None:
-        """Set the inputs at the current instants, from which linear inputs start."""
-        for place, name in enumerate(self.varying):
-            self._fill(self._now[place], inputs[name])
 
 
 def _finite(value: np.ndarray | float) -> bool:

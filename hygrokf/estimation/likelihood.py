@@ -13,6 +13,7 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -47,6 +48,7 @@ from hygrokf.estimation.moments import Sensitivities as Sensitivities
 from hygrokf.estimation.moments import Trace as Trace
 from hygrokf.estimation.moments import checked_loglik, covariances, loglik_of
 from hygrokf.estimation.start import Moments, law, law_with_slopes, packed, packed_slopes
+from hygrokf.physics.expression import Expression
 from hygrokf.physics.model import Model, fields_alone, fields_by_line
 from hygrokf.physics.parameters import Parameter, expect_values
 
@@ -160,13 +162,13 @@ class Likelihood:
     ) -> SubSteps:
         """Sub-steps of every step; raises RatesFault where no sub-step resolves one."""
         if self.recursion.exact:
-            return whole_steps(self.timeline, self._ends)
+            return whole_steps(self.timeline)
         return (self if self.schedule is not None else self._chosen(values, gain, start))._held
 
     @cached_property
     def _held(self) -> SubSteps:
         assert self.schedule is not None
-        return sub_steps(self.timeline, self.schedule, self._ends)
+        return sub_steps(self.timeline, self.schedule)
 
     def _chosen(self, values: Mapping[str, float], gain: bool, start: Gaussian | None) -> Likelihood:
         """The likelihood that holds the sub-steps chosen along a run; the last one is kept."""
@@ -189,7 +191,7 @@ class Likelihood:
     ) -> Schedule | None:
         """The schedule of a run from packed moments; None where a covariance has lost its sign."""
         found = []
-        for part in whole_steps(self.timeline, self._ends).pieces(self._whole):
+        for part in self._pieces(self._whole):
             state[:] = self._widened(part.start, state)
             made = scheduled(self.recursion, theta, self.timeline, part, state, self.tolerance, gain)
             if isinstance(made, Unresolved):
@@ -206,16 +208,13 @@ class Likelihood:
 
     def _unresolved(self, values: Mapping[str, float], where: Unresolved) -> str:
         t, r = self.timeline, self.recursion
-        names = (*self.model.states, *self.model.outputs)
-        lost = names[where.state]
-        needed = r.graph.needed(r.rates if where.state >= r.n else [r.rates[where.state]])
-        symbols = [r.graph.nodes[k][1] for k in needed if r.graph.nodes[k][0] == "symbol"]
-        own = ", ".join(f"{n[2:]} = {values[n[2:]]:.3g}" for n in symbols if n.startswith("p:"))
+        lost = (*self.model.states, *self.model.outputs)[where.state]
+        own = self._behind(r.rates if where.state >= r.n else [r.rates[where.state]], values)
         hours = float(t.steps[t.key[where.instant], 0])
         return (
             f"expected rates that sub-steps resolve, found others of {lost} in the step of "
             f"{duration_text(3600.0 * hours)} until {stamp_text(t.origin_s + 3600.0 * t.time[where.instant])}"
-            f"{' with ' + own if own else ''}: the state leaves every bound, its rate is not finite there, "
+            f"{own}: the state leaves every bound, its rate is not finite there, "
             "or it jumps; narrow the bounds of these parameters, or smooth the jump"
         )
 
@@ -229,22 +228,28 @@ class Likelihood:
         most = 2.0**DOUBLINGS / t.steps[:, 0].max()
         lost = [i for i, row in enumerate(found) if not all(np.all(np.abs(v) < most) for v in row)]
         rows = [r.graph.lift(v) for i in lost for v in r.jacobian[i]]
-        symbols = [r.graph.nodes[k][1] for k in r.graph.needed(rows) if r.graph.nodes[k][0] == "symbol"]
-        own = ", ".join(f"{n[2:]} = {values[n[2:]]:.3g}" for n in symbols if n.startswith("p:"))
         return (
             f"expected finite rates, found others of {', '.join(self.model.states[i] for i in lost)}"
-            f"{' with ' + own if own else ''}: narrow the bounds of these parameters, or correct the inputs "
+            f"{self._behind(rows, values)}: narrow the bounds of these parameters, or correct the inputs "
             "that the states follow"
         )
+
+    def _behind(self, rates: Sequence[Expression], values: Mapping[str, float]) -> str:
+        """The parameters that some rates depend on, with their values, in words."""
+        nodes = (self.recursion.graph.nodes[k] for k in self.recursion.graph.needed(rates))
+        names = [node[1][2:] for node in nodes if node[0] == "symbol" and node[1].startswith("p:")]
+        own = ", ".join(f"{name} = {values[name]:.3g}" for name in names)
+        return f" with {own}" if own else ""
 
     @cached_property
     def _gaps(self) -> dict[int, np.ndarray]:
         return gap_variances(self.model, self.recursion, self.timeline)
 
-    @property
-    def _ends(self) -> tuple[int, ...]:
-        """Instants that begin a new piece of a run."""
-        return (*self._gaps, *self.recursion.cuts(self.timeline))
+    def _pieces(self, part: slice) -> list[slice]:
+        """Stretches of instants that the loops take in one call; every end of a gap begins a new one."""
+        ends = {*self._gaps, *self.recursion.cuts(self.timeline)}
+        inner = sorted(k for k in ends if part.start < k < part.stop)
+        return [slice(a, b) for a, b in pairwise([part.start, *inner, part.stop])]
 
     def _start(self, values: Mapping[str, float], start: Gaussian | None = None) -> np.ndarray:
         """The packed moments that a loop starts from and moves."""
@@ -360,7 +365,7 @@ class Likelihood:
     def _through(self, values: Mapping[str, float], state: np.ndarray) -> float:
         """ln L, NaN where the run has to be repeated in factors; moves `state` through it."""
         steps = self._steps(values)
-        return self._loglik([self._run(values, steps, part, state) for part in steps.pieces(self._whole)])
+        return self._loglik([self._run(values, steps, part, state) for part in self._pieces(self._whole)])
 
     def _run(
         self, values: Mapping[str, float], steps: SubSteps, part: slice, state: np.ndarray
@@ -391,8 +396,8 @@ class Likelihood:
         # the loop writes the positions into the inputs, so it gets a copy
         own = replace(self, timeline=replace(self.timeline, u=self.timeline.u.copy()))
         vars(own)["recursion"] = traced(self.model, len(self._unknown))  # not by matrices
-        steps = whole_steps(self.timeline, self._ends)
-        for part in self._parts(steps):
+        steps = whole_steps(self.timeline)
+        for part in self._parts():
             state[:] = self._widened(part.start, state)
             further = still[part], levels, found[part], tags(), np.array([self.tolerance])
             own._loop(
@@ -405,44 +410,32 @@ class Likelihood:
         """ln L and its exact derivatives (d,) with respect to all parameters, by one backward pass."""
         state, first_slopes = self._first_with_slopes(values)
         steps = self._steps(values)
-        pieces = steps.pieces(self._whole)
+        pieces = self._pieces(self._whole)
         states = [state]
         for part in pieces[:-1]:
             state = state.copy()
             self._run(values, steps, part, state)
             states.append(state)
-        sums, theta_bar, state_bar = [], np.zeros(len(self.recursion.p)), np.zeros(len(state))
+        sums: list[np.ndarray] = []
+        r, theta_bar, state_bar = self.recursion, np.zeros(len(self.recursion.p)), np.zeros(len(state))
+        keys = max(1, len(steps.keys) * len(r.key_nodes))
+        most = max(int(np.diff(steps.offset).max(initial=1)), len(r.updates)) + 1
+        buffer, levels = np.empty((most, len(state))), np.empty(level_room(r))
         for part, state in zip(reversed(pieces), reversed(states), strict=True):
             entered = self._widened(part.start, state).copy()
-            share, slopes = self._pulled_back(values, steps, part, entered, state_bar)
-            sums.append(share)
-            theta_bar = theta_bar + slopes
+            own = np.zeros_like(theta_bar)
+            sums.append(self._sums())
+            self._loop(
+                "adjoint", values, steps, entered, part, sums[-1], self._store, np.zeros(keys), own,
+                state_bar, buffer, levels,
+            )  # fmt: skip
+            theta_bar = theta_bar + own
             if part.start in self._gaps:
                 state_bar = self._widening(part.start, state) @ state_bar
         loglik = self._loglik(sums)
         if math.isnan(loglik):
             return self._in_factors.score(values)
         return loglik, theta_bar + first_slopes @ state_bar
-
-    def _pulled_back(
-        self,
-        values: Mapping[str, float],
-        steps: SubSteps,
-        part: slice,
-        state: np.ndarray,
-        state_bar: np.ndarray,
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Sums of a piece, and its derivatives (d,); moves `state_bar` back through it, in place."""
-        r = self.recursion
-        width = len(state)
-        out, theta_bar, store = self._sums(), np.zeros(len(r.p)), self._store
-        key_bar = np.zeros(max(1, len(steps.keys) * len(r.key_nodes)))
-        most = max(int(np.diff(steps.offset).max(initial=1)), len(r.updates)) + 1
-        buffer, levels = np.empty((most, width)), np.empty(level_room(r))
-        self._loop(
-            "adjoint", values, steps, state, part, out, store, key_bar, theta_bar, state_bar, buffer, levels
-        )
-        return out, theta_bar
 
     # where the filter breaks down and the value is −∞, these sums are not finite either
     @np.errstate(invalid="ignore")
@@ -508,9 +501,9 @@ class Likelihood:
         slopes = np.concatenate(list(np.concatenate(de, axis=1)), axis=-1)
         return np.concatenate(e), slopes[..., : directions.shape[1]]
 
-    def _parts(self, steps: SubSteps) -> Iterator[slice]:
+    def _parts(self) -> Iterator[slice]:
         """The pieces of a run, a chunk at a time."""
-        return (piece for chunk in self._chunks for piece in steps.pieces(chunk))
+        return (piece for chunk in self._chunks for piece in self._pieces(chunk))
 
     @property
     def _chunks(self) -> list[slice]:
@@ -532,7 +525,7 @@ class Likelihood:
         for block, (state, dot, seed) in enumerate(zip(*blocks, strict=True)):
             e, s, sums = np.zeros((count, outputs)), np.ones((count, outputs)), []
             key_dot = np.empty(max(1, len(steps.keys) * len(r.key_nodes)) * LANES)
-            for piece in steps.pieces(part):
+            for piece in self._pieces(part):
                 if piece.start in self._gaps:
                     dot[:] = self._widening(piece.start, state).T @ dot
                 state[:] = self._widened(piece.start, state)
@@ -569,7 +562,7 @@ class Likelihood:
         rows = np.empty((len(self.timeline), trace_width(width, n, outputs)))
         transition, noise = np.split(rows[:, 2 * width + 2 * outputs :], [n * n], axis=1)
         steps, sums = self._steps(values, gain, start), []
-        for part in self._parts(steps):
+        for part in self._parts():
             k, out = part.start, self._sums()
             state[:] = self._widened(k, state)
             self._loop("trace", values, steps, state, part, out, rows[part], gain=gain)

@@ -107,26 +107,22 @@ def fit_output_error(likelihood: Likelihood, values: dict[str, float], passes: i
     # two days exceed the memory of the disturbances; short records need shorter blocks, to leave enough of
     # them
     block_h = min(max((time[-1] - time[0]) / FEWEST_BLOCKS, 12.0), 48.0)
-    spread = long_run_variance(scores, time, block_h, lags=1)
+    spread = long_run_variance(scores, time, block_h)
     ends = (z <= coordinates.lower + AT_LIMIT) | (z >= coordinates.upper - AT_LIMIT)
     at = tuple(name for name, there in zip(coordinates.names, ends, strict=True) if there)
     covariance = inverse @ spread @ inverse
     return OutputError(coordinates.values(z), coordinates.names, covariance, converged, at, unseen)
 
 
-def long_run_variance(scores: np.ndarray, time: np.ndarray, block_h: float, lags: int) -> np.ndarray:
+def long_run_variance(scores: np.ndarray, time: np.ndarray, block_h: float) -> np.ndarray:
     """Variance (d, d) of the sum of serially dependent scores (T, d) at `time` [h]: sums over blocks, with
-    Bartlett weights over neighbouring ones (Newey & West 1987)."""
+    Bartlett's weight for neighbouring ones (Newey & West 1987)."""
     block = ((time - time[0]) / block_h).astype(int)
     sums = np.zeros((block[-1] + 1, scores.shape[1]))
     np.add.at(sums, block, scores)
     sums = sums - sums.mean(axis=0)
-    result = sums.T @ sums
-    for lag in range(1, min(lags, len(sums) - 1) + 1):
-        weight = 1.0 - lag / (lags + 1.0)
-        cross = sums[lag:].T @ sums[:-lag]
-        result += weight * (cross + cross.T)
-    return result
+    cross = sums[1:].T @ sums[:-1]
+    return sums.T @ sums + 0.5 * (cross + cross.T)
 
 
 def _normal_equations(e: np.ndarray, slopes: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

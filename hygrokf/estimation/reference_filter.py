@@ -13,7 +13,7 @@ fast.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping
 
 import numpy as np
 
@@ -82,7 +82,7 @@ def predicted(
 
     def slopes(t: float, moments: np.ndarray) -> np.ndarray:
         u, x, C = inputs(t / length), moments[:n], moments[n:].reshape(n, n)
-        A = _jacobian(lambda x: model.evaluate(x, u, values).rates, x)
+        A = likelihood.jacobian(values, x, u)
         f = np.array(model.evaluate(list(x), u, values).rates, dtype=float)
         Q = np.array(model.noise(values, u), dtype=float)
         return np.concatenate([f, (A @ C + C @ A.T + Q).ravel()])
@@ -94,13 +94,3 @@ def predicted(
         slopes, (0.0, length), start, "DOP853", [length], rtol=TOLERANCE, atol=TOLERANCE * (1e-3 + abs(start))
     ).y[:, -1]
     return end[:n], end[n:].reshape(n, n)
-
-
-def _jacobian(function: Callable[[list[complex]], Sequence[complex]], x: np.ndarray) -> np.ndarray:
-    """∂function/∂x (len(function), n) by complex steps, exact to rounding."""
-    columns = []
-    for i in range(len(x)):
-        moved = [complex(v) for v in x]
-        moved[i] += 1e-30j
-        columns.append(np.imag(np.array(function(moved), dtype=complex)) * 1e30)
-    return np.stack(columns, axis=1)

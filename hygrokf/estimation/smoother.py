@@ -15,6 +15,7 @@ from hygrokf.engine.square_root import square_root
 from hygrokf.engine.traced_filter import UNSEEN
 from hygrokf.estimation.likelihood import CHUNK, Gaussian, Likelihood
 from hygrokf.estimation.subject import Given, Source, subject
+from hygrokf.physics.linearisation import state_slopes
 
 if TYPE_CHECKING:
     from filterpy.kalman import ExtendedKalmanFilter
@@ -211,14 +212,8 @@ def transition(
 def observation(
     likelihood: Likelihood, values: Mapping[str, float], k: int, name: str, mean: np.ndarray
 ) -> tuple[float, np.ndarray, float]:
-    """Prediction of an output at instant k, its slopes (n,) by complex steps, and the variance of its
-    noise."""
+    """Prediction of an output at instant k, its slopes (n,), and the variance of its noise."""
     model, t = likelihood.model, likelihood.timeline
     u = {one: float(t.input(one)[k]) for one in model.inputs}
     prediction, variance = model.evaluate(list(mean), u, values).outputs[name]
-    row = np.empty(len(mean))
-    for i in range(len(mean)):
-        moved = [complex(v) for v in mean]
-        moved[i] += 1e-30j
-        row[i] = np.imag(model.evaluate(moved, u, values).outputs[name][0]) * 1e30
-    return float(np.real(prediction)), row, float(variance)
+    return float(prediction), state_slopes(model, name, values, mean, u), float(variance)

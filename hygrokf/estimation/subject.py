@@ -46,8 +46,9 @@ Source = Fitted | AnyLikelihood
 Given = Record | Estimate | Mapping[str, float]
 """The second: the record of a fit, or the estimate or the values of a likelihood."""
 MAKERS = (
-    "identify(record) makes a Fit, Likelihood(model, timeline(model, …)) and fit.likelihood(record) make a "
-    "Likelihood"
+    "identify(record) makes a Fit, read_case or read_frames makes a Record, "
+    "Likelihood(model, timeline(model, …)) and fit.likelihood(record) make a Likelihood, which has its own "
+    "readings, and fit_mle(likelihood) makes its Estimate"
 )
 
 
@@ -188,24 +189,8 @@ def is_fit(source: object) -> TypeGuard[Fitted]:
 
 def _refusal(verb: str, source: object, given: object) -> str:
     """What was expected, what was found, and the calls that make it."""
-    fit, likelihood, values = is_fit(source), _is_likelihood(source), isinstance(given, (Estimate, Mapping))
-    if (is_fit(given) and isinstance(source, Record)) or (
-        _is_likelihood(given) and isinstance(source, (Estimate, Mapping))
-    ):
-        remedies = ["give them in the other order"]
-    elif isinstance(given, Record) and likelihood:
-        remedies = ["a likelihood has its readings: give the Estimate of fit_mle(likelihood)"]
-    elif is_fit(given) and likelihood:
-        remedies = [f"{verb}(fit, record), or {verb}(likelihood, fit.values)"]
-    elif fit and values and not maker_of(given):
-        remedies = [f"{verb}(fit, record), or {verb}(fit.likelihood(record), values)"]
-    else:
-        remedies = [] if fit or likelihood else [maker_of(source, fit=True) or MAKERS]
-        if not (values or isinstance(given, Record)) or maker_of(given):
-            remedies.append("fit_mle(likelihood) makes an Estimate" if likelihood else maker_of(given) or "")
-        if fit and given is None:
-            remedies = ["read_case or read_frames makes a Record"]
+    makers = filter(None, (maker_of(source, fit=True), maker_of(given), MAKERS))
     return (
-        f"{verb}: expected a Fit and a Record, or a Likelihood and its Estimate or values, found "
-        f"{kind_of(source)} and {kind_of(given)}; {'; '.join(dict.fromkeys(one for one in remedies if one))}"
+        f"{verb}: expected a Fit and a Record, or a Likelihood and its Estimate or values, in this order, "
+        f"found {kind_of(source)} and {kind_of(given)}; {'; '.join(makers)}"
     )

@@ -97,28 +97,19 @@ def self_switched(
     switches = switches_of(design)
     if not switches:
         return list(runs)
-    begun: Sequence[Gaussian | None] = starts or [None] * len(runs)
-    return [_self_switched(design.model, values, switches, *pair) for pair in zip(runs, begun, strict=True)]
-
-
-def _self_switched(
-    model: Model,
-    values: Mapping[str, float],
-    switches: Mapping[str, Throttle],
-    run: Run,
-    start: Gaussian | None,
-) -> Run:
-    t = run.timeline
-    pieces = _pieces(model, run)
-    first = start or Likelihood(model, t).first_gaussian(values)
+    model = design.model
     controls = {
         Control(name, one.reads, model.averaged.get(one.reads, 0.0), one.idle): one.levels
         for name, one in switches.items()
     }
-    likelihood = Likelihood(model, pieces.timeline, initial=first)
-    found = likelihood.controlled(values, controls, pieces.idle)
-    shares = {control.input: pieces.over(found[:, i]) for i, control in enumerate(controls)}
-    return replace(run, timeline=t.with_inputs(shares))
+    made = []
+    for run, start in zip(runs, starts or [None] * len(runs), strict=True):
+        t, pieces = run.timeline, _pieces(model, run)
+        first = start or Likelihood(model, t).first_gaussian(values)
+        found = Likelihood(model, pieces.timeline, initial=first).controlled(values, controls, pieces.idle)
+        shares = {control.input: pieces.over(found[:, i]) for i, control in enumerate(controls)}
+        made.append(replace(run, timeline=t.with_inputs(shares)))
+    return made
 
 
 @dataclass(frozen=True)

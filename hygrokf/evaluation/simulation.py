@@ -5,7 +5,7 @@ Shapes: T instants, n states, k outputs, d parameters.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -17,7 +17,8 @@ from hygrokf.estimation.likelihood import Gaussian, Likelihood, Trace
 from hygrokf.evaluation.self_switching import self_switched
 from hygrokf.modelling.design import Design, read_as
 from hygrokf.modelling.inputs import Run, gap_ends, model_inputs
-from hygrokf.physics.model import Equations, Model
+from hygrokf.physics.linearisation import state_slopes
+from hygrokf.physics.model import Model
 from hygrokf.physics.psychrometrics import absolute_humidity, absolute_humidity_slope_temperature
 
 QUANTITIES = ("temperature_K", "relative_humidity", "absolute_humidity_g_m3")
@@ -109,36 +110,21 @@ def project(
     values: Mapping[str, float],
     mean: np.ndarray,
     covariance: np.ndarray | None,
-    function: Callable[[Equations], np.ndarray],
+    name: str,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Value (T,) and variance (T,) of a function of the model's equations, to first order in the state's
-    covariance.
+    """Value (T,) and variance (T,) of a shared quantity or of the rate of a state [1/h], to first order in
+    the states' covariance.
 
     mean, covariance: (T, n), (T, n, n) of the states; without a covariance the variance is zero.
-    function: equations -> (T,); the slopes come from complex steps.
     """
-    u = {name: t.input(name) for name in model.inputs}
-    n = len(model.states)
-
-    # constants of the interpreter are floats, so results must be broadcast to (T,)
-    def at(state: list[np.ndarray]) -> np.ndarray:
-        return np.broadcast_to(np.asarray(function(model.evaluate(state, u, values))), len(t))
-
-    columns = [mean[:, i] for i in range(n)]
-    value = np.real(at(columns))
+    u, columns = {one: t.input(one) for one in model.inputs}, list(mean.T)
+    made = model.evaluate(columns, u, values)
+    found = made.quantities[name] if name in made.quantities else made.rates[model.states.index(name)]
+    value = np.broadcast_to(np.asarray(found), len(t))  # a constant is a float
     if covariance is None:
         return value, np.zeros_like(value)
-    slopes = np.empty((len(t), n))
-    for i in range(n):
-        moved = list(columns)
-        moved[i] = columns[i] + 1e-30j
-        slopes[:, i] = np.imag(at(moved)) * 1e30
+    slopes = state_slopes(model, name, values, columns, u)
     return value, np.einsum("ti,tij,tj->t", slopes, covariance, slopes)
-
-
-def air_temperature(equations: Equations) -> np.ndarray:
-    """T_conv,a [K] of the model."""
-    return equations.quantities["cabinet_air_temperature"]
 
 
 def expected_readings(
@@ -148,9 +134,13 @@ def expected_readings(
     found = {
         name: (trace.prediction[:, i], np.sqrt(trace.variance[:, i])) for i, name in enumerate(model.outputs)
     }
-    return found | {
-        name: _between_means(model, t, values, trace, name, found[name]) for name in model.averaged
-    }
+    mean, covariance = trace.prior_mean, trace.prior_covariance
+    for name, interval in model.averaged.items():  # at instants without a mean the reading of an instant
+        rate, variance = project(model, t, values, mean, covariance, f"mean_{name}")
+        sd = np.sqrt(np.maximum(variance, 0.0) * interval**2 + _noise(model, t, values, name) ** 2)
+        read = np.isfinite(t.reading(name))
+        found[name] = np.where(read, found[name][0], rate * interval), np.where(read, found[name][1], sd)
+    return found
 
 
 def predicted_readings(design: Design, values: Mapping[str, float], run: Run, trace: Trace) -> Prediction:
@@ -178,24 +168,6 @@ def predicted_readings(design: Design, values: Mapping[str, float], run: Run, tr
         vapour = ratio * np.sqrt(np.maximum(trace.prior_covariance[:, state, state], 0.0))
         absolute = (value, np.sqrt(vapour**2 + by_humidity**2 + by_temperature**2))
     return Prediction(temperature, relative, absolute)
-
-
-def _between_means(
-    model: Model,
-    t: Timeline,
-    values: Mapping[str, float],
-    trace: Trace,
-    name: str,
-    pair: tuple[np.ndarray, np.ndarray],
-) -> tuple[np.ndarray, np.ndarray]:
-    """The reading of an interval mean at the instants that have one; at other instants the reading of an
-    instant."""
-    state, interval = model.states.index(f"mean_{name}"), model.averaged[name]
-    mean, covariance = trace.prior_mean, trace.prior_covariance
-    value, variance = project(model, t, values, mean, covariance, lambda e: e.rates[state] * interval)
-    sd = np.sqrt(np.maximum(variance, 0.0) + _noise(model, t, values, name) ** 2)
-    read = np.isfinite(t.reading(name))
-    return np.where(read, pair[0], value), np.where(read, pair[1], sd)
 
 
 def _noise(model: Model, t: Timeline, values: Mapping[str, float], output: str) -> float:

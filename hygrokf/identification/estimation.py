@@ -30,7 +30,7 @@ from hygrokf.estimation.optimiser import (
 from hygrokf.estimation.output_error import OutputError, fit_output_error
 from hygrokf.estimation.profile_likelihood import profile
 from hygrokf.estimation.smoother import smoothed_states
-from hygrokf.evaluation.simulation import air_temperature, project, settled
+from hygrokf.evaluation.simulation import project, settled
 from hygrokf.identification.clock_offsets import NO_OFFSETS, ClockOffsets, clock_offsets
 from hygrokf.identification.forms import ADOPTED, Form, ended_at_limits, weigh_forms
 from hygrokf.identification.needed_inputs import WithoutInput, without_input
@@ -204,7 +204,7 @@ def smoothed_temperature(
     """
     t = run.timeline
     mean, _ = smoothed_states(Likelihood(base.model, t), values, covariance=False)
-    air, _ = project(base.model, t, values, mean, None, air_temperature)
+    air, _ = project(base.model, t, values, mean, None, "cabinet_air_temperature")
     seconds = t.seconds
     raw = early["cabinet_temperature"]
     moist = early[humidity]
@@ -226,7 +226,10 @@ def output_errors(early: Record, base: Design, values: Mapping[str, float]) -> d
             priors={},  # priors from other turbines have no place in this criterion
         )
     if base.humidity is not None and "cabinet_temperature" in early:
-        fitted["hygric_k"] = _with_sensors_of(base, design(early, kind=CASCADE, coloured=False))
+        plain = design(early, kind=CASCADE, coloured=False)
+        own = {name: settings for name, settings in base.mechanisms if name.endswith("humidity_sensor")}
+        made = tuple((name, own.get(name, settings)) for name, settings in plain.mechanisms)
+        fitted["hygric_k"] = replace(plain, mechanisms=made)
 
     def free_run(one: Design) -> OutputError:
         start = {p.name: values.get(p.name, p.start) for p in one.model.parameters}
@@ -245,11 +248,3 @@ _THERMAL_PLAIN = (
     "temperature_sensor",
     *(thermal for thermal, _ in ACTUATORS.values() if thermal is not None),
 )
-
-
-def _with_sensors_of(base: Design, other: Design) -> Design:
-    """The other design with the sensors of the base, including their response."""
-    sensors = {name: settings for name, settings in base.mechanisms if name.endswith("humidity_sensor")}
-    return replace(
-        other, mechanisms=tuple((name, sensors.get(name, settings)) for name, settings in other.mechanisms)
-    )

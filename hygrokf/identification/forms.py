@@ -110,7 +110,8 @@ def candidates(base: Design, early: Record, run: Run, values: Mapping[str, float
     names = [name for name, _ in base.mechanisms]
     found: list[Candidate] = []
     if "thermal_network" in names:
-        difference = _difference_K(run)
+        apart = np.abs(run.timeline.reading(TEMPERATURE) - run.timeline.input("ambient_temperature"))
+        difference = float(np.nanmedian(apart)) if np.isfinite(apart).any() else 0.0
         if "natural_convection" not in names and difference > STILL_K:
             wider = extended(base, [("natural_convection", {"difference_K": difference})])
             found.append(Candidate(CONVECTION, wider, ({"convection_exponent": 0.1},), True))
@@ -145,13 +146,6 @@ def _second(base: Design, first: str, values: Mapping[str, float]) -> Candidate:
         {f"second_{first}_time": factor * time, f"second_{first}_sd": 0.4 * sd} for factor in OTHER_TIMES
     )
     return Candidate(SECOND[first], extended(base, [(f"second_{first}", settings)]), starts, True)
-
-
-def _difference_K(run: Run) -> float:
-    """Median difference [K] between cabinet and ambient, over the readings."""
-    inside = run.timeline.reading(TEMPERATURE)
-    apart = np.abs(inside - run.timeline.input("ambient_temperature"))
-    return float(np.nanmedian(apart)) if np.isfinite(apart).any() else 0.0
 
 
 def weigh_forms(

@@ -84,11 +84,10 @@ class Periods:
 
 @dataclass(frozen=True)
 class Choice:
-    """Periods of the chosen length `window_h` [h]; `reason` says why they are not longer ("" = no need)."""
+    """Periods of the chosen length `window_h` [h]."""
 
     window_h: float
     periods: Periods
-    reason: str
 
 
 @dataclass(frozen=True)
@@ -309,20 +308,15 @@ def choose_length(
     lengths = np.round(np.unique(np.ceil(lengths / cell_h - 1e-3)) * cell_h, 6)
     shortest = periods_of_length(cells, earliest, regime, float(lengths[0]))
     if len(shortest) < ENOUGH[0] or shortest.n_episodes < ENOUGH[1]:
-        return Choice(float(lengths[0]), shortest, "even the shortest yields few periods")
+        return Choice(float(lengths[0]), shortest)
     spread = (shortest.classes(shortest.power, 0.1), shortest.classes(shortest.ambient_K, 5.0))
-    reason = ""
     for length in lengths[:0:-1]:
         found = periods_of_length(cells, earliest, regime, float(length))
         kept = (found.classes(found.power, 0.1), found.classes(found.ambient_K, 5.0))
-        if len(found) < ENOUGH[0] or found.n_episodes < ENOUGH[1]:
-            reason = f"{length:.3g} h would leave {len(found)} periods in {found.n_episodes} episodes"
-        elif any(a < KEPT * b for a, b in zip(kept, spread, strict=True)):
-            lost = "power" if kept[0] < KEPT * spread[0] else "ambient temperature"
-            reason = f"{length:.3g} h would lose more than a quarter of the range of {lost}"
-        else:
-            return Choice(float(length), found, reason)
-    return Choice(float(lengths[0]), shortest, reason)
+        enough = len(found) >= ENOUGH[0] and found.n_episodes >= ENOUGH[1]
+        if enough and all(a >= KEPT * b for a, b in zip(kept, spread, strict=True)):
+            return Choice(float(length), found)
+    return Choice(float(lengths[0]), shortest)
 
 
 def rough_time_constant(cells: Cells) -> float | None:

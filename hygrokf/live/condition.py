@@ -13,6 +13,7 @@ import numpy as np
 
 from hygrokf.engine.timeline import Timeline
 from hygrokf.physics.cold_surface import Surface as Surface
+from hygrokf.physics.linearisation import state_slopes
 from hygrokf.physics.model import Model
 from hygrokf.physics.psychrometrics import (
     GAS_CONSTANT_VAPOUR,
@@ -199,19 +200,11 @@ def probability_above(quantity: Quantity, limit: float) -> np.ndarray:
 def _air(
     model: Model, values: Mapping[str, float | np.ndarray], u: Mapping[str, np.ndarray], mean: np.ndarray
 ) -> tuple[np.ndarray | None, np.ndarray]:
-    """Temperature (T,) of the cabinet air [K], None without it, and its gradient (T, n) with respect to the
-    states.
-
-    The gradient is exact, by complex steps.
-    """
-    count, n = mean.shape
-    # row 0 is the state itself, row i + 1 the state with component i perturbed: one evaluation gives the
-    # whole gradient
-    moved = np.zeros((n, n + 1, count), dtype=complex)
-    moved += mean.T[:, None, :]
-    moved[np.arange(n), np.arange(n) + 1] += 1e-30j
-    found = model.quantities(list(moved), u, values).get("cabinet_air_temperature")
+    """Temperature (T,) of the cabinet air [K], None without it, and its exact gradient (T, n) with respect to
+    the states."""
+    name, columns = "cabinet_air_temperature", list(mean.T)
+    found = model.quantities(columns, u, values).get(name)
     if found is None:
-        return None, np.zeros((count, n))
-    whole = np.broadcast_to(np.asarray(found), (n + 1, count))
-    return np.real(whole[0]), np.ascontiguousarray(np.imag(whole[1:]).T) * 1e30
+        return None, np.zeros(mean.shape)
+    slopes = np.broadcast_to(state_slopes(model, name, values, columns, u), mean.shape)
+    return np.broadcast_to(np.asarray(found), len(mean)), slopes

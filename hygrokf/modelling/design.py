@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import astuple, dataclass, field, fields, replace
+from dataclasses import astuple, dataclass, field, replace
 from functools import cached_property
 from typing import Any
 from weakref import WeakValueDictionary
@@ -115,18 +115,12 @@ class Design:
     def to_json(self) -> dict[str, Any]:
         """All fields as plain data, with the `origins` of mechanisms and features that a user brought."""
         own = origins([*(name for name, _ in self.mechanisms), *self.features])
-        stored = {entry.name: getattr(self, entry.name) for entry in fields(self)}
-        for name in ("actuator_means", "scales"):  # as in the files of earlier versions, which lack them
-            if not stored[name]:
-                del stored[name]
-        return stored | ({"origins": own} if own else {})
+        return fields_alone(self) | ({"origins": own} if own else {})
 
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> Design:
         """A design from the data of `to_json`; what they lack has its default."""
         known = {name: value for name, value in data.items() if name != "origins"}
-        holds = known.get("holds", {})  # earlier versions called a mean zero-order
-        known["holds"] = {key: MEAN if hold == "zero-order" else hold for key, hold in holds.items()}
         wrong = [name for name, _ in known.get("mechanisms", ()) if not isinstance(name, str)]
         if wrong:
             raise ValueError(f"expected names of mechanisms, found {wrong}")
@@ -193,8 +187,6 @@ def design(
     *,
     kind: str = JOINT,
     power_order: int = 2,
-    operation_ambient: bool = True,
-    standstill_ambient: bool = True,
     heat_start: Mapping[str, float] | None = None,
     coloured: bool = True,
 ) -> Design:
@@ -214,9 +206,7 @@ def design(
     acting = [actuator for actuator in actuators(record) if actuator.used]
     if kind != CASCADE:
         chosen.append(("thermal_network", {}))
-        release, mean, remarks = _release(
-            record, scale, power_order, operation_ambient, standstill_ambient, reference, heat_start or {}
-        )
+        release, mean, remarks = _release(record, scale, power_order, reference, heat_start or {})
         chosen.append(("heat_release", release))
         statements += remarks
         chosen += [(name, dict(settings)) for name, settings in (a.thermal for a in acting if a.thermal)]
@@ -297,17 +287,15 @@ def _release(
     record: Record,
     scale: float | None,
     order: int,
-    ambient: bool,
-    standstill_ambient: bool,
     reference: float,
     start: Mapping[str, float],
 ) -> tuple[dict[str, Any], tuple[float, ...], list[str]]:
     """Settings of the heat release, the means of its features, and statements about it."""
     statements = []
-    settings: dict[str, Any] = {"reference_K": reference, "start": dict(start)}
+    settings: dict[str, Any] = {"reference_K": reference, "start": dict(start), "standstill_ambient": True}
     if "preheating" in record and np.nanmax(record["preheating"].value, initial=0.0) > 0:
         settings["preheating"] = True
-    idle = {"operation": False, "standstill": True, "standstill_ambient": standstill_ambient, "order": 0}
+    idle = {"operation": False, "standstill": True, "order": 0}
     if scale is None:
         statements.append("no power in the record: all of it counts as standstill")
         return settings | idle, (), statements
@@ -327,13 +315,7 @@ def _release(
         order = 0
         statements.append("the power hardly varies: the heat release has no slope over it")
     features = power_features(value, order)
-    settings |= {
-        "order": order,
-        "ambient": ambient,
-        "operation": True,
-        "standstill": standstill,
-        "standstill_ambient": standstill_ambient,
-    }
+    settings |= {"order": order, "ambient": True, "operation": True, "standstill": standstill}
     if _longest_gap_h(series, record) > bridge_h(series, BRIDGE_H):
         chosen = features if standstill else np.column_stack([np.zeros(len(value)), features[:, 1:]])
         settings["gap_covariance"] = np.cov(chosen.T, bias=True).reshape(order + 1, order + 1).tolist()

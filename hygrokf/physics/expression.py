@@ -276,6 +276,18 @@ class Graph:
         return [result[e.index] for e in lifted]
 
 
+def _operator(operation: str) -> tuple[Callable[[Any, Any], Expression], Callable[[Any, Any], Expression]]:
+    """An operation as an operator of expressions, and reflected."""
+
+    def forwards(self: Expression, other: Expression | float) -> Expression:
+        return self.graph.make(operation, self, self.graph.lift(other))
+
+    def backwards(self: Expression, other: Expression | float) -> Expression:
+        return self.graph.make(operation, self.graph.lift(other), self)
+
+    return forwards, backwards
+
+
 class Expression:
     """One node of a graph; it supports the operators of a number, and numpy's `_FUNCTIONS`."""
 
@@ -285,38 +297,11 @@ class Expression:
         self.graph = graph
         self.index = index
 
-    def _make(self, operation: str, left: Expression | float, right: Expression | float) -> Expression:
-        return self.graph.make(operation, self.graph.lift(left), self.graph.lift(right))
-
-    def __add__(self, other: Expression | float) -> Expression:
-        return self._make("add", self, other)
-
-    def __radd__(self, other: Expression | float) -> Expression:
-        return self._make("add", other, self)
-
-    def __sub__(self, other: Expression | float) -> Expression:
-        return self._make("sub", self, other)
-
-    def __rsub__(self, other: Expression | float) -> Expression:
-        return self._make("sub", other, self)
-
-    def __mul__(self, other: Expression | float) -> Expression:
-        return self._make("mul", self, other)
-
-    def __rmul__(self, other: Expression | float) -> Expression:
-        return self._make("mul", other, self)
-
-    def __truediv__(self, other: Expression | float) -> Expression:
-        return self._make("div", self, other)
-
-    def __rtruediv__(self, other: Expression | float) -> Expression:
-        return self._make("div", other, self)
-
-    def __lt__(self, other: Expression | float) -> Expression:
-        return self._make("lt", self, other)
-
-    def __gt__(self, other: Expression | float) -> Expression:
-        return self._make("lt", other, self)
+    __add__, __radd__ = _operator("add")
+    __sub__, __rsub__ = _operator("sub")
+    __mul__, __rmul__ = _operator("mul")
+    __truediv__, __rtruediv__ = _operator("div")
+    __lt__, __gt__ = _operator("lt")
 
     def __neg__(self) -> Expression:
         return self.graph.make("neg", self)

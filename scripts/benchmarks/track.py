@@ -24,7 +24,6 @@ from builders.ports import free_port
 from benchmarks import track_cases as cases
 from benchmarks.measure import Figure, Times, interleaved, timed
 from hygrokf.estimation.batch_filter import SideBySide
-from hygrokf.estimation.likelihood import Gaussian
 from hygrokf.live import service as loop
 from hygrokf.live.plan import Form, plan
 from hygrokf.live.service import Service
@@ -112,22 +111,20 @@ def step(quick: bool) -> Iterator[Figure]:
             yield timed(section, name, "ms", times * 1e3, at_most=3.0, note=words)
 
 
-def _side_by_side(count: int, wandering: Mapping | None) -> tuple[SideBySide, Callable[[float], None]]:
-    """So many runs, each with values of its own, and what takes them a step of so many hours on, all readings
-    there."""
+def _side_by_side(count: int, wandering: Mapping | None) -> tuple[SideBySide, Callable[[float], object]]:
+    """So many runs, each with values of its own, and what takes them a step of so many hours on."""
     made = cases.record()
     fit = cases.fit()
     forms = {s.signal: Form(s.hold, s.interval_s) for s in made.series}
     own = plan(fit, forms=forms, site=made.site, rated_power_W=made.rated_power_W, wandering=wandering)
     course = offline_course(own, made)
     line, last = course.run.timeline, len(course.run.timeline) - 1
-    state = Gaussian(course.trace.mean[last], course.trace.covariance[last])
+    mean = np.repeat(course.trace.mean[last : last + 1], count, axis=0)
     values = [{**own.values, "hygric_k": 0.4 + 0.2 * number / count} for number in range(count)]
-    runs = SideBySide(own.model, values, [state] * count)
+    runs = SideBySide(own.model, values)
     inputs = {name: np.full(count, line.input(name)[last]) for name in own.model.inputs}
-    readings = {name: np.full(count, line.y[last, place]) for place, name in enumerate(own.model.outputs)}
     runs.begin(inputs)
-    return runs, lambda hours: runs.step(hours, inputs, readings)
+    return runs, lambda hours: runs.step(mean, hours, inputs)
 
 
 # -- through a broker ----------------------------------------------------------------------------------------

@@ -143,23 +143,14 @@ def _points(series: dict[str, np.ndarray], chosen: np.ndarray, regime: str) -> d
     return {
         "n_points": len(rows),
         "n_episodes": 12,
-        "window_h": 1.5,
         "order": len(names) - 2,
         "ambient": True,
-        "coefficients": {
-            n: {"value": float(v), "se": 0.2, "robust": float(v)} for n, v in zip(names, found, strict=True)
-        },
-        "r2": 0.7,
-        "residual_sd_K": float(np.std(difference - table @ found)),
+        "coefficients": dict(zip(names, found.tolist(), strict=True)),
         "points": {
-            "start_s": series["time_s"][rows].tolist(),
             "power": power.tolist(),
             "difference_K": difference.tolist(),
             "ambient_K": warm.tolist(),
-            "fitted_K": (table @ found).tolist(),
-            "episode": [0] * len(rows),
         },
-        "statement": f"{regime}: made for the fixture",
     }
 
 
@@ -298,7 +289,6 @@ def _results(name: str, series: dict[str, np.ndarray]) -> dict:
             "operation": _points(series, early & (running > 0), "operation"),
             "standstill": _points(series, early & (running == 0), "standstill"),
             "reference_K": REFERENCE_K,
-            "scale_W": 2.05e6,
             "statement": "made for the fixture",
         },
         "innovations": plain(diagnose((time[early] - time[0]) / 3600.0, standard, inputs)),

@@ -10,8 +10,8 @@ from builders.mechanism_case import host, some_run, some_values
 from hygrokf.data.record import Record
 from hygrokf.engine.llvm_writer import RUNS
 from hygrokf.estimation.batch_filter import SideBySide
-from hygrokf.estimation.likelihood import Gaussian, Likelihood
-from hygrokf.estimation.smoother import to_filterpy
+from hygrokf.estimation.likelihood import Likelihood
+from hygrokf.estimation.smoother import to_filterpy, transition
 from hygrokf.live.plan import Plan, plan
 from hygrokf.live.tracker import Course, offline_course
 from hygrokf.physics.expression import maximum, minimum
@@ -48,74 +48,42 @@ def test_every_run_is_its_own_filter(records: list[Record]) -> None:
     plans = [planned(records[0], tau_h) for tau_h in (0.9, 1.5, 2.6)]
     courses = [offline_course(p, r) for p, r in zip(plans, records, strict=True)]
     model, begin = plans[0].model, 20
-    starts = [Gaussian(c.trace.mean[begin], c.trace.covariance[begin]) for c in courses]
-    runs = SideBySide(model, [p.values for p in plans], starts)
+    runs = SideBySide(model, [p.values for p in plans])
     runs.begin({n: np.array([at(c, n, begin) for c in courses]) for n in model.inputs})
+    own = [Likelihood(model, c.run.timeline) for c in courses]
     for i in range(begin + 1, begin + COUNT):
         hours = np.array([c.run.timeline.time[i] - c.run.timeline.time[i - 1] for c in courses])
         inputs = {n: np.array([at(c, n, i) for c in courses]) for n in model.inputs}
-        readings = {
-            n: np.array([c.run.timeline.y[i, k] for c in courses]) for k, n in enumerate(model.outputs)
-        }
-        runs.step(hours, inputs, readings)
-    last = begin + COUNT - 1
+        before = np.array([c.trace.mean[i - 1] for c in courses])
+        mean, gained = runs.step(before, hours, inputs)
+        for r, (one, likelihood) in enumerate(zip(plans, own, strict=True)):
+            expected, _, spread = transition(likelihood, one.values, i, before[r])
+            assert mean[r] == pytest.approx(expected, rel=CLOSE, abs=CLOSE)
+            assert gained[r] == pytest.approx(spread, rel=CLOSE, abs=CLOSE)
     assert len({round(float(h), 6) for h in hours}) > 1  # the steps differ
-    for own, mean, covariance in zip(courses, runs.mean, runs.covariance, strict=True):
-        assert mean == pytest.approx(own.trace.mean[last], rel=CLOSE, abs=CLOSE)
-        assert covariance == pytest.approx(own.trace.covariance[last], rel=CLOSE, abs=CLOSE)
-
-
-def test_without_readings_it_is_a_forecast(records: list[Record]) -> None:
-    one = planned(records[0], 1.5)
-    course = offline_course(one, records[0])
-    t = course.run.timeline.window(31, 80)
-    free = Likelihood(one.model, t.with_readings(np.full_like(t.y, np.nan)))
-    start = Gaussian(course.trace.mean[30], course.trace.covariance[30])
-    expected = free.trace(one.values, start=start)
-    runs = SideBySide(one.model, [one.values], [start])
-    runs.begin({n: np.array([at(course, n, 30)]) for n in one.model.inputs})
-    for i in range(31, 80):
-        hours = course.run.timeline.time[i] - course.run.timeline.time[i - 1]
-        runs.step(hours, {n: np.array([at(course, n, i)]) for n in one.model.inputs})
-    assert runs.mean[0] == pytest.approx(expected.mean[-1], rel=CLOSE, abs=CLOSE)
 
 
 def test_faults_in_words(records: list[Record]) -> None:
     one = planned(records[0], 1.5)
-    n = len(one.model.states)
-    start = Gaussian(np.zeros(n), np.eye(n))
-    with pytest.raises(ValueError, match="as many states"):
-        SideBySide(one.model, [one.values], [start, start])
-    runs = SideBySide(one.model, [one.values], [start])
+    runs = SideBySide(one.model, [one.values])
     inputs = {name: np.array([280.0]) for name in one.model.inputs}
     with pytest.raises(ValueError, match="ambient_temperature"):
-        runs.step(0.1, {**inputs, "ambient_temperature": np.array([np.nan])})
-    with pytest.raises(ValueError, match="expected readings of"):
-        runs.step(0.1, inputs, {"wind_speed": np.array([1.0])})
+        runs.step(
+            np.zeros((1, len(one.model.states))), 0.1, {**inputs, "ambient_temperature": np.array([np.nan])}
+        )
 
 
-def test_filterpy_the_tracker_and_runs_side_by_side_agree(records: list[Record]) -> None:
+def test_filterpy_and_the_tracker_agree(records: list[Record]) -> None:
     """The tracked model, all its wandering properties included, in filterpy's own algebra: to 1e-9 over 150
     instants."""
     one = planned(records[1], 1.7)
     course = offline_course(one, records[1])
-    t = course.run.timeline.window(0, 150)
-    object_ = to_filterpy(Likelihood(one.model, t), one.values)
-    runs = None
+    object_ = to_filterpy(Likelihood(one.model, course.run.timeline.window(0, 150)), one.values)
     for k in range(150):
         object_.advance(k)
         object_.observe(k)
         assert object_.x == pytest.approx(course.trace.mean[k], rel=CLOSE, abs=CLOSE)
         assert object_.P == pytest.approx(course.trace.covariance[k], rel=CLOSE, abs=CLOSE)
-        inputs = {n: np.array([at(course, n, k)]) for n in one.model.inputs}
-        if runs is None:
-            start = Gaussian(course.trace.mean[0], course.trace.covariance[0])
-            runs = SideBySide(one.model, [one.values], [start])
-            runs.begin(inputs)
-            continue
-        readings = {n: t.y[k : k + 1, i] for i, n in enumerate(one.model.outputs)}
-        runs.step(float(t.time[k] - t.time[k - 1]), inputs, readings)
-        assert runs.mean[0] == pytest.approx(object_.x, rel=CLOSE, abs=CLOSE)
 
 
 def drying_above(limit: float) -> Mechanism:
@@ -132,37 +100,39 @@ def drying_above(limit: float) -> Mechanism:
 
 @pytest.mark.parametrize("count", [1, 2 * RUNS, 2 * RUNS + 3])
 def test_runs_differ_in_everything(count: int) -> None:
-    """Parameters, numbers of sub-steps, inputs, missing readings and comparisons; blocks of lanes that are
-    full and not."""
+    """Parameters, numbers of sub-steps, inputs and comparisons; blocks of lanes that are full and not."""
     model = host(drying_above(7.2))
     timelines = [some_run(model, seed) for seed in range(count)]
     values = [{**some_values(model), "hygric_k": 0.1 + 0.07 * (seed % 5)} for seed in range(count)]
     own = [Likelihood(model, t) for t in timelines]
     traces = [one.trace(v) for one, v in zip(own, values, strict=True)]
-    begin = [Gaussian(t.mean[0], t.covariance[0]) for t in traces]
-    runs = SideBySide(model, values, begin)
+    runs = SideBySide(model, values)
     rows = [{n: t.input(n) for n in model.inputs} for t in timelines]
     runs.begin({n: np.array([row[n][0] for row in rows]) for n in model.inputs})
     for k in range(1, len(timelines[0])):
         inputs = {n: np.array([row[n][k] for row in rows]) for n in model.inputs}
-        readings = {n: np.array([t.y[k, i] for t in timelines]) for i, n in enumerate(model.outputs)}
-        runs.step(timelines[0].time[k] - timelines[0].time[k - 1], inputs, readings)
-        assert len(runs) == len(runs.mean) == count
-        assert runs.mean == pytest.approx(np.array([t.mean[k] for t in traces]), rel=CLOSE, abs=CLOSE)
-        expected = np.array([t.covariance[k] for t in traces])
-        assert runs.covariance == pytest.approx(expected, rel=CLOSE, abs=CLOSE)
+        before = np.array([t.mean[k - 1] for t in traces])
+        mean, gained = runs.step(before, timelines[0].time[k] - timelines[0].time[k - 1], inputs)
+        assert len(mean) == len(gained) == count
+        expected = [transition(one, v, k, m) for one, v, m in zip(own, values, before, strict=True)]
+        moved, spread = (np.array([e[i] for e in expected]) for i in (0, 2))
+        # where the drier begins within the step, the noise of this one step is right to some percent
+        assert mean == pytest.approx(moved, rel=3e-6)
+        assert np.median(np.abs(mean - moved)) < CLOSE
+        size = np.sqrt(np.einsum("rii->ri", spread)) + CLOSE
+        assert np.abs((gained - spread) / (size[:, :, None] * size[:, None, :])).max() < 0.1
+        assert np.median(np.abs(gained - spread)) < CLOSE
 
 
 def test_a_first_step_that_takes_no_time_changes_nothing() -> None:
     """What is kept between steps is computed at it, too: it is not what the memory held before."""
     model = host(drying_above(7.2))
     t, values = some_run(model, 3), some_values(model)
-    own = Likelihood(model, t)
-    begin = own.first_gaussian(values)
+    begin = Likelihood(model, t).first_gaussian(values).mean[None]
     for _ in range(20):  # fresh memory is zero at times
         np.full(5000, 1e6)
-        runs = SideBySide(model, [values], [begin])
+        runs = SideBySide(model, [values])
         inputs = {n: t.input(n)[:1] for n in model.inputs}
         runs.begin(inputs)
-        runs.step(0.0, inputs)
-        assert runs.mean[0] == pytest.approx(begin.mean, rel=1e-12)
+        mean, gained = runs.step(begin, 0.0, inputs)
+        assert mean == pytest.approx(begin, rel=1e-12) and not gained.any()

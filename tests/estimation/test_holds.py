@@ -73,13 +73,12 @@ def test_the_plain_filter_and_many_runs_side_by_side_take_every_hold(hold: str) 
     assert_allclose(likelihood.value(VALUES), total, atol=1e-5)
     trace = likelihood.trace(VALUES)
     assert_allclose(trace.mean[-1], states[-1].mean, atol=1e-6)
-    first = [Gaussian(trace.mean[0], trace.covariance[0])] * 2
-    runs = SideBySide(model, [VALUES] * 2, first)
+    runs = SideBySide(model, [VALUES] * 2)
     runs.begin({"u": np.full(2, run.input("u")[0])})
     for k in range(1, len(run)):
         step = np.full(2, run.time[k] - run.time[k - 1])
-        runs.step(step, {"u": np.full(2, run.input("u")[k])}, {"y": np.full(2, run.y[k, 0])})
-    assert_allclose(runs.mean[0], trace.mean[-1], rtol=1e-9, atol=1e-12)
+        mean, _ = runs.step(np.array([trace.mean[k - 1]] * 2), step, {"u": np.full(2, run.input("u")[k])})
+        assert_allclose(mean[0], trace.prior_mean[k], atol=1e-9)
 
 
 @pytest.mark.parametrize("first", [20, 41])

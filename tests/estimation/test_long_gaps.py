@@ -247,15 +247,16 @@ def test_runs_side_by_side_cross_gaps_of_their_own(joint: object) -> None:
     assert not joint.timeline.regimes
     lines = [t.with_readings(np.full_like(t.y, np.nan)) for t in lines]
     runs_of = [Likelihood(joint.model, t) for t in lines]
-    starts = [one.first_gaussian(values) for one, values in zip(runs_of, sets, strict=True)]
-    side = SideBySide(joint.model, sets, starts)
+    mean = np.array([one.first_gaussian(values).mean for one, values in zip(runs_of, sets, strict=True)])
+    side = SideBySide(joint.model, sets)
     side.begin({name: np.full(5, lines[0].input(name)[0]) for name in joint.model.inputs})
     for k, step in ((1, hours), (2, np.full(5, 0.25))):
-        side.step(step, {name: np.full(5, lines[0].input(name)[k]) for name in joint.model.inputs})
-    for i, (one, values) in enumerate(zip(runs_of, sets, strict=True)):
-        expected = one.trace(values, start=starts[i]).last
-        np.testing.assert_allclose(side.mean[i], expected.mean, rtol=1e-7, atol=1e-7)
-        np.testing.assert_allclose(side.covariance[i], expected.covariance, rtol=1e-6, atol=1e-6)
+        before, inputs = mean, {name: np.full(5, lines[0].input(name)[k]) for name in joint.model.inputs}
+        mean, gained = side.step(before, step, inputs)
+        for i, (one, values) in enumerate(zip(runs_of, sets, strict=True)):
+            expected, _, spread = transition(one, values, k, before[i])
+            np.testing.assert_allclose(mean[i], expected, rtol=1e-7, atol=1e-7)
+            np.testing.assert_allclose(gained[i], spread, rtol=1e-6, atol=1e-6)
 
 
 @pytest.fixture(scope="module")

@@ -13,6 +13,7 @@ from hygrokf.engine.timeline import timeline
 from hygrokf.estimation.batch_filter import SideBySide
 from hygrokf.estimation.likelihood import Likelihood
 from hygrokf.estimation.optimiser import fit_mle
+from hygrokf.estimation.smoother import transition
 from hygrokf.physics.mechanisms import linear_network
 from hygrokf.physics.model import Model, compose
 from hygrokf.physics.parameters import Parameter
@@ -124,18 +125,17 @@ def test_stiff_runs_side_by_side_are_the_single_ones() -> None:
     made, lengths = model(rates, noise, seen), np.array([1e-4, 0.2, 30.0, 9e4, 0.0, 7.0])
     runs, expected, first = [], [], []
     for i, hours in enumerate(lengths):
-        line = timeline(made, np.array([0.0, max(hours, 1.0)]), {}, {"y": np.array([np.nan, 0.3])})
+        line = timeline(made, np.array([0.0, max(hours, 1.0)]), {}, {})
         line.steps[1] = hours
         one = Likelihood(made, line)
         values = {"a": 0.5 + 0.2 * i}
         runs.append(values)
-        first.append(one.first_gaussian(values))
-        expected.append(one.trace(values).last)
-    side = SideBySide(made, runs, first)
-    side.step(lengths, {}, {"y": np.full(len(lengths), 0.3)})
-    for i, one in enumerate(expected):
-        np.testing.assert_allclose(side.mean[i], one.mean, rtol=1e-13)
-        np.testing.assert_allclose(side.covariance[i], one.covariance, rtol=1e-12)
+        first.append(one.first_gaussian(values).mean)
+        expected.append(transition(one, values, 1, first[-1]))
+    mean, gained = SideBySide(made, runs).step(np.array(first), lengths, {})
+    for i, (own, _, spread) in enumerate(expected):
+        np.testing.assert_allclose(mean[i], own, rtol=1e-13)
+        np.testing.assert_allclose(gained[i], spread, rtol=1e-12)
 
 
 def test_a_disturbance_that_is_white_in_truth_is_found_at_no_greater_cost() -> None:

@@ -20,7 +20,6 @@ from hygrokf.engine.timeline import timeline
 from hygrokf.estimation.likelihood import Gaussian, Likelihood
 from hygrokf.evaluation.simulation import (
     QUANTITIES,
-    air_temperature,
     forecasts,
     free_run,
     measured,
@@ -429,22 +428,23 @@ def test_projections_have_the_slopes_of_finite_differences(noisy):
     record, base, _, values = noisy
     driven = model_inputs(base, record.window(record.start_s, record.start_s + 86400.0))
     trace = Likelihood(base.model, driven.timeline).trace(values)
-    for function in (air_temperature, lambda equations: equations.rates[0] ** 2):
-        value, variance = project(base.model, driven.timeline, values, trace.mean, trace.covariance, function)
+    for name in ("cabinet_air_temperature", base.model.states[0]):
+        value, variance = project(base.model, driven.timeline, values, trace.mean, trace.covariance, name)
         slopes = []
         for i in range(trace.mean.shape[1]):
             moved = [trace.mean.copy(), trace.mean.copy()]
             moved[0][:, i] -= 1e-4
             moved[1][:, i] += 1e-4
-            low, high = (project(base.model, driven.timeline, values, m, None, function)[0] for m in moved)
+            low, high = (project(base.model, driven.timeline, values, m, None, name)[0] for m in moved)
             slopes.append((high - low) / 2e-4)
         j = np.array(slopes).T
         assert_allclose(variance, np.einsum("ti,tij,tj->t", j, trace.covariance, j), rtol=1e-5)
-        assert np.all(project(base.model, driven.timeline, values, trace.mean, None, function)[1] == 0.0)
+        assert np.all(project(base.model, driven.timeline, values, trace.mean, None, name)[1] == 0.0)
         assert value.shape == (len(driven.timeline),)
     u = driven.timeline.input("ambient_temperature")
     warm = 0.85 * trace.mean[:, 0] + 0.15 * u
-    assert_allclose(project(base.model, driven.timeline, values, trace.mean, None, air_temperature)[0], warm)
+    air, _ = project(base.model, driven.timeline, values, trace.mean, None, "cabinet_air_temperature")
+    assert_allclose(air, warm)
 
 
 def test_measured_absolute_humidity_uses_a_temperature_no_further_than_half_an_hour(noisy):

@@ -1,11 +1,10 @@
-"""Heat release from quasi-stationary periods: recovery of the truth, standard errors by an independent
-formula, and records of every legal shape."""
+"""Heat release from quasi-stationary periods: recovery of the truth, cross-validation by refitting, and
+records of every legal shape."""
 
 from __future__ import annotations
 
 import gzip
 import json
-import math
 import subprocess
 import sys
 from dataclasses import replace
@@ -20,7 +19,9 @@ from plants.as_record import to_record
 from hygrokf.cases.synthetic import SyntheticParameters, synthetic_turbine
 from hygrokf.data.record import Record, Series
 from hygrokf.data.structured import plain
-from hygrokf.identification.steady_state import HeatRelease, Regression, heat_release_regression
+from hygrokf.identification import steady_state
+from hygrokf.identification.periods import Choice, choose_length
+from hygrokf.identification.steady_state import HeatRelease, Regression, _left_out, heat_release_regression
 from hygrokf.modelling.design import design
 from hygrokf.physics.mechanisms.thermal import heat_release
 
@@ -104,17 +105,28 @@ def made() -> Plant:
     return plant(5, days=180.0)
 
 
-def regressors(fit: Regression) -> np.ndarray:
-    columns = [fit.points.power**k for k in range(fit.order + 1)]
-    return np.column_stack([*columns, *([fit.points.ambient_K - REFERENCE_K] if fit.ambient else [])])
-
-
 # --- truth ----------------------------------------------------------------------------------
 
 
-def test_exact_on_a_cabinet_without_inertia() -> None:
+def with_time_constant(
+    monkeypatch: pytest.MonkeyPatch, record: Record, tau_h: float
+) -> tuple[HeatRelease, list[float]]:
+    """The heat release with this estimate of the time constant, and the lengths [h] of its periods."""
+    lengths = []
+
+    def chosen(*given: object) -> Choice:
+        choice = choose_length(*given)
+        lengths.append(choice.window_h)
+        return choice
+
+    monkeypatch.setattr(steady_state, "rough_time_constant", lambda cells: tau_h)
+    monkeypatch.setattr(steady_state, "choose_length", chosen)
+    return heat_release_regression(record, reference_K=REFERENCE_K), lengths
+
+
+def test_exact_on_a_cabinet_without_inertia(monkeypatch: pytest.MonkeyPatch) -> None:
     # Its time constant is nought; one given near nought asks for the shortest periods.
-    found = heat_release_regression(block_record(1), reference_K=REFERENCE_K, time_constant_h=1e-6)
+    found, _ = with_time_constant(monkeypatch, block_record(1), 1e-6)
     assert (found.operation.order, found.operation.ambient) == (2, True)
     assert found.standstill.ambient
     expected = dict(
@@ -134,84 +146,63 @@ def test_exact_on_a_cabinet_without_inertia() -> None:
         # Periods reach some minutes into a ramp, within the tolerance; the difference follows the ramp
         # linearly.
         assert start[name] == pytest.approx(value, abs=0.05), name
-    assert found.operation.r2 > 0.999
 
 
-def score(fit: Regression, power: float, right: float) -> tuple[float, float]:
-    """Error of the release [K] at a power and the periods' mean ambient temperature; the same in clustered
-    errors."""
-    x, episode = regressors(fit), fit.points.episode
-    residual = fit.points.settled_K - fit.points.fitted_K
-    sums = np.array([x[episode == g].T @ residual[episode == g] for g in np.unique(episode)])
-    bread = np.linalg.inv(x.T @ x)
+def release(fit: Regression, power: float) -> float:
+    """The release [K] at a power and the periods' mean ambient temperature."""
     row = np.array([power**k for k in range(fit.order + 1)] + [mean_warmth(fit)] * fit.ambient)
-    error = float(row @ [one.value for one in fit.coefficients.values()]) - right
-    return error, error / math.sqrt(row @ bread @ sums.T @ sums @ bread @ row)
+    return float(row @ list(fit.coefficients.values()))
 
 
 def mean_warmth(fit: Regression) -> float:
     return float(fit.points.ambient_K.mean()) - REFERENCE_K
 
 
-def scores(
+def errors(
     found: HeatRelease, operation: tuple[float, ...], standstill: tuple[float, ...], bias_K: float
-) -> list[tuple[float, float]]:
-    """Scores at low and high power, where most periods are, and at standstill; a sensor's bias is no
+) -> list[float]:
+    """Errors [K] at low and high power, where most periods are, and at standstill; a sensor's bias is no
     error."""
     rows = []
     a, b = operation, standstill
     for p in (0.03, 0.97):
         right = a[0] + a[1] * p + a[2] * p**2 + a[3] * mean_warmth(found.operation) + bias_K
-        rows.append(score(found.operation, p, right))
+        rows.append(release(found.operation, p) - right)
     if found.standstill is not None:
-        rows.append(score(found.standstill, 0.0, b[0] + b[1] * mean_warmth(found.standstill) + bias_K))
+        right = b[0] + b[1] * mean_warmth(found.standstill) + bias_K
+        rows.append(release(found.standstill, 0.0) - right)
     return rows
 
 
-def within_errors(rows: list[tuple[float, float]]) -> None:
-    errors, ratios = np.array(rows).T
-    assert math.sqrt(np.mean(ratios**2)) < 1.7
-    assert np.max(np.abs(ratios)) < 4.0
+def small(errors: list[float]) -> None:
     assert abs(np.mean(errors)) < 0.25
     assert np.median(np.abs(errors)) < 0.35
+    assert np.max(np.abs(errors)) < 2.0
 
 
-def test_truth_of_the_synthetic_turbine_within_clustered_errors() -> None:
+def test_truth_of_the_synthetic_turbine() -> None:
     rows = []
     for seed in range(1, 6):
         record, bias = turbine_record(seed)
         found = heat_release_regression(record, reference_K=REFERENCE_K)
-        assert found.time_constant_h == pytest.approx(1.5, rel=0.15)
         truth = SyntheticParameters()
-        rows += scores(
+        rows += errors(
             found, truth.operation_release, truth.standstill_release, bias["cabinet"] - bias["ambient"]
         )
     assert len(rows) == 15
-    within_errors(rows)
+    small(rows)
 
 
 @pytest.mark.parametrize("tau_h", [0.5, 3.0])
-def test_truth_of_plants_within_clustered_errors(tau_h: float) -> None:
+def test_truth_of_plants(tau_h: float) -> None:
     rows = []
     for seed in range(1, 11):
         one = plant(seed, tau_h=tau_h)
         found = heat_release_regression(to_record(one), reference_K=REFERENCE_K)
-        assert found.time_constant_h == pytest.approx(tau_h, rel=0.2)
         bias = dict(one.truth.biases).get("cabinet_temperature", 0.0)
-        rows += scores(found, one.truth.operation_K, one.truth.standstill_K, bias)
+        rows += errors(found, one.truth.operation_K, one.truth.standstill_K, bias)
     assert len(rows) >= 28
-    within_errors(rows)
-
-
-def rate_K_h(record: Record, fit: Regression) -> np.ndarray:
-    """Mean rate of change of the cabinet temperature over each period, from the readings themselves."""
-    cabinet = record["cabinet_temperature"]
-    known = ~cabinet.missing
-    ends = [
-        np.interp(at, cabinet.time[known], cabinet.value[known])
-        for at in (fit.points.start_s, fit.points.end_s)
-    ]
-    return (ends[1] - ends[0]) * HOUR_S / (fit.points.end_s - fit.points.start_s)
+    small(rows)
 
 
 def test_settling_takes_the_transients_bias_off() -> None:
@@ -221,84 +212,41 @@ def test_settling_takes_the_transients_bias_off() -> None:
         one, record = plant(seed, tau_h=6.0), to_record(plant(seed, tau_h=6.0))
         found = heat_release_regression(record, reference_K=REFERENCE_K)
         fit, truth = found.standstill, one.truth.standstill_K
-        assert fit.settled and fit.transient_K > 0.5
         bias = dict(one.truth.biases).get("cabinet_temperature", 0.0)
         right = truth[0] + truth[1] * mean_warmth(fit) + bias
         # a regression with a constant has the mean of its response
         plain.append(fit.points.difference_K.mean() - right)
-        settled.append(fit.points.fitted_K.mean() - right)
-        np.testing.assert_allclose(
-            fit.points.settled_K - fit.points.difference_K,
-            found.time_constant_h * rate_K_h(record, fit),
-            atol=1e-9,
-        )
+        settled.append(release(fit, 0.0) - right)
     assert np.mean(plain) > 0.4
     assert abs(np.mean(settled)) < 0.5 * np.mean(plain)
 
 
-def test_a_wrong_time_constant_does_not_settle_anything() -> None:
-    record = block_record(3, scatter_K=0.1, noise_K=0.15)
-    fit = heat_release_regression(record, reference_K=REFERENCE_K, time_constant_h=100.0).operation
-    assert not fit.settled
-    np.testing.assert_array_equal(fit.points.settled_K, fit.points.difference_K)
-    assert fit.coefficients["heat_release_operation_ambient"].value == pytest.approx(OPERATION[3], abs=0.02)
+def test_a_wrong_time_constant_does_not_settle_anything(monkeypatch: pytest.MonkeyPatch) -> None:
+    found, _ = with_time_constant(monkeypatch, block_record(3, scatter_K=0.1, noise_K=0.15), 100.0)
+    slope = found.operation.coefficients["heat_release_operation_ambient"]
+    assert slope == pytest.approx(OPERATION[3], abs=0.02)
 
 
 # --- regression -----------------------------------------------------------------------------
 
 
-def test_clustered_errors_are_those_of_the_formula(scattered: HeatRelease) -> None:
-    for fit in (scattered.operation, scattered.standstill):
-        x, y, episode = regressors(fit), fit.points.settled_K, fit.points.episode
-        n, k, groups = len(y), x.shape[1], np.unique(episode)
-        beta = np.linalg.solve(x.T @ x, x.T @ y)
-        meat = np.zeros((k, k))
-        for g in groups:
-            score = np.zeros(k)
-            for i in np.flatnonzero(episode == g):
-                score += x[i] * (y[i] - x[i] @ beta)
-            meat += np.outer(score, score)
-        bread = np.linalg.inv(x.T @ x)
-        scale = len(groups) / (len(groups) - 1.0) * (n - 1.0) / (n - k)
-        se = np.sqrt(np.diag(scale * bread @ meat @ bread))
-        assert [one.value for one in fit.coefficients.values()] == pytest.approx(beta.tolist(), rel=1e-9)
-        assert [one.se for one in fit.coefficients.values()] == pytest.approx(se.tolist(), rel=1e-9)
-        assert fit.residual_sd_K == pytest.approx(math.sqrt(np.sum((y - x @ beta) ** 2) / (n - k)), rel=1e-9)
-        assert fit.r2 == pytest.approx(1.0 - np.var(y - x @ beta) / np.var(y), rel=1e-9)
-        np.testing.assert_allclose(fit.points.fitted_K, x @ beta)
-        assert (fit.n_points, fit.n_episodes) == (n, len(groups))
+def test_what_is_left_out_is_that_of_refitting() -> None:
+    random = np.random.default_rng(3)
+    episode = np.repeat(np.arange(12), 4)
+    power, noise = random.uniform(size=(2, 48))
+    x, y = np.column_stack([np.ones(48), power, power**2]), 2.0 + power + noise
+    sums = []
+    for g in range(12):
+        out = episode == g
+        error = y[out] - x[out] @ np.linalg.lstsq(x[~out], y[~out], rcond=None)[0]
+        sums.append(float(error @ error))
+    assert _left_out(x, y, episode) == pytest.approx(sums, rel=1e-9)
+    assert _left_out(x, y, np.zeros(48, int)) is None
 
 
-def test_cross_validation_is_that_of_refitting(scattered: HeatRelease) -> None:
-    fit = scattered.operation
-    p, warm, y = fit.points.power, fit.points.ambient_K - REFERENCE_K, fit.points.settled_K
-    errors = {}
-    for one in fit.cross_validation:
-        x = np.column_stack([*[p**k for k in range(one.order + 1)], *([warm] if one.ambient else [])])
-        left = np.empty(len(y))
-        for g in np.unique(fit.points.episode):
-            out = fit.points.episode == g
-            left[out] = y[out] - x[out] @ np.linalg.lstsq(x[~out], y[~out], rcond=None)[0]
-        errors[one.order, one.ambient] = left**2
-        assert one.error_K == pytest.approx(math.sqrt(np.mean(left**2)), rel=1e-9)
-    assert set(errors) == {(k, t) for k in range(4) for t in (False, True)}
-    best = min(errors, key=lambda form: errors[form].mean())
-    for one in fit.cross_validation:
-        above = errors[one.order, one.ambient] - errors[best]
-        assert one.excess == pytest.approx(above.mean(), abs=1e-9)
-        sums = [
-            np.sum((above - above.mean())[fit.points.episode == g]) for g in np.unique(fit.points.episode)
-        ]
-        groups = len(sums)
-        assert one.excess_se == pytest.approx(
-            math.sqrt(groups / (groups - 1) * np.sum(np.square(sums))) / len(y), abs=1e-9
-        )
-    within = [c for c in fit.cross_validation if c.excess <= c.excess_se]
-    fewest = min(c.order + c.ambient for c in within)
-    chosen = [c for c in fit.cross_validation if c.chosen]
-    assert len(chosen) == 1
-    assert chosen[0] in within and chosen[0].order + chosen[0].ambient == fewest
-    assert (fit.order, fit.ambient) == (chosen[0].order, chosen[0].ambient) == (2, True)
+def test_the_simplest_form_that_predicts_as_well_is_taken(scattered: HeatRelease) -> None:
+    assert (scattered.operation.order, scattered.operation.ambient) == (2, True)
+    assert scattered.standstill.ambient
 
 
 def test_no_slope_is_found_where_there_is_none() -> None:
@@ -311,51 +259,20 @@ def test_no_slope_is_found_where_there_is_none() -> None:
     assert fit.start() == pytest.approx(
         {"heat_release_operation": 6.0, "heat_release_standstill": 6.0}, abs=0.02
     )
-    assert fit.operation.r2 == 0.0
 
 
 def test_no_curve_is_drawn_through_powers_that_no_period_reaches() -> None:
-    ends = heat_release_regression(
-        block_record(9, scatter_K=0.3, powers=(-0.01, 0.02, 0.1, 0.9, 1.0))
-    ).operation
-    assert {c.order for c in ends.cross_validation} == {0, 1}
-    assert "not tried" in ends.statement
-    middle = heat_release_regression(block_record(9, scatter_K=0.3, powers=(-0.01, 0.02, 0.5, 1.0))).operation
-    assert {c.order for c in middle.cross_validation} == {0, 1, 2}
-    whole = heat_release_regression(block_record(9, scatter_K=0.3)).operation
-    assert {c.order for c in whole.cross_validation} == {0, 1, 2, 3}
-    assert "not tried" not in whole.statement
-
-
-def test_a_disagreement_of_the_robust_fit_is_reported() -> None:
-    record = block_record(5, scatter_K=0.2)
-    value, power = record["cabinet_temperature"].value.copy(), record["active_power"]
-    blocks = ((record["cabinet_temperature"].time - START_S) // (8.0 * HOUR_S)).astype(int)
-    levels = power.value[(blocks * 48 + 20).clip(max=len(power.value) - 1)] / RATED_W
-    # A door stood open in every fourth block near rated power, for all of it.
-    opened = (levels > 0.8) & (blocks % 4 == 0)
-    fit = heat_release_regression(changed(record, "cabinet_temperature", value), reference_K=REFERENCE_K)
-    assert "robust" not in fit.statement
-    value[opened] -= 12.0
-    fit = heat_release_regression(changed(record, "cabinet_temperature", value), reference_K=REFERENCE_K)
-    right = OPERATION[0] + OPERATION[1] * 0.9 + OPERATION[2] * 0.81
-    values = [
-        [getattr(one, kind) for one in fit.operation.coefficients.values()] for kind in ("value", "robust")
-    ]
-    rows = np.array([0.9**k for k in range(fit.operation.order + 1)] + [0.0] * fit.operation.ambient)
-    least, robust = (float(rows @ np.array(one)) for one in values)
-    assert abs(robust - right) < 0.5 * abs(least - right)
-    apart = [c for c in fit.operation.coefficients.values() if abs(c.value - c.robust) > 2.0 * c.se]
-    assert bool(apart) == ("robust" in fit.statement)
+    for powers, most in (((-0.01, 0.02, 0.1, 0.9, 1.0), 1), ((-0.01, 0.02, 0.5, 1.0), 2)):
+        found = heat_release_regression(block_record(9, scatter_K=0.3, powers=powers))
+        assert 1 <= found.operation.order <= most
+    assert heat_release_regression(block_record(9, scatter_K=0.3)).operation.order == 2
 
 
 def test_a_record_without_scatter_raises_no_warning() -> None:
     still = without(block_record(6, powers=(0.5,)), "active_power")
     still = changed(changed(still, "cabinet_temperature", 290.0), "ambient_temperature", 280.0)
     fit = heat_release_regression(still).standstill
-    assert fit.coefficients["heat_release_standstill"].value == pytest.approx(10.0)
-    assert fit.coefficients["heat_release_standstill"].robust == pytest.approx(10.0)
-    assert fit.residual_sd_K == pytest.approx(0.0, abs=1e-9)
+    assert fit.coefficients["heat_release_standstill"] == pytest.approx(10.0)
 
 
 # --- what records are like ------------------------------------------------------------------
@@ -375,17 +292,13 @@ def test_constant_power() -> None:
     one = plant(6, days=120.0, power="constant")
     found = heat_release_regression(to_record(one), reference_K=REFERENCE_K)
     assert found.operation.order == 0
-    assert {c.order for c in found.operation.cross_validation} == {0}
-    assert "0.60 … 0.60" in found.statement
     assert found.standstill is None and "standstill: none in the record" in found.statement
     a = one.truth.operation_K
     warm = found.operation.points.ambient_K.mean() - REFERENCE_K
     right = (
         a[0] + a[1] * 0.6 + a[2] * 0.36 + a[3] * warm + dict(one.truth.biases).get("cabinet_temperature", 0.0)
     )
-    sd = found.operation.coefficients["heat_release_operation"].se
-    assert abs(found.operation.points.fitted_K.mean() - right) < 3.5 * sd
-    assert sd < 0.5
+    assert release(found.operation, 0.6) == pytest.approx(right, abs=0.5)
 
 
 def test_no_standstill() -> None:
@@ -400,7 +313,7 @@ def test_no_power_is_standstill(made: Plant) -> None:
     record = to_record(made)
     for one in (without(record, "active_power"), changed(record, "active_power", np.nan)):
         found = heat_release_regression(one)
-        assert found.operation is None and found.scale_W is None
+        assert found.operation is None
         assert found.standstill.n_points > 100
         assert "no power" in found.statement
         assert "heat_release_standstill" in found.start()
@@ -426,12 +339,10 @@ def test_no_cabinet_or_no_time_in_common(made: Plant) -> None:
     assert heat_release_regression(later).start() == {}
 
 
-def test_hourly_readings() -> None:
+def test_hourly_readings(monkeypatch: pytest.MonkeyPatch) -> None:
     record = block_record(7, scatter_K=0.5, step_s=(3600.0, 3600.0, 3600.0))
-    found = heat_release_regression(record, reference_K=REFERENCE_K, time_constant_h=0.2)
-    fit = found.operation
-    assert fit.window_h == pytest.approx(2.0)  # two steps, though three time constants are less than one
-    assert "the shortest allowed" in fit.statement
+    found, lengths = with_time_constant(monkeypatch, record, 0.2)
+    assert lengths == [2.0, 2.0]  # two steps, though three time constants are less than one
     start = found.start()
     assert start["heat_release_operation_ambient"] == pytest.approx(OPERATION[3], abs=0.03)
     assert start["heat_release_standstill"] == pytest.approx(STANDSTILL[0], abs=0.3)
@@ -445,25 +356,16 @@ def test_logger_means_are_means() -> None:
         reference_K=REFERENCE_K,
     )
     assert means.operation.n_points > 0.5 * instants.operation.n_points
-    for name, one in instants.operation.coefficients.items():
-        if name in means.operation.coefficients:
-            assert means.operation.coefficients[name].value == pytest.approx(one.value, abs=2.0 * one.se)
+    for power in (0.1, 0.5, 1.0):
+        assert release(means.operation, power) == pytest.approx(release(instants.operation, power), abs=0.5)
 
 
-def test_the_length_of_the_periods_follows_the_time_constant() -> None:
+def test_the_length_of_the_periods_follows_the_time_constant(monkeypatch: pytest.MonkeyPatch) -> None:
     record = block_record(8, scatter_K=0.5)
     for tau_h, length_h in ((0.1, 1.0), (0.5, 1.5), (1.0, 3.0), (1.8, 5.5)):
-        found = heat_release_regression(record, time_constant_h=tau_h)
-        for fit in (found.operation, found.standstill):
-            assert fit.window_h == pytest.approx(length_h)
-            spans = (fit.points.end_s - fit.points.start_s) / HOUR_S
-            np.testing.assert_allclose(spans, length_h)
-        assert found.time_constant_h == tau_h
-    # Blocks last for seven hours and the ends of ramps: nine hours are not to be had, and it is said.
-    found = heat_release_regression(record, time_constant_h=3.0)
-    assert 5.5 < found.operation.window_h < 9.0
-    assert "time constant of 3 h" in found.operation.statement
-    assert "would leave" in found.operation.statement
+        assert with_time_constant(monkeypatch, record, tau_h)[1] == pytest.approx([length_h, length_h])
+    # blocks last for seven hours and the ends of ramps: nine hours are not to be had
+    assert 5.5 < with_time_constant(monkeypatch, record, 3.0)[1][0] < 9.0
 
 
 # --- use ------------------------------------------------------------------------------------
@@ -493,12 +395,11 @@ def test_the_reference_is_that_of_the_design() -> None:
     found = heat_release_regression(record)
     settings = dict(design(record, kind="thermal").mechanisms)["heat_release"]
     assert found.reference_K == settings["reference_K"]
-    assert found.scale_W == RATED_W
 
 
 def test_starts_stay_within_the_mechanisms_bounds(scattered: HeatRelease) -> None:
     fit = scattered.standstill
-    wild = {name: replace(one, value=1e4) for name, one in fit.coefficients.items()}
+    wild = dict.fromkeys(fit.coefficients, 1e4)
     start = replace(scattered, standstill=replace(fit, coefficients=wild)).start()
     bounds = {p.name: p.upper for p in heat_release().parameters}
     assert start["heat_release_standstill"] == bounds["heat_release_standstill"]
@@ -506,27 +407,21 @@ def test_starts_stay_within_the_mechanisms_bounds(scattered: HeatRelease) -> Non
 
 def test_plain_data(scattered: HeatRelease, monkeypatch: pytest.MonkeyPatch) -> None:
     data = json.loads(json.dumps(plain(scattered), allow_nan=False))
-    assert set(data) == {"operation", "standstill", "reference_K", "scale_W", "time_constant_h", "statement"}
+    assert set(data) == {"operation", "standstill", "reference_K", "statement"}
     regime, fit = data["operation"], scattered.operation
-    assert regime["coefficients"]["heat_release_power_1"] == pytest.approx(
-        vars(fit.coefficients["heat_release_power_1"])
-    )
+    assert regime["coefficients"] == pytest.approx(dict(fit.coefficients))
     assert regime["n_points"] == len(regime["points"]["power"]) == fit.n_points
     assert len({len(column) for column in regime["points"].values()}) == 1
-    assert regime["points"]["fitted_K"] == fit.points.fitted_K.tolist()
-    assert sum(row["chosen"] for row in regime["cross_validation"]) == 1
-    assert data["statement"] == f"{data['operation']['statement']}; {data['standstill']['statement']}"
+    assert regime["points"]["power"] == fit.points.power.tolist()
+    assert data["statement"] == ""
     monkeypatch.setattr("hygrokf.identification.steady_state.MOST_POINTS", 50)
     thinned = scattered.thinned().operation.points
     assert 25 <= len(thinned) <= 50
     np.testing.assert_array_equal(thinned.power, fit.points.power[:: -(-fit.n_points // 50)])
 
 
-def test_statsmodels_is_not_imported_with_the_module() -> None:
-    code = (
-        "import sys, hygrokf.identification.steady_state; sys.exit('statsmodels' in sys.modules or "
-        "'pandas' in sys.modules)"
-    )
+def test_pandas_is_not_imported_with_the_module() -> None:
+    code = "import sys, hygrokf.identification.steady_state; sys.exit('pandas' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 
@@ -557,7 +452,5 @@ def test_an_attic_has_a_release_without_power(house: str) -> None:
     found = heat_release_regression(record)
     assert found.operation is None
     assert found.standstill.n_episodes > 100
-    assert found.standstill.window_h >= 2.0
     # A ventilated attic is hardly warmer than the air outside where nothing changes.
-    assert abs(found.standstill.coefficients["heat_release_standstill"].value) < 2.0
-    assert 0.0 < found.standstill.coefficients["heat_release_standstill"].se < 0.3
+    assert abs(found.standstill.coefficients["heat_release_standstill"]) < 2.0

@@ -256,13 +256,10 @@ def test_known_preheating_is_a_term_of_its_own():
 
 def test_options_reach_the_heat_release():
     start = {"heat_release_operation": 6.5}
-    base = design(
-        record(), power_order=1, operation_ambient=False, standstill_ambient=False, heat_start=start
-    )
+    base = design(record(), power_order=1, heat_start=start)
     parameters = {p.name: p.start for p in base.model.parameters}
     assert parameters["heat_release_operation"] == 6.5
     assert "heat_release_power_2" not in parameters
-    assert not any(name.endswith("_ambient") for name in parameters)
 
 
 # --- disturbances, round trips --------------------------------------------------------------

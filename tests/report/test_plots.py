@@ -139,7 +139,7 @@ def test_heat_release_draws_regression_and_estimate_at_round_temperatures() -> N
     fit, series = report_case()
     figure = figure_heat_release(results(fit), series).figure()
     operation = figure.get_axes()[0]
-    found = {n: row["value"] for n, row in fit["heat_release"]["operation"]["coefficients"].items()}
+    found = fit["heat_release"]["operation"]["coefficients"]
     degrees = [int(t.get_text().removesuffix(" °C")) for t in operation.texts if t.get_text().endswith("°C")]
     assert 1 <= len(degrees) <= 3
     drawn = [line for line in _lines(operation) if len(line[0]) == 60]

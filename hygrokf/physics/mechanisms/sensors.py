@@ -17,6 +17,10 @@ SHORTEST_RESPONSE_H = 1.0 / 30.0
 OWN_ERROR = "the sensor's own error"
 TEMPERATURE_READING = "cabinet_temperature_reading"
 HUMIDITY_READING = "cabinet_relative_humidity_reading"
+TERMS = """The prior of the bias puts 95 % of sensors within the stated `accuracy`; there is none for accuracy 0.
+Rounding to `resolution` adds the variance resolution²/12.  A sensor with a response time θ lags: dy/dt =
+(quantity − y)/θ; θ is `response_h` [h], or a parameter with the upper bound `longest_response_h`.
+"""
 
 
 def _sensor(
@@ -95,13 +99,7 @@ def _sensor(
             meaning=meaning,
         )  # fmt: skip
 
-    text = f"""{text} + bias + noise [{unit}].
-
-    The prior of the bias puts 95 % of sensors within the stated `accuracy`; there is none for accuracy 0.
-    Rounding to `resolution` adds the variance resolution²/12.  A sensor with a response time θ lags: dy/dt =
-    (quantity − y)/θ; θ is `response_h` [h], or a parameter with the upper bound `longest_response_h`.
-    """
-    return named(mechanism, text, made)
+    return named(mechanism, f"{text} + bias + noise [{unit}].\n\n{TERMS}", made)
 
 
 temperature_sensor = _sensor(

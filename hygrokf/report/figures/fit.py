@@ -120,7 +120,7 @@ class _Points:
         kept = np.isfinite(points.power) & np.isfinite(points.difference_K) & np.isfinite(ambient)
         self.power, self.difference = points.power[kept], points.difference_K[kept]
         self.ambient = ambient[kept]
-        self.coefficients = {name: one.value for name, one in data.coefficients.items()}
+        self.coefficients = data.coefficients
 
     def cloud(self, edges: np.ndarray) -> tuple[Curve, ...]:
         """The points, thinned, in the colours of their classes of ambient temperature."""
