@@ -69,7 +69,7 @@ class FrequencyResponse(Response):
 
         axes: matplotlib's, row by row; None: a new figure of pyplot.  Returns the axes drawn on.
         """
-        return drawn("plot_bode", self, axes)
+        return drawn(self, axes)
 
 
 @dataclass(frozen=True, repr=False)
@@ -85,7 +85,7 @@ class StepResponse(Response):
 
         axes: matplotlib's, row by row; None: a new figure of pyplot.  Returns the axes drawn on.
         """
-        return drawn("plot_step_response", self, axes)
+        return drawn(self, axes)
 
 
 def to_statespace(

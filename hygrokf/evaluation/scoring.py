@@ -46,12 +46,10 @@ class Errors:
 class Coverage:
     """Readings inside a band.
 
-    `nominal`: probability [1] that the band promises; `coverage`: share [1] of the `n` readings inside it;
-    `scale`: factor by which the band would have to be scaled to contain the nominal share.  NaN without
-    readings.
+    `coverage`: share [1] of the `n` readings inside it; `scale`: factor by which the band would have to be
+    scaled to contain the share that it promises.  NaN without readings.
     """
 
-    nominal: float = math.nan
     coverage: float = math.nan
     n: int = 0
     scale: float = math.nan
@@ -233,9 +231,9 @@ def coverage(reading: np.ndarray, value: np.ndarray, sd: np.ndarray, level: floa
     z = np.abs(reading - value) / sd
     z = z[np.isfinite(z)]
     if len(z) == 0:
-        return Coverage(level)
+        return Coverage()
     reach = normal_quantile(level)
-    return Coverage(level, float(np.mean(z <= reach)), len(z), float(np.quantile(z, level) / reach))
+    return Coverage(float(np.mean(z <= reach)), len(z), float(np.quantile(z, level) / reach))
 
 
 def bands(

@@ -142,7 +142,7 @@ class Fit:
         Returns the axes that were drawn on; nothing is shown.  Raises HygrokfError where the picture's
         data or matplotlib are missing, ValueError for more axes than panels.
         """
-        return drawn("plot_fit", self, axes)
+        return drawn(self, axes)
 
     def __str__(self) -> str:
         """The name with its time constants and their verdicts, and what they were identified on."""

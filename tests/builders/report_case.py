@@ -242,7 +242,7 @@ def _results(name: str, series: dict[str, np.ndarray]) -> dict:
     }
     parameters["resistance_ratio"] |= {"se": None, "lower": None, "upper": None, "at_bound": True}
     coverage = {
-        q: {"nominal": 0.95, "coverage": c, "n": 250, "scale": s}
+        q: {"coverage": c, "n": 250, "scale": s}
         for q, c, s in (
             ("temperature_K", 0.93, 1.08),
             ("absolute_humidity_g_m3", 0.87, 1.31),
