@@ -269,7 +269,6 @@ def _results(name: str, series: dict[str, np.ndarray]) -> dict:
             "start": _stamp(time[0]),
             "until": _stamp(until),
             "end": _stamp(time[-1]),
-            "n_instants": len(time),
             "n_readings": int(np.isfinite(series["temperature_measured"]).sum()),
         },
         "design": {
