@@ -188,7 +188,7 @@ class Study:
         Returns the axes that were drawn on; nothing is shown.  Raises HygrokfError where the picture's
         data or matplotlib are missing, ValueError for more axes than panels.
         """
-        return drawn("plot_climate", self, axes)
+        return drawn(self, axes)
 
     def to_frame(self) -> DataFrame:
         """The rows as a pandas frame, indexed by region, scope and statistic, with the `unit` of each."""

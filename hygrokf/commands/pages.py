@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from argparse import ArgumentParser, Namespace
+from collections.abc import Callable, Mapping
+from importlib import import_module
 from pathlib import Path
 
 from hygrokf.commands.console import Progress, expect_directory, show
 from hygrokf.commands.verb import Verb, add_json
-from hygrokf.data.files import CLIMATE, COMPARISON, DISCOVERY, FLEET, TRANSFER
+from hygrokf.data.files import CLIMATE, COMPARISON, DISCOVERY, FIT, FLEET, TRANSFER
 
 
 def _report_arguments(parser: ArgumentParser) -> None:
@@ -15,38 +17,25 @@ def _report_arguments(parser: ArgumentParser) -> None:
     add_json(parser)
 
 
+PAGES: Mapping[str, Callable[[Path], Path]] = {
+    DISCOVERY: lambda folder: import_module("hygrokf.report.discovery_page").write_discovery_report(
+        None, folder
+    ),
+    FLEET: lambda folder: import_module("hygrokf.report.fleet_page").write_fleet_report(folder),
+    CLIMATE: lambda folder: import_module("hygrokf.report.climate_page").write_climate_report(None, folder),
+    COMPARISON: lambda folder: import_module("hygrokf.report.comparison_page").write_comparison(None, folder),
+    TRANSFER: lambda folder: import_module("hygrokf.report.transfer_page").rewrite_transfer(folder),
+    FIT: lambda folder: import_module("hygrokf.report.fit_page").write_report(folder),
+}
+"""How the page of a kind of results is written, by its file: in a directory the first that is there."""
+
+
 def _report(options: Namespace) -> int:
-    page = _written(options.directory)
+    folder = options.directory.parent if options.directory.is_file() else options.directory
+    kind = next((name for name in PAGES if (folder / name).is_file()), FIT)
+    page = PAGES[kind](folder)
     show({"report": str(page)}, str(page), options.json)
     return 0
-
-
-def _written(directory: Path) -> Path:
-    """Write the page of the kind of results in a directory; returns its path."""
-    folder = directory.parent if directory.is_file() else directory
-    if (folder / DISCOVERY).is_file():
-        from hygrokf.report.discovery_page import write_discovery_report
-
-        return write_discovery_report(None, folder)
-    if (folder / FLEET).is_file():
-        from hygrokf.report.fleet_page import write_fleet_report
-
-        return write_fleet_report(folder)
-    if (folder / CLIMATE).is_file():
-        from hygrokf.report.climate_page import write_climate_report
-
-        return write_climate_report(None, folder)
-    if (folder / COMPARISON).is_file():
-        from hygrokf.report.comparison_page import write_comparison
-
-        return write_comparison(None, folder)
-    if (folder / TRANSFER).is_file():
-        from hygrokf.report.transfer_page import rewrite_transfer
-
-        return rewrite_transfer(folder)
-    from hygrokf.report.fit_page import write_report
-
-    return write_report(directory)
 
 
 REPORT = Verb("report", "write the pages again from a directory of results", _report_arguments, _report)

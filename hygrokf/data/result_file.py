@@ -6,7 +6,7 @@ import json
 import math
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 from zipfile import BadZipFile
 
 import numpy as np
@@ -28,22 +28,32 @@ def result_text(found: object) -> str:
     return json.dumps(plain(found), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
 
 
-def read_result(kind: type[T], path: Path, command: str) -> T:
-    """The result of a class in a file that `command` wrote.  Raises ResultFault."""
+def read_json(path: Path, command: str) -> Any:
+    """The data of a JSON file that `command` wrote.  Raises ResultFault."""
     try:
-        data = json.loads(path.read_text(encoding="utf-8"))
-        return structured(kind, data)
-    except StructureFault as fault:
-        version = data.get("version") if isinstance(data, dict) else None
-        found = f"; the file was written by hygrokf {version}" if isinstance(version, str) else ""
-        reason = f"{fault}{found}"
+        return json.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
         raise ResultFault(
             f"{path}: no such file; run `{command}` with --out on this directory first"
         ) from None
     except (OSError, ValueError, RecursionError) as fault:
         reason = getattr(fault, "strerror", None) or f"{type(fault).__name__} {fault}"
-    raise ResultFault(f"{path}: expected the results of `{command}`, found: {reason}; run it again")
+        raise ResultFault(
+            f"{path}: expected the results of `{command}`, found: {reason}; run it again"
+        ) from None
+
+
+def read_result(kind: type[T], path: Path, command: str) -> T:
+    """The result of a class in a file that `command` wrote.  Raises ResultFault."""
+    data = read_json(path, command)
+    try:
+        return structured(kind, data)
+    except StructureFault as fault:
+        version = data.get("version") if isinstance(data, dict) else None
+        found = f"; the file was written by hygrokf {version}" if isinstance(version, str) else ""
+        raise ResultFault(
+            f"{path}: expected the results of `{command}`, found: {fault}{found}; run it again"
+        ) from None
 
 
 def read_arrays(path: Path, command: str) -> dict[str, np.ndarray]:

@@ -295,7 +295,7 @@ class Discovered:
         Returns the axes that were drawn on; nothing is shown.  Raises HygrokfError where the picture's
         data or matplotlib are missing, ValueError for more axes than panels.
         """
-        return drawn("plot_discovery", self, axes)
+        return drawn(self, axes)
 
 
 @dataclass(frozen=True)

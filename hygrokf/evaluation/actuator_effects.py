@@ -34,15 +34,13 @@ class Change:
 class ActuatorEffect:
     """What a logged actuator changes in the cabinet while it is on.
 
-    `used`: whether the model has it; `statement`: how it acts, or why it is left out; `parameters`: names of
-    its coefficients; `on_share`: share of the time that it is on [1]; `changes`: by quantity, None where the
-    model does not have it.
+    `used`: whether the model has it; `statement`: how it acts, or why it is left out; `on_share`: share of
+    the time that it is on [1]; `changes`: by quantity, None where the model does not have it.
     """
 
     signal: str
     used: bool = False
     statement: str = ""
-    parameters: tuple[str, ...] = ()
     on_share: float = optional(math.nan)
     changes: Mapping[str, Change] | None = optional()
 
@@ -62,8 +60,7 @@ def actuator_effects(
             p for name in names if one.signal in mechanisms[name].inputs for p in mechanisms[name].parameters
         ]
         share, changes = _effects(design, values, errors, run, one, known) if known else (math.nan, None)
-        parameters = tuple(p.name for p in known)
-        found.append(ActuatorEffect(one.signal, bool(known), one.statement, parameters, share, changes))
+        found.append(ActuatorEffect(one.signal, bool(known), one.statement, share, changes))
     return tuple(found)
 
 

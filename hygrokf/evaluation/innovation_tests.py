@@ -16,6 +16,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from hygrokf.estimation.confidence import normal_quantile
 from hygrokf.evaluation.bootstrap import prediction_error
 from hygrokf.evaluation.diagnosis import (
     Autocorrelation,
@@ -64,13 +65,16 @@ def diagnose(
     longest_h: [h] longest lag; none is longer than a tenth of the readings.
 
     An output with fewer than 30 readings, or one that does not vary, has a statement only.
-    Raises ValueError that lists everything wrong with the arguments.
+    Raises ValueError for another longest lag.
 
     Source: Ljung & Box 1978, doi:10.1093/biomet/65.2.297; Bartlett 1955 (cumulative periodogram,
     Kolmogorov–Smirnov); Haugh 1976, doi:10.1080/01621459.1976.10480354; Holm 1979.
     """
+    from statsmodels.stats.multitest import multipletests
+
     time = np.asarray(time_h, dtype=float)
-    _check(time, standardised, inputs, longest_h)
+    if not 0.0 < longest_h < math.inf:
+        raise ValueError(f"longest_h must be a number above 0, found {longest_h}")
     tests: list[InnovationTest] = []
     outputs: dict[str, OutputDiagnosis] = {}
     for name, values in standardised.items():
@@ -79,32 +83,12 @@ def diagnose(
         known = {source: np.asarray(u, dtype=float)[there] for source, u in inputs.items()}
         outputs[name], found = _output(name, time[there], e[there], known, longest_h)
         tests += found
+    adjusted = multipletests([one.p for one in tests], method="holm")[1].tolist() if tests else []
     rows = tuple(
         replace(one, p_adjusted=p, rejected=p < LEVEL, statement=one.statement if p < LEVEL else "")
-        for one, p in zip(tests, _holm([one.p for one in tests]), strict=True)
+        for one, p in zip(tests, adjusted, strict=True)
     )
     return Diagnosis(LEVEL, NOTE, outputs, rows)
-
-
-def _check(
-    time: np.ndarray,
-    standardised: Mapping[str, np.ndarray],
-    inputs: Mapping[str, np.ndarray],
-    longest_h: float,
-) -> None:
-    faults = []
-    if time.ndim != 1:
-        faults.append(f"time_h must have one dimension, found shape {time.shape}")
-    elif not np.isfinite(time).all() or np.any(np.diff(time) <= 0):
-        faults.append("time_h must be finite and increase strictly")
-    for kind, group in (("standardised", standardised), ("inputs", inputs)):
-        for name, values in group.items():
-            if np.shape(values) != time.shape:
-                faults.append(f"{kind} {name!r} must have shape {time.shape}, found {np.shape(values)}")
-    if not 0.0 < longest_h < math.inf:
-        faults.append(f"longest_h must be a number above 0, found {longest_h}")
-    if faults:
-        raise ValueError("diagnose: " + "; ".join(faults))
 
 
 def _output(
@@ -192,7 +176,7 @@ def _autocorrelation(
     hour = int(min(max(round(1.0 / step), 1), lags))
     limit_all = _simultaneous(lags) / math.sqrt(n)
     kept = _extremes(values)
-    limit = _two_sided_quantile(LEVEL) / math.sqrt(n)
+    limit = normal_quantile(1.0 - LEVEL) / math.sqrt(n)
     found = Autocorrelation(_rounded((kept + 1) * step), _rounded(values[kept]), limit, limit_all)
     tests = []
     for k in dict.fromkeys((lags, hour)):
@@ -331,7 +315,7 @@ def _cross_correlation(
     found = CrossCorrelation(
         _rounded(lag[kept] * step),
         _rounded(r[kept]),
-        _two_sided_quantile(LEVEL) / math.sqrt(n),
+        normal_quantile(1.0 - LEVEL) / math.sqrt(n),
         limit_all,
         p,
     )
@@ -340,37 +324,22 @@ def _cross_correlation(
 
 def _lagged_products(a: np.ndarray, b: np.ndarray, lags: int) -> np.ndarray:
     """Σ_t a[t] b[t−k] for k = −lags … lags."""
+    from scipy.signal import correlate
+
     n = len(a)
-    size = 1 << (n + lags).bit_length()
-    product = np.fft.irfft(np.fft.rfft(a, size) * np.conj(np.fft.rfft(b, size)), size)
-    return np.concatenate([product[-lags:], product[: lags + 1]])
+    return np.asarray(correlate(a, b, method="fft")[n - 1 - lags : n + lags])
 
 
 # --- numbers ---------------------------------------------------------------------------------
-
-
-def _holm(p: list[float]) -> list[float]:
-    """p values adjusted so that the chance of any false rejection is the level (Holm's step-down)."""
-    adjusted, running = [0.0] * len(p), 0.0
-    for rank, i in enumerate(np.argsort(p)):
-        running = max(running, (len(p) - rank) * p[i])
-        adjusted[i] = min(running, 1.0)
-    return adjusted
 
 
 def _two_sided(z: float) -> float:
     return math.erfc(abs(z) / math.sqrt(2.0))
 
 
-def _two_sided_quantile(level: float) -> float:
-    from statistics import NormalDist
-
-    return NormalDist().inv_cdf(1.0 - level / 2.0)
-
-
 def _simultaneous(count: int) -> float:
     """Quantile below which `count` independent normal numbers all stay with probability 1 − LEVEL (Šidák)."""
-    return _two_sided_quantile(-math.expm1(math.log1p(-LEVEL) / count))
+    return normal_quantile((1.0 - LEVEL) ** (1.0 / count))
 
 
 def _extremes(values: np.ndarray) -> np.ndarray:

@@ -70,7 +70,7 @@ class FrequencyResponse(Response):
 
         axes: matplotlib's, row by row; None: a new figure of pyplot.  Returns the axes drawn on.
         """
-        return drawn("plot_bode", self, axes)
+        return drawn(self, axes)
 
 
 @dataclass(frozen=True, repr=False)
@@ -86,7 +86,7 @@ class StepResponse(Response):
 
         axes: matplotlib's, row by row; None: a new figure of pyplot.  Returns the axes drawn on.
         """
-        return drawn("plot_step_response", self, axes)
+        return drawn(self, axes)
 
 
 def to_statespace(

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import TypeAlias
+from typing import TypeAlias, TypeVar
 
 import numpy as np
 
@@ -17,6 +17,7 @@ from hygrokf.modelling.design import Design, accuracy_of
 from hygrokf.modelling.inputs import Run
 from hygrokf.physics.psychrometrics import absolute_humidity, absolute_humidity_slope_temperature
 
+T = TypeVar("T")
 SCORED = ("temperature_K", "absolute_humidity_g_m3")
 PERIODS = ("identification", "validation")
 REGIMES = ("operation", "standstill", "total")
@@ -46,12 +47,10 @@ class Errors:
 class Coverage:
     """Readings inside a band.
 
-    `nominal`: probability [1] that the band promises; `coverage`: share [1] of the `n` readings inside it;
-    `scale`: factor by which the band would have to be scaled to contain the nominal share.  NaN without
-    readings.
+    `coverage`: share [1] of the `n` readings inside it; `scale`: factor by which the band would have to be
+    scaled to contain the share that it promises.  NaN without readings.
     """
 
-    nominal: float = math.nan
     coverage: float = math.nan
     n: int = 0
     scale: float = math.nan
@@ -109,17 +108,20 @@ def rmse(error: np.ndarray, operating: np.ndarray) -> Errors:
     return Errors(on, off, all_, Counts(*map(len, parts)))
 
 
+def _by_period(run: Run, until_s: float | None, of: Callable[[np.ndarray], T]) -> dict[str, T]:
+    """What there is to say of the scored instants (T,) of each period."""
+    return {period: of(chosen & run.scored) for period, chosen in period_masks(run, until_s).items()}
+
+
 def scores(run: Run, predicted: Prediction, until_s: float | None) -> Scores:
     """The paper's Table III for both quantities and both periods, without stretches of unknown inputs."""
     known, nothing = measured(run), np.full(len(run.scored), np.nan)
     errors = {q: known[q] - (predicted.of(q) or (nothing,))[0] for q in SCORED}
-    return {
-        period: {
-            q: rmse(np.where(chosen & run.scored, error, np.nan), run.operating)
-            for q, error in errors.items()
-        }
-        for period, chosen in period_masks(run, until_s).items()
-    }
+    return _by_period(run, until_s, lambda chosen: _errors(errors, chosen, run))
+
+
+def _errors(errors: Mapping[str, np.ndarray], chosen: np.ndarray, run: Run) -> dict[str, Errors]:
+    return {q: rmse(np.where(chosen, error, np.nan), run.operating) for q, error in errors.items()}
 
 
 def readings_sd(run: Run, until_s: float | None) -> Shares:
@@ -129,14 +131,11 @@ def readings_sd(run: Run, until_s: float | None) -> Shares:
     """
     known = measured(run)
 
-    def spread(reading: np.ndarray, chosen: np.ndarray) -> float:
-        part = reading[chosen & run.scored & np.isfinite(reading)]
-        return float(np.std(part)) if len(part) else math.nan
+    def spread(chosen: np.ndarray) -> dict[str, float]:
+        parts = {q: known[q][chosen & np.isfinite(known[q])] for q in SCORED}
+        return {q: float(np.std(part)) if len(part) else math.nan for q, part in parts.items()}
 
-    return {
-        period: {q: spread(known[q], chosen) for q in SCORED}
-        for period, chosen in period_masks(run, until_s).items()
-    }
+    return _by_period(run, until_s, spread)
 
 
 def guesses(run: Run, until_s: float | None) -> dict[str, dict[str, np.ndarray]]:
@@ -164,16 +163,10 @@ def guesses(run: Run, until_s: float | None) -> dict[str, dict[str, np.ndarray]]
 def baselines(run: Run, until_s: float | None) -> RuleScores:
     """Errors of the rules in `guesses`."""
     known, rules = measured(run), guesses(run, until_s)
-    return {
-        period: {
-            name: {
-                quantity: rmse(np.where(chosen & run.scored, known[quantity] - value, np.nan), run.operating)
-                for quantity, value in guess.items()
-            }
-            for name, guess in rules.items()
-        }
-        for period, chosen in period_masks(run, until_s).items()
-    }
+    errors = {name: {q: known[q] - value for q, value in one.items()} for name, one in rules.items()}
+    return _by_period(
+        run, until_s, lambda chosen: {name: _errors(one, chosen, run) for name, one in errors.items()}
+    )
 
 
 def _static(run: Run, temperature: np.ndarray, chosen: np.ndarray) -> np.ndarray | None:
@@ -233,9 +226,9 @@ def coverage(reading: np.ndarray, value: np.ndarray, sd: np.ndarray, level: floa
     z = np.abs(reading - value) / sd
     z = z[np.isfinite(z)]
     if len(z) == 0:
-        return Coverage(level)
+        return Coverage()
     reach = normal_quantile(level)
-    return Coverage(level, float(np.mean(z <= reach)), len(z), float(np.quantile(z, level) / reach))
+    return Coverage(float(np.mean(z <= reach)), len(z), float(np.quantile(z, level) / reach))
 
 
 def bands(

@@ -21,19 +21,11 @@ and the interval becomes
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from hygrokf.data.structured import optional
 from hygrokf.estimation.confidence import normal_quantile
-
-
-@dataclass(frozen=True)
-class Source:
-    """A source of uncertainty and the `variance` [1] that it adds to the logarithm."""
-
-    name: str
-    variance: float
 
 
 @dataclass(frozen=True)
@@ -88,36 +80,43 @@ LARGEST = 600.0
 """[1] distance of a bound from the logarithm of its value, beyond which numbers overflow."""
 
 
-def from_parts(scale: float, variance: float) -> Source:
-    """`scale` is Birge's ratio of the parts' scatter, `variance` that of the logarithm by the bounds."""
-    return Source("parts", max(scale - 1.0, 0.0) * variance)
+def of_parts(scale: float, variance: float) -> float:
+    """The variance that scattering parts add: `scale` is Birge's ratio, `variance` that of the logarithm by
+    the bounds."""
+    return max(scale - 1.0, 0.0) * variance
 
 
-def from_forms(log_value: float, variance: float, forms: Sequence[Alternative]) -> Source:
-    """Variance about the value that other forms add."""
+def of_forms(log_value: float, variance: float, forms: Sequence[Alternative]) -> float:
+    """The variance about the value that other forms add."""
     total = sum(f.weight * (f.variance + (f.log_value - log_value) ** 2) for f in forms)
-    return Source("forms", max(total - variance, 0.0))
+    return max(total - variance, 0.0)
 
 
-def from_free_run(log_value: float, variance: float, free: Alternative) -> Source:
-    """Variance due to the free run's own estimate, where both contradict each other at the 95 % level."""
+def of_free_run(log_value: float, variance: float, free: Alternative) -> float:
+    """The variance that the free run's own estimate adds, where both contradict each other at the 95 %
+    level."""
     apart, both = free.log_value - log_value, variance + free.variance
-    contradicts = apart**2 > normal_quantile(0.95) ** 2 * both
-    return Source("free run", 0.5 * (apart**2 - both) if contradicts else 0.0)
+    return 0.5 * (apart**2 - both) if apart**2 > normal_quantile(0.95) ** 2 * both else 0.0
 
 
 def compose_interval(
-    value: float, lower: float, upper: float, level: float, sources: Sequence[Source], within: Resolved = ANY
+    value: float,
+    bounds: tuple[float, float],
+    level: float,
+    sources: Mapping[str, float],
+    within: Resolved = ANY,
 ) -> tuple[Step, ...]:
     """The profile's interval [h], and the interval after each source; the last is the headline interval.
 
-    An open side stays open, and a bound beyond `within` is open."""
+    bounds: the profile's [h].  sources: the variance [1] that each adds to the logarithm, by name.  An open
+    side stays open, and a bound beyond `within` is open.
+    """
     z, total = normal_quantile(level), 0.0
-    steps = [Step("profile", *within.bounds(lower, upper))]
-    for source in sources:
-        total += source.variance
-        ends = within.bounds(_moved(value, lower, -z, total), _moved(value, upper, z, total))
-        steps.append(Step(source.name, *ends, math.sqrt(source.variance)))
+    steps = [Step("profile", *within.bounds(*bounds))]
+    for name, variance in sources.items():
+        total += variance
+        ends = (_moved(value, bound, side, total) for bound, side in zip(bounds, (-z, z), strict=True))
+        steps.append(Step(name, *within.bounds(*ends), math.sqrt(variance)))
     return tuple(steps)
 
 

@@ -6,7 +6,6 @@ A fit on disk is `fit.json` and `series.npz` in one directory, each written atom
 from __future__ import annotations
 
 import io
-import json
 import math
 import os
 import re
@@ -31,7 +30,7 @@ from hygrokf.data.files import (
 )
 from hygrokf.data.readings import mask
 from hygrokf.data.record import Record, expect_record
-from hygrokf.data.result_file import ResultFault, read_arrays, result_text
+from hygrokf.data.result_file import read_arrays, read_json, result_text
 from hygrokf.data.structured import JsonObject, StructureFault, plain, structured
 from hygrokf.data.tabular import with_units
 from hygrokf.data.toml_form import FormFault, read_toml
@@ -141,7 +140,7 @@ class Fit:
         Returns the axes that were drawn on; nothing is shown.  Raises HygrokfError where the picture's
         data or matplotlib are missing, ValueError for more axes than panels.
         """
-        return drawn("plot_fit", self, axes)
+        return drawn(self, axes)
 
     def __str__(self) -> str:
         """The name with its time constants and their verdicts, and what they were identified on."""
@@ -202,21 +201,14 @@ def read_fit(path: str | os.PathLike[str], series: bool = False) -> Fit:
     path = Path(path)
     file = path / FIT if path.is_dir() else path
     try:
-        data = json.loads(file.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise ResultFault(
-            f"{file}: expected a result of `hygrokf fit`, found no such file; run `hygrokf fit` first"
-        ) from None
-    except (OSError, ValueError, RecursionError) as fault:
+        data = read_json(file, "hygrokf fit")
+    except ResultFault:
         if _is_case(file):
             raise ResultFault(
                 f"{file} is a case file, expected a result of `hygrokf fit`; the fit comes first, as in "
                 "`hygrokf evaluate FIT CASE`"
             ) from None
-        reason = getattr(fault, "strerror", None) or fault
-        raise ResultFault(
-            f"{file}: expected JSON written by `hygrokf fit`, found {reason}; run `hygrokf fit` again"
-        ) from None
+        raise
     needed = {"name", "version", "design", "parameters", "covariance", "time_constants"}
     missing = sorted(needed - set(data)) if isinstance(data, dict) else sorted(needed)
     if missing:

@@ -164,7 +164,6 @@ class Period:
     start: str | None = None
     until: str | None = None
     end: str | None = None
-    n_instants: int = 0
     n_readings: int = 0
 
 

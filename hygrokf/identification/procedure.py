@@ -379,7 +379,7 @@ def _searched(results: FitResults, stages: Sequence[Stage], loglik: float, n: in
 def _period(record: Record, stage: Stage) -> Period:
     until = None if record.until_s is None else iso_time(record.until_s)
     t = stage.run.timeline
-    return Period(iso_time(record.start_s), until, iso_time(record.end_s), len(t), t.n_readings)
+    return Period(iso_time(record.start_s), until, iso_time(record.end_s), t.n_readings)
 
 
 def shared_error(

@@ -15,11 +15,10 @@ from hygrokf.identification.composition import (
     ANY,
     Alternative,
     Resolved,
-    Source,
     compose_interval,
-    from_forms,
-    from_free_run,
-    from_parts,
+    of_forms,
+    of_free_run,
+    of_parts,
 )
 from hygrokf.identification.estimation import LEVEL, Stage
 from hygrokf.identification.fit_results import (
@@ -105,27 +104,24 @@ def _differences_K(run: Run) -> tuple[float, ...]:
 def _resistance_capacity(stage: Stage, entry: TimeConstant, exponent: float) -> Interval:
     """(R_AT+R_IC) C at the median difference, over all forms: (1+n) times the constant of small changes."""
     value = entry.value_h * (1.0 + exponent)
-    forms = [
-        Alternative(
-            math.log(form.estimate.values[THERMAL] * (1.0 + n)),
-            form.variance({THERMAL: 1.0, "convection_exponent": 1.0 / (1.0 + n)}),
-            form.weight,
-        )
-        for form in stage.forms
-        for n in [form.estimate.values.get("convection_exponent", 0.0)]
-    ]
-    sources = [Source(one.source, one.sd_ln**2) for one in entry.composition[1:] if one.source != "forms"]
+    sources = {one.source: one.sd_ln**2 for one in entry.composition[1:] if one.source != "forms"}
     variance = _variance(stage, THERMAL)
-    if forms:
+    if stage.forms:
+        forms = []
+        for form in stage.forms:
+            n = form.estimate.values.get("convection_exponent", 0.0)
+            spread = form.variance({THERMAL: 1.0, "convection_exponent": 1.0 / (1.0 + n)})
+            forms.append(
+                Alternative(math.log(form.estimate.values[THERMAL] * (1.0 + n)), spread, form.weight)
+            )
         if exponent > 0:
             variance = max(variance, max(forms, key=lambda form: form.weight).variance)
-        sources.append(from_forms(math.log(value), variance, forms))
+        sources["forms"] = of_forms(math.log(value), variance, forms)
     if _unbounded(entry):
         return Interval(value, 0.0)
-    reach = normal_quantile(entry.level) * math.sqrt(variance)
-    ends = ANY.around(value, reach)
-    steps = compose_interval(value, *ends, entry.level, sources, _resolved(stage, THERMAL))
-    return Interval(value, steps[-1].lower_h, steps[-1].upper_h)
+    ends = ANY.around(value, normal_quantile(entry.level) * math.sqrt(variance))
+    last = compose_interval(value, ends, entry.level, sources, _resolved(stage, THERMAL))[-1]
+    return Interval(value, last.lower_h, last.upper_h)
 
 
 def _response(stage: Stage) -> SensorResponse:
@@ -173,7 +169,7 @@ def _entry(stage: Stage, name: str, scale: float, simulated: Mapping[str, Output
     resolved, without = _resolved(stage, name), stage.without.get(name)
     sources = _sources(stage, name, free)
     value, low, high = (scale * one for one in (b.value, b.lower, b.upper))
-    steps = compose_interval(value, low, high, b.level, sources, resolved)
+    steps = compose_interval(value, (low, high), b.level, sources, resolved)
     shown = (steps[-1].lower_h, steps[-1].upper_h)
     if without is not None and not without.enough:
         shown = (0.0, math.nan)
@@ -199,26 +195,26 @@ def _entry(stage: Stage, name: str, scale: float, simulated: Mapping[str, Output
     )
 
 
-def _sources(stage: Stage, name: str, free: Alternative | None) -> list[Source]:
-    """Sources of uncertainty that widen a profile's bounds."""
+def _sources(stage: Stage, name: str, free: Alternative | None) -> dict[str, float]:
+    """The variances by which sources of uncertainty widen a profile's bounds."""
     place = stage.uncertainty.place(name)
     if place is None:
-        return []
+        return {}
     value, variance = math.log(stage.estimate.values[name]), _variance(stage, name)
-    found = [from_parts(parts_scale(stage.uncertainty, name), variance)]
+    found = {"parts": of_parts(parts_scale(stage.uncertainty, name), variance)}
     if stage.forms:
         alternatives = [
             Alternative(math.log(form.estimate.values[name]), form.variance({name: 1.0}), form.weight)
             for form in stage.forms
         ]
-        found.append(from_forms(value, variance, alternatives))
+        found["forms"] = of_forms(value, variance, alternatives)
     if free is not None:
-        found.append(from_free_run(value, variance, free))
+        found["free run"] = of_free_run(value, variance, free)
     if stage.clock.sources:
         factor = float(stage.uncertainty.factor[place])
-        found.append(Source("clocks", factor * stage.clock.variance[name] + stage.clock.shift[name] ** 2))
+        found["clocks"] = factor * stage.clock.variance[name] + stage.clock.shift[name] ** 2
     if stage.sampling is not None:
-        found.append(Source("sampling", stage.sampling[name] ** 2 / 3.0))
+        found["sampling"] = stage.sampling[name] ** 2 / 3.0
     return found
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping
 from datetime import UTC, datetime
 from string import Formatter
@@ -96,6 +97,11 @@ def ends(value: float, low: float, high: float) -> tuple[str, str]:
 def one_line(text: str) -> str:
     """Text without line breaks and control characters."""
     return "".join(c if c.isprintable() else " " for c in text)
+
+
+def unbroken(text: str) -> str:
+    """A text on one line in which no number is parted from its unit."""
+    return re.sub(r"(?<=\d) (?=(?:%|K|h|g/m³|°C)(?![\w/]))", "\xa0", one_line(text))
 
 
 def sentence(text: str) -> str:

@@ -55,13 +55,6 @@ class Items:
 
 
 @dataclass(frozen=True)
-class Facts:
-    """Terms, each with its text."""
-
-    rows: tuple[tuple[str, str], ...]
-
-
-@dataclass(frozen=True)
 class Banner:
     """A warning about the whole page: `word` in capitals, then a sentence."""
 
@@ -177,9 +170,7 @@ class Details:
     printed: bool = False
 
 
-Block: TypeAlias = (
-    Heading | Prose | Link | Items | Facts | Banner | Verdicts | Cards | Table | Figure | Details
-)
+Block: TypeAlias = Heading | Prose | Link | Items | Banner | Verdicts | Cards | Table | Figure | Details
 
 
 @dataclass(frozen=True)

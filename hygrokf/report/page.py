@@ -8,7 +8,7 @@ from importlib import resources
 from typing import TYPE_CHECKING
 
 from hygrokf.identification.verdict_terms import MARKS, VERDICTS, WORDS
-from hygrokf.identification.wording import one_line
+from hygrokf.identification.wording import one_line, unbroken
 from hygrokf.report.blocks import Figure, Page, Table
 from hygrokf.report.figures.drawing import FONTS, NothingToShow, inline_svg, styled
 
@@ -32,7 +32,7 @@ def _template() -> Template:
     made = Environment(
         autoescape=True, undefined=StrictUndefined, keep_trailing_newline=True, finalize=_printable
     )
-    made.filters |= {"prose": prose, "line": one_line, "symbol": _symbol}
+    made.filters |= {"prose": unbroken, "line": one_line, "symbol": _symbol}
     made.globals |= {
         "kind_of": lambda block: type(block).__name__,
         "starts": _group_starts,
@@ -49,11 +49,6 @@ def _printable(value: object) -> object:
     if type(value) is not str:
         return value
     return "".join(c if c.isprintable() or c == "\xa0" else " " for c in value)
-
-
-def prose(text: str) -> str:
-    """A text on one line in which no number is parted from its unit."""
-    return re.sub(r"(?<=\d) (?=(?:%|K|h|g/m³|°C)(?![\w/]))", "\xa0", one_line(text))
 
 
 def _symbol(text: str) -> Markup:

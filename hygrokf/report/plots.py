@@ -5,64 +5,48 @@ The methods `plot` of results end here (`hygrokf.data.drawn`).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
 
 from hygrokf.climate.study import Study
 from hygrokf.discovery.results import Discovered
 from hygrokf.errors import HygrokfError
 from hygrokf.evaluation.responses import FrequencyResponse, StepResponse
 from hygrokf.identification.fit import Fit
-from hygrokf.report.blocks import Figure
 from hygrokf.report.figures.drawing import WIDTH_IN, NothingToShow, expect_matplotlib, styled
 from hygrokf.report.figures.lead import lead_of_climate, lead_of_discovery, lead_of_fit
+from hygrokf.report.figures.panels import Picture
 from hygrokf.report.figures.responses import bode, step_response
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+PICTURES: Mapping[type, Callable[[Any], Picture]] = {
+    Fit: lambda fit: _fit(fit),
+    Discovered: lambda found: lead_of_discovery(found.results, found.before, found.after).draw(),
+    Study: lambda study: lead_of_climate(study).draw(),
+    FrequencyResponse: bode,
+    StepResponse: step_response,
+}
 
-def plot_fit(fit: Fit, axes: Axes | Sequence[Axes] | None = None) -> tuple[Axes, ...]:
-    """The readings [°C], [g/m³] and the free run of a fit, see `Fit.plot`."""
+
+def _fit(fit: Fit) -> Picture:
+    if fit.series:
+        return lead_of_fit(fit.series).draw()
+    raise NothingToShow(
+        "Expected the course of readings and free run, found a fit without series; read it with "
+        "read_fit(…, series=True), or call `plot` on what `identify` returns."
+    )
+
+
+def plotted(result: object, axes: Axes | Sequence[Axes] | None = None) -> tuple[Axes, ...]:
+    """Draw a result on the axes given, in the user's style, or on a new figure of pyplot in that of the
+    reports."""
     expect_matplotlib()
-    if not fit.series:
-        raise HygrokfError(
-            f"{fit.name}: expected the course of readings and free run, found a fit without series; read it "
-            "with read_fit(…, series=True), or call `plot` on what `identify` returns"
-        )
-    return _plotted(lambda: lead_of_fit(fit.series), fit.name, axes)
-
-
-def plot_discovery(found: Discovered, axes: Axes | Sequence[Axes] | None = None) -> tuple[Axes, ...]:
-    """Readings and simulations where a discovery found errors, see `Discovery.plot`."""
-    expect_matplotlib()
-    results = found.results
-    return _plotted(lambda: lead_of_discovery(results, found.before, found.after), results.name, axes)
-
-
-def plot_climate(study: Study, axes: Axes | Sequence[Axes] | None = None) -> tuple[Axes, ...]:
-    """The year in the cabinet, or regions side by side, see `Study.plot`."""
-    expect_matplotlib()
-    return _plotted(lambda: lead_of_climate(study), study.name, axes)
-
-
-def plot_bode(found: FrequencyResponse, axes: Axes | Sequence[Axes] | None = None) -> tuple[Axes, ...]:
-    """Magnitude and phase over frequency, see `FrequencyResponse.plot`."""
-    expect_matplotlib()
-    return _plotted(lambda: Figure("bode", "", "", lambda: bode(found)), "bode", axes)
-
-
-def plot_step_response(found: StepResponse, axes: Axes | Sequence[Axes] | None = None) -> tuple[Axes, ...]:
-    """The answers to steps of the inputs, see `StepResponse.plot`."""
-    expect_matplotlib()
-    return _plotted(lambda: Figure("step", "", "", lambda: step_response(found)), "step_response", axes)
-
-
-def _plotted(made: Callable[[], Figure], name: str, axes: Axes | Sequence[Axes] | None) -> tuple[Axes, ...]:
-    """Draw on the axes given, in the user's style, or on a new figure of pyplot in that of the reports."""
     try:
-        picture = made().draw()
+        picture = next(draw for kind, draw in PICTURES.items() if isinstance(result, kind))(result)
     except NothingToShow as why:
+        name = getattr(getattr(result, "results", result), "name", type(result).__name__)
         raise HygrokfError(f"{name}: nothing to plot. {why}") from None
     if axes is None:
         from matplotlib import pyplot

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from hygrokf.cases.summary import RecordSummary, SignalSummary
 from hygrokf.data.signals import difference_from_si, signal_named
 from hygrokf.data.timestamps import MINUTE_S, duration_text
-from hygrokf.report.blocks import Block, Facts, Heading, Items, Prose, Table
+from hygrokf.report.blocks import Block, Heading, Items, Prose, Table
 from hygrokf.report.terminal import blocks_text
 from hygrokf.weather.clocks import Alignment, Lag
 
@@ -32,12 +32,8 @@ def record_blocks(found: RecordSummary) -> Iterator[Block]:
     """What a summary says: spans, signals, sources, comparisons, actuators, warnings and doubts."""
     yield Prose(_heading(found))
     periods = (("identification", found.identification), ("validation", found.validation))
-    yield Facts(
-        tuple(
-            (name, "none" if one is None else f"{one.start} to {one.end}, {one.days:.1f} d")
-            for name, one in periods
-        )
-    )
+    spans = ("none" if one is None else f"{one.start} to {one.end}, {one.days:.1f} d" for _, one in periods)
+    yield Items(tuple(f"{name}: {span}" for (name, _), span in zip(periods, spans, strict=True)))
     if found.signals:
         head: tuple[str, ...] = ("signal", "readings", "missing", "step", "gaps", "longest", "hold")
         columns = (*head, "resolution", "mean (lowest … highest)")

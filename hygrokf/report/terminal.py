@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
-import re
 import shutil
 import sys
 import unicodedata
 from collections.abc import Iterable, Sequence
 
 from hygrokf.identification.verdict_terms import PLAIN_MARKS, REJECT, VERDICTS
-from hygrokf.identification.wording import one_line, sentence
+from hygrokf.identification.wording import one_line, sentence, unbroken
 from hygrokf.report.blocks import (
     Banner,
     Block,
     Card,
     Cards,
     Details,
-    Facts,
     Figure,
     Heading,
     Items,
@@ -80,8 +78,6 @@ def block_text(block: Block, width: int = TEXT_WIDTH) -> str:
             return _paragraph(f"{block.text} {block.file}", width)
         case Items():
             return "\n".join(_paragraph(f"- {item}", width, "  ") for item in block.items)
-        case Facts():
-            return "\n".join(_paragraph(f"{term}: {said}", width, "  ") for term, said in block.rows)
         case Banner():
             return _paragraph(f"{block.word}: {block.text}", width)
         case Cards():
@@ -119,8 +115,7 @@ def _line(line: Line, width: int) -> str:
 
 def _paragraph(text: str, width: int, indent: str = "") -> str:
     """Lines of at most so many columns that do not part a number from its unit."""
-    kept = re.sub(r"(?<=\d) (?=(?:%|K|h|g/m³)(?![\w/]))", "\xa0", one_line(text))
-    return "\n".join(wrapped(kept, width, indent)).replace("\xa0", " ")
+    return "\n".join(wrapped(unbroken(text), width, indent)).replace("\xa0", " ")
 
 
 # --- tables ----------------------------------------------------------------------------------

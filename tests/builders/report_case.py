@@ -233,7 +233,7 @@ def _results(name: str, series: dict[str, np.ndarray]) -> dict:
     }
     parameters["resistance_ratio"] |= {"se": None, "lower": None, "upper": None, "at_bound": True}
     coverage = {
-        q: {"nominal": 0.95, "coverage": c, "n": 250, "scale": s}
+        q: {"coverage": c, "n": 250, "scale": s}
         for q, c, s in (
             ("temperature_K", 0.93, 1.08),
             ("absolute_humidity_g_m3", 0.87, 1.31),
@@ -260,7 +260,6 @@ def _results(name: str, series: dict[str, np.ndarray]) -> dict:
             "start": _stamp(time[0]),
             "until": _stamp(until),
             "end": _stamp(time[-1]),
-            "n_instants": len(time),
             "n_readings": int(np.isfinite(series["temperature_measured"]).sum()),
         },
         "design": {

@@ -119,10 +119,10 @@ WRONG: dict[str, tuple] = {
     "simulate onto the case": onto("case.toml"),
     "simulate onto a table": onto("cabinet.csv"),
     # the results of a fit
-    "no fit.json": (EVALUATE, gone("result/fit.json"), "result/fit.json: expected a result", "no such file"),
-    "a directory without fit": ("evaluate . case.toml", nothing, "hygrokf: fit.json: expected a result of"),
+    "no fit.json": (EVALUATE, gone("result/fit.json"), "result/fit.json: no such file; run `hygrokf fit`"),
+    "a directory without fit": ("evaluate . case.toml", nothing, "hygrokf: fit.json: no such file; run"),
     "half a fit.json": (EVALUATE, lambda folder: os.truncate(folder / "result/fit.json", 2000),
-        "hygrokf: result/fit.json: expected JSON written by `hygrokf fit`, found "),
+        "hygrokf: result/fit.json: expected the results of `hygrokf fit`, found: "),
     "other JSON": (EVALUATE, holds("result/fit.json", b'{"a": 1}'),
         "result/fit.json: not a result of `hygrokf fit`: it lacks covariance, design"),
     "newer version": (EVALUATE, put("version", value="99.0.1"),

@@ -270,10 +270,9 @@ def test_coverage_by_hand():
     found = coverage(reading, np.zeros(5), np.array([1.0, 1.0, 1.0, 1.0, 2.0]))
     assert found.n == 4
     assert found.coverage == 0.75
-    assert found.nominal == 0.95
     z = np.sort([0.0, 1.0, 3.0, 1.25])
     assert found.scale == pytest.approx(np.quantile(z, 0.95) / 1.959964, rel=1e-6)
-    assert plain(coverage(reading[3:4], np.zeros(1), np.ones(1))) == plain(Coverage(0.95))
+    assert plain(coverage(reading[3:4], np.zeros(1), np.ones(1))) == plain(Coverage())
 
 
 def test_coverage_of_normal_numbers_is_nominal():

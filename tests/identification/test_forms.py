@@ -27,11 +27,10 @@ from hygrokf.identification.clock_offsets import (
 )
 from hygrokf.identification.composition import (
     Alternative,
-    Source,
     compose_interval,
-    from_forms,
-    from_free_run,
-    from_parts,
+    of_forms,
+    of_free_run,
+    of_parts,
 )
 from hygrokf.identification.estimation import estimate_design, smoothed_temperature
 from hygrokf.identification.forms import (
@@ -357,12 +356,12 @@ def test_prior_uncertainty_of_two_clocks(stated, source, expected):
 
 
 def test_without_further_sources_the_interval_is_the_profiles():
-    found = compose_interval(2.0, 1.8, 2.3, 0.95, [])
+    found = compose_interval(2.0, (1.8, 2.3), 0.95, {})
     assert plain(found) == [{"source": "profile", "lower_h": 1.8, "upper_h": 2.3}]
 
 
 def test_sources_add_in_squares_on_the_logarithm_and_keep_the_profiles_skew():
-    found = compose_interval(2.0, 1.8, 2.3, 0.95, [Source("a", 0.0009), Source("b", 0.0016)])
+    found = compose_interval(2.0, (1.8, 2.3), 0.95, {"a": 0.0009, "b": 0.0016})
     down, up = math.log(2.0 / 1.8), math.log(2.3 / 2.0)
     assert found[-1].lower_h == pytest.approx(2.0 * math.exp(-math.hypot(down, Z * 0.05)))
     assert found[-1].upper_h == pytest.approx(2.0 * math.exp(math.hypot(up, Z * 0.05)))
@@ -372,7 +371,7 @@ def test_sources_add_in_squares_on_the_logarithm_and_keep_the_profiles_skew():
 
 @pytest.mark.parametrize(("lower", "upper"), [(0.0, 2.3), (1.8, math.inf)])
 def test_an_open_side_stays_open(lower, upper):
-    found = compose_interval(2.0, lower, upper, 0.95, [Source("a", 0.01)])
+    found = compose_interval(2.0, (lower, upper), 0.95, {"a": 0.01})
     assert (found[-1].lower_h == 0.0) == (lower == 0.0)
     assert math.isnan(found[-1].upper_h) == math.isinf(upper)
 
@@ -382,9 +381,9 @@ def test_forms_widen_to_the_variance_of_their_mixture():
     forms = [Alternative(0.0, 0.02**2, 0.5), Alternative(0.1, 0.03**2, 0.5)]
     random = np.random.default_rng(3)
     sample = np.concatenate([random.normal(0.0, 0.02, 200_000), random.normal(0.1, 0.03, 200_000)])
-    whole = 0.02**2 + from_forms(0.0, 0.02**2, forms).variance
+    whole = 0.02**2 + of_forms(0.0, 0.02**2, forms)
     assert whole == pytest.approx(float(np.mean(sample**2)), rel=0.01)
-    assert from_forms(0.0, 0.02**2, [forms[0], replace(forms[1], weight=0.0)]).variance == 0.0
+    assert of_forms(0.0, 0.02**2, [forms[0], replace(forms[1], weight=0.0)]) == 0.0
 
 
 def test_ranges_of_a_forms_parameters_bound_what_they_could_imitate() -> None:
@@ -408,15 +407,15 @@ def test_ranges_of_a_forms_parameters_bound_what_they_could_imitate() -> None:
 
 
 def test_a_free_run_that_agrees_adds_nothing():
-    assert from_free_run(0.0, 0.02**2, Alternative(0.05, 0.05**2)).variance == 0.0
-    assert from_free_run(0.0, 0.02**2, Alternative(0.1, 0.05**2)).variance == 0.0
-    apart = from_free_run(0.0, 0.02**2, Alternative(0.3, 0.05**2)).variance
+    assert of_free_run(0.0, 0.02**2, Alternative(0.05, 0.05**2)) == 0.0
+    assert of_free_run(0.0, 0.02**2, Alternative(0.1, 0.05**2)) == 0.0
+    apart = of_free_run(0.0, 0.02**2, Alternative(0.3, 0.05**2))
     assert apart == pytest.approx(0.5 * (0.09 - 0.0004 - 0.0025))
 
 
 def test_parts_that_scatter_as_they_should_add_nothing():
-    assert from_parts(0.7, 0.01).variance == 0.0
-    assert from_parts(3.0, 0.01).variance == pytest.approx(0.02)
+    assert of_parts(0.7, 0.01) == 0.0
+    assert of_parts(3.0, 0.01) == pytest.approx(0.02)
 
 
 def test_parts_of_a_mean_are_the_means_of_the_parts():

@@ -430,20 +430,10 @@ MOST_NAMES = 4
 
 
 def _limits_text(limits: tuple[Exceedance, ...]) -> str:
-    """How many limits are kept: "Of 3 limits 2 are kept and 1 is exceeded." """
-    found: list[str] = [one.verdict for one in limits]
-    if set(found) == {"undecided"}:
-        return "Undecided: this climate does not show whether the limits are kept."
-    if len(set(found)) == 1 and len(found) > 1:
-        all_of_them = "Both limits" if len(found) == 2 else f"All {len(found)} limits"
-        return f"{all_of_them} are {VERDICTS_IN_WORDS[found[0]]}."
-    parts = []
-    for kind, words in VERDICTS_IN_WORDS.items():
-        if count := found.count(kind):
-            parts.append(f"{count} {'is' if count == 1 else 'are'} {words}")
-    if len(found) == 1:
-        return f"The limit {parts[0][2:]}."
-    return f"Of {len(found)} limits {listed(parts)}."
+    """How many limits are kept: "Limits: 2 kept and 1 exceeded." """
+    found = [one.verdict for one in limits]
+    parts = [f"{found.count(kind)} {words}" for kind, words in VERDICTS_IN_WORDS.items() if kind in found]
+    return f"Limits: {listed(parts)}."
 
 
 def _conditions(study: Study) -> tuple[str, ...]:
