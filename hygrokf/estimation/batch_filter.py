@@ -14,7 +14,7 @@ import numpy as np
 from hygrokf.engine.batch_codegen import fleet_text, kept_nodes
 from hygrokf.engine.jit import Code
 from hygrokf.engine.llvm_writer import RUNS
-from hygrokf.engine.packing import pack, unpack
+from hygrokf.engine.packing import pack, place, unpack
 from hygrokf.engine.schedule import TOLERANCE
 from hygrokf.engine.schedule_codegen import CHANGE, DEEPEST, KINK, KNOWN, ROUNDING, VALUE
 from hygrokf.engine.traced_filter import traced
@@ -49,7 +49,7 @@ class SideBySide:
         self.varying = tuple(recursion.varying)
         self.regimes = tuple(recursion.regimes)
         self._tolerance, self._divided, self._uncertain = tolerance, 1, True
-        self._exact = recursion.exact
+        self._exact, self._n = recursion.exact, recursion.n
         self._count = count
         given = list(recursion.constants)
         parameters = np.array([[*(v[p.name] for p in model.parameters), *given] for v in values], dtype=float)
@@ -59,10 +59,12 @@ class SideBySide:
         blocks = len(self._state)
         runs = blocks * RUNS
         self._keys = np.full((1 + len(self.regimes), runs), np.nan)
-        self._parts = np.ones(runs)
         self._known = np.empty((blocks, max(1, len(kept_nodes(recursion))), RUNS))
-        self._before, self._now = (np.zeros((max(1, len(self.varying)), runs)) for _ in range(2))
-        self._y = np.full((max(1, len(model.outputs)), runs), np.nan)
+        self._now = np.zeros((max(1, len(self.varying)), runs))
+        self._unread = np.full((max(1, len(model.outputs)), runs), np.nan)
+        self._equal_parts: dict[int, tuple[np.ndarray, np.ndarray]] = {}
+        self._diagonal = [self._n + place(i, i) for i in range(self._n)]
+        self._row, self._column = np.tril_indices(self._n)
         self._code = Code(lambda: fleet_text(recursion), ["fleet"], f"fleet {recursion.structure}")
 
     def __len__(self) -> int:
@@ -70,18 +72,17 @@ class SideBySide:
 
     @property
     def mean(self) -> np.ndarray:
-        return self._in_rows(self._state)[:, : traced(self.model).n]
+        return self._in_rows(self._state[:, : self._n])
 
     @property
     def covariance(self) -> np.ndarray:
-        return unpack(self._in_rows(self._state)[:, traced(self.model).n :], traced(self.model).n)
+        return unpack(self._in_rows(self._state[:, self._n :]), self._n)
 
     def settle(self, mean: np.ndarray) -> None:
         """Set every run's state to `mean` (N, n) with zero covariance, as at the start of each step of a
         simulation."""
-        rows = np.zeros((self._count, self._state.shape[1]))
-        rows[:, : mean.shape[1]] = mean
-        self._state[...] = self._in_blocks(rows)
+        self._state = np.zeros_like(self._state)
+        self._state[:, : self._n] = self._in_blocks(mean)
 
     def _in_blocks(self, rows: np.ndarray) -> np.ndarray:
         """(N, width) as (blocks, width, RUNS); the last run fills the unused lanes of the last block."""
@@ -117,20 +118,19 @@ class SideBySide:
         unknown = sorted(set(readings or {}) - set(self.model.outputs))
         if unknown:
             raise ValueError(f"expected readings of {list(self.model.outputs)}, found {unknown}")
-        self._before, self._now = self._now, self._before
+        before, y = self._now, self._unread
         self.begin(inputs)
-        for place, name in enumerate(self.model.outputs):
-            self._fill(self._y[place], (readings or {}).get(name, np.nan))
+        if readings:
+            y = y.copy()
+            for column, name in enumerate(self.model.outputs):
+                self._fill(y[column], readings.get(name, np.nan))
         if self._exact:
-            self._advance(hours, inputs, 1)
+            self._state = self._moved(self._state, hours, inputs, before, self._now, 1, y)
             return
-        self._uncertain = bool(self._state[:, traced(self.model).n :].any())
-        y, before, now = self._y.copy(), self._before.copy(), self._now.copy()
-        self._y[:] = np.nan
-        self._state[...] = self._through(self._state.copy(), np.asarray(hours, float), inputs, before, now, 0)
-        self._y[:], self._before[:], self._now[:] = y, before, now
-        if not np.isnan(y).all():
-            self._advance(0.0, inputs, 1)
+        self._uncertain = bool(self._state[:, self._n :].any())
+        self._state = self._through(self._state, np.asarray(hours, float), inputs, before, self._now, 0)
+        if readings and not np.isnan(y).all():
+            self._state = self._moved(self._state, 0.0, inputs, before, self._now, 1, y)
 
     def _through(
         self,
@@ -162,38 +162,51 @@ class SideBySide:
                 f"{error:.1g} standard deviations: narrow the bounds of the parameters, or smooth what jumps"
             )
         middle = now.copy()
-        for place, name in enumerate(self.varying):
-            middle[place] = between(self.model.holds[name], before[place], now[place], 0.5)
+        for row, name in enumerate(self.varying):
+            middle[row] = between(self.model.holds[name], before[row], now[row], 0.5)
         half = self._through(begun, 0.5 * hours, inputs, before, middle, depth + 1)
         return self._through(half, 0.5 * hours, inputs, middle, now, depth + 1)
 
     def _moved(
         self,
         begun: np.ndarray,
-        hours: np.ndarray,
+        hours: np.ndarray | float,
         inputs: Mapping[str, np.ndarray],
         before: np.ndarray,
         now: np.ndarray,
         parts: int,
+        y: np.ndarray | None = None,
     ) -> np.ndarray:
-        self._state[...], self._before[:], self._now[:] = begun, before, now
-        self._advance(hours, inputs, parts)
-        return self._state.copy()
+        """Moments after `hours` in equal parts, and with the readings `y` if there are any."""
+        state, keys = begun.copy(), np.empty_like(self._keys)
+        self._fill(keys[0], np.asarray(hours) / parts)
+        for row, name in enumerate(self.regimes):
+            self._fill(keys[1 + row], inputs[name])
+        # before the first step the keys are NaN, so that everything kept is computed then
+        changed = np.any(self._keys != keys, axis=0)
+        self._keys = keys
+        if parts not in self._equal_parts:
+            whole = np.full(keys.shape[1], float(parts))
+            self._equal_parts[parts] = whole, _of_blocks(whole)
+        self._code(
+            "fleet", len(state), self._theta, keys, *self._equal_parts[parts], _of_blocks(changed),
+            self._known, before, now, self._unread if y is None else y, state,
+        )  # fmt: skip
+        return state
 
     def _error(self, begun: np.ndarray, once: np.ndarray, twice: np.ndarray) -> float:
         """Largest error of a run, as of `schedule_codegen.Walk`; infinite where a moment is not finite."""
-        n = traced(self.model).n
-        first, one, two = (self._in_rows(part) for part in (begun, once, twice))
-        if not (np.isfinite(one).all() and np.isfinite(two).all()):
+        n = self._n
+        if not (np.isfinite(once).all() and np.isfinite(twice).all()):
             return math.inf
-        sd = np.sqrt(np.maximum(np.einsum("rii->ri", unpack(two[:, n:], n)), 0.0)) + KNOWN
-        scale = sd + CHANGE * abs(two[:, :n] - first[:, :n]) + VALUE * abs(two[:, :n])
-        spread = pack(sd[:, :, None] * sd[:, None, :])
-        apart = abs(one - two)
+        mean, apart = twice[:, :n], abs(once - twice)
+        size = abs(mean)
+        sd = np.sqrt(np.maximum(twice[:, self._diagonal], 0.0)) + KNOWN
+        scale = sd + CHANGE * abs(mean - begun[:, :n]) + VALUE * size
         return float(
             max(
-                (np.maximum(apart[:, :n] - ROUNDING * abs(two[:, :n]), 0.0) / scale).max(),
-                (apart[:, n:] / spread).max(),
+                (np.maximum(apart[:, :n] - ROUNDING * size, 0.0) / scale).max(),
+                (apart[:, n:] / (sd[:, self._row] * sd[:, self._column])).max(),
             )
         )
 
@@ -209,24 +222,11 @@ class SideBySide:
         ]
         return any(np.any(np.not_equal(a, b)) for a, b in zip(*found, strict=True))
 
-    def _advance(self, hours: np.ndarray | float, inputs: Mapping[str, np.ndarray], parts: int) -> None:
-        keys = self._keys.copy()
-        self._fill(self._parts, float(parts))
-        self._fill(self._keys[0], np.asarray(hours) / parts)
-        for place, name in enumerate(self.regimes):
-            self._fill(self._keys[1 + place], inputs[name])
-        # before the first step the keys are NaN, so that everything kept is computed then
-        changed = np.any(self._keys != keys, axis=0)
-        self._code(
-            "fleet", len(self._state), self._theta, self._keys, self._parts, _of_blocks(self._parts),
-            _of_blocks(changed),
-            self._known, self._before, self._now, self._y, self._state,
-        )  # fmt: skip
-
     def begin(self, inputs: Mapping[str, np.ndarray]) -> None:
         """Set the inputs at the current instants, from which linear inputs start."""
-        for place, name in enumerate(self.varying):
-            self._fill(self._now[place], inputs[name])
+        self._now = np.zeros_like(self._now)
+        for row, name in enumerate(self.varying):
+            self._fill(self._now[row], inputs[name])
 
 
 def _finite(value: np.ndarray | float) -> bool:

@@ -96,7 +96,7 @@ def interval(value: float, low: float, high: float) -> tuple[str, str, bool]:
 
 def one_line(text: str) -> str:
     """Text without line breaks and control characters."""
-    return "".join(c if c.isprintable() else " " for c in text)
+    return text if text.isprintable() else "".join(c if c.isprintable() else " " for c in text)
 
 
 def sentence(text: str) -> str:
