@@ -10,7 +10,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, get_type_hints
 
 import numpy as np
 import pandas as pd
@@ -163,7 +163,7 @@ def test_a_result_is_copied_between_processes(make) -> None:
 
 
 def _framed() -> list[Callable[[], Any]]:
-    return [make for make in MADE if make in FRAMES or hasattr(make(), "to_frame")]
+    return [make for make in MADE if make in FRAMES or hasattr(get_type_hints(make)["return"], "to_frame")]
 
 
 STAMP = re.compile(r"\d{4}-\d\d-\d\d[T ]\d\d:\d\d")

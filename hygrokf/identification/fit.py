@@ -30,7 +30,7 @@ from hygrokf.data.files import (
 )
 from hygrokf.data.readings import mask
 from hygrokf.data.record import Record, expect_record
-from hygrokf.data.result_file import read_arrays, read_json, result_text
+from hygrokf.data.result_file import ResultFault, read_arrays, read_json, result_text
 from hygrokf.data.structured import JsonObject, StructureFault, plain, structured
 from hygrokf.data.tabular import with_units
 from hygrokf.data.toml_form import FormFault, read_toml

@@ -96,7 +96,7 @@ def ends(value: float, low: float, high: float) -> tuple[str, str]:
 
 def one_line(text: str) -> str:
     """Text without line breaks and control characters."""
-    return "".join(c if c.isprintable() else " " for c in text)
+    return text if text.isprintable() else "".join(c if c.isprintable() else " " for c in text)
 
 
 def unbroken(text: str) -> str:

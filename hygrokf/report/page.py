@@ -46,7 +46,7 @@ def _template() -> Template:
 
 def _printable(value: object) -> object:
     """A text of a result without control characters; what the template itself makes stays as it is."""
-    if type(value) is not str:
+    if type(value) is not str or value.isprintable():
         return value
     return "".join(c if c.isprintable() or c == "\xa0" else " " for c in value)
 

@@ -6,6 +6,7 @@ import shutil
 import sys
 import unicodedata
 from collections.abc import Iterable, Sequence
+from functools import cache
 
 from hygrokf.identification.verdict_terms import PLAIN_MARKS, REJECT, VERDICTS
 from hygrokf.identification.wording import one_line, sentence, unbroken
@@ -196,9 +197,14 @@ def _group_line(groups: tuple[tuple[str, int], ...], widths: list[int]) -> str:
 
 def cells(text: str) -> int:
     """Columns that a terminal needs for a text."""
-    return sum(
-        0 if unicodedata.combining(c) else 2 if unicodedata.east_asian_width(c) in "WF" else 1 for c in text
-    )
+    return len(text) if text.isascii() else sum(map(_columns, text))
+
+
+@cache
+def _columns(character: str) -> int:
+    if unicodedata.combining(character):
+        return 0
+    return 2 if unicodedata.east_asian_width(character) in "WF" else 1
 
 
 def _padded(text: str, width: int, left: bool) -> str:

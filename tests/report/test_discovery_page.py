@@ -541,8 +541,9 @@ def test_any_piece_that_is_wrong_is_a_fault_or_a_page(value: object) -> None:
             assert fault.faults
             continue
         try:
-            Page(page_html(discovery_blocks(found)))
-            expect_narrow(page_text(discovery_blocks(found)))
+            blocks = discovery_blocks(found)
+            Page(page_html(blocks))
+            expect_narrow(page_text(blocks))
         except Exception as fault:
             raise AssertionError(f"{path}: {fault!r}") from fault
     assert refused > 10

@@ -159,8 +159,9 @@ def test_a_piece_that_is_wrong_leaves_a_page_or_is_a_fault_with_its_place(quick,
         changed = copy.deepcopy(fit)
         put(changed, path, value)
         try:
-            _Page(page_html(fit_blocks(results(changed), {})))
-            expect_narrow(page_text(fit_blocks(results(changed), {})))
+            blocks = fit_blocks(results(changed), {})
+            _Page(page_html(blocks))
+            expect_narrow(page_text(blocks))
         except StructureFault as fault:
             assert all(one.startswith(str(path[0])) for one in fault.faults), path
         except Exception as fault:
