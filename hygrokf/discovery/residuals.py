@@ -129,26 +129,20 @@ def residuals(fit: Fit, record: Record) -> Residuals:
 
 def _drivers(s: Mapping[str, np.ndarray], record: Record, time: np.ndarray) -> dict[str, np.ndarray]:
     """Every known signal that varies and is no response of the cabinet."""
-    found = {
-        name: np.asarray(s[name], dtype=float)
-        for name in ("ambient_temperature", "ambient_absolute_humidity", "power", "preheating")
+    own = ("ambient_temperature", "ambient_absolute_humidity", "power", "preheating")
+    names = {name: name for name in own} | {
+        "cabinet_temperature": "temperature_simulated",
+        "cabinet_relative_humidity": "relative_humidity_simulated",
     }
-    for name, key in (
-        ("cabinet_temperature", "temperature_simulated"),
-        ("cabinet_relative_humidity", "relative_humidity_simulated"),
-    ):
-        found[name] = np.asarray(s[key], dtype=float)
+    found = {name: np.asarray(s[key], dtype=float) for name, key in names.items()}
     if not np.isfinite(found["ambient_absolute_humidity"]).any():
         vapour = ambient_absolute_humidity(record)
         if vapour is not None:
             found["ambient_absolute_humidity"] = 1e3 * at_times(input_path(vapour), time, AMBIENT_BRIDGE_H)
     for one in record.series:
-        name = one.signal
-        if name in found or name in SAME_AIR or name == "active_power" or name.startswith(RESPONSES):
-            continue
-        if one.missing.all():
-            continue
-        found[name] = at_times(one, time, bridge_h(one, AMBIENT_BRIDGE_H))
+        known = one.signal in (*found, *SAME_AIR, "active_power") or one.signal.startswith(RESPONSES)
+        if not known and not one.missing.all():
+            found[one.signal] = at_times(one, time, bridge_h(one, AMBIENT_BRIDGE_H))
     return {name: value for name, value in found.items() if _varies(value)}
 
 
@@ -165,26 +159,25 @@ def _sensor_error(s: Mapping[str, np.ndarray], record: Record) -> dict[str, np.n
         return accuracy_of(record[name]) / NORMAL_95 if name in record else 0.0
 
     inside, outside = sd("cabinet_temperature"), ambient_sd(record, "ambient_temperature")
-    warm = np.asarray(s["temperature_simulated"], dtype=float)
-    result: dict[str, np.ndarray] = {TEMPERATURE: np.full(len(warm), math.hypot(inside, outside))}
-    moist = np.asarray(s["relative_humidity_simulated"], dtype=float)
-    vapour = np.asarray(s["absolute_humidity_simulated"], dtype=float)
-    there = np.isfinite(warm) & np.isfinite(vapour)
-    square = np.full(len(warm), np.nan)
-    if there.any():
-        kelvin = warm[there]
-        humidity = np.where(np.isfinite(moist[there]), moist[there], 0.5)
-        air = np.asarray(s["ambient_temperature"], dtype=float)[there]
-        parts = [
-            1e3 * absolute_humidity(1.0, kelvin) * sd("cabinet_relative_humidity"),
-            1e3 * absolute_humidity_slope_temperature(humidity, kelvin) * inside,
-            1e3 * absolute_humidity(1.0, air) * ambient_sd(record, "ambient_relative_humidity"),
-            np.full(len(kelvin), 1e3 * sd("cabinet_absolute_humidity")),
-            np.full(len(kelvin), 1e3 * ambient_sd(record, "ambient_absolute_humidity")),
-        ]
-        square[there] = np.sum([part**2 for part in parts], axis=0)
-    result[HUMIDITY] = np.sqrt(square)
-    return result
+    warm, moist, vapour, air = (
+        np.asarray(s[name], dtype=float)
+        for name in (
+            "temperature_simulated", "relative_humidity_simulated", "absolute_humidity_simulated",
+            "ambient_temperature",
+        )
+    )  # fmt: skip
+    parts = [
+        1e3 * absolute_humidity(1.0, warm) * sd("cabinet_relative_humidity"),
+        1e3 * absolute_humidity_slope_temperature(np.where(np.isfinite(moist), moist, 0.5), warm) * inside,
+        1e3 * absolute_humidity(1.0, air) * ambient_sd(record, "ambient_relative_humidity"),
+        np.full(len(warm), 1e3 * sd("cabinet_absolute_humidity")),
+        np.full(len(warm), 1e3 * ambient_sd(record, "ambient_absolute_humidity")),
+    ]
+    square = np.sum([part**2 for part in parts], axis=0)
+    return {
+        TEMPERATURE: np.full(len(warm), math.hypot(inside, outside)),
+        HUMIDITY: np.sqrt(np.where(np.isfinite(vapour), square, np.nan)),
+    }
 
 
 _CABINET_SIBLING = {

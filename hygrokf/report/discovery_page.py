@@ -167,13 +167,15 @@ def parameters_table(cause: CauseFound) -> Table:
 
 
 def scores_tables(found: DiscoveryResults, period: str) -> tuple[Table, ...]:
-    """Free-run errors of base and extended model in one period by regime, with the simple rules; empty
-    without scores."""
-    models = (("base", found.baseline), ("extended", found.extended))
+    """Free-run errors in one period by regime, of the base model with the simple rules, and of the extended
+    model; empty without scores."""
+    models = [("base", found.baseline.fit)]
+    if found.extended is not None:
+        models.append(("extended", replace(found.extended.fit, baselines={})))
     return tuple(
         replace(table, heading=f"{table.heading}, {words} model")
         for words, one in models
-        if one is not None and (table := rmse_table(one.fit, period))
+        if (table := rmse_table(one, period))
     )
 
 
