@@ -36,7 +36,7 @@ from hygrokf.identification.fit import Fit
 from hygrokf.identification.fit_on_record import Evaluation, SimulationSummary
 from hygrokf.identification.fit_results import FitResults
 from hygrokf.identification.turbine_type import TurbineType, pool_types
-from hygrokf.transfer.comparison import Comparison, ComparisonColumn, ComparisonResults, compare
+from hygrokf.transfer.comparison import ComparisonColumn, ComparisonResults, compare
 from hygrokf.transfer.results import Transfer, TransferResult, TransferResults
 
 GOLDEN = Path(__file__).parent / "golden" / "references" / "demo.json.xz"
@@ -132,12 +132,8 @@ def column() -> ComparisonColumn:
 
 
 @cache
-def comparison() -> Comparison:
-    return compare([column(), made_column("second", 2, scale=1.4)])
-
-
 def comparison_results() -> ComparisonResults:
-    return comparison().results
+    return compare([column(), made_column("second", 2, scale=1.4)])
 
 
 def turbine_type() -> TurbineType:
@@ -146,7 +142,7 @@ def turbine_type() -> TurbineType:
 
 MADE: tuple[Callable[[], Any], ...] = (
     fit, fit_results, record, record_summary, course, evaluation, simulation_summary, discovery_results,
-    discovered, discovery, study, fleet, transfer_results, transfer_result, transfer, column, comparison,
+    discovered, discovery, study, fleet, transfer_results, transfer_result, transfer, column,
     comparison_results, turbine_type,
 )  # fmt: skip
 FRAMES: dict[Callable[[], Any], Callable[[Any], pd.DataFrame]] = {

@@ -256,13 +256,11 @@ class ChamberProfile:
 def build_profile(
     days: Days, plan: ProfilePlan, ageing: BoundedMean, service_cycles: np.ndarray
 ) -> ChamberProfile:
-    """A test profile from all days of a climate.
+    """A test profile from all days of a climate, one at least.
 
     ageing: [h a year at the reference] of the site.  service_cycles: (3,) cycles a year from each of
-    `CYCLE_RANGES_K`.  Raises ValueError where there is no whole day to choose from.
+    `CYCLE_RANGES_K`.
     """
-    if not days.shape[1]:
-        raise ValueError("no day of the weather is known hour by hour: a test profile needs hourly weather")
     length, target = round(plan.test.length_h), plan.test.service_years * ageing.value
     chosen = days.take(choose_days(days, -(-length // DAY_H), plan.law), axis=1)
     site = chosen.take(ordered(chosen), axis=1).reshape(2, -1)[:, :length]

@@ -260,15 +260,12 @@ def _region(
     operates = power is not None and fit.design.power_scale_W is not None
     scopes = {scope: _bounded(gathered.of(scope)) for scope in SCOPES if gathered.has(scope)}
     if operates:
-        statements += operating_words(gathered, isinstance(power, PowerCurve))
+        statements.append(operating_text(gathered, isinstance(power, PowerCurve)))
     statements += [
         *filter(None, [rests_on(inherited(fit.results))]),
         *extrapolation_words(fit, record),
         *region.weather.warnings,
-        *interval_words(region.weather),
-        *weather_words(gathered, count, members),
-        *limit_words(limits, gathered),
-        *saturation_words(scopes["all"]),
+        *weather_words(region.weather, gathered, count, members, limits),
     ]
     if operates:
         still, _ = driven(fit, region.weather, None)
@@ -334,62 +331,34 @@ SAID_FROM = 0.01
 """Share of the time outside the identified range from which a statement says so."""
 
 
-def interval_words(weather: Record) -> list[str]:
-    """A statement where weather comes less often than every hour."""
+def weather_words(
+    weather: Record, gathered: Gathered, found: int, members: int, limits: Sequence[ClimateLimit]
+) -> list[str]:
+    """Statements on the weather, on the years used out of `found` years, on too few members for the stated
+    bounds, on limits that cannot be judged, and on air above saturation."""
+    hours, count = sum(one.hours_known for one in gathered.spans), len(gathered.spans)
+    length, part = sum(one.hours_covered for one in gathered.spans), gathered.part
+    share, days = held(members * count), "these days" if part else "these years"
     rare = [
         (middle(s.steps_s) / 3600.0, s.signal)
         for s in weather.series
-        if s.signal.startswith("ambient_") and len(s.steps_s) and middle(s.steps_s) > 1.01 * 3600.0
+        if s.signal.startswith("ambient_") and len(s.steps_s)
     ]
-    if not rare:
-        return []
-    step, name = max(rare)
-    more = "; the course of a day is lost" if step >= 12.0 else ""
-    return [
-        f"{name} comes every {step:g} h and is interpolated linearly: extremes, rates, cycles and short "
-        f"excursions are underestimated{more}"
-    ]
-
-
-def operating_words(gathered: Gathered, by_curve: bool) -> list[str]:
-    """The share of time in operation, with a doubt where it is low."""
-    spans = gathered.spans
-    shares, hours = zip(*((one.operating_share, one.hours_known) for one in spans), strict=True)
-    share = float(np.average(shares, weights=hours))
-    said = f"the turbine operates {100.0 * share:.0f} % of the time"
-    if share >= LEAST_OPERATION:
-        return [said]
-    return [f"{said}: check {'units and height of the wind' if by_curve else 'unit and sign of the power'}"]
-
-
-def limit_words(limits: Sequence[ClimateLimit], gathered: Gathered) -> list[str]:
-    """Statements on limits that cannot be judged: the model lacks the quantity, or the hours never occur."""
-    said = []
-    for one in limits:
-        if one.name not in gathered.of("limit"):
-            said.append(
-                f'limit "{one.name}" is not judged: the model has no {one.quantity_words}, only a temperature'
-            )
-        elif not gathered.has(one.during):
-            where = f"{'at' if one.during == 'standstill' else 'in'} {one.during}"
-            verdict = "is not exceeded" if gathered.part else "passes"
-            days = "these days" if gathered.part else "these years"
-            said.append(f'limit "{one.name}" {verdict} only because {days} have no hours {where}')
-    return said
-
-
-def weather_words(gathered: Gathered, found: int, members: int) -> list[str]:
-    """Statements on the years used, out of `found` years, and on too few members for the stated bounds."""
-    hours, count = sum(one.hours_known for one in gathered.spans), len(gathered.spans)
-    length, part = sum(one.hours_covered for one in gathered.spans), gathered.part
-    share = held(members * count)
+    step_h, name = max(rare, default=(0.0, ""))
+    numbers, judged = gathered.of("all"), gathered.of("limit")
+    dripping_h = float(numbers["saturation_h"].mean()) if "saturation_h" in numbers else 0.0
     said = {
+        f"{name} comes every {step_h:g} h and is interpolated linearly: extremes, rates, cycles and short "
+        f"excursions are underestimated{'; the course of a day is lost' if step_h >= 12.0 else ''}": (
+            step_h > 1.01
+        ),
         f"{found - count} of {found} years are left out: less than {100.0 * WHOLE:.0f} % of their "
         "weather and power is known": count < found,
         f"the bounds rest on {part} of weather and say nothing about the rest of the year or "
         "other years": bool(part) and count == 1,
-        "the bounds rest on one year of weather and say nothing about how years differ": not part
-        and count == 1,
+        "the bounds rest on one year of weather and say nothing about how years differ": (
+            not part and count == 1
+        ),
         f"the weather covers {_length_text(length)}, not {'a year' if count == 1 else f'{count} years'}: "
         "hours per year are scaled up as if the rest were alike": length < 0.95 * YEAR_H * count,
         f"on {part} no limit passes, because the rest of the year may exceed it: a limit that "
@@ -400,19 +369,31 @@ def weather_words(gathered: Gathered, found: int, members: int) -> list[str]:
         f"single year in {100.0 * share:.0f} % of cases, not in {100.0 * LEVEL:.0f} %; use "
         f"{FEWEST_MEMBERS} or more (--members)": share < LEVEL,
     }
+    for one in limits:
+        where = f"{'at' if one.during == 'standstill' else 'in'} {one.during}"
+        said |= {
+            f'limit "{one.name}" is not judged: the model has no {one.quantity_words}, only a temperature': (
+                one.name not in judged
+            ),
+            f'limit "{one.name}" {"is not exceeded" if part else "passes"} only because {days} have no hours '
+            f"{where}": one.name in judged and not gathered.has(one.during),
+        }
+    said |= {
+        f"the cabinet's air is above 100 % for {dripping_h:.0f} h a year: the model lacks a process that "
+        "limits the humidity (condensation, moisture storage), and the bounds do not include this error; "
+        "hours of wetness and condensation are unreliable": dripping_h >= DRIPPING_H
+    }
     return [text for text, holds in said.items() if holds]
 
 
-def saturation_words(found: Mapping[str, BoundedMean]) -> list[str]:
-    """A doubt where the simulated air is supersaturated for long."""
-    hours = found.get("saturation_h")
-    if hours is None or hours.value < DRIPPING_H:
-        return []
-    return [
-        f"the cabinet's air is above 100 % for {hours.value:.0f} h a year: the model lacks a process that "
-        "limits the humidity (condensation, moisture storage), and the bounds do not include this error; "
-        "hours of wetness and condensation are unreliable"
-    ]
+def operating_text(gathered: Gathered, by_curve: bool) -> str:
+    """The share of time in operation, with a doubt where it is low."""
+    shares, hours = zip(*((one.operating_share, one.hours_known) for one in gathered.spans), strict=True)
+    share = float(np.average(shares, weights=hours))
+    said = f"the turbine operates {100.0 * share:.0f} % of the time"
+    if share >= LEAST_OPERATION:
+        return said
+    return f"{said}: check {'units and height of the wind' if by_curve else 'unit and sign of the power'}"
 
 
 def extrapolation_words(fit: Fit, record: Record) -> list[str]:

@@ -299,11 +299,9 @@ appears in climate.json, climate.csv and the tables."""
 def scalars(year: Year, law: Acceleration, scope: str = "all") -> dict[str, np.ndarray]:
     """The numbers (N,) of a year by name, as `STATISTICS` lists them.
 
-    Hours and counts are scaled to a year of 8766 h.  What needs a course without holes (rates, excursions,
-    cycles) is computed for the whole year alone.  Raises ValueError where nothing of the year is known.
+    Hours and counts are scaled from the known hours, one at least, to a year of 8766 h.  What needs a course
+    without holes (rates, excursions, cycles) is computed for the whole year alone.
     """
-    if not year.known.any():
-        raise ValueError("neither weather nor power is known at any instant of this year; check the files")
     hours = ScopeHours(year, law, scope)
     wanted = [one for one in STATISTICS if one.table == "scope" or scope == "all"]
     return {one.name: value for one in wanted if (value := one.of(hours)) is not None}

@@ -109,8 +109,8 @@ def _compare(options: Namespace) -> int:
         raise UserFault(str(fault)) from fault
     with Progress(1) as progress:
         progress("draw the report")
-        page = write_comparison(found, options.out)
-    return show_reported(page, found.results, comparison_blocks(found.results), options.json)
+        page = write_comparison(found, options.out, columns)
+    return show_reported(page, found, comparison_blocks(found), options.json)
 
 
 COMPARE = Verb(

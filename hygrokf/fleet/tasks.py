@@ -284,7 +284,7 @@ TASKS: Mapping[str, Task] = {
             Compared("wetness_h", "time of wetness", "h a year", "wetness_h_lower", "wetness_h_upper"),
         ),
         (
-            Tally("limits", "limits, the worst of a turbine's verdicts"),
+            Tally("limits", "limits, the worst verdict"),
             Tally("wetness_class", "class of wetness, ISO 9223:1992"),
             *_RELIABLE,
             Tally("statements", "remark", BETWEEN),

@@ -38,7 +38,7 @@ from hygrokf.report.figures.comparison import (
 from hygrokf.report.fit_text import share_text
 from hygrokf.report.page import page_html
 from hygrokf.transfer.comparison import (
-    Comparison,
+    ComparisonColumn,
     ComparisonResults,
     ErrorRow,
 )
@@ -62,7 +62,11 @@ METHOD = (
 # --- files -----------------------------------------------------------------------------------
 
 
-def write_comparison(found: Comparison | None, directory: str | os.PathLike[str]) -> Path:
+def write_comparison(
+    found: ComparisonResults | None,
+    directory: str | os.PathLike[str],
+    columns: Sequence[ComparisonColumn] = (),
+) -> Path:
     """Write compare.json, compare.csv, compare.npz and report.html; with None the page again from these.
 
     Returns the path of report.html.  Raises ResultFault where compare.json is missing or damaged, OSError
@@ -71,10 +75,10 @@ def write_comparison(found: Comparison | None, directory: str | os.PathLike[str]
     folder = Path(directory)
     if found is None:
         return write_text_whole(folder / REPORT, page_html(comparison_blocks(*read_comparison(folder))))
-    courses = [one.course for one in found.columns]
-    text = result_text(found.results)
-    table = found.results.to_frame().to_csv(index=False, float_format="%.6g", lineterminator="\n")
-    page = page_html(comparison_blocks(found.results, courses))
+    courses = [one.course for one in columns]
+    text = result_text(found)
+    table = found.to_frame().to_csv(index=False, float_format="%.6g", lineterminator="\n")
+    page = page_html(comparison_blocks(found, courses))
     folder.mkdir(parents=True, exist_ok=True)
     (folder / REPORT).unlink(missing_ok=True)
     write_text_whole(folder / COMPARISON, text)

@@ -93,7 +93,7 @@ def fleet_blocks(fleet: FleetResults) -> Page:
     body = (
         *_failures(fleet),
         *section("Outliers", _outliers(found)),
-        *section("How many turbines", *(_tally(one, done) for one in task.tallies)),
+        *section("What was found", _tallies(task.tallies, done)),
         *section("Spread over the fleet", *pictures[1:], *_set_aside(found)),
         *type_section(fleet.type, Prose(f"{LEFT_OUT} {left_out}.", "note") if left_out else None),
         *section("Ranking", Details("Every turbine", (ranking,), printed=True) if ranking else None),
@@ -207,19 +207,25 @@ def _outliers(found: Sequence[Scatter]) -> Block | None:
     )
 
 
-def _tally(one: Tally, done: Sequence[Row]) -> Table:
-    having: dict[str, list[str]] = {}
-    for row in done:
-        text = text_of(row, one.column)
-        for value in text.split(one.between) if one.between else [text]:
-            if value:
-                having.setdefault(value, []).append(text_of(row, "turbine"))
-    kinds = sorted(having, key=lambda value: -len(having[value]))
-    rows = tuple(
-        (_in_words(value), str(len(having[value])), _some(having[value])) for value in kinds[:TALLIED]
+def _tallies(tallies: Sequence[Tally], done: Sequence[Row]) -> Table:
+    """The values of each column, those of most turbines first, with their turbines."""
+    rows: list[tuple[str, ...]] = []
+    for one in tallies:
+        having: dict[str, list[str]] = {}
+        for row in done:
+            text = text_of(row, one.column)
+            for value in text.split(one.between) if one.between else [text]:
+                if value:
+                    having.setdefault(value, []).append(text_of(row, "turbine"))
+        kinds = sorted(having.items(), key=lambda pair: -len(pair[1]))
+        rows += [(one.title, _in_words(v), str(len(who)), _some(who)) for v, who in kinds[:TALLIED]]
+        if kinds[TALLIED:]:
+            rows.append(
+                (one.title, f"{len(kinds) - TALLIED} more in the column {one.column} of {CSV}", "", "")
+            )
+    return Table(
+        "Turbines by what was found", ("", "found", "turbines", "which"), tuple(rows), left=(0, 1, 3)
     )
-    more = f"{len(kinds) - TALLIED} more in the column {one.column} of {CSV}." if kinds[TALLIED:] else ""
-    return Table(sentence(one.title).rstrip("."), ("", "turbines", "which"), rows, left=(0, 2), note=more)
 
 
 def _in_words(value: str) -> str:

@@ -207,12 +207,14 @@ class Origin:
 class Baseline:
     """The origin, the record, its identification period and the model, which all sets of values share.
 
-    `held`: values of parameters that the record does not determine; `groups`: group of every parameter.
+    `until_s` [s since 1970] the end of the period; `held`: values of parameters that the record does not
+    determine; `groups`: group of every parameter.
     """
 
     origin: Origin
     record: Record
     early: Record
+    until_s: float
     base: Design
     run: Run
     early_run: Run
@@ -222,12 +224,6 @@ class Baseline:
     @property
     def likelihood(self) -> Likelihood:
         return Likelihood(self.base.model, self.early_run.timeline)
-
-    @property
-    def until_s(self) -> float:
-        """The end of the identification period [s since 1970]; every baseline states one."""
-        assert self.record.until_s is not None
-        return self.record.until_s
 
     @property
     def cabinet(self) -> tuple[str, ...]:
@@ -241,7 +237,7 @@ def baseline_of(origin: Origin, record: Record) -> tuple[Baseline, list[str]]:
     Raises ValueError for a record on which no model can be judged.
     """
     statements = []
-    if record.until_s is None:
+    if (until_s := record.until_s) is None:
         cabinet = [record[n] for n in ("cabinet_temperature", *HUMIDITIES) if n in record]
         first, last = min(s.time[0] for s in cabinet), max(s.time[-1] for s in cabinet)
         until_s = float(first + EARLY_SHARE * (last - first))
@@ -273,7 +269,7 @@ def baseline_of(origin: Origin, record: Record) -> tuple[Baseline, list[str]]:
     statements += rated_power_mismatch(origin.design, record)
     values = {p.name: origin.values.get(p.name, p.start) for p in base.model.parameters}
     run = settled(base, values, model_inputs(base, record))
-    return Baseline(origin, record, early, base, run, early_run, held, groups), statements
+    return Baseline(origin, record, early, until_s, base, run, early_run, held, groups), statements
 
 
 def _unknowable(origin: Origin, base: Design, early_run: Run) -> dict[str, float]:

@@ -210,20 +210,12 @@ def comparison_column(fit: Fit, record: Record, label: str, own: bool = False) -
     return ComparisonColumn(names, course, errors, rules, masks, synthetic)
 
 
-@dataclass(frozen=True)
-class Comparison:
-    """Free runs side by side: `results` (compare.json), and `columns` with the courses for pictures."""
-
-    columns: tuple[ComparisonColumn, ...]
-    results: ComparisonResults
-
-
-def compare(columns: Sequence[ComparisonColumn]) -> Comparison:
+def compare(columns: Sequence[ComparisonColumn]) -> ComparisonResults:
     """Compare columns: errors with bounds, differences between any two, skill against rules without a model.
 
     columns: of `comparison_column`, with different labels.
 
-    Returns `results` as in compare.json: RMSE [K], [g/m³] by period, quantity and regime.
+    Returns the content of compare.json: RMSE [K], [g/m³] by period, quantity and regime.
     Raises ValueError for columns of the same label, and where no column has anything to score.
     """
     labels = [one.label for one in columns]
@@ -232,7 +224,7 @@ def compare(columns: Sequence[ComparisonColumn]) -> Comparison:
         raise ValueError(f"expected columns of different names, found several called {', '.join(twice)}")
     if not any(one.errors for one in columns):
         raise ValueError(f"no column can be scored: {UNSCORED}")
-    results = ComparisonResults(
+    return ComparisonResults(
         __version__,
         datetime.now(UTC).isoformat(timespec="seconds"),
         any(one.synthetic for one in columns),
@@ -242,7 +234,6 @@ def compare(columns: Sequence[ComparisonColumn]) -> Comparison:
             *(row for a, b in combinations(columns, 2) for row in _differences(a, b)),
         ),
     )
-    return Comparison(tuple(columns), results)
 
 
 def _scores(one: ComparisonColumn) -> Iterator[ErrorRow]:

@@ -18,7 +18,7 @@ import numpy as np
 from hygrokf.data.files import write_bytes_whole
 from hygrokf.data.result_file import ResultFault, instants
 from hygrokf.data.structured import optional
-from hygrokf.evaluation.scoring import SCORED, Counts
+from hygrokf.evaluation.scoring import SCORED, Errors
 from hygrokf.evaluation.simulation import Prediction, measured
 from hygrokf.identification.fit import Fit
 from hygrokf.identification.turbine_type import TurbineType
@@ -193,15 +193,11 @@ class LikelihoodRatio:
 
 
 @dataclass(frozen=True)
-class SetError:
+class SetError(Errors):
     """Root mean squared error [K], [g/m³] of one set of values; `bounds` 95 % of the total, where there are
     enough readings."""
 
-    operation: float
-    standstill: float
-    total: float
-    n: Counts
-    bounds: tuple[float, float] | None
+    bounds: tuple[float, float] | None = None
 
 
 @dataclass(frozen=True)

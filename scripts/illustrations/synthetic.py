@@ -59,7 +59,7 @@ def compare(directory: Path) -> None:
             if s.signal.startswith("ambient_")
         ]
         columns.append(comparison_column(fit, record.replace_series(*thinned), label, own=every == 1))
-    found = compare(columns).results
+    found = compare(columns)
     save(figure_errors(found, "whole").figure(), "compare", "synthetic turbine")
 
 

@@ -107,8 +107,6 @@ def test_what_is_out_of_reach_is_said() -> None:
     aged = LAW.rate(made.temperature_degC + 273.15, made.relative_humidity_percent / 100).sum()
     assert not made.reached and aged < 50 * AGEING and found.ageing.test_h == pytest.approx(aged, rel=1e-3)
     assert found.ageing.years == pytest.approx(found.ageing.test_h / AGEING) and found.ageing.years < 50
-    with pytest.raises(ValueError, match="no day of the weather"):
-        build_profile(DAYS[:, :0], ProfilePlan(), bounded(np.ones((1, 2))), np.zeros(3))
 
 
 def test_closeness_tells_what_the_test_has() -> None:

@@ -134,11 +134,6 @@ def test_hours_of_a_part_of_a_year_are_scaled_and_gaps_left_out() -> None:
     assert found["humidity_above_80_longest_h"][0] == 18.0
 
 
-def test_a_year_of_which_nothing_is_known_is_refused() -> None:
-    with pytest.raises(ValueError, match="neither weather nor power is known"):
-        scalars(year_of(np.zeros(10), np.zeros(10), np.zeros(10, bool)), LAW)
-
-
 def test_excursions_of_many_members() -> None:
     random = np.random.default_rng(2)
     beyond = random.random((20, 300)) < 0.4

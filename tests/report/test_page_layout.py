@@ -43,7 +43,7 @@ def fit() -> str:
 
 def comparison() -> str:
     columns = [made_column("first", 1), made_column("second", 2, scale=1.4)]
-    return page_html(comparison_blocks(compare(columns).results, [one.course for one in columns]))
+    return page_html(comparison_blocks(compare(columns), [one.course for one in columns]))
 
 
 def transfer() -> str:

@@ -43,7 +43,7 @@ from hygrokf.transfer.comparison import (
 
 def test_scores_are_plain_root_mean_squares() -> None:
     one, two = made_column("a", 1), made_column("b", 2, scale=1.15)
-    found = compare([one, two]).results
+    found = compare([one, two])
     on = one.course.operating
     for period, mask in one.masks.items():
         for regime, chosen in (("operation", on), ("standstill", ~on), ("total", True)):
@@ -68,13 +68,13 @@ def difference(found: ComparisonResults) -> ErrorRow:
 
 def test_only_common_instants_are_compared_and_other_readings_are_reported() -> None:
     one, late = made_column("a", 1), made_column("b", 2, shift_s=600 * HOUR)
-    row = difference(compare([one, late]).results)
+    row = difference(compare([one, late]))
     a, b = one.errors["temperature_K"][600:], late.errors["temperature_K"][:600]
     there = np.isfinite(a) & np.isfinite(b)
     assert row.n == there.sum()
     assert row.value == pytest.approx(np.sqrt(np.mean(a[there] ** 2)) - np.sqrt(np.mean(b[there] ** 2)))
-    assert compare([one, made_column("b", 2, shift_s=0.5 * HOUR)]).results.pairs == []
-    assert not difference(compare([one, made_column("b", 2, readings=2)]).results).same_readings
+    assert compare([one, made_column("b", 2, shift_s=0.5 * HOUR)]).pairs == []
+    assert not difference(compare([one, made_column("b", 2, readings=2)])).same_readings
 
 
 def test_columns_that_cannot_be_told_apart_or_scored_are_refused() -> None:
@@ -86,9 +86,10 @@ def test_columns_that_cannot_be_told_apart_or_scored_are_refused() -> None:
 
 
 def test_the_table_holds_every_number_of_the_json(tmp_path) -> None:
-    made = compare([made_column("a", 1), made_column("b", 2, scale=1.15)])
-    write_comparison(made, tmp_path)
-    found, text = made.results, (tmp_path / "compare.csv").read_text(encoding="utf-8")
+    columns = [made_column("a", 1), made_column("b", 2, scale=1.15)]
+    found = compare(columns)
+    write_comparison(found, tmp_path, columns)
+    text = (tmp_path / "compare.csv").read_text(encoding="utf-8")
     rows = list(csv.DictReader(io.StringIO(text)))
     kinds = [row["kind"] for row in rows]
     # two columns, three periods, three regimes
@@ -111,8 +112,8 @@ def test_the_table_holds_every_number_of_the_json(tmp_path) -> None:
 
 
 def test_page_is_written_again_from_the_files(tmp_path: Path) -> None:
-    found = compare([made_column("<a>", 1), made_column("b", 2, scale=1.4)])
-    page = write_comparison(found, tmp_path).read_text(encoding="utf-8")
+    columns = [made_column("<a>", 1), made_column("b", 2, scale=1.4)]
+    page = write_comparison(compare(columns), tmp_path, columns).read_text(encoding="utf-8")
     assert "&lt;a&gt; errs by" in page and page.count("<svg") == 4
     assert write_comparison(None, tmp_path).read_text(encoding="utf-8") == page
     assert page_html(comparison_blocks(*read_comparison(tmp_path))) == page
@@ -125,9 +126,9 @@ def test_page_is_written_again_from_the_files(tmp_path: Path) -> None:
 
 def test_the_answer_is_the_column_that_errs_least() -> None:
     found = compare([made_column("a", 1, scale=1.4), made_column("b", 2), made_column("c", 3, scale=2.0)])
-    (cards,) = (block for block in comparison_blocks(found.results).lead if isinstance(block, Cards))
+    (cards,) = (block for block in comparison_blocks(found).lead if isinstance(block, Cards))
     (card,) = cards.cards
-    best = found.results.errors("validation", "temperature_K")["b"]
+    best = found.errors("validation", "temperature_K")["b"]
     assert card.value == f"b: {best.value:.2f} K" and len(card.lines) == 2
     assert all("b errs by" in line for line in card.lines)
 
@@ -179,7 +180,7 @@ def test_a_column_has_the_scores_of_evaluate(turbines: tuple[Path, Path, Fit]) -
     from hygrokf.cases.case_file import read_case
 
     record: Record = read_case(turbines[1])
-    found = compare([comparison_column(turbines[2], record, "x")]).results
+    found = compare([comparison_column(turbines[2], record, "x")])
     theirs = evaluate(turbines[2], record)
     for period in ("identification", "validation"):
         for quantity in ("temperature_K", "absolute_humidity_g_m3"):
@@ -196,7 +197,7 @@ def test_a_column_without_a_score_says_why(turbines: tuple[Path, Path, Fit]) -> 
     record: Record = read_case(turbines[1])
     idle = without(record, "active_power")
     columns = [comparison_column(turbines[2], one, name) for one, name in ((record, "a"), (idle, "b"))]
-    found = compare(columns).results
+    found = compare(columns)
     assert any("nothing to score" in said for said in found.columns[1].statements)
     assert list(found.errors("whole", "temperature_K")) == ["a"]
     assert "b: Nothing to score" in page_text(comparison_blocks(found))
@@ -253,7 +254,7 @@ def test_the_summary_tells_sure_differences_from_others(
             ends = () if reach is None else (value - reach, value + reach)
             place = ("one", "other", "temperature_K", period, "total")
             rows.append(ErrorRow("difference", *place, 100, value, *ends))
-    columns = compare([made_column("one", 1), made_column("other", 2)]).results.columns
+    columns = compare([made_column("one", 1), made_column("other", 2)]).columns
     said = summary(ComparisonResults("", "", False, columns, tuple(rows)), "temperature_K", "one")
     assert len(said) == len(expected)
     assert all(part in line for line, parts in zip(said, expected, strict=True) for part in parts)

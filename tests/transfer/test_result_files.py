@@ -20,7 +20,7 @@ from hygrokf.transfer.comparison import ComparisonResults, compare
 from hygrokf.transfer.results import RecordCourse, TransferResults, read_courses, write_courses
 
 MADE = {
-    ComparisonResults: lambda: plain(compare([made_column("a", 1), made_column("b", 2)]).results),
+    ComparisonResults: lambda: plain(compare([made_column("a", 1), made_column("b", 2)])),
     TransferResults: lambda: read("demo")["json"]["transferred/transfer.json"],
 }
 
