@@ -122,8 +122,8 @@ def point_weather(
             fields[short] = Field(one.values.astype(float), name, None if unit is None else str(unit))
     return SiteWeather(
         file, stamps, fields, variables,
-        site=None if at is None else point_site(*at, altitude_m),
-        place="" if at is None else place_text(*at, site), shift_s=shift_s, warnings=warnings,
+        site=None if at is None else point_site(*at, altitude_m), near=site, shift_s=shift_s,
+        warnings=warnings,
     )  # fmt: skip
 
 

@@ -24,7 +24,6 @@ from hygrokf.weather.site_weather import (
     Variable,
     complete,
     dew_point_of,
-    place_text,
     short_name,
 )
 
@@ -185,6 +184,6 @@ def _weather(
             "timezone=GMT and hourly=…"
         )
     return SiteWeather(
-        file, time, fields, _VARIABLES, site=site, place=place_text(latitude, longitude),
+        file, time, fields, _VARIABLES, site=site,
         height_m=None if height is None else float(height), warnings=warnings,
     )  # fmt: skip

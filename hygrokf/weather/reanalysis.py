@@ -6,7 +6,6 @@ from __future__ import annotations
 import os
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -24,13 +23,9 @@ from hygrokf.weather.site_weather import (
     SiteWeather,
     Variable,
     complete,
-    place_text,
     short_name,
     unit_in_weather,
 )
-
-if TYPE_CHECKING:
-    import xarray
 
 _SUN = "global_horizontal_irradiance"
 _DEW_POINT = "ambient_dew_point_temperature"
@@ -130,7 +125,12 @@ def read_era5(path: str | os.PathLike[str], site: Site | None = None) -> Record:
         if one.kind == "csv":
             weather = _csv_weather(one.data, file, site, alone)
         else:
-            weather = _netcdf_weather(open_dataset(one.data, one.kind), file, site, alone)
+            dataset = open_dataset(one.data, one.kind)
+            if "QV2M" in dataset.data_vars:
+                raise TableFault('is a file of MERRA-2; state format = "merra2"')
+            if not alone and not any(short_name(ERA5, str(name)) for name in dataset.data_vars):
+                return None  # such as one of waves
+            weather = point_weather(dataset, file, ERA5, site)
         if weather is not None:
             derive_era5(weather)
         return weather
@@ -152,17 +152,8 @@ def _read(path: Path, weather_of: Callable[[Content, str, bool], SiteWeather | N
     return joined(known, path.name) if known else Record(path.name, ())
 
 
-def _netcdf_weather(dataset: xarray.Dataset, file: str, site: Site | None, alone: bool) -> SiteWeather | None:
-    """The fields at the site; None for a further member of an archive without any, such as one of waves."""
-    if "QV2M" in dataset.data_vars:
-        raise TableFault('is a file of MERRA-2; state format = "merra2"')
-    if not alone and not any(short_name(ERA5, str(name)) for name in dataset.data_vars):
-        return None
-    return point_weather(dataset, file, ERA5, site)
-
-
 def _csv_weather(data: bytes, file: str, site: Site | None, alone: bool) -> SiteWeather | None:
-    """The same of the point product's CSV: `valid_time`, fields, `latitude`, `longitude`."""
+    """The point product's CSV: `valid_time`, fields, `latitude`, `longitude`; None as in `_read`."""
     head = data.partition(b"\n")[0].decode("utf-8-sig", "replace")
     names = [name.strip().strip('"') for name in head.split(",")]
     time_name = next((name for name in ("valid_time", "time", "datetime") if name in names), None)
@@ -190,11 +181,8 @@ def _csv_weather(data: bytes, file: str, site: Site | None, alone: bool) -> Site
         )
     if len(at) > 1:
         raise TableFault(f"holds {len(at)} points; expected one: write each into a file of its own")
-    north, east = map(float, at[0])
-    return SiteWeather(
-        file, table.time, fields, ERA5, site=point_site(north, east), place=place_text(north, east, site),
-        warnings=table.warnings,
-    )  # fmt: skip
+    point = point_site(*map(float, at[0]))
+    return SiteWeather(file, table.time, fields, ERA5, site=point, near=site, warnings=table.warnings)
 
 
 # --- what is derived from the fields at a point ----------------------------------------------

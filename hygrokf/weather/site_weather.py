@@ -86,20 +86,22 @@ class SiteWeather:
     """Fields of one file at one place, and the series that are made of them.
 
     file: its name. time: [s] (T,) since 1970-01-01T00:00Z, in any order, repeats allowed. fields: by the name
-    of their format. variables: name -> what it holds. site: the place, or None; place: in words.
-    height_m: [m] of the wind. shift_s: [s] from a stamp to the time that it stands for.
+    of their format. variables: name -> what it holds. site: the place, or None. near: the site of the
+    cabinet, whose distance is told. height_m: [m] of the wind. shift_s: [s] from a stamp to the time that it
+    stands for.
     """
 
     def __init__(
         self, file: str, time: np.ndarray, fields: Mapping[str, Field], variables: Mapping[str, Variable], *,
-        site: Site | None = None, place: str = "", height_m: float | None = None, shift_s: float = 0.0,
-        warnings: Iterable[str] = (),
+        site: Site | None = None, near: Site | None = None, height_m: float | None = None,
+        shift_s: float = 0.0, warnings: Iterable[str] = (),
     ) -> None:  # fmt: skip
         if not len(time):
             raise TableFault("has no hour in it: fetch it again")
         stamps, rows = np.unique(time, return_index=True)
         self.file, self.time, self.fields, self.variables = file, stamps + shift_s, fields, variables
-        self.site, self.place, self.height_m = site, place, height_m
+        self.site, self.height_m = site, height_m
+        self.place = "" if site is None else place_text(site.latitude_deg, site.longitude_deg, near)
         self.warnings, self.faults, self.series = list(warnings), list[str](), list[Series]()
         self.value: dict[str, np.ndarray] = {}  # [SI unit] (T,) by name
         self.repeated = len(time) - len(stamps)

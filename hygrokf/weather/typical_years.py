@@ -24,7 +24,7 @@ from hygrokf.physics.psychrometrics import (
     vapour_pressure_from_humidity_ratio,
 )
 from hygrokf.weather.archive import only_content
-from hygrokf.weather.site_weather import Field, SiteWeather, Variable, complete, dew_point_of, place_text
+from hygrokf.weather.site_weather import Field, SiteWeather, Variable, complete, dew_point_of
 
 WIND_HEIGHT_M = 10.0
 """[m] height of the wind in files of typical years."""
@@ -116,12 +116,7 @@ def _weather(
             value = np.where(absent, np.nan, columns[name])
             if np.isfinite(value).any():
                 fields[name] = Field(value, name)
-    place = "" if site is None else place_text(site.latitude_deg, site.longitude_deg)
-    if site is not None and site.altitude_m is not None:
-        place += f" {site.altitude_m:g} m"
-    return SiteWeather(
-        file, time, fields, variables, site=site, place=place, height_m=WIND_HEIGHT_M, warnings=warnings
-    )
+    return SiteWeather(file, time, fields, variables, site=site, height_m=WIND_HEIGHT_M, warnings=warnings)
 
 
 def _location(row: Sequence[str], faults: list[str]) -> tuple[Site | None, float]:
