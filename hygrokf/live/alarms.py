@@ -428,19 +428,12 @@ def innovations(course: Course, final_s: float = math.inf) -> list[Innovation]:
     """The innovations of a course by time, as far as its estimates are final (up to `final_s` [s])."""
     timeline, trace = course.run.timeline, course.trace
     known = course.seconds <= final_s + SAME_S
-    found = []
-    for column, signal in enumerate(timeline.outputs):
-        new = known & np.isfinite(timeline.y[:, column])
-        found += [
-            Innovation(
-                signal,
-                float(course.seconds[i]),
-                float(timeline.y[i, column]),
-                float(trace.prediction[i, column]),
-                float(np.sqrt(trace.variance[i, column])),
-            )
-            for i in np.flatnonzero(new)
-        ]
+    columns = timeline.y, trace.prediction, np.sqrt(trace.variance)
+    found = [
+        Innovation(signal, float(course.seconds[i]), *(float(one[i, column]) for one in columns))
+        for column, signal in enumerate(timeline.outputs)
+        for i in np.flatnonzero(known & np.isfinite(timeline.y[:, column]))
+    ]
     return sorted(found, key=lambda one: (one.time_s, one.signal))
 
 

@@ -106,12 +106,11 @@ def clock_levels(ahead_s: Mapping[str, float]) -> dict[str, list[Level]]:
         found[MACHINE] = [Level(CLOCK.kind, 1.0, statement)]
     for name, one in ahead_s.items():
         if one > 0.0 and name not in alike:
-            whose = "its sender's clock is fast" + (
-                "" if len(ahead_s) > 1 else ", or this machine's clock is slow"
-            )
+            whose = "its sender's clock is fast"
+            if len(ahead_s) == 1:
+                whose += ", or this machine's clock is slow"
             statement = f"its readings are stamped {_lasting(one)} ahead of this machine's clock: {whose}"
-            statement += f". {HELD_BACK}"
-            found[name] = [Level(CLOCK.kind, 1.0, statement)]
+            found[name] = [Level(CLOCK.kind, 1.0, f"{statement}. {HELD_BACK}")]
     return found
 
 

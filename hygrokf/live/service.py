@@ -16,6 +16,7 @@ import threading
 import time
 from bisect import bisect_left
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
 from typing import TypeVar
@@ -209,11 +210,9 @@ class Service:
         """Queue a delivery, called from the streams' threads; blocks while the queue is full, unless the
         service is ending."""
         while not self.ending.is_set():
-            try:
+            with suppress(queue.Full):
                 self._waiting.put((url, one, time.monotonic()), timeout=0.5)
                 return
-            except queue.Full:
-                continue
 
     def _sources_ended(self) -> bool:
         # in this order: what a source delivered before it ended waits when the queue is asked
@@ -278,9 +277,7 @@ class Service:
             except StoreFault as fault:
                 replaced = replaced or isinstance(fault, StoreReplaced)
                 self.health.store = str(fault).strip()
-                self.health.failures += (
-                    1  # set after the message, so that whoever sees the failure finds the message
-                )
+                self.health.failures += 1  # after the message, which whoever sees the failure finds then
                 LOG.warning("the store failed", extra={"fault": self.health.store, "attempt": attempt + 1})
                 if attempt and self.ending.is_set():
                     raise
@@ -420,10 +417,8 @@ class Service:
 def take_from(waiting: queue.Queue[T], most: int, patience_s: float) -> list[T]:
     """Take at most `most` items from a queue; waits up to `patience_s` [s] for the first one."""
     found: list[T] = []
-    try:
+    with suppress(queue.Empty):
         found.append(waiting.get(timeout=patience_s))
         while len(found) < most:
             found.append(waiting.get_nowait())
-    except queue.Empty:
-        pass
     return found

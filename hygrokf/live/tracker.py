@@ -255,21 +255,15 @@ class Tracker:
     def _insert(self, one: Reading) -> str:
         """Insert a reading; returns the count that it belongs to, "" for the first value of its stamp."""
         self._doubt(one.time)
-        if one.signal not in self._times:
-            for columns in (self._times, self._values, self._marks):
-                columns[one.signal] = array("d")
-        times, values, marks = (c[one.signal] for c in (self._times, self._values, self._marks))
-        if not times or one.time > times[-1]:  # most readings come in order
-            times.append(one.time)
-            values.append(one.value)
-            marks.append(one.mark)
+        kept = (self._times, self._values, self._marks)
+        columns = times, values, _ = [by_signal.setdefault(one.signal, array("d")) for by_signal in kept]
+        # most readings come in order
+        in_order = not times or one.time > times[-1]
+        place = len(times) if in_order else bisect.bisect_left(times, one.time)
+        if in_order or times[place] != one.time:
+            for column, number in zip(columns, (one.time, one.value, one.mark), strict=True):
+                column.insert(place, number)
             self.newest = max(self.newest, one.time)
-            return ""
-        place = bisect.bisect_left(times, one.time)
-        if times[place] != one.time:
-            times.insert(place, one.time)
-            values.insert(place, one.value)
-            marks.insert(place, one.mark)
             return ""
         known = self._versions_at(one.signal, one.time)
         if any(one.value == before.value for before in known):

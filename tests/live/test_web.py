@@ -399,7 +399,7 @@ def test_a_browser_logs_in_and_out(service: Service, locked: httpx.Client) -> No
 def test_a_session_ends() -> None:
     now = [1e9]
     sessions = Sessions(LOCKED, lambda: now[0])
-    cookie = sessions.opening_header().partition(";")[0]
+    cookie = sessions.header(opens=True).partition(";")[0]
     assert sessions.valid(cookie) and not sessions.valid(cookie.replace("=1", "=9"))
     now[0] += web_access.SESSION_S + 1.0
     assert not sessions.valid(cookie)

@@ -174,10 +174,10 @@ class Page:
         if not self.access.is_token(token if isinstance(token, str) else ""):
             # without a "Bearer" challenge, for which the browser would show its own login prompt
             return refusal(401, "wrong token")
-        return reply({}, {"Set-Cookie": self.access.sessions.opening_header()})
+        return reply({}, {"Set-Cookie": self.access.sessions.header(opens=True)})
 
     async def logout(self, request: Request) -> Response:
-        return reply({}, {"Set-Cookie": self.access.sessions.closing_header()})
+        return reply({}, {"Set-Cookie": self.access.sessions.header(opens=False)})
 
     # -- what machines ask -----------------------------------------------------------------------------------
     def metrics(self, request: Request) -> Response:

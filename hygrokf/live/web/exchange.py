@@ -95,14 +95,12 @@ class Sessions:
         # browsers share cookies between all ports of a host, so the name contains the port
         self.name = f"{'__Host-' if self._encrypted else ''}hygrokf_{settings.port}"
 
-    def opening_header(self) -> str:
-        """The Set-Cookie header that opens a session."""
+    def header(self, opens: bool) -> str:
+        """The Set-Cookie header that opens a session, or closes it."""
         said = f"{self._clock() + SESSION_S:.0f}.{secrets.token_hex(8)}"
-        return self._header(f"{said}.{self._signature(said)}", SESSION_S)
-
-    def closing_header(self) -> str:
-        """The Set-Cookie header that closes a session."""
-        return self._header("", 0.0)
+        value, age_s = (f"{said}.{self._signature(said)}", SESSION_S) if opens else ("", 0.0)
+        secure = "; Secure" if self._encrypted else ""
+        return f"{self.name}={value}; Max-Age={age_s:.0f}; Path=/; HttpOnly; SameSite=Strict{secure}"
 
     def valid(self, cookies: str) -> bool:
         """Whether a request's cookies contain an unexpired session."""
@@ -117,10 +115,6 @@ class Sessions:
 
     def _signature(self, said: str) -> str:
         return hmac.new(self._key, said.encode(), hashlib.sha256).hexdigest()
-
-    def _header(self, value: str, age_s: float) -> str:
-        secure = "; Secure" if self._encrypted else ""
-        return f"{self.name}={value}; Max-Age={age_s:.0f}; Path=/; HttpOnly; SameSite=Strict{secure}"
 
 
 class Access:
