@@ -103,7 +103,8 @@ def self_switched(
         for name, one in switches.items()
     }
     made = []
-    for run, start in zip(runs, starts or [None] * len(runs), strict=True):
+    begun: Sequence[Gaussian | None] = starts or [None] * len(runs)
+    for run, start in zip(runs, begun, strict=True):
         t, pieces = run.timeline, _pieces(model, run)
         first = start or Likelihood(model, t).first_gaussian(values)
         found = Likelihood(model, pieces.timeline, initial=first).controlled(values, controls, pieces.idle)

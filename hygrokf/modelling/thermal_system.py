@@ -48,13 +48,8 @@ def thermal_system(design: Design, values: Values) -> LinearSystem:
     expect_values(model.parameters, values)
     difference = dict(design.mechanisms).get("natural_convection", {}).get("difference_K", 0.0)
     warm = AT_K + difference / values["resistance_ratio"]
-    found = linearised(
-        model, values, [warm] * len(model.states), {"ambient_temperature": AT_K, "heat_release": difference}
-    )
-    order = [found.inputs.index(name) for name in INPUTS]
-    return LinearSystem(
-        found.A, found.B[..., order], found.C, found.D[..., order], found.states, INPUTS, found.outputs
-    )
+    inputs = dict(zip(INPUTS, (AT_K, difference), strict=True))
+    return linearised(model, values, [warm] * len(model.states), inputs)
 
 
 def thermal_poles(design: Design, values: Mapping[str, float]) -> list[float]:

@@ -17,7 +17,8 @@ SHORTEST_RESPONSE_H = 1.0 / 30.0
 OWN_ERROR = "the sensor's own error"
 TEMPERATURE_READING = "cabinet_temperature_reading"
 HUMIDITY_READING = "cabinet_relative_humidity_reading"
-TERMS = """The prior of the bias puts 95 % of sensors within the stated `accuracy`; there is none for accuracy 0.
+TERMS = """
+The prior of the bias puts 95 % of sensors within the stated `accuracy`; there is none for accuracy 0.
 Rounding to `resolution` adds the variance resolution²/12.  A sensor with a response time θ lags: dy/dt =
 (quantity − y)/θ; θ is `response_h` [h], or a parameter with the upper bound `longest_response_h`.
 """
@@ -99,7 +100,7 @@ def _sensor(
             meaning=meaning,
         )  # fmt: skip
 
-    return named(mechanism, f"{text} + bias + noise [{unit}].\n\n{TERMS}", made)
+    return named(mechanism, f"{text} + bias + noise [{unit}].\n{TERMS}", made)
 
 
 temperature_sensor = _sensor(
