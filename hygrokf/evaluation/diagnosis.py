@@ -98,10 +98,8 @@ class InnovationTest:
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """All tests of the innovations, at the probability `level` [1] of any false alarm among them."""
+    """All tests of the innovations, which share one probability of any false alarm (`LEVEL`)."""
 
-    level: float = math.nan
-    note: str = ""
     outputs: Mapping[str, OutputDiagnosis] = field(default_factory=dict)
     tests: tuple[InnovationTest, ...] = ()
 

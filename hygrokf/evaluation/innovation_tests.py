@@ -88,7 +88,7 @@ def diagnose(
         replace(one, p_adjusted=p, rejected=p < LEVEL, statement=one.statement if p < LEVEL else "")
         for one, p in zip(tests, adjusted, strict=True)
     )
-    return Diagnosis(LEVEL, NOTE, outputs, rows)
+    return Diagnosis(outputs, rows)
 
 
 def _output(
@@ -112,22 +112,14 @@ def _output(
         if (pair := _cross_correlation(name, source, e, values, step, lags)) is not None:
             crossed[source], test = pair
             tests.append(test)
-    result = replace(
-        moments,
-        step_h=step,
-        lags=lags,
-        autocorrelation=autocorrelation,
-        cumulative_periodogram=cumulative,
-        periodogram=periodogram,
-        cross_correlation=crossed,
-    )
-    return result, tests
+    courses = (autocorrelation, cumulative, periodogram, crossed)
+    return OutputDiagnosis(n, step, lags, *moments, *courses), tests
 
 
 # --- one series ------------------------------------------------------------------------------
 
 
-def _moments(name: str, e: np.ndarray) -> tuple[OutputDiagnosis, list[InnovationTest]]:
+def _moments(name: str, e: np.ndarray) -> tuple[tuple[float, float, float, float], list[InnovationTest]]:
     """Mean, variance, excess kurtosis (0 for a normal distribution), share beyond ±3."""
     from scipy.stats import jarque_bera
 
@@ -136,7 +128,6 @@ def _moments(name: str, e: np.ndarray) -> tuple[OutputDiagnosis, list[Innovation
     z = (e - mean) / math.sqrt(variance)
     skewness, kurtosis = float(np.mean(z**3)), float(np.mean(z**4) - 3.0)
     beyond = float(np.mean(np.abs(e) > BEYOND))
-    moments = OutputDiagnosis(n, mean=mean, variance=variance, excess_kurtosis=kurtosis, beyond_3=beyond)
     # the variance of a sample variance depends on the kurtosis found: heavy tails alone cause no rejection
     spread = math.sqrt(max(kurtosis + 2.0, 1e-12) / n) * variance
     wide, band = ("wider", "narrow") if variance > 1 else ("narrower", "wide")
@@ -159,7 +150,7 @@ def _moments(name: str, e: np.ndarray) -> tuple[OutputDiagnosis, list[Innovation
             f"{100 * beyond:.2f} % lie beyond ±3, where {100 * _two_sided(BEYOND):.2f} % are expected",
         ),
     }
-    return moments, [
+    return (mean, variance, kurtosis, beyond), [
         InnovationTest(name, test, p=p, statement=f"{name} innovations {words}")
         for test, (p, words) in found.items()
     ]

@@ -12,6 +12,7 @@ import numpy as np
 from hygrokf.data.files import BESIDE_DISCOVERY, DISCOVERY, FIT, REPORT, write_text_whole
 from hygrokf.data.result_file import ResultFault, read_result
 from hygrokf.errors import HygrokfError
+from hygrokf.evaluation.innovation_tests import NOTE
 from hygrokf.identification.fit import read_series
 from hygrokf.identification.fit_results import FitResults
 from hygrokf.identification.verdict import inherited, with_verdicts
@@ -226,7 +227,6 @@ def _innovations(fit: FitResults) -> tuple[Block, ...]:
     said = tuple(sentence(line) for line in fit.innovations.statements)
     if not (table or said):
         return (Prose("The fit holds no tests of its innovations.", "missing"),)
-    note = fit.innovations.note
     return (
         Prose(
             "Innovations are shown in units of the prediction's own standard deviation. White innovations "
@@ -234,7 +234,7 @@ def _innovations(fit: FitResults) -> tuple[Block, ...]:
         ),
         table_or(table, "The tests hold no numbers."),
         *([Items(said)] if said else []),
-        *([Prose(sentence(note), "note")] if note else []),
+        Prose(sentence(NOTE), "note"),
     )
 
 
