@@ -14,7 +14,7 @@ import numpy as np
 from hygrokf.engine.batch_codegen import fleet_text, kept_nodes
 from hygrokf.engine.jit import Code
 from hygrokf.engine.llvm_writer import RUNS
-from hygrokf.engine.packing import pack, unpack
+from hygrokf.engine.packing import place, unpack
 from hygrokf.engine.schedule import TOLERANCE
 from hygrokf.engine.schedule_codegen import CHANGE, DEEPEST, KNOWN, ROUNDING, VALUE
 from hygrokf.engine.traced_filter import traced
@@ -69,8 +69,8 @@ class SideBySide:
 
     def begin(self, inputs: Mapping[str, np.ndarray]) -> None:
         """Set the inputs at the current instants, from which linear inputs start."""
-        for place, name in enumerate(self._recursion.varying):
-            self._fill(self._now[place], inputs[name])
+        for row, name in enumerate(self._recursion.varying):
+            self._fill(self._now[row], inputs[name])
 
     def step(
         self, mean: np.ndarray, hours: np.ndarray | float, inputs: Mapping[str, np.ndarray]
@@ -88,8 +88,8 @@ class SideBySide:
             )
         self._before, self._now = self._now, self._before
         self.begin(inputs)
-        for place, name in enumerate(self._recursion.regimes):
-            self._fill(self._keys[1 + place], inputs[name])
+        for row, name in enumerate(self._recursion.regimes):
+            self._fill(self._keys[1 + row], inputs[name])
         before, now = self._before.copy(), self._now.copy()
         n, q = self._recursion.n, self._recursion.q
         begun = self._in_blocks(np.concatenate([mean, np.zeros((self._count, q))], axis=1))
@@ -123,8 +123,8 @@ class SideBySide:
                 f"{error:.1g} standard deviations: narrow the bounds of the parameters, or smooth what jumps"
             )
         middle = now.copy()
-        for place, name in enumerate(self._recursion.varying):
-            middle[place] = between(self.model.holds[name], before[place], now[place], 0.5)
+        for row, name in enumerate(self._recursion.varying):
+            middle[row] = between(self.model.holds[name], before[row], now[row], 0.5)
         half = self._through(begun, 0.5 * hours, before, middle, depth + 1)
         return self._through(half, 0.5 * hours, middle, now, depth + 1)
 
@@ -150,17 +150,16 @@ class SideBySide:
     def _error(self, begun: np.ndarray, once: np.ndarray, twice: np.ndarray) -> float:
         """Largest error of a run, as of `schedule_codegen.Walk`; infinite where a moment is not finite."""
         n = self._recursion.n
-        first, one, two = (self._in_rows(part) for part in (begun, once, twice))
-        if not (np.isfinite(one).all() and np.isfinite(two).all()):
+        if not (np.isfinite(once).all() and np.isfinite(twice).all()):
             return math.inf
-        sd = np.sqrt(np.maximum(np.einsum("rii->ri", unpack(two[:, n:], n)), 0.0)) + KNOWN
-        scale = sd + CHANGE * abs(two[:, :n] - first[:, :n]) + VALUE * abs(two[:, :n])
-        spread = pack(sd[:, :, None] * sd[:, None, :])
-        apart = abs(one - two)
+        mean, apart = twice[:, :n], abs(once - twice)
+        size, (row, column) = abs(mean), np.tril_indices(n)
+        sd = np.sqrt(np.maximum(twice[:, [n + place(i, i) for i in range(n)]], 0.0)) + KNOWN
+        scale = sd + CHANGE * abs(mean - begun[:, :n]) + VALUE * size
         return float(
             max(
-                (np.maximum(apart[:, :n] - ROUNDING * abs(two[:, :n]), 0.0) / scale).max(),
-                (apart[:, n:] / spread).max(),
+                (np.maximum(apart[:, :n] - ROUNDING * size, 0.0) / scale).max(),
+                (apart[:, n:] / (sd[:, row] * sd[:, column])).max(),
             )
         )
 
