@@ -92,7 +92,7 @@ def test_check_says_what_was_read(folder):
     found = json.loads(run("check case.toml --json").out)
     assert found["rated_power_kW"] == 2050.0
     assert found["validation"]["days"] == 3.0
-    assert [one["file"] for one in found["files"]] == ["cabinet.csv", "ambient.csv", "scada.csv"]
+    assert [name for name, _ in found["files"]] == ["cabinet.csv", "ambient.csv", "scada.csv"]
 
 
 def test_check_takes_a_case_without_cabinet(folder):
