@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
+from builders.browser import browser  # noqa: F401  (a fixture)
 from builders.databases import postgresql, store_url  # noqa: F401  (fixtures)
 from builders.known_values import RELEASE
 from hypothesis import settings

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from builders.brokers import Mosquitto, mosquitto
 from builders.live_case import live_record, live_turbine
 
 from hygrokf.data.record import Record
+from hygrokf.live.sources.local import record_mapping
+from hygrokf.live.sources.payload import PayloadMapping
 from hygrokf.live.turbines import Turbine
 
 
@@ -20,10 +24,25 @@ def case(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def record(tmp_path_factory: pytest.TempPathFactory) -> Record:
-    return live_record(tmp_path_factory.mktemp("record"), seed=7, days=3.0)
+def record(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Record:
+    """Three days, or what the module states as RECORD."""
+    given = getattr(request.module, "RECORD", {"seed": 7, "days": 3.0})
+    return live_record(tmp_path_factory.mktemp("record"), **given)
+
+
+@pytest.fixture(scope="module")
+def mapping(record: Record) -> PayloadMapping:
+    return record_mapping(record, "T1")
 
 
 @pytest.fixture(scope="module")
 def turbine(record: Record) -> Turbine:
     return live_turbine(record)
+
+
+@pytest.fixture
+def broker(tmp_path: Path) -> Iterator[Mosquitto]:
+    folder = tmp_path / "broker"
+    folder.mkdir()
+    with mosquitto(folder) as made:
+        yield made

@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from builders.live_case import live_record
 
 from hygrokf.data.record import Record
 from hygrokf.live.alarms import RULES
@@ -18,13 +17,15 @@ from hygrokf.live.batch import STATES, Alarm, Batch
 from hygrokf.live.condition import Condition
 from hygrokf.live.forecast import Forecast
 from hygrokf.live.plan import AMBIENT_HUMIDITIES, Need
-from hygrokf.live.sources.local import record_mapping, record_messages
+from hygrokf.live.sources.local import record_messages
 from hygrokf.live.sources.payload import PayloadMapping
 from hygrokf.live.sources.stream import Delivery
 from hygrokf.live.storage.store import Store, open_store
 from hygrokf.live.tracker import Reading, Tracker
 from hygrokf.live.turbines import Fleet, Turbine
 from hygrokf.live.web.views import fleet_view, turbine_view
+
+RECORD = {"seed": 7, "days": 2.0}
 
 HOUR_S = 3600.0
 NOW = 1_600_000_000.0
@@ -122,16 +123,6 @@ def test_every_state_and_no_null_is_ok() -> None:
 
 
 # -- in a fleet ----------------------------------------------------------------------------------------------
-@pytest.fixture(scope="module")
-def record(tmp_path_factory: pytest.TempPathFactory) -> Record:
-    return live_record(tmp_path_factory.mktemp("turbine"), seed=7, days=2.0)
-
-
-@pytest.fixture(scope="module")
-def mapping(record: Record) -> PayloadMapping:
-    return record_mapping(record, "T1")
-
-
 def rounds(fleet: Fleet, store: Store, record: Record, mapping: PayloadMapping, without: str = "-") -> None:
     rows = [row for row in record_messages(record, "T1") if without not in row[1]]
     for first in range(0, len(rows), 60):

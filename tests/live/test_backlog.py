@@ -7,7 +7,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from builders.live_case import live_record
 
 from hygrokf.data.record import Record
 from hygrokf.live.batch import Batch
@@ -18,12 +17,9 @@ from hygrokf.live.storage.store import open_store
 from hygrokf.live.tracker import Reading
 from hygrokf.live.turbines import Fleet, Turbine
 
+RECORD = {"seed": 6, "days": 2.0}
+
 HOUR_S, DAY_S = 3600.0, 86400.0
-
-
-@pytest.fixture(scope="module")
-def record(tmp_path_factory: pytest.TempPathFactory) -> Record:
-    return live_record(tmp_path_factory.mktemp("turbine"), seed=6, days=2.0)
 
 
 def reading(at: float) -> list[Reading]:

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from builders.live_case import live_record
 
 from hygrokf.data.record import Record
 from hygrokf.live.alarms import BEYOND, Innovation, contradiction_level, innovations
@@ -19,12 +18,9 @@ from hygrokf.live.tracker import offline_course
 from hygrokf.live.turbines import Fleet, Turbine
 from hygrokf.live.web.views import turbine_view
 
+RECORD = {"seed": 7, "days": 4.0}
+
 HUMIDITY = "cabinet_relative_humidity"
-
-
-@pytest.fixture(scope="module")
-def record(tmp_path_factory: pytest.TempPathFactory) -> Record:
-    return live_record(tmp_path_factory.mktemp("turbine"), seed=7, days=4.0)
 
 
 def test_the_level_is_that_of_the_prediction_s_own_bounds() -> None:

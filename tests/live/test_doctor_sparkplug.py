@@ -11,7 +11,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from builders.brokers import Mosquitto, mosquitto, needs_mosquitto
+from builders.brokers import Mosquitto, needs_mosquitto
 from builders.sparkplug_peer import FLOAT, EdgeNode
 from builders.track_case import write_model
 from builders.waiting import eventually
@@ -116,14 +116,6 @@ def test_faults_of_other_tables(text: str, fault: str) -> None:
 
 
 # -- the doctor ----------------------------------------------------------------------------------------------
-@pytest.fixture
-def broker(tmp_path: Path) -> Iterator[Mosquitto]:
-    folder = tmp_path / "broker"
-    folder.mkdir()
-    with mosquitto(folder) as made:
-        yield made
-
-
 @pytest.fixture
 def look(
     tmp_path: Path, broker: Mosquitto, monkeypatch: pytest.MonkeyPatch

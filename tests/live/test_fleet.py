@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from builders.live_case import expect_offline, live_record
+from builders.live_case import expect_offline
 
 from hygrokf.data.record import Record
 from hygrokf.data.signals import from_si
@@ -17,7 +17,7 @@ from hygrokf.data.timestamps import zone_named
 from hygrokf.live.batch import Batch
 from hygrokf.live.condition import Surface
 from hygrokf.live.properties import ParameterShift
-from hygrokf.live.sources.local import record_mapping, record_messages
+from hygrokf.live.sources.local import record_messages
 from hygrokf.live.sources.payload import PayloadMapping
 from hygrokf.live.sources.payload_values import Clock
 from hygrokf.live.sources.stream import Delivery, Reach
@@ -25,17 +25,9 @@ from hygrokf.live.storage.store import Store, open_store
 from hygrokf.live.tracker import offline_course
 from hygrokf.live.turbines import Fleet, Turbine, conditions
 
+RECORD = {"seed": 6, "days": 4.0}
+
 SOURCE = "replay:"
-
-
-@pytest.fixture(scope="module")
-def record(tmp_path_factory: pytest.TempPathFactory) -> Record:
-    return live_record(tmp_path_factory.mktemp("turbine"), seed=6, days=4.0)
-
-
-@pytest.fixture(scope="module")
-def mapping(record: Record) -> PayloadMapping:
-    return record_mapping(record, "T1")
 
 
 def deliveries(record: Record) -> list[Delivery]:

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from builders.live_case import count_of, expect_offline, live_record
+from builders.live_case import count_of, expect_offline
 from builders.service_case import running
 from builders.waiting import eventually
 
@@ -23,13 +23,10 @@ from hygrokf.live.storage.store import Store, StoreFault, open_store
 from hygrokf.live.tracker import Reading
 from hygrokf.live.turbines import Fleet, Turbine
 
+RECORD = {"seed": 6, "days": 2.0}
+
 HOUR_S = 3600.0
 YEAR_S = 365.25 * 24.0 * HOUR_S
-
-
-@pytest.fixture(scope="module")
-def record(tmp_path_factory: pytest.TempPathFactory) -> Record:
-    return live_record(tmp_path_factory.mktemp("turbine"), seed=6, days=2.0)
 
 
 class Run:

@@ -65,14 +65,6 @@ def short_pauses(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(streams, "BACK_OFF_S", (0.05, 0.2))
 
 
-@pytest.fixture
-def broker(tmp_path: Path) -> Iterator[Mosquitto]:
-    folder = tmp_path / "broker"
-    folder.mkdir()
-    with mosquitto(folder) as made:
-        yield made
-
-
 @pytest.fixture(scope="module")
 def record(tmp_path_factory: pytest.TempPathFactory) -> Record:
     return without_preheating(live_record(tmp_path_factory.mktemp("turbine"), seed=SEED, days=DAYS))

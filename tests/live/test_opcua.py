@@ -20,7 +20,7 @@ from pathlib import Path
 
 import pytest
 from builders.documents import document
-from builders.live_case import expect_offline, live_record
+from builders.live_case import expect_offline
 from builders.ports import free_port
 from builders.rejections import counted
 from builders.stream_case import Collected
@@ -46,6 +46,7 @@ pytest.importorskip("asyncua", reason="asyncua is not installed: pip install 'hy
 
 from builders.opcua_peer import NAMESPACE, Peer
 
+RECORD = {"seed": 7, "days": 2.0}
 T0 = 1.7e9
 GOOD, BAD, UNCERTAIN, OVERFLOWED = 0x00000000, 0x808C0000, 0x40900000, 0x00000480
 RATES = {"sampling_s": 0.0, "publishing_s": 0.05, "queue": 5_000}
@@ -134,11 +135,6 @@ def at(*rows: tuple, node: str) -> list[tuple]:
 
 
 # -- the whole way to the filter -----------------------------------------------------------------------------
-@pytest.fixture(scope="module")
-def record(tmp_path_factory: pytest.TempPathFactory) -> Record:
-    return live_record(tmp_path_factory.mktemp("turbine"), seed=7, days=2.0)
-
-
 class Tracked:
     """A service on a turbine's nodes at a server, in a thread of its own."""
 

@@ -6,7 +6,6 @@ from __future__ import annotations
 import json
 import math
 import re
-import shutil
 import time
 from collections import Counter
 from collections.abc import Iterator
@@ -15,12 +14,13 @@ from pathlib import Path
 from urllib.parse import quote
 
 import pytest
+from builders.browser import needs_chromium
 from builders.live_case import live_turbine
 from builders.page_case import Case, Fed, add_forecast, filled, opened, recent_record, served
 from builders.ports import free_port
 from builders.service_case import running
 from builders.waiting import eventually
-from playwright.sync_api import Browser, Page, expect, sync_playwright
+from playwright.sync_api import Browser, Page, expect
 
 from hygrokf.data.timestamps import stamp_text
 from hygrokf.identification.verdict_terms import REJECT, Inherited, Reason
@@ -34,12 +34,7 @@ from hygrokf.live.web.application import Page as LivePage
 from hygrokf.live.web.page_settings import PageSettings
 from hygrokf.live.web.server import Hub, serve
 
-CHROMIUM = shutil.which("chromium")
-pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no chromium")
-ARGUMENTS = (
-    "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-background-networking",
-    "--disable-component-update", "--disable-sync",
-)  # fmt: skip
+pytestmark = needs_chromium
 EVIL = '<img src=x onerror="window.broken=1">'
 TOKEN = "a-token-of-the-tests-0123456789"
 MINUS = "\u2212"
@@ -88,14 +83,6 @@ def service(tmp_path_factory: pytest.TempPathFactory) -> Service:
     )
     store.close()
     return made
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Browser]:
-    with sync_playwright() as playwright:
-        started = playwright.chromium.launch(executable_path=CHROMIUM, args=list(ARGUMENTS), timeout=180_000)
-        yield started
-        started.close()
 
 
 @pytest.fixture(scope="module")

@@ -8,7 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from builders.live_case import count_of, live_record, live_turbine
+from builders.live_case import count_of, live_turbine
 
 from hygrokf.data.record import Record
 from hygrokf.live.condition import Surface
@@ -19,13 +19,10 @@ from hygrokf.live.sources.stream import Delivery
 from hygrokf.live.storage.store import Store, open_store
 from hygrokf.live.turbines import Fleet, Turbine
 
+RECORD = {"seed": 6, "days": 4.0}
+
 T = "cabinet_temperature"
 ALARMS = "SELECT id, severity, began, ended, statement FROM alarm ORDER BY id"
-
-
-@pytest.fixture(scope="module")
-def record(tmp_path_factory: pytest.TempPathFactory) -> Record:
-    return live_record(tmp_path_factory.mktemp("turbine"), seed=6, days=4.0)
 
 
 @pytest.fixture(scope="module")

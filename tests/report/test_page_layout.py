@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import shutil
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from builders.browser import needs_chromium
 from builders.climate_case import made_up_weather, study_of
 from builders.comparison_case import made_column
 from builders.discovery_case import discovery_case, residuals_case
@@ -15,7 +15,7 @@ from builders.discovery_case import typed as discovered
 from builders.fit_case import typed
 from builders.report_case import report_case
 from golden.difference import read
-from playwright.sync_api import Browser, Page, sync_playwright
+from playwright.sync_api import Browser, Page
 
 from hygrokf.climate.limits import ClimateLimit
 from hygrokf.data.structured import structured
@@ -30,9 +30,7 @@ from hygrokf.report.transfer_page import transfer_blocks
 from hygrokf.transfer.comparison import compare
 from hygrokf.transfer.results import TransferResults
 
-CHROMIUM = shutil.which("chromium")
-pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no chromium")
-ARGUMENTS = ("--no-sandbox", "--disable-gpu", "--no-first-run", "--disable-background-networking")
+pytestmark = needs_chromium
 WIDE, NARROW = {"width": 1280, "height": 800}, {"width": 390, "height": 844}
 
 
@@ -80,14 +78,6 @@ MADE: dict[Callable[[], str], int] = {
     discovery: 900_000, fleet: 300_000,
 }  # fmt: skip
 """How each page is made, and the most bytes that it may have."""
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Browser]:
-    with sync_playwright() as playwright:
-        started = playwright.chromium.launch(executable_path=CHROMIUM, args=list(ARGUMENTS), timeout=180_000)
-        yield started
-        started.close()
 
 
 @pytest.fixture(scope="module", params=MADE, ids=lambda make: make.__name__)

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import re
-import shutil
 import subprocess
 import sys
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from html.parser import HTMLParser
@@ -29,7 +28,6 @@ from builders.discovery_case import (
 )
 from builders.documents import document
 from builders.report_case import report_case, results, write_case
-from playwright.sync_api import Browser, sync_playwright
 
 from hygrokf.climate.limits import ClimateLimit, Exceedance
 from hygrokf.climate.study import RegionClimate, Study, write_climate
@@ -339,16 +337,6 @@ def test_without_the_extra_or_its_library_only_the_page_is_written(
 
 
 # --- the page --------------------------------------------------------------------------------
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Browser]:
-    with sync_playwright() as playwright:
-        started = playwright.chromium.launch(
-            executable_path=shutil.which("chromium"), args=["--no-sandbox", "--disable-gpu"], timeout=180_000
-        )
-        yield started
-        started.close()
 
 
 @on_paper
