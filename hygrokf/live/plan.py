@@ -196,7 +196,10 @@ def plan(
     readings.
     """
     model = fit.design.model
-    rates = {m: rate for m, (_, rate) in WANDERING.items()} if wandering is None else wandering
+    rates = {m: rate for m, (_, rate) in WANDERING.items()} if wandering is None else dict(wandering)
+    unknown = sorted(set(rates) - set(WANDERING))
+    if unknown:
+        raise ValueError(f"wandering: expected names of {sorted(WANDERING)}, found {unknown}")
     additions = [
         (m, {"rate": rate}) for m, rate in rates.items() if WANDERING[m][0] in (*model.states, *model.outputs)
     ]
