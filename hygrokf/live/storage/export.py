@@ -130,6 +130,8 @@ def export(
     Memory use does not grow with the store, and the files appear together once all are written.  Raises
     ExportFault, StoreFault, OSError.
     """
+    if form not in FORMATS:
+        raise ExportFault(f"expected a format of {', '.join(FORMATS)}, found {form!r}")
     known = [name for (name,) in store.rows("SELECT name FROM turbine ORDER BY name")]
     if turbine is not None and turbine not in known:
         raise ExportFault(
