@@ -12,6 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hygrokf.report.figures.drawing import (
+    INK,
     band,
     calendar_ticks,
     envelope,
@@ -22,6 +23,7 @@ from hygrokf.report.figures.drawing import (
     styled,
     svg,
 )
+from hygrokf.report.figures.panels import Panel, Picture, point, rows
 
 
 @settings(max_examples=60)
@@ -151,3 +153,12 @@ def test_the_users_own_style_neither_matters_nor_changes() -> None:
         loud = svg(_figure(), "one")
         assert matplotlib.rcParams["font.size"] == 30.0
     assert loud == svg(_figure(), "one")
+
+
+@pytest.mark.parametrize("name", ["WT03", "WEA 14", "MW", "a turbine"])
+def test_names_of_turbines_fit_beside_their_rows(name: str) -> None:
+    """W and M are half as wide again as other letters, and begin the usual names of turbines."""
+    figure = Picture((Panel((point(1.0, 0.0, "o", INK, 3.0),), y=rows([name])),), 2.0).figure()
+    figure.draw_without_rendering()
+    (label,) = figure.axes[0].get_yticklabels()
+    assert label.get_text() == name and label.get_window_extent().x0 >= 0.0

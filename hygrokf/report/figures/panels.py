@@ -314,8 +314,9 @@ def _scaled(axis: Axis, axes: Axes, which: Literal["x", "y"]) -> None:
 
 # --- the picture -----------------------------------------------------------------------------
 
-LETTER_EM, LINE_EM = 0.67, 1.25
-"""Width of a letter and height of a line in sizes of its letters; wide enough for the page's fonts."""
+LETTER_EM, WIDE_EM, LINE_EM = 0.67, 1.0, 1.25
+"""Width of a letter, of an M or W ("WT03"), and height of a line in sizes of its letters; wide enough for the
+page's fonts."""
 SIGN_EM, KEY_LETTER_EM, KEY_LINE_EM = 3.7, 0.6, 1.75
 """Width of a key's sign with the space beside it, of a letter, and height of a line."""
 GAP_IN, ROW_IN, BAR_IN = 0.09, 0.03, 0.62
@@ -473,7 +474,8 @@ def _ticks_in(axes: Axes, which: Literal["x", "y"]) -> float:
     words, size = _words(axis), _points(f"{which}tick.labelsize") * POINT_IN
     if which == "x":
         return 0.085 + LINE_EM * size * max((1 + word.count("\n") for word in words.values()), default=1)
-    return 0.08 + LETTER_EM * size * max((len(word) for word in words.values()), default=1)
+    widths = (sum(WIDE_EM if letter in "MW" else LETTER_EM for letter in word) for word in words.values())
+    return 0.08 + size * max(widths, default=LETTER_EM)
 
 
 def _beyond(axes: Axes) -> float:
