@@ -12,10 +12,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from builders.comparison_case import made_column
-from golden.difference import differences, read
+from golden.difference import read
 
 from hygrokf.data.result_file import ResultFault, read_result, result_text
-from hygrokf.data.structured import plain, structured
+from hygrokf.data.structured import plain
 from hygrokf.transfer.comparison import ComparisonResults, compare
 from hygrokf.transfer.results import RecordCourse, TransferResults, read_courses, write_courses
 
@@ -36,9 +36,7 @@ def test_a_file_is_read_whole_also_without_what_was_added_later(kept: tuple[type
     kind, data, path = kept
     path.write_text(json.dumps(data))
     found = read_result(kind, path, "command")
-    written = json.loads(result_text(found))
-    assert all(one.endswith(": gone") for one in differences(data, written, 0.0))
-    assert json.loads(result_text(structured(kind, written))) == written
+    assert json.loads(result_text(found)) == data
     (data["columns"] if "columns" in data else data["records"])[0].pop("verdicts")
     path.write_text(json.dumps(data))
     assert read_result(kind, path, "command").version == found.version
