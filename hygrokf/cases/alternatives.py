@@ -65,13 +65,14 @@ class Alternative:
     """Another reading of a record's files.
 
     name: what would be wrong, in words. line: what corrects it in the case file. signals: those that it
-    changes. reading: the record read so.
+    changes. reading: the record read so. shifts: of the stamps, for a clock.
     """
 
     name: str
     line: str
     signals: tuple[str, ...]
     reading: Callable[[Record], Record]
+    shifts: tuple[Shift, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -310,7 +311,7 @@ def _clock(record: Record, shift: _Shift) -> Alternative:
         name = f"the clock of {shift.source} seems {pace(winter)}"
         line = f"state {correction_key(winter)}"
     signals = sources(record).get(shift.source, ())
-    return Alternative(name, line, signals, lambda record: shifted(record, *steps))
+    return Alternative(name, line, signals, lambda record: shifted(record, *steps), tuple(steps))
 
 
 # -- units, columns, decimal marks ---------------------------------------------------------------------------

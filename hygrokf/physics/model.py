@@ -209,6 +209,8 @@ class Model:
         return "\n".join(["Model", *(fill(line, 100, subsequent_indent="    ") for line in lines)])
 
     def __post_init__(self) -> None:
+        if wrong := [type(one).__name__ for one in self.mechanisms if not isinstance(one, Mechanism)]:
+            raise ValueError(f"mechanisms: expected Mechanisms, found {', '.join(wrong)}")
         object.__setattr__(self, "holds", holds_named(self.holds))
         if not (self.bound > 0.0 and (math.isinf(self.bound) or (self.bound**2).is_integer())):
             raise ValueError(
@@ -569,14 +571,11 @@ def compose(
         instant on), "mean" (constant over the step that ends at an instant) or "linear" ("foh").
     averaged: output → interval [h] over which its readings are means.
 
-    Returns the model.  Its equations are put together at first use.  Raises ValueError for what
-    is no mechanism, an unknown hold or output and, then, for two states of one name, for a sum that nobody
-    reads, and for an input without a hold.
+    Returns the model.  Raises ValueError for what is no mechanism, an unknown hold or output and, at first
+    use, two states of one name, a sum that nobody reads, and an input without a hold.
     """
-    given = tuple(mechanisms) if isinstance(mechanisms, Iterable) else (mechanisms,)
-    if wrong := [type(one).__name__ for one in given if not isinstance(one, Mechanism)]:
-        raise ValueError(f"mechanisms: expected Mechanisms, found {', '.join(wrong)}")
-    made = Model(given, dict(holds or {}), dict(averaged or {}))
+    several = mechanisms if isinstance(mechanisms, Iterable) else (mechanisms,)
+    made = Model(tuple(several), dict(holds or {}), dict(averaged or {}))
     faults = unknown_names("averaged", made.averaged, made.outputs)
     faults += [
         f"averaged: expected an interval above 0 h for {name}, found {interval}"
@@ -598,5 +597,4 @@ def extend(model: Model, mechanism: Mechanism, holds: Mapping[str, str] | None =
     Returns the larger model; at the mechanism's null values it equals the original one, so that a likelihood
     ratio compares them.  Raises ValueError at first use, as `compose` does.
     """
-    larger = compose((*model.mechanisms, mechanism), {**model.holds, **(holds or {})}, model.averaged)
-    return replace(larger, bound=model.bound)
+    return replace(model, mechanisms=(*model.mechanisms, mechanism), holds={**model.holds, **(holds or {})})

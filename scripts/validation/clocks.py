@@ -51,16 +51,16 @@ def _exchanged(record: Record, one: str, other: str, factor: float = 1.0, offset
 
 INSIDE, OUTSIDE, HUMIDITY = "cabinet_temperature", "ambient_temperature", "cabinet_relative_humidity"
 VALUES: dict[str, tuple[str, Callable[[Record], Record]]] = {
-    "°F inside": ("unit", lambda record: _fahrenheit(record, INSIDE)),
-    "°F outside": ("unit", lambda record: _fahrenheit(record, OUTSIDE)),
-    "°F everywhere": ("unit", lambda record: _fahrenheit(record, INSIDE, OUTSIDE)),
-    "temperatures exchanged": ("columns", lambda record: _exchanged(record, INSIDE, OUTSIDE)),
+    "°F inside": ("unit =", lambda record: _fahrenheit(record, INSIDE)),
+    "°F outside": ("unit =", lambda record: _fahrenheit(record, OUTSIDE)),
+    "°F everywhere": ("unit =", lambda record: _fahrenheit(record, INSIDE, OUTSIDE)),
+    "temperatures exchanged": ("exchange", lambda record: _exchanged(record, INSIDE, OUTSIDE)),
     "temperature and humidity exchanged": (
-        "columns",
+        "exchange",
         lambda record: _exchanged(record, INSIDE, HUMIDITY, 0.01, -0.01 * ZERO_CELSIUS_K),
     ),
 }
-"""Fault -> kind of the alternative that corrects it, and the record with the fault."""
+"""Fault -> beginning of the line that corrects it, and the record with the fault."""
 
 
 def turning(record: Record, seed: int) -> Record:
@@ -109,7 +109,8 @@ def wrong(seed: int) -> dict:
             except ValueError:
                 line[f"{kind}, {name}"] = True, ["refused as a series"]
                 continue
-            line[f"{kind}, {name}"] = any(f.alternative.kind == wanted for f in found.findings), _said(found)
+            corrected = any(wanted in finding.alternative.line for finding in found.findings)
+            line[f"{kind}, {name}"] = corrected, _said(found)
     return line
 
 

@@ -111,7 +111,7 @@ def track(
     for now, some in rounds.items():
         batch = Batch()
         fleet._now = now
-        fleet._take(made.name, [Observation(made.name, one, now) for one in some], batch, Counter())
+        fleet._take(made.name, [Observation(made.name, one, now) for one in some], batch)
         found.keep(fleet.filter_waiting(batch))
         while (due := fleet.isolation_due()) is not None:
             step = due[1]

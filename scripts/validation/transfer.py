@@ -42,7 +42,7 @@ def _judged(made) -> dict:
         "re_estimate": list(found.re_estimate),
         # in their own order on both sides
         "right": found.verdict == word and sorted(found.re_estimate) == sorted(names),
-        "p": {row.group: row.alone.p for row in found.groups if row.alone is not None},
+        "p": {row.group: row.p for row in found.groups if row.p is not None},
     }
 
 
@@ -101,7 +101,7 @@ def _pairs(lines: Sequence[Mapping]) -> str:
     low = sum(p < 0.05 for p in shared)
     return (
         markdown(("the pair differs in", "pairs", "right", "missed", "otherwise"), rows)
-        + f"\n\nGroups that were the same: {len(shared)}, of these p < 0.05 by themselves: {low}."
+        + f"\n\nGroups that were the same: {len(shared)}, of these p < 0.05 when they were judged: {low}."
     )
 
 

@@ -130,10 +130,13 @@ def test_fit_json_has_the_keys_that_others_rely_on(fitted):
     found = json.loads((fitted[0] / "result" / "fit.json").read_text())
     for name in ("thermal", "hygric"):
         entry = found["time_constants"][name]
-        assert {"value_h", "lower_h", "upper_h", "level", "method", "reference", "modes"} <= set(entry)
+        assert {"value_h", "lower_h", "upper_h", "level", "method", "modes"} <= set(entry)
         assert 0 < entry["lower_h"] < entry["value_h"] < entry["upper_h"]
         assert entry["level"] == 0.95
         assert entry["modes"][0] == pytest.approx(entry["value_h"])
+    assert set(found["time_constants"]["hygric"]["mean_temperatures"]) == {
+        "cabinet_temperature_K", "ambient_temperature_K",
+    }  # fmt: skip
     for row in found["parameters"].values():
         assert {"value", "unit", "se", "lower", "upper"} <= set(row)
         assert math.isfinite(row["value"])

@@ -289,7 +289,7 @@ MISTAKES: dict[str, tuple[str, Callable[[Path], None], tuple[str, ...]]] = {
     "a broker without topics": (f"{FIT} --source mqtt://x", nothing, ("topics must be a list",)),
     "a password for a broker": (f"{FIT} --source mqtt://me:geheim@x", nothing,
         ("a password must not be",)),
-    "a missing model": ("none.json --source stdin --no-page", nothing, ("run `hygrokf fit` first",)),
+    "a missing model": ("none.json --source stdin --no-page", nothing, ("no such file; run `hygrokf fit`",)),
     "one model twice": ("fit.json . --source stdin --no-page", nothing, ("a second model of 'one'",)),
     "another scheme of store": (f"{FIT} --source stdin --store mysql:x", nothing,
         ("--store: expected sqlite:PATH",)),

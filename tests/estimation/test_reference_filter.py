@@ -88,6 +88,6 @@ def test_the_score_of_bounded_readings_is_the_central_difference():
 
 
 def test_a_diffuse_start_is_refused():
-    likelihood, values = case("thermal", 3, None)
+    likelihood, values = case("thermal", 3)
     with pytest.raises(ValueError, match="diffuse"):
         reference_filter(Likelihood(likelihood.model, likelihood.timeline, initial="diffuse"), values)

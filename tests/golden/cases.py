@@ -76,9 +76,11 @@ def outputs(case: Case) -> dict:
     it."""
     with tempfile.TemporaryDirectory() as folder:
         path = f"{HERE.parent}{os.pathsep}{ROOT / 'scripts'}{os.pathsep}{ROOT}"
+        # in one thread: the nodes of a model's graph are numbered in the order in which its loops are written
+        own = {"PYTHONPATH": path, "HYGROKF_THREADS": "1"}
         command = [sys.executable, "-m", "golden.cases", case.name, str(Path(folder).resolve())]
         done = subprocess.run(
-            command, env={**os.environ, "PYTHONPATH": path}, stdout=subprocess.PIPE, cwd=ROOT, check=True
+            command, env={**os.environ, **own}, stdout=subprocess.PIPE, cwd=ROOT, check=True
         )
     return json.loads(done.stdout)
 

@@ -173,7 +173,8 @@ def plain(found: Outcome) -> dict:
 
 def _true_hygric_h(found: Outcome, model: str) -> float:
     """R_D* V* [h] that was put in, at the temperatures at which a model's estimate is stated."""
-    at = found.models[model].fit.results.time_constants["hygric"].reference
+    at = found.models[model].fit.results.time_constants["hygric"].mean_temperatures
+    assert at is not None
     case = found.sister if model == "sister_own" else found.home
     return case.plant.cabinet.hygric_h(at.cabinet_temperature_K, at.ambient_temperature_K)
 
