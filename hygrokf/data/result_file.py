@@ -34,7 +34,7 @@ def read_json(path: Path, command: str) -> Any:
         return json.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
         raise ResultFault(
-            f"{path}: no such file; run `{command}` with --out on this directory first"
+            f"{path}: no such file; run `{command}` with --out {path.parent} first"
         ) from None
     except (OSError, ValueError, RecursionError) as fault:
         reason = getattr(fault, "strerror", None) or f"{type(fault).__name__} {fault}"
@@ -58,7 +58,7 @@ def read_result(kind: type[T], path: Path, command: str) -> T:
 
 def read_arrays(path: Path, command: str) -> dict[str, np.ndarray]:
     """The arrays of an .npz file that `command` wrote.  Raises ResultFault with the reason and the remedy."""
-    again = f"run `{command}` with --out on this directory first"
+    again = f"run `{command}` with --out {path.parent} first"
     try:
         with open(path, "rb") as stream, np.load(stream, allow_pickle=False) as file:
             return {name: np.asarray(file[name]) for name in file.files}

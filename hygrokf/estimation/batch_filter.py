@@ -48,7 +48,7 @@ class SideBySide:
         self._kept_keys = np.full_like(self._keys, np.nan)
         self._parts = np.ones(runs)
         self._known = np.empty((blocks, max(1, len(kept_nodes(self._recursion))), RUNS))
-        self._before, self._now = (np.zeros((max(1, len(self._recursion.varying)), runs)) for _ in range(2))
+        self._now = np.zeros((max(1, len(self._recursion.varying)), runs))
         self._code = Code(
             lambda: fleet_text(self._recursion), ["fleet"], f"fleet {self._recursion.structure}"
         )
@@ -69,6 +69,7 @@ class SideBySide:
 
     def begin(self, inputs: Mapping[str, np.ndarray]) -> None:
         """Set the inputs at the current instants, from which linear inputs start."""
+        self._now = np.zeros_like(self._now)
         for row, name in enumerate(self._recursion.varying):
             self._fill(self._now[row], inputs[name])
 
@@ -86,18 +87,16 @@ class SideBySide:
             raise ValueError(
                 f"expected finite inputs for every run, found none or others of: {', '.join(faults)}"
             )
-        self._before, self._now = self._now, self._before
+        before = self._now
         self.begin(inputs)
         for row, name in enumerate(self._recursion.regimes):
             self._fill(self._keys[1 + row], inputs[name])
-        before, now = self._before.copy(), self._now.copy()
         n, q = self._recursion.n, self._recursion.q
         begun = self._in_blocks(np.concatenate([mean, np.zeros((self._count, q))], axis=1))
         if self._recursion.exact:
-            moved = self._moved(begun, hours, before, now, 1)
+            moved = self._moved(begun, hours, before, self._now, 1)
         else:
-            moved = self._through(begun, np.asarray(hours, float), before, now, 0)
-            self._before[:], self._now[:] = before, now
+            moved = self._through(begun, np.asarray(hours, float), before, self._now, 0)
         rows = self._in_rows(moved)
         return rows[:, :n], unpack(rows[:, n:], n)
 

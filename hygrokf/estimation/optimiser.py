@@ -24,7 +24,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hygrokf.data.record import kind_of, maker_of
+from hygrokf.data.record import kind_of
 from hygrokf.estimation.joint_likelihood import AnyLikelihood
 from hygrokf.estimation.likelihood import Sensitivities
 from hygrokf.physics.parameters import Coordinates, Parameter, expect_starts
@@ -505,8 +505,10 @@ def _expect_search(likelihood: object, count: int, budget: float, tolerance: flo
     """Check the settings of a search; raises ValueError that lists every fault."""
     faults = []
     if not callable(getattr(likelihood, "sensitivities", None)):
-        maker = maker_of(likelihood, fit=True) or "Likelihood(model, timeline(model, …)) makes one"
-        faults.append(f"fit_mle: expected a Likelihood, found {kind_of(likelihood)}; {maker}")
+        faults.append(
+            f"fit_mle: expected a Likelihood, found {kind_of(likelihood)}; "
+            "Likelihood(model, timeline(model, …)) makes one, and so does fit.likelihood(record)"
+        )
     if count < 1:
         faults.append(f"count: expected at least 1 start, found {count}")
     for name, value in (("budget", budget), ("tolerance", tolerance)):

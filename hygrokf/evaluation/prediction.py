@@ -96,7 +96,7 @@ def forecast(
     later instant is left.
     """
     if leads_h is not None and not (len(leads_h) and min(leads_h) > 0.0):
-        raise ValueError(f"leads_h: expected leads above 0 h, found {list(leads_h)}")
+        raise ValueError(f"leads_h: expected leads above 0 h, found {[float(lead) for lead in leads_h]}")
     if count < 1:
         raise ValueError(f"count: expected at least 1 forecast, found {count}")
     found = subject("forecast", source, given)

@@ -241,7 +241,8 @@ def read_fit(path: str | os.PathLike[str], series: bool = False) -> Fit:
 
 def read_series(directory: str | os.PathLike[str]) -> dict[str, np.ndarray]:
     """The arrays of `series.npz` in a directory.  Raises ResultFault with the reason and the remedy."""
-    path, again = Path(directory) / SERIES, "run `hygrokf fit` with --out on this directory first"
+    path = Path(directory) / SERIES
+    again = f"run `hygrokf fit` with --out {path.parent} first"
     series = read_arrays(path, "hygrokf fit")
     if text := [name for name, value in series.items() if value.dtype.kind not in "fiub"]:
         found = ", ".join(sorted(text))

@@ -178,7 +178,7 @@ WRONG: dict[str, tuple] = {
     # the report
     "report on no directory": ("report none", nothing, "hygrokf: none/fit.json: no such file; run"),
     "report on an empty directory": ("report made", lambda folder: (folder / "made").mkdir(),
-        "hygrokf: made/fit.json: no such file; run `hygrokf fit` with --out on this directory first\n",
+        "hygrokf: made/fit.json: no such file; run `hygrokf fit` with --out made first\n",
         "\nmade/series.npz: no such file"),
     "report on half a file": ("report result", lambda folder: os.truncate(folder / "result/series.npz", 2000),
         "hygrokf: result/series.npz: expected arrays written by `hygrokf fit`, found: "),

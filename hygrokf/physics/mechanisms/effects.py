@@ -51,11 +51,11 @@ def effect(
             term = term * value
         return {target: term}
 
-    named = tuple(factor for factor in factors if isinstance(factor, str))
+    signals = tuple(factor for factor in factors if isinstance(factor, str))
     return Mechanism(
         name=name,
         parameters=(amplitude,),
-        inputs=named if inputs is None else inputs,
+        inputs=signals if inputs is None else inputs,
         contributions=contributions,
         **described,
     )

@@ -188,11 +188,11 @@ def _converter_loss(name: str, parameter: str, flag: str, text: str, leaves: str
             meaning=f"heat lost to the ambient, {text}", leaves=leaves, source=PARALLEL,
         )  # fmt: skip
 
-    text_ = f"""Heat lost by the converter to the ambient, {text}: f −= g · `{flag}` · (T_a − T_amb).
+    docstring = f"""Heat lost by the converter to the ambient, {text}: f −= g · `{flag}` · (T_a − T_amb).
 
     The converter's excess over the ambient temperature is that of the air divided by ρ.  {reason}
     """
-    return named(name, text_, made)
+    return named(name, docstring, made)
 
 
 wind_loss = _loss(
