@@ -31,7 +31,7 @@ def test_pairs_are_counted_by_what_differs() -> None:
     assert cells(text, "thermal") == ["thermal", "2", "1", "1", "1: wrong"]
     assert cells(text, "nothing") == ["nothing", "1", "0", "–", "1: wrong"]
     assert cells(text, "**all**")[:3] == ["**all**", "3", "1"]
-    assert text.endswith("Groups that were the same: 4, of these p < 0.05 by themselves: 1.")
+    assert text.endswith("Groups that were the same: 4, of these p < 0.05 when they were judged: 1.")
 
 
 def test_types_are_held_against_their_next_turbine() -> None:
