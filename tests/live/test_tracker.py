@@ -176,34 +176,37 @@ def on_change(record: Record) -> Record:
     return record.replace_series(*map(held, names))
 
 
-@pytest.mark.parametrize(
-    "shape",
-    [
-        without_gaps,
-        on_change,
-        gapped,
-        switches_unknown,
-        rarely_told,
-        of_means,
-        lagging,
-        saturated,
-        saturated_means,
-        spoilt,
-        dry,
-        blind,
-        powerless,
-    ],
+SHAPES = (
+    without_gaps,
+    on_change,
+    gapped,
+    switches_unknown,
+    rarely_told,
+    of_means,
+    lagging,
+    saturated,
+    saturated_means,
+    spoilt,
+    dry,
+    blind,
+    powerless,
 )
+IN_ORDER, LATE, LATE_BACKLOG, SMALLEST = (0, 0.0, 67), (1, 0.95, 31), (2, 0.95, 400), (3, 0.95, 7)
+"""Orders of arrival: seed, lateness in shares of the longest that is allowed, readings a round."""
+
+
 @pytest.mark.parametrize(
-    ("seed", "late_s", "batch"), [(0, 0.0, 9), (1, 0.95 * LATENESS_S, 7), (2, 0.95 * LATENESS_S, 400)]
+    ("shape", "order"),
+    [(shape, order) for shape in SHAPES for order in (IN_ORDER, LATE, LATE_BACKLOG)]
+    + [(shape, SMALLEST) for shape in (on_change, spoilt)],
 )
 def test_what_is_final_is_the_offline_filter_bit_for_bit(
-    record: Record, shape: Callable, seed: int, late_s: float, batch: int
+    record: Record, shape: Callable, order: tuple[int, float, int]
 ) -> None:
-    shaped = shape(record)
+    shaped, (seed, late, batch) = shape(record), order
     model = planned(of_means(record) if shape in (of_means, lagging, saturated_means) else record)
     model = replace(model, forms={s.signal: form_of(s) for s in shaped.series})
-    tracker, course = followed(model, arriving(readings_of(shaped), seed, late_s), batch)
+    tracker, course = followed(model, arriving(readings_of(shaped), seed, late * LATENESS_S), batch)
     offline = offline_course(model, shaped)
     assert tracker.counts["late"] == tracker.counts["contradicting"] == 0
     # what follows the pre-heating is final when its gap is known
