@@ -7,6 +7,7 @@ order A B, B A, A B, …; the ratio of a pair has what both runs share of the ma
 from __future__ import annotations
 
 import json
+import math
 import os
 import signal
 import subprocess
@@ -14,34 +15,49 @@ import sys
 import tempfile
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
-from math import comb
+from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType, TracebackType
 from typing import Protocol
 
 import numpy as np
-
-from benchmarks.measure import Figure
+from scipy.stats import quantile_test
 
 PAIRS = 11
 """Fewest pairs of a measurement."""
 COVERAGE = 0.95
-"""Least probability with which the interval of a median holds it."""
+"""Least probability with which its interval holds a median."""
 MEASUREMENTS = {
     **{
         f"{kind} {case}": kind
         for kind in ("value", "score", "information")
-        for case in ("1-state", "3-box", "cabinet")
+        for case in ("3-box", "thermal", "joint")
     },
     "fixed 3-box": "fixed",
     "fit demo": "fit",
+    "track playback": "track",
 }
 """What is compared, and the kind by which `--only` names it."""
+LONG = ("fit", "track")
+"""Kinds whose runs take seconds."""
 WORKER = Path(__file__).with_name("revision_worker.py")
 
 
 class NotMeasured(Exception):
     """A revision cannot be measured; the message says why."""
+
+
+@dataclass(frozen=True)
+class Ratio:
+    """The `median` of this revision's CPU time over the other's, with the order statistics `low` and `high`
+    that hold it with `COVERAGE`, whatever the distribution; NaN where pairs are too few, and where it was not
+    measured, for the reason in the `note`."""
+
+    name: str
+    median: float = math.nan
+    low: float = math.nan
+    high: float = math.nan
+    note: str = ""
 
 
 class Contender(Protocol):
@@ -52,26 +68,22 @@ class Contender(Protocol):
 
 
 def compare(
-    own: Contender, other: Contender, measurements: Sequence[str], pairs: Callable[[str], int], against: str
-) -> Iterator[Figure]:
-    """The median of own over other CPU time, with an interval that holds it, for every measurement."""
+    own: Contender, other: Contender, measurements: Sequence[str], pairs: Callable[[str], int]
+) -> Iterator[Ratio]:
+    """The ratio of every measurement."""
     for name in measurements:
-        section = f"this / {against}"
         try:
             for one in (own, other):
                 one.prepare(name)
             seconds = turns(own, other, name, pairs(name))
         except NotMeasured as why:
-            yield Figure(section, name, "×", float("nan"), note=f"not measured: {why}")
+            yield Ratio(name, note=f"not measured: {why}")
             continue
         ratios = seconds[:, 0] / seconds[:, 1]
-        low, high, coverage = median_interval(ratios)
+        interval = quantile_test(ratios, p=0.5).confidence_interval(COVERAGE)
         this, that = np.median(seconds, axis=0)
-        yield Figure(
-            section, name, "×", float(np.median(ratios)), low, high,
-            note=f"{this:.3g} s and {that:.3g} s of CPU time; {len(ratios)} pairs, the interval holds the "
-            f"median with {100.0 * coverage:.1f} %",
-        )  # fmt: skip
+        note = f"{this:.3g} s and {that:.3g} s of CPU time; {len(ratios)} pairs"
+        yield Ratio(name, float(np.median(ratios)), float(interval.low), float(interval.high), note)
 
 
 def turns(own: Contender, other: Contender, measurement: str, pairs: int) -> np.ndarray:
@@ -81,20 +93,6 @@ def turns(own: Contender, other: Contender, measurement: str, pairs: int) -> np.
         for place in (0, 1) if pair % 2 == 0 else (1, 0):
             found[pair, place] = (own, other)[place].run(measurement)
     return found
-
-
-def median_interval(values: np.ndarray) -> tuple[float, float, float]:
-    """The shortest interval between order statistics that holds the median with at least `COVERAGE`, whatever
-    the distribution, and the probability with which it does; the whole range where no interval is enough.
-
-    P(x₍ₖ₎ ≤ median ≤ x₍ₙ₊₁₋ₖ₎) = 1 − 2 P(B < k) with B of n fair coins: David, Nagaraja, Order Statistics,
-    2003, section 7.1.
-    """
-    n, ordered = len(values), np.sort(values)
-    outside = np.cumsum([2.0 * comb(n, k) / 2.0**n for k in range(n // 2)])  # of k = 1, 2, …
-    k = max(1, int(np.searchsorted(outside, 1.0 - COVERAGE, side="right")))
-    coverage = 1.0 - float(outside[k - 1]) if len(outside) else 0.0
-    return float(ordered[k - 1]), float(ordered[n - k]), coverage
 
 
 # -- the other revision's files ------------------------------------------------------------------------------
@@ -190,10 +188,10 @@ class Worker:
         return answer
 
 
-def figures(
+def ratios(
     repository: Path, revision: str, kinds: Iterable[str], pairs: int, fit_pairs: int
-) -> Iterator[Figure]:
-    """All figures of the chosen kinds.  Raises NotMeasured for a revision that cannot be checked out."""
+) -> Iterator[Ratio]:
+    """All ratios of the chosen kinds.  Raises NotMeasured for a revision that cannot be checked out."""
     wanted = [name for name, kind in MEASUREMENTS.items() if kind in set(kinds)]
     with ExitStack() as kept:
         kept.enter_context(ended_by_signals())
@@ -204,5 +202,5 @@ def figures(
             for name, root in (("own", repository), ("other", other))
         ]
         yield from compare(
-            *workers, wanted, lambda name: fit_pairs if MEASUREMENTS[name] == "fit" else pairs, revision
+            *workers, wanted, lambda name: fit_pairs if MEASUREMENTS[name] in LONG else pairs
         )

@@ -1,7 +1,7 @@
 """The process of one revision: answers "prepare MEASUREMENT" and "run MEASUREMENT" with a line of JSON.
 
 It is run as a file, with the root of the package to measure and a folder for its own files, and takes the
-package and the cases `thermal` and `joint` from that root, so that each revision measures itself.
+package, and the playback of the golden outputs, from that root, so that each revision measures itself.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ import os
 import resource
 import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -35,8 +36,7 @@ def three_boxes(count: int) -> tuple[Any, dict[str, float]]:
     """
     import numpy as np
 
-    from hygrokf import Likelihood, Parameter, compose, linear_network
-    from hygrokf.engine.timeline import timeline
+    from hygrokf import Likelihood, Parameter, compose, linear_network, timeline
 
     values = {
         "gamma": 3.0, "c1": 4.0, "c2": 12.0, "c3": 75.0, "k1": 1.1, "k2": 2.4, "k3": 0.9, "epsilon": 1.25,
@@ -80,14 +80,18 @@ def three_boxes(count: int) -> tuple[Any, dict[str, float]]:
     return Likelihood(model, run), values
 
 
-def likelihood_of(case: str, count: int) -> tuple[Any, dict[str, float]]:
-    """The likelihood of a case, and parameter values near its maximum."""
+def likelihood_of(case: str, count: int, scratch: Path) -> tuple[Any, dict[str, float]]:
+    """The likelihood of a case and values of the right size: three boxes, or the thermal or the joint model of
+    the demo's turbine."""
     if case == "3-box":
         return three_boxes(count)
-    from benchmarks import cases
+    from hygrokf import Likelihood, model_inputs, read_case, synthetic_turbine, write_case
+    from hygrokf.modelling.design import design
 
-    made = {"1-state": cases.thermal, "cabinet": cases.joint}[case](count)
-    return made.likelihood, made.values
+    record = read_case(write_case(synthetic_turbine(seed=1), scratch / "turbine"))
+    made = design(record, kind=case)
+    likelihood = Likelihood(made.model, model_inputs(made, record).timeline)
+    return likelihood, {one.name: one.start for one in made.model.parameters}
 
 
 def prepared(measurement: str, root: Path, scratch: Path) -> Callable[[], float]:
@@ -95,9 +99,11 @@ def prepared(measurement: str, root: Path, scratch: Path) -> Callable[[], float]
     kind, _, case = measurement.partition(" ")
     if kind == "fit":
         return _fit(root, scratch)
+    if kind == "track":
+        return lambda: _seconds(lambda: _playback(scratch), 1)
     import numpy as np
 
-    likelihood, values = likelihood_of(case, SHORT if kind == "fixed" else COUNT)
+    likelihood, values = likelihood_of(case, SHORT if kind == "fixed" else COUNT, scratch)
     directions = np.eye(len(values))
     call: Callable[[], object] = {
         "value": lambda: likelihood.value(values),
@@ -123,7 +129,7 @@ def _seconds(call: Callable[[], object], calls: int) -> float:
 
 def _fit(root: Path, scratch: Path) -> Callable[[], float]:
     """`hygrokf fit` on the case of `hygrokf demo` in a process of its own; user and system time."""
-    from hygrokf.cases.synthetic import synthetic_turbine, write_case
+    from hygrokf import synthetic_turbine, write_case
 
     case = write_case(synthetic_turbine(seed=1), scratch / "demo")
     command = [sys.executable, "-m", "hygrokf.commands.main", "fit", str(case), "--out", str(scratch / "fit")]
@@ -138,6 +144,14 @@ def _fit(root: Path, scratch: Path) -> Callable[[], float]:
 
     run()  # its compiled loops are on disk afterwards
     return run
+
+
+def _playback(scratch: Path) -> None:
+    """Ten days of a turbine through the tracker into a store, with forecasts and alarms."""
+    from golden.cases import playback
+
+    with tempfile.TemporaryDirectory(dir=scratch) as folder:
+        playback(Path(folder))
 
 
 def expect_package_under(root: Path) -> None:

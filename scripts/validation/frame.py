@@ -34,7 +34,6 @@ CLAIMS = {
     "contradictions": "readings that are said to contradict the estimate",
     "spikes": "bad readings, and what they move",
     "faulty": "estimates and alarms of cabinets and sensors that fail",
-    "head_to_head": "discover beside other methods",
     "cabinet": "a measured cabinet of a turbine",
     "sisters": "transfers between measured sisters",
     "paper": "the experiments of the paper, repeated",

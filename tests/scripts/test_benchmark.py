@@ -1,152 +1,173 @@
-"""The benchmark compares like with like: every rival computes the package's own log-likelihood."""
+"""Two revisions compared: runs take turns, the interval holds the median, nothing temporary stays."""
 
 from __future__ import annotations
 
-import importlib
-import json
 import math
-from dataclasses import replace
+import os
+import shutil
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
-from benchmarks import cases, command, fleet, identify, measure, rivals
+from benchmarks import against, command, revision_worker
+from builders.documents import ROOT
+from builders.waiting import eventually
 
 
-# -- like with like ------------------------------------------------------------------------------------------
-def test_statsmodels_has_the_same_thermal_likelihood() -> None:
-    case = cases.thermal(3000)
-    own = case.likelihood.value(case.values)
-    variants = rivals.statsmodels_variants(case)
-    assert variants
-    for name, loglike in variants.items():
-        assert loglike() == pytest.approx(own, rel=1e-11), name
+class Told:
+    """A contender with seconds that are told, which writes down its turns."""
+
+    def __init__(self, name: str, seconds: list[float], log: list[str], lacks: str = "") -> None:
+        self.name, self.seconds, self.log, self.lacks = name, iter(seconds), log, lacks
+
+    def prepare(self, measurement: str) -> None:
+        self.log.append(f"{self.name} ready")
+        if measurement == self.lacks:
+            raise against.NotMeasured("no such verb")
+
+    def run(self, measurement: str) -> float:
+        self.log.append(self.name)
+        return next(self.seconds)
 
 
-def test_filterpy_has_the_same_joint_likelihood() -> None:
-    """At sub-steps so short that it does not matter that each program chooses them from its own moments."""
-    case = cases.joint(250)
-    case = replace(case, likelihood=replace(case.likelihood, tolerance=1e-11))
-    own = case.likelihood.value(case.values)
-    assert rivals.filterpy_loop(case, 250, rivals.JointStep(case))() == pytest.approx(own, rel=1e-10)
-    assert rivals.filterpy_loop(case, 250, rivals.remembered(case, 250))() == pytest.approx(own, rel=1e-10)
-    shorter = replace(case.likelihood, timeline=case.likelihood.timeline.window(0, 100))
-    assert rivals.filterpy_loop(case, 100, rivals.JointStep(case))() == pytest.approx(
-        shorter.value(case.values), rel=1e-10
-    )
-
-
-@pytest.mark.parametrize(
-    ("name", "states", "readings", "parameters"), [("thermal", 1, 1, 6), ("joint", 4, 2, 16)]
-)
-def test_cases_are_what_the_figures_say(name: str, states: int, readings: int, parameters: int) -> None:
-    case = getattr(cases, name)(2000)
-    model, t = case.likelihood.model, case.likelihood.timeline
-    assert (len(model.states), len(model.outputs), len(case.values)) == (states, readings, parameters)
-    assert len(t) == 2000
-    assert 1.0 - t.n_readings / (2000 * readings) == pytest.approx(cases.MISSING, abs=0.02)
-
-
-@pytest.mark.parametrize("name", ["thermal", "joint"])
-def test_simulated_readings_are_those_of_the_model(name: str) -> None:
-    """At the truth the score is zero within its own spread: its square form is a χ² of as many degrees as
-    parameters."""
-    case = getattr(cases, name)(6000)
-    names = [p.name for p in case.likelihood.model.parameters]
-    free = np.array(
-        [not n.endswith("bias") and n != "resistance_ratio" for n in names]
-    )  # 1 is a bound of the ratio
-    found = case.likelihood.sensitivities(case.values, np.eye(len(names)))
-    score, information = found.score[free], found.information[np.ix_(free, free)]
-    square = float(score @ np.linalg.solve(information, score))
-    # the 1 − 1e-6 quantile of the widest of them, χ² with 13 degrees of freedom
-    assert 0.0 <= square < 53.0
-
-
-def test_two_masses_are_simulated_at_their_truth() -> None:
-    likelihood = cases.simulated_two_masses(4000)
-    found = likelihood.sensitivities({n: float(v) for n, v in cases.TRUTH.items()}, np.eye(7))
-    square = float(found.score @ np.linalg.solve(found.information, found.score))
-    assert 0.0 <= square < 41.0  # the 1 − 1e-6 quantile of χ² with 7 degrees of freedom
-
-
-# -- measuring -----------------------------------------------------------------------------------------------
-def test_contenders_take_turns(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(measure, "SLICE_S", 0.0)  # one call a turn
+def test_pairs_take_turns_and_whoever_ends_one_begins_the_next() -> None:
+    """A machine that becomes ten times slower changes no ratio."""
+    pace = np.linspace(1.0, 10.0, 11)
     log: list[str] = []
-    found = measure.interleaved({name: lambda name=name: log.append(name) for name in "ab"}, 4)
-    assert "".join(log) == "aabb" + 4 * "ab"  # first call and calibration of each, then turns
-    assert [len(found[name].seconds) for name in "ab"] == [4, 4]
+    own, other = Told("A", list(2.0 * pace), log), Told("B", list(pace), log)
+    (ratio,) = against.compare(own, other, ["value 3-box"], lambda name: 11)
+    assert (ratio.median, ratio.low, ratio.high) == (2.0, 2.0, 2.0)
+    assert log[:2] == ["A ready", "B ready"] and "".join(log[2:]).startswith("ABBAABBA")
 
 
-def test_ratios_are_taken_turn_by_turn() -> None:
-    slow, fast = measure.Times(np.array([2.0, 20.0, 6.0])), measure.Times(np.array([1.0, 10.0, 2.0]))
-    assert measure.ratio(slow, fast).median == 2.0
-    assert (slow * 3.0).median == 18.0
+def test_what_a_revision_lacks_is_said_and_the_others_are_measured() -> None:
+    own, other = Told("own", [1.0] * 9, []), Told("other", [1.0] * 9, [], lacks="score 3-box")
+    lacking, found = against.compare(own, other, ["score 3-box", "value 3-box"], lambda name: 3)
+    assert math.isnan(lacking.median) and "no such verb" in lacking.note
+    assert found.median == 1.0 and math.isnan(found.low)  # three pairs hold no median with 95 %
+
+
+# -- worktrees -----------------------------------------------------------------------------------------------
+@pytest.fixture
+def repository(tmp_path: Path) -> Iterator[Path]:
+    """A repository with two revisions of one file."""
+    if shutil.which("git") is None:
+        pytest.skip("needs git")
+    root = tmp_path / "repository"
+    root.mkdir()
+    _git(root, "init", "--quiet")
+    for text in ("first", "second"):
+        (root / "file.txt").write_text(text)
+        _git(root, "add", "file.txt")
+        author = ("-c", "user.name=a", "-c", "user.email=a@b.example", "-c", "commit.gpgsign=false")
+        _git(root, *author, "commit", "--quiet", "-m", text)
+    yield root
+
+
+def _git(root: Path, *arguments: str) -> str:
+    done = subprocess.run(["git", "-C", str(root), *arguments], capture_output=True, text=True, check=True)
+    return done.stdout
+
+
+def _worktrees(root: Path) -> int:
+    return _git(root, "worktree", "list").count("\n")
+
+
+def test_the_other_revision_is_checked_out_and_removed_also_after_a_fault(repository: Path) -> None:
+    with pytest.raises(KeyboardInterrupt), against.checked_out(repository, "HEAD~1") as root:
+        assert (root / "file.txt").read_text() == "first" and _worktrees(repository) == 2
+        raise KeyboardInterrupt
+    assert not root.parent.exists() and _worktrees(repository) == 1
+    with pytest.raises(against.NotMeasured, match="nowhere"), against.checked_out(repository, "nowhere"):
+        pass
+
+
+def test_a_signal_removes_it_too(repository: Path, tmp_path: Path) -> None:
+    """SIGTERM while the other revision is checked out."""
+    told = tmp_path / "told"
+    program = (
+        "import sys, time; from pathlib import Path; from benchmarks import against\n"
+        f"with against.ended_by_signals(), against.checked_out(Path({str(repository)!r}), 'HEAD~1') as one:\n"
+        f"    Path({str(told)!r}).write_text(str(one)); time.sleep(60)\n"
+    )
+    path = os.pathsep.join([str(ROOT / "scripts"), str(ROOT)])
+    process = subprocess.Popen([sys.executable, "-c", program], env={**os.environ, "PYTHONPATH": path})
+    try:
+        eventually(lambda: told.exists() and told.read_text())
+        process.send_signal(signal.SIGTERM)
+        assert process.wait(timeout=50.0) == 128 + signal.SIGTERM
+    finally:
+        process.kill()
+        process.wait()
+    assert not Path(told.read_text()).parent.exists() and _worktrees(repository) == 1
+
+
+# -- workers and command -------------------------------------------------------------------------------------
+@pytest.mark.parametrize(("case", "readings"), [("3-box", 2), ("thermal", 1), ("joint", 2)])
+def test_cases_have_likelihoods_that_are_finite(case: str, readings: int, tmp_path: Path) -> None:
+    likelihood, values = revision_worker.likelihood_of(case, 200, tmp_path)
+    assert len(likelihood.model.outputs) == readings and set(values) == {
+        one.name for one in likelihood.model.parameters
+    }
+    assert np.isfinite(likelihood.value(values))
+
+
+def test_a_worker_measures_its_own_package_and_says_what_it_cannot(tmp_path: Path) -> None:
+    """In a process of its own, on the package beside these tests, until it is killed; then under a root
+    without one."""
+    with against.Worker(ROOT, tmp_path / "own") as worker:
+        worker.prepare("fixed 3-box")
+        assert 0.0 < worker.run("fixed 3-box") < 60.0
+        with pytest.raises(against.NotMeasured, match="KeyError"):
+            worker.prepare("nothing 3-box")
+        os.killpg(worker._process.pid, signal.SIGKILL)
+        worker._process.wait()
+        with pytest.raises(against.NotMeasured, match="ended"):
+            worker.prepare("fixed 3-box")
+    empty = tmp_path / "empty"
+    empty.mkdir()
+    with (
+        against.Worker(empty, tmp_path / "other") as worker,
+        pytest.raises(against.NotMeasured, match=r"expected the package under|No module named"),
+    ):
+        worker.prepare("value 3-box")
+
+
+def test_the_command_prints_what_was_compared(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
+) -> None:
+    asked: list[tuple] = []
+    ratio = against.Ratio("value 3-box", 1.01, 0.99, 1.03, "0.2 s")
+    monkeypatch.setattr(against, "ratios", lambda *how: asked.append(how) or [ratio])
+    assert command.main(["--against", "main", "--only", "value", "fit", "--fit-pairs", "3"]) == 0
+    assert asked == [(ROOT, "main", ["value", "fit"], against.PAIRS, 3)]
+    assert "| value 3-box | 1.01 | 0.99 … 1.03 | 0.2 s |" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(
-    ("reached", "target", "met"),
+    ("words", "said"),
     [
-        (1.0, {"at_most": 2.0}, True),
-        (3.0, {"at_most": 2.0}, False),
-        (3.0, {"at_least": 2.0}, True),
-        (1.0, {"at_least": 2.0}, False),
-        (math.nan, {"at_most": 2.0}, False),
-        (1.0, {}, None),
+        ("--only memory", "information"),
+        ("--pairs 10", "--pairs"),
+        ("--fit-pairs -1", "--fit-pairs"),
+        ("track", "track"),
     ],
 )
-def test_a_figure_knows_whether_it_is_met(reached: float, target: dict, met: bool | None) -> None:
-    figure = measure.Figure("section", "name", "s", reached, **target)
-    assert figure.met is met
-    assert figure.to_json()["met"] is met
-    row = measure.table([figure]).splitlines()[2]
-    assert row.endswith({True: "yes", False: "NO", None: f"{reached:.4g}"}[met])
-
-
-# -- the command ---------------------------------------------------------------------------------------------
-def test_the_command_prints_a_table_or_json(monkeypatch: pytest.MonkeyPatch, capsys) -> None:
-    figure = measure.Figure("section", "name", "s", 1.0, at_most=2.0, note="a note")
-    monkeypatch.setitem(identify.SECTIONS, "memory", lambda quick: [figure] if quick else [])
-    assert command.main(["--quick", "--only", "memory"]) == 0
-    printed = capsys.readouterr().out
-    assert "section: name [s]" in printed and "≤ 2" in printed and "a note" in printed
-    assert command.main(["identify", "--quick", "--json", "--only", "memory"]) == 0
-    data = json.loads(capsys.readouterr().out)
-    assert data["figures"] == [figure.to_json()] and "numpy" in data["machine"]
-
-
-@pytest.mark.parametrize("arguments", [["--only", "nothing"], ["another"], ["--fast"]])
-def test_unknown_words_end_with_status_2(arguments: list[str], capsys) -> None:
+def test_what_cannot_be_compared_ends_with_status_2(
+    words: str, said: str, capsys: pytest.CaptureFixture
+) -> None:
     with pytest.raises(SystemExit) as ended:
-        command.main(arguments)
-    assert ended.value.code == 2
-    assert "nothing" not in arguments or "memory" in capsys.readouterr().err
+        command.main([*words.split(), "--against", "main"])
+    assert ended.value.code == 2 and said in capsys.readouterr().err
 
 
-def test_every_topic_has_sections() -> None:
-    assert command.TOPICS
-    for module in command.TOPICS.values():
-        sections = importlib.import_module(module).SECTIONS
-        assert sections and all(callable(function) for function in sections.values())
-
-
-def test_a_command_that_cannot_run_is_said_not_hidden(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(
-        identify.sys, "executable", "/bin/false" if Path("/bin/false").exists() else "/usr/bin/false"
-    )
-    (figure,) = identify.command_line(True)
-    assert math.isnan(figure.reached) and "not run" in figure.note and figure.met is None
-
-
-def test_memory_counts_what_a_likelihood_keeps(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A backward pass keeps two rows of moments for every instant: 32 bytes with one state."""
-    monkeypatch.setattr(identify.cases, "joint", identify.cases.thermal)
-    found = {f.name: f.reached for f in identify.memory(True)}
-    assert found["value"] + 20.0 < found["score"] < found["value"] + 60.0
-
-
+@pytest.mark.skipif(not (ROOT / ".git").exists(), reason="needs a clone of the repository")
 @pytest.mark.slow
-def test_the_figures_of_fleets_can_be_measured() -> None:
-    figures = [one for section in fleet.SECTIONS.values() for one in section(True)]
-    assert len(figures) >= 8 and all(math.isfinite(one.reached) and one.reached > 0 for one in figures)
+def test_a_revision_compared_with_itself(capsys: pytest.CaptureFixture) -> None:
+    assert command.main(["--against", "HEAD", "--quick", "--only", "value", "fixed"]) == 0
+    printed = capsys.readouterr().out
+    assert printed.count("2 pairs") == 4 and "not measured" not in printed

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from validation import changes, climate, clocks, contradictions, head_to_head, notices, sisters, transfer
-from validation.head_to_head.tables import tables
+from validation import changes, climate, clocks, contradictions, notices, sisters, transfer
 
 
 def cells(text: str, start: str) -> list[str]:
@@ -110,29 +109,6 @@ def test_contradictions_are_shares_of_readings() -> None:
     assert text.startswith("2 plants, 20 days")
     said = "1 K: 0.0 %, 2 K: 0.0 %, 3 K: 75.0 %, 5 K: 100.0 %"
     assert cells(text, "temperature") == ["temperature", "400", "2", "4.2", said]
-
-
-def test_names_of_rivals_are_worth_what_is_right() -> None:
-    right = ("solar_gain",)
-    outcome = head_to_head.outcome
-    assert outcome([], [], right) == "none" and outcome(["rain_ingress"], [], None) == "not known"
-    assert [outcome(names, alike, right) for names, alike in (
-        (["solar_gain"], []), (["rain_ingress"], ["solar_gain"]), (["rain_ingress", "solar_gain"], []),
-        (["rain_ingress"], []))] == ["right", "in class", "later", "wrong"]  # fmt: skip
-
-    def line(right: tuple, names: list[str], after: float | None, **more: object) -> dict:
-        worth = outcome(names, [], right)
-        errors = {"temperature_K": after}
-        return {"name": "x", "kind": "plant", "method": "pysindy", "right": right, "names": names,
-                "cpu_s": 2.0,
-                "outcome": worth, "before": {"temperature_K": 2.0}, "after": errors, **more}  # fmt: skip
-
-    lines = [line(right, ["solar_gain", "rain_ingress"], 1.0), line(right, [], 2.2), line((), ["wind"], None)]
-    text = tables([*lines, line(None, [], 1.5, kind="box", name="box", method="network")])
-    assert cells(text, "pysindy") == [
-        "pysindy", "1 of 2", "1", "1 of 1", "2", "20 % (worse in 1 of 2)", "–", "2.0 s",
-    ]  # fmt: skip
-    assert cells(text, "box") == ["box", "2.00", "–", "–", "–", "1.50; 2 s"]
 
 
 def test_notices_that_were_lost_do_not_hold() -> None:
