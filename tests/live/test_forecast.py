@@ -17,10 +17,10 @@ from hygrokf.estimation.likelihood import Gaussian
 from hygrokf.identification.fit import Fit
 from hygrokf.live.ceiling import censored_trace
 from hygrokf.live.condition import Surface, air_condition, inputs_of
-from hygrokf.live.forecast import NoForecast, conditions_by_member, forecast, mixture
+from hygrokf.live.forecast import NoForecast, conditions_by_member, forecast
 from hygrokf.live.plan import Form, Plan, plan
 from hygrokf.live.restart_advice import ENOUGH, LONGEST_H, STAYS_H, advice_from, restart
-from hygrokf.live.scenarios import HORIZON_S, Scenarios, grid, persistence
+from hygrokf.live.scenarios import HORIZON_S, Scenarios, persistence
 from hygrokf.live.tracker import Point, offline_course
 from hygrokf.modelling.design import design, extended
 from hygrokf.physics.psychrometrics import absolute_humidity
@@ -157,19 +157,6 @@ def test_the_mixture_is_that_of_drawn_courses(record: Record, planned_for: Plan,
         assert name == "margin_K" or said.max() - said.min() > 0.2
 
 
-def test_one_certain_member_is_its_own_mixture(planned_for: Plan, record: Record, point: Point) -> None:
-    (one,) = conditions_by_member(
-        planned_for,
-        point,
-        replace(persistence(record, NOW_S), members=(future(record, grid(NOW_S)),)),
-        SURFACE,
-    )
-    same = mixture([one, one])
-    assert np.array_equal(same.temperature_K.value, one.temperature_K.value)
-    assert same.temperature_K.sd == pytest.approx(one.temperature_K.sd, rel=1e-12)
-    assert np.array_equal(same.condensation, one.condensation)
-
-
 # -- the advice ----------------------------------------------------------------------------------------------
 HOURS = np.arange(0.0, LONGEST_H + STAYS_H + 0.01, 1.0 / 6.0)
 
@@ -279,17 +266,6 @@ def test_material_that_gives_off_vapour_takes_longer_to_dry(record: Record) -> N
     # what is advised is what the air at the surface does
     dry = course.surface_humidity.upper[(course.time_s - NOW_S) >= 3600.0 * advice[1].hours]
     assert np.all(dry < 0.605)
-
-
-def test_less_heating_takes_longer(record: Record) -> None:
-    scenarios = scenarios_of(steady(0.74, NOW_S - 3 * HOUR_S, NOW_S + 30 * HOUR_S))
-    hours = []
-    for heat in (12.0, 9.0, 7.0, 3.0):
-        one = cabinet(record, preheating_heat=heat)
-        hours.append(restart(one, settled(one, 0.74), scenarios, COLD, 0.6).hours)
-    assert 0.0 < hours[0] < hours[1] < hours[2] and hours[3] is None
-    dry = scenarios_of(steady(0.4, NOW_S - 3 * HOUR_S, NOW_S + 30 * HOUR_S))
-    assert restart(one, settled(one, 0.4), dry, COLD, 0.6).hours == 0.0
 
 
 def test_who_never_saw_a_pre_heating_gives_no_advice(record: Record) -> None:
