@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from builders.live_case import live_record, live_turbine
+from builders.live_case import expect_state, live_record, live_turbine
 from builders.service_case import Acknowledging, in_small_rounds, running
 from builders.tracker_case import arriving, planned, readings_of
 from builders.waiting import eventually
@@ -28,10 +28,7 @@ from hygrokf.live.turbines import Fleet, Turbine
 
 def expect_same(tracker: Tracker, record: Record, changes: list[float]) -> None:
     """The final state is the offline filter's with the same changes, bit for bit."""
-    offline = offline_course(tracker.plan, record, changes)
-    last = int(np.searchsorted(offline.seconds, tracker.point.time + 1e-3, side="right")) - 1
-    assert np.array_equal(tracker.point.state.mean, offline.trace.mean[last])
-    assert np.array_equal(tracker.point.state.covariance, offline.trace.covariance[last])
+    expect_state(tracker.point, offline_course(tracker.plan, record, changes))
 
 
 @pytest.mark.parametrize(

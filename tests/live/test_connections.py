@@ -10,6 +10,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from builders.forecast_case import cabinet_record
+from builders.live_case import expect_state
 from builders.tracker_case import LATENESS_S, planned
 
 from hygrokf.data.record import Record, Series
@@ -24,7 +25,7 @@ from hygrokf.live.sources.stream import Delivery, SourceState, Stream
 from hygrokf.live.storage.export import export
 from hygrokf.live.storage.retention import prune
 from hygrokf.live.storage.store import Store, open_store
-from hygrokf.live.tracker import Tracker, offline_course
+from hygrokf.live.tracker import Course, Tracker, offline_course
 from hygrokf.live.turbines import CONNECTED, SOURCE, Fleet, Turbine
 
 HOUR_S = 3600.0
@@ -104,11 +105,9 @@ def exported(store: Store, folder: Path, record: Record) -> Record:
     return record.replace_series(*map(read, record.series))
 
 
-def expect_equal(tracker: Tracker, offline: object) -> None:
-    last = int(np.searchsorted(offline.seconds, tracker.point.time + 1e-3, side="right")) - 1
+def expect_equal(tracker: Tracker, offline: Course) -> None:
     assert tracker.newest - tracker.point.time < LATENESS_S + HOUR_S
-    assert np.array_equal(tracker.point.state.mean, offline.trace.mean[last])
-    assert np.array_equal(tracker.point.state.covariance, offline.trace.covariance[last])
+    expect_state(tracker.point, offline)
 
 
 @pytest.mark.parametrize(

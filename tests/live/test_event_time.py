@@ -5,13 +5,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 from zlib import crc32
 
 import numpy as np
 import pytest
-from builders.live_case import count_of, live_record, live_turbine
+from builders.live_case import SIGNALS, count_of, live_record, live_turbine
 
 from hygrokf.data.record import Record
 from hygrokf.data.timestamps import DAY_S
@@ -65,6 +65,7 @@ def searched(
     plan: Plan, given: Record, reference: Point | None = None, sisters: Sequence[Record] = ()
 ) -> Iterator[Finding | None]:
     """Stands in for the search for a cause: its finding hangs on every reading that it is given."""
+    assert set(given.signals) == set(SIGNALS)
     yield None
     marks = []
     for of in (given, *sisters):
@@ -148,17 +149,13 @@ def expected(
     return tracked(tmp_path_factory.mktemp("expected"), cold, record, record_messages(record, "T1"), 400)
 
 
-def test_there_is_something_to_compare(
-    expected: tuple[dict, list], cold: Turbine, record: Record
-) -> None:
+def test_there_is_something_to_compare(expected: tuple[dict, list]) -> None:
     found, times = expected
     kinds = {row[1] for row in found["alarms"]}
     assert kinds >= {"condensation", "cabinet changed", "reading contradicts", "sensor or water"}
     assert len(times) > 3 and times == sorted(times)
     assert EVERY_S in set(np.diff(times)), "once a day while shifts last"
     assert all(at % 3600.0 < 900.0 for at in times), "with the first estimate of an hour"
-    *_, last = searched(cold.plan, record.window(record.start_s, times[-1]))
-    assert found["finding"] == asdict(replace(last, time_s=times[-1])), "on all readings up to then"
 
 
 @pytest.mark.parametrize(
