@@ -6,7 +6,10 @@ from __future__ import annotations
 import numpy as np
 
 from hygrokf.data.record import Record, Series, Site
-from hygrokf.physics.psychrometrics import relative_humidity
+from hygrokf.live.plan import Plan
+from hygrokf.live.scenarios import Scenarios
+from hygrokf.live.tracker import Point, offline_course
+from hygrokf.physics.psychrometrics import absolute_humidity, relative_humidity
 
 STEP_S = 600.0
 DAY_S = 86400.0
@@ -23,6 +26,33 @@ def autoregressive(random: np.random.Generator, count: int, memory_h: float) -> 
         value = keep * value + kick
         found.append(value)
     return np.array(found)
+
+
+STANDING = {
+    "thermal_time_constant": 1.5, "resistance_ratio": 0.85, "heat_release_standstill": 5.0,
+    "heat_release_standstill_ambient": 0.0, "heat_disturbance_sd": 0.2, "hygric_k": 0.3,
+    "vapour_disturbance_sd": 0.05,
+}  # fmt: skip
+"""What the advice for a restart depends on, besides the heater, of a cabinet 5 K warmer than outside."""
+
+
+def standstill(one: Plan, humidity: float, now_s: float, *further: str) -> tuple[Point, Scenarios]:
+    """The state after twenty days of standstill in steady weather of 10 °C, and the same weather to come;
+    `further` signals are zero."""
+    values = {
+        "ambient_temperature": 283.15,
+        "ambient_absolute_humidity": absolute_humidity(humidity, 283.15),
+        "active_power": 0.0,
+        **dict.fromkeys(further, 0.0),
+    }
+    past, ahead = (
+        np.arange(now_s - before_s, now_s + after_s + 1.0, STEP_S)
+        for before_s, after_s in ((20 * DAY_S, 0.0), (3 * 3600.0, 30 * 3600.0))
+    )
+    series = tuple(Series(name, past, np.full(len(past), value)) for name, value in values.items())
+    state = offline_course(one, Record("steady", series, None, RATED_W)).trace.last
+    member = {name: np.full(len(ahead), value) for name, value in values.items()}
+    return Point(now_s, state), Scenarios(now_s, ahead, (member,), "steady")
 
 
 def cabinet_record(days: float, seed: int = 1, moisture: float = 0.0) -> Record:

@@ -14,11 +14,11 @@ from hygrokf.cases.case_file import read_case
 from hygrokf.cases.synthetic import synthetic_turbine, write_case
 from hygrokf.data.record import Record
 from hygrokf.identification.fit import Fit
-from hygrokf.live.plan import Form, plan
+from hygrokf.live.plan import Form, Plan, plan
 from hygrokf.live.sources.local import Playback
 from hygrokf.live.sources.stream import Delivery
 from hygrokf.live.storage.store import open_store
-from hygrokf.live.tracker import offline_course
+from hygrokf.live.tracker import Course, Point, offline_course
 from hygrokf.live.turbines import Turbine
 from hygrokf.modelling.design import CASCADE, design, merged
 
@@ -42,16 +42,26 @@ def live_fit(record: Record, **known: float) -> Fit:
     return Fit(record.name, base, {p.name: known.get(p.name, p.start) for p in base.model.parameters})
 
 
-def live_turbine(record: Record, **known: float) -> Turbine:
+def live_plan(fit: Fit, record: Record, **options: object) -> Plan:
+    """The plan of a fit for readings as a record has them."""
     forms = {s.signal: Form(s.hold, s.interval_s) for s in record.series}
-    return Turbine(
-        plan(live_fit(record, **known), forms=forms, site=record.site, rated_power_W=record.rated_power_W)
-    )
+    return plan(fit, forms=forms, site=record.site, rated_power_W=record.rated_power_W, **options)
+
+
+def live_turbine(record: Record, **known: float) -> Turbine:
+    return Turbine(live_plan(live_fit(record, **known), record))
 
 
 def count_of(record: Record) -> int:
     """How many readings a record has."""
     return sum(int((~s.missing).sum()) for s in record.series)
+
+
+def expect_state(point: Point, offline: Course) -> None:
+    """A final state is the offline filter's, bit for bit."""
+    last = int(np.searchsorted(offline.seconds, point.time + 1e-3, side="right")) - 1
+    assert np.array_equal(point.state.mean, offline.trace.mean[last])
+    assert np.array_equal(point.state.covariance, offline.trace.covariance[last])
 
 
 def expect_offline(url: str, record: Record, turbine: Turbine, name: str = "T1") -> None:
@@ -61,9 +71,7 @@ def expect_offline(url: str, record: Record, turbine: Turbine, name: str = "T1")
     assert store.rows("SELECT COUNT(*) FROM observation WHERE turbine = ?", (name,)) == [(count_of(record),)]
     assert store.rows("SELECT COUNT(*) FROM observation WHERE late = 1 OR contradicted = 1") == [(0,)]
     point = store.point(name)
-    last = int(np.searchsorted(offline.seconds, point.time + 1e-3, side="right")) - 1
-    assert np.array_equal(point.state.mean, offline.trace.mean[last])
-    assert np.array_equal(point.state.covariance, offline.trace.covariance[last])
+    expect_state(point, offline)
     rows = store.rows(
         "SELECT time, temperature_K, final FROM estimate WHERE turbine = ? ORDER BY time", (name,)
     )

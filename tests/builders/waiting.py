@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 
 PATIENCE_S = 60.0
 
@@ -17,3 +19,21 @@ def eventually(
         assert time.monotonic() < end, said() or f"nothing within {patience_s:g} s"
         time.sleep(0.01)
     return got
+
+
+@contextmanager
+def repeating(act: Callable[[], object]) -> Iterator[None]:
+    """Repeat an act every tenth of a second, in a thread of its own, as long as the block lasts."""
+    ended = threading.Event()
+
+    def go_on() -> None:
+        while not ended.wait(0.1):
+            act()
+
+    thread = threading.Thread(target=go_on)
+    thread.start()
+    try:
+        yield
+    finally:
+        ended.set()
+        thread.join(PATIENCE_S)

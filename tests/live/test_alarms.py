@@ -90,19 +90,6 @@ def test_a_late_delivery_goes_back_and_ends_only_what_began_before() -> None:
     assert course([(60, 0.6), (20, 0.6), (40, 0.6)])[1][0].began == 20 * MINUTE  # what was pending
 
 
-def test_the_same_course_gives_the_same_alarms_also_in_pieces() -> None:
-    levels = [(float(m), 0.5 + 0.5 * math.sin(m / 40.0)) for m in range(0, 900, 5)]
-    whole = course(levels)[1]
-    assert len(whole) > 4
-    known, pieces = course(levels[:70])
-    for minute, level in levels[70:]:
-        known, changed = judge(
-            "T1", known, minute * MINUTE, [Level("condensation", level, f"level {level}")], RULES
-        )
-        pieces += changed
-    assert pieces == whole
-
-
 def test_several_subjects_of_one_kind_stand_apart() -> None:
     two = [Level("clock wrong", 1.0, "a", subject="file:a"), Level("clock wrong", 1.0, "b", subject="file:b")]
     known, changes = judge("T1", {}, 0.0, two, RULES)

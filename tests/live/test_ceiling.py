@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from builders.forecast_case import cabinet_record
-from builders.live_case import live_fit
+from builders.live_case import live_fit, live_plan
 from scipy.stats import truncnorm
 
 from hygrokf.data.readings import SATURATED
@@ -17,7 +17,7 @@ from hygrokf.engine.timeline import Timeline
 from hygrokf.estimation.likelihood import Gaussian
 from hygrokf.estimation.smoother import observation
 from hygrokf.live.ceiling import HUMIDITY, censored_trace, truncated_moments
-from hygrokf.live.plan import Form, Plan, plan
+from hygrokf.live.plan import Plan
 from hygrokf.live.tracker import offline_course
 
 
@@ -29,10 +29,7 @@ def moist() -> Record:
 
 @pytest.fixture(scope="module")
 def planned(moist: Record) -> Plan:
-    forms = {s.signal: Form(s.hold, s.interval_s) for s in moist.series}
-    return plan(
-        live_fit(cabinet_record(16.0)), forms=forms, site=moist.site, rated_power_W=moist.rated_power_W
-    )
+    return live_plan(live_fit(cabinet_record(16.0)), moist)
 
 
 @pytest.mark.parametrize("z", [-6.0, -1.3, 0.0, 0.7, 3.0, 9.0, 25.0])

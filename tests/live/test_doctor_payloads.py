@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import gzip
 import json
-import threading
 import time
 from pathlib import Path
 
 import pytest
 from builders.brokers import mosquitto, needs_mosquitto, overheard, peer, publish
 from builders.track_case import write_model
-from builders.waiting import PATIENCE_S
+from builders.waiting import repeating
 
 from hygrokf.commands.main import main
 from hygrokf.live.doctor.payloads import MOST
@@ -99,19 +98,9 @@ def test_messages_of_a_topic(folder: Path, capsys: pytest.CaptureFixture) -> Non
         with peer(broker) as client, peer(broker) as other:
             beside = overheard(other, "scada/#")
             publish(client, [("scada/T07/cabinet", PAYLOAD)], retain=True)
-            over = threading.Event()
-
-            def send() -> None:
-                while not over.wait(0.1):
-                    publish(client, [("scada/T07/cabinet", PAYLOAD), ("scada/T07/cabinet", "31.2")])
-
-            sender = threading.Thread(target=send)
-            sender.start()
-            try:
+            both = [("scada/T07/cabinet", PAYLOAD), ("scada/T07/cabinet", "31.2")]
+            with repeating(lambda: publish(client, both)):
                 status, said, err = tried(capsys, "scada/+/cabinet", "--wait", "900ms")
-            finally:
-                over.set()
-                sender.join(PATIENCE_S)
             time.sleep(0.1)
             assert len(beside) > 2
         assert status == 0, err

@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 import re
-import threading
 import tomllib
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
+from itertools import count
 from pathlib import Path
 
 import pytest
 from builders.brokers import Mosquitto, needs_mosquitto
 from builders.sparkplug_peer import FLOAT, EdgeNode
 from builders.track_case import write_model
-from builders.waiting import eventually
+from builders.waiting import eventually, repeating
 
 from hygrokf.data.numbers import stated_marks
 from hygrokf.data.toml_form import Place
@@ -144,23 +144,11 @@ def look(
 @contextmanager
 def publishing(node: EdgeNode, act: Callable[[int], None], **born: float) -> Iterator[None]:
     """An edge node, born with some values, that acts every tenth of a second as long as the block lasts."""
-    ended = threading.Event()
-
-    def go_on() -> None:
-        number = 0
-        while not ended.wait(0.1):
-            act(number)
-            number += 1
-
+    numbers = count()
     with node.connected():
         node.bear(None, **born)
-        thread = threading.Thread(target=go_on)
-        thread.start()
-        try:
+        with repeating(lambda: act(next(numbers))):
             yield
-        finally:
-            ended.set()
-            thread.join()
 
 
 def found(checks: dict[str, Check], words: str) -> Check:

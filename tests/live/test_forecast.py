@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from builders.forecast_case import DAY_S, RATED_W, START_S, STEP_S, cabinet_record
-from builders.live_case import live_fit
+from builders.forecast_case import DAY_S, STANDING, START_S, STEP_S, cabinet_record, standstill
+from builders.live_case import live_fit, live_plan
 from builders.record_edits import changed, without
 
 from hygrokf.data.ambient import ambient_absolute_humidity, at_times
@@ -17,13 +17,12 @@ from hygrokf.estimation.likelihood import Gaussian
 from hygrokf.identification.fit import Fit
 from hygrokf.live.ceiling import censored_trace
 from hygrokf.live.condition import Surface, air_condition, inputs_of
-from hygrokf.live.forecast import NoForecast, conditions_by_member, forecast, mixture
-from hygrokf.live.plan import Form, Plan, plan
+from hygrokf.live.forecast import NoForecast, conditions_by_member, forecast
+from hygrokf.live.plan import Plan
 from hygrokf.live.restart_advice import ENOUGH, LONGEST_H, STAYS_H, advice_from, restart
-from hygrokf.live.scenarios import HORIZON_S, Scenarios, grid, persistence
+from hygrokf.live.scenarios import HORIZON_S, Scenarios, persistence
 from hygrokf.live.tracker import Point, offline_course
 from hygrokf.modelling.design import design, extended
-from hygrokf.physics.psychrometrics import absolute_humidity
 
 DAYS = 16.0
 NOW_S = START_S + 14.0 * DAY_S
@@ -39,11 +38,6 @@ QUANTITIES = (
 )
 
 
-def planned(fit: Fit, record: Record, **options: object) -> Plan:
-    forms = {s.signal: Form(s.hold, s.interval_s) for s in record.series}
-    return plan(fit, forms=forms, site=record.site, rated_power_W=record.rated_power_W, **options)
-
-
 @pytest.fixture(scope="module")
 def record() -> Record:
     return cabinet_record(DAYS)
@@ -51,7 +45,7 @@ def record() -> Record:
 
 @pytest.fixture(scope="module")
 def planned_for(record: Record) -> Plan:
-    return planned(live_fit(record), record)
+    return live_plan(live_fit(record), record)
 
 
 def point_at(plan_: Plan, record: Record, now_s: float = NOW_S) -> Point:
@@ -157,19 +151,6 @@ def test_the_mixture_is_that_of_drawn_courses(record: Record, planned_for: Plan,
         assert name == "margin_K" or said.max() - said.min() > 0.2
 
 
-def test_one_certain_member_is_its_own_mixture(planned_for: Plan, record: Record, point: Point) -> None:
-    (one,) = conditions_by_member(
-        planned_for,
-        point,
-        replace(persistence(record, NOW_S), members=(future(record, grid(NOW_S)),)),
-        SURFACE,
-    )
-    same = mixture([one, one])
-    assert np.array_equal(same.temperature_K.value, one.temperature_K.value)
-    assert same.temperature_K.sd == pytest.approx(one.temperature_K.sd, rel=1e-12)
-    assert np.array_equal(same.condensation, one.condensation)
-
-
 # -- the advice ----------------------------------------------------------------------------------------------
 HOURS = np.arange(0.0, LONGEST_H + STAYS_H + 0.01, 1.0 / 6.0)
 
@@ -218,44 +199,13 @@ def test_the_longest_time_is_the_last_one_that_is_advised() -> None:
 
 # -- heating -------------------------------------------------------------------------------------------------
 COLD = Surface(0.3)
-CABINET = {
-    "thermal_time_constant": 1.5, "resistance_ratio": 0.85, "heat_release_standstill": 5.0,
-    "heat_release_standstill_ambient": 0.0,
-    "preheating_heat": 9.0, "heat_disturbance_sd": 0.2, "hygric_k": 0.3, "vapour_disturbance_sd": 0.05,
-}  # fmt: skip
-"""What the advice depends on: 5 K warmer than outside at standstill, 9 K more with the heating on, known
-well."""
-
-
-def steady(humidity: float, begin_s: float, end_s: float) -> dict[str, Series]:
-    """Steady weather of 10 °C at standstill, of that relative humidity."""
-    time = np.arange(begin_s, end_s + 1.0, 600.0)
-    values = {
-        "ambient_temperature": 283.15,
-        "ambient_absolute_humidity": absolute_humidity(humidity, 283.15),
-        "active_power": 0.0,
-        "preheating": 0.0,
-    }
-    return {name: Series(name, time, np.full(len(time), value)) for name, value in values.items()}
-
-
-def scenarios_of(series: dict[str, Series]) -> Scenarios:
-    """Those series as the only member."""
-    time = next(iter(series.values())).time
-    return Scenarios(NOW_S, time, ({name: one.value for name, one in series.items()},), "steady")
 
 
 def cabinet(record: Record, *additions: tuple[str, dict], **given: float) -> Plan:
-    """A plan of that cabinet, with mechanisms added and their parameters given."""
+    """A plan of a cabinet 9 K warmer with its heating on, with mechanisms added and parameters given."""
     base = extended(live_fit(record).design, additions)
-    values = {p.name: p.start for p in base.model.parameters} | CABINET | given
-    return planned(Fit("cabinet", base, values), record, wandering={})
-
-
-def settled(one: Plan, humidity: float) -> Point:
-    """The state after twenty steady days."""
-    past = Record("steady", tuple(steady(humidity, NOW_S - 20 * DAY_S, NOW_S).values()), None, RATED_W)
-    return Point(NOW_S, offline_course(one, past).trace.last)
+    values = {p.name: p.start for p in base.model.parameters} | STANDING | {"preheating_heat": 9.0} | given
+    return live_plan(Fit("cabinet", base, values), record, wandering={})
 
 
 def test_material_that_gives_off_vapour_takes_longer_to_dry(record: Record) -> None:
@@ -264,10 +214,9 @@ def test_material_that_gives_off_vapour_takes_longer_to_dry(record: Record) -> N
     humidity = 0.74
     sorption = {"sorption_capacity": 40.0, "sorption_time": 3.0}
     bare, sorbing = cabinet(record), cabinet(record, ("moisture_sorption", {}), **sorption)
-    scenarios = scenarios_of(steady(humidity, NOW_S - 3 * HOUR_S, NOW_S + 30 * HOUR_S))
     advice, vapour = [], []
     for one in (bare, sorbing):
-        state = settled(one, humidity)
+        state, scenarios = standstill(one, humidity, NOW_S, "preheating")
         (course,) = conditions_by_member(one, state, scenarios.with_preheating(LONGEST_H + STAYS_H), COLD)
         advice.append(restart(one, state, scenarios, COLD, 0.6))
         vapour.append(course.absolute_humidity_g_m3.value)
@@ -281,20 +230,9 @@ def test_material_that_gives_off_vapour_takes_longer_to_dry(record: Record) -> N
     assert np.all(dry < 0.605)
 
 
-def test_less_heating_takes_longer(record: Record) -> None:
-    scenarios = scenarios_of(steady(0.74, NOW_S - 3 * HOUR_S, NOW_S + 30 * HOUR_S))
-    hours = []
-    for heat in (12.0, 9.0, 7.0, 3.0):
-        one = cabinet(record, preheating_heat=heat)
-        hours.append(restart(one, settled(one, 0.74), scenarios, COLD, 0.6).hours)
-    assert 0.0 < hours[0] < hours[1] < hours[2] and hours[3] is None
-    dry = scenarios_of(steady(0.4, NOW_S - 3 * HOUR_S, NOW_S + 30 * HOUR_S))
-    assert restart(one, settled(one, 0.4), dry, COLD, 0.6).hours == 0.0
-
-
 def test_who_never_saw_a_pre_heating_gives_no_advice(record: Record) -> None:
     cold = without(record, "preheating")
-    one = planned(live_fit(cold), cold)
+    one = live_plan(live_fit(cold), cold)
     scenarios = persistence(cold, NOW_S)
     state = point_at(one, cold)
     advice = restart(one, state, scenarios, SURFACE)
@@ -306,7 +244,7 @@ def test_who_never_saw_a_pre_heating_gives_no_advice(record: Record) -> None:
 def test_a_model_without_humidity_forecasts_the_temperature(record: Record) -> None:
     warm = without(record, "cabinet_relative_humidity")
     base = design(warm, kind="thermal")
-    one = planned(Fit("warm", base, {p.name: p.start for p in base.model.parameters}), warm)
+    one = live_plan(Fit("warm", base, {p.name: p.start for p in base.model.parameters}), warm)
     state, scenarios = point_at(one, warm), persistence(record, NOW_S)
     found = forecast(one, state, scenarios, SURFACE)
     assert np.isfinite(found.condition.temperature_K.sd).all() and np.isnan(found.above).all()
@@ -323,7 +261,7 @@ def test_a_switch_is_foretold_by_what_the_forecast_itself_shows(record: Record) 
     there takes the readings for a further heat release, and goes on with that.
     """
     plain = live_fit(record).design
-    one = planned(Fit("plain", plain, {p.name: p.start for p in plain.model.parameters}), record)
+    one = live_plan(Fit("plain", plain, {p.name: p.start for p in plain.model.parameters}), record)
     state, scenarios = point_at(one, record), persistence(record, NOW_S)
     without = forecast(one, state, scenarios, SURFACE).condition.temperature_K.value
     found = {}
@@ -331,7 +269,7 @@ def test_a_switch_is_foretold_by_what_the_forecast_itself_shows(record: Record) 
         switch = {"venting": {"reads": "cabinet_temperature", "start": full_K - 3.0, "full": full_K}}
         base = extended(plain, [("throttled_cooling_loss", {})], features=switch)
         values = {p.name: p.start for p in base.model.parameters} | {"throttled_conductance": 3.0}
-        one = planned(Fit("cooled", base, values), record)
+        one = live_plan(Fit("cooled", base, values), record)
         found[full_K] = forecast(one, state, scenarios, SURFACE).condition.temperature_K.value
         assert restart(one, state, scenarios, SURFACE).statement
     assert found[350.0][1:] == pytest.approx(without[1:], abs=0.05)
@@ -343,7 +281,7 @@ def test_a_model_that_reads_the_weather_has_one(record: Record) -> None:
     windy = replace(record, series=(*record.series, wind))
     base = extended(live_fit(record).design, [("wind_loss", {})], features={"wind_tenth": {}})
     values = {p.name: p.start for p in base.model.parameters}
-    one = planned(Fit("windy", base, values), windy)
+    one = live_plan(Fit("windy", base, values), windy)
     state = point_at(one, windy)
     assert np.isfinite(forecast(one, state, persistence(windy, NOW_S), SURFACE).condition.margin_K.sd).all()
     with pytest.raises(NoForecast, match="the model reads wind_speed"):
@@ -358,7 +296,7 @@ def test_scenarios_of_another_time_is_refused(record: Record, planned_for: Plan,
 
 def test_an_unknown_power_makes_it_less_sure_not_impossible(record: Record) -> None:
     gap = changed(record, "active_power", np.nan, START_S + 5 * DAY_S, START_S + 5.4 * DAY_S)
-    one = planned(live_fit(gap), gap)
+    one = live_plan(live_fit(gap), gap)
     state = point_at(one, gap)
     known = forecast(one, state, persistence(gap, NOW_S), SURFACE).condition
     lost = persistence(without(gap, "active_power"), NOW_S)

@@ -44,20 +44,14 @@ def test_a_tracker_on_postgresql_killed_at_random_moments(
 
 
 @needs_mosquitto
-@pytest.mark.parametrize(
-    ("count", "in_postgresql", "days"),
-    [
-        pytest.param(4, False, 2.0, marks=pytest.mark.slow),
-        pytest.param(50, False, 2.0, marks=pytest.mark.slow),
-        pytest.param(50, True, 2.0, marks=pytest.mark.slow),
-    ],
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("in_postgresql", [False, True])
 def test_a_tracker_of_all_sources_killed_at_random_moments(
-    tmp_path: Path, postgresql: Server, count: int, in_postgresql: bool, days: float
+    tmp_path: Path, postgresql: Server, in_postgresql: bool
 ) -> None:
-    found = together.killed_together(tmp_path, 1, postgresql, count, in_postgresql, days)
+    found = together.killed_together(tmp_path, 1, postgresql, 50, in_postgresql, 2.0)
     holds(found)
-    assert found.blows == count
+    assert found.blows == 50
 
 
 @needs_mosquitto
@@ -121,9 +115,9 @@ def test_payloads_are_spoiled_in_every_way() -> None:
 
 
 def test_late_shuffled_and_repeated_messages(tmp_path: Path) -> None:
-    found = flood.flood(tmp_path, seed=1, count=50_000)
+    found = flood.flood(tmp_path, seed=1, count=15_000)
     holds(found)
-    assert found.messages > 50_000
+    assert found.messages > 15_000
 
 
 @needs_mosquitto
@@ -139,7 +133,7 @@ def test_a_million_messages_in_flat_memory(tmp_path: Path) -> None:
 # -- the suite itself ----------------------------------------------------------------------------------------
 def test_a_reading_that_is_missing_or_doubled_is_found(tmp_path: Path) -> None:
     """A suite that finds nothing must be one that would."""
-    plant = Plant(tmp_path, days=2.0)
+    plant = Plant(tmp_path, days=1.0)
     store = f"sqlite:{tmp_path / 'live.db'}"
     lines = [payload + b"\n" for _, payload in plant.messages()]
     file = tmp_path / "messages.ndjson"
@@ -152,7 +146,6 @@ def test_a_reading_that_is_missing_or_doubled_is_found(tmp_path: Path) -> None:
             one.ended()
         return plant.judged("mine", 1, 0, len(lines), store)
 
-    holds(judged(lines))
     lost = judged(lines[:100] + lines[103:])
     assert (lost.missing, lost.doubled, lost.equal, lost.held) == (3, 0, False, False)
     another = json.loads(lines[50]) | {"time": json.loads(lines[50])["time"] + 1.0}

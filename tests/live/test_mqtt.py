@@ -142,19 +142,6 @@ def nothing_is_left(found: Mosquitto, **changes: object) -> None:
 
 
 # -- nothing lost, nothing twice -----------------------------------------------------------------------------
-def test_what_is_published_ends_in_the_offline_filter(
-    tmp_path: Path, broker: Mosquitto, record: Record, turbine: Turbine, messages: list[tuple[str, str]]
-) -> None:
-    store = f"sqlite:{tmp_path / 'live.db'}"
-    stream = stream_of(broker, record_mapping(record, "T1"))
-    with serving(turbine, stream, store) as service, peer(broker) as other:
-        publish(other, messages)
-        eventually(lambda: service.health.deliveries == len(messages))
-    assert service.health.deliveries == len(messages) == count_of(record)
-    expect_offline(store, record, turbine)
-    nothing_is_left(broker)
-
-
 def test_a_broker_that_is_killed_and_comes_back_loses_nothing(
     tmp_path: Path, broker: Mosquitto, record: Record, turbine: Turbine, messages: list[tuple[str, str]]
 ) -> None:
@@ -347,21 +334,6 @@ def test_a_stopped_source_takes_the_acknowledgements_that_are_still_to_come(brok
         assert taken.contents == [b"later"]
 
 
-def test_several_processes_share_a_subscription(broker: Mosquitto) -> None:
-    streams = [
-        stream_of(broker, topics=("$share/hygrokf/scada/+/cabinet",), client_id=f"tracker {i}")
-        for i in range(2)
-    ]
-    sent = [f"{i}".encode() for i in range(400)]
-    with running(streams[0]) as first, running(streams[1]) as second, peer(broker) as other:
-        publish(other, [(TOPIC, one) for one in sent])
-        eventually(lambda: len(first.found) + len(second.found) == len(sent))
-        for stream, taken in zip(streams, (first, second), strict=True):
-            stream.acknowledge(taken.found)
-            assert taken.found and {one.topic for one in taken.found} == {TOPIC}
-        assert sorted(first.contents + second.contents) == sorted(sent)
-
-
 def test_messages_that_are_too_large_are_cut_or_stay_at_the_broker(
     broker: Mosquitto, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -483,14 +455,6 @@ def test_user_and_password(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> 
             eventually(lambda: "No such file" in stream.state[1])
     for shown in (caplog.text, stream.url, repr(stream.broker), repr(stream.state)):
         assert "4711" not in shown and "0815" not in shown and "reader@" not in shown
-
-
-def test_a_password_from_the_environment(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("BROKER_PASSWORD", "right 0815")
-    users = password_file(tmp_path, "reader", "right 0815")
-    with mosquitto(tmp_path, "allow_anonymous false", f"password_file {users}") as found:
-        with running(stream_of(found, user="reader", password_env="BROKER_PASSWORD")):
-            pass
 
 
 def test_another_client_with_the_same_name_is_told(broker: Mosquitto) -> None:
