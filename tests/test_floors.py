@@ -24,6 +24,7 @@ from builders.house import (
     long_functions,
     meaning,
     shelf,
+    tree,
 )
 
 
@@ -89,9 +90,7 @@ def test_modules_have_one_noun_and_a_readable_length(name: str) -> None:
     assert not {"utils", "util", "base", "common", "helpers", "misc"} & set(last.split("_")), (
         "a helper lives with its noun"
     )
-    assert ast.get_docstring(ast.parse(MODULES[name].read_text(encoding="utf-8"))), (
-        f"{name} does not say what it is"
-    )
+    assert ast.get_docstring(tree(MODULES[name])), f"{name} does not say what it is"
 
 
 @pytest.mark.parametrize("name", SHELVES)

@@ -16,7 +16,7 @@ from pathlib import Path
 import pytest
 from builders.documents import DOCS, ROOT, document
 from handbook import navigation, pictures, public_names, registries
-from handbook.docstrings import block, parsed, rst
+from handbook.docstrings import parsed, rst
 
 import hygrokf
 from hygrokf.discovery.library import named
@@ -57,12 +57,6 @@ def test_a_docstring_is_taken_apart() -> None:
     assert [part.strip() for part in taken.body] == ["C dT/dt = P", "More about it."]
     assert taken.returns == "the energy [J]."
     assert taken.raises == (("ValueError", "for a negative power"), ("KeyError", "without a heater"))
-
-
-def test_prose_becomes_markup_and_equations_stay() -> None:
-    assert rst("R_AT of c* by `fit.values`") == "R\\_AT of c\\* by ``fit.values``\\ "
-    written = block("The lag:\n    dT/dt = (T* − T_0)/θ\nin hours.")
-    assert "   dT/dt = (T* − T_0)/θ" in written and written.index("The lag:") < written.index("in hours.")
 
 
 @pytest.mark.parametrize("name", public_names.NAMES)

@@ -6,6 +6,7 @@ from __future__ import annotations
 import ast
 import re
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 import hygrokf
@@ -56,17 +57,25 @@ def _is_program(path: Path) -> bool:
         return not path.suffix and file.readline().rstrip().endswith(b"python3")
 
 
+@cache
+def tree(path: Path) -> ast.Module:
+    return ast.parse(path.read_text(encoding="utf-8"))
+
+
 def long_functions(path: Path, most: int = 80) -> set[str]:
     """Names of the functions that have more lines than `most`."""
-    tree = ast.parse(path.read_text(encoding="utf-8"))
-    functions = (one for one in ast.walk(tree) if isinstance(one, ast.FunctionDef | ast.AsyncFunctionDef))
-    return {one.name for one in functions if (one.end_lineno or 0) - one.lineno >= most}
+    return {
+        one.name
+        for one in ast.walk(tree(path))
+        if isinstance(one, ast.FunctionDef | ast.AsyncFunctionDef)
+        and (one.end_lineno or 0) - one.lineno >= most
+    }
 
 
 def bound_twice(path: Path) -> set[str]:
     """Names that a module binds more than once at its top level: the second silently replaces the first."""
     found: list[str] = []
-    for node in ast.parse(path.read_text(encoding="utf-8")).body:
+    for node in tree(path).body:
         if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef):
             found.append(node.name)
         elif isinstance(node, ast.Assign | ast.AnnAssign):
@@ -75,7 +84,8 @@ def bound_twice(path: Path) -> set[str]:
     return {name for name in found if found.count(name) > 1}
 
 
-def imports(path: Path, top_only: bool = False) -> Iterator[tuple[str, str, int]]:
+@cache
+def imports(path: Path, top_only: bool = False) -> tuple[tuple[str, str, int], ...]:
     """(module, imported name or '', line) of all imports that run: those under TYPE_CHECKING do not."""
 
     def walk(parent: ast.AST) -> Iterator[tuple[str, str, int]]:
@@ -90,7 +100,7 @@ def imports(path: Path, top_only: bool = False) -> Iterator[tuple[str, str, int]
             elif not (top_only and isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)):
                 yield from walk(node)
 
-    yield from walk(ast.parse(path.read_text(encoding="utf-8")))
+    return tuple(walk(tree(path)))
 
 
 def below(module: str, name: str) -> str:
@@ -121,7 +131,7 @@ def known(name: str) -> Iterator[tuple[str, int]]:
 
 def meaning(name: str) -> str:
     """The first sentence of what a folder's docstring says lives there."""
-    text = ast.get_docstring(ast.parse((ROOT / name / "__init__.py").read_text(encoding="utf-8"))) or ""
+    text = ast.get_docstring(tree(ROOT / name / "__init__.py")) or ""
     return " ".join(text.split("\n\n")[0].split())
 
 

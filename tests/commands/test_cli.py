@@ -5,22 +5,19 @@ from __future__ import annotations
 import json
 import math
 import re
-import subprocess
-import sys
-from datetime import UTC, datetime
+from dataclasses import replace
+from datetime import datetime
 from pathlib import Path
-from zoneinfo import ZoneInfo
 
 import numpy as np
 import pytest
-from builders.case_edits import NO_CABINET, case, column, content, leave_out, rows
-from builders.command_line import EVALUATE, SIMULATE, Said, environment, interrupted, run
+from builders.case_edits import NO_CABINET, case, column, content, leave_out
+from builders.command_line import EVALUATE, SIMULATE, Said, interrupted, run
 
 from hygrokf.cases.case_file import read_case
-from hygrokf.cases.synthetic import synthetic_turbine, write_case
 from hygrokf.data.files import RESULTS
 from hygrokf.data.structured import plain
-from hygrokf.identification.fit import read_fit
+from hygrokf.identification.fit import read_fit, read_series
 from hygrokf.identification.fit_on_record import evaluate, simulate_fit, simulation_summary
 from hygrokf.identification.procedure import DEFAULT_KIND
 from hygrokf.report.fit_tables import evaluation_text
@@ -32,12 +29,11 @@ COMMANDS = ("demo", "check", "fit", "simulate", "evaluate", "export", "track", "
 # --- every command ---------------------------------------------------------------------------
 
 
-def test_help_names_every_command_and_starts_without_a_traceback():
-    command = [sys.executable, "-m", "hygrokf", "--help"]
-    done = subprocess.run(command, env=environment(), capture_output=True, text=True, timeout=60)
-    assert (done.returncode, done.stderr) == (0, "")
+def test_help_names_every_command():
+    said = run("--help")
+    assert (said.status, said.err) == (0, "")
     for name in COMMANDS:
-        assert re.search(rf"^    {name} +\w", done.stdout, re.MULTILINE)
+        assert re.search(rf"^    {name} +\w", said.out, re.MULTILINE)
 
 
 def test_version_and_no_command_at_all():
@@ -53,15 +49,8 @@ def test_demo_makes_fits_and_reports(tmp_path):
     """The whole demo, as in the README; its truth is a time constant of 1.5 h and one of 0.30 h."""
     said = run(f"demo --out {tmp_path}/demo --json")
     assert said.status == 0
-    written = {
-        "cabinet.csv",
-        "ambient.csv",
-        "scada.csv",
-        "case.toml",
-        "fit.json",
-        "series.npz",
-        "report.html",
-    }
+    tables = {"cabinet.csv", "ambient.csv", "scada.csv", "case.toml"}
+    written = tables | {"fit.json", "series.npz", "report.html"}
     assert set(content(tmp_path / "demo")) == written
     first, last = said.err.splitlines()
     assert first == f"synthetic turbine written: {tmp_path}/demo/case.toml"
@@ -86,9 +75,8 @@ def test_check_says_what_was_read(folder):
     said = run("check case.toml")
     assert (said.status, said.err) == (0, "")
     assert said.out.startswith("synthetic-turbine-3: 2020-07-15T00:00Z to 2020-08-04T00:00Z, 20.0 d")
-    for words in ("cabinet_relative_humidity", 'scada.csv, column "P_kW"', "warnings: none", "doubts: 1"):
+    for words in ("cabinet_relative_humidity", "P_kW", "hygrokf fit case.toml --out result"):
         assert words in said.out
-    assert said.out.rstrip().endswith("next: hygrokf fit case.toml --out result")
     found = json.loads(run("check case.toml --json").out)
     assert found["rated_power_kW"] == 2050.0
     assert found["validation"]["days"] == 3.0
@@ -99,29 +87,16 @@ def test_check_takes_a_case_without_cabinet(folder):
     NO_CABINET(folder)
     said = run("check case.toml")
     assert said.status == 0
-    assert "no cabinet signal: nothing can be identified or scored" in said.out
+    assert "no cabinet signal" in said.out
 
 
 def test_fit_prints_the_tables_and_writes_three_files(fitted):
     folder, said = fitted
     assert set(content(folder / "result")) == {"fit.json", "series.npz", "report.html"}
     assert said.err == f"report: {folder}/result/report.html\n"
-    for words in (
-        "synthetic-turbine-3 (SYNTHETIC: nothing measured)",
-        "Time constants",
-        "thermal (R_AT+R_IC)·C",
-        "hygric R_D*·V*",
-        "Root mean squared error, identification",
-        "Root mean squared error, validation",
-        "Readings inside the 95 % bands",
-        "Parameters",
-        "thermal_time_constant",
-        "Reliable (+)",
-    ):
+    for words in ("synthetic-turbine-3", "SYNTHETIC", "thermal_time_constant", "validation"):
         assert words in said.out
-    page = (folder / "result" / "report.html").read_text()
-    assert page.startswith("<!DOCTYPE html>")
-    assert "synthetic-turbine-3" in page
+    assert "synthetic-turbine-3" in (folder / "result" / "report.html").read_text()
     entry = json.loads((folder / "result" / "fit.json").read_text())["time_constants"]["thermal"]
     assert f"thermal time constant: {entry['value_h']:.3g} h" in said.out
 
@@ -161,15 +136,14 @@ def test_fit_json_has_the_keys_that_others_rely_on(fitted):
     assert found["version"] == __version__
 
 
-def test_fit_as_json_is_what_it_writes(folder):
-    """Options reach the fit: the free run's criterion gives other numbers than the innovations'."""
-    said = run("fit case.toml --out made/here --criterion simulation --starts 1 --json")
+def test_fit_as_json_is_what_it_writes(folder, monkeypatch):
+    stored = replace(read_fit(folder / "result"), series=read_series(folder / "result"))
+    monkeypatch.setattr("hygrokf.commands.fit.identified", lambda *_: stored)
+    monkeypatch.setattr("hygrokf.report.fit_page.write_report", lambda out: out / "report.html")
+    said = run("fit case.toml --out made/here --json")
     assert said.status == 0
     assert said.out == (folder / "made/here/fit.json").read_text()
-    found = json.loads(said.out)
-    assert found["criterion"] == "simulation"
-    assert found["time_constants"]["thermal"]["method"].startswith("output error")
-    assert set(content(folder / "made/here")) == {"fit.json", "series.npz", "report.html"}
+    assert set(content(folder / "made/here")) == {"fit.json", "series.npz"}
 
 
 def test_options_of_fit_reach_the_identification(folder, monkeypatch):
@@ -220,20 +194,14 @@ def test_simulate_without_power_says_that_no_row_counts(folder):
     leave_out("active_power")(folder)
     said = run(SIMULATE)
     assert said.status == 0
-    assert (
-        "note: no row has all inputs known (inputs_known is 0 throughout): the fit uses the power, "
-        in said.err
-    )
+    assert said.err.startswith("note: ") and "inputs_known" in said.err
     lines = (folder / "simulated.csv").read_text().splitlines()[1:]
     assert {line[-1] for line in lines} == {"0"}
 
 
 def test_evaluate_notes_another_rated_power(folder):
-    assert "rated power" not in run(EVALUATE).out
     case(("rated_power_kW = 2050", "rated_power_kW = 3075"))(folder)
-    assert (
-        "note: this turbine's rated power is 1.50 times that of the fit: another type?" in run(EVALUATE).out
-    )
+    assert "1.50 times" in run(EVALUATE).out
 
 
 def test_fit_says_whose_fit_it_replaces(folder, monkeypatch):
@@ -241,15 +209,11 @@ def test_fit_says_whose_fit_it_replaces(folder, monkeypatch):
     monkeypatch.setattr("hygrokf.commands.fit.written", lambda fit, out: out / "report.html")
     assert "replaces" not in run("fit case.toml --out result").err
     case(("synthetic-turbine-3", "uk-01"))(folder)
-    assert (
-        "note: --out result: replaces the fit of synthetic-turbine-3\n"
-        in run("fit case.toml --out result").err
-    )
+    assert "replaces the fit of synthetic-turbine-3\n" in run("fit case.toml --out result").err
 
 
 def test_evaluate_prints_the_scores(folder):
-    fit, record = read_fit(folder / "result"), read_case(folder / "case.toml")
-    found = evaluate(fit, record)
+    found = evaluate(read_fit(folder / "result"), read_case(folder / "case.toml"))
     assert run(EVALUATE) == Said(0, evaluation_text(found) + "\n", "")
     shown = json.loads(run(f"{EVALUATE} --json").out)
     assert shown == plain(found)
@@ -269,94 +233,7 @@ def test_report_as_json_names_the_page(folder, monkeypatch):
     assert (folder / "result/report.html").read_text() == "a page"
 
 
-# --- what is masked, and said ----------------------------------------------------------------
-
-
-def doubled(lines: list[str]) -> list[str]:
-    """A stamp twice with equal readings, and one with others."""
-    return [*lines[:50], lines[49], *lines[50:90], re.sub(r"Z,[^,]*", "Z,99.9", lines[89]), *lines[90:]]
-
-
-def swapped(lines: list[str]) -> list[str]:
-    return [*lines[:50], lines[51], lines[50], *lines[52:]]
-
-
-MASKED = [
-    pytest.param(
-        rows("cabinet.csv", doubled), ("duplicate stamps: 2", "contradicting ones masked"), 1, id="twice"
-    ),
-    pytest.param(rows("cabinet.csv", swapped), ("unsorted stamps: 1 of 1847", "sorted"), 0, id="unsorted"),
-    pytest.param(
-        rows("cabinet.csv", lambda lines: lines[::-1]), ("newest first; reversed",), 0, id="reversed"
-    ),
-    pytest.param(
-        column("T_cab_degC", lambda row, cell: "-273.0" if row in (7, 70) else cell),
-        ("2 readings outside of -60 degC … 120 degC masked", "-273 degC"),
-        2,
-        id="absolute zero",
-    ),
-    pytest.param(
-        column("T_cab_degC", lambda row, cell: "21.4" if 300 <= row < 700 else cell),
-        ("frozen sensor, 1 run of identical readings", "at 21.4 degC", "399 readings masked"),
-        399,
-        id="frozen",
-    ),
-    pytest.param(
-        column("RH_cab_pct", lambda row, cell: "100.0" if 300 <= row < 340 else cell),
-        ("saturated humidity, 40 readings of at least 99.5 % masked", "excluded from the likelihood"),
-        40,
-        id="saturated",
-    ),
-]
-
-
-@pytest.mark.parametrize(("edit", "words", "lost"), MASKED)
-def test_what_can_be_masked_is_masked_and_said(folder, edit, words, lost):
-    """Warnings of `check`, and the number of readings that the cabinet has less."""
-
-    def counted() -> tuple[int, list[str]]:
-        said = run("check case.toml --json")
-        assert (said.status, said.err) == (0, "")
-        found = json.loads(said.out)
-        return sum(one["readings"] for one in found["signals"][:2]), found["warnings"]
-
-    count, warnings = counted()
-    assert warnings == []
-    edit(folder)
-    left, warnings = counted()
-    (sentence,) = warnings
-    assert "cabinet.csv" in sentence
-    for part in words:
-        assert part in sentence
-    assert left == count - lost
-    text = run("check case.toml").out
-    assert f"warnings: 1\n\n- {sentence}\n" in text
-
-
-@pytest.mark.parametrize(
-    ("start", "clock", "words"),
-    [
-        ("2020-10-15T00:00:00", "Europe/Berlin", "2020-10-25"),
-        ("2020-03-20T00:00:00", "Etc/GMT-1", "2020-03-29"),
-    ],
-    ids=["autumn", "spring"],
-)
-def test_summer_time_holes_are_said(tmp_path, start, clock, words):
-    """A logger that follows the doubled hour, and one that does not skip the missing one."""
-    write_case(synthetic_turbine(seed=3, days=15, start=start), tmp_path)
-    case(('time = "time"', 'time = "time"\ntimezone = "Europe/Berlin"'))(tmp_path)
-
-    def local(lines: list[str]) -> list[str]:
-        moments = [datetime.fromisoformat(line.split("Z,")[0]).replace(tzinfo=UTC) for line in lines]
-        shown = [one.astimezone(ZoneInfo(clock)).strftime("%Y-%m-%d %H:%M:%S,") for one in moments]
-        return [stamp + line.split("Z,")[1] for stamp, line in zip(shown, lines, strict=True)]
-
-    rows("cabinet.csv", local)(tmp_path)
-    said = run(f"check {tmp_path}/case.toml --json")
-    assert said.status == 0
-    (sentence,) = json.loads(said.out)["warnings"]
-    assert sentence.startswith("cabinet.csv: summer-time hole")
-    assert words in sentence
+# --- what is masked, and what is not overwritten ---------------------------------------------
 
 
 def test_warnings_do_not_stop_the_other_commands(folder):
@@ -365,10 +242,10 @@ def test_warnings_do_not_stop_the_other_commands(folder):
         said = run(line)
         assert said.status == 0
         (warning,) = said.err.splitlines()
-        assert warning.startswith(
-            'warning: cabinet_temperature (cabinet.csv, column "T_cab_degC"): 1 reading'
-        )
+        assert warning.startswith("warning: cabinet_temperature (cabinet.csv, ")
         assert "-273" not in said.out
+    (checked,) = json.loads(run("check case.toml --json").out)["warnings"]
+    assert warning == f"warning: {checked}"
 
 
 @pytest.mark.parametrize(

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import io
-import os
 import re
 import subprocess
 import sys
 import time
 
 import pytest
-from builders.command_line import EVALUATE, FIT, SIMULATE, environment, interrupted, run
+from builders.command_line import FIT, SIMULATE, environment, interrupted, run
 
 from hygrokf.commands.console import Activity, Loudness, Progress, activity, running
 from hygrokf.commands.main import SHELLS, VERBS, _parser
@@ -160,10 +159,6 @@ def test_bash_completes(tmp_path, words, found):
     assert set(done.stdout.split()) == found
 
 
-def test_parsers_are_those_of_the_commands():
-    assert list(parsers_of(_parser())) == [verb.name for verb in VERBS]
-
-
 # --- exit statuses ---------------------------------------------------------------------------
 
 
@@ -172,7 +167,6 @@ def test_parsers_are_those_of_the_commands():
     [
         ("", 0),
         ("check case.toml", 0),
-        (EVALUATE, 0),
         ("check no.toml", 2),
         ("check", 2),
         ("no-such-command", 2),
@@ -187,15 +181,3 @@ def test_exit_status(folder, line, status):
 def test_exit_status_of_an_interruption(folder, monkeypatch):
     monkeypatch.setattr("hygrokf.identification.procedure.identify", interrupted)
     assert run(FIT).status == 130
-
-
-def test_exit_status_where_the_reader_has_gone(folder):
-    """`hygrokf check … | head -1` is no fault."""
-    reading, writing = os.pipe()
-    os.close(reading)
-    command = [sys.executable, "-m", "hygrokf", "check", "case.toml"]
-    done = subprocess.run(
-        command, cwd=folder, env=environment(), stdout=writing, stderr=subprocess.PIPE, text=True, timeout=60
-    )
-    os.close(writing)
-    assert (done.returncode, done.stderr) == (0, "")

@@ -23,7 +23,6 @@ from hygrokf.report.blocks import (
     Table,
     Verdicts,
     section,
-    table_or,
 )
 from hygrokf.report.figures.drawing import NothingToShow
 from hygrokf.report.figures.panels import Curve, Panel, Picture
@@ -120,11 +119,6 @@ def test_the_terminal_prints_the_name_the_warnings_and_the_sections_that_hold_te
         "thermal: 1.46 h (1.37 … 1.55), reliable.\nhygric, not reliable: 0.3 h (0.2 … 0.4). It drifts.\n\n"
         "Numbers\n\nT\na  c\n1  3"
     )
-
-
-def test_sections_without_blocks_are_left_out() -> None:
-    assert section("Empty", None) == () and section("One", None, Prose("x")) == (Heading("One"), Prose("x"))
-    assert table_or(None, "No table.") == Prose("No table.", "missing")
 
 
 def test_a_table_with_a_cell_too_many_is_refused() -> None:
