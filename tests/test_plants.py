@@ -270,7 +270,7 @@ def test_cabinets_lie_within_the_stated_ranges() -> None:
 
 
 @pytest.mark.parametrize("kind", [kind for kind in plants.DISTURBANCES if kind != "none"])
-@pytest.mark.parametrize("seed", [1, 2, 3, 4])
+@pytest.mark.parametrize("seed", [1, 2])
 def test_free_run_errs_as_much_as_stated(kind: str, seed: int) -> None:
     one = plant(seed, disturbance=kind)
     kelvin, grams = free_run(one)
@@ -421,7 +421,7 @@ def test_uk_plant_keeps_the_measured_hourly_power() -> None:
 
 
 @uk_only
-@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize("seed", [1])
 def test_uk_free_run_errs_as_much_as_stated(seed: int) -> None:
     one = plants.uk_plant(seed)
     kelvin, grams = free_run(one)
