@@ -11,8 +11,6 @@ sys.path[:0] = [str(ROOT), str(ROOT / "scripts")]
 os.environ.setdefault("MPLBACKEND", "Agg")
 os.environ.setdefault("DASK_LOGGING__DISTRIBUTED", "error")
 
-from handbook.pictures import GallerySettings  # noqa: E402
-
 from hygrokf.version import __version__  # noqa: E402
 
 project = "hygrokf"
@@ -50,4 +48,22 @@ html_theme_options = {
     "dark_css_variables": {"color-brand-primary": "#7fb2e5", "color-brand-content": "#7fb2e5"},
 }
 
-sphinx_gallery_conf = GallerySettings().as_mapping(ROOT)
+sphinx_gallery_conf = {
+    "examples_dirs": [str(ROOT / "docs/gallery")],
+    "gallery_dirs": [str(ROOT / "docs/generated/gallery")],
+    "filename_pattern": r"\.py$",
+    "within_subsection_order": "handbook.pictures.place",
+    "download_all_examples": False,
+    "show_memory": False,
+    "min_reported_time": 1e9,
+    "remove_config_comments": True,
+    "image_scrapers": ("matplotlib",),
+    "capture_repr": (),
+    "copyfile_regex": r".*\.mplstyle",
+    "reset_modules": ("handbook.pictures.style",),
+    "plot_gallery": True,
+    "abort_on_example_error": True,
+    "write_computation_times": False,
+    "show_signature": False,
+    "nested_sections": False,
+}

@@ -17,23 +17,18 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from types import FrameType, TracebackType
+from types import TracebackType
 from typing import Protocol
 
 import numpy as np
-from scipy.stats import quantile_test
 
 PAIRS = 11
 """Fewest pairs of a measurement."""
 COVERAGE = 0.95
 """Least probability with which its interval holds a median."""
 MEASUREMENTS = {
-    **{
-        f"{kind} {case}": kind
-        for kind in ("value", "score", "information")
-        for case in ("3-box", "thermal", "joint")
-    },
-    "fixed 3-box": "fixed",
+    **{f"{kind} {case}": kind for kind in ("value", "score", "information") for case in ("thermal", "joint")},
+    "fixed thermal": "fixed",
     "fit demo": "fit",
     "track playback": "track",
 }
@@ -71,6 +66,8 @@ def compare(
     own: Contender, other: Contender, measurements: Sequence[str], pairs: Callable[[str], int]
 ) -> Iterator[Ratio]:
     """The ratio of every measurement."""
+    from scipy.stats import quantile_test
+
     for name in measurements:
         try:
             for one in (own, other):
@@ -96,20 +93,10 @@ def turns(own: Contender, other: Contender, measurement: str, pairs: int) -> np.
 
 
 # -- the other revision's files ------------------------------------------------------------------------------
-@contextmanager
-def ended_by_signals() -> Iterator[None]:
-    """The signals that end a process raise SystemExit within, so that what is temporary is removed."""
-
-    def end(number: int, frame: FrameType | None) -> None:
-        sys.exit(128 + number)
-
-    names = [name for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
-    former = {name: signal.signal(getattr(signal, name), end) for name in names}
-    try:
-        yield
-    finally:
-        for name, one in former.items():
-            signal.signal(getattr(signal, name), one)
+def end_by_signals() -> None:
+    """Let the signals that end this process raise SystemExit, so that what is temporary is removed."""
+    for number in (signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, lambda received, frame: sys.exit(128 + received))
 
 
 @contextmanager
@@ -194,13 +181,10 @@ def ratios(
     """All ratios of the chosen kinds.  Raises NotMeasured for a revision that cannot be checked out."""
     wanted = [name for name, kind in MEASUREMENTS.items() if kind in set(kinds)]
     with ExitStack() as kept:
-        kept.enter_context(ended_by_signals())
         other = kept.enter_context(checked_out(repository, revision))
         scratch = Path(kept.enter_context(tempfile.TemporaryDirectory(prefix="benchmark-")))
         workers = [
             kept.enter_context(Worker(root, scratch / name))
             for name, root in (("own", repository), ("other", other))
         ]
-        yield from compare(
-            *workers, wanted, lambda name: fit_pairs if MEASUREMENTS[name] in LONG else pairs
-        )
+        yield from compare(*workers, wanted, lambda name: fit_pairs if MEASUREMENTS[name] in LONG else pairs)

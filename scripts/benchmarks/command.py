@@ -3,12 +3,8 @@
 from __future__ import annotations
 
 import argparse
-import json
-import platform
 import sys
 from collections.abc import Sequence
-from dataclasses import asdict
-from importlib.metadata import version
 
 from validation.counts import markdown
 from validation.frame import ROOT
@@ -29,7 +25,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
         "--fit-pairs", type=int, metavar="PAIRS", help="runs of `fit` and `track` (default: as --pairs)"
     )
     parser.add_argument("--quick", action="store_true", help="two pairs: a smoke test, not a measurement")
-    parser.add_argument("--json", action="store_true", help="print JSON instead of the table")
     options = parser.parse_args(arguments)
     pairs = QUICK_PAIRS if options.quick else options.pairs
     fit_pairs = options.fit_pairs or pairs
@@ -44,21 +39,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
             ratios.append(one)
     except against.NotMeasured as why:
         parser.error(str(why))
-    if options.json:
-        print(json.dumps({"machine": machine(), "ratios": [asdict(one) for one in ratios]}, indent=1))
-    else:
-        rows = ((r.name, f"{r.median:.4g}", f"{r.low:.3g} … {r.high:.3g}", r.note) for r in ratios)
-        print(markdown(("measurement", f"this / {options.against}", "interval", ""), rows))
+    rows = ((r.name, f"{r.median:.4g}", f"{r.low:.3g} … {r.high:.3g}", r.note) for r in ratios)
+    print(markdown(("measurement", f"this / {options.against}", "interval", ""), rows))
     return 0
-
-
-def machine() -> dict[str, str]:
-    """What the ratios belong to."""
-    from llvmlite import binding
-
-    return {
-        "processor": binding.get_host_cpu_name(),
-        "system": platform.platform(),
-        "python": platform.python_version(),
-        **{name: version(name) for name in ("numpy", "llvmlite")},
-    }

@@ -1,10 +1,8 @@
-"""The gallery: its order and its settings, and how its pictures look."""
+"""The gallery: its order, and how its pictures look."""
 
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass
-from pathlib import Path
 
 ORDER = (
     "first_fit.py",
@@ -57,33 +55,3 @@ def style(gallery: object = None, file: str = "") -> None:
 
     matplotlib.rcdefaults()
     matplotlib.rcParams.update({**STYLE, "axes.prop_cycle": cycler(color=COLOURS)})
-
-
-@dataclass(frozen=True)
-class GallerySettings:
-    """Settings of sphinx-gallery."""
-
-    source: str = "docs/gallery"
-    built: str = "docs/generated/gallery"
-
-    def as_mapping(self, root: Path) -> dict[str, object]:
-        """As sphinx-gallery takes them."""
-        return {
-            "examples_dirs": [str(root / self.source)],
-            "gallery_dirs": [str(root / self.built)],
-            "filename_pattern": r"\.py$",
-            "within_subsection_order": "handbook.pictures.place",
-            "download_all_examples": False,
-            "show_memory": False,
-            "min_reported_time": 1e9,
-            "remove_config_comments": True,
-            "image_scrapers": ("matplotlib",),
-            "capture_repr": (),
-            "copyfile_regex": r".*\.mplstyle",
-            "reset_modules": ("handbook.pictures.style",),
-            "plot_gallery": True,
-            "abort_on_example_error": True,
-            "write_computation_times": False,
-            "show_signature": False,
-            "nested_sections": False,
-        }

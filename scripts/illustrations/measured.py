@@ -6,22 +6,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
+from validation.records import FINNISH, source_rows
+
 from illustrations.pages import QUANTITIES, identified, save, write_table
 
-ATTIC = """\
-name = "attic R2, ambient {label}"
-[[source]]
-file = "{file}"
-time = "t_UTC+2"
-timezone = "+02:00"
-signals.cabinet_temperature = {{ column = "T_roofmiddle_airmiddle", unit = "degC" }}
-signals.cabinet_relative_humidity = {{ column = "RH_roofmiddle_airmiddle", unit = "%" }}
-signals.ambient_temperature = {{ column = "{temperature}", unit = "degC" }}
-signals.ambient_relative_humidity = {{ column = "{humidity}", unit = "%" }}
-signals.global_horizontal_irradiance = {{ column = "Rglob", unit = "W/m2" }}
-[identification]
-until = "2011-12-31T22:00:00Z"
-"""
+UNTIL = '[identification]\nuntil = "2011-12-31T22:00:00Z"\n'
 
 
 def _attic_scores(label: str, r: Mapping) -> list[list[str]]:
@@ -44,14 +33,14 @@ def attic(directory: Path, data: Path) -> None:
     file = (data / "attic_trh1_R2_hourly.csv.gz").resolve()
     fits = {}
     for label, columns in {
-        "weather station": ("T_fmi", "RH_fmi"),
-        "eave logger": ("T_roofwest_outside", "RH_roofwest_outside"),
+        "weather station": "T_fmi RH_fmi",
+        "eave logger": "T_roofwest_outside RH_roofwest_outside",
     }.items():
-        case = directory / f"{columns[0]}.toml"
-        case.write_text(
-            ATTIC.format(label=label, file=file, temperature=columns[0], humidity=columns[1]),
-            encoding="utf-8",
+        case = directory / f"{label}.toml"
+        rows = source_rows(
+            FINNISH, f"T_roofmiddle_airmiddle RH_roofmiddle_airmiddle {columns} Rglob", str(file)
         )
+        case.write_text(f'name = "attic R2, ambient {label}"\n' + rows.format() + UNTIL, encoding="utf-8")
         fits[label] = identified(read_case(case))
     scores = [["ambient", "quantity", "n", "model", "rule without a model"]]
     for label, fit in fits.items():

@@ -11,6 +11,8 @@ from validation.frame import ROOT
 
 DOCS = ROOT / "docs"
 PICTURES = DOCS / "pictures"
+LARGEST = 150_000
+"""[bytes] of a picture."""
 QUANTITIES = {"temperature_K": "K", "absolute_humidity_g_m3": "g/m³"}
 
 
@@ -36,22 +38,6 @@ def synthetic_record(seed: int, directory: Path):
     return read_case(write_case(turbine, directory / f"turbine{seed}")), turbine.truth
 
 
-def true_values(truth) -> dict[str, float]:
-    """Parameters of the joint model at the truth of a synthetic turbine, without the heat release."""
-    p = truth.parameters
-    return {
-        "thermal_time_constant": p.thermal_time_constant_h,
-        "resistance_ratio": p.resistance_ratio,
-        "heat_disturbance_sd": p.heat_disturbance_K,
-        "heat_disturbance_time": p.heat_correlation_h,
-        "hygric_k": truth.hygric_constant_s / 3600.0,
-        "vapour_disturbance_sd": 1e3 * p.vapour_disturbance_kg_m3,
-        "vapour_disturbance_time": p.vapour_correlation_h,
-        "thermal_diffusion": p.temperature_diffusion_K,
-        "hygric_diffusion": 1e3 * p.humidity_diffusion_kg_m3,
-    }
-
-
 def identified(record):
     from hygrokf import identify
 
@@ -68,16 +54,20 @@ def bounds_text(entry: Mapping) -> str:
 
 def save(figure, name: str, label: str = "") -> None:
     """Write a figure as a small PNG; `label` says in the picture itself what is not measured."""
-    from PIL import Image
-
     from hygrokf.report.figures.drawing import png
 
     if label:
         figure.text(0.995, 0.995, label, ha="right", va="top", fontsize=8, fontstyle="italic", color="0.35")
-    PICTURES.mkdir(parents=True, exist_ok=True)
+    write_picture(name, png(figure, dpi=110), 64)
+
+
+def write_picture(name: str, drawn: bytes, colours: int, **how: object) -> None:
+    """Write a PNG with fewer colours.  Raises SystemExit where it is still too large."""
+    from PIL import Image
+
     path = PICTURES / f"{name}.png"
-    Image.open(io.BytesIO(png(figure, dpi=110))).convert("RGB").quantize(64).save(path, optimize=True)
+    Image.open(io.BytesIO(drawn)).convert("RGB").quantize(colours, **how).save(path, optimize=True)
     size = path.stat().st_size
     print(f"{path.relative_to(ROOT)}: {size / 1e3:.0f} kB", flush=True)
-    if size > 150_000:
-        raise SystemExit(f"{path}: expected at most 150 kB, found {size / 1e3:.0f} kB")
+    if size > LARGEST:
+        raise SystemExit(f"{path}: expected at most {LARGEST / 1e3:.0f} kB, found {size / 1e3:.0f} kB")

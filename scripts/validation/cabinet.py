@@ -13,23 +13,23 @@ import numpy as np
 
 from hygrokf import discover, identify, read_case
 from hygrokf.data.record import Record
-from validation.frame import DATA, ROOT, Claim
-from validation.records import CONTROLLER, SOURCES, expect
+from validation.frame import Claim
+from validation.records import AS_IT_IS, SOURCES, case_of, expect
 
 UNTIL_S = float(np.datetime64("2013-05-15", "s").astype(int))
 """End of the identification [s]."""
-COLUMNS = {"controller": "controller_temperature_degC", "nacelle": "nacelle_temperature_degC"}
+INSIDE = ("controller", "nacelle")
+"""Whose temperature is the cabinet's."""
 FEWEST = 60
 """Readings below which a mean error is not drawn."""
 
 
 def record(inside: str) -> Record:
-    file = SOURCES["controller"].file
-    expect(file)
+    expect(*SOURCES["controller"].files)
     with tempfile.TemporaryDirectory() as folder:
-        case = Path(folder) / "case.toml"
-        text = CONTROLLER.format(name="controller's cabinet", file=(DATA / file).resolve())
-        case.write_text(text.replace(COLUMNS["controller"], COLUMNS[inside]), encoding="utf-8")
+        case = case_of("controller", AS_IT_IS, Path(folder))
+        text = case.read_text(encoding="utf-8").replace("controller_temperature", f"{inside}_temperature")
+        case.write_text(text, encoding="utf-8")
         return replace(read_case(case), until_s=UNTIL_S)
 
 
@@ -108,31 +108,32 @@ def courses(before) -> dict[str, dict[str, np.ndarray]]:
 def docs(lines: Sequence[Mapping]) -> None:
     """The pictures of the page."""
     import matplotlib.dates
-    import matplotlib.pyplot as plt
+    from illustrations.pages import save
+
+    from hygrokf.report.figures.drawing import INK, MEASURED, QUIET, SIMULATED, new_figure, styled
 
     shown = next(line["courses"] for line in lines if line["variant"] == "controller")
-    folder = ROOT / "docs" / "pictures"
     run = {n: np.array([math.nan if v is None else v for v in c]) for n, c in shown["run"].items()}
     time = np.array(run["time_s"] * 1e3, dtype="datetime64[ms]")
-    figure, axes = plt.subplots(figsize=(9.0, 3.4), layout="constrained")
-    band = (run["simulated"] - 1.96 * run["sd"], run["simulated"] + 1.96 * run["sd"])
-    axes.fill_between(time, *band, color="#1b5fa8", alpha=0.15, lw=0, label="95 % band")
-    axes.plot(time, run["simulated"], color="#1b5fa8", lw=1.4, label="free run")
-    axes.plot(time, run["measured"], ".", color="#222222", ms=2.5, label="readings (whole degrees)")
-    axes.set_ylabel("cabinet temperature [°C]")
-    axes.legend(loc="upper left", frameon=False, fontsize=9)
-    axes.xaxis.set_major_formatter(matplotlib.dates.DateFormatter("%-d %b"))
-    axes.spines[["top", "right"]].set_visible(False)
-    figure.savefig(folder / "measured_cabinet_run.png", dpi=110)
-    figure, axes = plt.subplots(figsize=(6.2, 3.4), layout="constrained")
-    for name, colour in (("in operation", "#1b5fa8"), ("at standstill", "#c2570c")):
-        axes.plot(shown[name]["outside"], shown[name]["error"], "o-", color=colour, label=name)
-    axes.axhline(0.0, color="#888888", lw=0.8)
-    axes.set_xlabel("outside temperature [°C]")
-    axes.set_ylabel("reading − free run [K], mean")
-    axes.legend(frameon=False)
-    axes.spines[["top", "right"]].set_visible(False)
-    figure.savefig(folder / "measured_cabinet_error.png", dpi=110)
+    with styled():
+        course, errors = new_figure(3.0), new_figure(3.0)
+        axes = course.add_subplot()
+        band = (run["simulated"] - 1.96 * run["sd"], run["simulated"] + 1.96 * run["sd"])
+        axes.fill_between(time, *band, color=MEASURED, alpha=0.15, lw=0, label="95 % band")
+        axes.plot(time, run["simulated"], color=MEASURED, lw=1.4, label="free run")
+        axes.plot(time, run["measured"], ".", color=INK, ms=2.5, label="readings (whole degrees)")
+        axes.set_ylabel("cabinet temperature [°C]")
+        axes.legend(loc="upper left")
+        axes.xaxis.set_major_formatter(matplotlib.dates.DateFormatter("%-d %b"))
+        axes = errors.add_subplot()
+        for name, colour in (("in operation", MEASURED), ("at standstill", SIMULATED)):
+            axes.plot(shown[name]["outside"], shown[name]["error"], "o-", color=colour, label=name)
+        axes.axhline(0.0, color=QUIET, lw=0.8)
+        axes.set_xlabel("outside temperature [°C]")
+        axes.set_ylabel("reading − free run [K], mean")
+        axes.legend()
+        save(course, "measured_cabinet_run")
+        save(errors, "measured_cabinet_error")
 
 
-CLAIM = Claim("cabinet", dict.fromkeys(COLUMNS, range(1)), one, table, docs=docs)
+CLAIM = Claim("cabinet", dict.fromkeys(INSIDE, range(1)), one, table, docs=docs)

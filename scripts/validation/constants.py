@@ -29,8 +29,8 @@ CONSTANTS = (
 )  # fmt: skip
 """Module of `hygrokf.discovery` and name; the share of saturated readings decides a remark alone."""
 CELLS = (
-    "sorption", "condensation", "wall", "sun", "standstill heater", "exchange step",
-    "drift of the humidity sensor", "clock", "rain", "doors",
+    "moisture_sorption", "condensation", "wall_thermal_mass", "solar_gain", "unlogged_heater",
+    "exchange_step", "humidity_sensor_drift", "clock_shift", "rain_ingress", "door_opening",
 )  # fmt: skip
 AFTER_THE_SEARCH = ("SIGNIFICANT", "CYCLES", "CLASS_LIMIT", "BETTER")
 

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
+from scipy.stats import binomtest
 
 
 def markdown(head: Sequence[object], rows: Iterable[Sequence[object]]) -> str:
@@ -14,22 +15,6 @@ def markdown(head: Sequence[object], rows: Iterable[Sequence[object]]) -> str:
     lines = ["| " + " | ".join(map(str, row)) + " |" for row in (head, *rows)]
     lines.insert(1, "|" + " --- |" * len(head))
     return "\n".join(lines)
-
-
-def clopper_pearson(hits: float, n: float, level: float = 0.95) -> tuple[float, float]:
-    """Bounds of a probability of which `hits` of `n` were seen: never narrower than they say.
-
-    Quantiles of beta distributions (Clopper and Pearson 1934, Biometrika 26, 404); (0, 1) where nothing was
-    seen.
-    """
-    from scipy.stats import beta
-
-    if n < 0.0 or not 0.0 <= hits <= n:
-        raise ValueError(f"expected 0 ≤ hits ≤ n, found {hits} of {n}")
-    tail = 0.5 * (1.0 - level)
-    low = 0.0 if hits <= 0.0 else float(beta.ppf(tail, hits, n - hits + 1.0))
-    high = 1.0 if hits >= n else float(beta.ppf(1.0 - tail, hits + 1.0, n - hits))
-    return low, high
 
 
 @dataclass(frozen=True)
@@ -45,8 +30,9 @@ class Rate:
 
     @property
     def bounds(self) -> tuple[float, float]:
-        """95 % bounds."""
-        return clopper_pearson(self.hits, self.n)
+        """95 % bounds that are never narrower than they say (Clopper and Pearson, 1934)."""
+        found = binomtest(self.hits, self.n).proportion_ci(0.95, "exact")
+        return float(found.low), float(found.high)
 
     def __str__(self) -> str:
         if not self.n:
@@ -99,3 +85,12 @@ def reliability(
             seen = Rate(int(came[here].sum()), int(here.sum()))
             found[low] = Bin(low, float(said[here].mean()), seen, *between_plants(came[here], seed[here]))
     return found
+
+
+class Columns:
+    """The columns (n,) of a table that is spread over lines, and the line of each row."""
+
+    def __init__(self, lines: Sequence[Mapping], part: str, names: Sequence[str]) -> None:
+        tables = [np.array(line[part]).reshape(-1, len(names)) for line in lines]
+        self.columns = dict(zip(names, np.concatenate(tables).T, strict=True))
+        self.seed = np.repeat([line["seed"] for line in lines], [len(one) for one in tables])

@@ -7,12 +7,11 @@ from __future__ import annotations
 
 import math
 import resource
-import time
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from statistics import fmean, median, pstdev, stdev
+from statistics import fmean, median, stdev
 
 from other_make import ROWS as SCENARIOS
 from other_make import Scenario, Truth, make_plant
@@ -24,7 +23,7 @@ from hygrokf import identify
 from hygrokf.data.record import Record
 from hygrokf.data.structured import plain
 from validation.counts import markdown
-from validation.frame import Claim
+from validation.frame import Claim, by_variant
 
 VERDICTS = ("believe", "caution", "reject")
 Entry = Mapping
@@ -112,47 +111,33 @@ ROWS: dict[str, Callable[[int, float], tuple[Record, Mapping[str, Quantity]]]] =
 def one(row: str, seed: int, *, days: float = 90.0) -> dict:
     """The record of a plant, its fit with the default settings, and what came of it."""
     record, quantities = ROWS[row](seed, days)
-    begin, used = time.perf_counter(), _cpu_s()
+    used = _cpu_s()
     fit = identify(record)
-    spent = {"wall_s": time.perf_counter() - begin, "cpu_s": _cpu_s() - used}
-    errors = plain(fit.results.rmse["identification"])
     return {
-        "row": row, "days": days, **spent, "converged": fit.results.converged,
-        "statements": list(fit.results.statements),
-        "free_run": {name: rmse["total"] for name, rmse in errors.items()},
-        "mechanisms": [name for name, _ in fit.design.mechanisms],
+        "days": days,
+        "cpu_s": _cpu_s() - used,
         "quantities": {
             name: compared(quantity, plain(fit.results.time_constants[quantity.constant]))
             for name, quantity in quantities.items()
         },
-    }  # fmt: skip
-
-
-def compared(quantity: Quantity, whole: Entry) -> dict:
-    """Truth, estimate, headline interval, plain profile bound and verdict of one quantity."""
-    part = whole.get(quantity.key) if quantity.key else None
-    entry = whole if part is None else part
-    truth = float(quantity.truth(whole))
-    profile, simulation = next(iter(entry.get("composition", ())), None), entry.get("simulation")
-    return {
-        "truth": truth,
-        "value": entry["value_h"],
-        **_interval(entry, truth),
-        "own": quantity.key is None or part is not None,
-        "profile": None if profile is None else _interval(profile, truth),
-        "verdict": entry.get("verdict", whole.get("verdict")),
-        "reasons": entry.get("reasons", whole.get("reasons")),
-        "factor": entry.get("factor"),
-        "simulation": None if simulation is None else simulation["value_h"],
-        "disagreement": entry.get("criteria_disagree", False),
     }
 
 
-def _interval(entry: Entry, truth: float) -> dict:
-    """Bounds [h], None where open, and whether they hold the truth."""
-    lower, upper = entry["lower_h"], entry["upper_h"]
+def compared(quantity: Quantity, whole: Entry) -> dict:
+    """Truth, estimate, interval and verdict of one quantity."""
+    part = whole.get(quantity.key) if quantity.key else None
+    entry = whole if part is None else part
+    truth = float(quantity.truth(whole))
+    lower, upper = entry["lower_h"], entry["upper_h"]  # [h], None where open
     covered = (0.0 if lower is None else lower) <= truth <= (math.inf if upper is None else upper)
-    return {"lower": lower, "upper": upper, "covered": bool(covered)}
+    return {
+        "truth": truth,
+        "value": entry["value_h"],
+        "lower": lower,
+        "upper": upper,
+        "covered": bool(covered),
+        "verdict": entry.get("verdict", whole.get("verdict")),
+    }
 
 
 def _cpu_s() -> float:
@@ -166,10 +151,8 @@ def _cpu_s() -> float:
 class Sums:
     """One quantity over the plants of a row; errors and half widths are logarithms.
 
-    profile: plants whose plain profile bound holds the truth, None where fits report none. verdicts: plants
-    by verdict. misses, told: plants whose headline interval misses the truth, and those of them whose verdict
-    is not "believe". free_run_error, free_run_spread: mean and root mean square error of the output-error
-    estimate.
+    verdicts: plants by verdict. misses, told: plants whose interval misses the truth, and those of them whose
+    verdict is not "believe".
     """
 
     plants: int
@@ -177,12 +160,9 @@ class Sums:
     spread: float
     half_width: float
     covered: int
-    profile: int | None
     verdicts: Mapping[str, int]
     misses: int
     told: int
-    free_run_error: float | None
-    free_run_spread: float | None
 
 
 def half_width(interval: Mapping) -> float:
@@ -194,58 +174,44 @@ def half_width(interval: Mapping) -> float:
 def sums(found: Sequence[Mapping]) -> Sums:
     """Of the quantities `found`, one a plant."""
     errors = [math.log(one["value"] / one["truth"]) for one in found]
-    free = [math.log(one["simulation"] / one["truth"]) for one in found if one["simulation"]]
     missed = [one for one in found if not one["covered"]]
-    profiles = [one["profile"] for one in found]
     return Sums(
         plants=len(found),
         error=fmean(errors),
         spread=stdev(errors) if len(errors) > 1 else 0.0,
         half_width=median(map(half_width, found)),
         covered=len(found) - len(missed),
-        profile=None if None in profiles else sum(one["covered"] for one in profiles),
         verdicts=Counter(one["verdict"] for one in found if one["verdict"] is not None),
         misses=len(missed),
         told=sum(one["verdict"] not in (None, "believe") for one in missed),
-        free_run_error=fmean(free) if free else None,
-        free_run_spread=math.hypot(fmean(free), pstdev(free)) if free else None,
     )
 
 
 HEAD = (
     "row", "plants", "quantity", "mean error", "spread", "half width, median", "covered",
-    "by the profile bound", "believe / caution / reject", "misses told", "free run", "CPU", "wall",
+    "believe / caution / reject", "misses told", "CPU",
 )  # fmt: skip
 
 
 def table(lines: Sequence[Mapping]) -> str:
-    """A line a row and quantity, then the mean errors of the free run."""
-    rows, free_runs = [], []
-    for row in dict.fromkeys(line["row"] for line in lines):
-        some = [line for line in lines if line["row"] == row]
+    """A line a row and quantity."""
+    rows = []
+    for row, some in by_variant(lines).items():
+        cpu = f"{median(line['cpu_s'] for line in some):.1f} s"
         for name in some[0]["quantities"]:
-            cells = _cells(sums([line["quantities"][name] for line in some]))
-            spent = (f"{median(line[key] for line in some):.1f} s" for key in ("cpu_s", "wall_s"))
-            rows.append((row, len(some), name, *cells, *spent))
-        kelvin, grams = (
-            fmean(line["free_run"][quantity] for line in some)
-            for quantity in ("temperature_K", "absolute_humidity_g_m3")
-        )
-        free_runs.append(f"{row}: free-run errors {kelvin:.2f} K, {grams:.3f} g/m³ in the mean")
-    return "\n".join([markdown(HEAD, rows), "", *free_runs])
+            found = sums([line["quantities"][name] for line in some])
+            rows.append((row, len(some), name, *_cells(found), cpu))
+    return markdown(HEAD, rows)
 
 
 def _cells(s: Sums) -> tuple[str, ...]:
-    free = s.free_run_error
     return (
         f"{100 * math.expm1(s.error):+.1f} %",
         f"{100 * s.spread:.1f} %",
         "open" if math.isinf(s.half_width) else f"±{100 * s.half_width:.1f} %",
         f"{s.covered}/{s.plants}",
-        "–" if s.profile is None else f"{s.profile}/{s.plants}",
         " / ".join(str(s.verdicts.get(v, 0)) for v in VERDICTS) if s.verdicts else "–",
         f"{s.told}/{s.misses}" if s.verdicts else "–",
-        "–" if free is None else f"{100 * math.expm1(free):+.0f} ± {100 * s.free_run_spread:.0f} %",
     )
 
 

@@ -29,34 +29,22 @@ Cause = tuple[str, int]
 DAYS = 170.0
 APART = 100_000
 """Seeds between cells: no two cells share a plant; halved causes are in the plants of whole ones."""
-CAUSES: dict[str, tuple[Cause, ...]] = {
-    "sorption": (("moisture_sorption", 0), ("moisture_sorption", 1)),
-    "condensation": (("condensation", 0), ("condensation", 1)),
-    "wall": (("wall_thermal_mass", 0), ("wall_thermal_mass", 1)),
-    "sun": (("solar_gain", 0), ("solar_gain", 1)),
-    "wind": (("wind_driven_exchange", 0), ("wind_driven_exchange", 1)),
-    "standstill heater": (("unlogged_heater", 0), ("unlogged_heater", 1)),
-    "cooling": (("cooling_switching", 0), ("cooling_switching", 1)),
-    "exchange step": (("exchange_step", 0), ("exchange_step", 1)),
-    "drift of the heat": (("heat_release_drift", 0), ("heat_release_drift", 1)),
-    "drift of the humidity sensor": (("humidity_sensor_drift", 0), ("humidity_sensor_drift", 1)),
-    "clock": (("clock_shift", 0),),
-    "rain": (("rain_ingress", 0), ("rain_ingress", 1)),
-    "doors": (("door_opening", 0), ("door_opening", 1)),
-    "dehumidifier": (("dehumidifier", 0), ("dehumidifier", 1)),
-    "ambient series": (("ambient_bias", 0), ("ambient_bias", 1)),
-}
-"""The fifteen causes; seeds take their forms by turns.  Summer time cannot be halved."""
-THERMAL = ("wall", "sun", "standstill heater", "cooling", "drift of the heat", "wind")
+CAUSES = (
+    "moisture_sorption", "condensation", "wall_thermal_mass", "solar_gain", "wind_driven_exchange",
+    "unlogged_heater", "cooling_switching", "exchange_step", "heat_release_drift", "humidity_sensor_drift",
+    "clock_shift", "rain_ingress", "door_opening", "dehumidifier", "ambient_bias",
+)  # fmt: skip
+"""The fifteen causes; their places are part of the seeds.  Summer time cannot be halved."""
+USED_FORMS = {"clock_shift": 1, "internal_moisture_source": 3}
+"""Forms that seeds take by turns, where these are not two."""
+THERMAL = (
+    "wall_thermal_mass", "solar_gain", "unlogged_heater", "cooling_switching", "heat_release_drift",
+    "wind_driven_exchange",
+)  # fmt: skip
 HYGRIC = (
-    "sorption",
-    "condensation",
-    "drift of the humidity sensor",
-    "rain",
-    "dehumidifier",
-    "source",
-)
-SOURCES = tuple(("internal_moisture_source", form) for form in range(len(FORMS["internal_moisture_source"])))
+    "moisture_sorption", "condensation", "humidity_sensor_drift", "rain_ingress", "dehumidifier",
+    "internal_moisture_source",
+)  # fmt: skip
 NULL_KINDS = dict(zip(NULLS, ("two_times", "probe", "resistances", "bursts", "apart_bursts"), strict=True))
 """Group -> kind of `plants.nulls`."""
 _CONFIDENCE_STREAM = 71
@@ -80,11 +68,15 @@ class Case:
     known: Known | None = None
 
 
+def hidden_form(cause: str, turn: int) -> Cause:
+    """The form of a cause whose turn it is."""
+    return cause, turn % USED_FORMS.get(cause, 2)
+
+
 def _alone(group: str, halved: bool) -> Callable[[int], Iterator[Case]]:
     def cases(seed: int) -> Iterator[Case]:
-        for place, (cell, forms) in enumerate(CAUSES.items(), 1):
-            hidden = (forms[seed % len(forms)],)
-            yield Case(group, cell, seed, place * APART + seed, hidden, halved)
+        for place, cause in enumerate(CAUSES, 1):
+            yield Case(group, cause, seed, place * APART + seed, (hidden_form(cause, seed),), halved)
 
     return cases
 
@@ -93,8 +85,7 @@ def _pairs(seed: int) -> Iterator[Case]:
     """A cause on heat beside one on moisture; 36 seeds have every pair once, 18 each cause three times."""
     thermal = THERMAL[seed % 6]
     hygric = HYGRIC[(seed + seed // 6) % 6]
-    forms = {**CAUSES, "source": SOURCES}
-    hidden = tuple(forms[name][seed // 6 % len(forms[name])] for name in (thermal, hygric))
+    hidden = tuple(hidden_form(cause, seed // 6) for cause in (thermal, hygric))
     yield Case("pairs", f"{thermal} + {hygric}", seed, 20 * APART + seed, hidden)
 
 

@@ -23,8 +23,6 @@ EMPTY: Line = {
     "simulations": None, "cpu_s": 0.0,
 }  # fmt: skip
 """What is found in a case that failed."""
-LEAST_WORTH = 0.02
-"""Share of the held-out error from which a further name is worth its place."""
 
 
 # -- one line ------------------------------------------------------------------------------------------------
@@ -120,8 +118,6 @@ def _companions(by: Groups) -> Iterable[Row]:
     told = sum(len(names(line)) for line in some)
     false = [one for line in some for one in false_names(line)]
     yield "false names beside right ones", Rate(len(false), told), "≤ 8 %"
-    worthless = [one for one in false if one["worth"] < LEAST_WORTH]
-    yield "– of them marked as of no worth", Rate(len(worthless), len(false)), ""
     unexplained = rate(line["verdict"] == "unexplained" for line in some)
     yield "unexplained beside a right name", unexplained, "≤ 3 of 60"
 

@@ -10,7 +10,7 @@ import numpy as np
 from hygrokf.live.condition import probability_above, probability_below
 from hygrokf.live.forecast import conditions_by_member, mixture
 from hygrokf.live.scenarios import HORIZON_S, NoScenarios
-from validation.counts import Rate, between_plants, markdown, reliability
+from validation.counts import Columns, Rate, between_plants, markdown, reliability
 from validation.frame import ROOT, Claim
 from validation.tracked import DAY_S, SURFACE, tracked_plant, truth
 
@@ -77,13 +77,11 @@ def _rows(case, point, scenarios) -> list[np.ndarray]:
     return [table[np.argmin(np.abs(table[:, 0] - lead))] for lead in LEADS_H]
 
 
-class Forecasts:
-    """The columns (n,) of all rows, and the seed of each."""
+class Forecasts(Columns):
+    """All rows of forecasts."""
 
     def __init__(self, lines: Sequence[Mapping]) -> None:
-        table = np.concatenate([np.array(line["rows"]) for line in lines])
-        self.columns = dict(zip(COLUMNS, table.T, strict=True))
-        self.seed = np.repeat([line["seed"] for line in lines], [len(line["rows"]) for line in lines])
+        super().__init__(lines, "rows", COLUMNS)
 
     def happened(self, column: str) -> np.ndarray:
         """Whether the event of a column came true (n,)."""

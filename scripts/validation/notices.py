@@ -5,9 +5,7 @@ from __future__ import annotations
 import base64
 import tempfile
 import time
-from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
@@ -29,31 +27,12 @@ EACH = 3
 """Alarms that begin during each outage, and before it."""
 
 
-@dataclass(frozen=True)
-class Outages:
-    """What `outages` of a receiver of one `kind` did to `notices`.
-
-    `doubled`: messages accepted again although the receiver had answered; `repeated`: those that came again
-    because their answer was lost, with the same key; `noticed`: attempts that met each way to fail.
-    """
-
-    kind: str
-    seed: int
-    outages: int
-    notices: int
-    lost: int
-    doubled: int
-    repeated: int
-    lost_answers: int
-    restarts: int
-    noticed: dict[str, int]
-    seconds: float
-
-
-def outages(kind: str, count: int, seed: int, folder: Path) -> Outages:
+def outages(kind: str, count: int, seed: int, folder: Path) -> dict:
     """Let a receiver fail `count` times in random order, each at least until an attempt met the failure.
 
-    The sender is stopped and started again in every third outage.
+    The sender is stopped and started again in every third outage.  `doubled`: messages accepted again though
+    the receiver had answered; `repeated`: those that came again because their answer was lost, with the same
+    key; `noticed`: attempts that met each way to fail.
     """
     random = np.random.default_rng(seed)
     before = sending.BACK_OFF_S, sending.POLL_S
@@ -64,8 +43,7 @@ def outages(kind: str, count: int, seed: int, folder: Path) -> Outages:
         sending.BACK_OFF_S, sending.POLL_S = before
 
 
-def _outages(kind: str, count: int, seed: int, folder: Path, random: np.random.Generator) -> Outages:
-    began = time.monotonic()
+def _outages(kind: str, count: int, seed: int, folder: Path, random: np.random.Generator) -> dict:
     url = f"sqlite:{folder / 'notices.db'}"
     store = open_store(url)
     (folder / "hook.secret").write_text("whsec_" + base64.b64encode(SECRET).decode())
@@ -112,11 +90,13 @@ def _outages(kind: str, count: int, seed: int, folder: Path, random: np.random.G
     wrong = store.rows("SELECT id, attempts, failure FROM outbox WHERE sent IS NULL OR failure <> ''")
     assert rows == [(number,)], wrong
     store.close()
-    return Outages(
-        kind, seed, count, number, number - len(accepted.keys), len(accepted.doubled), accepted.repeated,
-        sum(accepted.lost_answers.values()), restarts,
-        dict(Counter({way: server.noticed[way] for way in FAILURES})), round(time.monotonic() - began, 1),
-    )  # fmt: skip
+    lost, doubled = number - len(accepted.keys), len(accepted.doubled)
+    return {
+        "kind": kind, "outages": count, "restarts": restarts, "notices": number, "lost": lost,
+        "doubled": doubled, "repeated": accepted.repeated,
+        "lost_answers": sum(accepted.lost_answers.values()),
+        "noticed": {way: server.noticed[way] for way in FAILURES}, "held": not (lost or doubled),
+    }  # fmt: skip
 
 
 def _channel(kind: str, port: int, folder: Path) -> Mail | Webhook:
@@ -130,8 +110,7 @@ def _channel(kind: str, port: int, folder: Path) -> Mail | Webhook:
 def one(kind: str, seed: int, *, count: int = 100) -> dict:
     """Outages of a mail server or a webhook."""
     with tempfile.TemporaryDirectory(prefix="hygrokf-notices-") as folder:
-        found = outages(kind, count, seed, Path(folder))
-    return {**asdict(found), "held": not (found.lost or found.doubled)}
+        return outages(kind, count, seed, Path(folder))
 
 
 def table(lines: Sequence[Mapping]) -> str:

@@ -26,132 +26,80 @@ IDENTIFIED = 2.0 / 3.0
 """Share of a record, from its start, that identifies; the rest gives the gain."""
 INSIDE = ("cabinet_temperature", "cabinet_relative_humidity")
 
-_ATTIC = """\
-name = "{name}"
-[[source]]
-file = "{file}"
-time = "t_UTC+2"
-timezone = "+02:00"
-signals.cabinet_temperature = {{ column = "T_roofmiddle_airmiddle", unit = "degC" }}
-signals.cabinet_relative_humidity = {{ column = "RH_roofmiddle_airmiddle", unit = "%" }}
-signals.ambient_temperature = {{ column = "T_fmi", unit = "degC" }}
-signals.ambient_relative_humidity = {{ column = "RH_fmi", unit = "%" }}
-signals.wind_speed = {{ column = "ws", unit = "m/s" }}
-[[source]]
-file = "{file}"
-time = "t_UTC+2"
-timezone = "+02:00"
-stamp = "end"
-signals.global_horizontal_irradiance = {{ column = "Rglob", unit = "W/m2" }}
-signals.rain = {{ column = "precip", unit = "mm" }}
-"""
+COLUMNS = {
+    "cabinet_temperature degC": (
+        "T_roofmiddle_airmiddle", "T2", "controller_temperature_degC", "T_in", "air_temperature_degC",
+    ),
+    "cabinet_relative_humidity %": (
+        "RH_roofmiddle_airmiddle", "RH_2", "RH_in", "air_relative_humidity_pct",
+    ),
+    "ambient_temperature degC": ("T_fmi", "T_roofwest_outside", "T_out", "outside_temperature_degC"),
+    "ambient_relative_humidity %": (
+        "RH_fmi", "RH_roofwest_outside", "RH_out", "outside_relative_humidity_pct",
+    ),
+    "wind_speed m/s": ("ws", "Windspeed", "wind", "wind_speed_m_s"),
+    "global_horizontal_irradiance W/m2": ("Rglob", "sun", "global_irradiance_W_m2"),
+    "rain mm": ("precip",),
+    "rain 1": ("rain_flag",),
+    "active_power kW": ("active_power_kW",),
+    "fan_duty 1": ("vents", "vent", "ext"),
+    "heater_duty 1": ("pipe",),
+}  # fmt: skip
+"""Signal and unit -> the names that their columns have in one file or another."""
+
+
+def source_rows(clock: str, columns: str, file: str = "{file}") -> str:
+    """A [[source]] of a case file: its clock, and its columns by their names."""
+    names = columns.split()
+    signals = [(*kind.split(), name) for name in names for kind, known in COLUMNS.items() if name in known]
+    assert len(signals) == len(names), columns
+    rows = [
+        f'signals.{signal} = {{{{ column = "{name}", unit = "{unit}" }}}}' for signal, unit, name in signals
+    ]
+    return "\n".join(["[[source]]", f'file = "{file}"', clock, *rows, ""])
+
+
+def _site(latitude_deg: float, longitude_deg: float) -> str:
+    return f"[site]\nlatitude_deg = {latitude_deg}\nlongitude_deg = {longitude_deg}\n"
+
+
+_UTC = 'time = "time"\ntimezone = "UTC"'
+FINNISH = 'time = "t_UTC+2"\ntimezone = "+02:00"'
+_ATTIC = source_rows(FINNISH, "T_roofmiddle_airmiddle RH_roofmiddle_airmiddle T_fmi RH_fmi ws") + source_rows(
+    f'{FINNISH}\nstamp = "end"', "Rglob precip"
+)
 # The stamps run through the night in which summer time begins: the clock keeps winter time.
-_HOUSE = """\
-name = "{name}"
-[site]
-latitude_deg = 50.5
-longitude_deg = 3.7
-[[source]]
-file = "{file}"
-time = "date"
-time_format = "%Y/%m/%d %H:%M"
-timezone = "+01:00"
-signals.cabinet_temperature = {{ column = "T2", unit = "degC" }}
-signals.cabinet_relative_humidity = {{ column = "RH_2", unit = "%" }}
-signals.ambient_temperature = {{ column = "T_out", unit = "degC" }}
-signals.ambient_relative_humidity = {{ column = "RH_out", unit = "%" }}
-signals.wind_speed = {{ column = "Windspeed", unit = "m/s" }}
-"""
+_HOUSE = _site(50.5, 3.7) + source_rows(
+    'time = "date"\ntime_format = "%Y/%m/%d %H:%M"\ntimezone = "+01:00"', "T2 RH_2 T_out RH_out Windspeed"
+)
 # The stamps are taken as the ends of the intervals; which of nacelle and tower surrounds it is not said.
-CONTROLLER = """\
-name = "{name}"
-rated_power_kW = 660.0
-[[source]]
-file = "{file}"
-time = "time"
-timezone = "UTC"
-stamp = "end"
-interval = "10min"
-signals.cabinet_temperature = {{ column = "controller_temperature_degC", unit = "degC" }}
-signals.ambient_temperature = {{ column = "outside_temperature_degC", unit = "degC" }}
-signals.active_power = {{ column = "active_power_kW", unit = "kW" }}
-"""
-_BOX = """\
-name = "{name}"
-[site]
-latitude_deg = 55.69
-longitude_deg = 12.58
-[[source]]
-file = "{file}"
-time = "time"
-timezone = "UTC"
-signals.cabinet_temperature = {{ column = "T_in", unit = "degC" }}
-signals.ambient_temperature = {{ column = "T_out", unit = "degC" }}
-signals.ambient_relative_humidity = {{ column = "RH_out", unit = "%" }}
-signals.wind_speed = {{ column = "wind", unit = "m/s" }}
-signals.global_horizontal_irradiance = {{ column = "sun", unit = "W/m2" }}
-"""
+_CONTROLLER = "rated_power_kW = 660.0\n" + source_rows(
+    f'{_UTC}\nstamp = "end"\ninterval = "10min"',
+    "controller_temperature_degC outside_temperature_degC active_power_kW",
+)
+_BOX = _site(55.69, 12.58) + source_rows(_UTC, "T_in T_out RH_out wind sun")
+_DUTCH = 'time = "time"\ntimezone = "+01:00"'
 # The site is where the challenge was held: Bleiswijk.
-_GREENHOUSE = """\
-name = "{name}"
-[site]
-latitude_deg = 52.03
-longitude_deg = 4.53
-[[source]]
-file = "{file}"
-time = "time"
-timezone = "+01:00"
-signals.cabinet_temperature = {{ column = "air_temperature_degC", unit = "degC" }}
-signals.cabinet_relative_humidity = {{ column = "air_relative_humidity_pct", unit = "%" }}
-signals.fan_duty = {{ column = "vents", unit = "1" }}
-signals.heater_duty = {{ column = "pipe", unit = "1" }}
-[[source]]
-file = "{weather}"
-time = "time"
-timezone = "+01:00"
-signals.ambient_temperature = {{ column = "outside_temperature_degC", unit = "degC" }}
-signals.ambient_relative_humidity = {{ column = "outside_relative_humidity_pct", unit = "%" }}
-signals.wind_speed = {{ column = "wind_speed_m_s", unit = "m/s" }}
-signals.rain = {{ column = "rain_flag", unit = "1" }}
-signals.global_horizontal_irradiance = {{ column = "global_irradiance_W_m2", unit = "W/m2" }}
-"""
+_GREENHOUSE = (
+    _site(52.03, 4.53)
+    + source_rows(_DUTCH, "air_temperature_degC air_relative_humidity_pct vents pipe")
+    + source_rows(
+        _DUTCH,
+        "outside_temperature_degC outside_relative_humidity_pct wind_speed_m_s rain_flag "
+        "global_irradiance_W_m2",
+        "{weather}",
+    )
+)
 # The stamps skip the hour in which summer time begins, and from then on the sun is an hour later by them.
 # The longitude is that by which its noon is right before; the latitude is that of Denmark's middle.
-_CELLE = """\
-name = "{name}"
-[site]
-latitude_deg = 55.5
-longitude_deg = 10.2
-[[source]]
-file = "{file}"
-time = "time"
-timezone = "Europe/Copenhagen"
-signals.cabinet_temperature = {{ column = "T_in", unit = "degC" }}
-signals.ambient_temperature = {{ column = "T_out", unit = "degC" }}
-signals.fan_duty = {{ column = "vent", unit = "1" }}
-signals.heater_duty = {{ column = "pipe", unit = "1" }}
-signals.global_horizontal_irradiance = {{ column = "sun", unit = "W/m2" }}
-"""
+_CELLE = _site(55.5, 10.2) + source_rows(
+    'time = "time"\ntimezone = "Europe/Copenhagen"', "T_in T_out vent pipe sun"
+)
 # The site is that of the university that published the data: Chapingo.
-_DRYER = """\
-name = "{name}"
-[site]
-latitude_deg = 19.49
-longitude_deg = -98.88
-[[source]]
-file = "{file}"
-time = "time"
-timezone = "-06:00"
-stamp = "end"
-interval = "5min"
-signals.cabinet_temperature = {{ column = "T_in", unit = "degC" }}
-signals.cabinet_relative_humidity = {{ column = "RH_in", unit = "%" }}
-signals.ambient_temperature = {{ column = "T_out", unit = "degC" }}
-signals.ambient_relative_humidity = {{ column = "RH_out", unit = "%" }}
-signals.wind_speed = {{ column = "wind", unit = "m/s" }}
-signals.fan_duty = {{ column = "ext", unit = "1" }}
-signals.global_horizontal_irradiance = {{ column = "sun", unit = "W/m2" }}
-"""
+_DRYER = _site(19.49, -98.88) + source_rows(
+    'time = "time"\ntimezone = "-06:00"\nstamp = "end"\ninterval = "5min"',
+    "T_in RH_in T_out RH_out wind ext sun",
+)
 COLD_PIPE_DEGC, HOT_PIPE_DEGC = 20.0, 80.0
 """[°C] heating pipe that gives no heat to a greenhouse's air, and full heat."""
 COLDEST_CELL_DEGC = 12.0
@@ -203,7 +151,7 @@ SOURCES: dict[str, Source] = {
     "attic R4": Source("attic_trh1_R4_hourly.csv.gz", _ATTIC),
     "attic R7": Source("attic_trh1_R7_hourly.csv.gz", _ATTIC),
     "house": Source("house_uci_energy_10min.csv.gz", _HOUSE),
-    "controller": Source("turbine_controller_cabinet_660kW_10min_2013.csv.gz", CONTROLLER),
+    "controller": Source("turbine_controller_cabinet_660kW_10min_2013.csv.gz", _CONTROLLER),
     "logger box": Source("logger_box_roof_10min_2022.csv.gz", _BOX),
     **{
         name: Source(f"greenhouse_agc2022_{name}_5min.csv.gz", _GREENHOUSE, _WEATHER, _compartment)
@@ -291,7 +239,8 @@ def case_of(name: str, variant: str, folder: Path) -> Path:
         file = (folder / source.file.removesuffix(".gz")).resolve()
         rows.to_csv(file, index=False)
     others = {key: (DATA / other).resolve() for key, other in source.others}
-    lines = source.case.format(name=name, file=file, **others).splitlines(keepends=True)
+    text = f'name = "{name}"\n' + source.case.format(file=file, **others)
+    lines = text.splitlines(keepends=True)
     kept = (line for line in lines if not line.startswith(tuple(f"signals.{one} =" for one in withheld)))
     case = folder / "case.toml"
     case.write_text("".join(kept), encoding="utf-8")

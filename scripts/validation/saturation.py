@@ -12,12 +12,10 @@ from hygrokf.data.readings import SATURATED
 from hygrokf.live.condition import Condition, air_condition, inputs_of, only
 from hygrokf.live.forecast import moments_by_member
 from hygrokf.live.scenarios import HORIZON_S, NoScenarios, Scenarios
-from validation.counts import between_plants, markdown, reliability
+from validation.counts import Columns, between_plants, markdown, reliability
 from validation.frame import Claim
-from validation.tracked import DAY_S, Surface, Tracked, tracked_plant, truth
+from validation.tracked import DAY_S, SETTLED_S, Surface, Tracked, tracked_plant, truth
 
-SETTLED_S = 2 * DAY_S
-"""[s] of tracking before the first forecast."""
 EVERY_S = {"known": 3 * 3600.0, "persistence": 12 * 3600.0}
 """Scenarios → [s] within which one forecast is made, at a random minute."""
 STEP_S = 600.0
@@ -29,7 +27,7 @@ WITHIN_H = 24.0
 KINDS = ("ordinary", "damp", "damp, errors of all sensors")
 """What a seed's plant is, by its remainder: see `cabinet`."""
 BINS = (0.0, 0.02, 0.1, 0.2, 0.4, 0.6, 0.8, 0.9, 0.98, 1.0)
-COLUMNS = ("scenarios", "surface", "lead_h", "ceiling", "said", "rank", "margin_true")
+COLUMNS = ("scenarios", "surface", "lead_h", "ceiling", "said", "margin_true")
 WINDOW_COLUMNS = ("scenarios", "surface", "highest", "came")
 SCENARIOS = tuple(EVERY_S)
 
@@ -38,9 +36,8 @@ def one(variant: str, seed: int, *, days: float = 60.0, learnt: float = 45.0) ->
     """Forecasts of a plant over some days after those that its model was identified on, and the truth.
 
     A row is a forecast, a surface, a lead time: whether the newest reading of humidity was at the ceiling,
-    the probability that was said, the rank of the true margin in what was said of it, the margin.  A window
-    is a forecast and a surface: the highest probability within `WITHIN_H`, and whether there was condensation
-    at any instant of them.
+    the probability that was said, the true margin.  A window is a forecast and a surface: the highest
+    probability within `WITHIN_H`, and whether there was condensation at any instant of them.
     """
     case, begin = tracked_plant(seed, learnt, days, **cabinet(seed))
     rows: list[tuple] = []
@@ -126,17 +123,14 @@ def _conditions(case: Tracked, now_s: float, scenarios: Scenarios) -> Iterator[t
 
 
 def _compared(case: Tracked, found: Sequence[Condition], surface: Surface) -> tuple[list[tuple], tuple]:
-    """(said, rank, true margin) at the lead times, and (highest said, whether it came) within `WITHIN_H`."""
-    from scipy.special import ndtr
-
+    """(said, true margin) at the lead times, and (highest said, whether it came) within `WITHIN_H`."""
     hours = (found[0].time_s - found[0].time_s[0]) / 3600.0
     margin = truth(case.made, found[0].time_s, surface).margin_K
     said = np.mean([c.condensation for c in found], axis=0)
-    rank = np.mean([ndtr((margin - c.margin_K.value) / c.margin_K.sd) for c in found], axis=0)
     places = [int(np.argmin(np.abs(hours - lead))) for lead in LEADS_H]
     soon = hours <= WITHIN_H + 0.01
     return (
-        [(said[i], rank[i], margin[i]) for i in places],
+        [(said[i], margin[i]) for i in places],
         (float(said[soon].max()), float(np.any(margin[soon] < 0.0))),
     )
 
@@ -147,26 +141,14 @@ def _newest_humidity(case: Tracked, now_s: float) -> float:
     return float(series.value[there[-1]])
 
 
-class Cases:
-    """The columns (n,) of rows or windows, with the seed and the kind of plant of each."""
-
-    def __init__(self, lines: Sequence[Mapping], part: str, columns: Sequence[str]) -> None:
-        counts = [len(line[part]) for line in lines]
-        table = np.concatenate([np.array(line[part]).reshape(-1, len(columns)) for line in lines])
-        self.columns = dict(zip(columns, table.T, strict=True))
-        self.seed = np.repeat([line["seed"] for line in lines], counts)
-        self.kind = np.repeat([line["kind"] for line in lines], counts)
-
-
 FEWEST = 50
 """Forecasts below which a share is not shown."""
 EDGES = tuple(f"{100 * a:.0f}–{100 * b:.0f} %" for a, b in pairwise(BINS))
 
 
 def table(lines: Sequence[Mapping]) -> str:
-    """Condensation said and come, by surface and lead time, by the newest reading, by rank, and at any
-    time."""
-    cases = Cases(lines, "rows", COLUMNS)
+    """Condensation said and come, by surface and lead time, and at any time."""
+    cases = Columns(lines, "rows", COLUMNS)
     c, came = cases.columns, cases.columns["margin_true"] < 0.0
 
     def cells(here: np.ndarray) -> tuple[str, ...]:
@@ -183,14 +165,7 @@ def table(lines: Sequence[Mapping]) -> str:
                 here &= lead is None or c["lead_h"] == lead
                 rows.append((words, "all" if lead is None else f"{lead:.0f} h", *cells(here)))
         parts += [f"Scenarios: {name}.", markdown(("surface", "lead", "n", "said", "came", *EDGES), rows)]
-    near = (c["scenarios"] == 0) & np.isin(c["surface"], (1, 3)) & (c["lead_h"] <= 6.0)
-    flags = ((0.0, "below the ceiling"), (1.0, "at the ceiling"))
-    rows = [(words, *cells(near & (c["ceiling"] == flag))) for flag, words in flags]
     parts += [
-        "By the newest reading of humidity, surface 0.3 / 0 K and 0.6 / 0 K, known scenarios, up to 6 h:",
-        markdown(("newest reading", "n", "said", "came", *EDGES), rows),
-        "Rank of the true margin where 2 to 98 % were said (of a right probability: 5, 50, 5 %):",
-        markdown(("scenarios", "lead", "n", "below 5 %", "below 50 %", "above 95 %"), _ranks(c)),
         f"Highest probability of any instant within {WITHIN_H:.0f} h → condensation at any time of them:",
         markdown(("scenarios", "n", "highest said", "came", *EDGES), _windows(lines)),
     ]
@@ -213,20 +188,9 @@ def _cells(said: np.ndarray, came: np.ndarray, seed: np.ndarray) -> tuple[str, .
     return (f"{len(said):,}", f"{100 * said.mean():.2f} %", whole, *cells)
 
 
-def _ranks(c: Mapping[str, np.ndarray]) -> Iterator[tuple]:
-    """How the true margin's rank in what was said is spread where condensation is possible."""
-    near = (c["said"] > 0.02) & (c["said"] < 0.98)
-    for number, name in enumerate(SCENARIOS):
-        for lead in LEADS_H:
-            rank = c["rank"][near & (c["scenarios"] == number) & (c["lead_h"] == lead)]
-            if len(rank) >= FEWEST:
-                shares = (np.mean(rank < 0.05), np.mean(rank < 0.5), np.mean(rank > 0.95))
-                yield name, f"{lead:.0f} h", f"{len(rank):,}", *(f"{100 * share:.1f} %" for share in shares)
-
-
 def _windows(lines: Sequence[Mapping]) -> Iterator[tuple]:
     """The highest probability of an instant against condensation at any time."""
-    cases = Cases(lines, "windows", WINDOW_COLUMNS)
+    cases = Columns(lines, "windows", WINDOW_COLUMNS)
     c = cases.columns
     for number, name in enumerate(SCENARIOS):
         here = c["scenarios"] == number

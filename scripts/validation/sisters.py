@@ -6,14 +6,12 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
 
-from builders import greenhouse
-
 from hygrokf import identify, transfer_fit
 from hygrokf.data.record import Record
 from hygrokf.identification.fit import Fit
 from validation.counts import markdown
 from validation.frame import DATA, Claim
-from validation.records import expect
+from validation.records import expect, measured
 
 TURBINES = "two_sister_turbines_2MW_10min_2016.csv.gz"
 PAIRS = {
@@ -21,7 +19,6 @@ PAIRS = {
     "greenhouses": (("Reference", "Koala"), ("Reference", "CVA")),
 }
 """Variant -> the source and the other record of each of its cases."""
-PARAMETERS = ("thermal_time_constant", "hygric_k", "heat_release_operation", "heat_release_power_1")
 
 
 def turbine(number: int) -> Record:
@@ -56,8 +53,7 @@ def record(name: str) -> Record:
     if name.startswith("turbine"):
         expect(TURBINES)
         return turbine(int(name.split()[1]))
-    expect(*(f"greenhouse_agc2022_{part}_5min.csv.gz" for part in (name, "weather")))
-    return greenhouse.record(name, greenhouse.whole(name))
+    return measured(name)
 
 
 @lru_cache(maxsize=2)
@@ -68,41 +64,25 @@ def fitted(name: str) -> Fit:
 def one(variant: str, seed: int) -> dict:
     """The fit of a source, and its transfer to another record."""
     source, other = PAIRS[variant][seed]
-    own = fitted(source).to_json()
-    found = transfer_fit(fitted(source), record(other)).results
+    own = fitted(source)
+    found = transfer_fit(own, record(other)).results
     return {
         "source": source,
         "other": other,
-        "constant": own["time_constants"]["thermal"],
-        "validation_K": own["rmse"]["validation"]["temperature_K"]["total"],
+        "constant": own.to_json()["time_constants"]["thermal"],
         "verdict": str(found.verdict),
         "sentence": found.sentence,
-        "groups": [[g.group, str(g.outcome), g.p_adjusted, str(g.effect), g.statement] for g in found.groups],
-        "parameters": {
-            name: [str(part) for part in (row.original, row.own, row.difference)]
-            for name, row in found.parameters.items()
-            if name in PARAMETERS
-        },
-        "rmse": {q: {key: one.total for key, one in columns.items()} for q, columns in found.rmse.items()},
     }
 
 
 def table(lines: Sequence[Mapping]) -> str:
-    """Of each transfer the source's time constant and the verdict, with groups, parameters and errors."""
-    parts = []
+    """Of each transfer the source's time constant and the verdict."""
+    rows = []
     for line in lines:
         own = line["constant"]
-        rows = [tuple(row) for row in line["groups"]]
-        rows += [(name, f"{a} → {b}", "", change, "") for name, (a, b, change) in line["parameters"].items()]
-        for quantity, columns in line["rmse"].items():
-            rows.append((quantity, ", ".join(f"{key} {value}" for key, value in columns.items()), "", "", ""))
-        parts += [
-            f"{line['source']}: {own['value_h']:.2f} h ({own['lower_h']:.2f} … {own['upper_h']:.2f}), "
-            f"{own['verdict']}; free run {line['validation_K']:.2f} K in validation. On {line['other']}: "
-            f"{line['verdict']}; {line['sentence']}",
-            markdown(("", "", "p", "effect", ""), rows),
-        ]
-    return "\n\n".join(parts)
+        constant = f"{own['value_h']:.2f} h ({own['lower_h']:.2f} … {own['upper_h']:.2f}), {own['verdict']}"
+        rows.append((line["source"], constant, line["other"], line["verdict"], line["sentence"]))
+    return markdown(("source", "thermal", "on", "verdict", ""), rows)
 
 
 CLAIM = Claim("sisters", {variant: range(len(pairs)) for variant, pairs in PAIRS.items()}, one, table)

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from plants import plant
@@ -32,6 +33,8 @@ from hygrokf.physics.psychrometrics import (
 DAY_S = 86400.0
 SURFACE = Surface(follows=0.6, offset_K=0.0)
 """The cold surface of the trials."""
+SETTLED_S = 2 * DAY_S
+"""[s] of tracking before the first forecast or judgement."""
 HISTORY_S = (DAYS + 6.0) * DAY_S
 """[s] of readings that scenarios is given."""
 
@@ -90,6 +93,7 @@ def turbine_plant(seed: int, days: float, **options: object) -> Plant:
     return plant(seed, days=days, operation="turbine", weather="fronts", preheating=True, **options)
 
 
+@lru_cache(maxsize=1)
 def tracked_plant(seed: int, learnt: float, days: float, **options: object) -> tuple[Tracked, float]:
     """Such a plant, identified on its first days and tracked over others, and the time [s] at which these
     begin."""

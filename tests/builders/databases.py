@@ -185,6 +185,24 @@ def is_alive(process: int) -> bool:
     return said.stdout.strip()[:1] not in ("", "Z")
 
 
+@contextlib.contextmanager
+def running_server() -> Iterator[Server]:
+    """A server that ends with the block."""
+    # another user must be able to enter the folder, and a socket's path must be short: not in pytest's folder
+    folder = Path(tempfile.mkdtemp(prefix="hygrokf-pg-"))
+    try:
+        server = Server(folder)
+        server.certify()
+        try:
+            server.start()
+            server.execute("postgres", f"ALTER ROLE {OWNER} PASSWORD '{server.password}'")
+            yield server
+        finally:
+            server.stop()
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+
+
 @pytest.fixture(scope="session")
 def postgresql() -> Iterator[Server]:
     """One running server for all tests; each takes a database of its own.  Skips where PostgreSQL is not
@@ -193,19 +211,8 @@ def postgresql() -> Iterator[Server]:
         pytest.skip(
             "PostgreSQL is not installed: no initdb and postgres on the path or in /usr/lib/postgresql"
         )
-    # not in pytest's folder: another user could not enter it, and a socket's path must be short
-    folder = Path(tempfile.mkdtemp(prefix="hygrokf-pg-"))
-    made = None
-    try:
-        made = Server(folder)
-        made.certify()
-        made.start()
-        made.execute("postgres", f"ALTER ROLE {OWNER} PASSWORD '{made.password}'")
-        yield made
-    finally:
-        if made is not None:
-            made.stop()
-        shutil.rmtree(folder, ignore_errors=True)
+    with running_server() as server:
+        yield server
 
 
 @pytest.fixture(params=["sqlite", "postgresql"])

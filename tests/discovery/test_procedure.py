@@ -334,7 +334,7 @@ def test_what_only_looks_like_it_is_not_called_sorption(decoy: str, seed: int) -
 @pytest.mark.slow
 def test_a_greenhouse_ends_in_an_answer_that_simulates_better() -> None:
     """Plants give vapour and the sun warms: much is missing."""
-    record = greenhouse.record("Koala", greenhouse.excerpt("Koala"), (), "2022-03-01T00:00+01:00")
+    record = greenhouse.excerpt("Koala")
     results = discover(record).results
     assert "internal_moisture_source" in [one.cause for one in results.causes]
     assert all(one.rmse_after < 1.02 * one.rmse_before for one in results.gains)

@@ -144,7 +144,7 @@ def test_a_reading_that_is_missing_or_doubled_is_found(tmp_path: Path) -> None:
         file.write_bytes(b"".join(written))
         with Tracker(config, "--until-ended") as one:
             one.ended()
-        return plant.judged("mine", 1, 0, len(lines), store)
+        return plant.judged(0, len(lines), store)
 
     lost = judged(lines[:100] + lines[103:])
     assert (lost.missing, lost.doubled, lost.equal, lost.held) == (3, 0, False, False)
@@ -160,7 +160,7 @@ def test_what_does_not_hold_is_told(monkeypatch: pytest.MonkeyPatch, tmp_path: P
         asked.append((seed, amount))
         if seed == 3:
             raise AssertionError("it did not happen: all it said")
-        return Outcome("tracker", seed, amount, 2_000, missing=int(seed == 2), words="a note")
+        return Outcome(amount, 2_000, missing=int(seed == 2), words="a note")
 
     monkeypatch.setitem(suite.SCENARIOS, "tracker", (run, 40))
     command = ["faults", "tracker", "--out", str(tmp_path / "lines.jsonl")]

@@ -1,9 +1,8 @@
 """A converter cabinet in physical units, and the integrator of its balances.
 
 Heat: the converter (heat capacity C) gives its heat through R_IC to the cabinet air, which stores none, and
-the air through R_AT to the ambient air.  On demand there is a second mass: beside the air, bolted to the
-converter, or as a wall that divides R_AT.  On demand the conductances rise with the temperature difference,
-as in natural convection.
+the air through R_AT to the ambient air.  On demand there is a second mass beside the air, or both
+conductances rise with the temperature difference, as in natural convection.
 
 Vapour: c* = c_a T_a/T_amb exchanges with the ambient air through gaps by diffusion, D = D₂₇₃ (T_amb/273
 K)^1.8: V (T_amb/T_a) dc*/dt = (A/L) D(T_amb) (c_outside − c*).
@@ -24,9 +23,6 @@ given."""
 LEAST_DIFFERENCE_K = 0.05
 """[K] below which conduction keeps the conductance up."""
 
-SECOND_MASS_PLACES = ("air", "converter", "wall")
-CONVECTIVE_SURFACES = ("both", "outer")
-
 
 @dataclass(frozen=True)
 class Cabinet:
@@ -37,10 +33,8 @@ class Cabinet:
     volume: [m³] of air. gap: [m] cross-section over length of the diffusion path.
     operation_W: heat release (idle [W], per share of rated power [W], per its square [W], per K of T_amb
         above 10 °C [W/K]). standstill_W: ([W], [W/K]).
-    second_capacity: [J/K], 0: none. second_resistance: [K/W] between it and the air ("air") or the converter
-        ("converter"). second_place: one of SECOND_MASS_PLACES; a "wall" stands at the share `wall_share` of
-        R_AT from the cabinet air.
-    exponent: [-] n of a conductance ∝ ΔT^n. convective: "both" resistances, or the "outer" one alone.
+    second_capacity: [J/K], 0: none. second_resistance: [K/W] between it and the air.
+    exponent: [-] n of both conductances ∝ ΔT^n.
     """
 
     heat_capacity: float
@@ -52,16 +46,9 @@ class Cabinet:
     standstill_W: tuple[float, float] = (0.0, 0.0)
     second_capacity: float = 0.0
     second_resistance: float = np.inf
-    second_place: str = "air"
-    wall_share: float = 0.5
     exponent: float = 0.0
-    convective: str = "both"
 
     def __post_init__(self) -> None:
-        if self.second_place not in SECOND_MASS_PLACES:
-            raise ValueError(f"second_place must be one of {SECOND_MASS_PLACES}, found {self.second_place!r}")
-        if self.convective not in CONVECTIVE_SURFACES:
-            raise ValueError(f"convective must be one of {CONVECTIVE_SURFACES}, found {self.convective!r}")
         if self.exponent and self.second_capacity:
             raise ValueError(
                 "a cabinet has convection or a second mass, not both: its truth would have no one form"
@@ -75,36 +62,26 @@ class Cabinet:
 
     def resistance_capacity_h(self, difference_K: float = CONVECTION_REFERENCE_K) -> float:
         """(R_AT+R_IC) C [h] at a difference between cabinet and ambient air [K]."""
-        outer, inner = self._resistances(difference_K)
-        return (outer + inner) * self.heat_capacity / 3600.0
+        scale = (difference_K / CONVECTION_REFERENCE_K) ** -self.exponent
+        return (self.outer_resistance + self.inner_resistance) * scale * self.heat_capacity / 3600.0
 
     def small_signal_h(self, difference_K: float = CONVECTION_REFERENCE_K) -> float:
         """C d(T_conv − T_amb)/dQ [h] at a difference between cabinet and ambient air [K].
 
         With Q ∝ ΔT^(1+n) a convective resistance counts by R/(1+n).
         """
-        outer, inner = self._resistances(difference_K)
-        outer /= 1.0 + self.exponent
-        if self.convective == "both":
-            inner /= 1.0 + self.exponent
-        return (outer + inner) * self.heat_capacity / 3600.0
-
-    def _resistances(self, difference_K: float) -> tuple[float, float]:
-        scale = (difference_K / CONVECTION_REFERENCE_K) ** -self.exponent
-        return self.outer_resistance * scale, self.inner_resistance * (
-            scale if self.convective == "both" else 1.0
-        )
+        return self.resistance_capacity_h(difference_K) / (1.0 + self.exponent)
 
     def poles_h(self, difference_K: float = CONVECTION_REFERENCE_K) -> tuple[float, ...]:
         """Time constants [h] of the network, linearised at a difference [K], the longest first."""
         if self.second_capacity == 0.0:
             return (self.small_signal_h(difference_K),)
-        inner_g, outer_g, air_g, wall_g, bolt_g = _conductances(self)
-        node = inner_g + outer_g + air_g
+        inner, outer, beside = _conductances(self)
+        node = inner + outer + beside
         rates = np.array(
             [
-                [inner_g * inner_g / node - inner_g - bolt_g, inner_g * air_g / node + bolt_g],
-                [air_g * inner_g / node + bolt_g, air_g * air_g / node - air_g - wall_g - bolt_g],
+                [inner * inner / node - inner, inner * beside / node],
+                [beside * inner / node, beside * beside / node - beside],
             ]
         ) / np.array([[self.heat_capacity], [self.second_capacity]])
         poles = np.linalg.eigvals(rates).real
@@ -144,71 +121,55 @@ class Trajectory:
 
 
 def _conductances(cabinet: Cabinet) -> np.ndarray:
-    """[W/K]: converter–air, air–ambient, air–second mass, second mass–ambient, converter–second mass."""
-    inner, outer = 1.0 / cabinet.inner_resistance, 1.0 / cabinet.outer_resistance
-    if cabinet.second_capacity == 0.0:
-        return np.array([inner, outer, 0.0, 0.0, 0.0])
-    if cabinet.second_place == "wall":
-        return np.array([inner, 0.0, outer / cabinet.wall_share, outer / (1.0 - cabinet.wall_share), 0.0])
-    beside = 1.0 / cabinet.second_resistance
-    if cabinet.second_place == "air":
-        return np.array([inner, outer, beside, 0.0, 0.0])
-    return np.array([inner, outer, 0.0, 0.0, beside])
+    """[W/K]: converter–air, air–ambient, air–second mass."""
+    beside = 1.0 / cabinet.second_resistance if cabinet.second_capacity else 0.0
+    return np.array([1.0 / cabinet.inner_resistance, 1.0 / cabinet.outer_resistance, beside])
 
 
 @njit(cache=True)
-def _air(converter, second, ambient, g, exponent, both):
+def _air(converter, second, ambient, g, exponent):
     """Temperature of the cabinet air [K] and the factor of the inner conductance."""
     air = (g[0] * converter + g[1] * ambient + g[2] * second) / (g[0] + g[1] + g[2])
     if exponent == 0.0:
         return air, 1.0
-    if both:
-        # one flow passes both surfaces: the two differences keep their ratio, and so one factor serves both
-        difference = max(abs(air - ambient), LEAST_DIFFERENCE_K)
-        return air, (difference / CONVECTION_REFERENCE_K) ** exponent
-    for _ in range(12):
-        difference = max(abs(air - ambient), LEAST_DIFFERENCE_K)
-        outer = g[1] * (difference / CONVECTION_REFERENCE_K) ** exponent
-        air = (g[0] * converter + outer * ambient) / (g[0] + outer)
-    return air, 1.0
+    # one flow passes both surfaces: the two differences keep their ratio, and so one factor serves both
+    difference = max(abs(air - ambient), LEAST_DIFFERENCE_K)
+    return air, (difference / CONVECTION_REFERENCE_K) ** exponent
 
 
 @njit(cache=True)
-def _rates(converter, second, vapour, ambient, outside, heat, g, capacities, exchange, exponent, both):
-    air, factor = _air(converter, second, ambient, g, exponent, both)
+def _rates(converter, second, vapour, ambient, outside, heat, g, capacities, exchange, exponent):
+    air, factor = _air(converter, second, ambient, g, exponent)
     to_air = factor * g[0] * (converter - air)
-    to_second = g[4] * (converter - second)
-    first_rate = (heat - to_air - to_second) / capacities[0]
-    second_rate = 0.0
-    if capacities[1] > 0.0:
-        second_rate = (to_second + g[2] * (air - second) - g[3] * (second - ambient)) / capacities[1]
+    first_rate = (heat - to_air) / capacities[0]
+    second_rate = g[2] * (air - second) / capacities[1] if capacities[1] > 0.0 else 0.0
     # (A/L) D(T_amb) / (V T_amb/T_a)
     rate = exchange * (ambient / 273.0) ** 1.8 * air / ambient
     return first_rate, second_rate, rate * (outside - vapour)
 
 
 @njit(cache=True)
-def _integrate(start, ambient, outside, heat, step, g, capacities, exchange, exponent, both):
+def _integrate(start, ambient, outside, heat, step, g, capacities, exchange, exponent):
     """Shu and Osher's third-order Runge–Kutta steps; inputs run straight, the heat is held over a step."""
     size = ambient.size
     store = np.empty((4, size))
     t, s, v = start
     for k in range(size):
-        air, _ = _air(t, s, ambient[k], g, exponent, both)
+        air, _ = _air(t, s, ambient[k], g, exponent)
         store[0, k], store[1, k], store[2, k], store[3, k] = t, s, air, v
         if k == size - 1:
             break
         q = heat[k]
         a0, a1 = ambient[k], ambient[k + 1]
         o0, o1 = outside[k], outside[k + 1]
-        dt, ds, dv = _rates(t, s, v, a0, o0, q, g, capacities, exchange, exponent, both)
+        dt, ds, dv = _rates(t, s, v, a0, o0, q, g, capacities, exchange, exponent)
         t1, s1, v1 = t + step * dt, s + step * ds, v + step * dv
-        dt, ds, dv = _rates(t1, s1, v1, a1, o1, q, g, capacities, exchange, exponent, both)
+        dt, ds, dv = _rates(t1, s1, v1, a1, o1, q, g, capacities, exchange, exponent)
         t2 = 0.75 * t + 0.25 * (t1 + step * dt)
         s2 = 0.75 * s + 0.25 * (s1 + step * ds)
         v2 = 0.75 * v + 0.25 * (v1 + step * dv)
         am, om = 0.5 * (a0 + a1), 0.5 * (o0 + o1)
-        dt, ds, dv = _rates(t2, s2, v2, am, om, q, g, capacities, exchange, exponent, both)
+        dt, ds, dv = _rates(t2, s2, v2, am, om, q, g, capacities, exchange, exponent)
         t = t / 3.0 + 2.0 / 3.0 * (t2 + step * dt)
         s = s / 3.0 + 2.0 / 3.0 * (s2 + step * ds)
         v = v / 3.0 + 2.0 / 3.0 * (v2 + step * dv)
@@ -240,6 +201,5 @@ def integrate(
         np.array([cabinet.heat_capacity, cabinet.second_capacity]),
         cabinet.gap * DIFFUSIVITY_273 / cabinet.volume,
         float(cabinet.exponent),
-        cabinet.convective == "both",
     )
     return Trajectory(*stored)

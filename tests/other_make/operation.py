@@ -33,10 +33,3 @@ def make_power(random: np.random.Generator, weather: Weather, rated_W: float) ->
         length_s = 3600.0 * np.exp(random.uniform(np.log(4.0), np.log(72.0)))
         running &= (weather.time < begin_s) | (weather.time >= begin_s + length_s)
     return np.where(running, power, -random.uniform(0.002, 0.006) * rated_W)
-
-
-def held_over_steps(power_W: np.ndarray, points: int) -> np.ndarray:
-    """The power (T,) with each run of that many grid points, from the first on, replaced by its mean."""
-    blocks = power_W[: (len(power_W) - 1) // points * points].reshape(-1, points).mean(axis=1)
-    held = np.repeat(blocks, points)
-    return np.append(held, power_W[len(held) :])

@@ -11,8 +11,8 @@ import numpy as np
 from other_make.cabinet import Cabinet, Trajectory, integrate
 from other_make.loggers import Channel, Clock, Sensor, write_down
 from other_make.moist_air import FREEZING_K, relative_humidity
-from other_make.operation import held_over_steps, make_power
-from other_make.random_processes import first_order_lag, flaring, ornstein_uhlenbeck
+from other_make.operation import make_power
+from other_make.random_processes import flaring, ornstein_uhlenbeck
 from other_make.weather import Weather, make_weather
 
 GRID_S = 20.0
@@ -28,45 +28,33 @@ Range = tuple[float, float]
 
 @dataclass(frozen=True)
 class Scenario:
-    """What differs from the right form; a range is drawn from uniformly, None: absent.
+    """What differs from ordinary records; a range is drawn from uniformly, None: absent.
 
-    power_held: whether the power is constant over the ten minutes that SCADA averages, so that its means tell
-    all; else it also moves within them, and starts and stops fall anywhere.
-    cabinet_step_s, ambient_step_s: [s]; ambient_mean: whether the ambient readings are means over that step;
-    cabinet_mean: the same for the cabinet's.
-    humidity_lag_s, temperature_lag_s, ambient_humidity_lag_s: [s] response of these sensors;
-    lag_stated: whether the record says so. clock_s: [s] by which one system's stamps are off, early or late;
-    clock_system: which, None: any. exponent: [-] n of natural convection; convective: see `Cabinet`.
-    second_mass: share of C; second_h: [h] its resistance times its capacity, not used for a wall;
-    second_place: see `Cabinet`.
+    The power moves within the ten minutes that SCADA averages, and starts and stops fall anywhere.
+    cabinet_step_s, ambient_step_s: [s]; ambient_mean: whether the ambient readings are means over that step.
+    humidity_lag_s: [s] response of the cabinet's humidity sensor; lag_stated: whether the record says so.
+    clock_s: [s] by which one system's stamps are off, early or late. exponent: [-] n of natural convection.
+    second_mass: share of C; second_h: [h] its resistance times its capacity.
     resolution: cabinet readings' grid ([K], [-]). degrees, outliers: see `Sensor`, for the cabinet's.
-    flare: [-] how much disturbances flare up, see `flaring`. solar: share of the heat disturbance's variance
-    that follows the sun. fast: share of the disturbances' variance that comes and goes within two hours.
+    flare: [-] how much disturbances flare up, see `flaring`. fast: share of the disturbances' variance that
+    comes and goes within two hours.
     free_run_K [K], free_run_kg_m3 [kg/m³]: how far disturbances carry the cabinet from its undisturbed course
     (root mean square).
     """
 
-    power_held: bool = False
     cabinet_step_s: float = 900.0
     ambient_step_s: float = 600.0
     ambient_mean: bool = False
-    cabinet_mean: bool = False
     humidity_lag_s: Range | None = None
-    temperature_lag_s: Range | None = None
-    ambient_humidity_lag_s: Range | None = None
     lag_stated: bool = True
     clock_s: float = 0.0
-    clock_system: str | None = None
     exponent: Range | None = None
-    convective: str = "both"
     second_mass: Range | None = None
     second_h: Range = (2.0, 6.0)
-    second_place: str = "air"
     resolution: tuple[float, float] = (0.1, 0.001)
     degrees: float | None = None
     outliers: float = 0.0
     flare: float = 0.0
-    solar: float = 0.0
     fast: Range = (0.02, 0.08)
     free_run_K: Range = (1.0, 1.5)
     free_run_kg_m3: Range = (2.8e-4, 4.0e-4)
@@ -145,8 +133,6 @@ def make_plant(seed: int, scenario: Scenario | None = None, days: float = 90.0) 
     weather = make_weather(weather_random, days, GRID_S)
     rated_W = float(power_random.uniform(1.5e6, 3.6e6))
     power_W = make_power(power_random, weather, rated_W)
-    if scenario.power_held:
-        power_W = held_over_steps(power_W, round(SCADA_STEP_S / GRID_S))
     cabinet = random_cabinet(cabinet_random, weather, scenario, further)
     heat_W, outside_kg_m3, calm_W = _forced(noise_random, cabinet, weather, power_W, rated_W, scenario)
     trajectory = integrate(cabinet, GRID_S, weather.ambient_K, outside_kg_m3, heat_W)
@@ -192,19 +178,11 @@ def random_cabinet(
     ambient_K = float(weather.ambient_K.mean())
     cabinet = replace(cabinet, gap=cabinet.hygric_h(ambient_K + 9.0, ambient_K) / hygric_h)
     if scenario.exponent is not None:
-        cabinet = replace(
-            cabinet, exponent=float(further.uniform(*scenario.exponent)), convective=scenario.convective
-        )
+        cabinet = replace(cabinet, exponent=float(further.uniform(*scenario.exponent)))
     if scenario.second_mass is not None:
         second = capacity * further.uniform(*scenario.second_mass)
         resistance = 3600.0 * _between(further, *scenario.second_h) / second
-        cabinet = replace(
-            cabinet,
-            second_capacity=second,
-            second_resistance=resistance,
-            second_place=scenario.second_place,
-            wall_share=float(further.uniform(0.3, 0.7)),
-        )
+        cabinet = replace(cabinet, second_capacity=second, second_resistance=resistance)
     return cabinet
 
 
@@ -230,10 +208,6 @@ def _forced(
         cabinet.resistance_capacity_h(),
         scenario,
     )
-    if scenario.solar:
-        lagged = first_order_lag(weather.irradiance_W_m2, weather.step_s, 3600.0)
-        sunny = (lagged - lagged.mean()) / lagged.std()
-        heat_K = np.sqrt(1.0 - scenario.solar) * heat_K + np.sqrt(scenario.solar) * kelvin * sunny
     vapour = random.uniform(*scenario.free_run_kg_m3) * _two_scales(
         random, weather, (4.0, 12.0), (0.4, 1.0), random.uniform(*scenario.fast), 0.3, scenario
     )
@@ -271,21 +245,15 @@ def _logged(
     scenario: Scenario,
 ) -> tuple[tuple[Channel, ...], dict[str, float], dict[str, float]]:
     """Channels of the three systems; lags [s] by signal and late stamps [s] by system."""
-    lags_s = {
-        name: float(further.uniform(*given))
-        for name, given in (
-            ("cabinet_relative_humidity", scenario.humidity_lag_s),
-            ("cabinet_temperature", scenario.temperature_lag_s),
-            ("ambient_relative_humidity", scenario.ambient_humidity_lag_s),
-        )
-        if given is not None
-    }
+    lags_s = {}
+    if scenario.humidity_lag_s is not None:
+        lags_s["cabinet_relative_humidity"] = float(further.uniform(*scenario.humidity_lag_s))
     late_s = dict.fromkeys(SYSTEMS, 0.0)
     if scenario.clock_s:
-        struck = str(further.choice(SYSTEMS)) if scenario.clock_system is None else scenario.clock_system
+        struck = str(further.choice(SYSTEMS))
         late_s[struck] = scenario.clock_s * float(further.choice([-1.0, 1.0]))
     phase_s = 60.0 * random.integers(15) % scenario.cabinet_step_s
-    cabinet_clock = Clock(scenario.cabinet_step_s, phase_s, late_s["cabinet"], scenario.cabinet_mean)
+    cabinet_clock = Clock(scenario.cabinet_step_s, phase_s, late_s["cabinet"])
     ambient_clock = Clock(scenario.ambient_step_s, 0.0, late_s["ambient"], scenario.ambient_mean)
     scada_clock = Clock(SCADA_STEP_S, 0.0, late_s["scada"], True)
     tail = {"degrees": scenario.degrees, "outliers": scenario.outliers, "missing": 0.005}

@@ -6,31 +6,18 @@ from other_make.plant import Scenario
 
 MINUTE_S = 60.0
 HUMIDITY_LAG_S = (5.0 * MINUTE_S, 15.0 * MINUTE_S)
-TEMPERATURE_LAG_S = (2.0 * MINUTE_S, 8.0 * MINUTE_S)
 
 ROWS: dict[str, Scenario] = {
-    "right_form": Scenario(power_held=True),
     "instants": Scenario(),
     "means10": Scenario(ambient_mean=True),
     "means60": Scenario(ambient_step_s=3600.0, ambient_mean=True),
-    "means15_cabinet": Scenario(cabinet_mean=True),
     "lag_stated": Scenario(humidity_lag_s=HUMIDITY_LAG_S),
     "lag_unstated": Scenario(humidity_lag_s=HUMIDITY_LAG_S, lag_stated=False),
-    "lag_temperature_stated": Scenario(temperature_lag_s=TEMPERATURE_LAG_S),
-    "lag_temperature_unstated": Scenario(temperature_lag_s=TEMPERATURE_LAG_S, lag_stated=False),
-    "lag_ambient_stated": Scenario(ambient_humidity_lag_s=HUMIDITY_LAG_S),
-    "lag_ambient_unstated": Scenario(ambient_humidity_lag_s=HUMIDITY_LAG_S, lag_stated=False),
     "clock": Scenario(clock_s=MINUTE_S),
     "convection": Scenario(exponent=(0.2, 0.33)),
-    "convection_outer": Scenario(exponent=(0.2, 0.33), convective="outer"),
     "second_mass": Scenario(second_mass=(0.3, 1.0)),
-    "second_mass_wall": Scenario(second_mass=(0.3, 1.0), second_place="wall"),
-    "second_mass_converter": Scenario(second_mass=(0.3, 1.0), second_place="converter"),
     "quantised": Scenario(resolution=(0.5, 0.01)),
     "noise": Scenario(degrees=3.0, outliers=0.001),
     "flare": Scenario(flare=0.8),
-    "solar": Scenario(solar=0.3),
-    "two_scales": Scenario(fast=(0.1, 0.3)),
 }
-"""Row -> scenario: the right form, ordinary records with instants, and what each further row changes in
-these."""
+"""Row -> scenario: ordinary records with instants, and what each further row changes in these."""

@@ -105,9 +105,7 @@ def _flaring(random: np.random.Generator, disturbance: np.ndarray) -> np.ndarray
     return flared * size / float(np.sqrt(np.mean(flared**2)))
 
 
-def _build(
-    name: str, seed: int, drivers: Drivers, logging: Logging, *, inputs_exact: bool = True, **options: object
-) -> Plant:
+def _build(name: str, seed: int, drivers: Drivers, logging: Logging, **options: object) -> Plant:
     made = ingredients(seed, drivers, **options)  # type: ignore[arg-type]
     random = np.random.default_rng(np.random.SeedSequence([seed, 11]))
     cabinet = made.cabinet
@@ -129,8 +127,8 @@ def _build(
     )
     trajectory = convection(drivers, forcing, fixed)
     series, biases = log_plant(np.random.default_rng(made.logger_seed), drivers, trajectory, logging)
-    truth = truth_of(made, drivers, logging, trajectory, biases, inputs_exact)
-    return Plant(name, seed, cabinet, drivers, made.effects, forcing, trajectory, series, truth)
+    truth = truth_of(made, drivers, logging, trajectory, biases)
+    return Plant(name, seed, cabinet, drivers, forcing, trajectory, series, truth)
 
 
 def convecting_plant(seed: int, *, days: float = 180.0, **options: object) -> Plant:

@@ -129,7 +129,6 @@ def own_drivers(
     start: str = "2020-07-15T00:00:00",
     rated_W: float = 2.05e6,
     ambient_step_min: int = 10,
-    inputs_exact: bool = True,
     power: str = "wind",
     standstill: bool = True,
     preheating: bool = False,
@@ -137,10 +136,9 @@ def own_drivers(
 ) -> Drivers:
     """Simulated weather and operation.
 
-    inputs_exact: the weather runs straight between ambient readings and the power is constant
-    over ten minutes, so that the readings tell all; else both also move in between.
-    power: "wind" or "constant". standstill: False keeps the power above zero throughout.
-    faults: number of fault standstills; None draws it.
+    The weather runs straight between ambient readings and the power is constant over ten minutes,
+    so that the readings tell all. power: "wind" or "constant". standstill: False keeps the power
+    above zero throughout. faults: number of fault standstills; None draws it.
     """
     if power not in ("wind", "constant"):
         raise ValueError(f'power must be "wind" or "constant", found {power!r}')
@@ -148,24 +146,21 @@ def own_drivers(
     latitude, longitude = random.uniform(48.0, 56.0), random.uniform(-4.0, 10.0)
     offset = int(random.integers(0, min(ambient_step_min, 10)))
     first = time[0] + MINUTE_S * offset
-    knot_step = MINUTE_S * (ambient_step_min if inputs_exact else 2)
+    knot_step = MINUTE_S * ambient_step_min
     before, after = np.ceil(offset * MINUTE_S / knot_step), np.ceil((time[-1] - first) / knot_step)
     knots = first + knot_step * np.arange(-before, after + 1.0)
     kelvin, vapour, irradiance, wind_knots = _weather(random, knots, latitude, longitude)
 
-    blocks = POWER_STEP_MIN if inputs_exact else 1
-    places = time[::blocks] if inputs_exact else time
-    strength = np.interp(places, knots, wind_knots)
-    hours = blocks / 60.0
-    strength = strength + 0.12 * ornstein_uhlenbeck(random, strength.size, hours, 0.25)
+    strength = np.interp(time[::POWER_STEP_MIN], knots, wind_knots)
+    strength = strength + 0.12 * ornstein_uhlenbeck(random, strength.size, POWER_STEP_MIN / 60.0, 0.25)
     idle_W = 5.0e3 + 3.0e3 * random.random(strength.size)
     wind, power_W = _wind_and_power(strength, rated_W, idle_W)
     if power == "constant":
         power_W = np.full(power_W.size, 0.6 * rated_W)
     elif not standstill:
         power_W = np.maximum(power_W, 0.01 * rated_W)
-    wind = np.repeat(wind, blocks)[: time.size]
-    power_W = np.repeat(power_W, blocks)[: time.size]
+    wind = np.repeat(wind, POWER_STEP_MIN)[: time.size]
+    power_W = np.repeat(power_W, POWER_STEP_MIN)[: time.size]
     drawn = int(random.integers(2, 4)) if standstill and power == "wind" else 0
     number = drawn if faults is None else faults
     power_W, heaters = stop_turbine(random, time, power_W, number, preheating)

@@ -1,16 +1,12 @@
-"""Effects: what forces a cabinet's balances beside the weather and its own heat release.
+"""Coloured disturbances: what forces a cabinet's balances beside the weather and its own heat release.
 
-An effect sees the cabinet and its drivers and returns the forcing with its own share added. The
-coloured disturbances are effects like any other; hidden causes join the tuple later. An effect
-that needs the states while they evolve is a term of the balances in `plants.cabinet` with a
-parameter whose null value switches it off.
+Each sees the cabinet and its drivers and returns the forcing with its own share added.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Protocol
 
 import numpy as np
 
@@ -21,15 +17,6 @@ from plants.drivers import Drivers
 MINUTE_H = 1.0 / 60.0
 DISTURBANCES = ("ou", "two-scale", "power-law", "diurnal-modulated", "shot", "none")
 """Kinds of coloured disturbance; only "ou" is the class that the base model assumes."""
-
-
-class Effect(Protocol):
-    """Anything that adds to the forcing of a cabinet."""
-
-    def force(
-        self, random: np.random.Generator, cabinet: Cabinet, drivers: Drivers, forcing: Forcing
-    ) -> Forcing:
-        """The forcing with this effect in it."""
 
 
 def reference_temperatures(cabinet: Cabinet, drivers: Drivers, forcing: Forcing) -> tuple[float, float]:

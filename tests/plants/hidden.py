@@ -195,7 +195,6 @@ def finish(
     made: Ingredients,
     scene: Scene,
     logging: Logging,
-    inputs_exact: bool,
     changes: Sequence[Change],
     hidden: tuple[Hidden, ...] = (),
 ) -> Plant:
@@ -213,8 +212,8 @@ def finish(
     series = with_series(series, extra)
     for change in changes:
         series = change.stamped(series)
-    truth = truth_of(made, drivers, logging, run, biases, inputs_exact, hidden)
-    return Plant(name, seed, made.cabinet, drivers, made.effects, made.forcing, run, series, truth)
+    truth = truth_of(made, drivers, logging, run, biases, hidden)
+    return Plant(name, seed, made.cabinet, drivers, made.forcing, run, series, truth)
 
 
 def _build(
@@ -226,7 +225,6 @@ def _build(
     causes: Sequence[tuple[str, int]],
     strength: float,
     halved: bool,
-    inputs_exact: bool = True,
     **options: object,
 ) -> Plant:
     made = ingredients(seed, drivers, **options)  # type: ignore[arg-type]
@@ -236,7 +234,7 @@ def _build(
         search = Search(scene)
         found = [search.hide(seed, cause, form, strength, halved) for cause, form in causes]
     changes, hidden = [change for change, _ in found], tuple(account for _, account in found)
-    return finish(name, seed, made, scene, logging, inputs_exact, changes, hidden)
+    return finish(name, seed, made, scene, logging, changes, hidden)
 
 
 def hidden_plant(

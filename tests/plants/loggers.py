@@ -41,29 +41,23 @@ class Logging:
     """How the plant is logged.
 
     logger_step_min: [min] of the cabinet logger. logger_mean: its readings are means over that
-    step instead of instants. clock_offset_min: [min] by which its stamps are late.
-    sensor_errors: "none", "cabinet" (bias, noise and resolution in the cabinet, exact outside)
-    or "all". missing: [-] share of the cabinet readings that is missing, each by chance.
-    power_gap_days: [d] length of a gap in the power. ambient_humidity: "relative" or "absolute".
+    step instead of instants. sensor_errors: "none", "cabinet" (bias, noise and resolution in the
+    cabinet, exact outside) or "all". missing: [-] share of the cabinet readings that is missing,
+    each by chance.
+    power_gap_days: [d] length of a gap in the power.
     logger_gaps: number of gaps of 4 to 40 h in which the cabinet logger wrote nothing.
     """
 
     logger_step_min: float = 15.0
     logger_mean: bool = False
-    clock_offset_min: float = 0.0
     sensor_errors: str = "cabinet"
     missing: float = 0.01
     power_gap_days: float = 0.0
-    ambient_humidity: str = "relative"
     logger_gaps: int = 0
 
     def __post_init__(self) -> None:
         if self.sensor_errors not in SENSOR_ERRORS:
             raise ValueError(f"sensor_errors must be one of {SENSOR_ERRORS}, found {self.sensor_errors!r}")
-        if self.ambient_humidity not in ("relative", "absolute"):
-            raise ValueError(
-                f'ambient_humidity must be "relative" or "absolute", found {self.ambient_humidity!r}'
-            )
 
 
 def _sensed(
@@ -115,7 +109,6 @@ def _cabinet_logger(
         return (upper - np.interp(true_time - step, drivers.time, area)) / step
 
     exact = logging.sensor_errors == "none"
-    stamps = true_time + MINUTE_S * logging.clock_offset_min
     stamp, interval_s = ("end", step) if logging.logger_mean else ("instant", 0.0)
     series, biases = [], []
     for signal, unit, true, accuracy, noise in (
@@ -130,7 +123,7 @@ def _cabinet_logger(
         resolution = 0.0 if exact else 0.1
         source = "cabinet logger"
         series.append(
-            PlantSeries(signal, unit, stamps, value, stamp, interval_s, resolution, accuracy, source)
+            PlantSeries(signal, unit, true_time, value, stamp, interval_s, resolution, accuracy, source)
         )
         biases.append((signal, bias))
     return series, biases
@@ -143,18 +136,16 @@ def _ambient_logger(
     exact = logging.sensor_errors != "all"
     places = slice(drivers.ambient_offset_min, None, drivers.ambient_step_min)
     time, source = drivers.time[places], "ambient logger"
-    rows = [("ambient_temperature", "degC", drivers.ambient_K - FREEZING_K, 0.3, 0.05, 0.1)]
-    if logging.ambient_humidity == "relative":
-        percent = 100.0 * relative_humidity(drivers.ambient_kg_m3, drivers.ambient_K)
-        rows.append(("ambient_relative_humidity", "%", percent, 2.0, 0.3, 0.1))
-    else:
-        rows.append(("ambient_absolute_humidity", "g/m3", 1e3 * drivers.ambient_kg_m3, 0.2, 0.03, 0.01))
+    percent = 100.0 * relative_humidity(drivers.ambient_kg_m3, drivers.ambient_K)
     series, biases = [], []
-    for signal, unit, true, accuracy, noise, resolution in rows:
-        value, bias = _sensed(random, true[places], accuracy, noise, resolution, exact)
+    for signal, unit, true, accuracy, noise in (
+        ("ambient_temperature", "degC", drivers.ambient_K - FREEZING_K, TEMPERATURE_ACCURACY_K, 0.05),
+        ("ambient_relative_humidity", "%", percent, HUMIDITY_ACCURACY_PERCENT, 0.3),
+    ):
+        value, bias = _sensed(random, true[places], accuracy, noise, 0.1, exact)
         if unit == "%":
             value = np.clip(value, 0.0, 100.0)
-        stated = 0.0 if exact else resolution
+        stated = 0.0 if exact else 0.1
         series.append(PlantSeries(signal, unit, time, value, "instant", 0.0, stated, accuracy, source))
         biases.append((signal, bias))
     signal, value = "global_horizontal_irradiance", drivers.irradiance_W_m2[places]

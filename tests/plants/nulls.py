@@ -54,9 +54,7 @@ def resistances_fluctuate(random: np.random.Generator, scene: Scene) -> Change:
     vapour, vapour_h = _wander(random, size, FLUCTUATION_H)
     conductance = np.expm1(-FLUCTUATION * heat) / scene.cabinet.outer_resistance
     parameters = {"heat_h": heat_h, "vapour_h": vapour_h}
-    return Change(
-        conductance_W_K=conductance, exchange=np.exp(-FLUCTUATION * vapour), parameters=parameters
-    )
+    return Change(conductance_W_K=conductance, exchange=np.exp(-FLUCTUATION * vapour), parameters=parameters)
 
 
 def heat_and_vapour_burst(random: np.random.Generator, scene: Scene) -> Change:
@@ -112,7 +110,6 @@ def _build(
     logging: Logging,
     *,
     kind: str,
-    inputs_exact: bool = True,
     **options: object,
 ) -> Plant:
     made = ingredients(seed, drivers, **options)  # type: ignore[arg-type]
@@ -122,7 +119,7 @@ def _build(
         release = scene.release_W
         fewer_W = (QUIET - 1.0) * (made.forcing.heat_W - release)
         changes.append(Change(heat_W=fewer_W, vapour_kg_s=(QUIET - 1.0) * made.forcing.vapour_kg_s))
-    return finish(name, seed, made, scene, logging, inputs_exact, changes)
+    return finish(name, seed, made, scene, logging, changes)
 
 
 def null_plant(seed: int, kind: str, *, days: float = 180.0, **options: object) -> Plant:

@@ -97,7 +97,6 @@ def _build(
     *,
     decoy: str | None,
     form: int,
-    inputs_exact: bool = True,
     **options: object,
 ) -> Plant:
     drivers, begin, end = planned_standstill(
@@ -141,7 +140,7 @@ def _build(
     change, hidden = search.settle(cause, form, sized, 1.0, amplitude, limited)
     parameters = {**hidden.parameters, "peak_g_m3": 1e3 * height, "wanted_peak_g_m3": 1e3 * wanted}
     account = replace(hidden, reached=height / wanted, limited=limited, parameters=parameters)
-    return finish(name, seed, made, scene, logging, inputs_exact, [change], (account,))
+    return finish(name, seed, made, scene, logging, [change], (account,))
 
 
 def paper_case(

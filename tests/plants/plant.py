@@ -9,7 +9,7 @@ import numpy as np
 
 from plants.cabinet import Cabinet, Forcing, Trajectory, integrate
 from plants.drivers import MINUTE_S, Drivers, own_drivers
-from plants.effects import DISTURBANCES, Effect, HeatDisturbance, VapourDisturbance
+from plants.effects import DISTURBANCES, HeatDisturbance, VapourDisturbance
 from plants.loggers import Logging, PlantSeries, log_plant
 from plants.operation import turbine_operation
 from plants.outdoors import with_fronts
@@ -53,7 +53,6 @@ class Truth:
     means cabinet_K and ambient_K [K] of the record. hygric_constant_h: [h] k of equation (4).
     operation_K, standstill_K: heat release in kelvin, as `Cabinet` has it in watts.
     preheating_K: [K]. heat: and vapour: the disturbances. biases: (signal, bias in its unit).
-    clock_offset_min: [min] by which the cabinet logger's stamps are late.
     class_right: whether the base model's class holds the plant. hidden: hidden causes.
     """
 
@@ -69,7 +68,6 @@ class Truth:
     heat: HeatDisturbance
     vapour: VapourDisturbance
     biases: tuple[tuple[str, float], ...]
-    clock_offset_min: float
     class_right: bool
     hidden: tuple[Hidden, ...] = ()
 
@@ -82,7 +80,6 @@ class Plant:
     seed: int
     cabinet: Cabinet
     drivers: Drivers
-    effects: tuple[Effect, ...]
     forcing: Forcing
     trajectory: Trajectory
     series: tuple[PlantSeries, ...]
@@ -129,7 +126,10 @@ def random_cabinet(random: np.random.Generator, **given: object) -> Cabinet:
 
 
 def _forcing(
-    seed: np.random.SeedSequence, cabinet: Cabinet, drivers: Drivers, effects: Sequence[Effect]
+    seed: np.random.SeedSequence,
+    cabinet: Cabinet,
+    drivers: Drivers,
+    effects: Sequence[HeatDisturbance | VapourDisturbance],
 ) -> Forcing:
     steps = drivers.time.size - 1
     heat_W = cabinet.heat_release(drivers.power_W[:-1], drivers.held_ambient_K, drivers.preheating[:-1])
@@ -144,7 +144,6 @@ class Ingredients:
     """A plant before its states are integrated; loggers draw from `logger_seed`."""
 
     cabinet: Cabinet
-    effects: tuple[Effect, ...]
     forcing: Forcing
     heat: HeatDisturbance
     vapour: VapourDisturbance
@@ -157,7 +156,6 @@ def ingredients(
     drivers: Drivers,
     *,
     disturbance: str = "ou",
-    effects: Sequence[Effect] = (),
     wall: bool = False,
     **given: object,
 ) -> Ingredients:
@@ -186,10 +184,9 @@ def ingredients(
         # Time constant of the wall between its two halves of R_AT.
         between = cabinet.outer_resistance * wall_place * (1.0 - wall_place)
         cabinet = replace(cabinet, wall_capacity=3600.0 * wall_h / between, wall_place=wall_place)
-    every = (heat, vapour, *effects)
-    forcing = _forcing(forcing_seed, cabinet, drivers, every)
-    pure = disturbance in ("ou", "none") and not effects and not wall and cabinet.vapour_balance == "paper"
-    return Ingredients(cabinet, every, forcing, heat, vapour, logger_seed, pure)
+    forcing = _forcing(forcing_seed, cabinet, drivers, (heat, vapour))
+    pure = disturbance in ("ou", "none") and not wall and cabinet.vapour_balance == "paper"
+    return Ingredients(cabinet, forcing, heat, vapour, logger_seed, pure)
 
 
 def truth_of(
@@ -198,7 +195,6 @@ def truth_of(
     logging: Logging,
     trajectory: Trajectory,
     biases: tuple[tuple[str, float], ...],
-    inputs_exact: bool,
     hidden: tuple[Hidden, ...] = (),
 ) -> Truth:
     """What is known of a plant."""
@@ -218,11 +214,8 @@ def truth_of(
         heat=made.heat,
         vapour=made.vapour,
         biases=biases,
-        clock_offset_min=logging.clock_offset_min,
         class_right=(
             made.pure
-            and inputs_exact
-            and logging.clock_offset_min == 0.0
             and logging.sensor_errors != "all"
             and logging.power_gap_days == 0.0
             and bool(drivers.power_known.all())
@@ -237,19 +230,14 @@ def build_plant(
     seed: int,
     drivers: Drivers,
     logging: Logging,
-    *,
-    inputs_exact: bool = True,
-    substeps: int = 1,
     **options: object,
 ) -> Plant:
     """A plant under given drivers; see `plant` and `ingredients` for the arguments."""
     made = ingredients(seed, drivers, **options)  # type: ignore[arg-type]
-    trajectory = integrate(
-        made.cabinet, MINUTE_S, drivers.ambient_K, drivers.ambient_kg_m3, made.forcing, substeps
-    )
+    trajectory = integrate(made.cabinet, MINUTE_S, drivers.ambient_K, drivers.ambient_kg_m3, made.forcing)
     series, biases = log_plant(np.random.default_rng(made.logger_seed), drivers, trajectory, logging)
-    truth = truth_of(made, drivers, logging, trajectory, biases, inputs_exact)
-    return Plant(name, seed, made.cabinet, drivers, made.effects, made.forcing, trajectory, series, truth)
+    truth = truth_of(made, drivers, logging, trajectory, biases)
+    return Plant(name, seed, made.cabinet, drivers, made.forcing, trajectory, series, truth)
 
 
 def plant(
@@ -258,14 +246,11 @@ def plant(
     days: float = 180.0,
     logger_step_min: float = 15.0,
     logger_mean: bool = False,
-    clock_offset_min: float = 0.0,
     sensor_errors: str = "cabinet",
     missing: float = 0.01,
     power_gap_days: float = 0.0,
     logger_gaps: int = 0,
-    ambient_humidity: str = "relative",
     ambient_step_min: int = 10,
-    inputs_exact: bool = True,
     power: str = "wind",
     standstill: bool = True,
     preheating: bool = False,
@@ -273,7 +258,6 @@ def plant(
     operation: str = "plain",
     weather: str = "plain",
     disturbance: str = "ou",
-    effects: Sequence[Effect] = (),
     wall: bool = False,
     build: Callable[..., Plant] = build_plant,
     **given: object,
@@ -281,12 +265,12 @@ def plant(
     """A random plant; with the defaults the base model's class holds it.
 
     seed: the same seed gives the same plant, and options that do not concern the weather, the
-    cabinet or the disturbances leave these as they are. logger_step_min ... ambient_humidity: see
+    cabinet or the disturbances leave these as they are. logger_step_min ... logger_gaps: see
     `Logging`. ambient_step_min ... faults: see `own_drivers`. operation: "plain", or "turbine"
     with what `turbine_operation` adds. weather: "plain", or "fronts" with what `with_fronts`
-    adds. disturbance: one of DISTURBANCES, for the heat and the vapour flow. effects: further
-    ones. wall: a second thermal mass of 4 to 12 h. build: what makes the plant of its drivers.
-    given: `tau_h`, `rho`, `hygric_h` or a field of `Cabinet`, which are otherwise drawn.
+    adds. disturbance: one of DISTURBANCES, for the heat and the vapour flow. wall: a second
+    thermal mass of 4 to 12 h. build: what makes the plant of its drivers. given: `tau_h`, `rho`,
+    `hygric_h` or a field of `Cabinet`, which are otherwise drawn.
     """
     if operation not in ("plain", "turbine"):
         raise ValueError(f'operation must be "plain" or "turbine", found {operation!r}')
@@ -296,7 +280,6 @@ def plant(
         np.random.default_rng(np.random.SeedSequence([seed, 0])),
         days=days,
         ambient_step_min=ambient_step_min,
-        inputs_exact=inputs_exact,
         power=power,
         standstill=standstill,
         preheating=preheating and operation == "plain",
@@ -311,11 +294,9 @@ def plant(
     logging = Logging(
         logger_step_min=logger_step_min,
         logger_mean=logger_mean,
-        clock_offset_min=clock_offset_min,
         sensor_errors=sensor_errors,
         missing=missing,
         power_gap_days=power_gap_days,
-        ambient_humidity=ambient_humidity,
         logger_gaps=logger_gaps,
     )
     return build(
@@ -324,15 +305,13 @@ def plant(
         drivers,
         logging,
         disturbance=disturbance,
-        effects=effects,
         wall=wall,
-        inputs_exact=inputs_exact,
         **given,
     )
 
 
-def undisturbed(made: Plant, substeps: int = 1) -> Trajectory:
+def undisturbed(made: Plant) -> Trajectory:
     """The free run of the bare physics with the true parameters: no effects at all."""
     forcing = _forcing(np.random.SeedSequence(0), made.cabinet, made.drivers, ())
     drivers = made.drivers
-    return integrate(made.cabinet, MINUTE_S, drivers.ambient_K, drivers.ambient_kg_m3, forcing, substeps)
+    return integrate(made.cabinet, MINUTE_S, drivers.ambient_K, drivers.ambient_kg_m3, forcing)

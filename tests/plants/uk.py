@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import gzip
-from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path
 
@@ -12,7 +11,6 @@ import numpy as np
 
 from plants.chance import ornstein_uhlenbeck
 from plants.drivers import DAY_S, FREEZING_K, POWER_STEP_MIN, Drivers, minutes
-from plants.effects import Effect
 from plants.loggers import Logging
 from plants.plant import Plant, build_plant
 from plants.saturation import concentration, saturation_pressure
@@ -53,25 +51,11 @@ def ten_minute_power(random: np.random.Generator, hourly_kW: np.ndarray) -> tupl
     return power.ravel(), np.repeat(known, turns)
 
 
-def uk_plant(
-    seed: int,
-    *,
-    days: float = 180.0,
-    start: str | None = None,
-    logger_step_min: float = 15.0,
-    logger_mean: bool = False,
-    clock_offset_min: float = 0.0,
-    sensor_errors: str = "cabinet",
-    missing: float = 0.01,
-    disturbance: str = "ou",
-    effects: Sequence[Effect] = (),
-    wall: bool = False,
-    **given: object,
-) -> Plant:
+def uk_plant(seed: int, *, days: float = 180.0, start: str | None = None, disturbance: str = "ou") -> Plant:
     """A random cabinet under two years of measured UK weather and power.
 
     The weather is hourly and runs straight in between; the power has the measured hourly means.
-    start: UTC; None draws one that leaves room for `days`. The other arguments: see `plant`.
+    start: UTC; None draws one that leaves room for `days`. disturbance: see `plant`.
     Raises FileNotFoundError where the measured file is absent.
     """
     hours = _hours()
@@ -107,20 +91,4 @@ def uk_plant(
         latitude_deg=52.4,
         longitude_deg=-0.95,
     )
-    logging = Logging(
-        logger_step_min=logger_step_min,
-        logger_mean=logger_mean,
-        clock_offset_min=clock_offset_min,
-        sensor_errors=sensor_errors,
-        missing=missing,
-    )
-    return build_plant(
-        f"uk-plant-{seed}",
-        seed,
-        drivers,
-        logging,
-        disturbance=disturbance,
-        effects=effects,
-        wall=wall,
-        **given,
-    )
+    return build_plant(f"uk-plant-{seed}", seed, drivers, Logging(), disturbance=disturbance)

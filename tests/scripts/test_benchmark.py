@@ -39,14 +39,14 @@ def test_pairs_take_turns_and_whoever_ends_one_begins_the_next() -> None:
     pace = np.linspace(1.0, 10.0, 11)
     log: list[str] = []
     own, other = Told("A", list(2.0 * pace), log), Told("B", list(pace), log)
-    (ratio,) = against.compare(own, other, ["value 3-box"], lambda name: 11)
+    (ratio,) = against.compare(own, other, ["value thermal"], lambda name: 11)
     assert (ratio.median, ratio.low, ratio.high) == (2.0, 2.0, 2.0)
     assert log[:2] == ["A ready", "B ready"] and "".join(log[2:]).startswith("ABBAABBA")
 
 
 def test_what_a_revision_lacks_is_said_and_the_others_are_measured() -> None:
-    own, other = Told("own", [1.0] * 9, []), Told("other", [1.0] * 9, [], lacks="score 3-box")
-    lacking, found = against.compare(own, other, ["score 3-box", "value 3-box"], lambda name: 3)
+    own, other = Told("own", [1.0] * 9, []), Told("other", [1.0] * 9, [], lacks="score thermal")
+    lacking, found = against.compare(own, other, ["score thermal", "value thermal"], lambda name: 3)
     assert math.isnan(lacking.median) and "no such verb" in lacking.note
     assert found.median == 1.0 and math.isnan(found.low)  # three pairs hold no median with 95 %
 
@@ -91,7 +91,8 @@ def test_a_signal_removes_it_too(repository: Path, tmp_path: Path) -> None:
     told = tmp_path / "told"
     program = (
         "import sys, time; from pathlib import Path; from benchmarks import against\n"
-        f"with against.ended_by_signals(), against.checked_out(Path({str(repository)!r}), 'HEAD~1') as one:\n"
+        "against.end_by_signals()\n"
+        f"with against.checked_out(Path({str(repository)!r}), 'HEAD~1') as one:\n"
         f"    Path({str(told)!r}).write_text(str(one)); time.sleep(60)\n"
     )
     path = os.pathsep.join([str(ROOT / "scripts"), str(ROOT)])
@@ -107,45 +108,42 @@ def test_a_signal_removes_it_too(repository: Path, tmp_path: Path) -> None:
 
 
 # -- workers and command -------------------------------------------------------------------------------------
-@pytest.mark.parametrize(("case", "readings"), [("3-box", 2), ("thermal", 1), ("joint", 2)])
-def test_cases_have_likelihoods_that_are_finite(case: str, readings: int, tmp_path: Path) -> None:
-    likelihood, values = revision_worker.likelihood_of(case, 200, tmp_path)
-    assert len(likelihood.model.outputs) == readings and set(values) == {
-        one.name for one in likelihood.model.parameters
-    }
-    assert np.isfinite(likelihood.value(values))
+@pytest.mark.parametrize(("kind", "readings"), [("thermal", 1), ("joint", 2)])
+def test_cases_have_likelihoods_that_are_finite(kind: str, readings: int, tmp_path: Path) -> None:
+    likelihood, values = revision_worker.likelihood_of(kind, tmp_path)
+    assert len(likelihood.model.outputs) == readings and np.isfinite(likelihood.value(values))
 
 
 def test_a_worker_measures_its_own_package_and_says_what_it_cannot(tmp_path: Path) -> None:
     """In a process of its own, on the package beside these tests, until it is killed; then under a root
     without one."""
     with against.Worker(ROOT, tmp_path / "own") as worker:
-        worker.prepare("fixed 3-box")
-        assert 0.0 < worker.run("fixed 3-box") < 60.0
+        worker.prepare("fixed thermal")
+        assert 0.0 < worker.run("fixed thermal") < 60.0
         with pytest.raises(against.NotMeasured, match="KeyError"):
-            worker.prepare("nothing 3-box")
+            worker.prepare("nothing thermal")
         os.killpg(worker._process.pid, signal.SIGKILL)
         worker._process.wait()
         with pytest.raises(against.NotMeasured, match="ended"):
-            worker.prepare("fixed 3-box")
+            worker.prepare("fixed thermal")
     empty = tmp_path / "empty"
     empty.mkdir()
     with (
         against.Worker(empty, tmp_path / "other") as worker,
         pytest.raises(against.NotMeasured, match=r"expected the package under|No module named"),
     ):
-        worker.prepare("value 3-box")
+        worker.prepare("value thermal")
 
 
 def test_the_command_prints_what_was_compared(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
 ) -> None:
     asked: list[tuple] = []
-    ratio = against.Ratio("value 3-box", 1.01, 0.99, 1.03, "0.2 s")
+    ratio = against.Ratio("value thermal", 1.01, 0.99, 1.03, "0.2 s")
     monkeypatch.setattr(against, "ratios", lambda *how: asked.append(how) or [ratio])
     assert command.main(["--against", "main", "--only", "value", "fit", "--fit-pairs", "3"]) == 0
     assert asked == [(ROOT, "main", ["value", "fit"], against.PAIRS, 3)]
-    assert "| value 3-box | 1.01 | 0.99 … 1.03 | 0.2 s |" in capsys.readouterr().out
+    assert "| value thermal | 1.01 | 0.99 … 1.03 | 0.2 s |" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(

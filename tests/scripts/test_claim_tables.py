@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import numpy as np
 from validation import changes, climate, clocks, contradictions, notices, sisters, transfer
 
 
@@ -14,15 +13,8 @@ def cells(text: str, start: str) -> list[str]:
 
 def test_pairs_are_counted_by_what_differs() -> None:
     def line(differ: list[str], told: list[str], right: bool) -> dict:
-        p = {"thermal": 0.001, "heat": 0.3}
-        return {
-            "variant": "power 1.2",
-            "differ": differ,
-            "re_estimate": told,
-            "right": right,
-            "verdict": "wrong",
-            "p": p,
-        }
+        found = {"differ": differ, "re_estimate": told, "right": right, "verdict": "wrong"}
+        return {"variant": "power 1.2", **found}
 
     text = transfer.table(
         [line(["thermal"], ["thermal"], True), line(["thermal"], [], False), line([], ["thermal"], False)]
@@ -30,16 +22,15 @@ def test_pairs_are_counted_by_what_differs() -> None:
     assert cells(text, "thermal") == ["thermal", "2", "1", "1", "1: wrong"]
     assert cells(text, "nothing") == ["nothing", "1", "0", "–", "1: wrong"]
     assert cells(text, "**all**")[:3] == ["**all**", "3", "1"]
-    assert text.endswith("Groups that were the same: 4, of these p < 0.05 when they were judged: 1.")
 
 
 def test_types_are_held_against_their_next_turbine() -> None:
     def line(held: bool, alone: float) -> dict:
-        row = {"held": held, "alone": alone, "helped": 0.05, "bounds_held": True}
+        row = {"alone": alone, "helped": 0.05, "bounds_held": held}
         return {"variant": "types", "parameters": {"hygric_k": row}}
 
     text = transfer.table([line(True, 0.3), line(False, 0.4)])
-    assert cells(text, "`hygric_k`") == ["`hygric_k`", "2", "1", "2", "35 %", "5 %"]
+    assert cells(text, "`hygric_k`") == ["`hygric_k`", "2", "1", "35 %", "5 %"]
 
 
 def test_climates_are_counted_by_statistic_and_variant() -> None:
@@ -53,8 +44,8 @@ def test_climates_are_counted_by_statistic_and_variant() -> None:
         {"variant": "shot", "statistics": row(1.0, 0.0, 2.0)},
     ]
     first, _, second = climate.table(lines).partition("shot: 1")
-    assert cells(first, "wetness h") == ["wetness h", "1", "2", "0.45", "+0.25"]
-    assert "Of these 1 had bounds without width" in first and cells(second, "all")[1:3] == ["1", "1"]
+    assert cells(first, "wetness h") == ["wetness h", "1", "2"]
+    assert cells(second, "all") == ["all", "1", "1"]
 
 
 def test_changes_are_found_in_time_late_or_never() -> None:
@@ -78,11 +69,11 @@ def test_changes_are_found_in_time_late_or_never() -> None:
             ),
         ]
     )
-    tau = cells(text, changes.WORDS["tau"])
-    assert tau[1] == "2" and tau[2].startswith("1/2 = 50 %") and tau[3:] == ["17.0", "30.0", "1"]
-    assert cells(text, changes.WORDS["release"])[2:5] == ["0/2 = 0 % (0 … 84)", "–", "2 never"]
-    assert cells(text, "plants") == ["plants", "2", "1.0", "0", "0.00", "–"]
-    assert cells(text, "synthetic turbines")[3:] == ["1", "1.52", "hygric_k 1"]
+    tau = cells(text, changes.VARIANTS["tau"][0])
+    assert tau[1] == "2" and tau[2].startswith("1/2 = 50 %") and tau[3:] == ["17.0", "30.0"]
+    assert cells(text, changes.VARIANTS["release"][0])[2:] == ["0/2 = 0 % (0 … 84)", "–", "2 never"]
+    assert cells(text, "plants") == ["plants", "2", "1.0", "0", "0.00"]
+    assert cells(text, "synthetic turbines")[3:] == ["1", "1.52"]
 
 
 def test_clocks_count_what_is_named_in_wrong_and_in_right_records() -> None:
@@ -102,13 +93,13 @@ def test_clocks_count_what_is_named_in_wrong_and_in_right_records() -> None:
 
 def test_contradictions_are_shares_of_readings() -> None:
     def line(readings: int, noticed: int) -> dict:
-        found = {"readings": readings, "beyond": 1, "largest": 4.2, "noticed": [0, 0, noticed, readings]}
+        found = {"readings": readings, "beyond": 1, "noticed": [0, 0, noticed, readings]}
         return {"days": 10.0, "cabinet_temperature": found, "cabinet_relative_humidity": found}
 
     text = contradictions.table([line(100, 50), line(300, 250)])
     assert text.startswith("2 plants, 20 days")
     said = "1 K: 0.0 %, 2 K: 0.0 %, 3 K: 75.0 %, 5 K: 100.0 %"
-    assert cells(text, "temperature") == ["temperature", "400", "2", "4.2", said]
+    assert cells(text, "cabinet_temperature")[1:] == ["400", "2", said]
 
 
 def test_notices_that_were_lost_do_not_hold() -> None:
@@ -117,21 +108,8 @@ def test_notices_that_were_lost_do_not_hold() -> None:
 
 
 def test_sisters_state_the_source_and_the_verdict() -> None:
-    line = {
-        "source": "turbine 1", "other": "turbine 2", "verdict": "does not transfer", "sentence": "differs",
-        "constant": {"value_h": 0.345, "lower_h": 0.2, "upper_h": 0.58, "verdict": "reject"},
-        "validation_K": 4.2,
-        "groups": [["heat release", "differs", 1e-5, "3.9 K", "it does"]],
-        "parameters": {"hygric_k": ["1", "2", "+1"]}, "rmse": {"temperature_K": {"as_is": 4.5}},
-    }  # fmt: skip
-    text = sisters.table([line])
-    assert text.startswith(
-        "turbine 1: 0.34 h (0.20 … 0.58), reject; free run 4.20 K in validation. On turbine 2: "
-    )
-    assert cells(text, "hygric_k")[1] == "1 → 2" and cells(text, "temperature_K")[1] == "as_is 4.5"
-
-
-def test_saturation_follows_wmo() -> None:
-    """Published values of the saturation pressure over water: 611 Pa at 0 °C, 2339 Pa at 20 °C (WMO No.
-    8)."""
-    np.testing.assert_allclose(climate.saturated(np.array([273.15, 293.15])), [611.2, 2339.0], rtol=3e-3)
+    constant = {"value_h": 0.345, "lower_h": 0.2, "upper_h": 0.58, "verdict": "reject"}
+    verdict = {"verdict": "does not transfer", "sentence": "differs"}
+    line = {"source": "turbine 1", "other": "turbine 2", "constant": constant, **verdict}
+    said = ["0.34 h (0.20 … 0.58), reject", "turbine 2", "does not transfer", "differs"]
+    assert cells(sisters.table([line]), "turbine 1") == ["turbine 1", *said]

@@ -74,7 +74,7 @@ def jumping_clock(folder: Path, seed: int) -> Outcome:
     if not most_held or held(store) or counted(store):
         fault = f"{most_held} readings were held back, {held(store)} still are, counted: {counted(store)}"
     words = f"clock a day behind: {most_held} messages held back until it was right; no jump changes anything"
-    return plant.judged("clock jumps", seed, 5, len(rows), store, words=words, fault=fault)
+    return plant.judged(5, len(rows), store, words=words, fault=fault)
 
 
 def _cut(rows: list, share: float) -> int:

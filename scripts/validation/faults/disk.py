@@ -66,7 +66,7 @@ def full_disk(folder: Path, seed: int, fillings: int = 1) -> Outcome:
             tracker.stop()
         fault = unacknowledged(broker)
     words = f"{failures} times full, {fillings} times killed while it was"
-    return plant.judged("disk full", seed, failures, len(messages), store, words=words, fault=fault)
+    return plant.judged(failures, len(messages), store, words=words, fault=fault)
 
 
 def damaged_store(folder: Path, seed: int, damage: str = "page") -> Outcome:
@@ -97,7 +97,7 @@ def damaged_store(folder: Path, seed: int, damage: str = "page") -> Outcome:
     with Tracker(config, "--until-ended") as tracker:
         tracker.ended()
     words = f"{damage}: {said[-1][:160]}"
-    return plant.judged("store damaged", seed, 1, len(lines), store, words=words, fault=fault)
+    return plant.judged(1, len(lines), store, words=words, fault=fault)
 
 
 def damaged(whole: bytes, damage: str, random: np.random.Generator) -> bytes:

@@ -68,9 +68,7 @@ def flood(folder: Path, seed: int, count: int = 50_000, turbines: int = 10, thro
         words += f"{min(late):.0f} to {max(late):.0f} MB after that"
         if max(late) > MOST_GROWTH * max(early):
             faults.append(f"memory grows: {words}")
-    return plant.judged(
-        f"flood through a {through}", seed, 1, len(messages), store, words=words, fault="; ".join(faults)
-    )
+    return plant.judged(1, len(messages), store, words=words, fault="; ".join(faults))
 
 
 @contextmanager

@@ -89,10 +89,7 @@ def killed_tracker(folder: Path, seed: int, kills: int = 5, store: str = "") -> 
         f"{midway} kills amid the messages of their part; {rubbish} payloads were none, {set_aside} were "
         "counted"
     )
-    kind = "PostgreSQL" if store.startswith("postgresql") else "SQLite"
-    return plant.judged(
-        f"tracker killed, {kind}", seed, kills, len(messages), store, words=words, fault=fault
-    )
+    return plant.judged(kills, len(messages), store, words=words, fault=fault)
 
 
 def killed_broker(folder: Path, seed: int, kills: int = 1) -> Outcome:
@@ -116,7 +113,7 @@ def killed_broker(folder: Path, seed: int, kills: int = 1) -> Outcome:
             until(lambda: stored(store) >= len(messages), tracker.said)
             tracker.stop()
         fault = unacknowledged(broker)
-    return plant.judged("broker killed", seed, kills, len(messages), store, fault=fault)
+    return plant.judged(kills, len(messages), store, fault=fault)
 
 
 def killed_database(folder: Path, seed: int, server: Server, kills: int = 1) -> Outcome:
@@ -142,7 +139,7 @@ def killed_database(folder: Path, seed: int, server: Server, kills: int = 1) -> 
             failures = tracker.log.read_text().count("the store failed")
         fault = unacknowledged(broker)
     words = f"the tracker noticed {failures} failures of its store"
-    return plant.judged("PostgreSQL killed", seed, kills, len(messages), store, words=words, fault=fault)
+    return plant.judged(kills, len(messages), store, words=words, fault=fault)
 
 
 def killed_server(folder: Path, seed: int, kills: int = 1) -> Outcome:
@@ -172,4 +169,4 @@ def killed_server(folder: Path, seed: int, kills: int = 1) -> Outcome:
             server.write(late)
             until(lambda: stored(store) >= len(samples), tracker.said)
             tracker.stop()
-    return plant.judged("OPC UA server killed", seed, kills, len(samples), store)
+    return plant.judged(kills, len(samples), store)

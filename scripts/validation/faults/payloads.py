@@ -154,4 +154,4 @@ def malformed(folder: Path, seed: int, count: int = 1_000) -> Outcome:
     if found != expected:
         fault = f"expected {dict(expected)}, counted {dict(found)}"
     words = ", ".join(f"{n:,} {kind}" for kind, n in sorted(found.items()))
-    return plant.judged("malformed payloads", seed, count, len(mixed), store, words=words, fault=fault)
+    return plant.judged(count, len(mixed), store, words=words, fault=fault)

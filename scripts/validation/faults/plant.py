@@ -12,7 +12,7 @@ from pathlib import Path
 
 from builders.live_case import expect_offline, live_fit, live_record
 
-from hygrokf.data.record import Record, Series
+from hygrokf.data.record import Series
 from hygrokf.data.signals import SIGNALS
 from hygrokf.data.structured import structured
 from hygrokf.identification.fit import write_fit
@@ -28,15 +28,13 @@ Message = tuple[str, bytes]
 
 @dataclass(frozen=True)
 class Outcome:
-    """What was done to a tracker with a seed, and what was found afterwards.
+    """What was done to a tracker, and what was found afterwards.
 
     `blows` how often something was done (kills, full disks, damaged files, payloads), `messages` that were
     sent in all. `missing` and `doubled` observations; `equal` whether the state is the offline filter's, bit
     for bit; `words` what else was seen; `fault` what did not hold, "" where all did.
     """
 
-    scenario: str
-    seed: int
     blows: int
     messages: int
     missing: int = 0
@@ -97,17 +95,11 @@ class Plant:
     def messages(self) -> list[Message]:
         return [message for _, message in self.timed()]
 
-    def judged(
-        self, scenario: str, seed: int, blows: int, messages: int, store: str, record: Record | None = None,
-        words: str = "",
-        fault: str = "",
-    ) -> Outcome:  # fmt: skip
-        """What is in a store, held against every reading of a record (the plant's own) and the offline
-        filter."""
-        record = record or self.record
+    def judged(self, blows: int, messages: int, store: str, words: str = "", fault: str = "") -> Outcome:
+        """What is in a store, held against every reading of the record and the offline filter."""
         sent = Counter(
             (s.signal, t, v)
-            for s in record.series
+            for s in self.record.series
             for t, v in zip(s.time[~s.missing].tolist(), s.value[~s.missing].tolist(), strict=True)
         )
         missing = doubled = 0
@@ -121,10 +113,10 @@ class Plant:
             missing += (sent - found).total()
             doubled += (found - sent).total()
             try:
-                expect_offline(store, record, turbines[name], name)
+                expect_offline(store, self.record, turbines[name], name)
             except AssertionError as difference:
                 equal, fault = False, fault or f"{name}: {str(difference).splitlines()[:1]}"
-        return Outcome(scenario, seed, blows, messages, missing, doubled, equal, words, fault)
+        return Outcome(blows, messages, missing, doubled, equal, words, fault)
 
 
 def _field(series: Series) -> str:

@@ -8,13 +8,11 @@ filter's, bit for bit.  The extra `test`, mosquitto and PostgreSQL must be insta
 
 from __future__ import annotations
 
-import shutil
 import tempfile
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
-from builders.databases import Server
+from builders.databases import running_server
 
 from validation.counts import markdown
 from validation.faults.clock import jumping_clock
@@ -27,34 +25,18 @@ from validation.faults.together import killed_together
 from validation.frame import Claim
 
 
-@contextmanager
-def postgresql() -> Iterator[Server]:
-    """A PostgreSQL server of its own, which ends with the block."""
-    # another user must be able to enter the folder, and a socket's path must be short
-    folder = Path(tempfile.mkdtemp(prefix="hygrokf-pg-"))
-    try:
-        server = Server(folder)
-        try:
-            server.start()
-            yield server
-        finally:
-            server.stop()
-    finally:
-        shutil.rmtree(folder, ignore_errors=True)
-
-
 def _tracker_on_postgresql(folder: Path, seed: int, kills: int) -> Outcome:
-    with postgresql() as server:
+    with running_server() as server:
         return killed_tracker(folder, seed, kills, server.url(server.database()))
 
 
 def _together(folder: Path, seed: int, kills: int, in_postgresql: bool = False) -> Outcome:
-    with postgresql() as server:
+    with running_server() as server:
         return killed_together(folder, seed, server, kills, in_postgresql)
 
 
 def _database(folder: Path, seed: int, kills: int) -> Outcome:
-    with postgresql() as server:
+    with running_server() as server:
         return killed_database(folder, seed, server, kills)
 
 
@@ -98,12 +80,12 @@ def one(scenario: str, seed: int, *, amount: int = 0) -> dict:
 def table(lines: Sequence[Mapping]) -> str:
     """A row a scenario and seed; what else was seen stands below."""
     rows = [
-        (one["scenario"], *(f"{one[n]:,}" for n in ("seed", "blows", "messages", "missing", "doubled")),
+        (one["variant"], *(f"{one[n]:,}" for n in ("seed", "blows", "messages", "missing", "doubled")),
          "equal" if one["equal"] else "OTHER", "yes" if one["held"] else "NO")
         for one in lines
     ]  # fmt: skip
     head = ("scenario", "seed", "blows", "messages", "missing", "doubled", "state", "held")
-    said = [f"{one['scenario']}, seed {one['seed']}: {one['fault'] or one['words']}" for one in lines]
+    said = [f"{one['variant']}, seed {one['seed']}: {one['fault'] or one['words']}" for one in lines]
     return "\n".join([markdown(head, rows), "", *said])
 
 

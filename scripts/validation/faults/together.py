@@ -69,10 +69,7 @@ def killed_together(
             tracker.stop()
     lost = {kind: n for kind, n in counted(store).items() if kind in ("malformed", "held until birth")}
     words = f"{midway} kills amid the readings of their part, {starting} at a start"
-    kind = "PostgreSQL" if in_postgresql else "SQLite"
-    return plant.judged(
-        f"all sources, {kind}", seed, kills, count, store, words=words, fault=str(lost) if lost else ""
-    )
+    return plant.judged(kills, count, store, words=words, fault=str(lost) if lost else "")
 
 
 def fed(config: Path, senders: Mapping[str, Sender]) -> Tracker:

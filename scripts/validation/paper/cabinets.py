@@ -41,12 +41,13 @@ class LocalAir:
     vapour_time_h: float = 4.7
 
 
-def local_drivers(site: Site, days: float, seed: int, air: LocalAir, outdoor: bool = False) -> Drivers:
+def local_drivers(site: Site, days: float, seed: int, outdoor: bool = False) -> Drivers:
     """What a cabinet at the site is exposed to, each minute: measured power, and air that differs from
     ERA5's.
 
     outdoor: take the temperature of the turbine's own outdoor sensor instead of the simulated local one.
     """
+    air = LocalAir()
     time = minutes(str(np.datetime64(int(site.hour_s[0]), "s")), days)
     random = np.random.default_rng(np.random.SeedSequence([seed, 21]))
     apart = [

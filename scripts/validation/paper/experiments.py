@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +12,6 @@ from hygrokf.data.record import Record
 from hygrokf.data.structured import plain as plain_data
 from validation.paper.cabinets import (
     INDIVIDUAL,
-    LocalAir,
     era5_record,
     first_plant,
     local_drivers,
@@ -33,19 +32,17 @@ from validation.paper.sites import Site, kelmarsh, la_haute_borne
 DAY_S = 86400.0
 
 
+STARTS = ("2018-07-15", "2014-07-15")
+"""First days of the records in the UK and in France, UTC; the French one lies four years before the other."""
+
+
 @dataclass(frozen=True)
 class Plan:
-    """What is run.
+    """What is run: days of each record, day on which the identification ends, starts of every fit."""
 
-    start: (UK, France) UTC; the French one lies four years before the other. days: of each record; until_day:
-    day on which the identification ends. starts: of every fit.
-    """
-
-    start: tuple[str, str] = ("2018-07-15", "2014-07-15")
     days: float = 200.0
     until_day: float = 170.0
     starts: int = 4
-    air: LocalAir = field(default_factory=LocalAir)
 
 
 @dataclass(frozen=True)
@@ -60,27 +57,26 @@ class Case:
 
 def home(plan: Plan, folder: Path, seed: int) -> Case:
     """The cabinet at Kelmarsh."""
-    site = kelmarsh(folder, plan.start[0], plan.days, seed)
-    made = first_plant(site, local_drivers(site, plan.days, seed, plan.air), seed)
+    site = kelmarsh(folder, STARTS[0], plan.days, seed)
+    made = first_plant(site, local_drivers(site, plan.days, seed), seed)
     local = local_record(made, made.drivers.time[0] + plan.until_day * DAY_S)
     return Case(site, made, local, era5_record(local, site))
 
 
 def sister(plan: Plan, folder: Path, seed: int, kin: Plant, outdoor: bool = False) -> Case:
     """Its sister at La Haute Borne; all of its record is scored."""
-    site = la_haute_borne(folder, plan.start[1], plan.days)
-    drivers = local_drivers(site, plan.days, seed + 10_000, plan.air, outdoor)
+    site = la_haute_borne(folder, STARTS[1], plan.days)
+    drivers = local_drivers(site, plan.days, seed + 10_000, outdoor)
     made = sister_plant(site, drivers, seed, kin.cabinet)
     local = local_record(made, None)
     return Case(site, made, local, era5_record(local, site))
 
 
-SIMULATIONS = ("local", "era5", "local_on_era5", "sister", "sister_of_local", "sister_own", "sister_outdoor")
+SIMULATIONS = ("local", "era5", "local_on_era5", "sister", "sister_own", "sister_outdoor")
 """local, era5: identified and run with that air. local_on_era5: identified with the local air, run with
-ERA5's.
-sister: the model `era5` on the sister with ERA5's air there. sister_of_local: the model `local` on the same.
-sister_own: identified on the sister's own record with ERA5's air.  sister_outdoor: as `sister`, but the
-    cabinet's air is what the outdoor sensor of the French nacelle measured."""
+ERA5's.  sister: the model `era5` on the sister with ERA5's air there.  sister_own: identified on the sister's
+own record with ERA5's air.  sister_outdoor: as `sister`, but the cabinet's air is what the outdoor sensor of
+the French nacelle measured."""
 
 
 @dataclass(frozen=True)
@@ -95,7 +91,7 @@ class Outcome:
 
 
 def repeated(plan: Plan, folder: Path, seed: int) -> Outcome:
-    """The three experiments with one seed.  Raises DataFault where the drivers cannot be read."""
+    """The three experiments with one seed."""
     first = home(plan, folder, seed)
     other = sister(plan, folder, seed, first.plant)
     outdoor = sister(plan, folder, seed, first.plant, outdoor=True)
@@ -104,21 +100,17 @@ def repeated(plan: Plan, folder: Path, seed: int) -> Outcome:
         models[name] = identify_both(record, plan.starts)
     runs = {}
     for criterion in CRITERIA:
-        for name, model, record in (
-            ("local", "local", first.local),
-            ("era5", "era5", first.era5),
-            ("local_on_era5", "local", first.era5),
-            ("sister_own", "sister_own", other.era5),
-        ):
+        for name, (model, record, own_sensors) in {
+            "local": ("local", first.local, True),
+            "era5": ("era5", first.era5, True),
+            "local_on_era5": ("local", first.era5, True),
+            "sister": ("era5", other.era5, False),
+            "sister_own": ("sister_own", other.era5, True),
+            "sister_outdoor": ("era5", outdoor.era5, False),
+        }.items():
             found = models[model]
-            runs[name, criterion] = simulate(found.fit.design, found.values[criterion], record)
-        for name, model, record in (
-            ("sister", "era5", other.era5),
-            ("sister_of_local", "local", other.era5),
-            ("sister_outdoor", "era5", outdoor.era5),
-        ):
-            found = models[model]
-            runs[name, criterion] = simulate(found.fit.design, found.without_sensors(criterion), record)
+            values = found.values[criterion] if own_sensors else found.without_sensors(criterion)
+            runs[name, criterion] = simulate(found.fit.design, values, record)
     return Outcome(seed, first, other, models, runs)
 
 
@@ -140,10 +132,6 @@ def plain(found: Outcome) -> dict:
             "sensor_errors": dict(truth.biases),
         },
         "local_air": local_air(found.home),
-        "standstill_share": {
-            name: float(np.mean(case.site.power_W[case.site.power_known] <= 0.0))
-            for name, case in (("home", found.home), ("sister", found.sister))
-        },
         "time_constants": {
             name: {
                 part: _constant(entry) for part, entry in plain_data(one.fit.results.time_constants).items()
@@ -159,7 +147,6 @@ def plain(found: Outcome) -> dict:
             for name, one in found.models.items()
         },
         "converged": {name: bool(one.fit.results.converged) for name, one in found.models.items()},
-        "statements": {name: list(one.fit.results.statements) for name, one in found.models.items()},
         "rmse": {
             name: {
                 criterion: {"whole": found.runs[name, criterion].whole, **found.runs[name, criterion].periods}
@@ -167,7 +154,6 @@ def plain(found: Outcome) -> dict:
             }
             for name in SIMULATIONS
         },
-        "baselines": {name: found.runs[name, FREE_RUN].baselines for name in ("local", "era5", "sister")},
     }
 
 

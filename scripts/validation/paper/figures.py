@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hygrokf.evaluation.scoring import SCORED
-from hygrokf.report.figures.drawing import INK, MEASURED, QUIET, RULE, SIMULATED, new_figure, styled
+from hygrokf.report.figures.drawing import INK, MEASURED, RULE, SIMULATED, new_figure, styled
 from validation.paper.models import CRITERIA, FREE_RUN, LIKELIHOOD
 from validation.paper.tables import SPREAD, UNITS, WORDS, published_total, totals
 
@@ -16,22 +16,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 COLOURS = {LIKELIHOOD: MEASURED, FREE_RUN: "#c98a00"}
-NUMBERS_LABEL = "here: simulated cabinets under measured drivers; paper: a measured one"
-STRIP_IN = 0.17
-"""[in] added above a figure for the line that says what is simulated."""
-
-
-def labelled(figure: Figure, label: str) -> Figure:
-    """The figure with a line above it that says what in it is not measured."""
-    width, height = figure.get_size_inches()
-    shrunk = height / (height + STRIP_IN)
-    for axes in figure.axes:
-        place = axes.get_position()
-        axes.set_position([place.x0, place.y0 * shrunk, place.width, place.height * shrunk])
-    figure.set_size_inches(width, height + STRIP_IN)
-    with styled():
-        figure.text(0.995, 0.995, label, ha="right", va="top", fontsize=6.5, fontstyle="italic", color=QUIET)
-    return figure
 
 
 def figure_errors(seeds: Sequence[Mapping]) -> Figure:
@@ -68,7 +52,7 @@ def figure_errors(seeds: Sequence[Mapping]) -> Figure:
         ]  # fmt: skip
         figure.legend(handles=handles, loc="upper left", bbox_to_anchor=(0.005, 0.935), ncols=3)
         figure.subplots_adjust(left=0.205, right=0.985, top=0.87, bottom=0.155, wspace=0.1)
-    return labelled(figure, NUMBERS_LABEL)
+    return figure
 
 
 def figure_constants(seeds: Sequence[Mapping]) -> Figure:
@@ -102,4 +86,4 @@ def figure_constants(seeds: Sequence[Mapping]) -> Figure:
             axes.set_xlim(0.0, 2.2 * truth)
             axes.set_xlabel(f"{part} time constant [h]")
         figure.subplots_adjust(left=0.17, right=0.985, top=0.985, bottom=0.165, wspace=0.1)
-    return labelled(figure, "simulated cabinets under measured drivers")
+    return figure

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from hygrokf.data.record import Record
 from hygrokf.data.structured import plain
-from hygrokf.evaluation.scoring import baselines, scores
+from hygrokf.evaluation.scoring import scores
 from hygrokf.evaluation.simulation import free_run
 from hygrokf.identification.estimation import output_errors
 from hygrokf.identification.fit import Fit
@@ -58,12 +58,10 @@ def identify_both(record: Record, starts: int) -> Identified:
 
 @dataclass(frozen=True)
 class Simulation:
-    """Scores of a model's free run on a record: of the whole and of its periods, and of rules without a
-    model."""
+    """Scores of a model's free run on a record: of the whole and of its periods."""
 
     whole: dict
     periods: dict
-    baselines: dict
 
 
 def simulate(design: Design, values: Mapping[str, float], record: Record) -> Simulation:
@@ -74,5 +72,4 @@ def simulate(design: Design, values: Mapping[str, float], record: Record) -> Sim
     return Simulation(
         whole=plain(scores(made, predicted, None)["identification"]),
         periods=plain(scores(made, predicted, record.until_s)),
-        baselines=plain(baselines(made, None)["identification"]),
     )

@@ -11,16 +11,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
+import pandas as pd
 from plants.uk import ten_minute_power
 
-from hygrokf.physics.psychrometrics import absolute_humidity_from_dew_point
+from hygrokf.physics.psychrometrics import absolute_humidity, absolute_humidity_from_dew_point
 from validation.frame import Absent
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 KELMARSH = "kelmarsh_2018_2019_era5_power_hourly.csv.gz"
 FRENCH_POWER = "la_haute_borne_R80736_10min_2014_2015.csv.gz"
@@ -33,10 +30,6 @@ STEP_S = 600.0
 FREEZING_K = 273.15
 FOUR_YEARS_S = 1461 * 86400.0
 """[s] from a date to the same date four years later, one leap day included."""
-
-
-class DataFault(Absent):
-    """Files from which the experiments cannot be made; the message lists all of what is wrong."""
 
 
 @dataclass(frozen=True)
@@ -64,7 +57,7 @@ class Site:
 def kelmarsh(folder: Path, start: str, days: float, seed: int) -> Site:
     """Turbine 2 at Kelmarsh from `start` (UTC) over `days`.
 
-    The power has the measured hourly means and a made-up course within the hour (`seed`).  Raises DataFault.
+    The power has the measured hourly means and a made-up course within the hour (`seed`).
     """
     found = _kelmarsh(folder)
     hours = _window(found, start, days, KELMARSH)
@@ -90,7 +83,7 @@ def la_haute_borne(folder: Path, start: str, days: float) -> Site:
     """Turbine R80736 at La Haute Borne from `start` (UTC) over `days`.
 
     The files have no humidity there: ERA5's dew-point depression at Kelmarsh, at the same hour of the same
-    date four years later, is put on the French temperature.  Raises DataFault.
+    date four years later, is put on the French temperature.
     """
     weather, turbine, english = _french_weather(folder), _french_turbine(folder), _kelmarsh(folder)
     hours = _window(weather, start, days, FRENCH_WEATHER)
@@ -126,8 +119,6 @@ def nacelle_deviation(folder: Path) -> dict[str, float]:
     `sd_K` is what is left without the running mean of 30 days and the mean course of the day; `time_h` the
     lag at which its autocorrelation has fallen to 1/e.
     """
-    import pandas as pd
-
     weather, turbine = _french_weather(folder), _french_turbine(folder)
     # a mean over ten minutes belongs to the middle of them; a sensor that repeats itself to the last digit is
     # stuck
@@ -153,13 +144,9 @@ def nacelle_deviation(folder: Path) -> dict[str, float]:
 def eave_deviations(folder: Path) -> list[dict[str, float]]:
     """How loggers outside three Finnish houses differ from the weather station in absolute humidity
     (relative, ln)."""
-    import pandas as pd
-
-    from hygrokf.physics.psychrometrics import absolute_humidity
-
     rows = []
     for name, side in EAVES.items():
-        table = _read(folder / name, index_col=0, parse_dates=[0])
+        table = pd.read_csv(folder / name, index_col=0, parse_dates=[0])
         humidity = [
             absolute_humidity(
                 0.01 * table[f"RH_{place}"].to_numpy(), table[f"T_{place}"].to_numpy() + FREEZING_K
@@ -188,68 +175,37 @@ def eave_deviations(folder: Path) -> list[dict[str, float]]:
 
 # -- files ---------------------------------------------------------------------------------------------------
 def expect_files(folder: Path) -> None:
-    """All files of the experiments are there; raises DataFault that names those that are not."""
+    """All files of the experiments are there; raises Absent that names those that are not."""
     missing = [
         name for name in (KELMARSH, FRENCH_POWER, FRENCH_WEATHER, *EAVES) if not (folder / name).is_file()
     ]
     if missing:
-        raise DataFault(
-            f"{folder}: expected the measured drivers, found no {', '.join(missing)}; "
-            "name the folder that holds them (they are not shipped with the project)"
-        )
+        raise Absent(f"{folder}: expected the measured drivers, found no {', '.join(missing)}")
 
 
 def _kelmarsh(folder: Path) -> pd.DataFrame:
-    table = _read(folder / KELMARSH, index_col="datetime_start_utc", parse_dates=["datetime_start_utc"])
+    table = pd.read_csv(folder / KELMARSH, index_col="datetime_start_utc", parse_dates=["datetime_start_utc"])
     utc = table if table.index.tz is None else table.tz_convert("UTC")
-    return _with(utc.tz_localize(None), KELMARSH, ("T2m_C", "Td2m_C", "P_K2_kW"))
+    return utc.tz_localize(None)
 
 
 def _french_weather(folder: Path) -> pd.DataFrame:
-    table = _read(folder / FRENCH_WEATHER, index_col="datetime", parse_dates=["datetime"])
-    return _with(table, FRENCH_WEATHER, ("t_2m",))
+    return pd.read_csv(folder / FRENCH_WEATHER, index_col="datetime", parse_dates=["datetime"])
 
 
 def _french_turbine(folder: Path) -> pd.DataFrame:
     """The turbine's table on its own clock, which is UTC whatever offset the stamps carry."""
-    import pandas as pd
-
-    table = _with(_read(folder / FRENCH_POWER), FRENCH_POWER, ("Date_time", "P_avg", "Ot_avg"))
+    table = pd.read_csv(folder / FRENCH_POWER)
     table.index = pd.to_datetime(table["Date_time"].str[:19])
     return table[~table.index.duplicated()].sort_index()
 
 
-def _read(file: Path, **how: object) -> pd.DataFrame:
-    import pandas as pd
-
-    try:
-        return pd.read_csv(file, **how)
-    except (OSError, ValueError, EOFError) as fault:
-        reason = getattr(fault, "strerror", None) or str(fault).splitlines()[0]
-        raise DataFault(
-            f"{file}: expected a table as the data folder's README.md describes it, found: {reason}; get the "
-            "file again"
-        ) from None
-
-
-def _with(table: pd.DataFrame, name: str, columns: tuple[str, ...]) -> pd.DataFrame:
-    missing = [one for one in columns if one not in table]
-    if missing:
-        raise DataFault(
-            f"{name}: expected the columns {', '.join(columns)}, found no {', '.join(missing)}; get the file "
-            "again"
-        )
-    return table
-
-
 def _window(table: pd.DataFrame, start: str, days: float, name: str) -> pd.DataFrame:
     """The hours from `start` to the hour at which `days` end."""
-    import pandas as pd
-
     first = pd.Timestamp(start)
     last = first + pd.Timedelta(days=days)
     if table.index[0] > first or table.index[-1] < last:
-        raise DataFault(
+        raise ValueError(
             f"{name}: expected hours from {first:%Y-%m-%d} to {last:%Y-%m-%d}, found "
             f"{table.index[0]:%Y-%m-%d} to {table.index[-1]:%Y-%m-%d}; ask for fewer days"
         )

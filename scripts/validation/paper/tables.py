@@ -7,40 +7,37 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 
 from hygrokf.evaluation.scoring import SCORED
-from hygrokf.identification.wording import NONE, fixed, percent, plain_number
-from hygrokf.report.fit_tables import REGIMES
+from hygrokf.identification.wording import fixed, percent
 from validation.counts import markdown
 from validation.paper.cabinets import LocalAir
 from validation.paper.models import CRITERIA, FREE_RUN, LIKELIHOOD
-from validation.paper.published import PERIODS, SISTER, TIME_CONSTANTS_H, WHOLE
+from validation.paper.published import PERIODS, SISTER, WHOLE
 
 SIMULATED_NOTE = (
     "Cabinet and local air are simulated; only the drivers (ERA5 air and turbine power) are measured. "
     "The paper's cabinet was measured."
 )
-"""Stands under every table."""
+"""Stands under the table."""
 PUBLISHED = {"periods": PERIODS, "whole": WHOLE, "sister": SISTER}
 UNITS = {"temperature_K": "K", "absolute_humidity_g_m3": "g/m³"}
 WORDS = {LIKELIHOOD: "likelihood", FREE_RUN: "free run's least error"}
-REGIME_HEAD = tuple(f"{q}, {r}" for q in ("temperature [K]", "absolute humidity [g/m³]") for r in REGIMES)
 
 
 def constants_table(seeds: Sequence[Mapping]) -> str:
-    """The time constants: the paper's, those put in, the first seed's estimates with their bounds, and in how
-    many seeds these hold."""
-    shown, parts = seeds[0], ("thermal", "hygric")
-    rows = [
-        ("paper", *(f"≈ {TIME_CONSTANTS_H[part]:g}" for part in parts)),
-        ("put into the simulation", *(f"{shown['truth'][f'{part}_h']:.3f}" for part in parts)),
-    ]
+    """In how many seeds the bounds of the time constants hold the truth, and estimates over the truth."""
+    rows = []
     for air, words in (("local", "local air"), ("era5", "ERA5's air")):
-        entry = shown["time_constants"][air]
         for criterion in CRITERIA:
-            cells = (_bounds((entry[part] or {}).get(criterion)) for part in parts)
+            cells = []
+            for part in ("thermal", "hygric"):
+                ratios = [
+                    one["time_constants"][air][part][criterion]["value_h"] / one["truth"][f"{part}_h"]
+                    for one in seeds
+                ]
+                held = f"{holding(seeds, air, part, criterion)} of {len(seeds)}"
+                cells.append(f"{held}; {_range(ratios)}")
             rows.append((f"{words}, {WORDS[criterion]}", *cells))
-        held = (f"{holding(seeds, air, part, LIKELIHOOD)} of {len(seeds)}" for part in parts)
-        rows.append((f"{words}: bounds of the likelihood that hold the truth", *held))
-    return markdown(("", "thermal [h]", "hygric [h]"), rows)
+    return markdown(("", "thermal: held; over the truth", "hygric"), rows)
 
 
 def holding(seeds: Sequence[Mapping], air: str, part: str, criterion: str) -> int:
@@ -50,41 +47,6 @@ def holding(seeds: Sequence[Mapping], air: str, part: str, criterion: str) -> in
         entry, truth = one["time_constants"][air][part][criterion], one["truth"][f"{part}_h"]
         count += entry["lower_h"] <= truth <= (math.inf if entry["upper_h"] is None else entry["upper_h"])
     return count
-
-
-def whole_table(shown: Mapping) -> str:
-    """Experiment 2: the paper's Table III."""
-    rows = []
-    for published, air, words, runs in (
-        ("measured", "local", "local air", (("local", ""),)),
-        ("era5", "era5", "ERA5's air", (("era5", ""), ("local_on_era5", ", model of the local air"))),
-    ):
-        rows.append((f"paper, {words}", *_cells(WHOLE[published])))
-        for run, more in runs:
-            rows += [
-                (f"here, {words}{more}: {WORDS[c]}", *_cells(shown["rmse"][run][c]["whole"]))
-                for c in CRITERIA
-            ]
-        rules = shown["baselines"][air]
-        cells = _cells({**rules.get("no_dynamics", {}), **rules.get("ambient", {})})
-        rows.append((f"no heat storage; c = c_amb, {words}", *cells))
-    return markdown(("", *REGIME_HEAD), rows)
-
-
-SISTERS = (
-    ("sister", "identified with ERA5's air in the UK"),
-    ("sister_of_local", "identified with the local air in the UK"),
-    ("sister_own", "identified on the sister itself"),
-    ("sister_outdoor", "identified with ERA5's air in the UK; sister in the air of its nacelle's sensor"),
-)
-
-
-def sister_table(shown: Mapping) -> str:
-    """Experiment 3: the model on the sister."""
-    rows = [("paper (sister in Germany)", *_cells(SISTER))]
-    for run, words in SISTERS:
-        rows += [(f"{words}: {WORDS[c]}", *_cells(shown["rmse"][run][c]["whole"])) for c in CRITERIA]
-    return markdown(("", *REGIME_HEAD), rows)
 
 
 SPREAD = (
@@ -102,7 +64,7 @@ def published_total(path: Sequence[str], quantity: str) -> float:
     there: object = PUBLISHED
     for name in (*path, quantity):
         there = there[name]  # type: ignore[index]
-    return float(there["total"]) if isinstance(there, Mapping) else float(there)  # type: ignore[arg-type]
+    return float(there)  # type: ignore[arg-type]
 
 
 def totals(seeds: Sequence[Mapping], run: str, period: str, quantity: str, criterion: str) -> list[float]:
@@ -163,28 +125,12 @@ def air_table(shown: Mapping) -> str:
 
 
 def table(lines: Sequence[Mapping]) -> str:
-    """All tables; the first seed is the one that is shown."""
+    """All tables; what is said of the local air is that of the first seed."""
     seeds = sorted(lines, key=lambda line: line["seed"])
     head, *rows = spread_rows(seeds)
     parts = {
         "Time constants": constants_table(seeds),
-        "Experiment 2: local air and ERA5's air (the paper's Table III)": whole_table(seeds[0]),
-        "Experiment 3: the model on its sister elsewhere, ERA5's air": sister_table(seeds[0]),
         "All experiments over the seeds": f"{markdown(head, rows)}\n\n{spread_note(seeds)}",
         "How the local air was made": air_table(seeds[0]),
     }
-    return "\n\n".join([*(f"## {name}\n\n{text}" for name, text in parts.items()), SIMULATED_NOTE])
-
-
-def _cells(by_quantity: Mapping) -> list[str]:
-    entries = [by_quantity.get(quantity, {}).get(regime) for quantity in SCORED for regime in REGIMES]
-    return [NONE if value is None else fixed(value) for value in entries]
-
-
-def _bounds(entry: Mapping | None) -> str:
-    if entry is None:
-        return NONE
-    value, lower = (plain_number(entry[key]) for key in ("value_h", "lower_h"))
-    if entry["upper_h"] is None:
-        return f"{value} (from {lower})"
-    return f"{value} ({lower} … {plain_number(entry['upper_h'])})"
+    return "\n\n".join(f"## {name}\n\n{text}" for name, text in parts.items())
