@@ -126,6 +126,7 @@ def test_pauses_double_until_a_source_has_held_and_leave_the_global_generator_al
     bounds = [1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 60.0, 60.0, 1.0]
     assert all(0.5 * bound <= wait <= bound for bound, wait in zip(bounds, waits, strict=True))
     assert len(set(waits)) == len(waits) and random.getstate() == before
+    assert streams.pause_s(10**6, (0.5, 10.0)) == 10.0
 
 
 def test_whatever_is_raised_in_a_source_is_told_and_it_goes_on(
