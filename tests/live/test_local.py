@@ -230,14 +230,6 @@ def test_lines() -> None:
     assert contents == [None, None, row, None, None, last, '{"x": 1}', '[{"x": 1}]']
 
 
-def test_standard_input() -> None:
-    stream, got = StandardInput(MAPPING, io.StringIO('{"turbine": "T1"}\nno,table\n1,2\n')), Collected()
-    stream.start(None, got)
-    assert [one.content for one in got.wait(2)] == ['{"turbine": "T1"}', {"no": "1", "table": "2"}]
-    assert all(one.place == "" for one in got.found)
-    eventually(lambda: stream.state[0] == "ended")
-
-
 def test_standard_input_of_a_pipe_ends_while_it_waits_for_more() -> None:
     reading, writing = os.pipe()
     with os.fdopen(reading, "rb") as file, os.fdopen(writing, "wb", buffering=0) as sender:
