@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import closing
 from pathlib import Path
 
 import pytest
@@ -12,6 +13,7 @@ from builders.live_case import live_record, live_turbine
 from hygrokf.data.record import Record
 from hygrokf.live.sources.local import record_mapping
 from hygrokf.live.sources.payload import PayloadMapping
+from hygrokf.live.storage.store import Store, open_store
 from hygrokf.live.turbines import Turbine
 
 
@@ -38,6 +40,12 @@ def mapping(record: Record) -> PayloadMapping:
 @pytest.fixture(scope="module")
 def turbine(record: Record) -> Turbine:
     return live_turbine(record)
+
+
+@pytest.fixture
+def store(tmp_path: Path) -> Iterator[Store]:
+    with closing(open_store(f"sqlite:{tmp_path / 'live.db'}")) as made:
+        yield made
 
 
 @pytest.fixture

@@ -6,7 +6,6 @@ import json
 import math
 from dataclasses import replace
 from itertools import product
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -21,7 +20,7 @@ from hygrokf.live.plan import AMBIENT_HUMIDITIES, Need
 from hygrokf.live.sources.local import record_messages
 from hygrokf.live.sources.payload import PayloadMapping
 from hygrokf.live.sources.stream import Delivery
-from hygrokf.live.storage.store import Store, open_store
+from hygrokf.live.storage.store import Store
 from hygrokf.live.tracker import Reading, Tracker
 from hygrokf.live.turbines import Fleet, Turbine
 from hygrokf.live.web.views import fleet_view, turbine_view
@@ -116,9 +115,8 @@ def rounds(fleet: Fleet, store: Store, record: Record, mapping: PayloadMapping, 
 
 
 def test_ambient_humidity_that_never_comes(
-    tmp_path: Path, record: Record, turbine: Turbine, mapping: PayloadMapping
+    store: Store, record: Record, turbine: Turbine, mapping: PayloadMapping
 ) -> None:
-    store = open_store(f"sqlite:{tmp_path / 'live.db'}")
     fleet = Fleet.from_store({"T1": turbine}, store)
     (row,) = fleet_view(store, ["T1"], record.start_s)
     assert (row["state"], row["reason"], row["since"]) == ("no estimate", NOT_ASSESSED, None)
@@ -143,25 +141,21 @@ def test_ambient_humidity_that_never_comes(
     (row,) = fleet_view(store, ["T1"], now)
     assert row["state"] in ("ok", "off", "at risk") and row["alarms"] == []
     assert row["since"] > fleet.tracked["T1"].known_s
-    store.close()
 
 
 def test_a_sensor_that_never_came_is_a_notice_where_the_model_goes_without(
-    tmp_path: Path, record: Record, turbine: Turbine, mapping: PayloadMapping
+    store: Store, record: Record, turbine: Turbine, mapping: PayloadMapping
 ) -> None:
-    store = open_store(f"sqlite:{tmp_path / 'live.db'}")
     fleet = Fleet.from_store({"T1": turbine}, store)
     rounds(fleet, store, record, mapping, without="cabinet_relative_humidity")
     (row,) = fleet_view(store, ["T1"], record.end_s)
     assert [(a.kind, a.severity) for a in row["alarms"]] == [("signal missing", "notice")]
     assert row["state"] in ("ok", "off") and row["condensation"] is not None
-    store.close()
 
 
 def test_states_are_written_on_change_alone_and_survive(
-    tmp_path: Path, record: Record, turbine: Turbine, mapping: PayloadMapping
+    store: Store, record: Record, turbine: Turbine, mapping: PayloadMapping
 ) -> None:
-    store = open_store(f"sqlite:{tmp_path / 'live.db'}")
     fleet = Fleet.from_store({"T1": turbine}, store)
     assert fleet.filter_waiting(Batch()).empty
     rounds(fleet, store, record, mapping)
@@ -174,13 +168,11 @@ def test_states_are_written_on_change_alone_and_survive(
     assert again.filter_waiting(Batch()).assessments == []
     (old,) = again.tick(record.end_s + 3.0 * HOUR_S, {}).assessments
     assert (old.state, old.since) == ("stale", record.end_s + 3.0 * HOUR_S)
-    store.close()
 
 
 def test_a_forecast_of_condensation_puts_a_turbine_at_risk(
-    tmp_path: Path, record: Record, turbine: Turbine, mapping: PayloadMapping
+    store: Store, record: Record, turbine: Turbine, mapping: PayloadMapping
 ) -> None:
-    store = open_store(f"sqlite:{tmp_path / 'live.db'}")
     fleet = Fleet.from_store({"T1": turbine}, store)
     rounds(fleet, store, record, mapping)
     hours = record.end_s + HOUR_S * np.arange(1.0, 4.0)
@@ -193,7 +185,6 @@ def test_a_forecast_of_condensation_puts_a_turbine_at_risk(
     store.commit(made)
     again = Fleet.from_store({"T1": turbine}, store)
     assert again.tick(record.end_s + 20.0, {}).assessments == []  # the forecast is known again
-    store.close()
 
 
 def test_a_turbine_stands_still_by_its_power(turbine: Turbine) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 
@@ -13,7 +12,7 @@ from hygrokf.live.batch import Batch
 from hygrokf.live.clocks import GAINED_S, QUIET_S, Backlogs
 from hygrokf.live.sources.local import record_mapping, record_messages
 from hygrokf.live.sources.stream import Delivery
-from hygrokf.live.storage.store import open_store
+from hygrokf.live.storage.store import Store
 from hygrokf.live.tracker import Reading
 from hygrokf.live.turbines import Fleet, Turbine
 
@@ -54,13 +53,12 @@ def test_repeated_readings_and_a_clock_that_is_set_back_are_no_backlog_for_long(
 
 @pytest.mark.parametrize("order", ["by time", "by turbine"])
 def test_a_day_that_is_played_in_raises_no_alarm(
-    tmp_path: Path, record: Record, turbine: Turbine, order: str
+    store: Store, record: Record, turbine: Turbine, order: str
 ) -> None:
     """The tracker was away for a day, and its broker delivers it within twenty minutes; one turbine has been
     silent since before, and after the backlog another one falls silent."""
     names = ("T1", "T2", "T3")
     mapping = replace(record_mapping(record, "T1"), turbines={name: name for name in names})
-    store = open_store(f"sqlite:{tmp_path / 'live.db'}")
     rows = record_messages(record, "")
     away = [row for row in rows if row[0] > record.end_s - DAY_S]
     before = [row for row in rows if row[0] <= record.end_s - DAY_S]
@@ -105,4 +103,3 @@ def test_a_day_that_is_played_in_raises_no_alarm(
         "T2": "stale",
         "T3": "stale",
     }
-    store.close()

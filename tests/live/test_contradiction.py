@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,7 +12,7 @@ from hygrokf.live.alarms import BEYOND, Innovation, contradiction_level, innovat
 from hygrokf.live.batch import Batch
 from hygrokf.live.sources.local import record_mapping, record_messages
 from hygrokf.live.sources.stream import Delivery
-from hygrokf.live.storage.store import open_store
+from hygrokf.live.storage.store import Store
 from hygrokf.live.tracker import offline_course
 from hygrokf.live.turbines import Fleet, Turbine
 from hygrokf.live.web.views import turbine_view
@@ -48,10 +47,9 @@ def test_ordinary_data_and_steps_of_a_sensor(record: Record, turbine: Turbine) -
 
 
 def test_a_reading_that_contradicts_is_flagged_once_its_estimate_is_final(
-    tmp_path: Path, record: Record, turbine: Turbine
+    store: Store, record: Record, turbine: Turbine
 ) -> None:
     mapping = record_mapping(record, "T1")
-    store = open_store(f"sqlite:{tmp_path / 'live.db'}")
     fleet = Fleet.from_store({"T1": turbine}, store)
     rows = record_messages(record, "T1")
     places = [i for i, (_, content) in enumerate(rows) if HUMIDITY in content]
@@ -90,4 +88,3 @@ def test_a_reading_that_contradicts_is_flagged_once_its_estimate_is_final(
     later = [Delivery(json.dumps(c), t + 2.0) for t, c in stepped[done:300]]
     store.commit(again.round(later, mapping, "file"))
     assert again.open_alarms() == []
-    store.close()

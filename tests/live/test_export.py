@@ -126,7 +126,7 @@ def test_rows_are_read_in_chunks_and_none_twice(
     filled: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     run(f"export --store {filled} --out {tmp_path / 'one'}")
-    for size in (1, 2, 3):
+    for size in (1, 3):
         monkeypatch.setattr(module, "CHUNK", size)
         run(f"export --store {filled} --out {tmp_path / 'more'}")
         for table in module.TABLES:
@@ -137,12 +137,12 @@ def test_rows_are_read_in_chunks_and_none_twice(
 def test_memory_does_not_grow_with_the_store(
     store_url: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(module, "CHUNK", 500)
+    monkeypatch.setattr(module, "CHUNK", 300)
     store = open_store(store_url)
     store.add_turbines({"T1": "a"})
     export(store, tmp_path / "out", "parquet")  # loads its library
     peaks = []
-    for count in (3_000, 12_000):
+    for count in (2_000, 8_000):
         store.commit(Batch(observations=[observed("rain", T0 + i, 0.1 * i) for i in range(count)]))
         tracemalloc.start()
         assert export(store, tmp_path / "out", "parquet" if peaks else "csv")["observation"] == count

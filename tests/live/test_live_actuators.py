@@ -15,12 +15,10 @@ from builders.record_edits import changed, without
 from builders.tracker_case import LATENESS_S, arriving, planned, readings_of
 
 from hygrokf import identify
-from hygrokf.data.actuators import ACTUATORS
 from hygrokf.data.record import Record, Series
 from hygrokf.identification.fit import Fit
 from hygrokf.live.condition import Surface
 from hygrokf.live.config import turbine_of
-from hygrokf.live.defaults import default_mapping
 from hygrokf.live.forecast import forecast
 from hygrokf.live.plan import Form, Plan, plan
 from hygrokf.live.restart_advice import LONGEST_H, heaters, heating, restart
@@ -135,15 +133,6 @@ def test_a_tracker_waits_for_every_actuator_of_its_model(record: Record) -> None
     assert tracker.awaited() == ("door_open", "heater_power") and tracker.advance() is None
     tracker.take(one for one in readings if one.signal in ("heater_power", "door_open"))
     assert tracker.awaited() == () and tracker.advance() is not None
-
-
-@pytest.mark.parametrize(("raw", "value"), [(True, 1.0), ("false", 0.0), (0.25, 0.25), ("TRUE", 1.0)])
-@pytest.mark.parametrize("signal", [name for name in ACTUATORS if name != "heater_power"])
-def test_flags_and_duties_are_read_under_their_own_names(signal: str, raw: object, value: float) -> None:
-    mapping = replace(default_mapping(), turbines={"T1": "T1"})
-    (found,) = mapping.read({"turbine": "T1", "time": 1.6e9, signal: raw}, 1.6e9)
-    (reading,) = found.readings
-    assert (reading.signal, reading.value) == (signal, value)
 
 
 def through_a_service(record: Record, turbine: Turbine, folder: Path) -> None:

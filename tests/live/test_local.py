@@ -126,6 +126,7 @@ def test_pauses_double_until_a_source_has_held_and_leave_the_global_generator_al
     bounds = [1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 60.0, 60.0, 1.0]
     assert all(0.5 * bound <= wait <= bound for bound, wait in zip(bounds, waits, strict=True))
     assert len(set(waits)) == len(waits) and random.getstate() == before
+    assert streams.pause_s(10**6, (0.5, 10.0)) == 10.0
 
 
 def test_whatever_is_raised_in_a_source_is_told_and_it_goes_on(
@@ -227,14 +228,6 @@ def test_lines() -> None:
     contents = [lines.content(row) for row in rows]
     row, last = {"a": "1", "b c": "2"}, {"a": "4", "b c": ""}
     assert contents == [None, None, row, None, None, last, '{"x": 1}', '[{"x": 1}]']
-
-
-def test_standard_input() -> None:
-    stream, got = StandardInput(MAPPING, io.StringIO('{"turbine": "T1"}\nno,table\n1,2\n')), Collected()
-    stream.start(None, got)
-    assert [one.content for one in got.wait(2)] == ['{"turbine": "T1"}', {"no": "1", "table": "2"}]
-    assert all(one.place == "" for one in got.found)
-    eventually(lambda: stream.state[0] == "ended")
 
 
 def test_standard_input_of_a_pipe_ends_while_it_waits_for_more() -> None:

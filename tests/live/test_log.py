@@ -80,7 +80,4 @@ def test_afterwards_all_is_as_before() -> None:
     before = list(root.handlers), root.level
     with log_to_stderr("json"):
         assert root.handlers != before[0]
-    assert (list(root.handlers), root.level) == before and hooks == (
-        sys.unraisablehook,
-        threading.excepthook,
-    )
+    assert (list(root.handlers), root.level) == before and hooks == (sys.unraisablehook, threading.excepthook)

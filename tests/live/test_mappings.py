@@ -284,14 +284,6 @@ def test_an_order_with_a_gap_or_of_hours_does_not_place_a_stamp() -> None:
 
 
 # -- records -------------------------------------------------------------------------------------------------
-def test_scale_and_offset_come_before_the_unit() -> None:
-    raw = PayloadMapping(
-        {"T": Field("cabinet_temperature", "degF", scale=0.5, offset=10.0)}, turbines={"W01": "W01"}
-    )
-    found = read(raw, {"turbine": "W01", "time": NOW, "T": 134})
-    assert found == {("W01", "cabinet_temperature"): pytest.approx(298.15)}
-
-
 def test_what_a_record_lacks_is_looked_up_around_it() -> None:
     mapping = fields(records="parks.rows", time="t")
     content = {
@@ -386,7 +378,7 @@ def test_names_of_one_turbine_and_of_the_others() -> None:
 
 def cost(run: object, count: int) -> float:
     """CPU time of one call [s], the least of several rounds of a few."""
-    return min(timeit.repeat(run, number=count, repeat=25, timer=time.process_time)) / count
+    return min(timeit.repeat(run, number=count, repeat=9, timer=time.process_time)) / count
 
 
 def test_reading_costs_little_more_than_parsing() -> None:
@@ -563,15 +555,10 @@ def expect_sound(found: list[TurbineReadings]) -> None:
             assert math.isfinite(one.value) and EARLIEST_S <= one.time <= LATEST_S
 
 
-def test_nothing_from_outside_breaks_a_mapping(folder: Path) -> None:
-    counts = fuzz(folder, 18, 10_000)
-    assert counts["reading"] > 300 and counts["malformed"] > 300 and len(counts) >= 9, counts
-
-
-@pytest.mark.slow
-def test_nothing_from_outside_breaks_a_mapping_in_the_long_run(folder: Path) -> None:
-    for seed in range(10):
-        assert fuzz(folder, seed, 10_000)["reading"] > 1_000
+@pytest.mark.parametrize("count", [4_000, pytest.param(100_000, marks=pytest.mark.slow)])
+def test_nothing_from_outside_breaks_a_mapping(folder: Path, count: int) -> None:
+    counts = fuzz(folder, 18, count)
+    assert min(counts["reading"], counts["malformed"]) > 0.03 * count and len(counts) >= 9, counts
 
 
 # -- one place a tag -----------------------------------------------------------------------------------------

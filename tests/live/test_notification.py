@@ -19,6 +19,7 @@ from builders.ports import free_port
 from builders.receivers import FAILURES, PASSWORD, USER, MailServer, WebhookServer
 from builders.track_case import write_model
 from builders.waiting import eventually
+from validation.notices import outages
 
 from hygrokf.data.record import Record
 from hygrokf.data.timestamps import DAY_S
@@ -34,7 +35,7 @@ from hygrokf.live.notification.sender import Sender
 from hygrokf.live.notification.transports import Mail, Webhook, secret_bytes
 from hygrokf.live.sources.local import Playback, record_mapping, record_messages
 from hygrokf.live.storage import outbox
-from hygrokf.live.storage.store import Store, open_store
+from hygrokf.live.storage.store import Store, StoreFault, open_store
 from hygrokf.live.tracking import track
 from hygrokf.live.turbines import Turbine
 
@@ -234,8 +235,6 @@ def test_a_digest_is_one_message_that_stays_the_same(store_url: str, monkeypatch
 def test_an_accepted_message_is_not_sent_again_when_the_store_fails(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from hygrokf.live.storage.store import StoreFault
-
     channel = Silent()
     url = f"sqlite:{tmp_path / 'live.db'}"
     sender, store = Sender(channel, url), open_store(url)
@@ -278,24 +277,16 @@ def hook_to(server: WebhookServer, folder: Path, **more: object) -> Webhook:
     return Webhook(url=f"{start}://127.0.0.1:{server.port}/hook?key=geheim", **settings)
 
 
+@pytest.mark.parametrize("count", [10, pytest.param(100, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("kind", ["mail", "webhook"])
 def test_no_message_is_lost_or_doubled_whatever_the_receiver_does(
-    kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    kind: str, count: int, tmp_path: Path
 ) -> None:
     from validation.notices import outages
 
-    found = outages(kind, 10, 1, tmp_path)
-    assert found["held"] and (found["lost"], found["doubled"], found["outages"]) == (0, 0, 10)
+    found = outages(kind, count, 1, tmp_path)
+    assert found["held"] and (found["lost"], found["doubled"], found["outages"]) == (0, 0, count)
     assert found["lost_answers"] >= found["repeated"] > 0 and set(found["noticed"]) == set(FAILURES)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("kind", ["mail", "webhook"])
-def test_a_hundred_outages(kind: str, tmp_path: Path) -> None:
-    from validation.notices import outages
-
-    found = outages(kind, 100, 2, tmp_path)
-    assert found["held"] and (found["lost"], found["doubled"], found["outages"]) == (0, 0, 100)
 
 
 @pytest.fixture(scope="module")
