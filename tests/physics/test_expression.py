@@ -30,7 +30,6 @@ from hygrokf.physics.expression import (
     sqrt,
     where,
 )
-from hygrokf.physics.matrices import add, dot, identity, product, scale, transpose
 
 SYMBOLS = ("x", "y", "z")
 STEP = 1e-30
@@ -335,21 +334,6 @@ def test_leaves_stop_the_walks() -> None:
     assert graph.evaluate([dotted], {"x": 0.3})[0] == pytest.approx(2 * math.exp(0.3), rel=1e-15)
     assert depends_on(graph, output, ["x"]) and not depends_on(graph, output, ["y"])
     assert not depends_on(graph, 1.0, ["x"])
-
-
-def test_small_matrices_are_numpys() -> None:
-    random = np.random.default_rng(5)
-    a, b = random.normal(size=(3, 4)), random.normal(size=(4, 2))
-    a[0, 1] = b[2, 0] = 0.0
-    np.testing.assert_allclose(product(a.tolist(), b.tolist()), a @ b, rtol=1e-14, atol=1e-15)
-    np.testing.assert_array_equal(transpose(a.tolist()), a.T)
-    np.testing.assert_array_equal(add(a.tolist(), a.tolist()), 2 * a)
-    np.testing.assert_array_equal(scale(3.0, a.tolist()), 3 * a)
-    np.testing.assert_array_equal(identity(3), np.eye(3))
-    assert dot([0.0, 2.0], [5.0, 0.0]) == 0.0
-    graph = Graph()
-    x = graph.symbol("x")
-    assert is_zero(product([[x, 0.0]], [[0.0], [x]])[0][0])  # zeros of structure stay zeros
 
 
 def test_numpys_functions_of_a_traced_value_are_the_models_own() -> None:
