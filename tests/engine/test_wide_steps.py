@@ -1,4 +1,4 @@
-"""Matrices of whole steps against scipy's exponential (Van Loan's block matrices) and differences."""
+"""Matrices of whole steps against scipy's exponential (Van Loan's block matrices)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Free runs and forecasts against other integrators, plants and Monte-Carlo; coverage of their bands."""
+"""Free runs and forecasts against plants, Monte-Carlo and the filter with its later readings hidden."""
 
 from __future__ import annotations
 

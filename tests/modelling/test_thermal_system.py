@@ -1,4 +1,4 @@
-"""The thermal network as a python-control system, against closed forms and the filter's own transition."""
+"""The thermal network as a python-control system, against closed forms."""
 
 from __future__ import annotations
 
