@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from hygrokf.engine.timeline import Timeline, timeline
-from hygrokf.physics.holds import REGIME
+from hygrokf.physics.holds import LINEAR, MEAN, REGIME
 from hygrokf.physics.mechanisms import LIBRARY
 from hygrokf.physics.model import Mechanism, Model, compose
 
@@ -26,17 +26,29 @@ TIME = np.union1d(np.arange(0.0, 12.0, 0.25), np.arange(0.05, 12.0, 1.0 / 6.0))
 
 
 POWER_UNKNOWN = "power_unknown"
+HOLDS = {name: LINEAR for one in LIBRARY.values() for name in one().inputs}
+HOLDS |= dict.fromkeys(("operating", "preheating", "power_1", "power_2"), MEAN) | {POWER_UNKNOWN: REGIME}
 
 
 def host(mechanism: Mechanism) -> Model:
     """The joint base model with the mechanism in it."""
+    return compose([*others(mechanism, (*THERMAL, *HYGRIC)), mechanism], HOLDS)
+
+
+def smallest_host(mechanism: Mechanism) -> Model:
+    """The base model of the balance that the mechanism's module is about, with the mechanism in it: the
+    thermal one, the hygric one on the measured air, or the joint one."""
+    module = LIBRARY[mechanism.name].__module__.rpartition(".")[2]
+    if mechanism.name == "measured_air" or module in ("hygric", "moisture"):
+        return compose([*others(mechanism, ("measured_air", *HYGRIC)), mechanism], HOLDS)
+    if module in ("thermal", "heat"):
+        return compose([*others(mechanism, THERMAL), mechanism], HOLDS)
+    return host(mechanism)
+
+
+def others(mechanism: Mechanism, names: tuple[str, ...]) -> list[Mechanism]:
     left_out = {mechanism.name, *INSTEAD.get(mechanism.name, ())}
-    made = [LIBRARY[name]() for name in (*THERMAL, *HYGRIC) if name not in left_out]
-    mechanisms = [*made, mechanism]
-    inputs = {name for m in mechanisms for name in m.inputs}
-    steps = {"operating", "preheating", "power_1", "power_2"}
-    holds = {name: "mean" if name in steps else "linear" for name in inputs} | {POWER_UNKNOWN: REGIME}
-    return compose(mechanisms, holds)
+    return [LIBRARY[name]() for name in names if name not in left_out]
 
 
 def some_inputs(model: Model, seed: int = 3) -> dict[str, np.ndarray]:

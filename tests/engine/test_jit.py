@@ -12,8 +12,8 @@ import pytest
 
 from hygrokf.engine import jit
 from hygrokf.engine.jit import Code, cache_directory, has_fused_multiply_add
-from hygrokf.engine.llvm_writer import LANES, SCALAR, VECTOR, Writer, declarations, literal
-from hygrokf.physics.expression import Expression, Graph, exp, forward, jacobian, log, maximum, sqrt, where
+from hygrokf.engine.llvm_writer import SCALAR, Writer, declarations, literal
+from hygrokf.physics.expression import Expression, Graph, exp, log, maximum, sqrt, where
 
 NAMES = ("x", "y", "z")
 
@@ -78,46 +78,6 @@ def test_compiled_blocks_compute_what_the_interpreter_computes() -> None:
         expected = graph.evaluate(outputs, dict(zip(NAMES, point, strict=True)))
         # the processor rounds a fused product and sum once, the interpreter twice
         np.testing.assert_allclose(out, np.array(expected, dtype=float), rtol=1e-14, atol=1e-15)
-
-
-def test_compiled_tangents_are_derivatives_along_every_lane() -> None:
-    graph = Graph()
-    outputs = formulas(graph)
-    symbols = [graph.symbol(name) for name in NAMES]
-    tangents = {s.index: graph.symbol(f"dot:{n}") for s, n in zip(symbols, NAMES, strict=True)}
-    derivative = forward(graph, outputs, tangents)
-    w = Writer("f", [("ptr", "in"), ("ptr", "dots"), ("ptr", "out")])
-    leaves = {s.index: w.load(SCALAR, w.at(SCALAR, "%in", i)) for i, s in enumerate(symbols)}
-    vectors = {t.index: w.load(VECTOR, w.at(VECTOR, "%dots", i)) for i, t in enumerate(tangents.values())}
-    for i, (kind, value) in enumerate(w.block(graph, derivative, leaves | vectors, list(vectors))):
-        w.store(VECTOR, w.as_vector(kind, value), w.at(VECTOR, "%out", i))
-    code = Code(declarations() + w.text(), ["f"])
-    directions = np.random.default_rng(4).normal(size=(3, LANES))
-    rows = jacobian(outputs, symbols)
-    for point in POINTS:
-        out = np.zeros((len(outputs), LANES))
-        code("f", np.ascontiguousarray(point), directions, out)
-        at = dict(zip(NAMES, point, strict=True))
-        slopes = np.array([[float(v) for v in graph.evaluate(row, at)] for row in rows])
-        np.testing.assert_allclose(out, slopes @ directions, rtol=1e-12, atol=1e-13)
-
-
-def test_loops_conditions_and_counting_backwards() -> None:
-    w = Writer("f", [("i64", "count"), ("ptr", "x"), ("ptr", "out")])
-    last = w.slot("i64", "0")
-    with w.loop("%count", backwards=True) as i:
-        w.line(f"store i64 {i}, ptr {last}")
-        x = w.load(SCALAR, w.at(SCALAR, "%x", i))
-        with w.when(w.value(f"fcmp ogt double {x}, {literal(1.5)}")):
-            w.store(SCALAR, x, w.at(SCALAR, "%out", i))
-    final = w.value(f"sitofp i64 {w.load('i64', last)} to double")
-    w.store(SCALAR, final, w.at(SCALAR, "%out", "%count"))
-    x, out = np.array([1.0, 2.0, np.nan, 3.0]), np.zeros(5)
-    Code(declarations() + w.text(), ["f"])("f", 4, x, out)
-    np.testing.assert_array_equal(out, [0.0, 2.0, 0.0, 3.0, 0.0])
-    out[:] = 7.0
-    Code(declarations() + w.text(), ["f"])("f", 0, x, out)  # an empty run touches nothing but the last
-    np.testing.assert_array_equal(out, [0.0, 7.0, 7.0, 7.0, 7.0])
 
 
 @pytest.mark.parametrize("value", [0.0, -0.0, 1.0, math.pi, 5e-324, 1e308, math.inf, -math.inf])

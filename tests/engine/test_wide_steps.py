@@ -1,4 +1,4 @@
-"""Matrices of whole steps against scipy's exponential (Van Loan's block matrices) and differences."""
+"""Matrices of whole steps against scipy's exponential (Van Loan's block matrices)."""
 
 from __future__ import annotations
 
@@ -45,30 +45,6 @@ def test_steps_are_those_of_block_matrices() -> None:
         f = whole[k, :, :N] + np.eye(N)
         balance = a[k] @ noise[k] + noise[k] @ a[k].T - (f @ q[k] @ f.T - q[k])
         assert np.abs(balance).max() < 1e-12 * np.abs(a[k] @ noise[k]).max() + 1e-300
-
-
-def test_tangents_are_differences_and_adjoints_are_tangents_turned() -> None:
-    a, q = systems()
-    random = np.random.default_rng(2)
-    da, dq = a * random.normal(size=a.shape), q * random.normal(size=q.shape)
-    up, down = (together(a + step * da, q + step * dq) for step in (1e-6, -1e-6))
-    common = series(a, q, DRIVEN)
-    tangents = common.tangents(da[:, None], dq[:, None])
-    seen = 0
-    for places, found in powers(common, np.arange(len(a)), HOURS):
-        change, gained = (one[:, 0] for one in found.tangents(*tangents))
-        for i, derivative in enumerate((change, gained)):
-            difference = (up[i][places] - down[i][places]) / 2e-6
-            assert_allclose(derivative, difference, rtol=1e-6, atol=1e-6 * np.abs(difference).max())
-        bar, noise_bar = random.normal(size=change.shape), random.normal(size=gained.shape)
-        noise_bar = noise_bar + np.swapaxes(noise_bar, 1, 2)
-        back, noise_back = (one[places] for one in common.adjoints(*found.adjoints(bar, noise_bar)))
-        ahead = (bar * change).sum((1, 2)) + (noise_bar * gained).sum((1, 2))
-        behind = (back * da[places]).sum((1, 2)) + (noise_back * dq[places]).sum((1, 2))
-        size = np.abs(bar * change).sum((1, 2)) + np.abs(noise_bar * gained).sum((1, 2))
-        assert (np.abs(ahead - behind) <= 1e-11 * size).all()
-        seen += len(places)
-    assert seen == len(HOURS)
 
 
 @pytest.mark.parametrize("seed", range(3))

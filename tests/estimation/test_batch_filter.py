@@ -2,83 +2,35 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from builders.live_case import live_fit, live_record
 from builders.mechanism_case import host, some_run, some_values
 
-from hygrokf.data.record import Record
 from hygrokf.engine.llvm_writer import RUNS
 from hygrokf.estimation.batch_filter import SideBySide
 from hygrokf.estimation.likelihood import Likelihood
 from hygrokf.estimation.smoother import to_filterpy, transition
 from hygrokf.live.plan import Plan, plan
-from hygrokf.live.tracker import Course, offline_course
+from hygrokf.live.tracker import offline_course
 from hygrokf.physics.expression import maximum, minimum
 from hygrokf.physics.model import Mechanism
 
-SEEDS = (3, 4, 5)
-COUNT = 120
 CLOSE = 2e-7
 """Sub-steps of runs side by side are equal parts, those of one run are not."""
 
 
-@pytest.fixture(scope="module")
-def records(tmp_path_factory: pytest.TempPathFactory) -> list[Record]:
-    return [live_record(tmp_path_factory.mktemp("turbine"), seed, days=2.0) for seed in SEEDS]
-
-
-def planned(record: Record, tau_h: float) -> Plan:
-    made = plan(live_fit(record), site=record.site, rated_power_W=record.rated_power_W)
-    return Plan(
-        made.name,
-        made.design,
-        {**made.values, "thermal_time_constant": tau_h},
-        forms=made.forms,
-    )
-
-
-def at(course: Course, name: str, i: int) -> float:
-    return float(course.run.timeline.input(name)[i])
-
-
-def test_every_run_is_its_own_filter(records: list[Record]) -> None:
-    """Three turbines with other weather, other steps and other parameters; sub-steps differ, and their errors
-    of 1e-7 standard deviations."""
-    plans = [planned(records[0], tau_h) for tau_h in (0.9, 1.5, 2.6)]
-    courses = [offline_course(p, r) for p, r in zip(plans, records, strict=True)]
-    model, begin = plans[0].model, 20
-    runs = SideBySide(model, [p.values for p in plans])
-    runs.begin({n: np.array([at(c, n, begin) for c in courses]) for n in model.inputs})
-    own = [Likelihood(model, c.run.timeline) for c in courses]
-    for i in range(begin + 1, begin + COUNT):
-        hours = np.array([c.run.timeline.time[i] - c.run.timeline.time[i - 1] for c in courses])
-        inputs = {n: np.array([at(c, n, i) for c in courses]) for n in model.inputs}
-        before = np.array([c.trace.mean[i - 1] for c in courses])
-        mean, gained = runs.step(before, hours, inputs)
-        for r, (one, likelihood) in enumerate(zip(plans, own, strict=True)):
-            expected, _, spread = transition(likelihood, one.values, i, before[r])
-            assert mean[r] == pytest.approx(expected, rel=CLOSE, abs=CLOSE)
-            assert gained[r] == pytest.approx(spread, rel=CLOSE, abs=CLOSE)
-    assert len({round(float(h), 6) for h in hours}) > 1  # the steps differ
-
-
-def test_faults_in_words(records: list[Record]) -> None:
-    one = planned(records[0], 1.5)
-    runs = SideBySide(one.model, [one.values])
-    inputs = {name: np.array([280.0]) for name in one.model.inputs}
-    with pytest.raises(ValueError, match="ambient_temperature"):
-        runs.step(
-            np.zeros((1, len(one.model.states))), 0.1, {**inputs, "ambient_temperature": np.array([np.nan])}
-        )
-
-
-def test_filterpy_and_the_tracker_agree(records: list[Record]) -> None:
+def test_filterpy_and_the_tracker_agree(tmp_path: Path) -> None:
     """The tracked model, all its wandering properties included, in filterpy's own algebra: to 1e-9 over 150
     instants."""
-    one = planned(records[1], 1.7)
-    course = offline_course(one, records[1])
-    object_ = to_filterpy(Likelihood(one.model, course.run.timeline.window(0, 150)), one.values)
+    record = live_record(tmp_path, 4, days=2.0)
+    made = plan(live_fit(record), site=record.site, rated_power_W=record.rated_power_W)
+    values = {**made.values, "thermal_time_constant": 1.7}
+    one = Plan(made.name, made.design, values, forms=made.forms)
+    course = offline_course(one, record)
+    object_ = to_filterpy(Likelihood(one.model, course.run.timeline.window(0, 150)), values)
     for k in range(150):
         object_.advance(k)
         object_.observe(k)
@@ -98,7 +50,7 @@ def drying_above(limit: float) -> Mechanism:
     )
 
 
-@pytest.mark.parametrize("count", [1, 2 * RUNS, 2 * RUNS + 3])
+@pytest.mark.parametrize("count", [1, 2 * RUNS + 3])
 def test_runs_differ_in_everything(count: int) -> None:
     """Parameters, numbers of sub-steps, inputs and comparisons; blocks of lanes that are full and not."""
     model = host(drying_above(7.2))
@@ -136,3 +88,5 @@ def test_a_first_step_that_takes_no_time_changes_nothing() -> None:
         runs.begin(inputs)
         mean, gained = runs.step(begin, 0.0, inputs)
         assert mean == pytest.approx(begin, rel=1e-12) and not gained.any()
+    with pytest.raises(ValueError, match="ambient_temperature"):
+        runs.step(begin, 0.1, {**inputs, "ambient_temperature": np.array([np.nan])})

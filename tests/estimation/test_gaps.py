@@ -99,17 +99,6 @@ def test_a_slow_cabinet_remembers_a_gap_longer_than_a_fast_one(holed, whole):
     assert settled(made, values, plain) is plain
 
 
-def test_only_readings_within_the_gaps_are_lost(holed, whole):
-    likelihood, _, run = filtered(holed, "joint")
-    kept = likelihood.timeline.n_readings
-    all_ = filtered(whole, "joint")[0].timeline.n_readings
-    inside = sum(last - first for first, last in GAPS_H) / 96.0
-    assert kept / all_ == pytest.approx(1.0 - inside, abs=0.02)
-    t = run.timeline
-    within = np.any([(t.time > first + 0.5) & (t.time < last - 0.5) for first, last in GAPS_H], axis=0)
-    assert not run.scored[within].any() and not np.isfinite(t.y[within]).any()
-
-
 def test_a_slow_sensor_and_a_wall_are_unknown_after_a_gap_but_no_random_walk(holed):
     """What follows an input through other states is as unknown as the input; what drifts by itself is not."""
     made = design(holed)

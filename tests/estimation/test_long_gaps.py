@@ -7,6 +7,7 @@ import math
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -24,21 +25,19 @@ from hygrokf.climate.region import driven
 from hygrokf.data.record import Record
 from hygrokf.engine.timeline import Timeline, timeline
 from hygrokf.estimation.batch_filter import SideBySide
-from hygrokf.estimation.likelihood import Gaussian, Likelihood, RatesFault, Trace
+from hygrokf.estimation.likelihood import Likelihood, RatesFault, Trace
 from hygrokf.estimation.smoother import smoothed_states, transition
 from hygrokf.evaluation.simulation import free_run
 from hygrokf.live.plan import Plan
 from hygrokf.live.tracker import Tracker, offline_course
 from hygrokf.modelling.inputs import model_inputs
 from hygrokf.physics.cold_surface import Surface
-from hygrokf.physics.mechanisms import linear_network
 from hygrokf.physics.mechanisms.wandering import (
     wandering_exchange,
     wandering_release,
     wandering_time_constant,
 )
-from hygrokf.physics.model import compose, extend
-from hygrokf.physics.parameters import Parameter
+from hygrokf.physics.model import extend
 
 YEAR_H = 8766.0
 AT = 60
@@ -82,8 +81,7 @@ def daily(
     return through
 
 
-@pytest.mark.parametrize("years", [1.0, 10.0])
-@pytest.mark.parametrize("correlation_h", [8.0, 3000.0])
+@pytest.mark.parametrize(("years", "correlation_h"), [(1.0, 3000.0), (10.0, 8.0)])
 def test_a_linear_model_is_the_dense_one(thermal: object, years: float, correlation_h: float) -> None:
     """The thermal model with a heat release that wanders (a random walk) and a disturbance as slow as four
     months."""
@@ -175,18 +173,6 @@ def test_a_gap_is_the_same_with_instants_in_it(joint: object) -> None:
     np.testing.assert_allclose(apart, 0.0, atol=1e-6)
 
 
-def test_what_was_known_before_is_forgotten(joint: object) -> None:
-    case = gapped(joint, 2.0 * YEAR_H)
-    t, n = case.timeline.window(AT, AT + 1), len(case.model.states)
-    ends = []
-    for kelvin, vapour in ((250.0, 1.0), (330.0, 40.0)):
-        mean = np.array([kelvin, 3.0, vapour, -1.0])
-        found = Likelihood(case.model, t).trace(case.values, start=Gaussian(mean, np.eye(n)))
-        ends.append((found.prior_mean[0], found.prior_covariance[0]))
-    np.testing.assert_allclose(ends[0][0], ends[1][0], rtol=1e-11, atol=1e-12)
-    np.testing.assert_allclose(ends[0][1], ends[1][1], rtol=1e-9, atol=1e-12)
-
-
 def through_days(case: object) -> object:
     """The case with an instant on every day of its gap."""
     before, after = case.timeline.time[[AT - 1, AT]]
@@ -259,11 +245,6 @@ def test_runs_side_by_side_cross_gaps_of_their_own(joint: object) -> None:
             np.testing.assert_allclose(gained[i], spread, rtol=1e-6, atol=1e-6)
 
 
-@pytest.fixture(scope="module")
-def short(tmp_path_factory: pytest.TempPathFactory) -> Record:
-    return read_case(write_case(synthetic_turbine(seed=6, days=4.0), tmp_path_factory.mktemp("turbine")))
-
-
 def apart(record: Record, days: float) -> Record:
     """The record with its second half later: all sources are silent between."""
     middle = 0.5 * (record.start_s + record.end_s)
@@ -276,18 +257,14 @@ def apart(record: Record, days: float) -> Record:
     return record.replace_series(*(moved(s) for s in record.series))
 
 
-@pytest.mark.parametrize("days", [400.0, 3650.0])
-@pytest.mark.parametrize(("seed", "late_s", "batch"), [(0, 0.0, 9), (1, 0.95 * LATENESS_S, 40)])
-def test_the_tracker_is_the_offline_filter_across_a_gap_bit_for_bit(
-    short: Record, days: float, seed: int, late_s: float, batch: int
-) -> None:
+def test_the_tracker_is_the_offline_filter_across_a_gap_bit_for_bit(tmp_path: Path) -> None:
     """All properties wander: what was known of them before the gap is less sure after it, and not lost."""
-    record = apart(short, days)
+    record = apart(read_case(write_case(synthetic_turbine(seed=6, days=3.0), tmp_path)), 3650.0)
     model: Plan = planned(record)
     tracker, course = Tracker(model), None
-    readings = arriving(readings_of(record), seed, late_s)
-    for first in range(0, len(readings), batch):
-        tracker.take(readings[first : first + batch])
+    readings = arriving(readings_of(record), 1, 0.95 * LATENESS_S)
+    for first in range(0, len(readings), 40):
+        tracker.take(readings[first : first + 40])
         course = tracker.advance() or course
     offline = offline_course(model, record)
     assert not tracker.counts["late"]
@@ -311,11 +288,9 @@ def test_the_tracker_is_the_offline_filter_across_a_gap_bit_for_bit(
 def test_a_climate_crosses_the_years_between_its_files() -> None:
     """Weather of three weeks, three years of nothing, three weeks: every member goes on as it would."""
     fit = known_fit()
-    weeks = made_up_weather()
-    weeks = weeks.window(weeks.start_s, weeks.start_s + 42.0 * 86400.0)
-    record, _ = driven(fit, apart(weeks, 3.0 * 365.25), None)
+    record, _ = driven(fit, apart(made_up_weather(42), 3.0 * 365.25), None)
     begun = time.process_time()
-    years = list(simulate_years(fit, record, [dict(fit.values)] * 4, 3, Surface()))
+    years = list(simulate_years(fit, record, [dict(fit.values)] * 2, 3, Surface()))
     assert time.process_time() - begun < 20.0
     for year in years:
         assert np.isfinite(year.temperature_K).all() and np.isfinite(year.relative_humidity).all()
@@ -338,21 +313,6 @@ def test_a_switch_decides_after_a_gap_as_without_one() -> None:
     assert np.mean(found.temperature[0][days_after]) == pytest.approx(
         np.mean(plain.temperature[0][days_after]), abs=0.5
     )
-
-
-def test_a_model_of_one_state() -> None:
-    """After a year only its stationary variance is left."""
-    rate = Parameter("rate", "1/h", 40.0, 0.0, 1e3)
-    level = linear_network(
-        "level", (rate,), ("level",), (), lambda p, x, u: {"level": -p.rate * x.level},
-        {"y": lambda p, x, u: (x.level, 0.25)}, lambda p: {"level": 0.5}, lambda p, u: {"level": (1.0, 1.0)},
-    )  # fmt: skip
-    model = compose([level])
-    line = timeline(model, np.array([0.0, 1.0, 1.0 + YEAR_H]), {}, {"y": np.array([1.0, np.nan, 2.0])})
-    found = Likelihood(model, line).trace({"rate": 40.0})
-    assert found.prior_covariance[2, 0, 0] == pytest.approx(0.5 / 80.0, rel=1e-12)
-    assert found.prior_mean[2, 0] == 0.0
-    check_score(Likelihood(model, line), {"rate": 40.0})
 
 
 # -- what no step resolves -----------------------------------------------------------------------------------

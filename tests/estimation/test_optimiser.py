@@ -12,7 +12,6 @@ from builders.constant_level import constant_level
 
 from hygrokf.engine.timeline import timeline
 from hygrokf.estimation import optimiser
-from hygrokf.estimation.confidence import uncertainty
 from hygrokf.estimation.likelihood import Likelihood
 from hygrokf.estimation.optimiser import (
     BETTER,
@@ -106,12 +105,6 @@ def test_objective_gradient_and_information_in_coordinates() -> None:
     np.testing.assert_allclose(
         scores, np.column_stack([residual / 1.3, residual**2 - 1.0]), rtol=1e-9, atol=1e-9
     )
-
-
-def test_fixed_parameters_stay() -> None:
-    found = fit_mle(sample(), fixed={"mean": 2.5}, count=3)
-    assert found.values["mean"] == 2.5 and found.coordinates.names == ("spread",)
-    assert found.values["spread"] == pytest.approx(math.sqrt(np.mean((READ - 2.5) ** 2)), rel=NEAR)
 
 
 def two_hills(p: object) -> object:
@@ -285,25 +278,6 @@ def test_a_start_without_a_likelihood_says_so() -> None:
     assert "not finite at the start" in found.message and "try more starts" in found.message
 
 
-def test_a_simulated_cabinet_is_recovered_within_its_standard_errors(make_case: Callable) -> None:
-    """Thermal model, 2,400 readings in 25 days from a start a factor two off: all within four standard
-    errors."""
-    case = make_case("thermal", 0.25 * np.arange(2400), 31, missing=0.02)
-    held = {name: case.values[name] for name in ("cabinet_temperature_bias",)}
-    start = {
-        n: v * (2.0 if "disturbance" in n or n == "thermal_time_constant" else 1.0)
-        for n, v in case.values.items()
-    }
-    found = fit_mle(case.likelihood, start, fixed=held, count=1)
-    assert found.converged
-    known = uncertainty(Objective(case.likelihood, found.coordinates), found)
-    for place, name in enumerate(known.names):
-        p = found.coordinates.parameter(name)
-        away = p.to_coordinate(found.values[name]) - p.to_coordinate(case.values[name])
-        assert abs(away) < 4 * math.sqrt(known.wald[place, place]), name
-    assert found.values["thermal_time_constant"] == pytest.approx(1.5, rel=0.2)
-
-
 def test_a_flat_direction_does_not_feign_convergence() -> None:
     """A coordinate with hardly any information asks for a step without end; the others must still be
     moved."""
@@ -316,7 +290,7 @@ def test_a_flat_direction_does_not_feign_convergence() -> None:
     assert promised == pytest.approx(12.5, rel=1e-6)
 
 
-@pytest.mark.parametrize("seed", range(20))
+@pytest.mark.parametrize("seed", range(5))
 def test_a_promise_is_kept_within_the_box_and_never_negative(seed: int) -> None:
     random = np.random.default_rng(seed)
     root = random.normal(size=(4, 4)) * 10.0 ** random.uniform(-4, 2, 4)

@@ -34,7 +34,7 @@ def fit(record: Record, kind: str) -> OutputError:
     return fit_output_error(likelihood, starts(likelihood))
 
 
-@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize("seed", [1, 2])
 def test_noise_free_plants_give_their_parameters_back(seed):
     """What is left are the plant's minute steps (thermal) and its other saturation formula (hygric)."""
     made = plant(seed, days=20, **EXACT)

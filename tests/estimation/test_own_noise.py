@@ -167,8 +167,10 @@ def gusty_course(hold: str, time: np.ndarray, gust: np.ndarray, power: int = 1) 
     return Course(steps, np.zeros(2), np.diag([1.0, 0.5]), ROWS, NOISE)
 
 
-@pytest.mark.parametrize("power", [1, 2])
-@pytest.mark.parametrize("hold", ["previous", "mean", "linear", "mean of few distinct values"])
+@pytest.mark.parametrize(
+    ("hold", "power"),
+    [("previous", 1), ("mean", 2), ("linear", 1), ("linear", 2), ("mean of few distinct values", 2)],
+)
 def test_diffusion_follows_an_input_under_every_hold(hold, power):
     """An intensity that is the square of a linear input is exact, as one that is constant within a step
     is."""

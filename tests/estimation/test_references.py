@@ -10,7 +10,6 @@ from __future__ import annotations
 import csv
 import gzip
 import json
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -19,13 +18,13 @@ from numpy.testing import assert_allclose
 
 from hygrokf.engine.timeline import timeline
 from hygrokf.estimation.confidence import uncertainty
-from hygrokf.estimation.inference import confidence_intervals, modal_time_constants
+from hygrokf.estimation.inference import modal_time_constants
 from hygrokf.estimation.likelihood import Likelihood
 from hygrokf.estimation.optimiser import Estimate, Objective, fit_mle
 from hygrokf.physics.expression import exp
 from hygrokf.physics.mechanisms import linear_network
 from hygrokf.physics.model import compose
-from hygrokf.physics.parameters import Coordinates, Parameter, within_limits
+from hygrokf.physics.parameters import Parameter
 
 REFERENCE = Path(__file__).resolve().parents[2] / "../shared/data/reference"
 
@@ -175,15 +174,10 @@ def test_thermal10k_local_optima_are_found_and_left(thermal10k: tuple, noise: st
     assert -onwards.objective == pytest.approx(expected["ml_lkf"]["nll"], abs=1e-5)
 
 
-@pytest.mark.parametrize(
-    "start",
-    [{"ls1": 2.0, "ls2": -8.0, "lsy": 1.0}, {"ls1": -6.0, "ls2": 1.0, "lsy": -8.0}],
-    ids=["slow", "stuck"],
-)
-def test_thermal10k_is_reached_from_poor_noise_starts(thermal10k: tuple, start: dict) -> None:
-    """Several starts over the noise parameters; the single climb from the second of these does not arrive."""
+def test_thermal10k_is_reached_from_a_poor_noise_start(thermal10k: tuple) -> None:
+    """Several starts over the noise parameters; the single climb from this one does not arrive."""
     likelihood, expected = thermal10k
-    found = fit_mle(likelihood, start, count=6)
+    found = fit_mle(likelihood, {"ls1": -6.0, "ls2": 1.0, "lsy": -8.0}, count=6)
     assert found.converged
     assert -found.objective == pytest.approx(expected["ml_lkf"]["nll"], abs=1e-5)
     assert all(objective < found.objective for objective, _ in found.others)
@@ -244,24 +238,6 @@ def test_armadillo_estimate_and_true_hessian(armadillo: tuple) -> None:
     for name, error in {"Ro": 0.000898, "Ri": 0.000071, "Cw": 7.505, "Ci": 0.747}.items():
         # the numbers have two to four digits
         assert errors[name] == pytest.approx(error, rel=1e-3 if error != 0.000071 else 7e-3)
-
-
-def test_armadillo_needs_its_hold(armadillo: tuple) -> None:
-    """Under the wrong hold the same parameters are far from likely: holds are not a detail."""
-    likelihood, expected = armadillo
-    theta = expected["notebook_fit_frequentist"]["theta"]
-    model = replace(likelihood.model, holds={"outside": "mean", "heat": "mean"})
-    wrong = Likelihood(
-        model,
-        timeline(
-            model,
-            likelihood.timeline.time,
-            {name: likelihood.timeline.input(name) for name in model.inputs},
-            {"T_int": likelihood.timeline.reading("T_int")},
-        ),
-    )
-    assert wrong.value(theta) < likelihood.value(theta) - 100.0
-    assert Coordinates(model.parameters).names == tuple(theta)
 
 
 # -- two Ornstein-Uhlenbeck states in a row ------------------------------------------------------------------
@@ -435,23 +411,3 @@ def test_flexhouse_time_constants(flexhouse: tuple) -> None:
             # climbs that end 1e-5 below the maximum leave 0.005 standard errors, other programs' ends more
             assert one.value == pytest.approx(value, rel=0.01), order
         assert next(iter(constants[0].states)) == "Te" and next(iter(constants[-1].states)) == "Ts"
-
-
-def test_flexhouse_from_the_parent_alone_is_a_lower_maximum(flexhouse: tuple) -> None:
-    """Why starts over the physical parameters stay beside the parent's."""
-    found, _ = flexhouse
-    likelihood, best = found["TiTeTh"]
-    start = within_limits(likelihood.parameters, found["TiTh"][1].values)
-    alone = fit_mle(likelihood, start, count=1)
-    assert alone.converged and alone.objective < best.objective - 50.0
-
-
-def test_flexhouse_bounds_by_three_methods(flexhouse: tuple) -> None:
-    likelihood, estimate = flexhouse[0]["Ti"]
-    widths = {}
-    for method in ("wald", "sandwich", "profile"):
-        bounds = confidence_intervals(likelihood, estimate, ["Ria"], method)["Ria"]
-        assert bounds.method == method and bounds.lower < estimate.values["Ria"] < bounds.upper
-        widths[method] = np.log(bounds.upper / bounds.lower)
-    # one state for a building is wrong: only the sandwich and the profile, widened by it, know
-    assert widths["sandwich"] > 1.05 * widths["wald"] and widths["profile"] > 1.05 * widths["wald"]

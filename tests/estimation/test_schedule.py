@@ -69,21 +69,14 @@ def cubic(seed: int) -> Likelihood:
     return Likelihood(CUBIC, timeline(CUBIC, 0.5 * np.arange(60), {"u": np.full(60, 4.0)}, {"y": y}))
 
 
-@pytest.mark.parametrize(
-    ("made", "name", "truth", "seed"),
-    [(furnace, "tau", 10.0, 41), (cubic, "k", 1.0, 42)],
-    ids=["furnace", "cubic"],
-)
-def test_bounds_hold_the_truth_where_rates_grow_along_the_course(
-    made: Callable, name: str, truth: float, seed: int
-) -> None:
-    """The rates at the first state are 50 and 250 times as slow as those that follow.  One seed of each; the
-    coverage over many is the slow test below."""
-    likelihood = made(seed)
+def test_bounds_hold_the_truth_where_rates_grow_along_the_course() -> None:
+    """The rates at the first state are 250 times as slow as those that follow.  One seed; the coverage over
+    many, and of a furnace, is the slow test below."""
+    likelihood = cubic(42)
     found = fit_mle(likelihood, count=1)
     assert found.converged and found.discretisation_error < 1e-5, found.message
-    bound = confidence_intervals(likelihood, found, [name], "wald")[name]
-    assert bound.lower < truth < bound.upper and bound.upper / bound.lower < 1.05
+    bound = confidence_intervals(likelihood, found, ["k"], "wald")["k"]
+    assert bound.lower < 1.0 < bound.upper and bound.upper / bound.lower < 1.05
     assert found.loglik == likelihood.value(found.values)
     expected, _ = reference_filter(likelihood, found.values)
     assert found.loglik == pytest.approx(expected, abs=1e-5)
@@ -108,6 +101,7 @@ def test_the_bounds_cover(made: Callable, name: str, truth: float) -> None:
 
 def test_the_score_under_held_sub_steps_is_the_central_difference() -> None:
     likelihood = furnace(3)
+    likelihood = replace(likelihood, timeline=likelihood.timeline.window(0, 120))
     values = {"tau": 9.0, "s": 2.0, "r": 1.0}
     held = likelihood.scheduled(values)
     assert held.steps_per_instant(values) > 1.5
@@ -150,7 +144,7 @@ def test_a_stiff_oscillator_is_scipys() -> None:
     found = likelihood.trace({"mu": 1000.0}).mean
     expected = solve_ivp(
         lambda t, z: [z[1], 1000.0 * (1.0 - z[0] ** 2) * z[1] - z[0]], (0.0, 1000.0), [2.0, 0.0], "Radau",
-        times, rtol=1e-11, atol=1e-13,
+        times, rtol=1e-10, atol=1e-12,
     ).y.T  # fmt: skip
     # at 800 the jump is near, and the speed tells the time of it five times as sharply as the position
     np.testing.assert_allclose(found, expected, rtol=1e-5)

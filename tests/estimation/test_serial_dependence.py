@@ -67,7 +67,7 @@ def test_too_short_a_series_says_how_long_it_must_be() -> None:
     assert long_run_covariance(trend[: FEWEST_TERMS // 2]).needed[0] == 2.0
 
 
-@pytest.mark.parametrize(("memory", "noise"), [(0.2, 0.0), (2.0, 0.0), (4.0, 0.0), (2.0, 1.0), (4.0, 1.0)])
+@pytest.mark.parametrize(("memory", "noise"), [(0.2, 0.0), (4.0, 0.0), (4.0, 1.0)])
 @pytest.mark.parametrize("count", [48, 120, 240, 960])
 def test_bounds_of_a_mean_hold(memory: float, noise: float, count: int) -> None:
     """95 % bounds of the mean of 400 series: 0.90 less three standard errors of a share, 0.045."""

@@ -186,12 +186,8 @@ def test_matrices_are_taken_where_they_are_exact(
     assert not recursion_of(model).wide
 
 
-@pytest.mark.parametrize("few", [1, 8])
-def test_a_product_of_two_rising_inputs_is_divided_into_sub_steps(
-    few: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_product_of_two_rising_inputs_is_divided_into_sub_steps() -> None:
     """A parabola in time drives the states: free runs against an ODE solver, at steps of up to 15 h."""
-    monkeypatch.setattr(wide_recursion, "FEW", few)
     model, values = compose([small()], HOLDS | {"w": "linear"}), dict(a=0.7, b=0.4, s=0.3, r=0.2)
     random, time_h = np.random.default_rng(4), np.array([0.0, 1.0, 16.0, 18.0])
     inputs = {name: random.normal(size=4) for name in ("u", "v", "w")} | {"wind": np.full(4, 0.5)}

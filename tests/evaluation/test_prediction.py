@@ -4,7 +4,6 @@ and statsmodels."""
 from __future__ import annotations
 
 import numpy as np
-import pandas as pd
 import pytest
 from builders import masses
 from numpy.testing import assert_allclose
@@ -166,15 +165,6 @@ def test_smoothed_states_have_names_times_and_the_law_given_all_readings(short: 
     assert_allclose(frame["wall_upper"] - frame["wall"], 0.6744898 * frame["wall_sd"], rtol=1e-6)
 
 
-def test_times_are_in_utc_where_a_timeline_has_a_date(short: tuple) -> None:
-    model = masses.network()
-    time, driven, read = short
-    made = hygrokf.timeline(model, time, driven, {"read": read}, origin_s=1.6e9)
-    found = hygrokf.smooth(hygrokf.Likelihood(model, made), masses.VALUES).to_frame()
-    expected = pd.Timestamp(1.6e9, unit="s", tz="UTC") + pd.Timedelta(hours=time[3])
-    assert abs(found.index[3] - expected) < pd.Timedelta(microseconds=2)
-
-
 def test_innovations_are_the_readings_without_what_went_before(short: tuple) -> None:
     """The Cholesky factor of the readings' covariance whitens them in their order."""
     read = short[2]
@@ -209,13 +199,6 @@ def test_residual_tests_of_any_network_are_those_of_statsmodels(long: tuple) -> 
     assert normal.p == pytest.approx(jarque_bera(standard)[1], rel=1e-8)
     assert set(own.cross_correlation) == {"ambient", "heater"}
     assert not any(one.rejected for one in told.tests)  # the model is the one that made the readings
-
-
-def test_the_tests_find_a_wall_that_a_model_lacks(long: tuple) -> None:
-    likelihood, estimate = long
-    stiff = {**estimate.values, "share": 0.98, "wander": 1e-3}
-    told = hygrokf.innovations(likelihood, stiff).tests()
-    assert any(one.rejected and "autocorrelation" in one.test for one in told.tests)
 
 
 def test_a_free_run_needs_a_first_state(short: tuple) -> None:

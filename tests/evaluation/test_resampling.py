@@ -87,12 +87,6 @@ def test_too_few_blocks_give_no_bounds_and_nothing_gives_nothing() -> None:
     assert resampled(time, np.full_like(errors, np.nan)) is None
 
 
-def test_identical_columns_differ_by_nothing() -> None:
-    time, errors = pair(3, 30, 6.0)
-    value, low, high = resampled(time, errors[:, [0, 0]]).difference(0, 1)
-    assert value == low == high == 0.0
-
-
 def test_blocks_grow_with_memory_and_stay_a_tenth_of_the_record() -> None:
     random = np.random.default_rng(4)
     fast, slow = (remembering(random, 96 * 200, time_h)[::4] for time_h in (2.0, 20.0))

@@ -146,17 +146,6 @@ def test_step_bands_are_the_percentiles_of_draws(few: tuple, drawn: dict) -> Non
         closer(tuple(one[places] for one in found.value["read", name]), np.array(rows).T)
 
 
-def test_bands_by_the_slopes_alone_would_not_pass(few: tuple, drawn: dict) -> None:
-    """The comparison is sharp: bands that are symmetric around the value, as those of the delta method, are
-    off by more."""
-    likelihood, estimate = few
-    value, lower, upper = hygrokf.bode(likelihood, estimate, np.array([0.02])).magnitude["read", "heater"]
-    draws = drawn["warmth"] / drawn["share"]  # the gain at rest
-    reach = 1.959964 * np.std(np.log(draws)) * value
-    off = abs(value - reach - np.quantile(draws, 0.025)) / (upper - lower)
-    assert off > KEPT
-
-
 def test_values_without_uncertainty_have_no_bands(few: tuple) -> None:
     likelihood, estimate = few
     found = hygrokf.step_response(likelihood, estimate.values)

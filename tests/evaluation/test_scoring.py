@@ -15,7 +15,6 @@ from plants.as_record import to_record
 from scipy.stats import binom
 
 from hygrokf.data.structured import plain
-from hygrokf.estimation.likelihood import Likelihood
 from hygrokf.evaluation.scoring import (
     REGIMES,
     Counts,
@@ -114,28 +113,16 @@ def test_periods_part_at_until(one):
 
 def test_scores_by_hand(one):
     found = scores(one.run, one.predicted, one.until)
-    for quantity, (value, _) in (
-        ("temperature_K", one.predicted.temperature),
-        ("absolute_humidity_g_m3", one.predicted.absolute_humidity),
-    ):
-        for period, chosen in (
-            ("identification", one.seconds <= one.until),
-            ("validation", one.seconds > one.until),
-        ):
-            for regime, part in (
-                ("operation", one.run.operating),
-                ("standstill", ~one.run.operating),
-                ("total", np.ones(len(chosen), bool)),
-            ):
-                errors = [
-                    (m - v) ** 2
-                    for m, v, c in zip(one.known[quantity], value, chosen & part, strict=True)
-                    if c and math.isfinite(m)
-                ]
-                assert getattr(found[period][quantity].n, regime) == len(errors) > 50
-                assert getattr(found[period][quantity], regime) == pytest.approx(
-                    math.sqrt(sum(errors) / len(errors))
-                )
+    early = one.seconds <= one.until
+    on = one.run.operating
+    for quantity in ("temperature_K", "absolute_humidity_g_m3"):
+        square = (one.known[quantity] - one.predicted.of(quantity)[0]) ** 2
+        for period, chosen in (("identification", early), ("validation", ~early)):
+            for regime, part in (("operation", on), ("standstill", ~on), ("total", on | ~on)):
+                there = chosen & part & np.isfinite(square)
+                assert getattr(found[period][quantity].n, regime) == there.sum() > 50
+                expected = math.sqrt(square[there].mean())
+                assert getattr(found[period][quantity], regime) == pytest.approx(expected)
 
 
 def test_unknown_stretches_are_not_scored(one):
@@ -286,11 +273,11 @@ def test_coverage_of_normal_numbers_is_nominal():
 
 
 def test_forecast_bands_hold_on_plants_with_their_true_parameters():
-    """One-hour forecasts that start two hours apart are all but independent: over four plants of 30 days the
+    """One-hour forecasts that start two hours apart are all but independent: over three plants of 30 days the
     count of readings inside the 95 % band lies in the binomial band (99.9 %).  Longer leads overlap: there
     only that the scale is about one."""
     inside, total, scales = {}, {}, {}
-    for seed in (71, 72, 73, 74):
+    for seed in (71, 72, 73):
         record, base, values = true_model(seed)
         driven = model_inputs(base, record)
         found = bands(base, values, driven, free_run(base, values, driven), record.start_s + 5 * DAY_S)
@@ -304,7 +291,7 @@ def test_forecast_bands_hold_on_plants_with_their_true_parameters():
                     total[quantity] = total.get(quantity, 0) + cell.n
     for quantity, count in inside.items():
         low, high = binom.ppf([0.0005, 0.9995], total[quantity], 0.95)
-        assert total[quantity] > 900
+        assert total[quantity] > 700
         assert low <= count <= high, (quantity, count / total[quantity])
     for key, found in scales.items():
         assert 0.8 < np.mean(found) < 1.25, (key, found)
@@ -324,22 +311,3 @@ def test_bands_are_those_of_the_validation_period(one):
         bands(one.base, one.values, spoilt, one.predicted, one.until)["free_run"]["temperature_K"].coverage
         == 0.0
     )
-
-
-def test_true_values_are_near_the_maximum_of_the_likelihood(one):
-    """The list of true parameters above is no invention: moving any of the main ones loses likelihood."""
-    likelihood = Likelihood(one.base.model, one.run.timeline)
-    best = likelihood.value(one.values)
-    for name, factor in (
-        ("thermal_time_constant", 1.2),
-        ("thermal_time_constant", 0.8),
-        ("hygric_k", 1.3),
-        ("hygric_k", 0.7),
-        ("heat_disturbance_sd", 1.5),
-        ("heat_disturbance_sd", 0.6),
-        ("vapour_disturbance_sd", 1.5),
-        ("vapour_disturbance_sd", 0.6),
-        ("cabinet_temperature_noise", 1.6),
-        ("cabinet_relative_humidity_noise", 1.4),
-    ):
-        assert likelihood.value(one.values | {name: factor * one.values[name]}) < best - 2.0, name

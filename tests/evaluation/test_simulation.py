@@ -1,4 +1,4 @@
-"""Free runs and forecasts against other integrators, plants and Monte-Carlo; coverage of their bands."""
+"""Free runs and forecasts against plants, Monte-Carlo and the filter with its later readings hidden."""
 
 from __future__ import annotations
 
@@ -12,11 +12,7 @@ from builders.record_edits import without
 from numpy.testing import assert_allclose
 from plants import plant, undisturbed
 from plants.as_record import to_record
-from scipy.integrate import solve_ivp
-from scipy.stats import binom
 
-from hygrokf.data.record import Record
-from hygrokf.engine.timeline import timeline
 from hygrokf.estimation.likelihood import Gaussian, Likelihood
 from hygrokf.evaluation.simulation import (
     QUANTITIES,
@@ -28,7 +24,7 @@ from hygrokf.evaluation.simulation import (
 )
 from hygrokf.modelling.design import Design, design
 from hygrokf.modelling.inputs import Run, model_inputs
-from hygrokf.physics.psychrometrics import absolute_humidity, relative_humidity
+from hygrokf.physics.psychrometrics import absolute_humidity
 
 EXACT = {"sensor_errors": "none", "missing": 0.0, "ambient_humidity": "absolute", "disturbance": "none"}
 VALUES = {
@@ -97,60 +93,6 @@ def test_free_run_is_the_plants_own_trajectory(exact):
         expected = np.interp(seconds, made.drivers.time, true)
         assert np.max(np.abs(value - expected)[settled]) < 0.01
         assert np.std(expected[settled]) > 1.0
-
-
-def test_free_run_is_the_differential_equation(noisy):
-    """Against scipy's integrator from the same start, over 60 h of odd clocks, equations (2) to (5) written
-    here."""
-    _, base, driven, values = noisy
-    t = driven.timeline
-    found = free_run(base, values, driven)
-    last = int(np.searchsorted(t.time, 60.0))
-    reference = dict(base.mechanisms)["heat_release"]["reference_K"]
-    u = {name: t.input(name) for name in base.model.inputs}
-    start = Likelihood(base.model, t).first_gaussian(values).mean
-    state = dict(zip(base.model.states, start, strict=True))
-    converter, vapour = state["converter_temperature"], state["vapour"]
-    p = values
-    for k in range(1, last):
-        length = t.time[k] - t.time[k - 1]
-        on = u["operating"][k]
-        power = p["heat_release_power_1"] * u["power_1"][k] + p["heat_release_power_2"] * u["power_2"][k]
-
-        def rates(h, z, k=k, length=length, on=on, power=power):
-            share = h / length
-            outside, damp, factor = (
-                (1 - share) * u[n][k - 1] + share * u[n][k]
-                for n in ("ambient_temperature", "ambient_absolute_humidity", "exchange_factor")
-            )
-            warm = outside - reference
-            release = power + on * (p["heat_release_operation"] + p["heat_release_operation_ambient"] * warm)
-            release += (1 - on) * (p["heat_release_standstill"] + p["heat_release_standstill_ambient"] * warm)
-            air = p["resistance_ratio"] * z[0] + (1 - p["resistance_ratio"]) * outside
-            return [
-                (outside - z[0] + release / p["resistance_ratio"]) / p["thermal_time_constant"],
-                air * factor / p["hygric_k"] * (damp - z[1]),
-            ]
-
-        if length > 0:
-            made = solve_ivp(
-                rates, (0.0, length), [converter, vapour], method="DOP853", rtol=1e-11, atol=1e-11
-            )
-            converter, vapour = made.y[:, -1]
-        outside = u["ambient_temperature"][k]
-        air = p["resistance_ratio"] * converter + (1 - p["resistance_ratio"]) * outside
-        assert found.temperature[0][k] == pytest.approx(air, abs=1e-7)
-        humidity = relative_humidity(1e-3 * vapour * outside / air, air)
-        assert found.relative_humidity[0][k] == pytest.approx(humidity, abs=1e-5)
-        assert found.absolute_humidity[0][k] == pytest.approx(vapour * outside / air, abs=1e-4)
-
-
-def test_free_run_looks_at_no_reading(noisy):
-    _, base, driven, values = noisy
-    other = replace(driven, timeline=driven.timeline.with_readings(driven.timeline.y + 3.0))
-    for quantity in QUANTITIES:
-        a, b = (free_run(base, values, one).of(quantity) for one in (driven, other))
-        assert_allclose(a, b, rtol=0, atol=0)
 
 
 def test_quantities_that_a_model_lacks_are_none(noisy):
@@ -247,103 +189,6 @@ def test_readings_of_means_are_the_integrals_of_the_instants():
 # --- spread ---------------------------------------------------------------------------------
 
 
-def test_free_run_bands_hold_on_the_model_itself():
-    """400 cabinets drawn from the model (Euler–Maruyama, 36 s), constant weather, parameters and sensor
-    biases drawn from the stated covariance: at one late instant the 95 % bands hold within the binomial band,
-    all three quantities.
-
-    Each replica gives one independent reading, so the count is binomial; 99.9 % of it is asked for.
-    """
-    count, hours, h = 400, 24.0, 0.01
-    random = np.random.default_rng(31)
-    record = to_record(plant(24, days=2))
-    base = design(record)
-    line = constant_timeline(base, hours)
-    driven = Run(line, np.ones(len(line), bool), np.ones(len(line), bool))
-    values = parameters(base)
-    names = (
-        "cabinet_temperature_bias",
-        "cabinet_relative_humidity_bias",
-        "heat_release_operation",
-        "thermal_time_constant",
-    )
-    covariance = np.diag([0.15, 0.01, 0.5, 0.1]) ** 2
-    covariance[0, 2] = covariance[2, 0] = -0.8 * 0.15 * 0.5
-    drawn = random.multivariate_normal(np.zeros(4), covariance, count)
-    p = {name: np.full(count, v) for name, v in values.items()}
-    for name, shift in zip(names, drawn.T, strict=True):
-        p[name] = p[name] + shift
-
-    outside, damp = 283.0, 7.0
-    factor = outside**0.8 / 273.0**1.8
-    ratio = p["resistance_ratio"]
-    release = p["heat_release_operation"] + 0.5 * p["heat_release_power_1"] + 0.25 * p["heat_release_power_2"]
-    release = release + p["heat_release_operation_ambient"] * (outside - release_reference(base))
-    converter = np.full(count, outside + 5.0) + 5.0 * random.normal(size=count)
-    vapour = damp + 0.3 * damp * random.normal(size=count)
-    heat = p["heat_disturbance_sd"] * random.normal(size=count)
-    moist = p["vapour_disturbance_sd"] * random.normal(size=count)
-    root = math.sqrt(h)
-    for _ in range(round(hours / h)):
-        air = ratio * converter + (1 - ratio) * outside
-        kicks = random.normal(size=(4, count)) * root
-        rate = air * factor / p["hygric_k"]
-        converter = (
-            converter + h * (outside - converter + (release + heat) / ratio) / p["thermal_time_constant"]
-        )
-        converter = converter + p["thermal_diffusion"] * kicks[0]
-        vapour = vapour + h * rate * (damp - vapour + moist) + p["hygric_diffusion"] * kicks[1]
-        heat = heat - h * heat / p["heat_disturbance_time"]
-        heat = heat + p["heat_disturbance_sd"] * np.sqrt(2 / p["heat_disturbance_time"]) * kicks[2]
-        moist = moist - h * moist / p["vapour_disturbance_time"]
-        moist = moist + p["vapour_disturbance_sd"] * np.sqrt(2 / p["vapour_disturbance_time"]) * kicks[3]
-    air = ratio * converter + (1 - ratio) * outside
-    settings = {n: s.get("resolution", 0.0) for n, s in base.mechanisms if n.endswith("_sensor")}
-    warm = rounded(
-        air + p["cabinet_temperature_bias"] + values["cabinet_temperature_noise"] * random.normal(size=count),
-        settings["temperature_sensor"],
-    )
-    humidity = relative_humidity(1e-3 * vapour * outside / air, air) + p["cabinet_relative_humidity_bias"]
-    humidity = rounded(
-        humidity + values["cabinet_relative_humidity_noise"] * random.normal(size=count),
-        settings["humidity_sensor"],
-    )
-    grams = 1e3 * absolute_humidity(humidity, warm)
-
-    found = free_run(base, values, driven, (names, covariance))
-    low, high = binom.ppf([0.0005, 0.9995], count, 0.95)
-    for quantity, reading in zip(QUANTITIES, (warm, humidity, grams), strict=True):
-        value, sd = (part[-1] for part in found.of(quantity))
-        inside = int(np.sum(np.abs(reading - value) <= 1.959964 * sd))
-        assert low <= inside <= high, quantity
-        assert np.std(reading - value) == pytest.approx(sd, rel=0.12), quantity
-    # the parameters' share is no decoration: without it the temperature's band is too narrow
-    bare = free_run(base, values, driven)
-    assert bare.temperature[1][-1] < 0.95 * found.temperature[1][-1]
-
-
-def release_reference(base: Design) -> float:
-    return dict(base.mechanisms)["heat_release"]["reference_K"]
-
-
-def rounded(value: np.ndarray, resolution: float) -> np.ndarray:
-    return resolution * np.round(value / resolution) if resolution else value
-
-
-def constant_timeline(base: Design, hours: float):
-    time = np.linspace(0.0, hours, 97)
-    level = {
-        "ambient_temperature": 283.0,
-        "ambient_absolute_humidity": 7.0,
-        "exchange_factor": 283.0**0.8 / 273.0**1.8,
-        "operating": 1.0,
-        "power_1": 0.5,
-        "power_2": 0.25,
-    }
-    inputs = {name: np.full(len(time), level[name]) for name in base.model.inputs}
-    return timeline(base.model, time, inputs, {})
-
-
 def test_parameters_spread_is_that_of_slightly_different_parameters(noisy):
     """J V J' against the spread over 200 free runs with drawn parameters (small, so that first order is
     all)."""
@@ -404,11 +249,6 @@ def test_a_forecast_is_the_filter_with_its_later_readings_hidden(noisy):
         assert len(rows) > 30
         assert_allclose(np.column_stack(found[lead]["temperature_K"]), rows, rtol=1e-9)
     assert found[1.0]["temperature_K"][2].mean() < found[6.0]["temperature_K"][2].mean()
-
-
-def test_too_few_readings_give_no_forecast(noisy):
-    _, base, driven, values = noisy
-    assert forecasts(base, values, driven, len(driven.timeline) - 9) == {}
 
 
 def test_forecasts_leave_unscored_stretches_out(noisy):
@@ -482,14 +322,3 @@ def test_predictions_start_from_any_state(noisy):
     piece = Run(part, driven.operating[501:700], driven.scored[501:700])
     found = predicted_readings(base, values, piece, ahead)
     assert_allclose(found.temperature[0], trace.prediction[501:700, 0], rtol=1e-12)
-
-
-def test_records_without_readings_are_predicted_all_the_same(noisy):
-    record, base, _, values = noisy
-    alone = Record(
-        "drivers", tuple(s for s in record.series if not s.signal.startswith("cabinet")), rated_power_W=2e6
-    )
-    driven = model_inputs(base, alone)
-    found = free_run(base, values, driven)
-    assert np.isfinite(found.temperature[0]).all()
-    assert np.isnan(measured(driven)["temperature_K"]).all()

@@ -20,7 +20,6 @@ from hygrokf.modelling.design import (
     extended,
     merged,
     observed_humidity,
-    power_features,
     power_scale,
     read_as,
     reading_step_h,
@@ -84,19 +83,6 @@ def test_the_three_kinds():
     assert names(design(record(), kind="cascade")) == ["measured_air", *HYGRIC]
     white = names(design(record(), coloured=False))
     assert white == [n for n in THERMAL + HYGRIC if "disturbance" not in n]
-
-
-def test_a_design_makes_the_model_that_it_names():
-    base = design(record())
-    assert base.model.states == (
-        "converter_temperature",
-        "heat_disturbance",
-        "vapour",
-        "vapour_disturbance",
-    )
-    assert base.model.outputs == ("cabinet_temperature", "cabinet_relative_humidity")
-    assert {"operating", "power_1", "power_2"} <= set(base.model.inputs)
-    assert base.humidity == "cabinet_relative_humidity"
 
 
 def test_without_humidity_on_either_side_there_is_no_hygric_part():
@@ -169,12 +155,6 @@ def test_power_counts_in_shares_of_the_rated_power_or_of_its_highest():
     nothing = np.full(HOURS * 6, np.nan)
     nothing[:9] = 1e5
     assert power_scale(record(power(nothing))) is None
-
-
-def test_features_of_the_power_by_hand():
-    found = power_features(np.array([-0.002, 0.0, 0.5, 1.0]), 2)
-    assert found.tolist() == [[0, 0, 0], [0, 0, 0], [1, 0.5, 0.25], [1, 1, 1]]
-    assert power_features(np.array([0.5]), 0).tolist() == [[1]]
 
 
 def test_mean_features_stand_for_an_unknown_power():

@@ -1,14 +1,11 @@
-"""The thermal network as a python-control system, against closed forms and the filter's own transition."""
+"""The thermal network as a python-control system, against closed forms."""
 
 from __future__ import annotations
 
 import control
-import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from hygrokf.engine.timeline import timeline
-from hygrokf.estimation.likelihood import Gaussian, Likelihood
 from hygrokf.evaluation.responses import to_statespace
 from hygrokf.identification.fit import Fit
 from hygrokf.modelling.design import Design
@@ -55,31 +52,6 @@ def test_system_has_names_and_poles(network):
     _, _, poles = control.damp(system, doprint=False)
     assert_allclose(-1.0 / poles.real, [TAU], rtol=1e-12)
     assert thermal_poles(*network) == pytest.approx([TAU], rel=1e-12)
-
-
-def test_steady_state_is_ambient_plus_release(network):
-    assert_allclose(control.dcgain(to_statespace(Fit("made", *network))), [[1.0, 1.0]], rtol=1e-12)
-
-
-@pytest.mark.parametrize("step_h", [1 / 60, 0.25, 1.0, 6.0, 72.0])
-def test_filter_uses_the_matrices_of_python_control(network, step_h):
-    """F and the answer to held inputs equal the zero-order-hold sampling to 1e-12, for any step (sub-steps
-    included)."""
-    design, values = network
-    model = design.model
-    # the ambient is linear between instants; held constant, linear and zero-order are the same
-    line = timeline(
-        model,
-        np.array([0.0, step_h]),
-        {"ambient_temperature": np.array([280.0, 280.0])},
-        {"cabinet_temperature": np.array([np.nan, np.nan])},
-    )
-    start = Gaussian(np.array([291.0]), np.zeros((1, 1)))
-    trace = Likelihood(model, line.window(1, 2)).trace(values, start=start)
-    sampled = control.sample_system(to_statespace(Fit("made", design, values)), step_h, "zoh")
-    expected = sampled.A @ np.array([291.0]) + sampled.B @ np.array([280.0, 3.0])
-    assert_allclose(trace.transition[0], sampled.A, rtol=1e-12, atol=1e-14)
-    assert_allclose(trace.prior_mean[0], expected, rtol=1e-12)
 
 
 def test_a_design_without_network_says_so():

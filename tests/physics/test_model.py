@@ -13,7 +13,7 @@ from hygrokf.engine.timeline import timeline
 from hygrokf.engine.traced_filter import Recursion
 from hygrokf.estimation.likelihood import Likelihood
 from hygrokf.physics.holds import REGIME
-from hygrokf.physics.mechanisms import LIBRARY, linear_network
+from hygrokf.physics.mechanisms import linear_network
 from hygrokf.physics.model import SUMS, Mechanism, Model, compose, extend
 from hygrokf.physics.parameters import Parameter
 
@@ -85,11 +85,6 @@ def test_interval_means_are_states_that_begin_at_zero() -> None:
     assert model.resets == (1,)
 
 
-def test_noise_of_several_mechanisms_on_one_state_adds() -> None:
-    more = Mechanism(name="more", diffusion=lambda p: {"heat": 0.25})
-    assert compose([store(), more]).noise({}) == [[0.75]]
-
-
 def test_extending() -> None:
     base = compose([store(), SHIFT, READ], {"outside": "linear"})
     sun = Mechanism(
@@ -101,15 +96,6 @@ def test_extending() -> None:
     assert larger.holds == {"outside": "linear", "irradiance": "mean"}
     assert base.inputs == ("outside",) and base.holds == {"outside": "linear"}  # nothing changes in place
     assert larger.mechanisms[-1] is sun
-
-
-def test_names_and_inputs_are_gathered_once_in_order() -> None:
-    model = compose(
-        [LIBRARY[n]() for n in ("thermal_network", "heat_release", "humidity_sensor", "hygric_exchange")]
-    )
-    assert model.inputs[0] == "ambient_temperature" and len(set(model.inputs)) == len(model.inputs)
-    assert [p.name for p in model.parameters][:2] == ["thermal_time_constant", "resistance_ratio"]
-    assert model.outputs == ("cabinet_relative_humidity",)
 
 
 def faulty(**changes: object) -> Model:
@@ -218,13 +204,6 @@ def test_a_misspelt_sum_is_an_error_that_names_the_sums() -> None:
     assert '"sun"' not in said and all(name in said for name in SUMS)
 
 
-def test_a_misspelt_sum_is_found_in_an_extended_model_too(joint: object) -> None:
-    case = joint.first(60)
-    fan = source("fan", 0.0, of="exchnge")
-    with pytest.raises(ValueError, match=r'"fan" adds to the sum "exchnge".*did you mean "exchange"'):
-        Likelihood(extend(case.model, fan), case.timeline).value(case.values)
-
-
 def test_a_sum_that_is_read_and_never_added_to_is_named() -> None:
     reads = Mechanism(name="deep", states=("deep",), drift=lambda p, x, u, q,
         s: {"deep": s.deep_heat - x.deep},
@@ -253,8 +232,3 @@ def test_a_model_with_regimes_only_and_one_without_inputs_run() -> None:
             goal = on[k] / 0.8 if inputs else 0.0
             expected.append(goal + (expected[-1] - goal) * np.exp(-0.4))
         np.testing.assert_allclose(found, expected, rtol=1e-12)
-
-
-def test_the_nulls_of_a_mechanism_are_its_parameters_nulls() -> None:
-    assert LIBRARY["heat_disturbance"]().null == {"heat_disturbance_sd": 0.0}
-    assert LIBRARY["thermal_network"]().null == {}

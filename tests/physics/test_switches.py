@@ -12,7 +12,7 @@ from plants.plant import plant
 
 from hygrokf.data.record import Record
 from hygrokf.estimation.likelihood import Gaussian, Likelihood
-from hygrokf.evaluation.self_switching import DECIDE_H, self_switched, switches_of
+from hygrokf.evaluation.self_switching import self_switched, switches_of
 from hygrokf.evaluation.simulation import forecasts, free_run
 from hygrokf.modelling.design import Design, design, extended, merged
 from hygrokf.modelling.inputs import Run, model_inputs
@@ -161,17 +161,6 @@ def test_a_switch_whose_reading_the_model_does_not_foretell_stays_with_the_readi
     assert not switches_of(thermal)
     joint = merged((thermal, design(record, kind="cascade")))
     assert list(switches_of(joint)) == ["throttled_heating"]
-
-
-def test_steps_between_decisions_are_bounded() -> None:
-    record = weather(step=3600.0)
-    base, values = heated(record)
-    coarse = free_run(base, values, model_inputs(base, record)).temperature[0]
-    fine = free_run(base, values, model_inputs(base, weather())).temperature[0][::6]
-    n = min(len(coarse), len(fine))
-    idle = np.arange(n) < 95
-    assert abs(np.mean((coarse[:n] - fine[:n])[idle])) < 0.3
-    assert DECIDE_H <= 0.1
 
 
 def test_a_throttle_follows_its_reading_within_its_band() -> None:
