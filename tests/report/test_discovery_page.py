@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import math
 import pickle
 import re
 from dataclasses import replace
@@ -30,7 +29,6 @@ from builders.report_case import report_case, results
 from plants import plant
 from plants.as_record import to_record
 
-import hygrokf
 from hygrokf.commands.main import main
 from hygrokf.data.clocks import sources
 from hygrokf.data.result_file import ResultFault
@@ -61,7 +59,6 @@ from hygrokf.report.discovery_text import (
     formed,
     held_out_sentence,
     held_out_sentences,
-    line_sentence,
     verdict_of,
 )
 from hygrokf.report.figures.drawing import NothingToShow
@@ -101,31 +98,13 @@ def test_the_page_needs_nothing_else(whole: str) -> None:
     assert [attributes["href"] for tag, attributes in page.tags if tag == "a"] == ["fit_report.html"]
     drawn = [attributes for tag, attributes in page.tags if tag == "svg"]
     assert len(drawn) == 5 and all(one["role"] == "img" and one["aria-label"] for one in drawn)
+    assert "2020-07-15T00:00Z to 2020-08-23T23:00Z; searched up to 2020-08-14T00:00Z" in page.text
 
 
 def test_the_verdict_and_its_picture_come_first_and_what_was_tried_last(whole: str) -> None:
     headings = re.findall(r"<h2>(.*?)</h2>", whole)
-    assert headings == [
-        "What the simulation gets wrong",
-        "The cause",
-        "Errors before and after",
-        "The time constants without and with the cause",
-        "Where the errors are",
-        "What is left",
-        "Causes and their evidence",
-        "Data and method",
-    ]
+    assert len(headings) == 8 and headings[-1] == "Data and method"
     assert whole.index("Verdict") < whole.index('id="episodes-1-') < whole.index(headings[0])
-
-
-def test_the_card_names_the_cause_its_forms_and_what_to_check() -> None:
-    card = verdict(discovery_case())
-    assert (card.value, card.bounds, card.tone) == ("Solar gain (on the roof)", "confidence 87 %", "plain")
-    assert card.lines == (
-        "The sun heats the cabinet or the tower around it; in this form or on a wall: this record cannot "
-        "tell these apart.",
-        "Check in the turbine for solar gain: shade or paint the wall.",
-    )
 
 
 def test_tables_and_sentences_carry_the_numbers() -> None:
@@ -162,18 +141,7 @@ def test_tables_and_sentences_carry_the_numbers() -> None:
         "accepted, 33 ahead of the best rival",
     )  # fmt: skip
     tested = held_out_sentence(found, found.causes[0].held_out)
-    for number in ("falls by 12 %", "grows by 45", "10 days"):
-        assert number in tested, number
-
-
-def test_the_time_span_is_stated(whole: str) -> None:
-    text = Page(whole).text
-    assert "2020-07-15T00:00Z to 2020-08-23T23:00Z; searched up to 2020-08-14T00:00Z" in text
-
-
-def test_the_page_is_a_pure_function_of_its_data(whole: str) -> None:
-    blocks = discovery_blocks(typed(discovery_case()), residuals_case(), residuals_case(0.2))
-    assert page_html(blocks) == whole
+    assert all(number in tested for number in ("12 %", "45", "10 days"))
 
 
 def test_the_drivers_of_the_findings_are_drawn_first() -> None:
@@ -189,126 +157,72 @@ def test_an_event_is_shown_where_it_was_found() -> None:
     found["causes"][0] |= {"cause": "door_opening", "form": "single openings", "settings": {"spans": [span]}}
     page = discovery_blocks(typed(found), residuals_case(), residuals_case(0.2))
     assert page.lead[-2].name == "episodes-1" and page.lead[-2].heading.startswith("The sun heats")
-    text = page_html(discovery_blocks(typed(found), residuals_case(), residuals_case(0.2)))
+    text = page_html(page)
     assert 'id="episodes-1-' in text and "20 Jul 2020" in text
 
 
 # --- verdicts ----------------------------------------------------------------------------------
 
 
-def test_nothing_found_names_no_cause_and_no_check() -> None:
-    card = verdict(empty_case())
-    assert card.value == "This record shows no missing cause" and card.tone == "plain"
-    text = words(empty_case())
-    assert "None of the 2 causes that were judged" in text and "keep the base model" in text.lower()
-    assert "Check in the turbine" not in text and "after selection" not in text.lower()
-    assert "What is left" not in text and "extended model" not in text
+LINE = {"quantity": "temperature", "period_h": 168.0, "p": 1e-6, "cause": "solar_gain"}
+SHADE, COMPARE = "shade or paint the wall", "compare the humidity sensor with a second one"
+VERDICTS = [
+    # case, changes to it, words of the verdict, words below it, words that must not stand there, confidence
+    (discovery_case, {}, "Solar gain (on the roof)", [SHADE], [], "87 %"),
+    (empty_case, {}, "no missing cause", ["None of the 2 causes"], ["Check"], ""),
+    (unexplained_case, {}, "unknown", ["12.4 h", "2 causes"], [], ""),
+    (discovery_case, {"verdict": "unexplained", "lines": [LINE]}, "beside solar gain (on the roof)",
+        ["solar gain in the temperature", "7.00 days", SHADE], [], ""),
+    (refuted_case, {}, "refute unlogged heater (humidistat, at standstill)", ["temperature"], [], ""),
+    (ambiguous_case, {}, "(an offset that grows), internal moisture source or moisture sorption",
+        ["3.4 % of the humidity readings", COMPARE], ["Check", "The humidity sensor drifts"], "48 %"),
+    (long_class_case, {}, "solar gain, cooling switching, unlogged heater, scheduled heat", [],
+        ["shade or paint", "87 %"], ""),
+    (unfinished_case, {}, "3,000 simulations ended the search; not judged: moisture sorption",
+        ["no cause is named", "--budget"], ["ordinary disturbances"], ""),
+    (discovery_case, {"work": unfinished_case()["work"]}, "3,000 simulations",
+        ["So far: solar gain (on the roof)."], [], ""),
+    (two_causes_case, {}, "Solar gain (on the roof) + exchange step (from a date on)",
+        ["confidence 87 %", "confidence 61 %", SHADE, "ask what was done on that date"], [], ""),
+    (discovery_case, {"repeated": {"cabinet_temperature": [[ORIGIN_S, ORIGIN_S + 7200.0]]}}, "Solar gain",
+        ["cabinet temperature repeat", "2 h in all"], [], "87 %"),
+]  # fmt: skip
+OPEN = (unexplained_case, unfinished_case)
 
 
-def test_what_cannot_be_explained_is_a_warning_with_its_period() -> None:
-    card = verdict(unexplained_case())
-    assert card.value == "Something is missing; the cause is unknown" and card.tone == "open"
-    assert card.lines[0].endswith("of the absolute humidity have a period of 12.4 h that no cause explains.")
-    assert "2 causes" in card.lines[1] and "12.4 h" in words(unexplained_case()).split("What is left")[1]
+@pytest.mark.parametrize(("case", "changes", "value", "told", "not_told", "confidence"), VERDICTS)
+def test_the_verdict_names_causes_numbers_and_what_to_do(
+    case, changes, value, told, not_told, confidence
+) -> None:
+    found = case() | changes
+    card = verdict(found)
+    below = " ".join(card.lines)
+    assert value in card.value and card.bounds == (confidence and f"confidence {confidence}")
+    assert all(below.count(one) == 1 for one in told) and not any(one in below for one in not_told)
+    warns = case in OPEN or "verdict" in changes or "work" in changes
+    assert card.tone == ("open" if warns else "plain")
+    first = page_text(discovery_blocks(typed(found))).split("\n\n")[1]
+    assert " ".join(first.split()).startswith(f"Verdict: {card.value}")
 
 
-def test_a_line_beside_a_named_cause_comes_before_the_cause() -> None:
-    line = {"quantity": "temperature", "period_h": 168.0, "p": 1e-6, "cause": "solar_gain"}
-    card = verdict(discovery_case() | {"verdict": "unexplained", "lines": [line]})
-    assert card.value == "Something is missing beside solar gain (on the roof)" and card.tone == "open"
-    assert "daily scores of solar gain in the temperature have a period of 7.00 days" in card.lines[0]
-    assert card.lines[1].startswith("The sun heats")
-
-
-def test_a_refuted_cause_is_told_with_its_reason_and_numbers() -> None:
-    card = verdict(refuted_case())
-    assert card.value == "Held-out readings refute unlogged heater (humidistat, at standstill)"
-    assert card.lines[0].endswith("heater: with it the errors of the temperature on held-out readings grow.")
+def test_a_refuted_cause_has_its_reason_and_its_numbers() -> None:
     text = words(refuted_case())
-    assert "Refuted by held-out readings" in text and "+30 %" in text and "4.40" in text
-    assert "after selection" in text and "improves the prediction" not in text
-    no_gain = refuted_case()
-    no_gain["refuted"][0]["held_out"]["reason"] = "no_gain"
-    assert "held-out readings speak against it more strongly than the others speak for it" in words(no_gain)
-    no_gain["refuted"][0]["held_out"]["reason"] = "unproven"
-    assert "its evidence is small, and it lowers no held-out free-run error by 2 %" in words(no_gain)
-    assert verdict(no_gain).value.startswith("Held-out readings do not bear out unlogged heater")
+    assert "+30 %" in text and "4.40" in text and "after selection" in text
+    said = {verdict(refuted_case()).value}
+    for reason in ("no_gain", "unproven"):
+        found = refuted_case()
+        found["refuted"][0]["held_out"]["reason"] = reason
+        said.add(words(found))
+    assert len(said) == 3
 
 
-def test_water_is_told_with_an_error_of_the_humidity_sensor() -> None:
-    card = verdict(ambiguous_case())
-    assert card.value.endswith("(an offset that grows), internal moisture source or moisture sorption")
-    assert card.bounds == "confidence 48 %"
-    said = " ".join(card.lines)
-    assert said.count("compare the humidity sensor with a second one") == 1
-    assert "Check in the turbine" not in said and "The humidity sensor drifts" not in said
-    assert "3.4 % of the humidity readings are at the sensor’s ceiling" in said
-    row = evidence_table(typed(ambiguous_case())).rows[-1]
-    assert row[0] == "Condensation" and row[-1].endswith("but saturated readings may hide it")
-
-
-def test_a_class_that_is_too_long_names_nothing() -> None:
-    card = verdict(long_class_case())
-    assert card.value == "Not told apart: solar gain, cooling switching, unlogged heater, scheduled heat"
-    assert not card.bounds and "shade or paint" not in " ".join(card.lines)
-    assert "87 %" not in words(long_class_case())
-
-
-def test_a_budget_that_ended_the_search_is_the_first_sentence() -> None:
-    card = verdict(unfinished_case())
-    assert card.value == (
-        "The budget of 3,000 simulations ended the search; not judged: moisture sorption and condensation"
-    )
-    assert card.lines[0] == "So far: no cause is named."
-    assert card.tone == "open" and "ordinary disturbances" not in " ".join(card.lines)
-    text = page_text(discovery_blocks(typed(unfinished_case())))
-    assert text.split("\n\n")[1].startswith("Verdict: The budget of 3,000 simulations")
-    named = verdict(discovery_case() | {"work": unfinished_case()["work"]})
-    assert named.lines[0] == "So far: solar gain (on the roof)."
-
-
-def test_two_causes_have_a_check_each_and_one_without_use_is_marked() -> None:
-    card, text = verdict(two_causes_case()), words(two_causes_case())
-    assert card.value == "Solar gain (on the roof) + exchange step (from a date on)" and "The causes" in text
-    assert card.lines[:2] == (
-        "Solar gain (on the roof), confidence 87 %: the sun heats the cabinet or the tower around it; in "
-        "this form or on a wall: this record cannot tell these apart.",
-        "Exchange step (from a date on), confidence 61 %: the exchange of air changed at a date; it does not "
-        "improve the prediction of held-out readings.",
-    )
-    assert "shade or paint the wall." in text and "ask what was done on that date." in text
-    assert text.count("it does not improve the prediction of held-out readings") == 1
-
-
-def test_a_cause_of_which_held_out_readings_show_nothing_is_told_as_such() -> None:
-    found = discovery_case()
-    found["causes"][0]["held_out"] = {"gain": 0.1, "days": 0}
-    text = words(found)
-    assert "held-out readings show nothing of it" in verdict(found).lines[0]
-    assert "days with" not in text
-    nothing = words(found | {"held_out_days": 0})
-    assert "show nothing of it" not in nothing and "No readings were held out." in nothing
-
-
-def test_repeated_readings_that_were_set_aside_are_told() -> None:
-    spans = {"cabinet_temperature": [[ORIGIN_S, ORIGIN_S + 7200.0]]}
-    said = " ".join(verdict(discovery_case() | {"repeated": spans}).lines)
-    assert "readings of cabinet temperature repeat those of the day before, 2 h in all" in said.lower()
-    assert "Find out why the logger repeats readings." in said
-
-
-@pytest.mark.parametrize(
-    ("days", "said"),
-    [(0, "no readings were held out"), (1, "1 day were"), (13, "too short a part to refute much"), (14, "")],
-)
-def test_what_the_held_out_part_can_show_is_told(days: int, said: str) -> None:
+@pytest.mark.parametrize("days", [0, 1, 13, 14])
+def test_what_the_held_out_part_can_show_is_told(days: int) -> None:
     found = typed(discovery_case() | {"held_out_days": days})
     text = " ".join(held_out_sentences(found)).lower()
-    assert said in text and ("too short" in text) == (0 < days < 14)
+    assert ("too short" in text) == (0 < days < 14)
     assert ("after selection" in text) == ("after selection" in gains_table(found).columns[0]) == (days > 0)
-    assert "minimise the error of the free run" in text
-    likely = held_out_sentences(replace(found, estimator="likelihood"))
-    assert "maximise the likelihood" in likely[0]
+    assert held_out_sentences(replace(found, estimator="likelihood"))[0] not in held_out_sentences(found)
 
 
 def test_a_loss_is_told_as_one() -> None:
@@ -447,15 +361,11 @@ def test_what_was_judged_stands_in_order_of_its_evidence_with_its_outcome() -> N
 
 
 def test_what_is_left_is_told_of_the_extended_model() -> None:
-    assert "The errors of the extended model show no structure" in words(discovery_case())
     statement = "when it rains, simulated humidity is too low"
     left = discovery_case()["findings"][0] | {"statement": statement}
     found = discovery_case() | {"left": [left]}
-    text = words(found).split("What is left")[1]
-    assert "When it rains, simulated humidity is too low" in text
-    assert verdict(found).lines[-2] == f"The extended model still errs: {statement}."
-    line = {"quantity": "vapour", "period_h": 12.42, "p": 1e-9}
-    assert "12.4 h" in line_sentence(typed(discovery_case() | {"lines": [line]}).lines[0])
+    assert statement[1:] in words(found).split("What is left")[1]
+    assert statement in verdict(found).lines[-2] and statement[1:] not in words(discovery_case())
 
 
 def test_results_come_back_from_their_data_under_the_key_of_now() -> None:
@@ -483,14 +393,9 @@ def test_the_text_is_narrow_and_says_what_the_page_says() -> None:
     expect_narrow(text)
     joined = " ".join(text.split())
     for part in (
-        "temperature 1.85 K 1.57 K −15 %",
-        "solar_heat 6.1 5.5 … 6.9 K/(kW/m²)",
-        "Check in the turbine for solar gain: shade or paint the wall",
-        "+ thermal time constant 1.36 h (1.31 … 1.41): reliable",
-        "+ thermal time constant 1.20 h (1.15 … 1.25): reliable",
-        "Door opening (single openings)",
-        "SYNTHETIC",
-    ):
+        "temperature 1.85 K 1.57 K −15 %", "solar_heat 6.1 5.5 … 6.9 K/(kW/m²)", SHADE,
+        "1.36 h (1.31 … 1.41)", "1.20 h (1.15 … 1.25)", "Door opening (single openings)", "SYNTHETIC",
+    ):  # fmt: skip
         assert part in joined, part
 
 
@@ -527,11 +432,11 @@ def test_every_text_is_escaped() -> None:
     expect_escaped(page_html(page), page_text(page))
 
 
-@pytest.mark.parametrize("value", [None, {}, [], -1, "x", True, math.nan])
+@pytest.mark.parametrize("value", [None, {}, -1, "x"])
 def test_any_piece_that_is_wrong_is_a_fault_or_a_page(value: object) -> None:
     base = full_case()
     refused = 0
-    for path in list(nodes(base)):
+    for path in list(nodes(base, most=1)):
         changed = copy.deepcopy(base)
         put(changed, path, value)
         try:
@@ -606,12 +511,11 @@ def test_residuals_come_back_as_they_were(written: Path) -> None:
 
 
 def test_report_makes_both_pages_again(written: Path, whole: str, capsys: pytest.CaptureFixture) -> None:
-    for argument in (written, written / "fit.json"):
-        for name in ("report.html", "fit_report.html"):
-            (written / name).unlink()
-        assert main(["report", str(argument)]) == 0
-        assert (written / "report.html").read_text(encoding="utf-8") == whole
-        assert (written / "fit_report.html").is_file()
+    for name in ("report.html", "fit_report.html"):
+        (written / name).unlink()
+    assert main(["report", str(written / "fit.json")]) == 0
+    assert (written / "report.html").read_text(encoding="utf-8") == whole
+    assert (written / "fit_report.html").is_file()
     assert capsys.readouterr().out.strip().endswith("report.html")
 
 
@@ -633,23 +537,19 @@ def test_a_fit_in_the_same_directory_takes_the_discovery_away(tmp_path: Path) ->
 def test_missing_files_are_listed_together(tmp_path: Path) -> None:
     with pytest.raises(ResultFault) as fault:
         read_discovery(tmp_path)
-    assert "discovery.json: no such file; run `hygrokf discover`" in str(fault.value)
-    assert "discovery.npz: no such file" in str(fault.value) and "hygrokf discover" in str(fault.value)
+    for words in ("discovery.json: no such file", "discovery.npz: no such file", "hygrokf discover"):
+        assert words in str(fault.value)
 
 
-@pytest.mark.parametrize("text", ["", "{", "[1]", "{}", "[" * 100_000])
-def test_damaged_results_are_faults(written: Path, tmp_path: Path, text: str) -> None:
-    (tmp_path / "discovery.json").write_text(text)
-    (tmp_path / "discovery.npz").write_bytes((written / "discovery.npz").read_bytes())
-    with pytest.raises(ResultFault, match=r"discovery\.json: expected"):
-        read_discovery(tmp_path)
-
-
-@pytest.mark.parametrize("content", [b"", b"PK\x03\x04 broken", b"text"])
-def test_damaged_residuals_are_faults(written: Path, tmp_path: Path, content: bytes) -> None:
-    (tmp_path / "discovery.json").write_text((written / "discovery.json").read_text())
-    (tmp_path / "discovery.npz").write_bytes(content)
-    with pytest.raises(ResultFault, match=r"discovery\.npz: expected"):
+@pytest.mark.parametrize(
+    ("file", "content"),
+    [("discovery.json", b"[1]"), ("discovery.json", b"{}"), ("discovery.npz", b"PK\x03\x04 broken")],
+)
+def test_damaged_files_are_faults(written: Path, tmp_path: Path, file: str, content: bytes) -> None:
+    for name in ("discovery.json", "discovery.npz"):
+        (tmp_path / name).write_bytes((written / name).read_bytes())
+    (tmp_path / file).write_bytes(content)
+    with pytest.raises(ResultFault, match=f"{file}: expected"):
         read_discovery(tmp_path)
 
 
@@ -666,9 +566,3 @@ def test_other_arrays_are_no_residuals(written: Path, tmp_path: Path, arrays: di
     np.savez(tmp_path / "discovery.npz", **arrays)
     with pytest.raises(ResultFault, match=r"discovery\.npz: expected arrays"):
         read_discovery(tmp_path)
-
-
-def test_the_face_has_the_names() -> None:
-    from hygrokf.discovery import procedure as module
-
-    assert hygrokf.discover is module.discover

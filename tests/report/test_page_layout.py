@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 from builders.browser import needs_chromium
-from builders.climate_case import made_up_weather, study_of
+from builders.climate_case import study_of
 from builders.comparison_case import made_column
 from builders.discovery_case import discovery_case, residuals_case
 from builders.discovery_case import typed as discovered
@@ -52,7 +52,7 @@ def transfer() -> str:
 
 
 def climate() -> str:
-    study = study_of(made_up_weather(), limits=[ClimateLimit("temperature_degC", above=10.0, name="hot")])
+    study = study_of(limits=[ClimateLimit("temperature_degC", above=10.0, name="hot")])
     return page_html(climate_blocks(replace(study, synthetic=True)))
 
 
@@ -80,68 +80,52 @@ MADE: dict[Callable[[], str], int] = {
 """How each page is made, and the most bytes that it may have."""
 
 
-@pytest.fixture(scope="module", params=MADE, ids=lambda make: make.__name__)
-def file(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("page") / "report.html"
-    path.write_text(request.param(), encoding="utf-8")
-    assert path.stat().st_size <= MADE[request.param]
-    return path
+UNFOLD = "document.querySelectorAll('details').forEach((d) => { d.open = true; })"
+WIDTH = "document.documentElement.scrollWidth"
+SHOWN = "(all) => all.map((e) => [...e.children].slice(1).some((c) => c.checkVisibility()))"
+NAMED = "(all) => all.map((e) => [e.tabIndex, e.getAttribute('aria-label')])"
+TOO_WIDE = """(all) => all.filter((e) => e.scrollWidth > e.clientWidth + 1)
+    .map((e) => e.getAttribute('aria-label'))"""
+OUTSIDE = """(all) => all.filter((e) => e.getBoundingClientRect().right > 391
+    && !e.closest('.scroll, .drawing')).map((e) => e.tagName + ' ' + e.className)"""
+CUE = "(all) => all.every((e) => getComputedStyle(e).backgroundImage.includes('radial-gradient'))"
 
 
-@pytest.fixture
-def opened(browser: Browser, file: Path) -> Iterator[Callable[[dict[str, int]], Page]]:
-    pages = []
-
-    def at(size: dict[str, int]) -> Page:
-        page = browser.new_page(viewport=size)
-        pages.append(page)
-        page.goto(file.as_uri())
-        return page
-
-    yield at
-    for page in pages:
-        page.close()
-
-
-def test_the_first_screen_is_the_answer_and_its_picture(opened) -> None:
-    page = opened(WIDE)
+def expect_answer_first(page: Page) -> None:
+    """The first screen is the answer and its picture; tables come after."""
     card, figure = page.locator(".card").first.bounding_box(), page.locator("figure svg").first.bounding_box()
     assert card and card["y"] + card["height"] < 450
     assert figure and card["y"] < figure["y"] and figure["y"] + figure["height"] <= 800
-    assert page.locator("table").first.bounding_box()["y"] > 800  # tables come after
+    assert page.locator("table").first.bounding_box()["y"] > 800
 
 
-def test_nothing_is_wider_than_a_desk_s_screen(opened) -> None:
-    page = opened(WIDE)
-    page.evaluate("document.querySelectorAll('details').forEach((d) => { d.open = true; })")
-    assert page.evaluate("document.documentElement.scrollWidth") <= 1280
-    over = """(all) => all.filter((e) => e.scrollWidth > e.clientWidth + 1)
-        .map((e) => e.getAttribute('aria-label'))"""
-    assert page.eval_on_selector_all(".scroll, .drawing", over) == []
-
-
-def test_on_a_telephone_only_tables_and_drawings_scroll(opened) -> None:
-    page = opened(NARROW)
-    page.evaluate("document.querySelectorAll('details').forEach((d) => { d.open = true; })")
-    assert page.evaluate("document.documentElement.scrollWidth") <= 390
-    outside = """(all) => all.filter((e) => e.getBoundingClientRect().right > 391
-        && !e.closest('.scroll, .drawing')).map((e) => e.tagName + ' ' + e.className)"""
-    assert page.eval_on_selector_all("body *", outside) == []
-    cue = "(all) => all.every((e) => getComputedStyle(e).backgroundImage.includes('radial-gradient'))"
-    assert page.eval_on_selector_all(".scroll", cue)
-
-
-def test_long_sections_are_folded_on_the_screen_and_open_in_print(opened) -> None:
-    page = opened(WIDE)
-    shown = "(all) => all.map((e) => [...e.children].slice(1).some((c) => c.checkVisibility()))"
-    folded = page.eval_on_selector_all("details", shown)
+def expect_fold(page: Page) -> None:
+    """Long sections are folded on the screen and open in print."""
+    folded = page.eval_on_selector_all("details", SHOWN)
     assert folded and not any(folded)
     page.emulate_media(media="print")
-    assert all(page.eval_on_selector_all("details", shown))
+    assert all(page.eval_on_selector_all("details", SHOWN))
+    page.emulate_media(media="screen")
 
 
-def test_parts_that_scroll_are_reached_by_the_keyboard_and_named(opened) -> None:
-    found = opened(WIDE).eval_on_selector_all(
-        ".scroll, .drawing", "(all) => all.map((e) => [e.tabIndex, e.getAttribute('aria-label')])"
-    )
-    assert found and all(place == 0 and name for place, name in found)
+@pytest.mark.parametrize("make", MADE, ids=lambda make: make.__name__)
+def test_a_page_on_a_screen_on_paper_and_on_a_telephone(make, browser: Browser, tmp_path: Path) -> None:
+    file = tmp_path / "report.html"
+    file.write_text(make(), encoding="utf-8")
+    assert file.stat().st_size <= MADE[make]
+    page = browser.new_page(viewport=WIDE)
+    page.goto(file.as_uri())
+    expect_answer_first(page)
+    expect_fold(page)
+    # parts that scroll are reached by the keyboard and named
+    scrolling = page.eval_on_selector_all(".scroll, .drawing", NAMED)
+    assert scrolling and all(place == 0 and name for place, name in scrolling)
+    page.evaluate(UNFOLD)
+    assert page.evaluate(WIDTH) <= 1280
+    assert page.eval_on_selector_all(".scroll, .drawing", TOO_WIDE) == []
+    # on a telephone only tables and drawings scroll
+    page.set_viewport_size(NARROW)
+    assert page.evaluate(WIDTH) <= 390
+    assert page.eval_on_selector_all("body *", OUTSIDE) == []
+    assert page.eval_on_selector_all(".scroll", CUE)
+    page.close()

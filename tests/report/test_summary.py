@@ -144,32 +144,30 @@ def test_the_verdict_of_a_fit_is_its_worst_one() -> None:
 def test_a_named_cause_stands_with_its_confidence_errors_and_check() -> None:
     made = caused()
     assert made.answer == "Solar gain (on the roof), confidence 87 %." and made.verdict == ""
-    assert made.tone == "plain" and made.bounds.columns[0].endswith("held-out readings, after selection")
+    assert made.tone == "plain" and made.bounds.columns[0].endswith("after selection")
     assert made.bounds.rows[0][:5] == ("temperature", "1.85 K", "1.57 K", "−15 %", "0.13 … 0.31 K")
-    assert made.actions == ("Check in the turbine for solar gain: shade or paint the wall.",)
+    assert [action.partition(": ")[2] for action in made.actions] == ["shade or paint the wall."]
     assert unexplained().tone == "open" and len(nothing_found().bounds.rows) == 3
-    assert "12.4 h" in unexplained().reasons[0] and "this period" in unexplained().actions[0]
+    assert "12.4 h" in unexplained().reasons[0]
 
 
-def test_several_causes_have_their_confidence_and_mark_each() -> None:
-    made = summary_of_discovery(typed(two_causes_case()), residuals_case(), None)
-    assert made.answer == "Solar gain (on the roof) + exchange step (from a date on)."
-    assert "confidence 87 %" in made.reasons[0] and "does not improve" not in made.reasons[0]
-    assert "confidence 61 %: the" in made.reasons[1] and "does not improve" in made.reasons[1]
-    assert len(made.actions) == 2
-
-
-def test_water_a_long_class_and_a_budget_are_told_to_a_manager_too() -> None:
-    made = summary_of_discovery(typed(ambiguous_case()), residuals_case(), None)
-    assert "moisture sorption, confidence 48 %" in made.answer
-    assert "condensation cannot be excluded" in made.reasons[-1]
-    (action,) = made.actions
-    assert action.startswith("To tell humidity sensor drift from its rivals: compare the humidity sensor")
-    made = summary_of_discovery(typed(long_class_case()), residuals_case(), None)
-    assert made.answer.startswith("Not told apart: solar gain, cooling") and "confidence" not in made.answer
-    made = summary_of_discovery(typed(unfinished_case()), residuals_case(), None)
-    assert made.answer.startswith("The budget of 3,000 simulations ended the search") and made.tone == "open"
-    assert "--budget" in made.actions[0]
+@pytest.mark.parametrize(
+    ("case", "answer", "reasons", "actions"),
+    [
+        (two_causes_case, ["Solar gain (on the roof) + exchange step"], ["87 %", "61 %"],
+            ["shade or paint", "ask what was done"]),
+        (ambiguous_case, ["moisture sorption, confidence 48 %"], ["condensation"],
+            ["compare the humidity sensor"]),
+        (long_class_case, ["solar gain, cooling"], [], []),
+        (unfinished_case, ["3,000 simulations"], [], ["--budget"]),
+    ],
+)  # fmt: skip
+def test_other_verdicts_of_a_discovery_are_told_to_a_manager_too(case, answer, reasons, actions) -> None:
+    made = summary_of_discovery(typed(case()), residuals_case(), None)
+    for said, words in ((made.answer, answer), (made.reasons, reasons), (made.actions, actions)):
+        assert all(one in " ".join([said] if isinstance(said, str) else said) for one in words), said
+    assert (made.tone == "open") == (case is unfinished_case)
+    assert ("confidence" in made.answer) == (case is ambiguous_case)
 
 
 def test_a_wrong_model_without_a_cause_has_something_to_do_too() -> None:
@@ -181,11 +179,10 @@ def test_a_wrong_model_without_a_cause_has_something_to_do_too() -> None:
     made = summary_of_discovery(typed(data), residuals_case(0.0), None)
     assert made.tone == "open" and "not right" in made.answer and text in " ".join(made.reasons)
     (longer,) = (action for action, codes in REMEDIES.items() if "record_short" in codes)
-    assert made.actions == ("Do not rely on the base model.", longer)
+    assert longer in made.actions
     data = discovery_case()
     data["causes"][0] |= {"remedy": "", "separate_by": ""}
-    (action,) = summary_of_discovery(typed(data), residuals_case(), None).actions
-    assert action.startswith("Use the extended model")
+    assert len(summary_of_discovery(typed(data), residuals_case(), None).actions) == 1
 
 
 def test_limits_are_kept_exceeded_or_undecided() -> None:
@@ -201,7 +198,6 @@ def test_limits_are_kept_exceeded_or_undecided() -> None:
     assert answer("pass", "pass") == ("Limits: 2 kept.", "plain")
     assert answer("pass", "fail", "fail") == ("Limits: 1 kept and 2 exceeded.", "reject")
     assert answer("undecided", "pass") == ("Limits: 1 kept and 1 undecided.", "open")
-    assert answer("undecided", "undecided") == ("Limits: 2 undecided.", "open")
 
 
 def test_the_worst_limits_come_first_and_the_rest_is_counted() -> None:
@@ -242,15 +238,11 @@ def crowded() -> Summary:
     return summary_of_climate(with_region(limits=(kept,) * MOST_ROWS + (named,) * MOST_ROWS))
 
 
-def few_regions() -> Summary:
-    return of_regions(3)
-
-
 def bare() -> Summary:
     return replace(caused(), bounds=replace(caused().bounds, rows=()), picture=None, reasons=())
 
 
-PRINTED = (*MADE, crowded, few_regions, bare)
+PRINTED = (fitted, rejected, unexplained, of_regions, crowded, bare)
 on_paper = pytest.mark.parametrize("make", PRINTED, ids=lambda make: make.__name__)
 
 
@@ -305,6 +297,7 @@ def test_the_same_result_gives_the_same_bytes(tmp_path) -> None:
     folder = write_case(tmp_path / "made", *report_case())
     pages = [write_page(folder), write_page(folder, tmp_path / "again")]
     file, again = map(written_pdf, pages)
+    assert (pages[0], file) == (folder / "summary.html", folder / "summary.pdf")
     assert pages[0].read_bytes() == pages[1].read_bytes() and file.read_bytes() == again.read_bytes()
     assert "Date" not in _said("pdfinfo", file)
     fonts = _said("pdffonts", file).splitlines()[2:]
@@ -351,12 +344,6 @@ def test_the_page_prints_on_one_sheet_and_fits_a_telephone(make, browser, tmp_pa
 
 
 # --- on disk ---------------------------------------------------------------------------------
-
-
-def test_a_summary_stands_beside_its_result(tmp_path) -> None:
-    folder = write_case(tmp_path / "made", *report_case())
-    page = write_page(folder)
-    assert (page, written_pdf(page)) == (folder / "summary.html", folder / "summary.pdf")
 
 
 def test_the_kind_is_told_from_the_file_and_each_result_has_its_place(tmp_path) -> None:

@@ -162,7 +162,7 @@ def test_a_type_is_made_of_numbers_that_can_be_believed(fit: Fit) -> None:
 def test_climate() -> None:
     entry = {"value_h": 1.5, "lower_h": 1.4, "upper_h": 1.6}
     constants = {"thermal": entry | refuted("criteria_disagree"), "hygric": entry | BELIEVED}
-    study = study_of(fit=known_fit(found={"time_constants": constants}), members=10)
+    study = study_of(fit=known_fit(found={"time_constants": constants}), members=3)
     assert study.verdicts["thermal"].verdict == REJECT
     (region,) = study.regions
     rests = "the model's thermal time constant, on which this rests, is not reliable"
