@@ -17,8 +17,8 @@ from hygrokf.estimation.likelihood import Gaussian
 from hygrokf.identification.fit import Fit
 from hygrokf.identification.procedure import identify
 from hygrokf.live.condition import Surface
+from hygrokf.live.forecast import heating_sd
 from hygrokf.live.plan import Form, Plan, plan
-from hygrokf.live.restart_advice import heating_sd
 from hygrokf.live.scenarios import DAYS, Scenarios, persistence
 from hygrokf.live.tracker import Course, Point, offline_course
 from hygrokf.physics.psychrometrics import (

@@ -15,7 +15,7 @@ from builders.tracker_case import LATENESS_S, planned
 from hygrokf.data.record import Record, Series
 from hygrokf.data.toml_form import Place, read_form
 from hygrokf.live.batch import Batch
-from hygrokf.live.mapping_form import MappingForm, source_forms, source_mappings
+from hygrokf.live.config import MappingForm, source_forms, source_mappings
 from hygrokf.live.plan import Form, Plan
 from hygrokf.live.refilter import refilter
 from hygrokf.live.service import Service

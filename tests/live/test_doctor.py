@@ -35,8 +35,8 @@ from builders.waiting import PATIENCE_S, eventually
 from hygrokf.commands.main import main
 from hygrokf.live.config import read_config
 from hygrokf.live.doctor import check as doctor_check
+from hygrokf.live.doctor import examination as doctor_store
 from hygrokf.live.doctor import sources as doctor_sources
-from hygrokf.live.doctor import store as doctor_store
 from hygrokf.live.doctor.check import (
     Check,
     elapsed_from,
@@ -47,7 +47,7 @@ from hygrokf.live.doctor.check import (
     worst,
 )
 from hygrokf.live.doctor.examination import examine, page_checks
-from hygrokf.live.doctor.mqtt import plain_filter
+from hygrokf.live.doctor.sources import plain_filter
 from hygrokf.live.service import Service
 from hygrokf.live.sources.opcua_client import Connection
 from hygrokf.live.sources.stream import several

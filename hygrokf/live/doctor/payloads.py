@@ -19,7 +19,7 @@ from hygrokf.data.signals import from_si, signal_named
 from hygrokf.data.structured import JsonObject
 from hygrokf.data.timestamps import stamp_text
 from hygrokf.identification.wording import one_line
-from hygrokf.live.doctor.mqtt import arrivals, doctor_session, listening
+from hygrokf.live.doctor.sources import arrivals, doctor_session, listening
 from hygrokf.live.sources.broker import filter_fault
 from hygrokf.live.sources.local import Lines, TailedFile, next_line
 from hygrokf.live.sources.mqtt import Mqtt
