@@ -22,8 +22,7 @@ from hygrokf.live.service import Service
 from hygrokf.live.sources.local import record_mapping, record_messages
 from hygrokf.live.sources.stream import Delivery, SourceState, Stream
 from hygrokf.live.storage.export import export
-from hygrokf.live.storage.retention import prune
-from hygrokf.live.storage.store import Store, open_store
+from hygrokf.live.storage.store import Store, open_store, prune
 from hygrokf.live.tracker import Tracker, offline_course
 from hygrokf.live.turbines import CONNECTED, SOURCE, Fleet, Turbine
 

@@ -39,7 +39,7 @@ from builders.waiting import eventually
 from hygrokf.data.record import Record
 from hygrokf.live.batch import Alarm, Batch
 from hygrokf.live.service import Service
-from hygrokf.live.sources import mqtt, mqtt_link
+from hygrokf.live.sources import mqtt
 from hygrokf.live.sources import stream as streams
 from hygrokf.live.sources.broker import Broker
 from hygrokf.live.sources.local import record_mapping, record_messages
@@ -297,15 +297,15 @@ def test_a_tracker_that_does_not_keep_up_stays_connected(
     broker: Mosquitto, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # long enough that neither side takes the other for lost on a machine that is busy for a second
-    monkeypatch.setattr(mqtt_link, "KEEPALIVE_S", 4)
+    monkeypatch.setattr(mqtt, "KEEPALIVE_S", 4)
     stream = stream_of(broker)
-    count = mqtt_link.OPEN_MOST + 300
+    count = mqtt.OPEN_MOST + 300
     with running(stream, held=True) as taken, peer(broker) as other:
         publish(other, [(TOPIC, f"{i}") for i in range(count)])
         # the broker would send a client away after 1.5 times its keep-alive
         eventually(lambda: broker.log().count("PINGREQ from tracker") >= 2)
         assert stream.state[0] == "connected" and not taken.found
-        assert stream._link.arrived.qsize() <= mqtt_link.OPEN_MOST
+        assert stream._link.arrived.qsize() <= mqtt.OPEN_MOST
         taken.free.set()
         done = 0
         while done < count:
@@ -318,7 +318,7 @@ def test_a_tracker_that_does_not_keep_up_stays_connected(
 
 
 def test_what_nobody_confirms_is_bounded_and_told(broker: Mosquitto, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(mqtt_link, "UNCONFIRMED_MOST", 10)
+    monkeypatch.setattr(mqtt, "UNCONFIRMED_MOST", 10)
     stream = stream_of(broker)
     with running(stream, held=True) as taken, peer(broker) as other:
         publish(other, [(TOPIC, "0")], qos=0)
@@ -365,7 +365,7 @@ def test_several_processes_share_a_subscription(broker: Mosquitto) -> None:
 def test_messages_that_are_too_large_are_cut_or_stay_at_the_broker(
     broker: Mosquitto, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(mqtt_link, "PACKET_MOST", 3 * LARGEST)
+    monkeypatch.setattr(mqtt, "PACKET_MOST", 3 * LARGEST)
     stream = stream_of(broker)
     with running(stream) as taken, peer(broker) as other:
         sizes = (3 * LARGEST, 2 * LARGEST, LARGEST, 10)

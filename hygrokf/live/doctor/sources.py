@@ -38,10 +38,9 @@ from hygrokf.live.doctor.check import (
     stamp_check,
     validity_check,
 )
-from hygrokf.live.sources.broker import Broker, unreachable
+from hygrokf.live.sources.broker import Broker
 from hygrokf.live.sources.local import Lines, Playback, TailedFile, is_whole, next_line
-from hygrokf.live.sources.mqtt import Mqtt
-from hygrokf.live.sources.mqtt_link import Arrival, Link
+from hygrokf.live.sources.mqtt import Arrival, Link, Mqtt
 from hygrokf.live.sources.opcua import OpcUa
 from hygrokf.live.sources.opcua_client import Connection, HistoryFault, Sample
 from hygrokf.live.sources.opcua_form import Node
@@ -133,12 +132,7 @@ def listening(broker: Broker, largest: int) -> Iterator[Link]:
     `largest`: payload [bytes] from which the rest is cut off."""
     link = Link(broker, largest)
     try:
-        try:
-            link.open()
-        except SourceFault as error:
-            link.lose(str(error))
-        except Exception as error:  # of any kind: it is reported
-            link.lose(unreachable(error, broker.where))
+        link.open()
         end = time.monotonic() + ANSWER_S
         while not (link.answered or link.lost.is_set()) and time.monotonic() < end:
             link.lost.wait(0.02)

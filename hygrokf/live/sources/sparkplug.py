@@ -17,8 +17,7 @@ from hygrokf.data.structured import JsonObject
 from hygrokf.data.timestamps import stamp_text
 from hygrokf.data.toml_form import Place
 from hygrokf.live.sources.broker import SPARKPLUG, Broker
-from hygrokf.live.sources.mqtt import Mqtt
-from hygrokf.live.sources.mqtt_link import Arrival, Link, libraries_fault
+from hygrokf.live.sources.mqtt import Arrival, Link, Mqtt, libraries_fault
 from hygrokf.live.sources.payload import PayloadMapping
 from hygrokf.live.sources.payload_formats import Content, Payload, Record, Refused, Unreadable
 from hygrokf.live.sources.sparkplug_node import NAMESPACE, Arrived, EdgeNode, Released, address_of
