@@ -21,13 +21,13 @@ from hygrokf.data.timestamps import HOUR_S, MINUTE_S, stamp_text
 from hygrokf.identification.verdict_terms import Inherited, rests_on
 from hygrokf.identification.wording import fixed, signed
 from hygrokf.live.batch import Alarm
-from hygrokf.live.ceiling import HUMIDITY
 from hygrokf.live.condition import Z95, Condition
 from hygrokf.live.fault_isolation import PAIRS, SENSORS, Finding, ShiftStep
 from hygrokf.live.frozen import Frozen
 from hygrokf.live.plan import Need
 from hygrokf.live.properties import MOIST, TrackedState, relative_shift
 from hygrokf.live.sources.stream import Reach
+from hygrokf.live.traces import HUMIDITY
 from hygrokf.live.tracker import SAME_S, Course
 from hygrokf.modelling.design import PARTS
 

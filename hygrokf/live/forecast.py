@@ -26,6 +26,7 @@ from hygrokf.live.condition import (
     Surface,
     air_condition,
     inputs_of,
+    on_the_safe_side,
     only,
     probability_above,
     probability_below,
@@ -33,7 +34,6 @@ from hygrokf.live.condition import (
 from hygrokf.live.plan import Plan
 from hygrokf.live.scenarios import OPERATION, Scenarios
 from hygrokf.live.tracker import SAME_S, Point
-from hygrokf.live.water import on_the_safe_side
 from hygrokf.modelling.inputs import Run, model_inputs
 from hygrokf.physics.holds import LINEAR, MEAN
 from hygrokf.physics.model import Model
@@ -83,7 +83,7 @@ def forecast(
 ) -> Forecast:
     """The forecast from the newest state under scenarios.
 
-    `excess` [g/m³]: vapour by which the newest reading exceeds the estimate (`live.water`); it stays.
+    `excess` [g/m³]: vapour by which the newest reading exceeds the estimate (`live.condition`); it stays.
     Raises NoForecast if the model uses the cabinet's own readings as inputs, because future readings do not
     exist.
     """
@@ -272,7 +272,7 @@ def restart(
 
     The advice is the shortest time after which the relative humidity at the coldest surface is below `limit`
     with a probability of at least `ENOUGH`, and stays so for `STAYS_H`.  The probability includes the
-    standard error `heating_sd_K` of the heaters' effect.  `excess` as in `live.forecast.forecast`.
+    standard error `heating_sd_K` of the heaters' effect.  `excess` as in `forecast`.
     """
     found = heating(plan, heating_sd_K)
     if found is None:

@@ -25,10 +25,10 @@ from hygrokf.data.record import Record, Series
 from hygrokf.data.timestamps import DAY_S, HOUR_S, whole_microseconds
 from hygrokf.engine.timeline import Timeline
 from hygrokf.estimation.likelihood import Gaussian, Trace
-from hygrokf.live.changes import SAME_S as SAME_S
-from hygrokf.live.changes import changed_trace
 from hygrokf.live.frozen import Frozen, frozen_runs
 from hygrokf.live.plan import AMBIENT_HUMIDITIES, BEFORE, Plan
+from hygrokf.live.traces import SAME_S as SAME_S
+from hygrokf.live.traces import changed_trace
 from hygrokf.modelling.inputs import Run, longest_gap_h, model_inputs
 
 WAITS_S = 7 * DAY_S
@@ -126,8 +126,8 @@ class Tracker:
     """The state of one turbine's filter.
 
     A restart begins from the `point` and the `readings()` of before.  `newest_state` is the estimate at the
-    newest instant, which may still change, and `running` tells whether the turbine operates then; `excess`
-    [g/m³] is the vapour by which the newest humidity reading exceeds it (`live.water`); `newest` is the time
+    newest instant, which may still change, and `running` whether the turbine operates then; `excess`
+    [g/m³] is the vapour by which the newest humidity reading exceeds it (`condition`); `newest` is the time
     [s] of the newest reading, −∞ without any; `frozen` are the signals that repeat a value at the point.
     `counts` counts distinct readings: "late" (the first value of its stamp, received after the estimate at
     that time was final), "revised" (another value of a stamp before that, of which `used_value` counts),

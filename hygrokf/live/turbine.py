@@ -16,15 +16,23 @@ from hygrokf.data.structured import JsonObject, structured
 from hygrokf.data.timestamps import HOUR_S
 from hygrokf.identification.verdict_terms import Inherited
 from hygrokf.live.alarms import Standing
-from hygrokf.live.changes import Change
-from hygrokf.live.condition import Condition, Surface, air_condition, inputs_of, only
+from hygrokf.live.condition import (
+    Condition,
+    Surface,
+    air_condition,
+    carried,
+    inputs_of,
+    on_the_safe_side,
+    only,
+    vapour_read,
+)
 from hygrokf.live.fault_isolation import Finding, ShiftStep
 from hygrokf.live.forecast import LIMIT
 from hygrokf.live.frozen import Frozen
 from hygrokf.live.plan import Plan
 from hygrokf.live.properties import ParameterShift, TrackedState
+from hygrokf.live.traces import Change, believed
 from hygrokf.live.tracker import SAME_S, Course, Point
-from hygrokf.live.water import believed, carried, on_the_safe_side, vapour_read
 
 THIN_S = 600.0
 """[s] between two stored estimates of a cabinet whose sensors have been silent for `SILENT_S`, or that has
@@ -87,7 +95,7 @@ def conditions(
     courses: Mapping[str, tuple[Turbine, Course]], kept: Mapping[str, Kept] = MappingProxyType({})
 ) -> dict[str, Condition]:
     """The condition of each turbine at the instants of its course that the store keeps, on the safe side of
-    what the model and what the humidity sensor says (`live.water`).
+    what the model and what the humidity sensor says (`live.condition`).
 
     Turbines of one model are evaluated together, because numpy's overhead exceeds the work for the few
     instants of one.

@@ -41,7 +41,6 @@ from hygrokf.live.alarms import (
 )
 from hygrokf.live.assessment import STANDSTILL_S, Known, Outlook, assess
 from hygrokf.live.batch import Alarm, Assessment, Batch, Estimates, Event, Loss, Observation
-from hygrokf.live.changes import Change, settled
 from hygrokf.live.clocks import Ahead, Backlogs, clock_levels
 from hygrokf.live.condition import Condition
 from hygrokf.live.fault_isolation import Finding, ShiftStep, shift_step
@@ -59,6 +58,7 @@ from hygrokf.live.sources.payload_formats import Order, Refused
 from hygrokf.live.sources.payload_values import AHEAD_S
 from hygrokf.live.sources.stream import Delivery, Reach
 from hygrokf.live.storage.store import Store
+from hygrokf.live.traces import Change, settled
 from hygrokf.live.tracker import NEITHER, REVISIONS, SAME_S, Course, Point, Tracker
 from hygrokf.live.turbine import STALE_S as STALE_S
 from hygrokf.live.turbine import Kept as Kept

@@ -15,7 +15,6 @@ from hygrokf.data.ambient import ambient_absolute_humidity, at_times
 from hygrokf.data.record import Record, Series
 from hygrokf.estimation.likelihood import Gaussian
 from hygrokf.identification.fit import Fit
-from hygrokf.live.ceiling import censored_trace
 from hygrokf.live.condition import Surface, air_condition, inputs_of
 from hygrokf.live.forecast import (
     ENOUGH,
@@ -30,6 +29,7 @@ from hygrokf.live.forecast import (
 )
 from hygrokf.live.plan import Form, Plan, plan
 from hygrokf.live.scenarios import HORIZON_S, Scenarios, grid, persistence
+from hygrokf.live.traces import censored_trace
 from hygrokf.live.tracker import Point, offline_course
 from hygrokf.modelling.design import design, extended
 from hygrokf.physics.psychrometrics import absolute_humidity

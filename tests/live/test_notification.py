@@ -27,13 +27,13 @@ from hygrokf.live.condition import Surface
 from hygrokf.live.config import Config, ConfigFault, read_config
 from hygrokf.live.doctor.check import file_checks
 from hygrokf.live.doctor.examination import channel_checks
+from hygrokf.live.notification import notices as outbox
 from hygrokf.live.notification import sender as module
 from hygrokf.live.notification.channel import Channel, ChannelFault, Content, Message
 from hygrokf.live.notification.notices import acknowledge, decide, look_again, notices_of
 from hygrokf.live.notification.sender import Sender
 from hygrokf.live.notification.transports import Mail, Webhook, secret_bytes
 from hygrokf.live.sources.local import Playback, record_mapping, record_messages
-from hygrokf.live.storage import outbox
 from hygrokf.live.storage.store import Store, open_store
 from hygrokf.live.tracking import track
 from hygrokf.live.turbines import Turbine

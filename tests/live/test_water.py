@@ -15,15 +15,14 @@ from builders.live_case import live_record, live_turbine
 from hygrokf.data.record import Record
 from hygrokf.data.timestamps import HOUR_S
 from hygrokf.live.batch import Event
-from hygrokf.live.changes import SENSOR_WRONG, Change
-from hygrokf.live.condition import Surface
+from hygrokf.live.condition import Surface, carried, vapour_read
 from hygrokf.live.sources.local import record_mapping, record_messages
 from hygrokf.live.sources.stream import Delivery
 from hygrokf.live.storage.store import open_store
+from hygrokf.live.traces import SENSOR_WRONG, Change, believed
 from hygrokf.live.tracker import offline_course
 from hygrokf.live.turbine import Kept, conditions
 from hygrokf.live.turbines import Fleet, Turbine
-from hygrokf.live.water import believed, carried, vapour_read
 from hygrokf.physics.psychrometrics import GAS_CONSTANT_VAPOUR, dew_point, saturation_pressure_water
 
 SURFACE = Surface(0.0)

@@ -20,12 +20,11 @@ from hygrokf.data.timestamps import DAY_S, HOUR_S
 from hygrokf.errors import HygrokfError
 from hygrokf.live.alarms import RULES
 from hygrokf.live.batch import CAUSES, STATES, Event, Shelf
-from hygrokf.live.changes import KINDS as EVENT_KINDS
-from hygrokf.live.notification.notices import LOOK_AGAIN, acknowledge
+from hygrokf.live.notification.notices import LOOK_AGAIN, ChannelState, acknowledge, channel_states
 from hygrokf.live.service import Service
 from hygrokf.live.storage.export import alarms_csv
-from hygrokf.live.storage.outbox import ChannelState, channel_states
 from hygrokf.live.storage.store import Store, StoreFault
+from hygrokf.live.traces import KINDS as EVENT_KINDS
 from hygrokf.live.turbines import SOURCE
 from hygrokf.live.web.metrics import exposition
 from hygrokf.live.web.page_settings import NEEDED, PageFault, PageSettings
