@@ -315,7 +315,6 @@ def _hours_until_dry(hours: np.ndarray, chance: np.ndarray) -> float | None:
 
 
 def _until_start(hours: np.ndarray, at: float) -> np.ndarray:
-    """True (T,) in the hour after a time [h] in which the converter starts."""
     return (hours >= at) & (hours <= at + STAYS_H)
 
 

@@ -298,7 +298,6 @@ class Service:
             raise StoreReplaced(f"{self.store_url}: {REPLACED}")
 
     def _publish(self, batch: Batch) -> None:
-        """Publish a committed batch: to the page, and its alarms to the sources that can take them."""
         if batch.empty:
             return
         if batch.alarms:
@@ -353,7 +352,6 @@ class Service:
         return [name for name in known if not any(one.signals(name) for one in news)]
 
     def _connections(self, fleet: Fleet, left: Collection[str] = (), begins: bool = False) -> Batch:
-        """What has changed of the connections of a fleet, and their time."""
         now = self.now
         return fleet.note_connections(now, self._unreached(self.reaches(), now), left, begins)
 

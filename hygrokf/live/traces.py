@@ -82,7 +82,6 @@ def _pieces(
 
 
 def _censored(likelihood: Likelihood, values: Mapping[str, float], start: Gaussian | None) -> Trace:
-    """The trace of one instant whose humidity reading is at the ceiling."""
     t = likelihood.timeline
     column = t.outputs.index(HUMIDITY)
 
@@ -139,7 +138,7 @@ SAME_S = 1e-3
 
 
 @dataclass(frozen=True)
-class Change:
+class StatedChange:
     """The event with an id and a kind, as taken into account from a `time` [s] on.
 
     This is the event's time, or that of the newest final estimate if the event became known later: final
@@ -197,7 +196,7 @@ def settled(
     return {**(observable(states) if time >= changed_s + SETTLED_S else {}), **references}
 
 
-def believed(changes: Sequence[Change], seconds: np.ndarray) -> np.ndarray:
+def believed(changes: Sequence[StatedChange], seconds: np.ndarray) -> np.ndarray:
     """Whether the sensor may be right (T,) at times [s]: False from a statement that it is wrong to the next
     stated change."""
     place = np.searchsorted([one.time for one in changes], seconds + SAME_S, side="right")

@@ -13,7 +13,7 @@ from hygrokf.estimation.batch_filter import SideBySide
 from hygrokf.estimation.likelihood import Likelihood
 from hygrokf.estimation.smoother import to_filterpy, transition
 from hygrokf.live.plan import Plan, plan
-from hygrokf.live.tracker import Course, offline_course
+from hygrokf.live.tracker import TrackedCourse, offline_course
 from hygrokf.physics.expression import maximum, minimum
 from hygrokf.physics.model import Mechanism
 
@@ -38,7 +38,7 @@ def planned(record: Record, tau_h: float) -> Plan:
     )
 
 
-def at(course: Course, name: str, i: int) -> float:
+def at(course: TrackedCourse, name: str, i: int) -> float:
     return float(course.run.timeline.input(name)[i])
 
 

@@ -40,7 +40,7 @@ from hygrokf.live.doctor.check import (
 )
 from hygrokf.live.sources.broker import Broker
 from hygrokf.live.sources.local import Lines, Playback, TailedFile, is_whole, next_line
-from hygrokf.live.sources.mqtt import Arrival, Link, Mqtt
+from hygrokf.live.sources.mqtt import Arrival, BrokerLink, Mqtt
 from hygrokf.live.sources.opcua import OpcUa
 from hygrokf.live.sources.opcua_client import Connection, HistoryFault, Sample
 from hygrokf.live.sources.opcua_form import Node
@@ -127,10 +127,10 @@ def plain_filter(topics: str) -> str:
 
 
 @contextmanager
-def listening(broker: Broker, largest: int) -> Iterator[Link]:
+def listening(broker: Broker, largest: int) -> Iterator[BrokerLink]:
     """A link within this context, once the broker has answered the subscription or the link is lost;
     `largest`: payload [bytes] from which the rest is cut off."""
-    link = Link(broker, largest)
+    link = BrokerLink(broker, largest)
     try:
         link.open()
         end = time.monotonic() + ANSWER_S
@@ -141,14 +141,14 @@ def listening(broker: Broker, largest: int) -> Iterator[Link]:
         link.close()
 
 
-def _certificate(link: Link, about: str) -> Iterator[Check]:
+def _certificate(link: BrokerLink, about: str) -> Iterator[Check]:
     socket = link.client.socket()
     shown = socket.getpeercert(binary_form=True) if isinstance(socket, ssl.SSLSocket) else None
     if shown:
         yield validity_check(about, shown, "the broker's certificate")
 
 
-def arrivals(link: Link, wait_s: float) -> Iterator[Arrival]:
+def arrivals(link: BrokerLink, wait_s: float) -> Iterator[Arrival]:
     """The messages of the doctor's session within a time [s], or until the link is lost; they are
     acknowledged at once, because nobody else uses this session."""
     end = time.monotonic() + wait_s
@@ -429,7 +429,6 @@ def file_checks(stream: TailedFile, statistics: PayloadStatistics, wait_s: float
 
 
 def _growth(about: str, path: Path, size: int, written: float, wait_s: float) -> Check:
-    """Whether a file grows within `wait_s` [s], or else when it last did."""
     end = time.monotonic() + wait_s
     while time.monotonic() < end:
         try:
@@ -515,7 +514,6 @@ def _newest_rows(
 
 
 def _starts(kind: str) -> Iterator[tuple[str, str]]:
-    """Watermarks above which rows are looked for, each with the name of those rows."""
     if kind in TIMES:
         for span in SPANS_S:
             since = datetime.fromtimestamp(time.time() - span, UTC)

@@ -154,7 +154,6 @@ class Sender:
         return again + [(one, now) for one in new]
 
     def _decided(self, store: Store, fresh: Sequence[Notice], now: float) -> dict[str, Content]:
-        """Contents to send, by id of their notices; the others are dropped or postponed."""
         if not fresh:
             return {}
         record_now = self._record_now()

@@ -47,7 +47,6 @@ PATIENT = 3
 
 @contextmanager
 def _exchange(where: str) -> Iterator[None]:
-    """All that may go wrong within this context becomes a ChannelFault."""
     try:
         yield
     except ChannelFault:

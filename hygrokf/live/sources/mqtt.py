@@ -59,7 +59,7 @@ class Mqtt(Stream):
         self.broker = broker
         self.url = broker.session_url
         self._place = "\n".join(broker.topics)
-        self._link: Link | None = None
+        self._link: BrokerLink | None = None
         self._known = False
         self._uncommitted = 0
         self._alarms: dict[str, tuple[bytes, MQTTMessageInfo | None]] = {}
@@ -116,7 +116,7 @@ class Mqtt(Stream):
     # -- the source's own thread -----------------------------------------------------------------------------
     def _deliver(self, place: str | None, put: Callable[[Delivery], None]) -> None:
         former = [one for one in (place or "").split("\n") if one and one not in self.broker.topics]
-        link = self._link = Link(self.broker, self.largest, former, self._ready)
+        link = self._link = BrokerLink(self.broker, self.largest, former, self._ready)
         try:
             link.open()
             self._hand_over(link, put)
@@ -125,7 +125,7 @@ class Mqtt(Stream):
         if not self._ended.is_set():
             raise SourceFault(link.reason)
 
-    def _hand_over(self, link: Link, put: Callable[[Delivery], None]) -> None:
+    def _hand_over(self, link: BrokerLink, put: Callable[[Delivery], None]) -> None:
         """Hand over messages until the link is lost or the source is told to stop; `put` may block.
 
         Messages that arrived before the loss are handed over too, because the broker may have lost the
@@ -156,10 +156,10 @@ class Mqtt(Stream):
         """The payloads of a message that another session hears."""
         return [arrival.payload]
 
-    def _take(self, link: Link, found: Arrival, put: Callable[[Delivery], None]) -> None:
+    def _take(self, link: BrokerLink, found: Arrival, put: Callable[[Delivery], None]) -> None:
         self._put([found.payload], found.time, found.topic, partial(link.acknowledge, found.identifier), put)
 
-    def _look_after(self, link: Link, put: Callable[[Delivery], None]) -> None:
+    def _look_after(self, link: BrokerLink, put: Callable[[Delivery], None]) -> None:
         """Does what is due without a message, at least every second: nothing here."""
 
     def _put(
@@ -183,7 +183,7 @@ class Mqtt(Stream):
             return self._uncommitted > 0 or not all(is_confirmed(info) for _, info in self._alarms.values())
 
     # -- alarms ----------------------------------------------------------------------------------------------
-    def _ready(self, link: Link) -> None:
+    def _ready(self, link: BrokerLink) -> None:
         """Called when the broker has accepted the link: publish the alarms that former links could not."""
         if self._known and not link.resumed:
             LOG.warning(
@@ -197,7 +197,7 @@ class Mqtt(Stream):
                     self._alarms[topic] = (payload, None)
             self._publish(link)
 
-    def _publish(self, link: Link) -> None:
+    def _publish(self, link: BrokerLink) -> None:
         """Publish pending alarms and drop confirmed ones.  The caller holds the lock."""
         if not link.accepted or link.lost.is_set():
             return
@@ -248,7 +248,7 @@ class Arrival(NamedTuple):
     retained: bool = False
 
 
-class Link:
+class BrokerLink:
     """One connection to a broker, from its beginning to its loss.
 
     Its network thread only queues messages, so that keep-alives go out however long the tracker takes.  The
@@ -263,7 +263,7 @@ class Link:
         broker: Broker,
         largest: int = LARGEST,
         dropped: Sequence[str] = (),
-        ready: Callable[[Link], None] = lambda link: None,
+        ready: Callable[[BrokerLink], None] = lambda link: None,
     ) -> None:
         self.broker = broker
         self.arrived: queue.SimpleQueue[Arrival | None] = queue.SimpleQueue()
@@ -505,7 +505,7 @@ class _LastWords(logging.Handler):
 
 
 def is_confirmed(info: MQTTMessageInfo | None) -> bool:
-    """Whether the broker has confirmed a message sent by `Link.publish`."""
+    """Whether the broker has confirmed a message sent by `BrokerLink.publish`."""
     try:
         return info is not None and info.is_published()
     except (ValueError, RuntimeError):

@@ -283,7 +283,6 @@ async def in_order(histories: Iterable[AsyncIterator[Sample]]) -> AsyncIterator[
 
 
 def _nodes_text(words: str, nodes: Mapping[Node, str]) -> str:
-    """Text of some nodes with the server's reason for each; empty without nodes."""
     # another thread may change the nodes meanwhile
     found = [f"{node.id} ({word})" for node, word in tuple(nodes.items())]
     return f"{words}: {several(found)}" if found else ""

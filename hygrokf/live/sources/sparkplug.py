@@ -17,9 +17,9 @@ from hygrokf.data.structured import JsonObject
 from hygrokf.data.timestamps import stamp_text
 from hygrokf.data.toml_form import Place
 from hygrokf.live.sources.broker import SPARKPLUG, Broker
-from hygrokf.live.sources.mqtt import Arrival, Link, Mqtt, libraries_fault
+from hygrokf.live.sources.mqtt import Arrival, BrokerLink, Mqtt, libraries_fault
 from hygrokf.live.sources.payload import PayloadMapping
-from hygrokf.live.sources.payload_formats import Content, Payload, Record, Refused, Unreadable
+from hygrokf.live.sources.payload_formats import Content, Payload, PayloadRecord, Refused, Unreadable
 from hygrokf.live.sources.sparkplug_node import NAMESPACE, Arrived, EdgeNode, Released, address_of
 from hygrokf.live.sources.sparkplug_payload import LARGEST_MESSAGE, decode, rebirth_request
 from hygrokf.live.sources.stream import Delivery, SourceFault, SourceState, several
@@ -110,7 +110,7 @@ class Sparkplug(Mqtt):
         self.edge_nodes.recall(memories)
 
     # -- the source's own thread -----------------------------------------------------------------------------
-    def _take(self, link: Link, found: Arrival, put: Callable[[Delivery], None]) -> None:
+    def _take(self, link: BrokerLink, found: Arrival, put: Callable[[Delivery], None]) -> None:
         acknowledge = partial(link.acknowledge, found.identifier)
         node, released = self.edge_nodes.take(
             found.topic, found.payload, found.time, acknowledge, found.repeated
@@ -120,7 +120,7 @@ class Sparkplug(Mqtt):
         else:
             self._put_released(node, released, put)
 
-    def _look_after(self, link: Link, put: Callable[[Delivery], None]) -> None:
+    def _look_after(self, link: BrokerLink, put: Callable[[Delivery], None]) -> None:
         """Release messages that wait in vain for those before them; ask for births."""
         if time.monotonic() < self._looked + LOOK_S:
             return
@@ -184,7 +184,7 @@ class Sparkplug(Mqtt):
         mapping = self.mapping
         if not mapping.turbine:
             return mapping.only
-        return mapping.turbines.get(str(mapping.readers["turbine"](Record((), topic=topic))))
+        return mapping.turbines.get(str(mapping.readers["turbine"](PayloadRecord((), topic=topic))))
 
     @property
     def state(self) -> SourceState:

@@ -178,7 +178,6 @@ class Store:
         self._execute(replacing("event"), astuple(event))
 
     def _execute(self, statement: str, parameters: Sequence[SqlValue]) -> int:
-        """Execute one statement in a transaction of its own; returns the number of rows that it changed."""
         with self.transaction() as cursor:
             cursor.execute(self._text(statement), tuple(parameters))
             return cursor.rowcount
@@ -396,7 +395,6 @@ def _statements(batch: Batch) -> Iterator[tuple[str, Iterable[Row]]]:
 
 
 def _reading_row(one: Observation) -> Row:
-    """The row of a reading, without its mark."""
     return (one.turbine, one.reading.signal, one.reading.time, one.reading.value, one.received)
 
 

@@ -227,7 +227,6 @@ class Page:
         return reply({**body, "sources": states}, status=503 if fault else 200)
 
     async def _fault(self) -> str:
-        """Why loop or store do not work; empty if they do."""
         if self.service.ending.is_set():
             return "the tracker is ending"
         if self.service.health.store:
@@ -296,7 +295,6 @@ def event_of(given: Mapping[str, Json], turbines: Collection[str], now: float) -
 
 
 def _chosen(value: Json, choices: Collection[str], words: str) -> str:
-    """A text that is one of the choices; `words` say what was expected."""
     if not isinstance(value, str) or value not in choices:
         raise StatementFault(words)
     return value
@@ -326,7 +324,6 @@ def _days(given: Mapping[str, Json], most: float) -> float:
 
 
 def _number(value: Json) -> float:
-    """A number, NaN for anything else."""
     number = isinstance(value, int | float) and not isinstance(value, bool)
     try:
         return float(value) if number else math.nan  # type: ignore[arg-type]

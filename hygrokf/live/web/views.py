@@ -144,7 +144,6 @@ def _need(row: View) -> tuple[int, int, float, str]:
 
 
 def _state(found: Assessment | None) -> View:
-    """A turbine's assessment; a turbine that was never assessed has no estimate."""
     if found is None:
         return {"state": "no estimate", "reason": NOT_ASSESSED, "since": None}
     return {"state": found.state, "reason": found.reason, "since": found.since}
