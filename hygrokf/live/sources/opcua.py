@@ -299,11 +299,7 @@ class OpcUaForm(Server):
     def stream(self, mapping: PayloadMapping, place: Place) -> OpcUa:
         """The stream; faults of its nodes and files go to `place`."""
         security = self.security_from(place)
-        for look in (self.password.read, lambda: _check_nodes(self.nodes, mapping, place)):
-            try:
-                look()
-            except SourceFault as fault:
-                place.fault(str(fault))
+        self.expect(place, self.password.read, lambda: _check_nodes(self.nodes, mapping, place))
         turbines = {one.turbine: one.turbine for one in self.nodes.values()}
         own = mapping.of_own_payloads(self.uncertain and mapping.use_uncertain, turbines)
         return OpcUa(self, own, security)

@@ -22,7 +22,7 @@ from hygrokf.live.sources.payload import PayloadMapping
 from hygrokf.live.sources.payload_formats import Content, Payload, PayloadRecord, Refused, Unreadable
 from hygrokf.live.sources.sparkplug_node import NAMESPACE, Arrived, EdgeNode, Released, address_of
 from hygrokf.live.sources.sparkplug_payload import LARGEST_MESSAGE, decode, rebirth_request
-from hygrokf.live.sources.stream import Delivery, SourceFault, SourceState, several
+from hygrokf.live.sources.stream import Delivery, SourceState, several
 
 LOG = logging.getLogger("hygrokf.track")
 MOST_NODES = 1_000
@@ -219,9 +219,6 @@ class MqttForm(Broker):
         """The stream; secrets and certificates that cannot be read are faults."""
         if (missing := libraries_fault()) is not None:
             place.fault(missing)
-        for look in () if place.faults else (self.password.read, self.context):
-            try:
-                look()
-            except SourceFault as fault:
-                place.fault(str(fault))
+        if not place.faults:
+            self.expect(place, self.password.read, self.context)
         return (Sparkplug if self.format == SPARKPLUG else Mqtt)(self, mapping)
