@@ -148,18 +148,14 @@ def _set_aside(counters: Mapping[tuple[str, str], int]) -> Iterator[Metric]:
 
 
 def _turbines(now: float, fleet: Sequence[View]) -> Iterator[Metric]:
+    heard = [((row["turbine"],), now - row["heard"]) for row in fleet if row["heard"] is not None]
+    yield _gauge("hygrokf_heard_age_seconds", "Time since a turbine was last heard", heard, ("turbine",))
     for key, name, words in (
-        ("heard", "hygrokf_heard_age_seconds", "Time since a turbine was last heard"),
-        (
-            "condensation",
-            "hygrokf_condensation_probability",
-            "Probability of condensation at the coldest surface",
-        ),
-        ("margin", "hygrokf_dew_point_margin_kelvin", "Coldest surface above the dew point"),
+        ("condensation", "condensation_probability", "Probability of condensation at the coldest surface"),
+        ("margin", "dew_point_margin_kelvin", "Coldest surface above the dew point"),
     ):
-        known = [(row["turbine"], row[key]) for row in fleet if row[key] is not None]
-        ages = [((turbine,), now - n if key == "heard" else n) for turbine, n in known]
-        yield _gauge(name, words, ages, ("turbine",))
+        known = [((row["turbine"],), row[key]) for row in fleet if row[key] is not None]
+        yield _gauge(f"hygrokf_{name}", words, known, ("turbine",))
     yield _gauge(
         "hygrokf_turbine_state",
         "1 for the state that a turbine is in",
