@@ -25,8 +25,15 @@ from hygrokf.data.record import Site
 from hygrokf.data.toml_form import keys_of
 from hygrokf.identification.fit import write_fit
 from hygrokf.live import config
-from hygrokf.live.config import SurfaceForm, TrackForm, TurbineForm, WanderingForm, read_config
-from hygrokf.live.mapping_form import MappingForm, SignalForm
+from hygrokf.live.config import (
+    MappingForm,
+    SignalForm,
+    SurfaceForm,
+    TrackForm,
+    TurbineForm,
+    WanderingForm,
+    read_config,
+)
 from hygrokf.live.notification.transports import Mail, Webhook
 from hygrokf.live.plan import WANDERING
 from hygrokf.live.sources.broker import Broker

@@ -15,9 +15,8 @@ import pandas as pd
 
 import hygrokf
 from hygrokf.live.condition import Surface
-from hygrokf.live.forecast import forecast
+from hygrokf.live.forecast import forecast, heating_sd, restart
 from hygrokf.live.plan import plan
-from hygrokf.live.restart_advice import heating_sd, restart
 from hygrokf.live.scenarios import persistence
 from hygrokf.live.tracker import Reading
 

@@ -21,19 +21,19 @@ from hygrokf.data.timestamps import HOUR_S, MINUTE_S, stamp_text
 from hygrokf.identification.verdict_terms import Inherited, rests_on
 from hygrokf.identification.wording import fixed, signed
 from hygrokf.live.batch import Alarm
-from hygrokf.live.ceiling import HUMIDITY
 from hygrokf.live.condition import Z95, Condition
 from hygrokf.live.fault_isolation import PAIRS, SENSORS, Finding, ShiftStep
 from hygrokf.live.frozen import Frozen
 from hygrokf.live.plan import Need
 from hygrokf.live.properties import MOIST, TrackedState, relative_shift
 from hygrokf.live.sources.stream import Reach
-from hygrokf.live.tracker import SAME_S, Course
+from hygrokf.live.traces import HUMIDITY
+from hygrokf.live.tracker import SAME_S, TrackedCourse
 from hygrokf.modelling.design import PARTS
 
 
 @dataclass(frozen=True)
-class Rule:
+class AlarmRule:
     """When to raise one kind of alarm.
 
     `on`, `off`: levels at which it begins and ends; `hold_s`: time [s] the level must persist; `severity`: at
@@ -49,38 +49,38 @@ class Rule:
     remedy: str
 
 
-CONDENSATION = Rule(
+CONDENSATION = AlarmRule(
     "condensation", 0.5, 0.2, 20 * MINUTE_S, "warning", 0.95,
     "pre-heat before the converter is started, and look for water at the coldest surface",
 )  # fmt: skip
-CHANGED = Rule("cabinet changed", 1.0, 0.5, 0.0, "warning", np.inf, "")
-STALE = Rule(
+CHANGED = AlarmRule("cabinet changed", 1.0, 0.5, 0.0, "warning", np.inf, "")
+STALE = AlarmRule(
     "data stale", 1.0, 0.5, 5 * MINUTE_S, "warning", 12.0,
     "check the logger, its power supply and the data path; the estimate continues without these readings",
 )  # fmt: skip
-LOST = Rule(
+LOST = AlarmRule(
     "source lost", 1.0, 0.5, 0.0, "alarm", 1.0,
     "run `hygrokf doctor` to find out what cannot be reached and why",
 )  # fmt: skip
-SUSPECT = Rule("sensor suspect", 1.0, 0.5, 0.0, "warning", np.inf, "")
-SENSOR_OR_WATER = Rule(
+SUSPECT = AlarmRule("sensor suspect", 1.0, 0.5, 0.0, "warning", np.inf, "")
+SENSOR_OR_WATER = AlarmRule(
     "sensor or water", 1.0, 0.5, 0.0, "warning", np.inf,
     "look for water in the cabinet, and compare the humidity sensor with another one; if it is the sensor, "
     "state it on the turbine's page with the date",
 )  # fmt: skip
-CONTRADICTS = Rule(
+CONTRADICTS = AlarmRule(
     "reading contradicts", 1.0, 0.5, 0.0, "warning", np.inf,
     "compare the sensor with another one, and ask what happened in the cabinet at that time",
 )  # fmt: skip
-MISSING = Rule(
+MISSING = AlarmRule(
     "signal missing", 1.0, 0.5, 0.0, "warning", np.inf,
     "check the sensor, the logger and its name in the mapping of payloads",
 )  # fmt: skip
-CLOCK = Rule(
+CLOCK = AlarmRule(
     "clock wrong", 1.0, 0.5, 15 * MINUTE_S, "alarm", 1.0,
     "compare the clocks of this machine and of the sender, and synchronise both by NTP",
 )  # fmt: skip
-STUCK = Rule(
+STUCK = AlarmRule(
     "sensor frozen", 1.0, 0.5, 0.0, "warning", np.inf,
     "look whether sensor, logger and data path are alive; what is estimated from it is doubtful",
 )  # fmt: skip
@@ -223,7 +223,6 @@ def judge(
 def _judge_level(
     turbine: str, key: str, before: Standing, now: float, level: Level
 ) -> tuple[Standing, Alarm | None]:
-    """The standing after a level at `now` [s], and its alarm if that began, changed or ended."""
     rule, alarm = RULES[level.kind], before.alarm
     severity = "alarm" if level.level >= rule.severe else level.severity or rule.severity
     past = level.level >= rule.on if alarm is None else level.level < rule.off and now >= alarm.began
@@ -424,7 +423,7 @@ class Innovation:
         return (reading - self.expected) / self.sd
 
 
-def innovations(course: Course, final_s: float = math.inf) -> list[Innovation]:
+def innovations(course: TrackedCourse, final_s: float = math.inf) -> list[Innovation]:
     """The innovations of a course by time, as far as its estimates are final (up to `final_s` [s])."""
     timeline, trace = course.run.timeline, course.trace
     known = course.seconds <= final_s + SAME_S

@@ -95,7 +95,7 @@ class Shelf:
 class Event:
     """A change at a turbine at `time` [s] that a person stated at `made` [s].
 
-    kind: one of `changes.KINDS`.
+    kind: one of `traces.KINDS`.
     """
 
     id: str

@@ -118,7 +118,6 @@ HELD_BACK = "They are stored and held back until this machine's clock reaches th
 
 
 def _lasting(seconds: float) -> str:
-    """A duration in words, rounded to what matters."""
     years = seconds / (365.25 * 24.0 * HOUR_S)
     return f"{years:.1f} years" if years >= 1.0 else duration_text(60.0 * round(seconds / 60.0))
 

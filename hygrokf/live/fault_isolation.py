@@ -24,9 +24,9 @@ import numpy as np
 from hygrokf.data.record import Record, Series
 from hygrokf.data.timestamps import DAY_S
 from hygrokf.estimation.likelihood import Gaussian
-from hygrokf.live.ceiling import censored_end, censored_trace
 from hygrokf.live.plan import AMBIENT_HUMIDITIES, Plan
 from hygrokf.live.properties import ParameterShift, TrackedState, lasting_s
+from hygrokf.live.traces import censored_end, censored_trace
 from hygrokf.live.tracker import SAME_S, Point
 from hygrokf.modelling.design import extended
 from hygrokf.modelling.inputs import model_inputs

@@ -8,29 +8,35 @@ bounds include their spread.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from hygrokf.data.record import Record, Series
+from hygrokf.data.timestamps import HOUR_S
 from hygrokf.engine.timeline import Timeline
+from hygrokf.estimation.confidence import normal_quantile
 from hygrokf.evaluation.self_switching import self_switched
+from hygrokf.identification.fit import Fit
 from hygrokf.live.condition import (
     Condition,
     Quantity,
     Surface,
     air_condition,
     inputs_of,
+    on_the_safe_side,
     only,
     probability_above,
+    probability_below,
 )
 from hygrokf.live.plan import Plan
 from hygrokf.live.scenarios import OPERATION, Scenarios
 from hygrokf.live.tracker import SAME_S, Point
-from hygrokf.live.water import on_the_safe_side
 from hygrokf.modelling.inputs import Run, model_inputs
 from hygrokf.physics.holds import LINEAR, MEAN
+from hygrokf.physics.model import Model
 
 LIMIT = 0.8
 """Default limit of relative humidity [1]; a forecast gives the probability of exceeding it."""
@@ -77,7 +83,7 @@ def forecast(
 ) -> Forecast:
     """The forecast from the newest state under scenarios.
 
-    `excess` [g/m³]: vapour by which the newest reading exceeds the estimate (`live.water`); it stays.
+    `excess` [g/m³]: vapour by which the newest reading exceeds the estimate (`live.condition`); it stays.
     Raises NoForecast if the model uses the cabinet's own readings as inputs, because future readings do not
     exist.
     """
@@ -155,3 +161,188 @@ def mixture(found: Sequence[Condition]) -> Condition:
 
     chances = [one.condensation for one in found if one.condensation is not None]
     return found[0].mapped(mixed, condensation=np.mean(chances, axis=0) if chances else None)
+
+
+# -- advice for a restart ------------------------------------------------------------------------------------
+ENOUGH = 0.95
+"""Probability [1] with which the air must be dry enough for a restart."""
+LONGEST_H = 24.0
+"""Longest pre-heating that is considered [h]."""
+STAYS_H = 1.0
+"""[h] the air must stay dry: the peak of vapour that the heat drives out of materials must have passed."""
+
+
+LEVEL = 0.95
+"""Level of the bounds of the heaters' effect (`Heating.bounds_K`)."""
+PREHEATING, PREHEATING_HEAT = "preheating", "preheating_heat"
+LOGGED, LOGGED_HEAT = "logged_heater", "logged_heater_heat"
+
+
+@dataclass(frozen=True)
+class Heater:
+    """A heater of a model: its `signal`, the value `full` [SI unit] of the signal at full power, and the
+    parameter of its effect, the heat release [K] at full power."""
+
+    signal: str
+    full: float
+    parameter: str
+
+
+@dataclass(frozen=True)
+class Heating:
+    """All heaters of a model at full power: heat release `effect_K` [K] with its standard error `sd_K`, 0 if
+    unknown."""
+
+    heaters: tuple[Heater, ...]
+    effect_K: float
+    sd_K: float = 0.0
+
+    @property
+    def signals(self) -> dict[str, float]:
+        """Signal of each heater, and its value at full power [SI unit]."""
+        return {one.signal: one.full for one in self.heaters}
+
+    @property
+    def words(self) -> str:
+        """The heaters in words."""
+        return " with ".join(one.signal.replace("_", " ") for one in self.heaters)
+
+    @property
+    def bounds_K(self) -> tuple[float, float]:
+        """Bounds of the effect [K]; a heater does not cool."""
+        reach = normal_quantile(LEVEL) * self.sd_K
+        return max(self.effect_K - reach, 0.0), self.effect_K + reach
+
+    def values_at(self, effect_K: float, values: Mapping[str, float]) -> dict[str, float]:
+        """Parameter values with another effect, to which the heaters contribute in the same proportions."""
+        share = effect_K / self.effect_K
+        return {**values, **{one.parameter: share * values[one.parameter] for one in self.heaters}}
+
+
+def heaters(model: Model) -> tuple[Heater, ...]:
+    """The heaters among a model's inputs: a logged heater, the pre-heating flag, or both."""
+    found = []
+    for one in model.mechanisms:
+        if one.name == LOGGED:
+            found.append(Heater(one.settings["signal"], float(one.settings["full"]), LOGGED_HEAT))
+        elif PREHEATING in one.inputs and any(p.name == PREHEATING_HEAT for p in one.parameters):
+            found.append(Heater(PREHEATING, 1.0, PREHEATING_HEAT))
+    return tuple(found)
+
+
+def heating(plan: Plan, sd_K: float = 0.0) -> Heating | None:
+    """All heaters of a plan at full power, with the standard error of their effect; None without a heater."""
+    found = heaters(plan.model)
+    return Heating(found, sum(plan.values[one.parameter] for one in found), sd_K) if found else None
+
+
+def heating_sd(fit: Fit) -> float:
+    """A fit's standard error [K] of the effect of all its heaters together; 0 without a covariance."""
+    if fit.results.covariance is None:
+        return 0.0
+    names, covariance = fit.covariance
+    known = {one.parameter for one in heaters(fit.design.model)}
+    chosen = np.array([name in known for name in names])
+    return math.sqrt(max(float(chosen @ covariance @ chosen), 0.0))
+
+
+@dataclass(frozen=True)
+class Advice:
+    """How long to pre-heat before a restart, in words.
+
+    `hours` [h] of pre-heating until the air is dry enough, None if `LONGEST_H` is not enough or the time is
+    unknown; `probability` [1] of dry air after that time, or the highest one within `LONGEST_H`.
+    """
+
+    statement: str
+    hours: float | None = None
+    probability: float | None = None
+
+
+def restart(
+    plan: Plan,
+    state: Point,
+    scenarios: Scenarios,
+    surface: Surface,
+    limit: float = LIMIT,
+    heating_sd_K: float = 0.0,
+    excess: float = np.nan,
+) -> Advice:
+    """How long to pre-heat from now on, at standstill and with all heaters of the model at full power.
+
+    The advice is the shortest time after which the relative humidity at the coldest surface is below `limit`
+    with a probability of at least `ENOUGH`, and stays so for `STAYS_H`.  The probability includes the
+    standard error `heating_sd_K` of the heaters' effect.  `excess` as in `forecast`.
+    """
+    found = heating(plan, heating_sd_K)
+    if found is None:
+        return Advice(
+            "the record that identified the model has no pre-heating and no logged heater: its heating power "
+            "is unknown"
+        )
+    if not found.effect_K > 0.0:
+        return Advice(f"the identified effect of {found.words} is no heat ({found.effect_K:+.1f} K)")
+    heated = scenarios.with_preheating(LONGEST_H + STAYS_H, found.signals)
+    effects = sorted({found.effect_K, *found.bounds_K})
+    chances = []
+    for effect_K in effects:
+        own = replace(plan, values=found.values_at(effect_K, plan.values))
+        conditions = conditions_by_member(own, state, heated, surface, excess)
+        humidities = [one.surface_humidity for one in conditions if one.surface_humidity is not None]
+        if not humidities:
+            return Advice("the model has no humidity")
+        chances.append(np.mean([probability_below(humidity, limit) for humidity in humidities], axis=0))
+    hours = (conditions[0].time_s - state.time) / HOUR_S
+    if len(effects) == 1:
+        return advice_from(hours, chances[0], limit)
+    # three points at the bounds and between, with the mean and the variance of the effect
+    outer = 0.5 / normal_quantile(LEVEL) ** 2
+    advice = advice_from(hours, outer * (chances[0] + chances[2]) + (1.0 - 2.0 * outer) * chances[1], limit)
+    weak, _, strong = (_hours_until_dry(hours, chance) for chance in chances)
+    lower, upper = found.bounds_K
+    effect = f"{found.words}: {found.effect_K:.1f} K, within {lower:.1f} to {upper:.1f} K"
+    if strong is not None and advice.hours != 0.0:
+        longest = f"more than {LONGEST_H:.0f}" if weak is None else f"{weak:.1f}"
+        effect += f", for which {strong:.1f} to {longest} h are needed"
+    return replace(advice, statement=f"{advice.statement} (identified effect of {effect})")
+
+
+def _hours_until_dry(hours: np.ndarray, chance: np.ndarray) -> float | None:
+    """The first of `hours` (T,) [h] after which the air is and stays dry with a probability of `ENOUGH`; None
+    where `LONGEST_H` is not enough."""
+    possible = hours[hours <= LONGEST_H].tolist()
+    return next((at for at in possible if np.all(chance[_until_start(hours, at)] >= ENOUGH)), None)
+
+
+def _until_start(hours: np.ndarray, at: float) -> np.ndarray:
+    return (hours >= at) & (hours <= at + STAYS_H)
+
+
+def advice_from(hours: np.ndarray, chance: np.ndarray, limit: float) -> Advice:
+    """The advice from the probability `chance` (T,) of dry air after `hours` (T,) [h] of pre-heating."""
+    at = _hours_until_dry(hours, chance)
+    if at is not None:
+        likely, stays = float(chance[hours == at][0]), float(chance[_until_start(hours, at)].min())
+        begin = f"pre-heat for {at:.1f} h: relative humidity is then"
+        if at == 0.0:
+            begin = "no pre-heating is needed: relative humidity is"
+        return Advice(
+            f"{begin} below {100 * limit:.0f} % at the coldest surface with a probability of "
+            f"{percent(likely)}, and of at least {percent(stays)} until a start within {STAYS_H:.0f} h",
+            at,
+            likely,
+        )
+    best = int(np.argmax(np.where(hours <= LONGEST_H, chance, -1.0)))
+    return Advice(
+        f"not even {LONGEST_H:.0f} h of pre-heating bring relative humidity at the coldest surface below "
+        f"{100 * limit:.0f} % for {STAYS_H:.0f} h with a probability of {percent(ENOUGH)}: at best it is "
+        f"{percent(chance[best])}, after {hours[best]:.1f} h",
+        probability=float(chance[best]),
+    )
+
+
+def percent(probability: float) -> str:
+    """A probability as text that never claims certainty."""
+    if probability > 0.99:
+        return "over 99 %"
+    return f"{100 * probability:.0f} %" if probability >= 0.01 else "under 1 %"

@@ -15,9 +15,8 @@ from hygrokf.data.record import Record, Series
 from hygrokf.data.timestamps import DAY_S, HOUR_S
 from hygrokf.live.batch import Batch
 from hygrokf.live.fault_isolation import AMBIENT, BEFORE_S, LONGEST_S, Finding, ShiftStep, isolate
-from hygrokf.live.forecast import ForecastMade, NoForecast, forecast
+from hygrokf.live.forecast import ForecastMade, NoForecast, forecast, restart
 from hygrokf.live.plan import AMBIENT_HUMIDITIES, Plan
-from hygrokf.live.restart_advice import restart
 from hygrokf.live.scenarios import DAYS, NoScenarios, Scenarios, persistence, weather_forecast
 from hygrokf.live.storage.store import Store
 from hygrokf.live.tracker import Point, Tracker, record_of

@@ -76,7 +76,6 @@ def _refiltered(store: Store, cursor: Cursor, name: str, turbines: Mapping[str, 
 
 
 def _batches(store: Store, name: str, turbines: Mapping[str, Turbine]) -> Iterator[Batch]:
-    """What the tracker makes of a turbine's readings, day after day."""
     fleet, one = Fleet({name: turbines[name]}), turbines[name]
     fleet.tracked[name].tracker = Tracker(one.plan, lost=store.losses(name))
     points = {other: store.point(other) for other in turbines if other != name}

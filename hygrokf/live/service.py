@@ -21,6 +21,7 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import TypeVar
 
+from hygrokf.data.timestamps import HOUR_S
 from hygrokf.live.batch import Batch
 from hygrokf.live.fault_isolation import Finding
 from hygrokf.live.forecast_job import EVERY_S, isolation_steps, make_forecast
@@ -28,8 +29,7 @@ from hygrokf.live.notification.channel import Channel
 from hygrokf.live.notification.notices import look_again, notices_of
 from hygrokf.live.sources.stream import Delivery, Reach, Stream, pause_s
 from hygrokf.live.storage.database import REPLACED, StoreReplaced
-from hygrokf.live.storage.retention import Retention
-from hygrokf.live.storage.store import Store, StoreFault, open_store
+from hygrokf.live.storage.store import BITE, Store, StoreFault, open_store, prune
 from hygrokf.live.turbines import SOURCE, Fleet, Turbine
 
 LOG = logging.getLogger("hygrokf.track")
@@ -48,6 +48,8 @@ SHARE = 0.3
 """Largest share of time spent on forecasts while deliveries come."""
 LEAST_SHARE = 0.05
 """The same while deliveries or unfiltered turbines wait."""
+PRUNED_S = 6.0 * HOUR_S
+"""[s] between two passes over the fleet that delete old history."""
 RETRY_S = (0.5, 10.0)
 """Shortest and longest pause [s] between attempts to reopen a failed store."""
 
@@ -296,7 +298,6 @@ class Service:
             raise StoreReplaced(f"{self.store_url}: {REPLACED}")
 
     def _publish(self, batch: Batch) -> None:
-        """Publish a committed batch: to the page, and its alarms to the sources that can take them."""
         if batch.empty:
             return
         if batch.alarms:
@@ -351,7 +352,6 @@ class Service:
         return [name for name in known if not any(one.signals(name) for one in news)]
 
     def _connections(self, fleet: Fleet, left: Collection[str] = (), begins: bool = False) -> Batch:
-        """What has changed of the connections of a fleet, and their time."""
         now = self.now
         return fleet.note_connections(now, self._unreached(self.reaches(), now), left, begins)
 
@@ -412,6 +412,44 @@ class Service:
                 )
                 if self.ending.is_set():
                     raise
+
+
+class Retention:
+    """Keeps history back to `seconds` [s] before each turbine's newest final estimate.
+
+    The limit follows the time of the readings: a played-back record is kept like a live one, and a silent
+    turbine loses nothing.  Turbines outside the fleet are left alone, because they belong to another tracker
+    or to none any more.
+    """
+
+    def __init__(self, seconds: float) -> None:
+        self.seconds = seconds
+        self._due: list[str] = []
+        self._next = -math.inf
+
+    def bite(self, store: Store, fleet: Fleet) -> int:
+        """Delete one portion if a pass is due; returns the number of rows.  The next commit notices a failing
+        store."""
+        if not self._due and time.monotonic() >= self._next and math.isfinite(self.seconds):
+            self._due, self._next = list(fleet.tracked), time.monotonic() + PRUNED_S
+        while self._due:
+            name = self._due[-1]
+            state = fleet.tracked[name]
+            point = state.tracker.point
+            if point is None:  # nothing is final yet, so a restart needs all readings
+                self._due.pop()
+                continue
+            needed = point.time - state.turbine.plan.context_s
+            try:
+                count = prune(store, name, point.time - self.seconds, needed)
+            except StoreFault as fault:
+                LOG.warning("old rows were not deleted", extra={"fault": str(fault)})
+                self._due.clear()
+                return 0
+            if count < BITE:
+                self._due.pop()
+            return count
+        return 0
 
 
 def take_from(waiting: queue.Queue[T], most: int, patience_s: float) -> list[T]:

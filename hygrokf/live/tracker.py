@@ -25,10 +25,10 @@ from hygrokf.data.record import Record, Series
 from hygrokf.data.timestamps import DAY_S, HOUR_S, whole_microseconds
 from hygrokf.engine.timeline import Timeline
 from hygrokf.estimation.likelihood import Gaussian, Trace
-from hygrokf.live.changes import SAME_S as SAME_S
-from hygrokf.live.changes import changed_trace
 from hygrokf.live.frozen import Frozen, frozen_runs
 from hygrokf.live.plan import AMBIENT_HUMIDITIES, BEFORE, Plan
+from hygrokf.live.traces import SAME_S as SAME_S
+from hygrokf.live.traces import changed_trace
 from hygrokf.modelling.inputs import Run, longest_gap_h, model_inputs
 
 WAITS_S = 7 * DAY_S
@@ -89,7 +89,7 @@ class Point:
 
 
 @dataclass(frozen=True)
-class Course:
+class TrackedCourse:
     """Estimates after the point, or after those that go on from it in silence: the run, and the filter's
     moments at its instants.
 
@@ -126,8 +126,8 @@ class Tracker:
     """The state of one turbine's filter.
 
     A restart begins from the `point` and the `readings()` of before.  `newest_state` is the estimate at the
-    newest instant, which may still change, and `running` tells whether the turbine operates then; `excess`
-    [g/m³] is the vapour by which the newest humidity reading exceeds it (`live.water`); `newest` is the time
+    newest instant, which may still change, and `running` whether the turbine operates then; `excess`
+    [g/m³] is the vapour by which the newest humidity reading exceeds it (`condition`); `newest` is the time
     [s] of the newest reading, −∞ without any; `frozen` are the signals that repeat a value at the point.
     `counts` counts distinct readings: "late" (the first value of its stamp, received after the estimate at
     that time was final), "revised" (another value of a stamp before that, of which `used_value` counts),
@@ -311,7 +311,7 @@ class Tracker:
         return tuple(sorted(signals[0] for signals in missing if not there & set(signals)))
 
     # -- the filter ------------------------------------------------------------------------------------------
-    def advance(self) -> Course | None:
+    def advance(self) -> TrackedCourse | None:
         """Filter the readings after the point and advance the point; returns the course after the old point.
 
         Returns None without new instants, while `awaited` names signals, and until the ambient is known over
@@ -356,8 +356,7 @@ class Tracker:
             self.judged_s = reached.time
         return course
 
-    def _reached(self, course: Course, time: float) -> Point | None:
-        """The state after the last instant of a course up to a time [s]; None without one."""
+    def _reached(self, course: TrackedCourse, time: float) -> Point | None:
         last = int(np.searchsorted(course.seconds, time + SAME_S, side="right")) - 1
         return None if last < 0 else Point(float(course.seconds[last]), self._state_at(course, last))
 
@@ -365,8 +364,7 @@ class Tracker:
         """Time [s] of the cabinet's newest usable reading if estimates go on without it; None else."""
         return silent_since({s: times for s, (times, _) in self._accepted.items()}, self.plan.lateness_s)
 
-    def _frozen(self, judged: Mapping[str, Judged]) -> tuple[Frozen, ...]:
-        """The signals of ambient and cabinet that repeat a value after the point."""
+    def _frozen(self, judged: Mapping[str, JudgedReadings]) -> tuple[Frozen, ...]:
         after_s = -math.inf if self.point is None else self.point.time
         found: list[Frozen] = []
         for signal, one in judged.items():
@@ -390,7 +388,7 @@ class Tracker:
         longest = max((form.interval_s for form in self.plan.forms.values()), default=0.0)
         return first, last, longest
 
-    def _course(self, made: Run) -> Course | None:
+    def _course(self, made: Run) -> TrackedCourse | None:
         t, start = made.timeline, self.ahead or self.point
         after = -math.inf if start is None else start.time + SAME_S
         first = int(np.searchsorted(t.seconds, after, side="right"))
@@ -401,9 +399,9 @@ class Tracker:
         part = t.window(first, end)
         piece = Run(part, made.operating[first:end], made.scored[first:end])
         read = {signal: times for signal, (times, _) in self._accepted.items()}
-        return Course(piece, self._filter(part, start), after - SAME_S, read)
+        return TrackedCourse(piece, self._filter(part, start), after - SAME_S, read)
 
-    def _state_at(self, course: Course, place: int) -> Gaussian:
+    def _state_at(self, course: TrackedCourse, place: int) -> Gaussian:
         """The state from which the filter continues after an instant; the accumulator of a mean that begins
         there is reset."""
         t = course.run.timeline
@@ -481,7 +479,7 @@ class Tracker:
 
 
 @dataclass(frozen=True)
-class Judged:
+class JudgedReadings:
     """The readings of a signal (time [s], value [SI unit]) and the gate's judgement of them."""
 
     readings: Readings
@@ -502,7 +500,7 @@ class Judged:
 
 def judged_readings(
     plan: Plan, signal: str, times: Column, values: Column, known_until_s: float = math.inf
-) -> Judged:
+) -> JudgedReadings:
     """The readings of a signal of the plan's turbine that are not missing, judged by the gate."""
     time, value = np.array(times, dtype=float), np.array(values, dtype=float)
     there = np.isfinite(value)
@@ -510,8 +508,8 @@ def judged_readings(
         time, value = time[there], value[there]
     scale = plan.scale(signal)
     if scale is None:
-        return Judged((time, value), Judgement(np.zeros(len(time), dtype=np.int8), known_until_s))
-    return Judged((time, value), judge(signal, time, value, scale, known_until_s))
+        return JudgedReadings((time, value), Judgement(np.zeros(len(time), dtype=np.int8), known_until_s))
+    return JudgedReadings((time, value), judge(signal, time, value, scale, known_until_s))
 
 
 def record_of(
@@ -537,7 +535,7 @@ def _record(plan: Plan, readings: Mapping[str, Readings], lost: Losses) -> Recor
     return Record(plan.name, tuple(series), plan.site, plan.rated_power_W)
 
 
-def offline_course(plan: Plan, record: Record, changes: Iterable[float] = ()) -> Course:
+def offline_course(plan: Plan, record: Record, changes: Iterable[float] = ()) -> TrackedCourse:
     """The offline filter on a whole record, with the tracker's model and steps; missing readings are
     skipped.
 
@@ -549,7 +547,7 @@ def offline_course(plan: Plan, record: Record, changes: Iterable[float] = ()) ->
     silent_s = silent_since({s.signal: s.time for s in accepted.series}, plan.lateness_s)
     made = model_inputs(plan.design, accepted, beyond=silent_s is not None)
     trace = changed_trace(plan.likelihood(made.timeline), plan.values, None, changes)
-    return Course(made, trace, read={s.signal: s.time for s in accepted.series})
+    return TrackedCourse(made, trace, read={s.signal: s.time for s in accepted.series})
 
 
 def silent_since(times: Mapping[str, Column], lateness_s: float) -> float | None:

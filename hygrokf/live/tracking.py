@@ -145,7 +145,6 @@ class LogLines(logging.Formatter):
 
 
 def _message(record: logging.LogRecord) -> str:
-    """A record's message, also where its arguments do not fit."""
     try:
         return record.getMessage()
     except Exception:
@@ -153,7 +152,6 @@ def _message(record: logging.LogRecord) -> str:
 
 
 def _plain(value: object) -> str | int | float | bool | None:
-    """A value as JSON has it; text for anything else."""
     if isinstance(value, float):
         return value if math.isfinite(value) else str(value)
     return value if isinstance(value, str | int | bool | None) else str(value)

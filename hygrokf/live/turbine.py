@@ -16,15 +16,23 @@ from hygrokf.data.structured import JsonObject, structured
 from hygrokf.data.timestamps import HOUR_S
 from hygrokf.identification.verdict_terms import Inherited
 from hygrokf.live.alarms import Standing
-from hygrokf.live.changes import Change
-from hygrokf.live.condition import Condition, Surface, air_condition, inputs_of, only
+from hygrokf.live.condition import (
+    Condition,
+    Surface,
+    air_condition,
+    carried,
+    inputs_of,
+    on_the_safe_side,
+    only,
+    vapour_read,
+)
 from hygrokf.live.fault_isolation import Finding, ShiftStep
 from hygrokf.live.forecast import LIMIT
 from hygrokf.live.frozen import Frozen
 from hygrokf.live.plan import Plan
 from hygrokf.live.properties import ParameterShift, TrackedState
-from hygrokf.live.tracker import SAME_S, Course, Point
-from hygrokf.live.water import believed, carried, on_the_safe_side, vapour_read
+from hygrokf.live.traces import StatedChange, believed
+from hygrokf.live.tracker import SAME_S, Point, TrackedCourse
 
 THIN_S = 600.0
 """[s] between two stored estimates of a cabinet whose sensors have been silent for `SILENT_S`, or that has
@@ -63,7 +71,7 @@ class Kept:
     value at the point; `known_s`: time [s] since when the tracker knows the turbine.
     """
 
-    changes: list[Change] = field(default_factory=list)
+    changes: list[StatedChange] = field(default_factory=list)
     parameter_shifts: dict[str, ParameterShift] = field(default_factory=dict)
     deviations: dict[str, TrackedState] = field(default_factory=dict)
     references: Mapping[str, TrackedState] = field(default_factory=dict)
@@ -84,10 +92,10 @@ class Kept:
 
 
 def conditions(
-    courses: Mapping[str, tuple[Turbine, Course]], kept: Mapping[str, Kept] = MappingProxyType({})
+    courses: Mapping[str, tuple[Turbine, TrackedCourse]], kept: Mapping[str, Kept] = MappingProxyType({})
 ) -> dict[str, Condition]:
     """The condition of each turbine at the instants of its course that the store keeps, on the safe side of
-    what the model and what the humidity sensor says (`live.water`).
+    what the model and what the humidity sensor says (`live.condition`).
 
     Turbines of one model are evaluated together, because numpy's overhead exceeds the work for the few
     instants of one.
@@ -139,11 +147,10 @@ def _excess(beyond: np.ndarray, seconds: np.ndarray, said: Kept) -> np.ndarray:
 
 
 def _joined(arrays: Iterable[np.ndarray], kept: Sequence[np.ndarray]) -> np.ndarray:
-    """The kept instants of several arrays, one after the other."""
     return np.concatenate([array[places] for array, places in zip(arrays, kept, strict=True)])
 
 
-def instants_kept(course: Course) -> np.ndarray:
+def instants_kept(course: TrackedCourse) -> np.ndarray:
     """Indices of the instants that the store keeps: those with cabinet readings, while these are silent one
     per `THIN_S`, and the last one while it may change; the others whatever the courses are."""
     outputs = course.run.timeline.outputs

@@ -25,9 +25,9 @@ from hygrokf.live.alarms import (
     MISSING,
     SHIFT_RULES,
     STALE,
+    AlarmRule,
     Estimated,
     Level,
-    Rule,
     Standing,
     contradiction_level,
     estimate_levels,
@@ -41,7 +41,6 @@ from hygrokf.live.alarms import (
 )
 from hygrokf.live.assessment import STANDSTILL_S, Known, Outlook, assess
 from hygrokf.live.batch import Alarm, Assessment, Batch, Estimates, Event, Loss, Observation
-from hygrokf.live.changes import Change, settled
 from hygrokf.live.clocks import Ahead, Backlogs, clock_levels
 from hygrokf.live.condition import Condition
 from hygrokf.live.fault_isolation import Finding, ShiftStep, shift_step
@@ -59,7 +58,8 @@ from hygrokf.live.sources.payload_formats import Order, Refused
 from hygrokf.live.sources.payload_values import AHEAD_S
 from hygrokf.live.sources.stream import Delivery, Reach
 from hygrokf.live.storage.store import Store
-from hygrokf.live.tracker import NEITHER, REVISIONS, SAME_S, Course, Point, Tracker
+from hygrokf.live.traces import StatedChange, settled
+from hygrokf.live.tracker import NEITHER, REVISIONS, SAME_S, Point, TrackedCourse, Tracker
 from hygrokf.live.turbine import STALE_S as STALE_S
 from hygrokf.live.turbine import Kept as Kept
 from hygrokf.live.turbine import Turbine as Turbine
@@ -254,7 +254,7 @@ class Fleet:
         """Filter waiting turbines for `filter_s` [s], longest waiting first and at least one; returns the
         batch."""
         end = time.monotonic() + filter_s
-        courses: dict[str, Course] = {}
+        courses: dict[str, TrackedCourse] = {}
         done: list[str] = []
         while self.waiting:
             name = next(iter(self.waiting))
@@ -273,7 +273,7 @@ class Fleet:
             self._assess(name, batch)
         return batch
 
-    def _advance(self, name: str) -> Course | None:
+    def _advance(self, name: str) -> TrackedCourse | None:
         state, course = self.tracked[name], None
         try:
             course, state.fault = state.tracker.advance(), ""
@@ -281,7 +281,7 @@ class Fleet:
             state.fault = str(fault)
         return course
 
-    def _add_results(self, name: str, course: Course, found: Condition, batch: Batch) -> None:
+    def _add_results(self, name: str, course: TrackedCourse, found: Condition, batch: Batch) -> None:
         state = self.tracked[name]
         tracker, point = state.tracker, state.tracker.point
         final = 0 if point is None else int(np.sum(found.time_s <= point.time + SAME_S))
@@ -312,7 +312,7 @@ class Fleet:
             levels = estimate_levels(Estimated(found, int(i), course.frozen), state.turbine.verdicts)
             self._judge(name, float(found.time_s[i]), levels, ESTIMATE_RULES, batch)
 
-    def _watch_properties(self, name: str, course: Course, final_s: float, batch: Batch) -> None:
+    def _watch_properties(self, name: str, course: TrackedCourse, final_s: float, batch: Batch) -> None:
         """Update properties and parameter shifts once per hour of final estimates, however many hours came at
         once."""
         state = self.tracked[name]
@@ -340,7 +340,6 @@ class Fleet:
             self._judge_shifts(name, batch)
 
     def _judge_shifts(self, name: str, batch: Batch) -> None:
-        """Judge alarms about shifts, step after step up to the next one whose cause is not isolated yet."""
         state = self.tracked[name]
         steps, finding = state.shift_steps, state.finding
         while steps and (not steps[0].due or (finding is not None and finding.time_s == steps[0].time)):
@@ -374,7 +373,7 @@ class Fleet:
             if state is None or event.id in [one.event for one in state.changes]:
                 continue
             tracker = state.tracker
-            change = Change(event.id, tracker.note_change(event.time), event.kind)
+            change = StatedChange(event.id, tracker.note_change(event.time), event.kind)
             changes = sorted([*state.changes, change], key=lambda one: one.time)
             self._keep(
                 name, batch, changes=changes, parameter_shifts={}, references={}, deviations={}, finding=None,
@@ -515,7 +514,7 @@ class Fleet:
         return best
 
     def _judge(
-        self, name: str, now: float, levels: list[Level], rules: tuple[Rule, ...], batch: Batch
+        self, name: str, now: float, levels: list[Level], rules: tuple[AlarmRule, ...], batch: Batch
     ) -> None:
         before = self.tracked.get(name, self._common).alarms
         after, changed = judge(name, before, now, levels, [rule.kind for rule in rules])

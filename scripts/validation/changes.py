@@ -25,7 +25,7 @@ from hygrokf.live.properties import (
     standard_errors,
     states_of,
 )
-from hygrokf.live.tracker import Course, offline_course
+from hygrokf.live.tracker import TrackedCourse, offline_course
 from hygrokf.live.turbines import PROPERTY_S
 from validation.counts import markdown, rate
 from validation.frame import Claim
@@ -140,7 +140,7 @@ def lasting(plan: Plan, record: Record, errors: Mapping[str, float]) -> list:
 
 
 def followed(
-    plan: Plan, course: Course, errors: Mapping[str, float]
+    plan: Plan, course: TrackedCourse, errors: Mapping[str, float]
 ) -> Iterator[tuple[float, dict[str, ParameterShift]]]:
     """(time [s], parameter shifts) once an hour, as the fleet judges them."""
     seconds = course.seconds

@@ -14,10 +14,9 @@ from builders.waiting import eventually
 
 from hygrokf.live.batch import Alarm, Batch
 from hygrokf.live.notification import sender as sending
-from hygrokf.live.notification.notices import notices_of
+from hygrokf.live.notification.notices import channel_states, notices_of
 from hygrokf.live.notification.sender import Sender
 from hygrokf.live.notification.transports import Mail, Webhook
-from hygrokf.live.storage.outbox import channel_states
 from hygrokf.live.storage.store import open_store
 from validation.counts import markdown
 from validation.frame import Claim

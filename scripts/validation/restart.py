@@ -13,7 +13,7 @@ from plants.operation import turbine_operation
 from plants.outdoors import with_fronts
 
 from hygrokf.data.record import Record
-from hygrokf.live.restart_advice import LONGEST_H, STAYS_H, restart
+from hygrokf.live.forecast import LONGEST_H, STAYS_H, restart
 from hygrokf.live.scenarios import NoScenarios
 from validation.counts import markdown, rate
 from validation.frame import Claim, by_variant

@@ -18,10 +18,10 @@ from hygrokf.estimation.likelihood import Gaussian
 from hygrokf.identification.fit import Fit
 from hygrokf.identification.procedure import identify
 from hygrokf.live.condition import Surface
+from hygrokf.live.forecast import heating_sd
 from hygrokf.live.plan import Form, Plan, plan
-from hygrokf.live.restart_advice import heating_sd
 from hygrokf.live.scenarios import DAYS, Scenarios, persistence
-from hygrokf.live.tracker import Course, Point, offline_course
+from hygrokf.live.tracker import Point, TrackedCourse, offline_course
 from hygrokf.physics.psychrometrics import (
     GAS_CONSTANT_VAPOUR,
     ZERO_CELSIUS_K,
@@ -61,7 +61,7 @@ class Tracked:
     made: Plant
     record: Record
     plan: Plan
-    course: Course
+    course: TrackedCourse
     seconds: np.ndarray
     heating_sd_K: float
 

@@ -15,13 +15,13 @@ from hygrokf.data.record import Record
 from hygrokf.data.timestamps import DAY_S, HOUR_S
 from hygrokf.live import service as service_module
 from hygrokf.live.batch import Alarm, Batch, Event
-from hygrokf.live.changes import SETTLED_S, jump_variance, settled
 from hygrokf.live.notification.notices import acknowledge
 from hygrokf.live.properties import WATCHED, ParameterShift, TrackedState, deviations, parameter_shifts
 from hygrokf.live.service import Service
 from hygrokf.live.sources.local import record_mapping, record_messages
 from hygrokf.live.sources.stream import Delivery
 from hygrokf.live.storage.store import open_store
+from hygrokf.live.traces import SETTLED_S, jump_variance, settled
 from hygrokf.live.tracker import Tracker, offline_course
 from hygrokf.live.turbines import Fleet, Turbine
 

@@ -11,8 +11,8 @@ import pytest
 from hygrokf.live.batch import Batch, Estimates
 from hygrokf.live.condition import Z95, Condition, Quantity
 from hygrokf.live.storage.store import Store, open_store
-from hygrokf.live.web import margins
-from hygrokf.live.web.margins import AHEAD, BACK_S, PAST, STEP_S, MarginsKept, lowest, margins_of
+from hygrokf.live.web import views
+from hygrokf.live.web.views import AHEAD, BACK_S, PAST, STEP_S, MarginsKept, lowest, margins_of
 
 T0 = 1.7e9
 
@@ -76,16 +76,16 @@ def test_they_are_read_again_when_they_are_old(store: Store, monkeypatch: pytest
             return view(store)
 
     clock = [100.0]
-    monkeypatch.setattr(margins.time, "monotonic", lambda: clock[0])
+    monkeypatch.setattr(views.time, "monotonic", lambda: clock[0])
     kept, reader = MarginsKept(), Counting()
 
     def starts(now: float) -> float:
         return kept.view(reader, ["A", "B"], now)["start"] + BACK_S  # type: ignore[arg-type]
 
-    assert starts(T0) == T0 and starts(T0 + 0.9 * margins.KEPT_S) == T0 and len(reads) == 1
-    assert starts(T0 + 2.0 * margins.KEPT_S) == T0  # a playback is faster than real time
-    clock[0] += margins.LEAST_S
-    assert starts(T0 + 2.0 * margins.KEPT_S) == T0 + 2.0 * margins.KEPT_S and len(reads) == 2
-    monkeypatch.setattr(margins, "TOGETHER", 1)
-    clock[0] += margins.LEAST_S
+    assert starts(T0) == T0 and starts(T0 + 0.9 * views.KEPT_S) == T0 and len(reads) == 1
+    assert starts(T0 + 2.0 * views.KEPT_S) == T0  # a playback is faster than real time
+    clock[0] += views.LEAST_S
+    assert starts(T0 + 2.0 * views.KEPT_S) == T0 + 2.0 * views.KEPT_S and len(reads) == 2
+    monkeypatch.setattr(views, "TOGETHER", 1)
+    clock[0] += views.LEAST_S
     assert starts(T0 - 1e6) == T0 - 1e6 and len(reads) == 4  # another start of a record

@@ -34,7 +34,7 @@ from builders.waiting import eventually
 from hygrokf.data.record import Record
 from hygrokf.live.batch import Alarm, Batch
 from hygrokf.live.service import Service
-from hygrokf.live.sources import mqtt, mqtt_link
+from hygrokf.live.sources import mqtt
 from hygrokf.live.sources import stream as streams
 from hygrokf.live.sources.broker import Broker
 from hygrokf.live.sources.local import record_mapping, record_messages
@@ -270,15 +270,15 @@ def test_a_tracker_that_does_not_keep_up_stays_connected(
     broker: Mosquitto, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # long enough that neither side takes the other for lost on a machine that is busy for a second
-    monkeypatch.setattr(mqtt_link, "KEEPALIVE_S", 4)
+    monkeypatch.setattr(mqtt, "KEEPALIVE_S", 4)
     stream = stream_of(broker)
-    count = mqtt_link.OPEN_MOST + 300
+    count = mqtt.OPEN_MOST + 300
     with running(stream, held=True) as taken, peer(broker) as other:
         publish(other, [(TOPIC, f"{i}") for i in range(count)])
         # the broker would send a client away after 1.5 times its keep-alive
         eventually(lambda: broker.log().count("PINGREQ from tracker") >= 2)
         assert stream.state[0] == "connected" and not taken.found
-        assert stream._link.arrived.qsize() <= mqtt_link.OPEN_MOST
+        assert stream._link.arrived.qsize() <= mqtt.OPEN_MOST
         taken.free.set()
         done = 0
         while done < count:
@@ -291,7 +291,7 @@ def test_a_tracker_that_does_not_keep_up_stays_connected(
 
 
 def test_what_nobody_confirms_is_bounded_and_told(broker: Mosquitto, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(mqtt_link, "UNCONFIRMED_MOST", 10)
+    monkeypatch.setattr(mqtt, "UNCONFIRMED_MOST", 10)
     stream = stream_of(broker)
     with running(stream, held=True) as taken, peer(broker) as other:
         publish(other, [(TOPIC, "0")], qos=0)
@@ -323,7 +323,7 @@ def test_a_stopped_source_takes_the_acknowledgements_that_are_still_to_come(brok
 def test_messages_that_are_too_large_are_cut_or_stay_at_the_broker(
     broker: Mosquitto, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(mqtt_link, "PACKET_MOST", 3 * LARGEST)
+    monkeypatch.setattr(mqtt, "PACKET_MOST", 3 * LARGEST)
     stream = stream_of(broker)
     with running(stream) as taken, peer(broker) as other:
         sizes = (3 * LARGEST, 2 * LARGEST, LARGEST, 10)

@@ -13,7 +13,7 @@ import pytest
 from paho.mqtt.client import Client, MQTTv5
 from paho.mqtt.enums import CallbackAPIVersion
 
-from hygrokf.live.sources.mqtt_link import AT_ONCE, piecewise_client
+from hygrokf.live.sources.mqtt import AT_ONCE, piecewise_client
 
 ACCEPTED = bytes([0x20, 3, 0, 0, 0])
 """CONNACK: no session, success, no properties."""

@@ -19,9 +19,8 @@ from hygrokf.data.record import Record
 from hygrokf.data.timestamps import whole_microseconds
 from hygrokf.live.batch import Batch, Observation
 from hygrokf.live.service import Service
-from hygrokf.live.storage.retention import prune
 from hygrokf.live.storage.schema import POSTGRESQL, VIEWS, created_views
-from hygrokf.live.storage.store import open_store
+from hygrokf.live.storage.store import open_store, prune
 from hygrokf.live.tracker import Reading
 from hygrokf.live.turbines import Turbine
 

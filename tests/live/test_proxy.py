@@ -27,9 +27,8 @@ from builders.waiting import eventually
 
 from hygrokf.live.service import Service
 from hygrokf.live.web import server as web_events
-from hygrokf.live.web.exchange import HEADERS
 from hygrokf.live.web.page_settings import PageSettings
-from hygrokf.live.web.server import PageServer
+from hygrokf.live.web.server import HEADERS, PageServer
 
 TOKEN = "a-token-of-the-tests-0123456789"
 BEARER = {"Authorization": f"Bearer {TOKEN}"}

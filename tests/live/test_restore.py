@@ -25,9 +25,9 @@ from builders.waiting import eventually
 from hygrokf.data.record import Record
 from hygrokf.live.batch import Batch
 from hygrokf.live.service import Service
-from hygrokf.live.storage import restore as module
+from hygrokf.live.storage import sqlite as module
 from hygrokf.live.storage.database import StoreFault
-from hygrokf.live.storage.restore import restore_sqlite
+from hygrokf.live.storage.sqlite import restore_sqlite
 from hygrokf.live.storage.store import open_store
 from hygrokf.live.turbines import Turbine
 

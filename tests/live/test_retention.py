@@ -13,10 +13,8 @@ from hygrokf.live import service
 from hygrokf.live.batch import Alarm, Batch, Estimates
 from hygrokf.live.plan import BEFORE
 from hygrokf.live.properties import Property
-from hygrokf.live.service import Service
-from hygrokf.live.storage import retention as module
-from hygrokf.live.storage.retention import Retention, prune
-from hygrokf.live.storage.store import Store, open_store
+from hygrokf.live.service import Retention, Service
+from hygrokf.live.storage.store import Store, open_store, prune
 from hygrokf.live.tracker import offline_course
 from hygrokf.live.turbines import Fleet
 
@@ -96,7 +94,7 @@ def test_a_pruned_store_ends_in_the_offline_filter(
     """A retention of no time at all, pruned after every round, and six restarts on the way."""
     record = live_record(tmp_path, seed=9, days=5.0)
     turbine = live_turbine(record)
-    monkeypatch.setattr(module, "EVERY_S", 0.0)
+    monkeypatch.setattr(service, "PRUNED_S", 0.0)
     monkeypatch.setattr(service, "MOST", 60)
     total = len(Acknowledging(record).messages)
     for end in range(0, total + total // 6, total // 6):

@@ -13,9 +13,9 @@ from builders.page_case import Case, filled, opened
 
 from hygrokf.data.timestamps import DAY_S
 from hygrokf.live.batch import Alarm, Batch
+from hygrokf.live.notification.notices import alarm_of, beginning_with
 from hygrokf.live.notification.transports import Webhook
 from hygrokf.live.service import Service
-from hygrokf.live.storage.outbox import alarm_of, beginning_with
 from hygrokf.live.web.application import Page
 from hygrokf.live.web.page_settings import PageSettings
 from hygrokf.live.web.server import Hub, serve

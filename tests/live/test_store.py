@@ -13,8 +13,8 @@ import pytest
 from builders.store_case import T0, a_condition, a_state, everything, observed, refused
 
 from hygrokf.live.batch import Alarm, Assessment, Batch, Estimates, Event, Notice, Observation, Shelf
+from hygrokf.live.notification import notices as outbox
 from hygrokf.live.plan import BEFORE
-from hygrokf.live.storage import outbox
 from hygrokf.live.storage.schema import VERSION
 from hygrokf.live.storage.store import Store, open_store, state_of, state_text
 from hygrokf.live.tracker import NEITHER, Reading

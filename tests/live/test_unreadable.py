@@ -21,7 +21,7 @@ from hygrokf.live.sources.local import StandardInput, TailedFile
 from hygrokf.live.sources.opcua_client import Node, sample_of
 from hygrokf.live.sources.payload import Field, PayloadMapping
 from hygrokf.live.sources.payload_formats import Content, Refused
-from hygrokf.live.sources.sparkplug_node import Address, Arrived, Table, contents_of
+from hygrokf.live.sources.sparkplug_node import Arrived, BirthTable, EdgeAddress, contents_of
 from hygrokf.live.sources.sparkplug_payload import decode
 from hygrokf.live.sources.stream import Delivery
 
@@ -134,8 +134,8 @@ def test_an_opc_ua_value_of_an_impossible_time_is_counted(year: int) -> None:
 def sparkplug(*metrics: object) -> list[Content]:
     """What the metrics of a device give."""
     message = decode(payload(metrics, 1, AT))
-    address = Address("Farm", "DDATA", "N1", "W01")
-    found = contents_of(Arrived(address, "", message, b"", AT), Table.of(message))
+    address = EdgeAddress("Farm", "DDATA", "N1", "W01")
+    found = contents_of(Arrived(address, "", message, b"", AT), BirthTable.of(message))
     return [{**one, "turbine": "W01"} for one in found]
 
 

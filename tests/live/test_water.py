@@ -15,15 +15,14 @@ from builders.live_case import live_record, live_turbine
 from hygrokf.data.record import Record
 from hygrokf.data.timestamps import HOUR_S
 from hygrokf.live.batch import Event
-from hygrokf.live.changes import SENSOR_WRONG, Change
-from hygrokf.live.condition import Surface
+from hygrokf.live.condition import Surface, carried, vapour_read
 from hygrokf.live.sources.local import record_mapping, record_messages
 from hygrokf.live.sources.stream import Delivery
 from hygrokf.live.storage.store import open_store
+from hygrokf.live.traces import SENSOR_WRONG, StatedChange, believed
 from hygrokf.live.tracker import offline_course
 from hygrokf.live.turbine import Kept, conditions
 from hygrokf.live.turbines import Fleet, Turbine
-from hygrokf.live.water import believed, carried, vapour_read
 from hygrokf.physics.psychrometrics import GAS_CONSTANT_VAPOUR, dew_point, saturation_pressure_water
 
 SURFACE = Surface(0.0)
@@ -64,7 +63,7 @@ def test_the_probability_is_never_below_the_readings_own(wet: Record, turbine: T
     assert np.sum(margin < -0.1) > 20
     assert (found.condensation[margin < -0.01] >= 0.5).all()
     assert (found.margin_K.value[margin < -0.1] < 0.0).all()  # the other quantities fit to it
-    stated = Kept(changes=[Change("e1", wet.start_s, SENSOR_WRONG)])
+    stated = Kept(changes=[StatedChange("e1", wet.start_s, SENSOR_WRONG)])
     alone = conditions({"T1": (turbine, course)}, {"T1": stated})["T1"]
     assert (alone.condensation <= found.condensation).all() and not np.isfinite(alone.excess_g_m3).any()
     assert alone.condensation[margin < -0.1].min() < 0.5  # the filter takes it for the sensor's error
@@ -109,7 +108,7 @@ def test_what_readings_show() -> None:
 def test_only_a_statement_about_the_sensor_takes_its_word_away(
     kinds: Sequence[str], trusted: list[bool]
 ) -> None:
-    changes = [Change(f"e{i}", 100.0 * (i + 1), kind) for i, kind in enumerate(kinds)]
+    changes = [StatedChange(f"e{i}", 100.0 * (i + 1), kind) for i, kind in enumerate(kinds)]
     assert believed(changes, np.array([50.0, 150.0, 250.0])).tolist() == trusted
 
 

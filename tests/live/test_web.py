@@ -22,11 +22,10 @@ from prometheus_client.parser import text_string_to_metric_families
 
 from hygrokf.live.batch import STATES, Alarm, Batch
 from hygrokf.live.service import Service
-from hygrokf.live.web import exchange as web_access
+from hygrokf.live.web import server as web_access
 from hygrokf.live.web.application import STATIC, Page
-from hygrokf.live.web.exchange import Sessions, host_name
 from hygrokf.live.web.page_settings import PageFault, PageSettings
-from hygrokf.live.web.server import Hub, PageServer, serve
+from hygrokf.live.web.server import Hub, PageServer, Sessions, host_name, serve
 from hygrokf.version import __version__
 
 NAMES = ("T1", "A/B <b>&%3F")

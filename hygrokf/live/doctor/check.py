@@ -221,9 +221,7 @@ def validity_check(about: str, content: bytes, where: str, ends: Callable[[list[
         return doubt(about, missing, "pip install cryptography")
     try:
         pem = b"-----BEGIN" in content
-        found = (
-            x509.load_pem_x509_certificates(content) if pem else [x509.load_der_x509_certificate(content)]
-        )
+        found = x509.load_pem_x509_certificates(content) if pem else [x509.load_der_x509_certificate(content)]
     except ValueError:
         wrong = f"{where}: expected a certificate, found something else"
         return fault(about, wrong, "name a file with a certificate, PEM or DER")

@@ -19,9 +19,9 @@ from hygrokf.data.signals import from_si, signal_named
 from hygrokf.data.structured import JsonObject
 from hygrokf.data.timestamps import stamp_text
 from hygrokf.identification.wording import one_line
-from hygrokf.live.doctor.mqtt import arrivals, doctor_session, listening
+from hygrokf.live.doctor.sources import arrivals, doctor_session, listening
 from hygrokf.live.sources.broker import filter_fault
-from hygrokf.live.sources.local import Lines, TailedFile, next_line
+from hygrokf.live.sources.local import Lines, TailedFile, contents
 from hygrokf.live.sources.mqtt import Mqtt
 from hygrokf.live.sources.payload import USED_THOUGH, PayloadMapping, PayloadStatistics
 from hygrokf.live.sources.payload_formats import JSON, UNPACKED, Content, Unreadable, decoded
@@ -105,10 +105,7 @@ def filed(path: Path, mapping: PayloadMapping) -> Iterator[Delivery]:
                 return
         file.seek(0)
         lines = Lines(mapping.form if not mapping.needs_topic else "line")
-        while line := next_line(file):
-            content = lines.content(line)
-            if content is None:
-                continue
+        for content in contents(file, lines):
             topic = ""
             if mapping.needs_topic and isinstance(content, str):
                 topic, _, content = content.partition(" ")

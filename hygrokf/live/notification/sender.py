@@ -16,10 +16,10 @@ from contextlib import suppress
 
 from hygrokf.data.timestamps import DAY_S
 from hygrokf.live.batch import Notice
+from hygrokf.live.notification import notices
 from hygrokf.live.notification.channel import Channel, ChannelFault, Content, Message
 from hygrokf.live.notification.notices import as_text, content_of, decide, prefix
 from hygrokf.live.sources.stream import pause_s
-from hygrokf.live.storage import outbox
 from hygrokf.live.storage.store import Store, StoreFault, open_store
 
 LOG = logging.getLogger("hygrokf.notify")
@@ -119,11 +119,11 @@ class Sender:
         """Decide about the notices that are due, and attempt the messages."""
         now = time.time()
         if now >= self._next_tidy:
-            outbox.forget(store, now - KEPT_S)
+            notices.forget(store, now - KEPT_S)
             self._next_tidy = now + DAY_S
         if now < self._paused_until:
             return
-        found = outbox.due(store, self.channel.name, now, MOST)
+        found = notices.due(store, self.channel.name, now, MOST)
         for message, made in self._messages(store, found, now):
             if now - made > GIVE_UP_S and message.attempts:
                 self._give_up(store, message)
@@ -150,11 +150,10 @@ class Sender:
             for key, rows in messages.items()
         ]
         new = [Message.of(one) for one in self._collected(self._decided(store, fresh, now))]
-        outbox.keep_contents(store, [(name, as_text(one)) for m in new for name, one in m.contents.items()])
+        notices.keep_contents(store, [(name, as_text(one)) for m in new for name, one in m.contents.items()])
         return again + [(one, now) for one in new]
 
     def _decided(self, store: Store, fresh: Sequence[Notice], now: float) -> dict[str, Content]:
-        """Contents to send, by id of their notices; the others are dropped or postponed."""
         if not fresh:
             return {}
         record_now = self._record_now()
@@ -164,9 +163,9 @@ class Sender:
         postponed: list[tuple[str, float]] = []
         for notice in fresh:
             alarm = content_of(notice).alarm
-            others = outbox.beginning_with(store, self.channel.name, prefix(self.channel.name, alarm.id))
+            others = notices.beginning_with(store, self.channel.name, prefix(self.channel.name, alarm.id))
             others = [one for one in others if one.id != notice.id]
-            known, shelved = outbox.alarm_of(store, alarm.id), (alarm.turbine, alarm.kind) in shelves
+            known, shelved = notices.alarm_of(store, alarm.id), (alarm.turbine, alarm.kind) in shelves
             outcome = decide(notice, self.channel, known, others, shelved, now, record_now)
             if isinstance(outcome, Content):
                 sent[notice.id] = outcome
@@ -174,8 +173,8 @@ class Sender:
                 dropped.append((notice.id, outcome))
             else:
                 postponed.append((notice.id, outcome))
-        outbox.drop(store, dropped, now)
-        outbox.postpone(store, postponed)
+        notices.drop(store, dropped, now)
+        notices.postpone(store, postponed)
         return sent
 
     def _collected(self, contents: dict[str, Content]) -> list[dict[str, Content]]:
@@ -206,7 +205,7 @@ class Sender:
             going_on = fault.reached and self._refusals < REFUSALS and not self._ending.is_set()
             if not going_on:
                 self._paused_until = again
-            outbox.mark_failed(store, names, str(fault), again)
+            notices.mark_failed(store, names, str(fault), again)
             return going_on
         self._refusals = 0
         self._accepted.append((names, now))
@@ -220,12 +219,12 @@ class Sender:
         """Mark accepted messages as sent; if the store fails, they stay in memory and are not sent again."""
         while self._accepted:
             names, at = self._accepted[0]
-            outbox.mark_sent(store, names, at)
+            notices.mark_sent(store, names, at)
             del self._accepted[0]
 
     def _give_up(self, store: Store, message: Message) -> None:
         reason = f"given up after {message.attempts} attempts: {self.failure}"
-        outbox.drop(store, [(name, reason) for name in message.contents], time.time())
+        notices.drop(store, [(name, reason) for name in message.contents], time.time())
         LOG.error(
             "a message was given up",
             extra={"channel": self.channel.name, "notices": len(message.contents), "reason": reason},

@@ -37,7 +37,7 @@ from hygrokf.data.toml_form import Place, across, read_form, setting
 from hygrokf.errors import suggestion
 from hygrokf.live.notification.channel import Channel, ChannelFault, Message, data, subject, text
 from hygrokf.live.sources.broker import unreachable
-from hygrokf.live.sources.endpoint import PasswordKeys, Secret, is_loopback, tls_context
+from hygrokf.live.sources.endpoint import PasswordKeys, Secret, tls_context
 from hygrokf.live.sources.stream import SourceFault
 
 _ADDRESS = 'an address such as "ops@farm.example"'
@@ -47,7 +47,6 @@ PATIENT = 3
 
 @contextmanager
 def _exchange(where: str) -> Iterator[None]:
-    """All that may go wrong within this context becomes a ChannelFault."""
     try:
         yield
     except ChannelFault:
@@ -131,13 +130,8 @@ class Mail(PasswordKeys, Channel):
         if self.unencrypted and self.password.is_stated:
             yield "unencrypted: a password is only sent over TLS"
 
-    @property
-    def tls(self) -> bool:
-        """Whether TLS is used from the start."""
-        return self.url.startswith("smtps:")
-
     def cautions(self) -> Iterator[str]:
-        if self.unencrypted and not is_loopback(self.address.host):
+        if self.unencrypted and self.leaves_machine:
             yield f"mail goes to {self.where} unencrypted"
 
     def probe(self) -> str:
@@ -263,12 +257,8 @@ class Webhook(Channel):
             return str(fault)
         return None
 
-    @property
-    def tls(self) -> bool:
-        return self.url.startswith("https:")
-
     def cautions(self) -> Iterator[str]:
-        if not self.tls and not is_loopback(self.address.host):
+        if not self.tls and self.leaves_machine:
             yield f"notices go to {self.where} unencrypted: use https://"
         if not (self.secret_file or self.secret_env):
             yield f"notices to {self.where} are not signed: name a secret_file"

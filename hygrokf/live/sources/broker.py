@@ -18,7 +18,7 @@ from urllib.parse import quote
 from hygrokf.data.timestamps import DAY_S, duration
 from hygrokf.data.toml_form import across, setting
 from hygrokf.live.batch import Alarm
-from hygrokf.live.sources.endpoint import OTHERS_READ, PasswordKeys, UrlKeys, is_loopback, tls_context
+from hygrokf.live.sources.endpoint import OTHERS_READ, PasswordKeys, UrlKeys, tls_context
 from hygrokf.live.sources.sparkplug_node import NAMESPACE
 from hygrokf.live.sources.stream import SourceKeys
 
@@ -216,10 +216,6 @@ class Broker(UrlKeys, PasswordKeys, SourceKeys):
                 )
 
     @property
-    def tls(self) -> bool:
-        return self.url.startswith("mqtts:")
-
-    @property
     def user_name(self) -> str:
         return self.user or self.address.user
 
@@ -255,7 +251,7 @@ class Broker(UrlKeys, PasswordKeys, SourceKeys):
             if path is not None and os.name == "posix" and path.exists():
                 if path.stat().st_mode & OTHERS_READ:
                     yield f"{name}: every user of this machine can read {path}: chmod o-rwx {path}"
-        if self.user_name and not self.tls and not is_loopback(self.address.host):
+        if self.user_name and not self.tls and self.leaves_machine:
             yield f"user and password go to {self.where} in plain text: use mqtts://"
 
 

@@ -81,6 +81,16 @@ class UrlKeys:
         return Address(scheme, host, port or default, unquote(login), (parts.path or "/") + more)
 
     @property
+    def tls(self) -> bool:
+        """Whether TLS is used from the start."""
+        return self.address.scheme in ("mqtts", "smtps", "https")
+
+    @property
+    def leaves_machine(self) -> bool:
+        """Whether others could listen to what is sent there."""
+        return not is_loopback(self.address.host)
+
+    @property
     def where(self) -> str:
         """HOST:PORT as in a URL."""
         return f"{bracketed(self.address.host)}:{self.address.port}"

@@ -10,7 +10,7 @@ import select
 import sys
 import time
 from collections import deque
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, fields
 from io import UnsupportedOperation
 from pathlib import Path
@@ -115,6 +115,13 @@ def next_line(file: IO[AnyStr]) -> AnyStr:
 def is_whole(line: bytes | str) -> bool:
     """Whether a line will not grow: it has its end, or is a piece of one that is too long."""
     return len(line) > LONGEST_LINE or line[-1:] in (b"\n", "\n")
+
+
+def contents(file: IO[AnyStr], lines: Lines) -> Iterator[Content]:
+    """The contents of a file's lines up to its end."""
+    while line := next_line(file):
+        if (content := lines.content(line)) is not None:
+            yield content
 
 
 class TailedFile(Stream):
@@ -392,12 +399,6 @@ class InputForm(SourceKeys):
 
 def file_messages(path: Path, mapping: PayloadMapping) -> list[tuple[float, Content]]:
     """(time [s], content) of a file's rows with a readable time, sorted by time."""
-    found: list[tuple[float, Content]] = []
-    lines = Lines(mapping.form)
     with path.open("rb") as file:
-        while line := next_line(file):
-            content = lines.content(line)
-            at = None if content is None else mapping.stamp(content)
-            if content is not None and at is not None:
-                found.append((at, content))
-    return sorted(found, key=lambda one: one[0])
+        stamped = [(mapping.stamp(one), one) for one in contents(file, Lines(mapping.form))]
+    return sorted(((at, one) for at, one in stamped if at is not None), key=lambda row: row[0])

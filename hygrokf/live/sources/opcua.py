@@ -283,7 +283,6 @@ async def in_order(histories: Iterable[AsyncIterator[Sample]]) -> AsyncIterator[
 
 
 def _nodes_text(words: str, nodes: Mapping[Node, str]) -> str:
-    """Text of some nodes with the server's reason for each; empty without nodes."""
     # another thread may change the nodes meanwhile
     found = [f"{node.id} ({word})" for node, word in tuple(nodes.items())]
     return f"{words}: {several(found)}" if found else ""
@@ -300,11 +299,7 @@ class OpcUaForm(Server):
     def stream(self, mapping: PayloadMapping, place: Place) -> OpcUa:
         """The stream; faults of its nodes and files go to `place`."""
         security = self.security_from(place)
-        for look in (self.password.read, lambda: _check_nodes(self.nodes, mapping, place)):
-            try:
-                look()
-            except SourceFault as fault:
-                place.fault(str(fault))
+        self.expect(place, self.password.read, lambda: _check_nodes(self.nodes, mapping, place))
         turbines = {one.turbine: one.turbine for one in self.nodes.values()}
         own = mapping.of_own_payloads(self.uncertain and mapping.use_uncertain, turbines)
         return OpcUa(self, own, security)

@@ -479,6 +479,5 @@ class Connection:
 
 
 def _security_name(offer: ua.EndpointDescription) -> str:
-    """Policy and mode of an endpoint, as written in the tracker's file."""
     policy = offer.SecurityPolicyUri.rpartition("#")[2].replace("_", "")
     return "no security" if policy == "None" else f"{policy} {offer.SecurityMode.name}"

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from hygrokf.data.timestamps import duration
 from hygrokf.data.toml_form import Place, across, entry_name, setting
-from hygrokf.live.sources.endpoint import PasswordKeys, UrlKeys, is_loopback
+from hygrokf.live.sources.endpoint import PasswordKeys, UrlKeys
 from hygrokf.live.sources.stream import SourceKeys
 
 if TYPE_CHECKING:
@@ -124,7 +124,7 @@ class Server(UrlKeys, PasswordKeys, SourceKeys):
 
     @across("url", "security", "user")
     def readable_by_others(self) -> Iterator[str]:
-        if not self.address.host or self.stated or is_loopback(self.address.host):
+        if not self.address.host or self.stated or not self.leaves_machine:
             return
         needed = ", ".join(FILES)
         if self.security != "none":

@@ -38,7 +38,7 @@ from hygrokf.data.signals import signal_named, to_si
 from hygrokf.data.structured import Json
 from hygrokf.data.timestamps import DAY_S
 from hygrokf.live.plan import Form
-from hygrokf.live.sources.payload_formats import JSON, Content, Order, Record, Refused, Scopes, records
+from hygrokf.live.sources.payload_formats import JSON, Content, Order, PayloadRecord, Refused, Scopes, records
 from hygrokf.live.sources.payload_values import (
     LONGEST,
     NAME,
@@ -277,7 +277,7 @@ class PayloadMapping:
         return None
 
     # -- one record ------------------------------------------------------------------------------------------
-    def _read_record(self, record: Record, found: Found) -> None:
+    def _read_record(self, record: PayloadRecord, found: Found) -> None:
         """Add what a record says to what is found.  Raises Refused if none of it can be used."""
         if not record.scopes:
             raise Refused("malformed", "expected an object as a record, found something else")
@@ -288,8 +288,7 @@ class PayloadMapping:
         else:
             self._read_fields(record, found)
 
-    def _read_fields(self, record: Record, found: Found) -> None:
-        """Read every field that a record of one turbine has."""
+    def _read_fields(self, record: PayloadRecord, found: Found) -> None:
         turbine = self._turbine(self.readers["turbine"](record))
         own_time, own_quality = self.own
         time, of = 0.0 if own_time else self._time(record, turbine), found[turbine]
@@ -305,7 +304,7 @@ class PayloadMapping:
         if len(readings) + len(rejections) == before and not any(has(scopes, name) for name in table):
             rejections.append(Rejection("no known field", f"no field is among {_names(scopes)}"))
 
-    def _read_names(self, record: Record, split: Callable[[str], Tag | None], found: Found) -> None:
+    def _read_names(self, record: PayloadRecord, split: Callable[[str], Tag | None], found: Found) -> None:
         """Read every value of a record whose names say field and perhaps turbine."""
         spoken, (own_time, own_quality) = self.readers["turbine"](record), self.own
         time = 0.0 if own_time else self._time(record, str(spoken))
@@ -330,7 +329,7 @@ class PayloadMapping:
             said = f"no field like {self.tag_pattern} is among {_names(record.scopes)}"
             raise Refused("no known field", said)
 
-    def _read_tag(self, record: Record, found: Found) -> None:
+    def _read_tag(self, record: PayloadRecord, found: Found) -> None:
         """Read the only value of a record, whose field a tag names."""
         # tag and value belong together: those of the objects around it are not this record's
         inner = record if len(record.scopes) == 1 else record._replace(scopes=record.scopes[:1])
@@ -359,7 +358,7 @@ class PayloadMapping:
     # -- parts of a record -----------------------------------------------------------------------------------
     def _convert(
         self,
-        record: Record,
+        record: PayloadRecord,
         name: str,
         raw: Json,
         conversion: Conversion,
@@ -405,7 +404,7 @@ class PayloadMapping:
             raise Refused("unknown turbine", f"turbine {quoted(name)} is not tracked")
         return turbine
 
-    def _time(self, record: Record, *series: str) -> float:
+    def _time(self, record: PayloadRecord, *series: str) -> float:
         stamp = self.readers["time"](record)
         if stamp is None and RECEIVED in alternatives(self.time):
             return record.received
@@ -417,7 +416,7 @@ class PayloadMapping:
             raise Refused("impossible time", f"time {quoted(stamp)} is before 1990 or {late}")
         return time
 
-    def _has_quality(self, record: Record, rejections: list[Rejection], what: str = "") -> bool:
+    def _has_quality(self, record: PayloadRecord, rejections: list[Rejection], what: str = "") -> bool:
         """Whether a record, or a value of it, is used by its quality; adds its count where it is not good."""
         if not self.quality:
             return True

@@ -58,7 +58,7 @@ Content = bytes | str | Payload | Unreadable
 """What a source delivers: text, cells by column name, or a row that cannot be read."""
 
 
-class Record(NamedTuple):
+class PayloadRecord(NamedTuple):
     """A record of a payload, without `scopes` if it is no object.
 
     `name`: its key in the object around it; `topic` at which it arrived, and when it was `received` [s];
@@ -74,7 +74,7 @@ class Record(NamedTuple):
 
 def records(
     content: Content, form: str, steps: Sequence[str], topic: str = "", received: float = math.inf
-) -> Iterable[Record]:
+) -> Iterable[PayloadRecord]:
     """The records of a payload: itself, the objects of its array, or those at the end of a path.
 
     form: one of `FORMATS`, for content that is still text.  Raises Refused for a payload without the path.
@@ -82,12 +82,12 @@ def records(
     parsed: Json = content if isinstance(content, Mapping) else parsed_text(content, form)
     if isinstance(parsed, Mapping):
         if not steps:
-            return (Record((parsed,), "", topic, received),)
+            return (PayloadRecord((parsed,), "", topic, received),)
     elif not isinstance(parsed, list):
         raise Refused(
             "malformed", f"expected a JSON object or an array of objects, found {type(parsed).__name__}"
         )
-    return (Record(scopes, name, topic, received) for scopes, name in _walk(parsed, steps, 0, (), ""))
+    return (PayloadRecord(scopes, name, topic, received) for scopes, name in _walk(parsed, steps, 0, (), ""))
 
 
 def _walk(

@@ -22,7 +22,7 @@ from typing import NamedTuple
 from hygrokf.data.numbers import POINT, Marks, Meaning, Unread, number_in, value_in
 from hygrokf.data.structured import Json
 from hygrokf.data.timestamps import DAY_S, EXCEL, midnight_of
-from hygrokf.live.sources.payload_formats import Order, Record, Refused, Scopes
+from hygrokf.live.sources.payload_formats import Order, PayloadRecord, Refused, Scopes
 
 NAME, RECEIVED = "{name}", "{received}"
 TURBINE, FIELD, ANY = "{turbine}", "{field}", "*"
@@ -32,7 +32,7 @@ LONGEST = 200
 """Longest name or time [characters]."""
 _LEVEL = re.compile(r"\{(-?[0-9]{1,3})\}")
 _BRACES = re.compile(r"\{[^{}]*\}?|\}")
-Reader = Callable[[Record], Json]
+Reader = Callable[[PayloadRecord], Json]
 """Gives the value at a path of a record, None if there is none."""
 
 
@@ -73,7 +73,7 @@ def reader(text: str) -> Reader:
     if len(readers) == 1:
         return readers[0]
 
-    def first(record: Record) -> Json:
+    def first(record: PayloadRecord) -> Json:
         return next((value for value in (one(record) for one in readers) if value is not None), None)
 
     return first
@@ -84,7 +84,7 @@ def _reader(path: str) -> Reader:
     if level is not None:
         place = int(level[1])
 
-        def of_topic(record: Record) -> Json:
+        def of_topic(record: PayloadRecord) -> Json:
             levels = record.topic.split("/")
             return levels[place] if -len(levels) <= place < len(levels) else None
 

@@ -17,13 +17,12 @@ from hygrokf.data.structured import JsonObject
 from hygrokf.data.timestamps import stamp_text
 from hygrokf.data.toml_form import Place
 from hygrokf.live.sources.broker import SPARKPLUG, Broker
-from hygrokf.live.sources.mqtt import Mqtt
-from hygrokf.live.sources.mqtt_link import Arrival, Link, libraries_fault
+from hygrokf.live.sources.mqtt import Arrival, BrokerLink, Mqtt, libraries_fault
 from hygrokf.live.sources.payload import PayloadMapping
-from hygrokf.live.sources.payload_formats import Content, Payload, Record, Refused, Unreadable
+from hygrokf.live.sources.payload_formats import Content, Payload, PayloadRecord, Refused, Unreadable
 from hygrokf.live.sources.sparkplug_node import NAMESPACE, Arrived, EdgeNode, Released, address_of
 from hygrokf.live.sources.sparkplug_payload import LARGEST_MESSAGE, decode, rebirth_request
-from hygrokf.live.sources.stream import Delivery, SourceFault, SourceState, several
+from hygrokf.live.sources.stream import Delivery, SourceState, several
 
 LOG = logging.getLogger("hygrokf.track")
 MOST_NODES = 1_000
@@ -111,7 +110,7 @@ class Sparkplug(Mqtt):
         self.edge_nodes.recall(memories)
 
     # -- the source's own thread -----------------------------------------------------------------------------
-    def _take(self, link: Link, found: Arrival, put: Callable[[Delivery], None]) -> None:
+    def _take(self, link: BrokerLink, found: Arrival, put: Callable[[Delivery], None]) -> None:
         acknowledge = partial(link.acknowledge, found.identifier)
         node, released = self.edge_nodes.take(
             found.topic, found.payload, found.time, acknowledge, found.repeated
@@ -121,7 +120,7 @@ class Sparkplug(Mqtt):
         else:
             self._put_released(node, released, put)
 
-    def _look_after(self, link: Link, put: Callable[[Delivery], None]) -> None:
+    def _look_after(self, link: BrokerLink, put: Callable[[Delivery], None]) -> None:
         """Release messages that wait in vain for those before them; ask for births."""
         if time.monotonic() < self._looked + LOOK_S:
             return
@@ -185,7 +184,7 @@ class Sparkplug(Mqtt):
         mapping = self.mapping
         if not mapping.turbine:
             return mapping.only
-        return mapping.turbines.get(str(mapping.readers["turbine"](Record((), topic=topic))))
+        return mapping.turbines.get(str(mapping.readers["turbine"](PayloadRecord((), topic=topic))))
 
     @property
     def state(self) -> SourceState:
@@ -220,9 +219,6 @@ class MqttForm(Broker):
         """The stream; secrets and certificates that cannot be read are faults."""
         if (missing := libraries_fault()) is not None:
             place.fault(missing)
-        for look in () if place.faults else (self.password.read, self.context):
-            try:
-                look()
-            except SourceFault as fault:
-                place.fault(str(fault))
+        if not place.faults:
+            self.expect(place, self.password.read, self.context)
         return (Sparkplug if self.format == SPARKPLUG else Mqtt)(self, mapping)

@@ -17,7 +17,7 @@ from typing import NamedTuple
 from hygrokf.data.quality import BAD, GOOD, VOCABULARIES
 from hygrokf.data.structured import Json, JsonObject, StructureFault, plain, structured
 from hygrokf.live.sources.payload_formats import Payload, Refused, Unreadable
-from hygrokf.live.sources.sparkplug_payload import Message, Metric, decode
+from hygrokf.live.sources.sparkplug_payload import Metric, SparkplugMessage, decode
 
 NAMESPACE = "spBv1.0"
 CERTIFICATES = ("NBIRTH", "NDATA", "NDEATH", "DBIRTH", "DDATA", "DDEATH")
@@ -33,7 +33,7 @@ _CONTROL = ("bdSeq", "Node Control/", "Device Control/")
 """Beginnings of the names of metrics that belong to the protocol."""
 
 
-class Address(NamedTuple):
+class EdgeAddress(NamedTuple):
     """The topic of a message: group, type, edge node, and device ("" for the edge node itself)."""
 
     group: str
@@ -52,7 +52,7 @@ class Address(NamedTuple):
         return f"{self.edge_node}/{self.device}" if self.device else self.edge_node
 
 
-def address_of(topic: str) -> Address | None:
+def address_of(topic: str) -> EdgeAddress | None:
     """The address of a message from an edge node; None for commands and for states of host applications.
     Raises Refused for a topic outside of Sparkplug B."""
     levels = topic.split("/")
@@ -65,16 +65,16 @@ def address_of(topic: str) -> Address | None:
         raise Refused(
             "no Sparkplug topic", f"expected {NAMESPACE}/GROUP/TYPE/NODE[/DEVICE], found {topic[:80]!r}"
         )
-    return Address(*levels[1:])
+    return EdgeAddress(*levels[1:])
 
 
 class Arrived(NamedTuple):
     """A message from an address, decoded and as its `payload`, with its time of arrival [s]; `repeated`: the
     broker sends it once more."""
 
-    address: Address
+    address: EdgeAddress
     topic: str
-    message: Message
+    message: SparkplugMessage
     payload: bytes
     received: float
     acknowledge: Callable[[], None] | None = None
@@ -91,7 +91,7 @@ class Released(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Table:
+class BirthTable:
     """What a birth certificate defines: name -> data type, and name -> alias."""
 
     types: Mapping[str, int] = field(default_factory=dict)
@@ -103,7 +103,7 @@ class Table:
         return {alias: name for name, alias in self.aliases.items()}
 
     @classmethod
-    def of(cls, message: Message) -> Table:
+    def of(cls, message: SparkplugMessage) -> BirthTable:
         named = [one for one in message.metrics if one.name and len(one.name) <= LONGEST_METRIC_NAME]
         return cls(
             {one.name: one.datatype for one in named if one.name},
@@ -114,13 +114,13 @@ class Table:
         """The name of a metric; None for an alias that is not defined."""
         return metric.name or (None if metric.alias is None else self.names.get(metric.alias))
 
-    def agrees(self, other: Table, metric: Metric) -> bool:
+    def agrees(self, other: BirthTable, metric: Metric) -> bool:
         """Whether a metric means the same in another table."""
         name = self.name_of(metric)
         return name is not None and name == other.name_of(metric) and self.types[name] == other.types[name]
 
 
-def contents_of(one: Arrived, table: Table) -> list[Payload | Unreadable]:
+def contents_of(one: Arrived, table: BirthTable) -> list[Payload | Unreadable]:
     """Payloads of the metrics that a table can name, one for each time and quality, in the order of time.
 
     Each holds "time" [s], "quality" ("good", "uncertain" or "bad") and the values by the metrics' names.
@@ -194,8 +194,8 @@ class NodeMemory:
     """
 
     bdseq: int | None = None
-    tables: Mapping[str, Table] = field(default_factory=dict)
-    former: Mapping[str, Table] = field(default_factory=dict)
+    tables: Mapping[str, BirthTable] = field(default_factory=dict)
+    former: Mapping[str, BirthTable] = field(default_factory=dict)
     gap_s: float | None = None
     left_s: Mapping[str, float] = field(default_factory=dict)
 
@@ -212,7 +212,7 @@ class HeldMessages:
 
     def add(self, one: Arrived) -> None:
         """Hold a message, and drop the oldest ones that have no place beside it."""
-        self._messages.append(one._replace(message=Message(), acknowledge=None))
+        self._messages.append(one._replace(message=SparkplugMessage(), acknowledge=None))
         self._size += len(one.payload) + BESIDE
         while self._size > MOST_HELD:
             self._size -= len(self._messages.popleft().payload) + BESIDE
@@ -241,8 +241,8 @@ class EdgeNode:
         self.present: set[str] = set()
         self._bdseq: int | None = None
         self._expected: int | None = None
-        self._tables: dict[str, Table] = {}
-        self._former: dict[str, Table] = {}
+        self._tables: dict[str, BirthTable] = {}
+        self._former: dict[str, BirthTable] = {}
         self._last: Arrived | None = None
         self._waiting: list[Arrived] = []
         self._held = HeldMessages()
@@ -337,15 +337,15 @@ class EdgeNode:
             return [self._read(one)]
         if device not in self._tables and len(self._tables) > MOST_DEVICES:
             return [refused(one, "too large", f"more than {MOST_DEVICES} devices")]
-        self._tables[device], self._changed, self.unborn = Table.of(one.message), True, False
+        self._tables[device], self._changed, self.unborn = BirthTable.of(one.message), True, False
         return [self._read(one), *self._released_by_birth(device)]
 
     # -- metrics ---------------------------------------------------------------------------------------------
     def _read(self, one: Arrived) -> Released:
         """Payloads of a message by the present table; metrics with aliases in doubt are held."""
-        table = self._tables.get(one.address.device, Table())
+        table = self._tables.get(one.address.device, BirthTable())
         contents = contents_of(one, table)
-        former = self._former.get(one.address.device, Table())
+        former = self._former.get(one.address.device, BirthTable())
         unknown = [m for m in one.message.metrics if m.alias is not None and table.name_of(m) is None]
         held = tuple(m for m in unknown if former.name_of(m) is not None)
         if held:
@@ -367,7 +367,7 @@ class EdgeNode:
 
     def _released_by_birth(self, device: str) -> list[Released]:
         """Held metrics of a device: read if the new birth certificate gives their aliases the old meaning."""
-        former, table = self._former.pop(device, Table()), self._tables[device]
+        former, table = self._former.pop(device, BirthTable()), self._tables[device]
         released = []
         for one in self._held.release(device):
             held = [m for m in one.message.metrics if not m.name and former.name_of(m) is not None]

@@ -104,7 +104,7 @@ class Metric:
 
 
 @dataclass(frozen=True)
-class Message:
+class SparkplugMessage:
     """A decoded payload: its `time` [s], its sequence number, its metrics."""
 
     time: float | None = None
@@ -118,7 +118,7 @@ class Message:
         return number % 256 if isinstance(number, int) else None
 
 
-def decode(payload: bytes) -> Message:
+def decode(payload: bytes) -> SparkplugMessage:
     """The message of a payload.  Raises Refused for anything that is no Sparkplug B payload."""
     message, uuid, body = _decode(payload)
     if uuid != COMPRESSED:
@@ -164,7 +164,7 @@ def _payload_class() -> Any:
     return message_factory.GetMessageClass(pool.FindMessageTypeByName("hygrokf.Payload"))
 
 
-def _decode(payload: bytes) -> tuple[Message, str, bytes]:
+def _decode(payload: bytes) -> tuple[SparkplugMessage, str, bytes]:
     from google.protobuf.message import DecodeError
 
     if len(payload) > LARGEST_MESSAGE:
@@ -174,7 +174,7 @@ def _decode(payload: bytes) -> tuple[Message, str, bytes]:
         if len(found.metrics) > MOST_METRICS:
             raise Refused("too large", f"a message with more than {MOST_METRICS} metrics")
         metrics = tuple(_metric(one) for one in found.metrics)
-        message = Message(
+        message = SparkplugMessage(
             found.timestamp / 1e3 if found.HasField("timestamp") else None,
             found.seq % 256 if found.HasField("seq") else None,
             metrics,
@@ -210,7 +210,6 @@ def _scalar(value: bool | float | bytes) -> int | float | str:
 
 
 def _quality(properties: Any) -> int | None:
-    """The quality in a set of properties, which is a list of names and a list of values."""
     names = [one.decode() for one in properties.keys]
     for name, one in zip(names, properties.values, strict=False):
         if name == QUALITY and (kind := one.WhichOneof(_VALUE)) is not None:
@@ -219,7 +218,6 @@ def _quality(properties: Any) -> int | None:
 
 
 def _decompressed(body: bytes) -> bytes:
-    """A body decompressed by zlib or gzip, whichever it names in its first bytes."""
     try:
         found = zlib.decompressobj(wbits=47).decompress(body, LARGEST_MESSAGE + 1)
     except zlib.error:

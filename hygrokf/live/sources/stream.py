@@ -141,6 +141,14 @@ class SourceKeys(FolderKeys):
         """The stream; None with faults in `place`."""
         raise NotImplementedError
 
+    def expect(self, place: Place, *reads: Callable[[], object]) -> None:
+        """Read what a connection needs, such as secrets; what cannot be read is a fault in `place`."""
+        for read in reads:
+            try:
+                read()
+            except SourceFault as fault:
+                place.fault(str(fault))
+
 
 class Stream:
     """A source of deliveries: a thread that runs `_deliver` until it returns or `_ended` is set, and this

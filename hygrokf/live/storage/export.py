@@ -50,7 +50,7 @@ class Column:
 
 
 @dataclass(frozen=True)
-class Table:
+class ExportedTable:
     """An exported file: its `name`, the `source` table or view, its `columns`, and the `key` that orders the
     rows.
 
@@ -71,7 +71,7 @@ def _columns(*rows: str) -> tuple[Column, ...]:
 
 
 TABLES = (
-    Table(
+    ExportedTable(
         "observation", "observation",
         _columns(
             "turbine text", "signal text", "time_utc time time", "value_si value number", "unit signal unit",
@@ -79,19 +79,19 @@ TABLES = (
         ),
         ("turbine", "signal", "time"),
     ),
-    Table(
+    ExportedTable(
         "connection", "connection",
         _columns("turbine text", "signal text", "lost_utc lost time", "regained_utc regained time"),
         ("turbine", "signal", "lost"),
         ("(regained IS NULL OR regained >= ?)", "lost < ?"),
     ),
-    Table(
+    ExportedTable(
         "estimate", "estimate_readable",
         _columns("turbine text", "time_utc time time", "final flag",
             *(f"{name} number" for name in READABLE_COLUMNS)),
         ("turbine", "time"),
     ),
-    Table(
+    ExportedTable(
         "property", "property",
         _columns(
             "turbine text", "name text", "time_utc time time", "value number", "lower_bound number",
@@ -100,7 +100,7 @@ TABLES = (
         ),
         ("turbine", "name", "time"),
     ),
-    Table(
+    ExportedTable(
         "alarm", "alarm",
         _columns(
             "id text", "turbine text", "kind text", "severity text", "began_utc began time",
@@ -165,13 +165,13 @@ def alarms_csv(store: Store) -> bytes:
     return file.getvalue()
 
 
-def _by_column(table: Table, rows: Sequence[Row]) -> list[Values]:
+def _by_column(table: ExportedTable, rows: Sequence[Row]) -> list[Values]:
     columns = zip(table.columns, zip(*rows, strict=True), strict=True)
     return [_values(one.kind, column) for one, column in columns]
 
 
 def chunks(
-    store: Store, table: Table, turbine: str | None, since: float, until: float
+    store: Store, table: ExportedTable, turbine: str | None, since: float, until: float
 ) -> Iterator[list[Row]]:
     """Rows of a table in the order of its key, at most `CHUNK` per chunk; each chunk starts after the last
     row of the previous.
@@ -243,7 +243,6 @@ def _csv_writer(file: BinaryIO, columns: Sequence[Column]) -> tuple[Write, Calla
 
 
 def _parquet_writer(file: BinaryIO, columns: Sequence[Column]) -> tuple[Write, Callable[[], object]]:
-    """Writer of Parquet, with one row group per chunk."""
     try:
         import pyarrow
         from pyarrow import parquet

@@ -7,8 +7,11 @@ from __future__ import annotations
 
 import os
 import secrets
+import shlex
 import struct
 from collections.abc import Sequence
+from datetime import UTC, datetime
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hygrokf.live.storage.database import Cursor, Database, Row, StoreFault, one_line
@@ -226,3 +229,33 @@ def open_postgres(url: str, read_only: bool = False) -> PostgresDatabase:
         database.close()
         raise
     return database
+
+
+def postgres_commands(copy: Path, url: str) -> list[str]:
+    """The commands that restore a `pg_dump` into a new database and give that the name of the store's, which
+    is kept under another name.
+
+    Raises StoreFault.
+    """
+    said = parameters_of(url)
+    from psycopg.conninfo import make_conninfo
+
+    name = str(said.get("dbname") or said.get("user") or "hygrokf")
+    server = {key: str(value) for key, value in said.items() if key not in ("dbname", "options")}
+    admin = make_conninfo(**server, dbname="postgres")
+    new, old = f"{name}_restored", f"{name}_before_{datetime.now(UTC):%Y%m%dT%H%M%SZ}"
+    statements = (
+        f"CREATE DATABASE {_quoted(new)} ENCODING 'UTF8' TEMPLATE template0",
+        f"ALTER DATABASE {_quoted(name)} RENAME TO {_quoted(old)}",
+        f"ALTER DATABASE {_quoted(new)} RENAME TO {_quoted(name)}",
+    )
+    restored = make_conninfo(**server, dbname=new)
+    return [
+        shlex.join(["psql", "-d", admin, "-c", statements[0]]),
+        shlex.join(["pg_restore", "--exit-on-error", "--single-transaction", "-d", restored, str(copy)]),
+        shlex.join(["psql", "-d", admin, "-1", "-c", statements[1], "-c", statements[2]]),
+    ]
+
+
+def _quoted(name: str) -> str:
+    return '"' + name.replace('"', '""') + '"'

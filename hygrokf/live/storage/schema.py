@@ -71,7 +71,7 @@ _TYPES = {
 
 
 @dataclass(frozen=True)
-class Table:
+class StoreTable:
     """A table: its `columns` with their SQL types, the columns of its `key`, and those of its `index`, if it
     has another one."""
 
@@ -87,7 +87,7 @@ class Table:
             yield f"CREATE INDEX {name}_by_{self.index[-1]} ON {name} ({', '.join(self.index)})"
 
 
-def _table(of: str | type[Any], key: str, index: str = "") -> Table:
+def _table(of: str | type[Any], key: str, index: str = "") -> StoreTable:
     """A table from its columns "name TYPE, …", or from a class whose fields they are.
 
     A value may be missing where the type ends with "?", or where the field may be None.
@@ -100,7 +100,7 @@ def _table(of: str | type[Any], key: str, index: str = "") -> Table:
     for name, kind in pairs:
         stated = kind.removesuffix("?").removesuffix(" | None")
         columns[name] = _TYPES.get(stated, stated) + (" NOT NULL" if stated == kind else "")
-    return Table(columns, tuple(key.split()), tuple(index.split()))
+    return StoreTable(columns, tuple(key.split()), tuple(index.split()))
 
 
 _READING = "turbine TEXT, signal TEXT, time INSTANT, value NUMBER, received INSTANT"

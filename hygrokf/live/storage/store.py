@@ -178,7 +178,6 @@ class Store:
         self._execute(replacing("event"), astuple(event))
 
     def _execute(self, statement: str, parameters: Sequence[SqlValue]) -> int:
-        """Execute one statement in a transaction of its own; returns the number of rows that it changed."""
         with self.transaction() as cursor:
             cursor.execute(self._text(statement), tuple(parameters))
             return cursor.rowcount
@@ -396,7 +395,6 @@ def _statements(batch: Batch) -> Iterator[tuple[str, Iterable[Row]]]:
 
 
 def _reading_row(one: Observation) -> Row:
-    """The row of a reading, without its mark."""
     return (one.turbine, one.reading.signal, one.reading.time, one.reading.value, one.received)
 
 
@@ -435,6 +433,53 @@ def estimate_rows(turbine: str, found: Condition, final: int) -> list[Row]:
 
 def _plain(values: np.ndarray) -> list[float | None]:
     return [v if v == v else None for v in values.tolist()]
+
+
+# -- retention -----------------------------------------------------------------------------------------------
+BITE = 1_000
+"""Rows deleted at once, so that the loop is only held up briefly."""
+
+
+def prune(store: Store, turbine: str, before: float, needed: float, most: int = BITE) -> int:
+    """Delete at most `most` rows of a turbine older than `before` [s]; returns the number deleted, less than
+    `most` when done.
+
+    Readings from `needed` [s] on and each signal's last `BEFORE` readings before that are kept, because a
+    restart needs them.  Open alarms are kept, too.
+    """
+    limit, count = min(before, needed), 0
+    with store.transaction() as cursor:
+        for signal in store.signals(turbine):
+            edges = store.rows(
+                "SELECT time FROM observation WHERE turbine = ? AND signal = ? AND time < ? AND late = 0 "
+                "ORDER BY time DESC LIMIT ?",
+                (turbine, signal, needed, BEFORE),
+            )
+            until = min(limit, edges[-1][0]) if edges else limit
+            same = {"turbine": turbine, "signal": signal}
+            count += _bite(store, cursor, "observation", same, "time", until, most - count)
+        for table, column in (
+            ("revision", "time"), ("estimate", "time"), ("property", "time"), ("alarm", "ended"),
+            ("connection", "regained"),
+        ):  # fmt: skip
+            count += _bite(store, cursor, table, {"turbine": turbine}, column, limit, most - count)
+    return count
+
+
+def _bite(
+    store: Store, cursor: Cursor, table: str, same: Mapping[str, str], column: str, until: float, most: int
+) -> int:
+    """Delete at most `most` of the oldest rows of a table before a time [s]; returns the number deleted."""
+    where = " AND ".join([*(f"{name} = ?" for name in same), f"{column} < ?"])
+    values: tuple[SqlValue, ...] = (*same.values(), until)
+    next_one = store.rows(
+        f"SELECT {column} FROM {table} WHERE {where} ORDER BY {column} LIMIT 1 OFFSET ?",
+        (*values, max(most, 0)),
+    )
+    if next_one:
+        values = (*same.values(), next_one[0][0])
+    cursor.execute(store.database.text(f"DELETE FROM {table} WHERE {where}"), values)
+    return max(cursor.rowcount, 0)
 
 
 # -- opening -------------------------------------------------------------------------------------------------

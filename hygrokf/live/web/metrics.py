@@ -148,25 +148,14 @@ def _set_aside(counters: Mapping[tuple[str, str], int]) -> Iterator[Metric]:
 
 
 def _turbines(now: float, fleet: Sequence[View]) -> Iterator[Metric]:
-    for name, words, numbers in (
-        (
-            "hygrokf_heard_age_seconds",
-            "Time since a turbine was last heard",
-            [None if row["heard"] is None else now - row["heard"] for row in fleet],
-        ),
-        (
-            "hygrokf_condensation_probability",
-            "Probability of condensation at the coldest surface",
-            [row["condensation"] for row in fleet],
-        ),
-        (
-            "hygrokf_dew_point_margin_kelvin",
-            "Coldest surface above the dew point",
-            [row["margin"] for row in fleet],
-        ),
+    heard = [((row["turbine"],), now - row["heard"]) for row in fleet if row["heard"] is not None]
+    yield _gauge("hygrokf_heard_age_seconds", "Time since a turbine was last heard", heard, ("turbine",))
+    for key, name, words in (
+        ("condensation", "condensation_probability", "Probability of condensation at the coldest surface"),
+        ("margin", "dew_point_margin_kelvin", "Coldest surface above the dew point"),
     ):
-        known = [((row["turbine"],), n) for row, n in zip(fleet, numbers, strict=True) if n is not None]
-        yield _gauge(name, words, known, ("turbine",))
+        known = [((row["turbine"],), row[key]) for row in fleet if row[key] is not None]
+        yield _gauge(f"hygrokf_{name}", words, known, ("turbine",))
     yield _gauge(
         "hygrokf_turbine_state",
         "1 for the state that a turbine is in",

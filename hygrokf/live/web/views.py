@@ -6,16 +6,19 @@ Temperatures are in °C, relative humidity in %, times in seconds since 1970, UT
 from __future__ import annotations
 
 import math
+import time
 from collections import Counter, defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from functools import partial
 from types import MappingProxyType
 from typing import Any, TypeVar
 
 import numpy as np
 
-from hygrokf.data.timestamps import HOUR_S
+from hygrokf.data.signals import SIGNALS, from_si
+from hygrokf.data.timestamps import DAY_S, HOUR_S
 from hygrokf.identification.verdict_terms import MARKS, PARAMETER_OF, VERDICTS, Inherited
-from hygrokf.live.alarms import CHANGED
+from hygrokf.live.alarms import CHANGED, CONTRADICTS
 from hygrokf.live.assessment import NOT_ASSESSED
 from hygrokf.live.batch import CAUSES, STATES, Alarm, Assessment
 from hygrokf.live.condition import QUANTITIES, Z95, Quantity, probability_above
@@ -26,7 +29,7 @@ from hygrokf.live.service import Health
 from hygrokf.live.sources.stream import Stream
 from hygrokf.live.storage.database import Row
 from hygrokf.live.storage.store import Store
-from hygrokf.live.web.signal_rows import signal_rows
+from hygrokf.live.web.reader import Reader
 from hygrokf.physics.psychrometrics import ZERO_CELSIUS_K
 
 DECIMALS = 4
@@ -141,7 +144,6 @@ def _need(row: View) -> tuple[int, int, float, str]:
 
 
 def _state(found: Assessment | None) -> View:
-    """A turbine's assessment; a turbine that was never assessed has no estimate."""
     if found is None:
         return {"state": "no estimate", "reason": NOT_ASSESSED, "since": None}
     return {"state": found.state, "reason": found.reason, "since": found.since}
@@ -367,3 +369,127 @@ def health_view(
         "wait_99_s": health.wait_s(0.99),
         "refused": {kind: n for (turbine, kind), n in sorted(counters.items()) if not turbine},
     }
+
+
+def signal_rows(
+    store: Store, name: str, now: float, needs: Sequence[Need], alarms: Iterable[Alarm]
+) -> list[dict[str, Any]]:
+    """The last reading of each signal of a turbine in its display unit, and what its model reads and never
+    came.
+
+    `last`: its time [s]; `received`: its arrival [s]; `count`: number of readings in the last day; `needed`:
+    "required" if there is no estimate without it, "used" if the model reads it, "" if it does not;
+    `contradicts`: whether the reading contradicts the estimate, by the open alarms.
+    """
+    found = []
+    open_ = [one for one in alarms if one.kind == CONTRADICTS.kind and one.ended is None]
+    there = store.signals(name)
+    used = {signal: "required" if one.required else "used" for one in needs for signal in one.signals}
+    missing = [one.signals[0] for one in needs if not set(one.signals) & set(there)]
+    for signal in sorted({*missing, *there}):
+        row, newest = (
+            SIGNALS.get(signal),
+            store.rows(
+                "SELECT value, time, received FROM observation WHERE turbine = ? AND signal = ? ORDER BY "
+                "time DESC LIMIT 1",
+                (name, signal),
+            ),
+        )
+        value, last, received = newest[0] if newest else (None, None, None)
+        ((count,),) = store.rows(
+            "SELECT COUNT(*) FROM observation WHERE turbine = ? AND signal = ? AND time >= ?",
+            (name, signal, now - DAY_S),
+        )
+        found.append(
+            {
+                "signal": signal,
+                "value": value if row is None or value is None else float(from_si(value, row.display, row)),
+                "unit": "" if row is None else row.display,
+                "last": last,
+                "received": received,
+                "count": count,
+                "needed": used.get(signal, ""),
+                "contradicts": any(f":{CONTRADICTS.kind} {signal}:" in one.id for one in open_),
+            }
+        )
+    return found
+
+
+# -- margins of the overview ---------------------------------------------------------------------------------
+BACK_S, AHEAD_S = 3.0 * DAY_S, 2.0 * DAY_S
+"""[s] of the past and of the forecast that are shown."""
+STEP_S = 2.0 * HOUR_S
+"""[s] of a step."""
+PAST, AHEAD = round(BACK_S / STEP_S), round(AHEAD_S / STEP_S)
+"""Number of steps of the past, and of the forecast."""
+TOGETHER = 50
+"""Turbines that are read at once; others may read the store between two groups."""
+KEPT_S = 300.0
+"""[s] of the tracker's time for which the courses are kept."""
+LEAST_S = 5.0
+"""[s] of real time for which they are kept, because the time of a playback may run faster."""
+
+
+class MarginsKept:
+    """The margins of the fleet, read again when they are old."""
+
+    def __init__(self) -> None:
+        self._kept: tuple[float, View] | None = None
+
+    def view(self, reader: Reader, names: Sequence[str], now: float) -> View:
+        """The margins of all turbines at `now` [s], from `start` [s] on in steps of `step` [s], of which the
+        first `past` are estimates and the others forecasts."""
+        if self._kept is not None:
+            read_s, found = self._kept
+            age_s = now - found["start"] - BACK_S
+            if 0.0 <= age_s < KEPT_S or 0.0 <= time.monotonic() - read_s < LEAST_S:
+                return found
+        start = now - BACK_S
+        turbines: View = {}
+        for first in range(0, len(names), TOGETHER):
+            some = names[first : first + TOGETHER]
+            turbines |= reader.read(partial(margins_of, names=some, start=start))
+        made = {"start": start, "step": STEP_S, "past": PAST, "turbines": turbines}
+        self._kept = (time.monotonic(), made)
+        return made
+
+
+def margins_of(store: Store, names: Sequence[str], start: float) -> View:
+    """The margins of those turbines that have some, step by step from `start` [s] on: the lowest `value` [K]
+    and `half` the width of its 95 % band [K]; None in steps without any."""
+    found = {}
+    now = start + BACK_S
+    for name in names:
+        courses = [
+            row
+            for table, since, until in (("estimate", start, now), ("forecast", now, now + AHEAD_S))
+            for row in store.rows(
+                f"SELECT time, margin_K, margin_sd FROM {table} WHERE turbine = ? AND time >= ? AND time < ? "
+                "AND margin_K IS NOT NULL",
+                (name, since, until),
+            )
+        ]
+        if not courses:
+            continue
+        rows = np.array(courses, dtype=float)
+        value, half = lowest((rows[:, 0] - start) / STEP_S, rows[:, 1], rows[:, 2], PAST + AHEAD)
+        found[name] = {"value": value, "half": half}
+    return found
+
+
+def lowest(
+    place: np.ndarray, margin: np.ndarray, sd: np.ndarray, steps: int
+) -> tuple[list[float | None], list[float | None]]:
+    """The lowest margin [K] in each of the steps, and half the width of its 95 % band [K].
+
+    place (T,): time as a multiple of the step; margin, sd (T,) [K].
+    """
+    step = np.floor(place).astype(int)
+    order = np.lexsort((margin, step))
+    first = order[np.r_[True, np.diff(step[order]) != 0]]
+    value: list[float | None] = [None] * steps
+    half: list[float | None] = [None] * steps
+    for i in first:
+        if 0 <= step[i] < steps and np.isfinite(margin[i]) and np.isfinite(sd[i]):
+            value[step[i]], half[step[i]] = round(float(margin[i]), 1), round(Z95 * float(sd[i]), 1)
+    return value, half
