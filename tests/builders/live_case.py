@@ -18,7 +18,7 @@ from hygrokf.live.plan import Form, Plan, plan
 from hygrokf.live.sources.local import Playback
 from hygrokf.live.sources.stream import Delivery
 from hygrokf.live.storage.store import open_store
-from hygrokf.live.tracker import Course, Point, offline_course
+from hygrokf.live.tracker import Point, TrackedCourse, offline_course
 from hygrokf.live.turbines import Turbine
 from hygrokf.modelling.design import CASCADE, design, merged
 
@@ -57,7 +57,7 @@ def count_of(record: Record) -> int:
     return sum(int((~s.missing).sum()) for s in record.series)
 
 
-def expect_state(point: Point, offline: Course) -> None:
+def expect_state(point: Point, offline: TrackedCourse) -> None:
     """A final state is the offline filter's, bit for bit."""
     last = int(np.searchsorted(offline.seconds, point.time + 1e-3, side="right")) - 1
     assert np.array_equal(point.state.mean, offline.trace.mean[last])

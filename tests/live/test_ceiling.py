@@ -16,8 +16,8 @@ from hygrokf.data.record import Record
 from hygrokf.engine.timeline import Timeline
 from hygrokf.estimation.likelihood import Gaussian
 from hygrokf.estimation.smoother import observation
-from hygrokf.live.ceiling import HUMIDITY, censored_trace, truncated_moments
 from hygrokf.live.plan import Plan
+from hygrokf.live.traces import HUMIDITY, censored_trace, truncated_moments
 from hygrokf.live.tracker import offline_course
 
 

@@ -16,16 +16,15 @@ from builders.tracker_case import LATENESS_S, planned
 from hygrokf.data.record import Record, Series
 from hygrokf.data.toml_form import Place, read_form
 from hygrokf.live.batch import Batch
-from hygrokf.live.mapping_form import MappingForm, source_forms, source_mappings
+from hygrokf.live.config import MappingForm, source_forms, source_mappings
 from hygrokf.live.plan import Form, Plan
 from hygrokf.live.refilter import refilter
 from hygrokf.live.service import Service
 from hygrokf.live.sources.local import record_mapping, record_messages
 from hygrokf.live.sources.stream import Delivery, SourceState, Stream
 from hygrokf.live.storage.export import export
-from hygrokf.live.storage.retention import prune
-from hygrokf.live.storage.store import Store, open_store
-from hygrokf.live.tracker import Course, Tracker, offline_course
+from hygrokf.live.storage.store import Store, open_store, prune
+from hygrokf.live.tracker import TrackedCourse, Tracker, offline_course
 from hygrokf.live.turbines import CONNECTED, SOURCE, Fleet, Turbine
 
 HOUR_S = 3600.0
@@ -105,7 +104,7 @@ def exported(store: Store, folder: Path, record: Record) -> Record:
     return record.replace_series(*map(read, record.series))
 
 
-def expect_equal(tracker: Tracker, offline: Course) -> None:
+def expect_equal(tracker: Tracker, offline: TrackedCourse) -> None:
     assert tracker.newest - tracker.point.time < LATENESS_S + HOUR_S
     expect_state(tracker.point, offline)
 

@@ -35,8 +35,8 @@ from builders.waiting import eventually, repeating
 from hygrokf.commands.main import main
 from hygrokf.live.config import read_config
 from hygrokf.live.doctor import check as doctor_check
+from hygrokf.live.doctor import examination as doctor_store
 from hygrokf.live.doctor import sources as doctor_sources
-from hygrokf.live.doctor import store as doctor_store
 from hygrokf.live.doctor.check import (
     Check,
     elapsed_from,

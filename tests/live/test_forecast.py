@@ -15,12 +15,20 @@ from hygrokf.data.ambient import ambient_absolute_humidity, at_times
 from hygrokf.data.record import Record, Series
 from hygrokf.estimation.likelihood import Gaussian
 from hygrokf.identification.fit import Fit
-from hygrokf.live.ceiling import censored_trace
 from hygrokf.live.condition import Surface, air_condition, inputs_of
-from hygrokf.live.forecast import NoForecast, conditions_by_member, forecast
+from hygrokf.live.forecast import (
+    ENOUGH,
+    LONGEST_H,
+    STAYS_H,
+    NoForecast,
+    advice_from,
+    conditions_by_member,
+    forecast,
+    restart,
+)
 from hygrokf.live.plan import Plan
-from hygrokf.live.restart_advice import ENOUGH, LONGEST_H, STAYS_H, advice_from, restart
 from hygrokf.live.scenarios import HORIZON_S, Scenarios, persistence
+from hygrokf.live.traces import censored_trace
 from hygrokf.live.tracker import Point, offline_course
 from hygrokf.modelling.design import design, extended
 

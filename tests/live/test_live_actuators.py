@@ -19,9 +19,8 @@ from hygrokf.data.record import Record, Series
 from hygrokf.identification.fit import Fit
 from hygrokf.live.condition import Surface
 from hygrokf.live.config import turbine_of
-from hygrokf.live.forecast import forecast
+from hygrokf.live.forecast import LONGEST_H, forecast, heaters, heating, restart
 from hygrokf.live.plan import Form, Plan, plan
-from hygrokf.live.restart_advice import LONGEST_H, heaters, heating, restart
 from hygrokf.live.scenarios import persistence
 from hygrokf.live.service import Service
 from hygrokf.live.sources.local import Playback, record_mapping, record_messages

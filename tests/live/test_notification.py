@@ -28,13 +28,13 @@ from hygrokf.live.condition import Surface
 from hygrokf.live.config import Config, ConfigFault, read_config
 from hygrokf.live.doctor.check import file_checks
 from hygrokf.live.doctor.examination import channel_checks
+from hygrokf.live.notification import notices as outbox
 from hygrokf.live.notification import sender as module
 from hygrokf.live.notification.channel import Channel, ChannelFault, Content, Message
 from hygrokf.live.notification.notices import acknowledge, decide, look_again, notices_of
 from hygrokf.live.notification.sender import Sender
 from hygrokf.live.notification.transports import Mail, Webhook, secret_bytes
 from hygrokf.live.sources.local import Playback, record_mapping, record_messages
-from hygrokf.live.storage import outbox
 from hygrokf.live.storage.store import Store, StoreFault, open_store
 from hygrokf.live.tracking import track
 from hygrokf.live.turbines import Turbine
@@ -282,7 +282,6 @@ def hook_to(server: WebhookServer, folder: Path, **more: object) -> Webhook:
 def test_no_message_is_lost_or_doubled_whatever_the_receiver_does(
     kind: str, count: int, tmp_path: Path
 ) -> None:
-    from validation.notices import outages
 
     found = outages(kind, count, 1, tmp_path)
     assert found["held"] and (found["lost"], found["doubled"], found["outages"]) == (0, 0, count)
