@@ -29,7 +29,7 @@ from hygrokf.live.turbines import CONNECTED, SOURCE, Fleet, Turbine
 
 HOUR_S = 3600.0
 DOOR = "door_open"
-HOURS = 36.0
+HOURS, ROUND_S = 36.0, 1200.0
 LOST_H, REGAINED_H = 16.0, 21.0
 SINCE_H, UNTIL_H = 15.0, 24.0
 """The last change of the door that is told before its source is lost, and the first one after it."""
@@ -61,25 +61,25 @@ def door_plan(whole: Record) -> Plan:
 def tracked(
     folder: Path, plan: Plan, record: Record, noticed_s: float, restarts: int = 0, down_h: float = 0.0
 ) -> Store:
-    """A store after rounds of ten minutes, with the door's source lost for five hours, which is noticed
+    """A store after rounds of twenty minutes, with the door's source lost for five hours, which is noticed
     after a time; the tracker begins anew after every so many rounds, and once after `down_h`."""
     store = open_store(f"sqlite:{folder / 'live.db'}")
     turbines, mapping = {"T1": Turbine(plan)}, record_mapping(record, "T1")
     fleet, messages = Fleet.from_store(turbines, store), record_messages(record, "T1")
     lost_s, regained_s = (record.start_s + HOUR_S * hour for hour in (LOST_H, REGAINED_H))
     down = (record.start_s + 28.0 * HOUR_S, record.start_s + (28.0 + down_h) * HOUR_S)
-    for number in range(1, 1 + int((record.end_s - record.start_s) / 600.0)):
-        now = record.start_s + 600.0 * number
+    for number in range(1, 1 + int((record.end_s - record.start_s) / ROUND_S)):
+        now = record.start_s + ROUND_S * number
         if down[0] < now < down[1]:
             continue
-        if down[0] <= now - 600.0 < down[1] or (restarts and number % restarts == 0):
+        if down[0] <= now - ROUND_S < down[1] or (restarts and number % restarts == 0):
             fleet = Fleet.from_store(turbines, store)
             store.commit(fleet.note_connections(now, {"T1": {DOOR: math.inf}}, begins=True))
         while messages and messages[0][0] <= now:
             first = [Delivery(content, now) for at, content in messages[:50] if at <= now]
             del messages[: len(first)]
             store.commit(fleet.round(first, mapping, "mqtt:"))
-        for second in (0, 590):
+        for second in (0.0, ROUND_S - 10.0):
             at = now + second
             since = lost_s if lost_s + noticed_s <= at < regained_s else None
             store.commit(fleet.note_connections(at, {"T1": {DOOR: since}}))
@@ -150,9 +150,9 @@ def test_what_is_not_tracked_is_not_connected(tmp_path: Path, record: Record, do
     """A tracker that is down for three hours has lost its connections from when it last knew them."""
     store = tracked(tmp_path, door_plan, record, math.inf, 9, down_h=3.0)
     ((lost, regained),) = store.losses("T1")[DOOR]
-    assert (lost - record.start_s) / HOUR_S == pytest.approx(28.16, abs=0.01)
+    assert (lost - record.start_s) / HOUR_S == pytest.approx(28.33, abs=0.01)
     assert (regained - record.start_s) / HOUR_S == pytest.approx(31.0, abs=0.02)
-    assert store.memory(SOURCE, CONNECTED) > record.end_s - 600.0
+    assert store.memory(SOURCE, CONNECTED) > record.end_s - ROUND_S
     tracker = Fleet.from_store({"T1": Turbine(door_plan)}, store).tracked["T1"].tracker
     expect_equal(tracker, offline_course(door_plan, exported(store, tmp_path / "out", record)))
     store.close()

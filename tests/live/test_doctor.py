@@ -454,6 +454,8 @@ def test_a_disk_that_fills(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Non
     found = free(10 * size)
     assert found.level == "doubt" and "fills it in 10 d" in found.found and "retention" in found.remedy
     assert free(size // 2).level == "fault" and free(0).level == "fault"
+    monkeypatch.setattr(doctor_store, "LEAST_FREE", 500 * size)
+    assert free(400 * size).level == "fault"
 
 
 def test_a_postgresql_store(folder: Path, postgresql) -> None:

@@ -49,7 +49,7 @@ def tracked(record: Record) -> Plan:
 
 
 def asked(
-    tracked: Plan, record: Record, sisters: Sequence[Record] = (), before: float = 6.0, after: float = 6.0
+    tracked: Plan, record: Record, sisters: Sequence[Record] = (), before: float = 4.0, after: float = 5.0
 ) -> Finding:
     """The finding on the days around the change."""
     begin, end = (record.start_s + day * DAY_S for day in (CHANGE - before, CHANGE + after))

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from builders.live_case import count_of, expect_offline
+from builders.live_case import count_of, expect_offline, live_record
 from builders.service_case import running
 from builders.waiting import eventually
 
@@ -23,10 +23,15 @@ from hygrokf.live.storage.store import Store, StoreFault, open_store
 from hygrokf.live.tracker import Reading
 from hygrokf.live.turbines import Fleet, Turbine
 
-RECORD = {"seed": 6, "days": 2.0}
-
 HOUR_S = 3600.0
 YEAR_S = 365.25 * 24.0 * HOUR_S
+
+
+@pytest.fixture(scope="module")
+def record(tmp_path_factory: pytest.TempPathFactory) -> Record:
+    """A day of a turbine's record."""
+    whole = live_record(tmp_path_factory.mktemp("record"), seed=6, days=2.0)
+    return whole.window(whole.start_s, whole.start_s + 24.0 * HOUR_S)
 
 
 class Run:
@@ -133,13 +138,13 @@ def test_stamps_of_the_next_century_fill_no_disk(
 def test_a_service_whose_clock_is_set_right(
     tmp_path: Path, record: Record, turbine: Turbine, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The clock is a day behind; a file is followed meanwhile, the tracker is restarted, and the clock set
-    right while the tracker runs."""
+    """The clock is half a day behind; a file is followed meanwhile, the tracker is restarted, and the clock
+    set right while the tracker runs."""
     monkeypatch.setattr(service, "TICK_S", 0.05)
     rows = [json.dumps(content) for _, content in record_messages(record, "T1")]
     path, url = tmp_path / "live.ndjson", f"sqlite:{tmp_path / 'live.db'}"
     path.write_text("".join(row + "\n" for row in rows))
-    now = [record.end_s - 86400.0]
+    now = [record.end_s - 12.0 * HOUR_S]
 
     def tracker() -> Service:
         file = TailedFile(path, record_mapping(record, "T1"), clock=lambda: now[0])
