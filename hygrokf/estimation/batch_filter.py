@@ -46,6 +46,9 @@ class SideBySide:
         self._keys = np.empty((1 + len(self._recursion.regimes), runs))
         # before the first step these are NaN, so that everything kept is computed then
         self._kept_keys = np.full_like(self._keys, np.nan)
+        n = self._recursion.n
+        self._pairs = np.tril_indices(n)
+        self._variances = [n + place(i, i) for i in range(n)]
         self._parts = np.ones(runs)
         self._known = np.empty((blocks, max(1, len(kept_nodes(self._recursion))), RUNS))
         self._now = np.zeros((max(1, len(self._recursion.varying)), runs))
@@ -152,8 +155,8 @@ class SideBySide:
         if not (np.isfinite(once).all() and np.isfinite(twice).all()):
             return math.inf
         mean, apart = twice[:, :n], abs(once - twice)
-        size, (row, column) = abs(mean), np.tril_indices(n)
-        sd = np.sqrt(np.maximum(twice[:, [n + place(i, i) for i in range(n)]], 0.0)) + KNOWN
+        size, (row, column) = abs(mean), self._pairs
+        sd = np.sqrt(np.maximum(twice[:, self._variances], 0.0)) + KNOWN
         scale = sd + CHANGE * abs(mean - begun[:, :n]) + VALUE * size
         return float(
             max(

@@ -285,13 +285,13 @@ def test_the_tracker_is_the_offline_filter_across_a_gap_bit_for_bit(tmp_path: Pa
         assert offline.trace.prior_mean[gap, i] == pytest.approx(offline.trace.mean[gap - 1, i], rel=1e-9)
 
 
-def test_a_climate_crosses_the_years_between_its_files() -> None:
-    """Weather of three weeks, three years of nothing, three weeks: every member goes on as it would."""
+def test_a_climate_crosses_the_time_between_its_files() -> None:
+    """Weather of three weeks, half a year of nothing, three weeks: every member goes on as it would."""
     fit = known_fit()
-    record, _ = driven(fit, apart(made_up_weather(42), 3.0 * 365.25), None)
+    record, _ = driven(fit, apart(made_up_weather(42), 182.0), None)
     begun = time.process_time()
     years = list(simulate_years(fit, record, [dict(fit.values)] * 2, 3, Surface()))
-    assert time.process_time() - begun < 20.0
+    assert time.process_time() - begun < 10.0
     for year in years:
         assert np.isfinite(year.temperature_K).all() and np.isfinite(year.relative_humidity).all()
     together = np.concatenate([y.temperature_K for y in years], axis=1)
