@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import ast
-from dataclasses import dataclass, fields, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,8 +13,6 @@ from other_make.loggers import Clock, Sensor, write_down
 from other_make.moist_air import concentration, relative_humidity, saturation_pressure
 from other_make.random_processes import first_order_lag, flaring, interval_means, ornstein_uhlenbeck
 from scipy.linalg import expm
-
-from hygrokf.data.record import Series
 
 CABINET = Cabinet(
     heat_capacity=1.5e5,
@@ -87,7 +85,7 @@ def test_two_masses_answer_as_the_matrix_exponential_of_their_network() -> None:
     assert rest[0] - AMBIENT_K == pytest.approx(400.0 * 0.024, rel=1e-9)
 
 
-@pytest.mark.parametrize("heat_W", [120.0, 400.0, 900.0])
+@pytest.mark.parametrize("heat_W", [120.0, 900.0])
 def test_convection_has_its_steady_state_and_its_small_signal_constant(heat_W: float) -> None:
     exponent = 0.27
     cabinet = replace(CABINET, exponent=exponent)
@@ -103,18 +101,6 @@ def test_convection_has_its_steady_state_and_its_small_signal_constant(heat_W: f
     whole = (difference / heat_W + inner) * 1.5e5 / 3600.0
     assert cabinet.resistance_capacity_h(difference) == pytest.approx(whole, rel=1e-9)
     assert whole / cabinet.small_signal_h(difference) == pytest.approx(1.0 + exponent)
-
-
-def test_convection_of_null_is_the_linear_network() -> None:
-    start = (AMBIENT_K + 20.0, AMBIENT_K, OUTSIDE)
-    _, linear = constant(CABINET, 2.0, 0.0, start)
-    _, nearly = constant(replace(CABINET, exponent=1e-9), 2.0, 0.0, start)
-    np.testing.assert_allclose(nearly.converter_K, linear.converter_K, atol=1e-6)
-
-
-def test_one_cabinet_has_not_both_extensions() -> None:
-    with pytest.raises(ValueError, match="convection or a second mass"):
-        replace(SECOND, exponent=0.2)
 
 
 @pytest.fixture(scope="module")
@@ -226,13 +212,6 @@ def test_a_reading_is_of_its_stamp_less_what_the_clock_is_late(late_s: float) ->
     assert len(means.time) >= 3 * 144 - 1
 
 
-def test_the_mean_of_a_course_held_over_steps_is_their_share() -> None:
-    switched = np.where(TIME < TIME[0] + 6060.0, 0.0, 2e6)
-    means = written(Clock(600.0, mean=True), course=switched, held=True)
-    place = np.searchsorted(means.time, TIME[0] + 6060.0)
-    np.testing.assert_allclose(means.value[place - 1 : place + 2], [0.0, 0.9 * 2e6, 2e6])
-
-
 def test_sensors_err_as_they_say() -> None:
     flat = np.full(len(TIME), 300.07)
     assert set(written(Clock(60.0), Sensor(resolution=0.5, zero=273.15), flat).value) == {300.15}
@@ -247,13 +226,6 @@ def test_sensors_err_as_they_say() -> None:
     assert np.isnan(holes).mean() == pytest.approx(0.1, abs=0.01)
 
 
-def test_a_sensor_with_a_response_time_is_late_on_a_ramp() -> None:
-    slow = written(Clock(900.0), Sensor(lag_s=600.0), stated=True)
-    late = 1e-3 * (slow.time - TIME[0]) - slow.value
-    assert late[-1] == pytest.approx(1e-3 * 600.0, rel=1e-6) and slow.response_time_s == 600.0
-    assert written(Clock(900.0), Sensor(lag_s=600.0)).response_time_s is None
-
-
 def test_saturation_pressure_is_that_of_the_tables() -> None:
     # IAPWS-95: triple point, 20, 25 and 50 °C
     kelvin = np.array([273.16, 293.15, 298.15, 323.15])
@@ -263,7 +235,7 @@ def test_saturation_pressure_is_that_of_the_tables() -> None:
 
 
 # -- plants and rows -----------------------------------------------------------------------------------------
-DAYS = 20.0
+DAYS = 8.0
 
 
 @pytest.fixture(scope="module")
@@ -356,17 +328,8 @@ def test_a_plant_becomes_a_record(plants: dict) -> None:
     np.testing.assert_array_equal(inside.value, plants["means60"]["cabinet_temperature"].value)
 
 
-def test_a_stated_response_time_is_passed_on_where_a_series_holds_one(
-    plants: dict, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    @dataclass(frozen=True)
-    class Holding(Series):
-        response_time_s: float | None = None
-
-    if "response_time_s" not in {one.name for one in fields(Series)}:
-        monkeypatch.setattr(as_record, "Series", Holding)
+def test_a_stated_response_time_is_passed_on(plants: dict) -> None:
     signal = "cabinet_relative_humidity"
     stated = as_record.to_series(plants["lag_stated"][signal])
     assert stated.response_time_s == plants["lag_stated"].truth.lags_s[signal]
-    default = {one.name: one.default for one in fields(type(stated))}["response_time_s"]
-    assert as_record.to_series(plants["lag_unstated"][signal]).response_time_s == default
+    assert as_record.to_series(plants["lag_unstated"][signal]).response_time_s is None

@@ -125,8 +125,8 @@ def eight_readings(record: Record) -> Record:
     return _changed(record, few)
 
 
-def _apart(record: Record, days: float) -> Record:
-    """The middle of the record moved later: all sources are silent between its two parts."""
+def a_year_s_gap(record: Record) -> Record:
+    """The middle of the record moved later by 400 days: all sources are silent between its two parts."""
     middle = record.start_s + 0.5 * (record.until_s - record.start_s)
     early, late = record.window(-np.inf, middle), record.window(middle + 1.0, np.inf)
 
@@ -135,18 +135,10 @@ def _apart(record: Record, days: float) -> Record:
         # a mean whose interval begins before the gap belongs to neither part
         after = late[series.signal]
         there = after.time - after.interval_s >= middle
-        time = np.concatenate([before.time, after.time[there] + days * DAY_S])
+        time = np.concatenate([before.time, after.time[there] + 400.0 * DAY_S])
         return replace(series, time=time, value=np.concatenate([before.value, after.value[there]]))
 
-    return replace(_changed(record, joined), until_s=record.until_s + days * DAY_S)
-
-
-def weeks_between(record: Record) -> Record:
-    return _apart(record, 25.0)
-
-
-def a_year_s_gap(record: Record) -> Record:
-    return _apart(record, 400.0)
+    return replace(_changed(record, joined), until_s=record.until_s + 400.0 * DAY_S)
 
 
 def quantised(record: Record) -> Record:
@@ -165,6 +157,6 @@ SHAPES: dict[str, Callable[[Record], Record]] = {
     for one in (
         ordinary, no_standstill, only_standstill, no_power, constant_power, no_humidity, no_ambient_humidity,
         hourly,
-        one_minute, eight_readings, weeks_between, a_year_s_gap, quantised,
+        one_minute, eight_readings, a_year_s_gap, quantised,
     )
 }  # fmt: skip

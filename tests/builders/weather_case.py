@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import tempfile
 import zipfile
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -119,18 +120,19 @@ def zipped(path: Path, members: dict[str, bytes], method: int = zipfile.ZIP_DEFL
     return path
 
 
+@cache
+def _stream(names: tuple[str, ...], hours: int) -> bytes:
+    return netcdf4(new_dataset(names, hours))
+
+
 def streams(path: Path, hours: int = HOURS) -> Path:
     """What a request of instantaneous and accumulated fields brings, even when it is named .nc."""
-    return zipped(
-        path,
-        {
-            "data_stream-oper_stepType-instant.nc": netcdf4(
-                new_dataset(("t2m", "d2m", "sp", "u10", "v10", "u100", "v100", "tcc"), hours)
-            ),
-            "data_stream-oper_stepType-accum.nc": netcdf4(new_dataset(("ssrd", "fdir", "tp"), hours)),
-        },
-        zipfile.ZIP_STORED,
-    )
+    names = ("t2m", "d2m", "sp", "u10", "v10", "u100", "v100", "tcc")
+    members = {
+        "data_stream-oper_stepType-instant.nc": _stream(names, hours),
+        "data_stream-oper_stepType-accum.nc": _stream(("ssrd", "fdir", "tp"), hours),
+    }
+    return zipped(path, members, zipfile.ZIP_STORED)
 
 
 def legacy_file(
@@ -196,6 +198,7 @@ def point_csv(
     return ("\n".join(lines) + "\n").encode()
 
 
+@cache
 def epw_text(
     years: tuple[int, ...] = (2010,) * 12, zone: float = 1.0, altitude: float = 250.0, days: int = 365
 ) -> str:

@@ -17,7 +17,7 @@ from hygrokf.identification.fit import read_fit
 
 @pytest.fixture(scope="module")
 def case(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return write_case(synthetic_turbine(seed=4, days=24), tmp_path_factory.mktemp("turbine"))
+    return write_case(synthetic_turbine(seed=4, days=14), tmp_path_factory.mktemp("turbine"))
 
 
 def test_a_case_becomes_a_discovery(case: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -339,7 +339,7 @@ def test_the_demo_finds_and_names_what_changed(tmp_path: Path, monkeypatch: pyte
     # whether a gap of the record is noticed depends on how quick the machine is
     monkeypatch.setattr(service, "TICK_S", math.inf)
     turbines, record, live_s = defaults.demo_turbines(tmp_path)
-    record = record.window(record.start_s, live_s + 13.0 * 86400.0)
+    record = record.window(record.start_s, live_s + 11.0 * 86400.0)
     assert list(turbines) == list(defaults.NAMES) and len(turbines) == 3
     assert defaults.demo_stream(record, live_s, 0.0).label.startswith("Demo: ")  # what the page marks it with
     url = f"sqlite:{tmp_path / 'live.db'}"

