@@ -51,6 +51,7 @@ from hygrokf.report.discovery_text import (
     MOST_SATURATED,
     SCORED_AS,
     capital,
+    chosen_words,
     formed,
     held_out_sentence,
     held_out_sentences,
@@ -332,7 +333,7 @@ def _judged(found: DiscoveryResults, one: CauseFound | Rejected) -> tuple[Block,
     if isinstance(one, CauseFound):
         without = "The cause has no parameters of its own: it corrects time stamps."
         blocks += [
-            Prose(f"Found by search: {'; '.join(one.chosen)}.") if one.chosen else None,
+            Prose(f"Found by search: {'; '.join(chosen_words(one))}.") if one.chosen else None,
             table_or(parameters_table(one), without),
         ]
     return present(

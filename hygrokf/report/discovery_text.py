@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from typing import Any
 
+from hygrokf.data.timestamps import stamp_text
 from hygrokf.discovery.judgement import LEAST_IMPROVEMENT, WORSE_GROWTH
 from hygrokf.discovery.repeats import repeated_text
 from hygrokf.discovery.results import (
@@ -111,9 +113,15 @@ def listed(words: Iterable[str], last: str = "and") -> str:
     return f" {last} ".join([", ".join(words[:-1]), words[-1]]) if len(words) > 1 else "".join(words)
 
 
+def form_words(code: str) -> str:
+    """The code of a form as it is read: "humidistat__at_standstill" -> "humidistat, at standstill"; the name
+    of a clock's file stays as it is."""
+    return ", ".join(part if "." in part else part.replace("_", " ") for part in code.split("__"))
+
+
 def formed(one: CauseFound | Rejected) -> str:
     """A cause with its form: "unlogged heater (humidistat, at standstill)"."""
-    return f"{spoken(one.cause)} ({one.form})" if one.form else spoken(one.cause)
+    return f"{spoken(one.cause)} ({form_words(one.form)})" if one.form else spoken(one.cause)
 
 
 def signed_percent(share: float) -> str:
@@ -325,10 +333,35 @@ def alike_sentence(cause: CauseFound) -> str:
     """The forms and causes that this record cannot tell apart; empty where there are none."""
     said = []
     if cause.forms_alike:
-        said.append(f"in this form or {listed(cause.forms_alike, 'or')}: this record cannot tell these apart")
+        forms = listed(map(form_words, cause.forms_alike), "or")
+        said.append(f"in this form or {forms}: this record cannot tell these apart")
     if cause.ambiguous_with and cause.told_apart:
         said.append(f"this record cannot tell it from {listed(map(spoken, cause.ambiguous_with))}")
     return "; ".join(said)
+
+
+CHOSEN: Mapping[str, Callable[[Any], str]] = {
+    "date_s": lambda date_s: f"date {stamp_text(date_s)}",
+    "spans": lambda spans: ", ".join(f"{stamp_text(a)} to {stamp_text(b)}" for a, b in spans),
+    "azimuth_deg": "azimuth {:.0f}°".format,
+    "days": "over {:.3g} days".format,
+    "start_h": "from {:g} h UTC".format,
+    "hours": "for {:g} h".format,
+    "shift_s": lambda shift_s: f"stamps moved by {fixed(shift_s / 60.0, 1)} min",
+}
+"""Setting that a search chose → words."""
+
+
+def chosen_words(cause: CauseFound) -> Iterator[str]:
+    """What the search chose of a cause's form, in words."""
+    for name in cause.chosen:
+        value = cause.settings.get(name)
+        against = cause.settings.get("relative_to") if name == "shift_s" else None
+        try:
+            words = CHOSEN[name](value)
+        except (KeyError, TypeError, ValueError):  # of a user's own feature
+            words = f"{name} = {value}"
+        yield f"{words} against {against}" if against else words
 
 
 def parameter_cells(row: ParameterRow) -> tuple[str, str, str]:
