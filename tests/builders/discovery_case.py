@@ -217,7 +217,7 @@ def ambiguous_case() -> dict:
         "humidity_sensor_drift", "an_offset_that_grows", forms_alike=["a_scale_that_goes_off"],
         statement="the humidity sensor drifts, or its scale is off",
         ambiguous_with=["internal_moisture_source", "moisture_sorption"],
-        separate_by=check, remedy=check, confidence=0.48, settings={},
+        separate_by=check, remedy=check, confidence=0.48, settings={}, chosen=[],
         evidence=_evidence(0.0, 88.0, 1, 79.5, 40.1) | {"lead": 20.0},
     )  # fmt: skip
     return discovery_case() | {
