@@ -65,7 +65,7 @@ from hygrokf.report.fit_page import write_report
 from hygrokf.report.fit_tables import rmse_table
 from hygrokf.report.page import page_html
 from hygrokf.report.quantities import (
-    Quantity,
+    QuantityTerms,
     capital,
     interval,
     p_value,
@@ -134,7 +134,7 @@ def gains_table(found: DiscoveryResults) -> Table:
     )
 
 
-def _pair(before: float, after: float, told: Quantity) -> tuple[str, str, str]:
+def _pair(before: float, after: float, told: QuantityTerms) -> tuple[str, str, str]:
     change = "±0 %" if unchanged(before, after) else _change(before, after)
     return told.told(before), told.told(after), change
 

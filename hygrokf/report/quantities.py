@@ -27,7 +27,7 @@ from hygrokf.version import __version__
 
 
 @dataclass(frozen=True)
-class Quantity:
+class QuantityTerms:
     """A scored quantity: its `name` in results, its `words`, the `unit` of its errors, and the unit and the
     `zero` [unit] of its levels."""
 
@@ -85,12 +85,12 @@ COLDEST_K = 150.0
 """[K] above it a parameter is a temperature, below it a difference."""
 
 
-def quantity(name: str) -> Quantity:
+def quantity(name: str) -> QuantityTerms:
     """The quantity of a name; of an unknown name its words alone."""
     scored = NAMES.get(name, name)
     if scored not in QUANTITIES:
-        return Quantity("", spoken(name) or "error", "")
-    return Quantity(scored, *QUANTITIES[scored], *LEVELS.get(scored, ()))
+        return QuantityTerms("", spoken(name) or "error", "")
+    return QuantityTerms(scored, *QUANTITIES[scored], *LEVELS.get(scored, ()))
 
 
 # --- words -----------------------------------------------------------------------------------
