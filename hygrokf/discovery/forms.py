@@ -1,7 +1,7 @@
 """What the package's causes are as models: forms, each with the mechanisms that it adds and the settings to
 try.
 
-A form is told with its cause.  What is a near image of another form, such as a heater by thermostat or by
+What is a near image of another form, such as a heater by thermostat or by
 humidistat, is a form of one cause and not a cause of its own.
 """
 
@@ -53,7 +53,8 @@ class Setting:
 class Form:
     """One form of a cause.
 
-    words: what it is, beside its cause, and its name among the cause's forms; of a clock the source's.
+    code: its name among the cause's forms, which views tell in words: an underscore is a space, two are a
+    comma and a space; of a clock the source's.
     heat, vapour: mechanisms that it adds; altered: mechanism of the base → settings that differ.  On a record
     without humidity those of the heat alone are added.
     grid: what is tried; limits: of parameters, where they are narrower than the library's.
@@ -64,7 +65,7 @@ class Form:
     """
 
     cause: str
-    words: str
+    code: str
     heat: tuple[MechanismSettings, ...] = ()
     vapour: tuple[MechanismSettings, ...] = ()
     grid: tuple[Setting, ...] = (Setting(),)
@@ -173,7 +174,7 @@ def switched(
 def wall(ground: Ground) -> Iterator[Form]:
     places = grid(values={"wall_time_constant": (2.0, 7.0, 20.0, 60.0), "wall_position": (0.0, 0.5, 1.0)})
     yield Form(
-        "wall_thermal_mass", "a second mass beside the converter", using("wall_thermal_mass"), grid=places,
+        "wall_thermal_mass", "a_second_mass_beside_the_converter", using("wall_thermal_mass"), grid=places,
         limits={"wall_time_constant": (SLOWEST_H, 500.0)},
     )  # fmt: skip
 
@@ -181,10 +182,10 @@ def wall(ground: Ground) -> Iterator[Form]:
 def sun(ground: Ground) -> Iterator[Form]:
     name, lags, site = "solar_gain", {"solar_time": (0.3, 1.0, 4.0)}, ground.record.site
     if "global_horizontal_irradiance" in ground.record or site is not None:
-        yield Form(name, "on the roof", using(name, lagged=True), grid=grid("sunshine", lags))
+        yield Form(name, "on_the_roof", using(name, lagged=True), grid=grid("sunshine", lags))
     if site is not None:
         yield Form(
-            name, "on a wall", using(name, lagged=True, flag="sunlit_wall"),
+            name, "on_a_wall", using(name, lagged=True, flag="sunlit_wall"),
             grid=grid("sunlit_wall", lags, azimuth_deg=AZIMUTHS),
             steps={("sunlit_wall", "azimuth_deg"): 22.5},
         )  # fmt: skip
@@ -192,12 +193,12 @@ def sun(ground: Ground) -> Iterator[Form]:
 
 def wind(ground: Ground) -> Iterator[Form]:
     kinds = (
-        ("in proportion to the wind speed", "wind_tenth"),
-        ("in proportion to its square", "wind_square"),
+        ("in_proportion_to_the_wind_speed", "wind_tenth"),
+        ("in_proportion_to_its_square", "wind_square"),
     )
-    for words, flag in kinds if "wind_speed" in ground.record else ():
+    for code, flag in kinds if "wind_speed" in ground.record else ():
         yield Form(
-            "wind_driven_exchange", words, using("wind_loss", flag=flag), using("wind_exchange", flag=flag),
+            "wind_driven_exchange", code, using("wind_loss", flag=flag), using("wind_exchange", flag=flag),
             grid(flag),
         )  # fmt: skip
 
@@ -211,7 +212,7 @@ def heater(ground: Ground) -> Iterator[Form]:
         ):
             levels = ground.quantiles(reads, shares, idle)
             yield Form(
-                "unlogged_heater", f"{kind}, at {'standstill' if idle else 'any time'}",
+                "unlogged_heater", f"{kind}__at_{'standstill' if idle else 'any_time'}",
                 using("unreported_heater", flag="throttled_heating"),
                 grid=switched("throttled_heating", reads, levels, widths, idle=idle),
             )  # fmt: skip
@@ -221,17 +222,17 @@ def cooling(ground: Ground) -> Iterator[Form]:
     name, shares = "cooling_switching", (0.3, 0.5, 0.65, 0.8, 0.9, 0.96)
     warm = switched("venting", TEMPERATURE, ground.quantiles(TEMPERATURE, shares), (1.5, 5.0))
     damp = switched("venting", HUMIDITY, ground.quantiles(HUMIDITY, shares), (0.04, 0.12))
-    yield Form(name, "a stage that grows with the temperature", using("throttled_cooling_loss"), grid=warm)
-    yield Form(name, "of constant power", using("throttled_cooling"), grid=warm)
+    yield Form(name, "a_stage_that_grows_with_the_temperature", using("throttled_cooling_loss"), grid=warm)
+    yield Form(name, "of_constant_power", using("throttled_cooling"), grid=warm)
     vent = using("vent_loss"), using("vent_exchange")
-    yield Form(name, "a vent opened by temperature", *vent, warm)
+    yield Form(name, "a_vent_opened_by_temperature", *vent, warm)
     if ground.humid:
-        yield Form(name, "a vent opened by humidity", *vent, damp)
+        yield Form(name, "a_vent_opened_by_humidity", *vent, damp)
 
 
 def exchange_step(ground: Ground) -> Iterator[Form]:
     yield Form(
-        "exchange_step", "from a date on", using("stepped_loss"), using("stepped_exchange"),
+        "exchange_step", "from_a_date_on", using("stepped_loss"), using("stepped_exchange"),
         grid("after_step", date_s=ground.dates), steps={("after_step", "date_s"): ground.half_step_s},
     )  # fmt: skip
 
@@ -239,7 +240,7 @@ def exchange_step(ground: Ground) -> Iterator[Form]:
 def doors(ground: Ground) -> Iterator[Form]:
     if "door_open" not in ground.record:
         yield Form(
-            "door_opening", "single openings", using("open_loss"), using("open_exchange"),
+            "door_opening", "single_openings", using("open_loss"), using("open_exchange"),
             (Setting({"door_open": {"spans": [[-1e18, 1e18]]}}),), {"door_exchange": OPEN},
             together=True, windows=True,
         )  # fmt: skip
@@ -248,18 +249,18 @@ def doors(ground: Ground) -> Iterator[Form]:
 def heat_drift(ground: Ground) -> Iterator[Form]:
     name = "heat_release_drift"
     own = {"order": ground.order, "operation": True} if ground.operation else {}
-    yield Form(name, "in proportion to time", using("release_drift", **own), grid=ground.elapsed)
+    yield Form(name, "in_proportion_to_time", using("release_drift", **own), grid=ground.elapsed)
     yield Form(
-        name, "from a date on, and less and less", using("release_drift", **own, flag="since"),
+        name, "from_a_date_on__and_less_and_less", using("release_drift", **own, flag="since"),
         grid=grid("since", date_s=(ground.span_s[0], *ground.dates), days=(8.0, 30.0)),
         steps={("since", "date_s"): ground.half_step_s, ("since", "days"): 4.0},
     )  # fmt: skip
 
 
 def by_the_clock(ground: Ground) -> Iterator[Form]:
-    for words, workdays in (("every day", False), ("on workdays", True)):
+    for code, workdays in (("every_day", False), ("on_workdays", True)):
         yield Form(
-            "scheduled_heat", words, using("scheduled_heat"), grid=_hours(workdays),
+            "scheduled_heat", code, using("scheduled_heat"), grid=_hours(workdays),
             steps={("scheduled", "start_h"): 1.0, ("scheduled", "hours"): 1.0},
         )  # fmt: skip
 
@@ -280,14 +281,14 @@ def clock(ground: Ground) -> Iterator[Form]:
         yield Form("clock_shift", name, grid=tuple(shifts), steps=steps, clock=name)
     summer = summer_time(ground.record[TEMPERATURE].time, in_america(ground.record))
     for name in names if summer.any() and not summer.all() else ():
-        yield Form("clock_shift", f"{name}, in summer time", grid=tuple(hour), clock=name, summer=True)
+        yield Form("clock_shift", f"{name}__in_summer_time", grid=tuple(hour), clock=name, summer=True)
 
 
 def temperature_offset(ground: Ground) -> Iterator[Form]:
     name = "temperature_sensor_offset"
     # the humidity sensor has a temperature of its own: what moves is the one on which the vapour runs
     yield Form(
-        name, "from a date on", using("temperature_step"), grid=grid("after_step", date_s=ground.dates),
+        name, "from_a_date_on", using("temperature_step"), grid=grid("after_step", date_s=ground.dates),
         altered={"measured_air": {"step": True}}, steps={("after_step", "date_s"): ground.half_step_s},
     )  # fmt: skip
     yield Form(name, "constant", freed="cabinet_temperature_offset")
@@ -298,22 +299,22 @@ def ambient(ground: Ground) -> Iterator[Form]:
     name, times, shares, lags = "ambient_bias", (SLOWEST_H, 24.0), (0.8, 1.2), (2.0, 4.0, 12.0)
     intake = {"breathed_lag_time": times, "breathed_lag_share": shares}
     around = {"ambient_lag_time": times, "ambient_lag_share": shares, **intake}
-    yield Form(name, "a smoothed series", using("leading_ambient"), using("breathed_lead"), together=True)
+    yield Form(name, "a_smoothed_series", using("leading_ambient"), using("breathed_lead"), together=True)
     if ground.humid:
         # where the temperature alone lags, that is an outer wall
         both = tuple(Setting(values={"ambient_lag_time": h, "breathed_lag_time": h}) for h in lags)
         yield Form(
-            name, "the air around the cabinet lags the series", using("lagged_ambient"),
+            name, "the_air_around_the_cabinet_lags_the_series", using("lagged_ambient"),
             using("breathed_lag"), both, around, together=True,
         )  # fmt: skip
     yield Form(
-        name, "the intake air lags the series", vapour=using("breathed_lag"), limits=intake,
+        name, "the_intake_air_lags_the_series", vapour=using("breathed_lag"), limits=intake,
         grid=grid(values={"breathed_lag_time": lags}),
     )  # fmt: skip
-    yield Form(name, "offset of the vapour", vapour=using("breathed_air", form="vapour"))
-    yield Form(name, "gain of the vapour", freed="breathed_gain")
+    yield Form(name, "offset_of_the_vapour", vapour=using("breathed_air", form="vapour"))
+    yield Form(name, "gain_of_the_vapour", freed="breathed_gain")
     if AMBIENT_HUMIDITY in ground.record:
-        yield Form(name, "offset of the relative humidity", freed="breathed_humidity_offset")
+        yield Form(name, "offset_of_the_relative_humidity", freed="breathed_humidity_offset")
 
 
 # -- moisture ------------------------------------------------------------------------------------------------
@@ -321,12 +322,12 @@ def sorption(ground: Ground) -> Iterator[Form]:
     # the skin of a slab responds faster than its slowest mode by this factor
     skin = SLAB["sorbed_skin"][1]
     for material, slab, hours, limits in (
-        ("thin material", False, (2.0, 8.0, 30.0, 120.0), (SLOWEST_H, 400.0)),
-        ("a slab", True, (150.0, 400.0, 1200.0), (skin * SLOWEST_H, 4000.0)),
+        ("thin_material", False, (2.0, 8.0, 30.0, 120.0), (SLOWEST_H, 400.0)),
+        ("a_slab", True, (150.0, 400.0, 1200.0), (skin * SLOWEST_H, 4000.0)),
     ):
-        for words, activated in (("faster when warm", True), ("alike at all temperatures", False)):
+        for change, activated in (("faster_when_warm", True), ("alike_at_all_temperatures", False)):
             yield Form(
-                "moisture_sorption", f"{material}, {words}",
+                "moisture_sorption", f"{material}__{change}",
                 vapour=using("moisture_sorption", activated=activated, slab=slab),
                 grid=grid(values={"sorption_time": hours}), limits={"sorption_time": limits},
             )  # fmt: skip
@@ -334,10 +335,10 @@ def sorption(ground: Ground) -> Iterator[Form]:
 
 def condensation(ground: Ground) -> Iterator[Form]:
     points = {"surface_time": (1.0, 4.0, 12.0), "surface_undercooling": (0.3, 1.5, 4.0)}
-    yield Form("condensation", "on a cold surface", vapour=using("condensation"), grid=grid(values=points))
+    yield Form("condensation", "on_a_cold_surface", vapour=using("condensation"), grid=grid(values=points))
     if ground.record.site is not None:
         yield Form(
-            "condensation", "on a surface cooled by the night sky", vapour=using("condensation", sky=True),
+            "condensation", "on_a_surface_cooled_by_the_night_sky", vapour=using("condensation", sky=True),
             grid=grid("night_sky", points),
         )  # fmt: skip
 
@@ -345,47 +346,47 @@ def condensation(ground: Ground) -> Iterator[Form]:
 def rain(ground: Ground) -> Iterator[Form]:
     if "rain" in ground.record:
         hours = grid(values={"rain_drying_time": (0.5, 2.0, 8.0, 30.0)})
-        yield Form("rain_ingress", "with all rain", vapour=using("rain_ingress"), grid=hours)
+        yield Form("rain_ingress", "with_all_rain", vapour=using("rain_ingress"), grid=hours)
 
 
 def drier(ground: Ground) -> Iterator[Form]:
     flag, levels = "throttled_drying", ground.quantiles(HUMIDITY, (0.2, 0.35, 0.5, 0.65, 0.8, 0.92))
     warming = using("drying_heat", flag=flag) if ground.humid else ()
-    for words, plate, heat in (
-        ("a cold plate", True, ()),
-        ("a cold plate whose heat stays in the cabinet", True, warming),
-        ("a desiccant", False, ()),
+    for code, plate, heat in (
+        ("a_cold_plate", True, ()),
+        ("a_cold_plate_whose_heat_stays_in_the_cabinet", True, warming),
+        ("a_desiccant", False, ()),
     ):
         yield Form(
-            "dehumidifier", words, heat, using("switched_drying", plate=plate, flag=flag),
+            "dehumidifier", code, heat, using("switched_drying", plate=plate, flag=flag),
             switched(flag, HUMIDITY, levels, (0.04, 0.15)),
         )  # fmt: skip
 
 
 def source(ground: Ground) -> Iterator[Form]:
-    def released(words: str, when: str, tried: tuple[Setting, ...], **steps: float) -> Form:
+    def released(code: str, when: str, tried: tuple[Setting, ...], **steps: float) -> Form:
         found = {(when, key): step for key, step in steps.items()}
-        return Form(name, words, vapour=using(name, when=when), grid=tried, steps=found)
+        return Form(name, code, vapour=using(name, when=when), grid=tried, steps=found)
 
     name = "internal_moisture_source"
     yield released("constant", "always", (Setting(),))
-    yield Form(name, "a wet surface", vapour=using("wet_surface"))
+    yield Form(name, "a_wet_surface", vapour=using("wet_surface"))
     if "active_power" in ground.record:
-        yield released("at standstill", "standstill", grid("standstill"))
+        yield released("at_standstill", "standstill", grid("standstill"))
     dates = grid("fading", date_s=ground.dates, days=(2.0, 8.0, 30.0))
-    yield released("drying out from a date on", "fading", dates, date_s=ground.half_step_s, days=1.0)
-    yield released("in the same hours of the day", "scheduled", _hours(False), start_h=1.0, hours=1.0)
+    yield released("drying_out_from_a_date_on", "fading", dates, date_s=ground.half_step_s, days=1.0)
+    yield released("in_the_same_hours_of_the_day", "scheduled", _hours(False), start_h=1.0, hours=1.0)
 
 
 def humidity_sensor(ground: Ground) -> Iterator[Form]:
     if HUMIDITY not in ground.record:
         return
     name = "humidity_sensor_drift"
-    yield Form(name, "an offset that grows", vapour=using("humidity_drift"), grid=ground.elapsed)
-    yield Form(name, "a scale that goes off", vapour=using("humidity_scale"), grid=ground.elapsed)
-    yield Form(name, "a scale that is off", freed="humidity_scale_error")
+    yield Form(name, "an_offset_that_grows", vapour=using("humidity_drift"), grid=ground.elapsed)
+    yield Form(name, "a_scale_that_goes_off", vapour=using("humidity_scale"), grid=ground.elapsed)
+    yield Form(name, "a_scale_that_is_off", freed="humidity_scale_error")
     levels = ground.quantiles(HUMIDITY, (0.5, 0.8, 0.95))
     yield Form(
-        name, "a ceiling of the readings", vapour=using("humidity_ceiling"),
+        name, "a_ceiling_of_the_readings", vapour=using("humidity_ceiling"),
         grid=grid(values={"humidity_ceiling": levels}),
     )  # fmt: skip

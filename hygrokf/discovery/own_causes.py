@@ -204,7 +204,7 @@ def form_faults(cause: Cause) -> list[str]:
         if not isinstance(form, Form) or form.cause != cause.name:
             faults.append(f"forms: expected Form objects of the cause {cause.name}, found {form!r}")
         else:
-            faults += [f"form {form.words or 'as given'!r}: {fault}" for fault in _faults_of(form)]
+            faults += [f"form {form.code or 'as given'!r}: {fault}" for fault in _faults_of(form)]
     return list(dict.fromkeys(faults))
 
 

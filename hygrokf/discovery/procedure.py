@@ -4,8 +4,7 @@ and what is told of a cause."""
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import Any
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
@@ -14,7 +13,7 @@ from hygrokf.data.progress import Progress, reporting
 from hygrokf.data.readings import mask
 from hygrokf.data.record import Record
 from hygrokf.data.signals import SIGNALS
-from hygrokf.data.timestamps import DAY_S, stamp_text
+from hygrokf.data.timestamps import DAY_S
 from hygrokf.discovery.candidates import Candidate, brought
 from hygrokf.discovery.conclusion import Conclusion, concluded, what_is_left
 from hygrokf.discovery.estimate import Calibration
@@ -45,7 +44,6 @@ from hygrokf.identification.fit import Fit
 from hygrokf.identification.fit_results import ParameterRow
 from hygrokf.identification.procedure import expect_readings
 from hygrokf.identification.reasons import reason
-from hygrokf.identification.wording import fixed
 from hygrokf.physics.switches import CONTROLLED
 from hygrokf.version import __version__
 
@@ -181,7 +179,7 @@ def _rejected(
 
 
 def _told(one: Candidate, reason: Exclusion) -> Rejected:
-    return Rejected(one.cause, one.form.words, evidence_of(one), reason, one.judged)
+    return Rejected(one.cause, one.form.code, evidence_of(one), reason, one.judged)
 
 
 def _scores(fit: Fit) -> ModelScores:
@@ -213,13 +211,13 @@ def cause_found(one: Candidate, ended: Conclusion, library: Sequence[Cause]) -> 
     assert ended.extended is not None
     return CauseFound(
         cause=cause.name,
-        form=one.form.words,
+        form=one.form.code,
         forms_alike=one.alike,
         confidence=confidence(one.in_days, one.lead),
         statement=cause.meaning,
         parameters=_parameters(one, ended.base, ended.extended),
         settings=settings,
-        chosen=tuple(chosen(one.form, one.setting, settings)),
+        chosen=tuple(chosen(one.form, one.setting)),
         evidence=evidence_of(one),
         held_out=one.judged,
         ambiguous_with=rivals,
@@ -253,26 +251,14 @@ def _settings(one: Candidate, record: Record) -> Settings:
     return found
 
 
-CHOSEN: Mapping[str, Callable[[Any], str]] = {
-    "date_s": lambda date_s: f"date {stamp_text(date_s)}",
-    "spans": lambda spans: ", ".join(f"{stamp_text(a)} to {stamp_text(b)}" for a, b in spans),
-    "azimuth_deg": "azimuth {:.0f}°".format,
-    "days": "over {:.3g} days".format,
-    "start_h": "from {:g} h UTC".format,
-    "hours": "for {:g} h".format,
-}
-"""Setting of a feature → words."""
-
-
-def chosen(form: Form, setting: Setting, settings: Settings) -> Iterator[str]:
-    """What the search chose of a form's grid, in words; the levels of a controller are parameters."""
+def chosen(form: Form, setting: Setting) -> Iterator[str]:
+    """The settings that the search chose from a form's grid; the levels of a controller are parameters."""
     for feature, found in setting.features.items():
         for key, value in found.items() if feature not in CONTROLLED else ():
             if any(point.features[feature].get(key) != value for point in form.grid):
-                yield CHOSEN[key](value) if key in CHOSEN else f"{key} = {value}"
+                yield key
     if form.clock:
-        other = f" against {settings['relative_to']}" if "relative_to" in settings else ""
-        yield f"stamps moved by {fixed(setting.shift_s / 60.0, 1)} min{other}"
+        yield "shift_s"
 
 
 def _remedy(cause: Cause, one: Candidate) -> str:

@@ -153,9 +153,9 @@ class HeldOutTest:
 class CauseFound:
     """An accepted cause.
 
-    form: its best form in words; forms_alike: those that the record cannot tell from it.
+    form: code of its best form; forms_alike: codes of those that the record cannot tell from it.
     confidence: [1] how often a name with such evidence is right.
-    settings: what the search chose; chosen: in words.
+    settings: those of its features; chosen: the names of those that the search chose.
     ambiguous_with: causes that the record cannot tell from it; more than two: it names nothing.
     separate_by: the measurement that tells it from its rivals; remedy: what to check in the turbine.
     """

@@ -108,7 +108,7 @@ class Search:
         """What the work on a cause depends on: its forms, and the parents of the quantities they act on."""
         forms, quantities = self.forms[cause], self.parent.quantities
         mine = set[str]().union(*(acts(form, quantities) for form in forms))
-        return [form.words for form in forms], [self._version[q] for q in quantities if q in mine]
+        return [form.code for form in forms], [self._version[q] for q in quantities if q in mine]
 
     def _recalled(self, kind: str, cause: str) -> Any:
         """What was kept of a cause, while it is valid; else None."""
@@ -134,7 +134,7 @@ class Search:
             if one.judged.reason:
                 # another form of the cause may hold what this one does not
                 self._refuted.append(one)
-                self.forms[one.cause] = [f for f in self.forms[one.cause] if f.words != one.form.words]
+                self.forms[one.cause] = [f for f in self.forms[one.cause] if f.code != one.form.code]
                 again = True
                 continue
             rivals = tuple(c for c in found if c.cause != one.cause and (alike(one, c) or water(one, c)))
@@ -224,7 +224,7 @@ class Search:
                 one = estimated(self.parent, s.form, s.setting, s.values, LIGHT, self._columns)
                 made.append(candidate(self.parent, one, s.form, s.setting, self.searched[cause]))
             best = max(made, key=lambda one: one.evidence)
-            near = (c.form.words for c in made if c.form is not best.form and alike(best, c))
+            near = (c.form.code for c in made if c.form is not best.form and alike(best, c))
             found = replace(best, alike=tuple(dict.fromkeys(near)))
             self._keep("candidate", cause, found)
         if set(found.estimate.simulator.names) >= set(self.parent.simulator.names):
@@ -248,8 +248,8 @@ def _to_estimate(seen: Sequence[Screened]) -> list[Screened]:
     """The best setting of each form, then the best of the others: forms differ more than settings."""
     first: dict[str, Screened] = {}
     for s in seen:
-        first.setdefault(s.form.words, s)
-    rest = [s for s in seen if first[s.form.words] is not s]
+        first.setdefault(s.form.code, s)
+    rest = [s for s in seen if first[s.form.code] is not s]
     return [*first.values(), *rest][: max(SETTINGS, min(len(first), FORMS))]
 
 

@@ -46,6 +46,7 @@ from hygrokf.report.figures.climate import figure_profile
 from hygrokf.report.figures.drawing import png
 from hygrokf.report.figures.lead import duration_figure, lead_of_climate, year_figure
 from hygrokf.report.page import page_html
+from hygrokf.report.quantities import interval, versions
 
 PICTURE = "test_profile.png"
 TONES: dict[str, Literal["open", "plain", "reject"]] = {
@@ -222,11 +223,11 @@ def _profile(region: RegionClimate, place: int) -> tuple[Block, ...]:
 
 def _profile_text(profile: ChamberProfile) -> str:
     aged = profile.closeness.ageing
+    bounds = interval(aged.years_lower, aged.years_upper, plain_number)
     said = (
         f"{len(profile.temperature_degC)} hours in the chamber cause the same ageing as "
-        f"{plain_number(aged.years)} years at the site ({plain_number(aged.years_lower)} … "
-        f"{plain_number(aged.years_upper)}). The acceleration "
-        f"factor is {plain_number(profile.acceleration)} before the chamber's limits apply; "
+        f"{plain_number(aged.years)} years at the site ({bounds}). The acceleration factor is "
+        f"{plain_number(profile.acceleration)} before the chamber's limits apply; "
         f"{percent(profile.share_at_chamber_limit)} of the hours are at a limit of the chamber's temperature."
     )
     if profile.reached:
@@ -261,5 +262,5 @@ def _method(study: Study) -> tuple[Block, ...]:
         f"eV/kT), in hours at {law.reference_degC:g} °C and {law.reference_percent:g} %. Its parameters "
         "describe a single failure mechanism (Peck 1986: aluminium corrosion in plastic packages); state the "
         "parameters of your own mechanism.",
-        f"Simulated by hygrokf {study.version}.",
+        f"Simulated by {versions(study.version)}.",
     )

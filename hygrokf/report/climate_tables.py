@@ -11,6 +11,7 @@ from hygrokf.climate.statistics import STATISTICS, YearNumber
 from hygrokf.climate.study import RegionClimate
 from hygrokf.identification.wording import NONE, fixed, percent, plain_number
 from hygrokf.report.blocks import Table
+from hygrokf.report.quantities import interval
 
 SCOPE_WORDS = {
     "all": "whole year",
@@ -40,8 +41,9 @@ def value_and_bounds(one: BoundedMean | None, text: Callable[[float], str] = pla
     """A value and its bounds for a year; no bounds where they read like the value."""
     if one is None or one.value != one.value:
         return NONE, ""
-    value, low, high = (text(end) for end in (one.value, one.lower, one.upper))
-    return value, "" if low == high == value else f"{low} … {high}"
+    value = text(one.value)
+    alike = text(one.lower) == text(one.upper) == value
+    return value, "" if alike else interval(one.lower, one.upper, text)
 
 
 def compared_statistics(regions: Sequence[RegionClimate]) -> list[YearNumber]:

@@ -11,7 +11,7 @@ from pathlib import Path
 from hygrokf.data.files import COMPARISON, COMPARISON_SERIES, COMPARISON_TABLE, REPORT, write_text_whole
 from hygrokf.data.result_file import read_result, result_text
 from hygrokf.evaluation.scoring import REGIMES, SCORED
-from hygrokf.identification.wording import NONE, QUANTITIES, RULES, fixed, sentence, signed
+from hygrokf.identification.wording import RULES, fixed, sentence, signed
 from hygrokf.report.blocks import (
     FREE_RUN,
     SYNTHETIC_RECORD,
@@ -35,15 +35,14 @@ from hygrokf.report.figures.comparison import (
     figure_weeks,
     short_labels,
 )
-from hygrokf.report.fit_text import share_text
 from hygrokf.report.page import page_html
+from hygrokf.report.quantities import interval, quantity, share_text, versions
 from hygrokf.transfer.comparison import (
     ComparisonColumn,
     ComparisonResults,
     ErrorRow,
 )
 from hygrokf.transfer.results import RecordCourse, read_courses, write_courses
-from hygrokf.version import __version__
 
 PERIODS = ("whole", "validation", "identification")
 COMMAND = "hygrokf compare"
@@ -107,7 +106,7 @@ def comparison_blocks(found: ComparisonResults, courses: Sequence[RecordCourse] 
     """What a comparison says: which column errs less, and the courses, first."""
     labels = [one.label for one in found.columns]
     cards = tuple(_card(found, q) for q in SCORED if found.errors("whole", q))
-    scores = [scores_table(found, quantity) for quantity in SCORED]
+    scores = [scores_table(found, name) for name in SCORED]
     differences = [differences_table(found, *pair) for pair in found.pairs]
     skill = skill_table(found)
     verdicts = [inherited_verdicts(one.verdicts, f"{one.label}: the fit {one.fit}") for one in found.columns]
@@ -149,7 +148,7 @@ def comparison_blocks(found: ComparisonResults, courses: Sequence[RecordCourse] 
             ),
         ),
         body,
-        method("Method", *METHOD, f"Compared by hygrokf {found.version}; page by hygrokf {__version__}."),
+        method("Method", *METHOD, f"Compared by {versions(found.version)}."),
     )
 
 
@@ -186,27 +185,27 @@ def _differences(tables: Sequence[Table]) -> tuple[Block, ...]:
 # --- the answer ------------------------------------------------------------------------------
 
 
-def _card(found: ComparisonResults, quantity: str) -> Card:
+def _card(found: ComparisonResults, name: str) -> Card:
     """The column that errs least in one quantity, and its differences from the others."""
-    name, unit = QUANTITIES[quantity]
-    period = "validation" if found.errors("validation", quantity) else "whole"
-    scored = found.errors(period, quantity)
+    told = quantity(name)
+    period = "validation" if found.errors("validation", name) else "whole"
+    scored = found.errors(period, name)
     best = min(scored, key=lambda label: scored[label].value)
-    value = f"{best}: {fixed(scored[best].value)} {unit}"
-    lines = summary(found, quantity, best)
-    label = f"Smallest error of the {name}, {_WHERE[period]}"
+    value = f"{best}: {told.told(scored[best].value)}"
+    lines = summary(found, name, best)
+    label = f"Smallest error of the {told.words}, {_WHERE[period]}"
     return Card(label, value, lines=tuple(lines[:2]), words=True, tone="plain")
 
 
 _WHERE = {"validation": "in validation", "whole": "over the whole record"}
 
 
-def summary(found: ComparisonResults, quantity: str, best: str) -> list[str]:
-    """The differences of the best column from the others in one quantity, in sentences: in validation, and
+def summary(found: ComparisonResults, name: str, best: str) -> list[str]:
+    """The differences of the best column from the others in one name, in sentences: in validation, and
     over the whole record where the validation is too short for bounds."""
     said = []
     for of, less in (pair for pair in found.pairs if best in pair):
-        rows = [found.row("difference", of, period, quantity, against=less) for period in _WHERE]
+        rows = [found.row("difference", of, period, name, against=less) for period in _WHERE]
         rows = [row for row in rows if row.n]
         last = next((i for i, row in enumerate(rows) if math.isfinite(row.lower)), 0)
         said += [_sentence(row) for row in rows[: last + 1]]
@@ -221,30 +220,29 @@ def _sentence(row: ErrorRow) -> str:
         sure = "; not enough data for bounds"
     elif row.sure:
         low, high = sorted((abs(row.lower), abs(row.upper)))
-        sure = f" (95 % {fixed(low)} … {fixed(high)})"
+        sure = f" (95 % {interval(low, high)})"
     else:
         sure = "; the bounds include zero"
-    unit, where = QUANTITIES[row.quantity][1], _WHERE[row.period]
+    told, where = quantity(row.quantity), _WHERE[row.period]
     if abs(row.value) < 0.005:
-        return f"{row.column} and {row.against} differ by less than 0.01 {unit} {where}{sure}."
-    return f"{less} errs by {fixed(abs(row.value))} {unit} less than {more} {where}{sure}."
+        return f"{row.column} and {row.against} differ by less than {told.told(0.01)} {where}{sure}."
+    return f"{less} errs by {told.told(abs(row.value))} less than {more} {where}{sure}."
 
 
 # --- tables ----------------------------------------------------------------------------------
 
 
-def scores_table(found: ComparisonResults, quantity: str) -> Table:
+def scores_table(found: ComparisonResults, name: str) -> Table:
     """Table III of one quantity: operation, standstill and total by column and period."""
     labels, rows = short_labels([one.label for one in found.columns]), []
     for period in PERIODS:
         for one, label in zip(found.columns, labels, strict=True):
-            if (total := found.errors(period, quantity).get(one.label)) is not None:
-                regimes = (found.row("rmse", one.label, period, quantity, regime) for regime in REGIMES)
+            if (total := found.errors(period, name).get(one.label)) is not None:
+                regimes = (found.row("rmse", one.label, period, name, regime) for regime in REGIMES)
                 cells = (fixed(row.value) for row in regimes)
-                rows.append((label, period, *cells, _span(total.lower, total.upper), str(total.n)))
-    name, unit = QUANTITIES[quantity]
+                rows.append((label, period, *cells, interval(total.lower, total.upper), str(total.n)))
     return Table(
-        f"RMSE of the {name} [{unit}]",
+        quantity(name).rmse,
         ("", "period", *REGIMES, "total, 95 %", "n"),
         tuple(rows),
         left=(0, 1),
@@ -255,21 +253,20 @@ def differences_table(found: ComparisonResults, of: str, less: str) -> Table:
     """RMSE of one column less that of another; rows whose bounds exclude zero are bold."""
     rows: list[tuple[str, ...]] = []
     marked: list[int] = []
-    for quantity in SCORED:
+    for name in SCORED:
         for period in PERIODS:
             by_regime = {
-                regime: found.row("difference", of, period, quantity, regime, less) for regime in REGIMES
+                regime: found.row("difference", of, period, name, regime, less) for regime in REGIMES
             }
             total = by_regime["total"]
             if not total.n:
                 continue
             if total.sure:
                 marked.append(len(rows))
-            name, unit = QUANTITIES[quantity]
             others = "" if total.same_readings else ", other readings"
             cells = (signed(row.value) for row in by_regime.values())
-            span = _span(total.lower, total.upper)
-            rows.append((f"{name} [{unit}]{others}", period, *cells, span, str(total.n)))
+            span = interval(total.lower, total.upper)
+            rows.append((f"{quantity(name).change}{others}", period, *cells, span, str(total.n)))
     return Table(
         f"RMSE of {of} less that of {less}",
         ("", "period", *REGIMES, "total, 95 %", "n"),
@@ -283,22 +280,20 @@ def skill_table(found: ComparisonResults) -> Table:
     """Skill against each rule, in total, in validation (over the whole record where there is none)."""
     labels, rows = short_labels([one.label for one in found.columns]), []
     for one, label in zip(found.columns, labels, strict=True):
-        for quantity in SCORED:
-            period = next((p for p in _WHERE if one.label in found.errors(p, quantity)), None)
+        for name in SCORED:
+            period = next((p for p in _WHERE if one.label in found.errors(p, name)), None)
             if period is None:
                 continue
-            total = found.errors(period, quantity)[one.label]
+            total = found.errors(period, name)[one.label]
             for rule in RULES:
                 skill, error = (
-                    found.row(kind, one.label, period, quantity, against=rule) for kind in ("skill", "rule")
+                    found.row(kind, one.label, period, name, against=rule) for kind in ("skill", "rule")
                 )
                 if not skill.n:
                     continue
-                bounds = NONE
-                if math.isfinite(skill.lower):
-                    bounds = f"{share_text(skill.lower)} … {share_text(skill.upper)}"
+                bounds = interval(skill.lower, skill.upper, share_text)
                 cells = (fixed(error.value), fixed(total.value), share_text(skill.value), bounds)
-                rows.append((label, QUANTITIES[quantity][0], RULES[rule], period, *cells))
+                rows.append((label, quantity(name).words, RULES[rule], period, *cells))
     return Table(
         "Skill",
         ("", "quantity", "rule", "period", "rule", "model", "skill", "95 %"),
@@ -310,7 +305,3 @@ def skill_table(found: ComparisonResults) -> Table:
         "identification period.",
         brief=(0, 2, 3, 6, 7),
     )
-
-
-def _span(lower: float, upper: float) -> str:
-    return NONE if math.isnan(lower) else f"{fixed(lower)} … {fixed(upper)}"

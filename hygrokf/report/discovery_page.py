@@ -49,31 +49,31 @@ from hygrokf.report.blocks import (
 from hygrokf.report.discovery_text import (
     EXCLUSIONS,
     MOST_SATURATED,
-    SCORED_AS,
-    capital,
+    chosen_words,
     formed,
     held_out_sentence,
     held_out_sentences,
     line_sentence,
-    parameter_cells,
     place_of,
-    quantity_of,
-    signed_percent,
     tried,
     unchanged,
     verdict_of,
 )
 from hygrokf.report.figures.lead import episodes, errors_over_drivers
-from hygrokf.report.figures.residual_structure import (
-    TITLE,
-    figure_day_hour,
-    figure_error_course,
-)
+from hygrokf.report.figures.residual_structure import figure_day_hour, figure_error_course
 from hygrokf.report.fit_page import write_report
 from hygrokf.report.fit_tables import rmse_table
-from hygrokf.report.fit_text import p_value
 from hygrokf.report.page import page_html
-from hygrokf.version import __version__
+from hygrokf.report.quantities import (
+    QuantityTerms,
+    capital,
+    interval,
+    p_value,
+    parameter_cells,
+    quantity,
+    signed_percent,
+    versions,
+)
 
 
 def findings_table(found: Sequence[Finding], when: str = "in the identification period") -> Table:
@@ -81,7 +81,7 @@ def findings_table(found: Sequence[Finding], when: str = "in the identification 
     rows = tuple(
         (
             capital(one.statement),
-            f"{plain_number(one.size, 2)} {quantity_of(one.quantity)[1]}",
+            f"{plain_number(one.size, 2)} {quantity(one.quantity).unit}",
             f"{one.n_episodes} of {one.n_possible}",
             percent(one.sensor_share),
             p_value(one.p_adjusted),
@@ -107,16 +107,16 @@ def gains_table(found: DiscoveryResults) -> Table:
     wider = found.extended is not None
     places = [place_of(found, gain) for gain in found.gains]
     for gain, place in zip(found.gains, places, strict=True):
-        name, symbol = quantity_of(gain.quantity)
-        scored = SCORED_AS.get(gain.quantity)
-        rule = best_rule(found.baseline.fit, scored, gain.period) if scored else None
-        against = NONE if rule is None else f"{fixed(rule.rule)} {symbol} (“{rule.words}”)"
-        pair = _pair(gain.rmse_before, gain.rmse_after, symbol)
+        told = quantity(gain.quantity)
+        name = told.words
+        rule = best_rule(found.baseline.fit, told.name, gain.period) if told.name else None
+        against = NONE if rule is None else f"{told.told(rule.rule)} (“{rule.words}”)"
+        pair = _pair(gain.rmse_before, gain.rmse_after, told)
         known = not unchanged(gain.rmse_before, gain.rmse_after) and math.isfinite(gain.upper - gain.lower)
-        bounds = f"{fixed(gain.lower)} … {fixed(gain.upper)} {symbol}" if known else NONE
+        bounds = interval(gain.lower, gain.upper, symbol=told.unit) if known else NONE
         rows.append((name if place == places[0] else f"{name}, {place}", *pair, bounds, against))
         if math.isfinite(gain.driven_before):
-            driven = _pair(gain.driven_before, gain.driven_after, symbol)
+            driven = _pair(gain.driven_before, gain.driven_after, told)
             rows.append((f"{name}, on the measured temperature", *driven, NONE, NONE))
     about = f"free-run error on {places[0] if places else 'readings'}"
     head = (about, "base model", "extended model", "change", "bounds of the fall", "best rule, no model")
@@ -134,19 +134,19 @@ def gains_table(found: DiscoveryResults) -> Table:
     )
 
 
-def _pair(before: float, after: float, symbol: str) -> tuple[str, str, str]:
+def _pair(before: float, after: float, told: QuantityTerms) -> tuple[str, str, str]:
     change = "±0 %" if unchanged(before, after) else _change(before, after)
-    return f"{fixed(before)} {symbol}", f"{fixed(after)} {symbol}", change
+    return told.told(before), told.told(after), change
 
 
 def held_out_table(test: HeldOutTest) -> Table:
     """What held-out readings say of a cause, by quantity."""
     rows = []
     for q in test.before:
-        name, symbol = quantity_of(q)
+        told = quantity(q)
         numbers = (round(one.get(q, math.nan), 2) + 0.0 for one in (test.z, test.growth))  # no −0.00
-        pair = _pair(test.before[q], test.after.get(q, math.nan), symbol)
-        rows.append((name, *pair, *map(fixed, numbers)))
+        pair = _pair(test.before[q], test.after.get(q, math.nan), told)
+        rows.append((told.words, *pair, *map(fixed, numbers)))
     return Table(
         "Held-out readings, without and with the cause",
         ("", "without", "with", "change", "z", "growth"),
@@ -332,7 +332,7 @@ def _judged(found: DiscoveryResults, one: CauseFound | Rejected) -> tuple[Block,
     if isinstance(one, CauseFound):
         without = "The cause has no parameters of its own: it corrects time stamps."
         blocks += [
-            Prose(f"Found by search: {'; '.join(one.chosen)}.") if one.chosen else None,
+            Prose(f"Found by search: {'; '.join(chosen_words(one))}.") if one.chosen else None,
             table_or(parameters_table(one), without),
         ]
     return present(
@@ -400,11 +400,10 @@ def _method(found: DiscoveryResults) -> tuple[Block, ...]:
         "simulated plants. A cause that is not in the library cannot be named, and a cause with a similar "
         "effect may be named instead: check in the turbine before acting on it.",
     )
-    version = found.version or "(version not stated)"
     return (
         *method("Data and method", *lines),
         Link(f"The {which} model with all its parameters:", BESIDE_DISCOVERY),
-        Prose(f"Found by hygrokf {version}; page by hygrokf {__version__}."),
+        Prose(f"Found by {versions(found.version)}."),
     )
 
 
@@ -416,12 +415,12 @@ def _courses(found: DiscoveryResults, before: Residuals, after: Residuals | None
         errors_over_drivers(found, before, after),
         *(
             Figure(
-                f"days-{quantity}",
-                f"Error of the {TITLE[quantity].lower()} by day and hour",
+                f"days-{name}",
+                f"Error of the {quantity(name).words} by day and hour",
                 "Horizontal stripes: errors tied to the time of day. Vertical stripes: errors tied to "
                 "weather or operation. A lasting change of colour: something changed on that date.",
-                partial(figure_day_hour, before, quantity, after),
+                partial(figure_day_hour, before, name, after),
             )
-            for quantity in QUANTITIES
+            for name in QUANTITIES
         ),
     ]

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from typing import Any
 
+from hygrokf.data.timestamps import stamp_text
 from hygrokf.discovery.judgement import LEAST_IMPROVEMENT, WORSE_GROWTH
 from hygrokf.discovery.repeats import repeated_text
 from hygrokf.discovery.results import (
@@ -16,19 +18,15 @@ from hygrokf.discovery.results import (
     Rejected,
     SpectralLine,
 )
-from hygrokf.identification.fit_results import ParameterRow
 from hygrokf.identification.verdict import inherited
 from hygrokf.identification.verdict_terms import REJECT
 from hygrokf.identification.wording import (
-    QUANTITIES,
-    decimals_for,
     fixed,
     percent,
     plain_number,
     sentence,
 )
-from hygrokf.physics.psychrometrics import ZERO_CELSIUS_K
-from hygrokf.report.fit_tables import unit
+from hygrokf.report.quantities import capital, listed, quantity, spoken
 
 EXCLUSIONS = {
     "refuted": "held-out readings refute it",
@@ -76,12 +74,6 @@ ACTIONS = {
 """What to do after a verdict that does not name the whole cause."""
 WARNINGS = ("unexplained", "unexplained, no name", "wrong")
 PERIOD = {"validation": "held-out readings", "identification": "identification readings"}
-SCORED_AS = {
-    "temperature": "temperature_K",
-    "humidity": "absolute_humidity_g_m3",
-    "vapour": "absolute_humidity_g_m3",
-}
-"""Quantity of residuals or of the search → scored quantity."""
 NOT_BETTER = "it does not improve the prediction of held-out readings"
 NOT_SEEN = "held-out readings show nothing of it, and can neither refute it nor bear it out"
 SHORT_DAYS = 14
@@ -95,36 +87,16 @@ UNCHANGED = 5e-3
 # --- words -----------------------------------------------------------------------------------
 
 
-def spoken(name: str) -> str:
-    """An identifier as it is read: "moisture_sorption" -> "moisture sorption"."""
-    return name.replace("_", " ").strip() or "unnamed cause"
-
-
-def capital(text: str) -> str:
-    """A text with a capital letter."""
-    return text[:1].upper() + text[1:]
-
-
-def listed(words: Iterable[str], last: str = "and") -> str:
-    """ "a", "a and b", "a, b and c"."""
-    words = list(words)
-    return f" {last} ".join([", ".join(words[:-1]), words[-1]]) if len(words) > 1 else "".join(words)
+def form_words(code: str) -> str:
+    """The code of a form as it is read: "humidistat__at_standstill" -> "humidistat, at standstill"; the name
+    of a clock's file stays as it is."""
+    return ", ".join(part if "." in part else spoken(part) for part in code.split("__"))
 
 
 def formed(one: CauseFound | Rejected) -> str:
     """A cause with its form: "unlogged heater (humidistat, at standstill)"."""
-    return f"{spoken(one.cause)} ({one.form})" if one.form else spoken(one.cause)
-
-
-def signed_percent(share: float) -> str:
-    """A change [1] in per cent with its sign."""
-    sign = "+" if share >= 0.0005 else "−" if share <= -0.0005 else "±"
-    return sign + percent(abs(share), 1 if abs(share) < 0.095 else 0)
-
-
-def quantity_of(name: str) -> tuple[str, str]:
-    """Name and unit of a quantity of residuals or of the search."""
-    return QUANTITIES.get(SCORED_AS.get(name, ""), (spoken(name) if name else "error", ""))
+    cause = spoken(one.cause) or "unnamed cause"
+    return f"{cause} ({form_words(one.form)})" if one.form else cause
 
 
 def unchanged(before: float, after: float) -> bool:
@@ -239,7 +211,7 @@ def _checks(one: CauseFound) -> Iterable[str]:
 
 def line_sentence(one: SpectralLine) -> str:
     """A line that is left in a spectrum."""
-    name, _ = quantity_of(one.quantity)
+    name = quantity(one.quantity).words
     long = one.period_h >= 48.0
     period = f"{plain_number(one.period_h / 24.0)} days" if long else f"{plain_number(one.period_h)} h"
     if one.cause:
@@ -307,7 +279,7 @@ def marked(found: DiscoveryResults, one: HeldOutTest) -> str:
 def refutation(one: HeldOutTest) -> str:
     """Why held-out readings refute a cause."""
     grown = [q for q in one.z if one.growth.get(q, math.nan) > WORSE_GROWTH]
-    names = listed(dict.fromkeys(quantity_of(q)[0] for q in grown)) or "cabinet"
+    names = listed(dict.fromkeys(quantity(q).words for q in grown)) or "cabinet"
     return REFUTATIONS[one.reason or "worse"].format(names=names, least=percent(LEAST_IMPROVEMENT))
 
 
@@ -325,21 +297,32 @@ def alike_sentence(cause: CauseFound) -> str:
     """The forms and causes that this record cannot tell apart; empty where there are none."""
     said = []
     if cause.forms_alike:
-        said.append(f"in this form or {listed(cause.forms_alike, 'or')}: this record cannot tell these apart")
+        forms = listed(map(form_words, cause.forms_alike), "or")
+        said.append(f"in this form or {forms}: this record cannot tell these apart")
     if cause.ambiguous_with and cause.told_apart:
         said.append(f"this record cannot tell it from {listed(map(spoken, cause.ambiguous_with))}")
     return "; ".join(said)
 
 
-def parameter_cells(row: ParameterRow) -> tuple[str, str, str]:
-    """(value, bounds, unit) of a parameter with the digits that its bounds justify; levels in °C."""
-    value, low, high = row.value, row.lower, row.upper
-    symbol = unit(row.unit)
-    if row.unit == "K" and value > 150.0:
-        value, low, high, symbol = *(v - ZERO_CELSIUS_K for v in (value, low, high)), "°C"
-    if math.isfinite(low) and math.isfinite(high) and high > low:
-        decimals = decimals_for(0.25 * (high - low))
-        shown = [fixed(v, decimals) for v in (value, low, high)]
-    else:
-        shown = [plain_number(value), *(plain_number(v) if math.isfinite(v) else "open" for v in (low, high))]
-    return shown[0], f"{shown[1]} … {shown[2]}", symbol
+CHOSEN: Mapping[str, Callable[[Any], str]] = {
+    "date_s": lambda date_s: f"date {stamp_text(date_s)}",
+    "spans": lambda spans: ", ".join(f"{stamp_text(a)} to {stamp_text(b)}" for a, b in spans),
+    "azimuth_deg": "azimuth {:.0f}°".format,
+    "days": "over {:.3g} days".format,
+    "start_h": "from {:g} h UTC".format,
+    "hours": "for {:g} h".format,
+    "shift_s": lambda shift_s: f"stamps moved by {fixed(shift_s / 60.0, 1)} min",
+}
+"""Setting that a search chose → words."""
+
+
+def chosen_words(cause: CauseFound) -> Iterator[str]:
+    """What the search chose of a cause's form, in words."""
+    for name in (one for one in cause.chosen if one in cause.settings):
+        value = cause.settings[name]
+        against = cause.settings.get("relative_to") if name == "shift_s" else None
+        try:
+            words = CHOSEN[name](value)
+        except (KeyError, TypeError, ValueError):  # of a user's own feature
+            words = f"{name} = {value}"
+        yield f"{words} against {against}" if against else words

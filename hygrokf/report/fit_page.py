@@ -51,7 +51,7 @@ from hygrokf.report.fit_tables import (
 )
 from hygrokf.report.fit_text import free_run_text, judgements, level_and_method, range_text
 from hygrokf.report.page import page_html
-from hygrokf.version import __version__
+from hygrokf.report.quantities import place, versions
 
 
 class ReportFault(HygrokfError):
@@ -175,9 +175,7 @@ def _about(fit: FitResults) -> tuple[str, ...]:
     facts = [f"{n:,} times with a reading"] if n else []
     facts.append(f"rated power {rated:,.0f} kW" if math.isfinite(rated) else "rated power not stated")
     if fit.site is not None:
-        north, east = fit.site.latitude_deg, fit.site.longitude_deg
-        latitude = f"{abs(north):.2f}° {'N' if north >= 0 else 'S'}"
-        facts.append(f"{latitude}, {abs(east):.2f}° {'E' if east >= 0 else 'W'}")
+        facts.append(", ".join(place(fit.site)))
     return (*lines, " · ".join(facts))
 
 
@@ -267,12 +265,8 @@ def _method(fit: FitResults) -> tuple[Block, ...]:
         values.append(f"{fit.n_obs:,} readings in the likelihood")
     if values:
         lines.append(", ".join(values) + ".")
-    when = moment(fit.created)
-    lines.append(
-        f"Fitted by hygrokf {fit.version or '(version not stated)'}{f' on {when} UTC' if when else ''}; page "
-        f"written by hygrokf {__version__}."
-    )
-    return method("How this was computed", *lines)
+    fitted = f"Fitted by {versions(fit.version, moment(fit.created))}."
+    return method("How this was computed", *lines, fitted)
 
 
 TERMS = (

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import partial
 
 from hygrokf.evaluation.actuator_effects import Change
 from hygrokf.evaluation.diagnosis import CumulativePeriodogram
@@ -24,7 +25,8 @@ from hygrokf.identification.wording import (
 from hygrokf.physics.psychrometrics import ZERO_CELSIUS_K
 from hygrokf.report.blocks import FREE_RUN, Block, Heading, Items, Prose, Table, inherited_verdicts, present
 from hygrokf.report.figures.fit import PRODUCT
-from hygrokf.report.fit_text import lead_words, level_and_method, p_value, range_text
+from hygrokf.report.fit_text import lead_words, level_and_method, range_text
+from hygrokf.report.quantities import interval, p_value, parameter_cells, quantity
 from hygrokf.report.terminal import blocks_text
 
 ACTUATORS = (
@@ -67,7 +69,7 @@ def _response(found: SensorResponse) -> list[tuple[str, ...]]:
     """The row of the humidity sensor's response time, where it is not stated to be none."""
     value, bounds, how = f"{found.minutes:.1f} min", NONE, f"response, {found.kind}"
     if found.kind == "estimated":
-        bounds = f"{found.lower_minutes:.1f} … {found.upper_minutes:.1f} min"
+        bounds = interval(found.lower_minutes, found.upper_minutes, "{:.1f}".format, "min")
     elif found.kind == "included":
         value, how = "included", "response not stated, none seen"
     elif not found.minutes > 0:
@@ -101,12 +103,12 @@ def _notes(name: str, found: TimeConstant) -> list[str]:
 
 def rmse_table(fit: Scored, period: str) -> Table | None:
     """The paper's Table III for one period, with rules that need no model; None where nothing was scored."""
-    errors = [fit.errors(period, quantity) for quantity in SCORED]
+    errors = [fit.errors(period, name) for name in SCORED]
     if not any(math.isfinite(one.total) for one in errors):
         return None
     rows = [("model, free run", *_cells(errors))]
     for key, words in RULES.items():
-        cells = _cells([fit.rule_errors(period, key, quantity) for quantity in SCORED])
+        cells = _cells([fit.rule_errors(period, key, name) for name in SCORED])
         if any(cell != NONE for cell in cells):
             rows.append((words, *cells))
     rows.append(("readings", *(str(getattr(one.n, regime)) for one in errors for regime in REGIMES)))
@@ -119,7 +121,7 @@ def rmse_table(fit: Scored, period: str) -> Table | None:
         ("", *REGIMES, *REGIMES),
         tuple(rows),
         marked=(0,),
-        groups=(("", 1), ("temperature [K]", 3), ("absolute humidity [g/m³]", 3)),
+        groups=(("", 1), *((quantity(q).change, 3) for q in SCORED)),
     )
 
 
@@ -132,8 +134,8 @@ def bands_table(fit: Scored) -> Table:
     rows = []
     for lead in fit.bands:
         cells = []
-        for quantity in QUANTITIES:
-            band = fit.band(lead, quantity)
+        for name in QUANTITIES:
+            band = fit.band(lead, name)
             cells += [percent(band.coverage, 1), fixed(band.scale), str(band.n) if band.n > 0 else NONE]
         if any(cell != NONE for cell in cells):
             rows.append((lead_words(lead), *cells))
@@ -152,11 +154,7 @@ def parameters_table(fit: FitResults) -> Table:
     rows: list[tuple[str, ...]] = []
     marked: list[int] = []
     for name, row in fit.parameters.items():
-        value, se, low, high = row.value, row.se, row.lower, row.upper
-        decimals = decimals_for(0.5 * se)
-        shown = [
-            fixed(v, decimals) if se > 0 and decimals < 8 else plain_number(v) for v in (value, low, high)
-        ]
+        value, bounds, symbol = parameter_cells(row)
         remarks = []
         if row.fixed:
             remarks.append("fixed")
@@ -167,11 +165,10 @@ def parameters_table(fit: FitResults) -> Table:
         prior = row.prior or PriorTerms()
         if math.isfinite(prior.sd):
             remarks.append(f"prior {plain_number(prior.mean, 2)} ± {plain_number(prior.sd, 2)}")
-        bounds = NONE if shown[1:] == [NONE, NONE] else f"{shown[1]} … {shown[2]}"
         if {"at its bound", "not determined"} & set(remarks):
             marked.append(len(rows))
         rows.append((
-            name, shown[0], plain_number(se, 2), bounds, unit(row.unit), row.meaning, "; ".join(remarks)
+            name, value, plain_number(row.se, 2), bounds, symbol, row.meaning, "; ".join(remarks),
         ))  # fmt: skip
     columns = ("parameter", "value", "se", "95 % bounds", "unit", "meaning", "remarks")
     return Table(
@@ -189,13 +186,13 @@ def actuators_table(fit: FitResults) -> Table:
             continue
         cells = []
         factors = {"temperature_K": 1.0, "relative_humidity": 100.0, "absolute_humidity_g_m3": 1.0}
-        for quantity, factor in factors.items():
-            change = (one.changes or {}).get(quantity, Change())
+        for name, factor in factors.items():
+            change = (one.changes or {}).get(name, Change())
             value, low, high = (factor * v for v in (change.value, change.lower, change.upper))
             decimals, bounds = 2, ""
             if math.isfinite(high - low):
                 decimals = decimals_for(max(0.25 * (high - low), 0.01 * abs(value)))
-                bounds = f" ({signed(low, decimals)} … {signed(high, decimals)})"
+                bounds = f" ({interval(low, high, partial(signed, decimals=decimals))})"
             cells.append(f"{signed(value, decimals)}{bounds}" if math.isfinite(value) else NONE)
         rows.append((one.signal, percent(one.on_share, 1), *cells))
     return Table(
@@ -204,13 +201,6 @@ def actuators_table(fit: FitResults) -> Table:
         tuple(rows),
         note=" ".join([ACTUATORS, *left_out]),
     )
-
-
-def unit(text: str) -> str:
-    """A unit as it is printed."""
-    for plain, printed in (("g/m3", "g/m³"), ("kg/m3", "kg/m³"), ("m2", "m²"), ("/h^0.5", "/√h")):
-        text = text.replace(plain, printed)
-    return text
 
 
 def optima_table(fit: FitResults) -> Table:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from functools import partial
 
 from hygrokf.evaluation.innovation_tests import SMALL
 from hygrokf.evaluation.scoring import SCORED
@@ -32,8 +33,9 @@ from hygrokf.identification.verdict_terms import (
     verdict_of,
     worst_first,
 )
-from hygrokf.identification.wording import NONE, QUANTITIES, decimals_for, fixed, minus, percent, plain_number
+from hygrokf.identification.wording import decimals_for, fixed, percent, plain_number
 from hygrokf.modelling.design import PARTS
+from hygrokf.report.quantities import interval, quantity, spoken
 
 METHODS = {
     "composed": "all sources",
@@ -66,23 +68,13 @@ def range_text(found: TimeConstant) -> str:
     if len(ends_h) != 2 or not all(map(math.isfinite, ends_h)):
         return ""
     decimals = decimals_for(0.2 * abs(ends_h[1] - ends_h[0]))
-    return " … ".join(fixed(end, decimals) for end in ends_h) + " h"
-
-
-def share_text(share: float) -> str:
-    """A share [1] that may be negative, in whole per cent."""
-    return percent(0.0) if abs(share) < 0.005 else minus(percent(share))
-
-
-def p_value(p: float) -> str:
-    """A probability as printed."""
-    return NONE if math.isnan(p) else "< 0.001" if p < 0.001 else f"{p:.3f}"
+    return interval(*ends_h, partial(fixed, decimals=decimals), "h")
 
 
 def lead_words(lead: str) -> str:
     """ "24h" -> "24 h ahead", "free_run" -> "free run"."""
     hours = lead.removesuffix("h")
-    return f"{hours} h ahead" if hours.replace(".", "").isdigit() else lead.replace("_", " ")
+    return f"{hours} h ahead" if hours.replace(".", "").isdigit() else spoken(lead)
 
 
 # --- judgements ------------------------------------------------------------------------------
@@ -140,22 +132,22 @@ def _time_constant(fit: FitResults, part: str) -> Judgement:
 
 def _errors(fit: FitResults) -> Iterator[Judgement]:
     """The free run's error in validation, else in identification."""
-    for part, quantity in QUANTITY_OF.items():
-        name, unit = QUANTITIES[quantity]
-        errors = ((period, fit.errors(period, quantity).total) for period in ("validation", "identification"))
-        scored = [f"{fixed(error)} {unit} in {period}" for period, error in errors if math.isfinite(error)]
+    for part, name in QUANTITY_OF.items():
+        told = quantity(name)
+        errors = ((period, fit.errors(period, name).total) for period in ("validation", "identification"))
+        scored = [f"{told.told(error)} in {period}" for period, error in errors if math.isfinite(error)]
         if scored:
-            subject = f"The free run's {name}, off by {' after '.join(scored)}"
-            yield _judged(quantity, subject, free_run_reasons(fit, part))
+            subject = f"The free run's {told.words}, off by {' after '.join(scored)}"
+            yield _judged(name, subject, free_run_reasons(fit, part))
 
 
 def _bands(fit: FitResults) -> Iterator[Judgement]:
     """All 95 % bands by how many readings they hold."""
     shares = {
-        f"{lead_words(lead)} {QUANTITIES[quantity][0]} {percent(band.coverage)}": band.coverage
+        f"{lead_words(lead)} {quantity(name).words} {percent(band.coverage)}": band.coverage
         for lead in fit.bands
-        for quantity in SCORED
-        for band in (fit.band(lead, quantity),)
+        for name in SCORED
+        for band in (fit.band(lead, name),)
         if math.isfinite(band.coverage) and band.n >= FEWEST_IN_BAND
     }
     if shares:

@@ -40,8 +40,8 @@ from hygrokf.report.blocks import (
 )
 from hygrokf.report.figures.comparison import figure_spreads
 from hygrokf.report.page import page_html
+from hygrokf.report.quantities import interval, spoken, versions
 from hygrokf.report.transfer_page import type_section
-from hygrokf.version import __version__
 
 RANKED = 50
 """Rows of the ranking on the page; fleet.csv has all."""
@@ -142,8 +142,9 @@ def _spread_card(one: Scatter) -> Card:
         between = "most turbines agree within their bounds, but not all"
     if one.outliers:
         between = f"apart from {', '.join(one.turbines[i] for i in one.outliers[:4])}: {between}"
-    text = f"{low:.{decimals}f} … {high:.{decimals}f} {unit} over {len(one.turbines)} turbines; {between}."
-    return _card(f"{one.compared.title.capitalize()}, median", f"{middle:.{decimals}f} {unit}", text)
+    digits = partial(fixed, decimals=decimals)
+    text = f"{interval(low, high, digits, unit)} over {len(one.turbines)} turbines; {between}."
+    return _card(f"{one.compared.title.capitalize()}, median", f"{digits(middle)} {unit}", text)
 
 
 def _card(label: str, value: str, text: str, warning: bool = False) -> Card:
@@ -230,7 +231,7 @@ def _tallies(tallies: Sequence[Tally], done: Sequence[Row]) -> Table:
 
 def _in_words(value: str) -> str:
     """A value of a column; the names of causes in words."""
-    return WORDS.get(value) or (value if " " in value else value.replace("_", " ").replace("/", " or "))
+    return WORDS.get(value) or (value if " " in value else spoken(value).replace("/", " or "))
 
 
 def _some(turbines: Sequence[str]) -> str:
@@ -286,7 +287,7 @@ def _value(row: Row, one: Compared) -> str:
         return text_of(row, one.column.replace("value_h", "statement")) or "open"
     if plain_number(low) == plain_number(high):
         return plain_number(value)
-    return f"{plain_number(value)} ({plain_number(low)} … {plain_number(high)})"
+    return f"{plain_number(value)} ({interval(low, high, plain_number)})"
 
 
 def _method(fleet: FleetResults) -> tuple[Block, ...]:
@@ -301,6 +302,6 @@ def _method(fleet: FleetResults) -> tuple[Block, ...]:
         f"and all quantities together; fewer than {FEWEST_JUDGED} turbines are not judged. An outlier need "
         "not be faulty: the turbine may have another site, operation or design.",
         f"{CSV} has all numbers, and each turbine’s folder its results.",
-        f"Done by hygrokf {fleet.version}; page written by hygrokf {__version__}.",
+        f"Done by {versions(fleet.version)}.",
     )
     return method("Data and method", *lines)

@@ -11,6 +11,7 @@ from hygrokf.cases.summary import RecordSummary, SignalSummary
 from hygrokf.data.signals import difference_from_si, signal_named
 from hygrokf.data.timestamps import MINUTE_S, duration_text
 from hygrokf.report.blocks import Block, Heading, Items, Prose, Table
+from hygrokf.report.quantities import interval, place
 from hygrokf.report.terminal import blocks_text
 from hygrokf.weather.clocks import Alignment, Lag
 
@@ -59,9 +60,8 @@ def _heading(found: RecordSummary) -> str:
     parts = [f"{found.name}: {found.start} to {found.end}", f"{found.days:.1f} d"]
     if math.isfinite(found.rated_power_kW):
         parts.append(f"rated {found.rated_power_kW:g} kW")
-    if (site := found.site) is not None:
-        north, east = "N" if site.latitude_deg >= 0 else "S", "E" if site.longitude_deg >= 0 else "W"
-        parts.append(f"{abs(site.latitude_deg):g}°{north} {abs(site.longitude_deg):g}°{east}")
+    if found.site is not None:
+        parts.append(" ".join(place(found.site, "{:g}".format)))
     return ", ".join(parts)
 
 
@@ -69,7 +69,7 @@ def _signal(one: SignalSummary) -> tuple[str, ...]:
     unit = "" if one.unit == "1" else f" {one.unit}"
     step_unit = " K" if one.unit == "degC" else unit
     hold = f"{one.hold} {duration_text(one.interval_s)}" if one.interval_s else one.hold
-    values = f"{one.mean:.4g} ({one.minimum:.4g} … {one.maximum:.4g}){unit}"
+    values = f"{one.mean:.4g} ({interval(one.minimum, one.maximum, '{:.4g}'.format)}){unit}"
     return (
         one.signal,
         str(one.readings),
@@ -110,7 +110,7 @@ def _lag(lag: Lag) -> str:
     if not lag.weather.known:
         return NONE
     value, low, high = (n / MINUTE_S for n in (lag.weather.value, lag.weather.low, lag.weather.high))
-    return f"{value:+.0f} min ({low:+.0f} … {high:+.0f})"
+    return f"{value:+.0f} min ({interval(low, high, '{:+.0f}'.format)})"
 
 
 # --- a drafted case --------------------------------------------------------------------------

@@ -15,7 +15,7 @@ from hygrokf.data.result_file import read_result, result_text
 from hygrokf.evaluation.scoring import SCORED
 from hygrokf.identification.fit import write_fit
 from hygrokf.identification.turbine_type import TurbineType, write_type
-from hygrokf.identification.wording import NONE, QUANTITIES, fixed, percent, plain_number, sentence
+from hygrokf.identification.wording import NONE, fixed, percent, plain_number, sentence
 from hygrokf.report.blocks import (
     FREE_RUN,
     INNOVATIONS,
@@ -37,6 +37,7 @@ from hygrokf.report.blocks import (
 from hygrokf.report.figures.comparison import SETS, figure_course, figure_parameters, figure_sets, figure_type
 from hygrokf.report.fit_page import write_report
 from hygrokf.report.page import page_html
+from hygrokf.report.quantities import interval, p_value, quantity, versions
 from hygrokf.transfer.results import (
     NOT,
     OPEN,
@@ -51,7 +52,6 @@ from hygrokf.transfer.results import (
     transfer_results,
     write_courses,
 )
-from hygrokf.version import __version__
 
 COMMAND = "hygrokf transfer"
 SETS_NOTE = (
@@ -162,7 +162,7 @@ def transfer_blocks(found: TransferResults, courses: Sequence[RecordCourse] = ()
         (f"The {kind} of {source}, tried on the record{'s' if names[1:] else ''} of {', '.join(names)}.",),
         (*synthetic(made_up, SYNTHETIC_RECORD), cards, *pictures[:1]),
         tuple(body),
-        method("Method", *METHOD, f"Judged by hygrokf {found.version}; page by hygrokf {__version__}."),
+        method("Method", *METHOD, f"Judged by {versions(found.version)}."),
     )
 
 
@@ -229,7 +229,7 @@ def groups_table(one: TransferResult) -> Table:
         if row.statistic is not None and row.p_adjusted is not None:
             effect = row.effect or {}
             changes = (fixed(effect.get(q, math.nan)) for q in SCORED)
-            cells = (fixed(row.statistic, 1), str(row.df), _chance(row.p_adjusted), *changes)
+            cells = (fixed(row.statistic, 1), str(row.df), p_value(row.p_adjusted), *changes)
         if row.outcome == "differs":
             marked.append(len(rows))
         rows.append((row.group, *cells, row.statement))
@@ -251,16 +251,16 @@ def errors_tables(one: TransferResult) -> tuple[Table, ...]:
     held_out = one.period == "validation"
     where = "held out" if held_out else "identification period: nothing is held out"
     tables = []
-    for quantity, by_set in one.rmse.items():
+    for scored, by_set in one.rmse.items():
         rows = []
         for name in (n for n in SETS if n in by_set):
             row = by_set[name]
-            bounds = NONE if row.bounds is None else f"{fixed(row.bounds[0])} … {fixed(row.bounds[1])}"
+            bounds = NONE if row.bounds is None else interval(*row.bounds)
             numbers = (fixed(v) for v in (row.operation, row.standstill, row.total))
             rows.append((SETS[name], *numbers, bounds, str(row.n.total)))
         tables.append(
             Table(
-                "RMSE of the {} [{}], {}".format(*QUANTITIES[quantity], where),
+                f"{quantity(scored).rmse}, {where}",
                 ("", "operation", "standstill", "total", "total, 95 %", "n"),
                 tuple(rows),
             )
@@ -275,8 +275,8 @@ def parameters_table(one: TransferResult) -> Table:
         cells = (NONE, NONE)
         if row.difference is not None:
             times = "× " if row.difference_is == "ratio" else ""
-            low, high = plain_number(row.difference.lower), plain_number(row.difference.upper)
-            cells = (f"{times}{plain_number(row.difference.value)}", f"{low} … {high}")
+            bounds = interval(row.difference.lower, row.difference.upper, plain_number)
+            cells = (f"{times}{plain_number(row.difference.value)}", bounds)
         both = (_with_se(row.original, row.original_se), _with_se(row.own, row.own_se))
         rows.append((f"{name} [{row.unit}]", *both, *cells))
     return Table(
@@ -294,7 +294,7 @@ def ratios_table(one: TransferResult) -> Table:
         "Likelihood ratios on this record alone",
         ("", "2 ln L", "df", "factor", "p"),
         tuple(
-            (r.of, fixed(r.likelihood_ratio, 1), str(r.df), fixed(r.factor), _chance(r.p))
+            (r.of, fixed(r.likelihood_ratio, 1), str(r.df), fixed(r.factor), p_value(r.p))
             for r in one.likelihood_ratios
         ),
         note="The original values count as exact here, so a small p of the rest need not mean that it "
@@ -318,12 +318,13 @@ def type_table(found: TurbineType) -> Table:
     """Each parameter of a type with bounds, its spread, and the range of the next turbine."""
     rows, alike = [], False
     for name, row in found.parameters.items():
-        ends = {key: plain_number(value) for key, value in row.in_unit().items()}
+        ends = row.in_unit()
         spread = percent(row.spread) if row.logarithmic else plain_number(row.spread)
         if row.spread < 0.01 * row.se:
             spread, alike = "0", True
-        span, following = f"{ends['lower']} … {ends['upper']}", f"{ends['next_lower']} … {ends['next_upper']}"
-        rows.append((name, ends["value"], span, spread, following, row.unit, str(row.turbines)))
+        span = interval(ends["lower"], ends["upper"], plain_number)
+        following = interval(ends["next_lower"], ends["next_upper"], plain_number)
+        rows.append((name, plain_number(ends["value"]), span, spread, following, row.unit, str(row.turbines)))
     note = (
         "Spread: standard deviation from turbine to turbine beyond the uncertainty of the estimates (REML)."
     )
@@ -345,7 +346,3 @@ def type_table(found: TurbineType) -> Table:
 
 def _with_se(value: float, se: float) -> str:
     return plain_number(value) if math.isnan(se) else f"{plain_number(value)} ± {plain_number(se, 2)}"
-
-
-def _chance(p: float) -> str:
-    return "< 0.0001" if p < 1e-4 else plain_number(p, 2)

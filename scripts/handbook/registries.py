@@ -16,6 +16,7 @@ from hygrokf.fleet.tasks import SHARED, TASKS
 from hygrokf.physics.mechanisms import BASE, FURTHER, LIBRARY, LOGGED, WANDERING, Factory
 from hygrokf.physics.model import Mechanism
 from hygrokf.physics.parameters import Parameter
+from hygrokf.report.discovery_text import form_words
 
 GROUPS: dict[str, tuple[str, str, tuple[Factory, ...]]] = {
     "base": ("Base models", "The two networks of the paper, their disturbances and the sensors.", BASE),
@@ -99,7 +100,8 @@ def cause_section(cause: Cause) -> str:
     lines = [f".. _cause-{cause.name}:", "", heading(cause.name, "-")]
     lines += [f"{rst(cause.meaning[:1].upper() + cause.meaning[1:])}.", ""]
     forms = {
-        "stamps of one source moved" if form.clock else form.words: form for form in cause.forms(_ground())
+        "stamps of one source moved" if form.clock else form_words(form.code): form
+        for form in cause.forms(_ground())
     }
     facts = {
         "Forms (settings)": rst("; ".join(f"{words} ({len(form.grid)})" for words, form in forms.items())),

@@ -118,12 +118,12 @@ def _held_out(before: float, after: float, reason: str = "") -> dict:
     }
 
 
-def cause(name: str = "solar_gain", form: str = "on the roof", **changes: object) -> dict:
+def cause(name: str = "solar_gain", form: str = "on_the_roof", **changes: object) -> dict:
     """The plain data of an accepted cause."""
     return {
         "cause": name,
         "form": form,
-        "forms_alike": ["on a wall"],
+        "forms_alike": ["on_a_wall"],
         "confidence": 0.87,
         "statement": "the sun heats the cabinet or the tower around it",
         "parameters": {
@@ -135,7 +135,7 @@ def cause(name: str = "solar_gain", form: str = "on the roof", **changes: object
                 "meaning": "lag"},
         },
         "settings": {"date_s": ORIGIN_S + 86400.0, "azimuth_deg": 135.0},
-        "chosen": ["azimuth 135°"],
+        "chosen": ["azimuth_deg"],
         "evidence": _evidence(296.4, 0.2, 2, 274.6, 81.5) | {"lead": 33.3},
         "held_out": _held_out(1.79, 1.57),
         "ambiguous_with": [],
@@ -180,11 +180,11 @@ def discovery_case() -> dict:
             "causes": [cause()],
             "rejected": [
                 {
-                    "cause": "door_opening", "form": "single openings", "evidence": {}, "reason": "no_effect",
+                    "cause": "door_opening", "form": "single_openings", "evidence": {}, "reason": "no_effect",
                 },
                 {
                     "cause": "wall_thermal_mass",
-                    "form": "a second mass beside the converter",
+                    "form": "a_second_mass_beside_the_converter",
                     "evidence": _evidence(17.7, 0.0, 3, -5.5, -5.5),
                     "reason": "weak",
                 },
@@ -204,7 +204,7 @@ def discovery_case() -> dict:
 def two_causes_case() -> dict:
     """The plain data of a discovery that names two causes, the second without use on held-out readings."""
     second = cause(
-        "exchange_step", "from a date on", statement="the exchange of air changed at a date", forms_alike=[],
+        "exchange_step", "from_a_date_on", statement="the exchange of air changed at a date", forms_alike=[],
         remedy="ask what was done on that date", held_out=_held_out(1.57, 1.56), confidence=0.61,
     )  # fmt: skip
     return discovery_case() | {"causes": [cause(), second]}
@@ -214,10 +214,10 @@ def ambiguous_case() -> dict:
     """The plain data of a discovery that cannot tell an error of the humidity sensor from water."""
     check = "compare the humidity sensor with a second one, before anything rests on either"
     wet = cause(
-        "humidity_sensor_drift", "an offset that grows", forms_alike=["a scale that goes off"],
+        "humidity_sensor_drift", "an_offset_that_grows", forms_alike=["a_scale_that_goes_off"],
         statement="the humidity sensor drifts, or its scale is off",
         ambiguous_with=["internal_moisture_source", "moisture_sorption"],
-        separate_by=check, remedy=check, confidence=0.48, settings={},
+        separate_by=check, remedy=check, confidence=0.48, settings={}, chosen=[],
         evidence=_evidence(0.0, 88.0, 1, 79.5, 40.1) | {"lead": 20.0},
     )  # fmt: skip
     return discovery_case() | {
@@ -254,7 +254,7 @@ def unexplained_case() -> dict:
 def refuted_case() -> dict:
     """The plain data of a discovery whose cause held-out readings refute."""
     one = {
-        "cause": "unlogged_heater", "form": "humidistat, at standstill", "evidence": cause()["evidence"],
+        "cause": "unlogged_heater", "form": "humidistat__at_standstill", "evidence": cause()["evidence"],
         "reason": "refuted",
         "held_out": _held_out(1.85, 2.4, "worse")
         | {"z": {"temperature": 4.4}, "growth": {"temperature": 0.52}},

@@ -35,8 +35,9 @@ from hygrokf.data.result_file import ResultFault
 from hygrokf.data.structured import StructureFault, plain
 from hygrokf.discovery.forms import Form, Ground, Setting
 from hygrokf.discovery.library import LIBRARY
-from hygrokf.discovery.procedure import chosen as told
+from hygrokf.discovery.procedure import chosen
 from hygrokf.discovery.results import (
+    CauseFound,
     Discovery,
     DiscoveryResults,
     Rejected,
@@ -56,6 +57,7 @@ from hygrokf.report.discovery_page import (
     write_discovery_report,
 )
 from hygrokf.report.discovery_text import (
+    chosen_words,
     formed,
     held_out_sentence,
     held_out_sentences,
@@ -154,7 +156,7 @@ def test_the_drivers_of_the_findings_are_drawn_first() -> None:
 def test_an_event_is_shown_where_it_was_found() -> None:
     found = discovery_case() | {"findings": []}
     span = [ORIGIN_S + 5 * 86400.0, ORIGIN_S + 5 * 86400.0 + 7200.0]
-    found["causes"][0] |= {"cause": "door_opening", "form": "single openings", "settings": {"spans": [span]}}
+    found["causes"][0] |= {"cause": "door_opening", "form": "single_openings", "settings": {"spans": [span]}}
     page = discovery_blocks(typed(found), residuals_case(), residuals_case(0.2))
     assert page.lead[-2].name == "episodes-1" and page.lead[-2].heading.startswith("The sun heats")
     text = page_html(page)
@@ -293,37 +295,39 @@ def test_every_form_of_the_library_has_words() -> None:
     ground = Ground(record, frozenset(), True, 1, True)
     made = [form for cause in LIBRARY for form in cause.forms(ground)]
     assert {form.cause for form in made} == {cause.name for cause in LIBRARY}
-    assert all(form.words for form in made)
-    clocks = {form.words for form in made if form.cause == "clock_shift"}
+    assert all(form.code for form in made)
+    clocks = {form.code for form in made if form.cause == "clock_shift"}
     assert clocks and clocks <= set(sources(record))
 
 
 def test_a_form_is_told_with_its_cause() -> None:
-    assert formed(Rejected("unlogged_heater", "humidistat")) == "unlogged heater (humidistat)"
+    assert formed(Rejected("unlogged_heater", "humidistat__at_standstill")) == (
+        "unlogged heater (humidistat, at standstill)"
+    )
     assert formed(Rejected("clock_shift", "cabinet_log.csv")) == "clock shift (cabinet_log.csv)"
     assert formed(Rejected("oven")) == "oven"
 
 
 def test_what_the_search_chose_is_told_in_words() -> None:
-    chosen = {"date_s": ORIGIN_S + 86400.0, "azimuth_deg": 135.0, "start_h": 6, "hours": 8.0, "days": 8.0,
-              "half_life_h": 3.0}  # fmt: skip
-    spans = [[ORIGIN_S, ORIGIN_S + 3600.0]]
-    grid = tuple(Setting({"own": {**chosen, "given": 1, key: 0.0}}) for key in chosen)
-    form = Form("own", "", grid=grid)
-    assert list(told(form, Setting({"own": {**chosen, "given": 1}}), {})) == [
+    found = {"date_s": ORIGIN_S + 86400.0, "azimuth_deg": 135.0, "start_h": 6, "hours": 8.0, "days": 8.0,
+             "half_life_h": 3.0, "spans": [[ORIGIN_S, ORIGIN_S + 3600.0]], "shift_s": -3600.0,
+             "relative_to": "b.csv"}  # fmt: skip
+    names = tuple(name for name in found if name != "relative_to")
+    assert list(chosen_words(CauseFound("own", settings=found, chosen=names))) == [
         "date 2020-07-16T00:00Z", "azimuth 135°", "from 6 h UTC", "for 8 h", "over 8 days",
-        "half_life_h = 3.0",
+        "half_life_h = 3.0", "2020-07-15T00:00Z to 2020-07-15T01:00Z",
+        "stamps moved by −60.0 min against b.csv",
     ]  # fmt: skip
-    # one point was given, levels of controllers are parameters
-    assert list(told(replace(form, grid=(Setting({"own": chosen}),)), Setting({"own": chosen}), {})) == []
+
+
+def test_the_search_chose_what_differs_from_a_point_of_the_grid() -> None:
+    point = {"azimuth_deg": 135.0, "hours": 8.0, "given": 1}
+    form = Form("own", "", grid=(Setting({"own": {**point, "hours": 0.0}}),))
+    assert list(chosen(form, Setting({"own": point}))) == ["hours"]
     level = Form("own", "", grid=(Setting({"venting": {"start": 1.0}}),))
-    assert list(told(level, Setting({"venting": {"start": 2.0}}), {})) == []
-    door = Form("door", "", grid=(Setting({"door_open": {"spans": []}}),))
-    (said,) = told(door, Setting({"door_open": {"spans": spans}}), {})
-    assert said == "2020-07-15T00:00Z to 2020-07-15T01:00Z"
+    assert list(chosen(level, Setting({"venting": {"start": 2.0}}))) == []  # it is a parameter
     clock = Form("clock_shift", "a.csv", clock="a.csv")
-    (said,) = told(clock, Setting(shift_s=-3600.0), {"relative_to": "b.csv"})
-    assert said == "stamps moved by −60.0 min against b.csv"
+    assert list(chosen(clock, Setting(shift_s=-3600.0))) == ["shift_s"]
 
 
 def test_levels_of_controllers_are_told_in_degrees() -> None:

@@ -14,8 +14,6 @@ from hygrokf.data.timestamps import DAY_S, WEEK_S
 from hygrokf.evaluation.scoring import SCORED
 from hygrokf.fleet.outliers import REACH, Scatter
 from hygrokf.identification.turbine_type import TurbineType
-from hygrokf.identification.wording import QUANTITIES
-from hygrokf.physics.psychrometrics import ZERO_CELSIUS_K
 from hygrokf.report.figures.drawing import (
     AMBIENT,
     INK,
@@ -40,6 +38,7 @@ from hygrokf.report.figures.panels import (
     rows,
     strokes,
 )
+from hygrokf.report.quantities import quantity, spoken
 from hygrokf.transfer.comparison import ComparisonResults
 from hygrokf.transfer.results import RecordCourse, TransferResult
 from hygrokf.transfer.verdict import MATTERS
@@ -95,21 +94,20 @@ def figure_courses(records: Sequence[Shown]) -> Picture:
     if not quantities:
         raise NothingToShow("There are no readings to show.")
     panels = []
-    for quantity in quantities:
-        name, unit = QUANTITIES[quantity]
-        shift = ZERO_CELSIUS_K if quantity == "temperature_K" else 0.0
-        label = f"{name} [{'°C' if shift else unit}]".replace(" ", "\n", name.count(" "))
+    for name in quantities:
+        told = quantity(name)
+        label = told.level.replace(" ", "\n", told.words.count(" "))
         for one in records:
             made = {MEASURED_NAME: one.course.measured, **one.course.simulated}
             lines = {MEASURED_NAME: ("reading", MEASURED), **one.lines}
             marks = tuple(
-                course(one.course.time_s, made[key][quantity] - shift, one.span, colour, width, words)
+                course(one.course.time_s, made[key][name] - told.zero, one.span, colour, width, words)
                 for key, (words, colour) in lines.items()
-                if quantity in made[key]
+                if name in made[key]
                 for width in (1.3 if key == MEASURED_NAME else 0.9,)
             )
             x = Axis(limits=one.span, kind="time", most=9 // len(records) + 1)
-            title = one.title if quantity == quantities[0] and len(records) > 1 else ""
+            title = one.title if name == quantities[0] and len(records) > 1 else ""
             panels.append(Panel(marks, x, Axis(label), title))
     height_in = 3.0 if len(quantities) > 1 else 3.4
     return Picture(tuple(panels), height_in, columns=len(records), shared="xy")
@@ -144,24 +142,24 @@ def figure_errors(found: ComparisonResults, period: str) -> Picture:
         raise NothingToShow("Nothing was scored in this period.")
     labels = rows(short_labels([one.label for one in columns]))
     panels = []
-    for quantity in scored:
+    for name in scored:
         marks: list[Mark] = []
         for place, one in enumerate(columns):
             colour = colour_of(found.columns.index(one))
             for offset, (regime, (mark, size)) in zip((-0.22, 0.0, 0.22), REGIMES.items(), strict=True):
-                row = found.row("rmse", one.label, period, quantity, regime)
+                row = found.row("rmse", one.label, period, name, regime)
                 if not row.n:
                     continue
                 if math.isfinite(row.lower):
                     marks.append(bounds(row.lower, row.upper, place + offset, colour))
                 marks.append(point(row.value, place + offset, mark, colour, size))
-            wanted = ("rule", one.label, quantity, period, "total")
+            wanted = ("rule", one.label, name, period, "total")
             rules = [
                 r.value for r in found.rows if (r.kind, r.column, r.quantity, r.period, r.regime) == wanted
             ]
             if rules:
                 marks.append(point(min(rules), place + 0.22, *BEST))
-        panels.append(Panel(tuple(marks), _rmse(quantity), labels))
+        panels.append(Panel(tuple(marks), _rmse(name), labels))
     key = tuple(
         replace(point(0.0, 0.0, mark, INK, size), label=words)
         for words, (mark, size) in {**REGIMES, "best rule": ("|", 9.0)}.items()
@@ -169,8 +167,8 @@ def figure_errors(found: ComparisonResults, period: str) -> Picture:
     return Picture(tuple(panels), 1.1 + 0.34 * len(columns), columns=len(scored), shared="y", key=key)
 
 
-def _rmse(quantity: str) -> Axis:
-    return Axis("RMSE of the {} [{}]".format(*QUANTITIES[quantity]), (0.0, None))
+def _rmse(name: str) -> Axis:
+    return Axis(quantity(name).rmse, (0.0, None))
 
 
 def figure_weeks(found: ComparisonResults) -> Picture:
@@ -190,7 +188,7 @@ def figure_weeks(found: ComparisonResults) -> Picture:
                 if q in one.weeks
             ),
             Axis(limits=span, kind="time", most=9),
-            Axis("{} [{}]".format(*QUANTITIES[q]), (0.0, None)),
+            Axis(quantity(q).change, (0.0, None)),
         )
         for q in shown
     ]
@@ -282,7 +280,7 @@ def figure_sets(found: TransferResult) -> Picture:
     if not tables:
         raise NothingToShow("Nothing was scored.")
     panels = []
-    for quantity, table in tables.items():
+    for scored, table in tables.items():
         marks: list[Mark] = []
         for place, (name, row) in enumerate(table.items()):
             colour = SET_COLOURS.get(name, QUIET)
@@ -290,7 +288,7 @@ def figure_sets(found: TransferResult) -> Picture:
                 marks.append(bounds(*row.bounds, place, colour))
             mark, size = ("D", 4.5) if name in SET_COLOURS else ("|", 9.0)
             marks.append(point(row.total, place, mark, colour, size))
-        panels.append(Panel(tuple(marks), _rmse(quantity), rows([SETS[name] for name in table])))
+        panels.append(Panel(tuple(marks), _rmse(scored), rows([SETS[name] for name in table])))
     return Picture(tuple(panels), 0.75 + 0.2 * max(map(len, tables.values())), columns=len(tables))
 
 
@@ -325,7 +323,7 @@ def figure_parameters(found: TransferResult) -> Picture:
 
 
 def _label(name: str, unit: str) -> str:
-    words = name.replace("heat_release_", "").replace("_", " ")
+    words = spoken(name.replace("heat_release_", ""))
     return f"{words} [{unit}]" if unit else words
 
 
@@ -358,6 +356,6 @@ def figure_type(found: TurbineType) -> Picture:
         own = bounds(ends["lower"], ends["upper"], place, MEASURED, 2.2, 1.0)
         marks += [replace(following, label="next turbine, 95 %"), replace(own, label="type, 95 %")]
         marks.append(point(ends["value"], place, "o", INK, 4.0))
-    labels = rows([f"{n.replace('_', ' ')} [{r.unit}]" for n, r in shown.items()])
+    labels = rows([f"{spoken(n)} [{r.unit}]" for n, r in shown.items()])
     panel = Panel(tuple(marks), Axis(kind="logarithmic"), labels)
     return Picture((panel,), height_in=0.8 + 0.3 * len(shown))

@@ -42,11 +42,10 @@ from hygrokf.report.figures.panels import (
     strokes,
     validation,
 )
+from hygrokf.report.quantities import quantity
 
 TEMPERATURE = "temperature"
 HUMIDITY = "absolute_humidity"
-AXIS_LABEL = {TEMPERATURE: "temperature [°C]", HUMIDITY: "absolute humidity [g/m³]"}
-ERROR_LABEL = {TEMPERATURE: "error [K]", HUMIDITY: "error [g/m³]"}
 POWER = "power"
 FORTNIGHT_S = 14.0 * 86400.0
 HATCH = "#9aa4b1"
@@ -217,7 +216,7 @@ class _Record:
 
     def quantity(self, name: str) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Measured, simulated, its standard deviation, ambient (T,)."""
-        shift = ZERO_CELSIUS_K if name == TEMPERATURE else 0.0
+        shift = quantity(name).zero
         measured, simulated = (
             array(self.series, f"{name}_{kind}") - shift for kind in ("measured", "simulated")
         )
@@ -246,7 +245,7 @@ class _Record:
             ("simulated", simulated, SIMULATED, 0.8 * width),
         )
         marks, limits = courses(self.time, shown, sd, span, bins)
-        return Panel((*marks, *self.unscored(span)), _time(span), Axis(AXIS_LABEL[name], limits))
+        return Panel((*marks, *self.unscored(span)), _time(span), Axis(quantity(name).level, limits))
 
     def operation(self, span: tuple[float, float], bins: int = BINS) -> Panel:
         """Relative power, and bars where the cabinet was pre-heated."""
@@ -305,7 +304,7 @@ def _whole(record: _Record, name: str, why: str) -> Picture:
     )
     rows = [
         record.course(name, record.span),
-        Panel(error, _time(record.span), Axis(ERROR_LABEL[name])),
+        Panel(error, _time(record.span), Axis(quantity(name).error)),
         *([record.operation(record.span)] if name == TEMPERATURE and record.has_power else []),
     ]
     rows = [replace(one, marks=(*record.late(record.span), *one.marks)) for one in rows]
@@ -326,7 +325,7 @@ def figure_validation(fit: FitResults, series: Mapping[str, np.ndarray]) -> Pict
     panels = []
     for name in record.names:
         panel = record.course(name, span)
-        panels.append(replace(panel, y=replace(panel.y, label=AXIS_LABEL[name].replace(" [", "\n["))))
+        panels.append(replace(panel, y=replace(panel.y, label=quantity(name).level.replace(" [", "\n["))))
     return Picture(tuple(panels), height_in=0.45 + 1.25 * len(panels), shared="x")
 
 
@@ -400,8 +399,8 @@ def figure_residuals(fit: FitResults, series: Mapping[str, np.ndarray]) -> Pictu
             if "stop" in axis.words:
                 middles, halves = np.append(0.0, middles), np.append(0.02, halves)
                 groups.insert(0, error[~record.operating & ~late])
-            title = "" if place else "Temperature" if name == TEMPERATURE else "Absolute humidity"
-            y = Axis(ERROR_LABEL[name], (-reach, reach))
+            title = "" if place else quantity(name).title
+            y = Axis(quantity(name).error, (-reach, reach))
             panels.append(Panel((*_boxes(middles, halves, groups), *shown), axis, y, title))
     columns = len(panels) // len(errors)
     return Picture(tuple(panels), height_in=0.55 + 1.75 * len(errors), columns=columns, shared="xy")

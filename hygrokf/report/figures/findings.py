@@ -12,9 +12,8 @@ from typing import TypeAlias
 import numpy as np
 
 from hygrokf.data.timestamps import DAY_S
-from hygrokf.discovery.residuals import HUMIDITY, TEMPERATURE, UNITS, Residuals, binned
+from hygrokf.discovery.residuals import HUMIDITY, TEMPERATURE, Residuals, binned
 from hygrokf.discovery.results import LASTING_KINDS, DiscoveryResults, Finding
-from hygrokf.physics.psychrometrics import ZERO_CELSIUS_K
 from hygrokf.report.figures.drawing import AMBIENT, INK, MEASURED, SIMULATED, NothingToShow
 from hygrokf.report.figures.panels import (
     Axis,
@@ -29,10 +28,10 @@ from hygrokf.report.figures.panels import (
     course,
     courses,
 )
-from hygrokf.report.figures.residual_structure import AFTER, TITLE, error_label, held_out
+from hygrokf.report.figures.residual_structure import AFTER, held_out
+from hygrokf.report.quantities import quantity
 
 CONDITION = "#f3e3c0"
-COURSE_LABEL: Mapping[str, str] = {TEMPERATURE: "temperature [°C]", HUMIDITY: "absolute humidity [g/m³]"}
 AMBIENT_NAME: Mapping[str, str] = {TEMPERATURE: "ambient_temperature", HUMIDITY: "ambient_absolute_humidity"}
 EPISODES = 3
 AROUND_H = (18.0, 42.0)
@@ -60,8 +59,8 @@ def events(found: DiscoveryResults) -> list[Finding]:
         gains, statement = cause.evidence.gains, cause.statement.split(";")[0]
         if spans and gains and statement:
             most = max(gains, key=lambda name: gains[name])
-            quantity = TEMPERATURE if most == TEMPERATURE else HUMIDITY
-            result.append(Finding(quantity, "episode", "", statement, spans=spans))
+            gained = TEMPERATURE if most == TEMPERATURE else HUMIDITY
+            result.append(Finding(gained, "episode", "", statement, spans=spans))
     return result
 
 
@@ -71,29 +70,28 @@ def events(found: DiscoveryResults) -> list[Finding]:
 def figure_episodes(residuals: Residuals, finding: Finding, after: Residuals | None = None) -> Picture:
     """The episodes in which a finding is largest, with the free run's 95 % band and below it the error; of a
     lasting finding the daily means over the whole record."""
-    quantity = finding.quantity
-    if quantity not in residuals.measured or not np.isfinite(residuals.error[quantity]).any():
-        raise NothingToShow(f"There are no errors of the {TITLE[quantity].lower()} to show.")
+    name, told = finding.quantity, quantity(finding.quantity)
+    if name not in residuals.measured or not np.isfinite(residuals.error[name]).any():
+        raise NothingToShow(f"There are no errors of the {told.words} to show.")
     if finding.kind in LASTING_KINDS:
         return Picture((_lasting(residuals, finding, after),), height_in=2.5)
     windows = _windows(finding, residuals)
     if not windows:
         raise NothingToShow("The finding has no episodes.")
     models = _before_after(residuals, after)
-    reach = max(_largest(one, quantity, *span) for one, _, _ in models for span, _ in windows)
+    reach = max(_largest(one, name, *span) for one, _, _ in models for span, _ in windows)
     above, below = [], []
     for span, shaded in windows:
         x = Axis(limits=span, kind="time", most=5)
         where = [
             Shade(max(a, span[0]), min(b, span[1]), CONDITION, 0.75, "under the condition") for a, b in shaded
         ]
-        marks, limits = _course(residuals, quantity, span, after)
+        marks, limits = _course(residuals, name, span, after)
         errors = [
-            course(one.time_s, -one.error[quantity], span, colour, 1.0, bins=NARROW)
-            for one, colour, _ in models
+            course(one.time_s, -one.error[name], span, colour, 1.0, bins=NARROW) for one, colour, _ in models
         ]
-        above.append(Panel((*marks, *where), x, Axis(COURSE_LABEL[quantity], limits)))
-        y = Axis(f"error [{UNITS[quantity]}]", (-1.1 * reach, 1.1 * reach), most=5)
+        above.append(Panel((*marks, *where), x, Axis(told.level, limits)))
+        y = Axis(told.error, (-1.1 * reach, 1.1 * reach), most=5)
         below.append(Panel((*where, CrossLine(0.0, "y"), *errors), x, y))
     for row in (above, below):
         row[1:] = [replace(one, y=replace(one.y, label="")) for one in row[1:]]
@@ -101,9 +99,9 @@ def figure_episodes(residuals: Residuals, finding: Finding, after: Residuals | N
     return Picture(panels, height_in=3.3, columns=len(windows), shared="x", heights=(2.3, 1.0))
 
 
-def _largest(residuals: Residuals, quantity: str, start_s: float, end_s: float) -> float:
+def _largest(residuals: Residuals, name: str, start_s: float, end_s: float) -> float:
     inside = (residuals.time_s >= start_s) & (residuals.time_s <= end_s)
-    return float(np.nanmax(np.abs(residuals.error[quantity][inside]), initial=0.0)) or 1.0
+    return float(np.nanmax(np.abs(residuals.error[name][inside]), initial=0.0)) or 1.0
 
 
 def _before_after(residuals: Residuals, after: Residuals | None) -> list[tuple[Residuals, str, str]]:
@@ -130,31 +128,31 @@ def _windows(finding: Finding, residuals: Residuals) -> list[tuple[Span, list[Sp
 
 
 def _course(
-    residuals: Residuals, quantity: str, span: Span, after: Residuals | None
+    residuals: Residuals, name: str, span: Span, after: Residuals | None
 ) -> tuple[tuple[Mark, ...], Limits]:
     """Ambient, reading, simulation with its band, and the extended model's; and the limits."""
-    shift = ZERO_CELSIUS_K if quantity == TEMPERATURE else 0.0
+    shift = quantity(name).zero
     first, *later = _before_after(residuals, after)
     shown = [
-        ("readings", residuals.measured[quantity] - shift, MEASURED, 1.3),
-        (f"simulated{first[2]}", residuals.simulated[quantity] - shift, SIMULATED, 1.0),
+        ("readings", residuals.measured[name] - shift, MEASURED, 1.3),
+        (f"simulated{first[2]}", residuals.simulated[name] - shift, SIMULATED, 1.0),
     ]
-    ambient = residuals.drivers.get(AMBIENT_NAME[quantity])
+    ambient = residuals.drivers.get(AMBIENT_NAME[name])
     if ambient is not None:
         shown.insert(0, ("ambient", ambient - shift, AMBIENT, 0.9))
-    marks, limits = courses(residuals.time_s, shown, residuals.sd.get(quantity), span, NARROW)
+    marks, limits = courses(residuals.time_s, shown, residuals.sd.get(name), span, NARROW)
     extended = (
-        course(one.time_s, one.simulated[quantity] - shift, span, colour, 1.2, f"simulated{end}", NARROW)
+        course(one.time_s, one.simulated[name] - shift, span, colour, 1.2, f"simulated{end}", NARROW)
         for one, colour, end in later
     )
     return (*marks, *extended), limits
 
 
 def _lasting(residuals: Residuals, finding: Finding, after: Residuals | None) -> Panel:
-    quantity, hours = finding.quantity, binned(residuals)
+    hours = binned(residuals)
     marks: list[Mark] = [CrossLine(0.0, "y")]
     for one, colour, end in _before_after(residuals, after):
-        day, mean, low, high = _daily(one, quantity)
+        day, mean, low, high = _daily(one, finding.quantity)
         marks.append(Curve(day, mean, colour, 1.0, f"daily mean{end}"))
         if one is residuals:
             marks.append(Band(day, low, high, colour, 0.13, "middle 80 % of the day"))
@@ -162,19 +160,20 @@ def _lasting(residuals: Residuals, finding: Finding, after: Residuals | None) ->
     for first, last in finding.spans:
         marks.append(Shade(first, last, CONDITION, 0.6, "where the finding is"))
         inside |= (hours.time_s >= first) & (hours.time_s <= last)
-    error = -hours.error[quantity]
+    error = -hours.error[finding.quantity]
     for flag in (inside, ~inside):
         if np.isfinite(error[flag]).any():
             level = np.where(flag, np.nanmean(error[flag]), np.nan)
             marks.append(Curve(hours.time_s, level, INK, 1.1, "mean of either part", dashed=True))
     span = (float(residuals.time_s[0]), float(residuals.time_s[-1]))
     marks += held_out(residuals, span)
-    return Panel(tuple(marks), Axis(limits=span, kind="time"), Axis(error_label(quantity), most=6))
+    y = Axis(quantity(finding.quantity).excess, most=6)
+    return Panel(tuple(marks), Axis(limits=span, kind="time"), y)
 
 
-def _daily(residuals: Residuals, quantity: str) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+def _daily(residuals: Residuals, name: str) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Day's noon [s], mean and 10th and 90th percentile of simulation − reading."""
-    error = -residuals.error[quantity]
+    error = -residuals.error[name]
     there = np.isfinite(error)
     number = np.floor(residuals.time_s[there] / DAY_S).astype(int)
     starts = np.flatnonzero(np.append(True, np.diff(number) > 0))

@@ -32,6 +32,7 @@ from hygrokf.report.figures.panels import (
     course,
     strokes,
 )
+from hygrokf.report.quantities import p_value, spoken
 
 QUANTILES = 160
 """Points of the quantile plot, evenly spread over the normal distribution's quantiles."""
@@ -65,10 +66,7 @@ def figure_innovations(
         _periodogram(found.periodogram or Periodogram()),
         _quantiles(e),
         _course(time[known], e),
-        *(
-            _correlation(one, reach, f"Correlation with {one_line(name).replace('_', ' ')}")
-            for name, one in cross
-        ),
+        *(_correlation(one, reach, f"Correlation with {spoken(one_line(name))}") for name, one in cross),
         *([] if cross else [Panel(title="no input varies, or none is known: no cross-correlation")]),
     )
     return Picture(panels, height_in=1.6 * -(-len(panels) // 3), columns=3)
@@ -132,7 +130,7 @@ def _cumulative(data: CumulativePeriodogram) -> Panel:
         return Panel(title="no cumulative periodogram in fit.json")
     end = float(frequency[-1])
     line = np.array([0.0, end])
-    words = "p < 0.001" if data.p < 0.001 else f"p = {data.p:.2f}"
+    words = f"p = {p_value(data.p)}".replace("= <", "<")
     marks = (
         Band(line, line / end - data.limit, line / end + data.limit, QUIET),
         Curve(line, line / end, QUIET, 0.6),

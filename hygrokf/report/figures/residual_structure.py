@@ -8,16 +8,14 @@ from __future__ import annotations
 
 import itertools
 import textwrap
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
 from hygrokf.data.timestamps import DAY_S, HOUR_S
 from hygrokf.discovery.residuals import (
-    HUMIDITY,
     QUANTITIES,
     TEMPERATURE,
-    UNITS,
     Quantity,
     Residuals,
     binned,
@@ -37,20 +35,15 @@ from hygrokf.report.figures.panels import (
     Picture,
     validation,
 )
+from hygrokf.report.quantities import quantity
 
 AFTER = "#00796b"
 """Colour of the extended model; the base keeps that of the simulation."""
 DIVERGING = ("#16365c", "#4f8fbf", "#f7f7f5", "#dd8a4a", "#8f1d14")
-TITLE: Mapping[str, str] = {TEMPERATURE: "Temperature", HUMIDITY: "Absolute humidity"}
 FEWEST_IN_BIN = 10
 """Hours that a bin needs to be drawn."""
 FEWEST_READINGS = 100
 DRIVERS = 4
-
-
-def error_label(quantity: str) -> str:
-    """Label of an error axis, the sign as in all statements: above zero the simulation is too high."""
-    return f"simulation − reading [{UNITS[quantity]}]"
 
 
 def _known(residuals: Residuals) -> list[Quantity]:
@@ -77,8 +70,8 @@ def figure_drivers(residuals: Residuals, drivers: Sequence[str], after: Residual
     if not chosen:
         raise NothingToShow("No driver varies enough to hold the error against it.")
     panels = []
-    for quantity in quantities:
-        error = -early.error[quantity]
+    for one in quantities:
+        error, told = -early.error[one], quantity(one)
         reach = 1.05 * float(np.nanquantile(np.abs(error), 0.95)) or 1.0
         for name in chosen:
             value, unit = displayed(name, early.drivers[name])
@@ -86,12 +79,12 @@ def figure_drivers(residuals: Residuals, drivers: Sequence[str], after: Residual
             marks = _bands(value, error, edges, "median" if after is None else "median, before")
             if marks and late is not None and name in late.drivers:
                 other, _ = displayed(name, late.drivers[name])
-                line = _medians(other, -late.error[quantity], edges)
+                line = _medians(other, -late.error[one], edges)
                 marks.append(Curve(*line, AFTER, 1.4, "after", "o", 2.4))
             short = unit.replace("% of the rated power", "% of rated")
             x = Axis(textwrap.fill(f"{words(name)} [{short or '1'}]", 27), most=5)
-            title = TITLE[quantity] if name == chosen[0] else ""
-            y = Axis(error_label(quantity), (-reach, reach))
+            title = told.title if name == chosen[0] else ""
+            y = Axis(told.excess, (-reach, reach))
             panels.append(Panel(tuple(marks), x, y, title) if marks else Panel(title="too few hours"))
     return Picture(tuple(panels), height_in=0.7 + 1.7 * len(quantities), columns=len(chosen), shared="xy")
 
@@ -105,8 +98,8 @@ def telling_drivers(residuals: Residuals, first: Sequence[str] = ()) -> list[str
         if name == "preheating":
             continue
         spreads = []
-        for quantity in quantities:
-            error = hours.error[quantity]
+        for one in quantities:
+            error = hours.error[one]
             _, middle = _medians(value, error, _shares(value[np.isfinite(error)]))
             if len(middle) > 2:
                 spreads.append(float(np.nanstd(middle)) / (float(np.nanstd(error)) or 1.0))
@@ -167,7 +160,7 @@ def figure_error_course(before: Residuals, after: Residuals) -> Picture:
     time = DAY_S * (np.repeat(day, 2) + np.tile((0.0, 1.0), len(day)))
     every = {q: [np.repeat(_daily_rms(one, q, day), 2) for one in (before, after)] for q in QUANTITIES}
     panels = []
-    for quantity, (base, extended) in every.items():
+    for one, (base, extended) in every.items():
         if not (np.isfinite(base).any() and np.isfinite(extended).any()):
             continue
         better, worse = np.minimum(base, extended), np.maximum(base, extended)
@@ -181,15 +174,16 @@ def figure_error_course(before: Residuals, after: Residuals) -> Picture:
         )
         top = 1.08 * float(np.nanmax([base, extended])) or 1.0
         x = Axis(limits=(time[0], time[-1]), kind="time")
-        panels.append(Panel(marks, x, Axis(f"RMS [{UNITS[quantity]}]", (0.0, top), most=5), TITLE[quantity]))
+        told = quantity(one)
+        panels.append(Panel(marks, x, Axis(f"RMS [{told.unit}]", (0.0, top), most=5), told.title))
     if not panels:
         raise NothingToShow("No held-out readings can be compared with the simulations.")
     return Picture(tuple(panels), height_in=0.62 + 1.35 * len(panels), shared="x")
 
 
-def _daily_rms(residuals: Residuals, quantity: str, days: np.ndarray) -> np.ndarray:
+def _daily_rms(residuals: Residuals, name: str, days: np.ndarray) -> np.ndarray:
     """Root mean square (n,) of the error on held-out days (n,) since 1970; NaN on those without a reading."""
-    error = residuals.error[quantity]
+    error = residuals.error[name]
     chosen = residuals.validation & np.isfinite(error)
     place = (np.floor(residuals.time_s[chosen] / DAY_S) - days[0]).astype(int)
     return np.sqrt(means(place, error[chosen] ** 2, len(days)))
@@ -198,17 +192,16 @@ def _daily_rms(residuals: Residuals, quantity: str, days: np.ndarray) -> np.ndar
 # --- day and hour ----------------------------------------------------------------------------
 
 
-def figure_day_hour(
-    residuals: Residuals, quantity: str = TEMPERATURE, after: Residuals | None = None
-) -> Picture:
+def figure_day_hour(residuals: Residuals, name: str = TEMPERATURE, after: Residuals | None = None) -> Picture:
     """Error of the free run by day (across) and hour of the day (up), over identification and validation."""
-    if quantity not in _known(residuals):
-        raise NothingToShow(f"There are no errors of the {TITLE[quantity].lower()} to show.")
+    told = quantity(name)
+    if name not in _known(residuals):
+        raise NothingToShow(f"There are no errors of the {told.words} to show.")
     models = [("", residuals)] if after is None else [(", before", residuals), (", after", after)]
-    maps = [_by_day(one, quantity) for _, one in models]
+    maps = [_by_day(one, name) for _, one in models]
     first, table = maps[0]
     reach = float(np.nanquantile(np.abs(table), 0.97)) or 1.0
-    scale = ColourScale(DIVERGING, UNITS[quantity], -reach, reach)
+    scale = ColourScale(DIVERGING, told.unit, -reach, reach)
     span = (DAY_S * first, DAY_S * (first + len(table)))
     panels = []
     for (label, one), (day, values) in zip(models, maps, strict=True):
@@ -218,7 +211,7 @@ def figure_day_hour(
                 (shown, *held_out(one, span)),
                 Axis(limits=span, kind="time", grid=False),
                 Axis("hour [UTC]", (0.0, 24.0), at=range(0, 25, 6), grid=False),
-                f"{TITLE[quantity]}, simulation − reading{label}",
+                f"{told.title}, simulation − reading{label}",
             )
         )
     return Picture(tuple(panels), height_in=0.5 + 1.55 * len(maps), shared="x", scale=scale)
@@ -231,9 +224,9 @@ def held_out(residuals: Residuals, span: tuple[float, float]) -> tuple[Mark, ...
     return validation(float(residuals.time_s[np.argmax(residuals.validation)]), span)
 
 
-def _by_day(residuals: Residuals, quantity: str) -> tuple[int, np.ndarray]:
+def _by_day(residuals: Residuals, name: str) -> tuple[int, np.ndarray]:
     """Number of the first day since 1970 and mean errors (days, 24), NaN without a reading."""
-    error = -residuals.error[quantity]
+    error = -residuals.error[name]
     there = np.isfinite(error)
     hour = np.floor(residuals.time_s[there] / HOUR_S).astype(int)
     first = int(np.floor(residuals.time_s[0] / DAY_S))

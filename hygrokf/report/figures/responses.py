@@ -9,6 +9,7 @@ import numpy as np
 from hygrokf.evaluation.responses import Answer, FrequencyResponse, Response, StepResponse
 from hygrokf.report.figures.drawing import MEASURED
 from hygrokf.report.figures.panels import Axis, Band, Curve, Mark, Panel, Picture
+from hygrokf.report.quantities import spoken
 
 QUARTERS = (1.0, 1.5, 3.0, 4.5, 9.0, 10.0)
 """Steps between the marks of a phase axis, times a power of ten: 15°, 30°, 45°, 90°."""
@@ -24,7 +25,7 @@ def bode(found: FrequencyResponse) -> Picture:
         pairs = [(output, name) for name in found.system.inputs]
         for pair in pairs:
             marks = _marks(found, found.omega, found.magnitude[pair])
-            title = f"{_words(pair[1])} → {_words(pair[0])}"
+            title = f"{spoken(pair[1])} → {spoken(pair[0])}"
             panels.append(Panel(marks, Axis("", limits, "logarithmic"), magnitude, title))
         for pair in pairs:
             marks = _marks(found, found.omega, found.phase_deg[pair])
@@ -41,7 +42,7 @@ def step_response(found: StepResponse) -> Picture:
             _marks(found, found.time_h, found.value[pair]),
             x,
             Axis("answer [output/input]"),
-            f"{_words(pair[1])} + 1 → {_words(pair[0])}",
+            f"{spoken(pair[1])} + 1 → {spoken(pair[0])}",
         )
         for pair in found.pairs
     ]
@@ -57,7 +58,3 @@ def _marks(found: Response, x: np.ndarray, answer: Answer) -> tuple[Mark, ...]:
     band = f"{100.0 * found.level:g} % band from the parameters' uncertainty"
     shown = (Curve(x, value, MEASURED, 1.1, "at the estimate"),)
     return (*shown, Band(x, lower, upper, MEASURED, 0.22, band)) if np.isfinite(lower).any() else shown
-
-
-def _words(name: str) -> str:
-    return name.replace("_", " ")

@@ -27,7 +27,7 @@ from hygrokf.identification.verdict_terms import (
     Kind,
     Reason,
 )
-from hygrokf.identification.wording import NONE, QUANTITIES, fixed, one_line, sentence
+from hygrokf.identification.wording import NONE, one_line, sentence
 from hygrokf.modelling.design import PARTS
 from hygrokf.report.blocks import (
     SYNTHETIC_PAGE,
@@ -54,13 +54,13 @@ from hygrokf.report.climate_tables import (
     value_and_bounds,
 )
 from hygrokf.report.discovery_page import gains_table, spans_text
-from hygrokf.report.discovery_text import listed, verdict_of
+from hygrokf.report.discovery_text import verdict_of
 from hygrokf.report.figures.climate import short_words
 from hygrokf.report.figures.drawing import WIDTH_IN, NothingToShow
 from hygrokf.report.figures.lead import lead_of_climate, lead_of_discovery, lead_of_fit
 from hygrokf.report.fit_page import period_text
 from hygrokf.report.fit_text import judgements
-from hygrokf.version import __version__
+from hygrokf.report.quantities import listed, quantity, versions
 
 MOST_ROWS, MOST_ACTIONS = 12, 8
 """What one page can hold."""
@@ -101,11 +101,6 @@ def named(text: str, without: str = "unnamed record") -> str:
 def known(term: str, text: str) -> tuple[tuple[str, str], ...]:
     """A line of the foot; none where its text is empty."""
     return ((term, text),) if text else ()
-
-
-def made_by(version: str) -> tuple[str, str]:
-    """The line of the foot with the versions of the result and of the page."""
-    return ("Made by", f"hygrokf {version or '(version not stated)'}; summary by hygrokf {__version__}")
 
 
 def first_rows(table: Table) -> Table:
@@ -269,7 +264,7 @@ def summary_of_fit(fit: FitResults, series: Mapping[str, np.ndarray]) -> Summary
         (
             ("Record", named(fit.name)),
             *known("Period", period_text(fit)),
-            made_by(fit.version),
+            ("Made by", versions(fit.version)),
         ),
         synthetic=SYNTHETIC_PAGE if fit.synthetic else "",
     )
@@ -302,13 +297,12 @@ def _constants(fit: FitResults) -> Table:
         value, bounds = one.texts
         rows.append((f"{name} time constant", value, f"{bounds} h" if one.closed else NONE, one.words))
     kinds = {one.about: one.verdict for one in judgements(fit)}
-    for quantity in SCORED:
-        late, early = (fit.errors(period, quantity).total for period in ("validation", "identification"))
-        if quantity in kinds and (late == late or early == early):
-            name, unit = QUANTITIES[quantity]
+    for name in SCORED:
+        late, early = (fit.errors(period, name).total for period in ("validation", "identification"))
+        if name in kinds and (late == late or early == early):
             error, where = (late, "on new data") if late == late else (early, "on the data of the fit")
-            words = f"error of the simulated {name}, {where}"
-            rows.append((words, f"{fixed(error)} {unit}", "", WORDS[kinds[quantity]]))
+            words = f"error of the simulated {quantity(name).words}, {where}"
+            rows.append((words, quantity(name).told(error), "", WORDS[kinds[name]]))
     return Table(
         "The numbers",
         ("", "value", "95 % bounds", "verdict"),
@@ -339,7 +333,7 @@ def summary_of_discovery(
         (
             ("Record", named(found.name)),
             *known("Period", " ".join(spans_text(before))),
-            made_by(found.version),
+            ("Made by", versions(found.version)),
         ),
         "open" if verdict.warned else "plain",
         SYNTHETIC_PAGE if found.synthetic else "",
@@ -383,7 +377,7 @@ def summary_of_climate(study: Study) -> Summary:
             ("Model", named(study.name, "unnamed model")),
             *(("Weather", weather_text(one).removeprefix("Weather ")) for one in regions[:3]),
             ("Ensemble", f"{study.members} members, seed {study.seed}"),
-            made_by(study.version),
+            ("Made by", versions(study.version)),
         ),
         TONES.get(worst, "plain"),
         SYNTHETIC_CLIMATE if made_up else "",
