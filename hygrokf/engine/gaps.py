@@ -18,7 +18,6 @@ import numpy as np
 
 from hygrokf.engine.timeline import Timeline
 from hygrokf.engine.traced_filter import Recursion
-from hygrokf.physics.expression import is_zero
 from hygrokf.physics.model import Model
 
 
@@ -26,20 +25,8 @@ def gap_variances(model: Model, recursion: Recursion, t: Timeline) -> dict[int, 
     """p₀ (n,) of each end of a gap, by the instant after it; parameters that it depends on have their start
     values."""
     start, found = {p.name: p.start for p in model.parameters}, {}
-    driven = _driven(recursion) if t.ends.any() else np.empty(0)
     for k in np.flatnonzero(t.ends).tolist():
         held = zip((*t.regimes, *t.varying), (*t.steps[t.key[k], 1:], *t.u[k]), strict=True)
         _, variance = model.initial(start, {name: float(value) for name, value in held})
-        found[k] = np.where(driven, np.array(variance, dtype=float), 0.0)
+        found[k] = np.where(recursion.driven, np.array(variance, dtype=float), 0.0)
     return found
-
-
-def _driven(recursion: Recursion) -> np.ndarray:
-    """(n,) True for states that follow an input, by themselves or through other states."""
-    graph, n = recursion.graph, recursion.n
-    inputs = {i for i, node in enumerate(graph.nodes) if node[0] == "symbol" and node[1][:2] in ("b:", "g:")}
-    driven = np.array([not inputs.isdisjoint(graph.needed([rate])) for rate in recursion.rates])
-    acts = np.array([[not is_zero(entry) for entry in row] for row in recursion.jacobian]).reshape(n, n)
-    for _ in range(n):
-        driven = driven | (acts @ driven)
-    return driven

@@ -485,6 +485,18 @@ class Recursion:
         return variances_of(self.graph, self.model, self.p, self.now, self.mean)
 
     @cached_property
+    def driven(self) -> np.ndarray:
+        """(n,) True for states that follow an input, by themselves or through other states."""
+        nodes = enumerate(self.graph.nodes)
+        inputs = {i for i, node in nodes if node[0] == "symbol" and node[1][:2] in ("b:", "g:")}
+        driven = np.array([not inputs.isdisjoint(self.graph.needed([rate])) for rate in self.rates])
+        acts = np.array([[not is_zero(entry) for entry in row] for row in self.jacobian])
+        acts = acts.reshape(self.n, self.n)
+        for _ in range(self.n):
+            driven = driven | (acts @ driven)
+        return driven
+
+    @cached_property
     def _blocks(self) -> list[Block]:
         late = [list(one.block) for one in operations(self.late)]
         return [self.predict, *self.updates, self.gathered[1], *late]

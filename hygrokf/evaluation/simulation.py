@@ -135,9 +135,10 @@ def expected_readings(
         name: (trace.prediction[:, i], np.sqrt(trace.variance[:, i])) for i, name in enumerate(model.outputs)
     }
     mean, covariance = trace.prior_mean, trace.prior_covariance
+    noise = _noise(model, t, values) if model.averaged else {}
     for name, interval in model.averaged.items():  # at instants without a mean the reading of an instant
         rate, variance = project(model, t, values, mean, covariance, f"mean_{name}")
-        sd = np.sqrt(np.maximum(variance, 0.0) * interval**2 + _noise(model, t, values, name) ** 2)
+        sd = np.sqrt(np.maximum(variance, 0.0) * interval**2 + noise[name] ** 2)
         read = np.isfinite(t.reading(name))
         found[name] = np.where(read, found[name][0], rate * interval), np.where(read, found[name][1], sd)
     return found
@@ -160,9 +161,10 @@ def predicted_readings(design: Design, values: Mapping[str, float], run: Run, tr
     if relative is not None and warm is not None:
         value = 1e3 * absolute_humidity(relative[0], warm)
         slope = 1e3 * absolute_humidity_slope_temperature(relative[0], warm)
-        by_temperature = slope * _noise(model, t, values, "cabinet_temperature")
+        noise = _noise(model, t, values)
+        by_temperature = slope * noise.get("cabinet_temperature", 0.0)
         saturated = 1e3 * absolute_humidity(1.0, warm)
-        by_humidity = saturated * _noise(model, t, values, "cabinet_relative_humidity")
+        by_humidity = saturated * noise["cabinet_relative_humidity"]
         state = model.states.index("vapour")
         ratio = t.input("ambient_temperature") / warm  # equation (5)
         vapour = ratio * np.sqrt(np.maximum(trace.prior_covariance[:, state, state], 0.0))
@@ -170,14 +172,12 @@ def predicted_readings(design: Design, values: Mapping[str, float], run: Run, tr
     return Prediction(temperature, relative, absolute)
 
 
-def _noise(model: Model, t: Timeline, values: Mapping[str, float], output: str) -> float:
-    """Standard deviation of a single reading's white noise, including resolution; 0 for a signal that is not
-    an output."""
-    if output not in model.outputs:
-        return 0.0
+def _noise(model: Model, t: Timeline, values: Mapping[str, float]) -> dict[str, float]:
+    """Standard deviation of a single reading's white noise, including resolution, of every output."""
     u = {name: float(t.input(name)[0]) for name in model.inputs}
     mean, _ = model.initial(values, u)
-    return float(np.sqrt(model.evaluate(mean, u, values).outputs[output][1]))
+    outputs = model.evaluate(mean, u, values).outputs
+    return {name: float(np.sqrt(outputs[name][1])) for name in model.outputs}
 
 
 def free_run(

@@ -196,8 +196,8 @@ def test_amounts_are_never_below_nothing() -> None:
         "sorbed_water",
         "sorbed_skin",
     ]
-    record, _ = driven(fit, short(30), None)
-    (year,) = simulate_years(fit, record, [fit.values] * 40, 3, Surface())
+    record, _ = driven(fit, short(15), None)
+    (year,) = simulate_years(fit, record, [fit.values] * 20, 3, Surface())
     assert np.isfinite(year.relative_humidity).all() and year.relative_humidity.min() >= 0.0
     assert year.absolute_humidity_g_m3.max() < 60.0
 

@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 from plants import Cabinet, Forcing, Plant, integrate, plant
 from plants.balances import LATENT_J_KG
-from plants.causes_loggers import summer_time
 from plants.chamber import Terms, gab, integrate_hidden, no_exposure
 from plants.chance import low_pass
 from plants.drivers import Drivers
@@ -26,6 +25,8 @@ from plants.strength import GROWTH, growth
 
 SEED, DAYS = 5, 40.0
 EVERY = [(cause, form) for cause, forms in FORMS.items() for form in range(len(forms))]
+SOME = [(cause, place % len(forms)) for place, (cause, forms) in enumerate(FORMS.items())]
+"""One form of every cause; the slow test builds all."""
 OPTIONAL = ("wind_speed", "global_horizontal_irradiance", "rain")
 
 
@@ -77,7 +78,7 @@ def test_every_cause_has_two_forms() -> None:
     assert all(len(FORMS[cause]) >= 2 for cause in LIBRARY)
 
 
-@pytest.mark.parametrize(("cause", "form"), EVERY)
+@pytest.mark.parametrize(("cause", "form"), SOME)
 def test_a_cause_is_built_with_its_truth(nothing: Plant, cause: str, form: int) -> None:
     made = hiding(cause, form)
     (hidden,) = made.truth.hidden
@@ -112,7 +113,7 @@ def test_a_cause_is_built_with_its_truth(nothing: Plant, cause: str, form: int) 
 
 
 def test_readings_stay_plausible() -> None:
-    for made in (hiding(cause, form) for cause, form in EVERY[::4]):
+    for made in (hiding(cause, form) for cause, form in SOME[::2]):
         inside = made["cabinet_temperature"].value
         assert -10.0 < np.nanmin(inside) and np.nanmax(inside) < 75.0
         assert np.nanmin(made["cabinet_relative_humidity"].value) >= 0.0
@@ -159,21 +160,6 @@ def test_two_causes_at_once() -> None:
     assert not np.array_equal(both.trajectory.cabinet_kg_m3, wet.trajectory.cabinet_kg_m3)
     with pytest.raises(ValueError, match="two of different kinds"):
         hidden_plant(SEED, "condensation", second=("condensation", 1), days=10.0)
-
-
-@pytest.mark.parametrize(
-    ("cause", "options", "found"),
-    [
-        ("ghosts", {}, "found 'ghosts'"),
-        ("condensation", {"form": 2}, "forms 0 to 1, found 2"),
-        ("condensation", {"strength": 0.0}, "above 0"),
-        ("none", {"operation": "idle"}, "found 'idle'"),
-        ("none", {"weather": "storms"}, "found 'storms'"),
-    ],
-)
-def test_wrong_names_are_refused(cause: str, options: dict, found: str) -> None:
-    with pytest.raises(ValueError, match=found):
-        hidden_plant(1, cause, days=5.0, **options)
 
 
 # --- size -----------------------------------------------------------------------------------
@@ -576,24 +562,7 @@ def test_instruments_that_are_there_by_chance_tell_the_weather() -> None:
     assert hidden_plant(3, "rain_ingress", days=12.0)["rain"].value.size > 1000
 
 
-def test_a_hidden_plant_is_a_record_of_the_package() -> None:
-    from plants.as_record import to_record
-
-    made = hidden_plant(3, "rain_ingress", days=12.0)
-    record = to_record(made)
-    assert {one.signal for one in made.series} == {one.signal for one in record.series}
-    assert np.max(record["rain"].value) == pytest.approx(np.max(made["rain"].value))
-
-
 # --- sensors and clocks ---------------------------------------------------------------------
-
-
-def test_summer_time_ends_in_october() -> None:
-    instants = np.array(
-        ["2020-03-29T00:59", "2020-03-29T01:00", "2020-10-25T00:59", "2020-10-25T01:00", "2021-03-28T01:00"],
-        dtype="datetime64[s]",
-    ).astype(float)
-    assert summer_time(instants).tolist() == [False, True, True, False, True]
 
 
 def by_source(cause_form: int, source: int, days: float, **options: object) -> tuple[Plant, Plant]:
@@ -723,13 +692,6 @@ def test_the_papers_case_and_what_only_looks_like_it(decoy: str | None) -> None:
         assert hidden.cause == {"film": "condensation", "source": "internal_moisture_source"}[decoy]
         assert earlier < 0.02
     assert made.truth.tau_h == pytest.approx(1.5)
-
-
-def test_the_papers_case_refuses_what_it_cannot_be() -> None:
-    with pytest.raises(ValueError, match="found 'ghost'"):
-        paper_case(1, decoy="ghost")
-    with pytest.raises(ValueError, match="80 days at least"):
-        paper_case(1, days=60.0)
 
 
 # --- all of it, at full length --------------------------------------------------------------

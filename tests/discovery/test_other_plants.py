@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import cache
 
 import numpy as np
 import pytest
@@ -83,7 +84,7 @@ def test_flows_have_two_times_and_err_as_much_as_stated() -> None:
         kelvin, grams = free_run(made)
         assert 1.0 < kelvin < 2.0 and 0.3 < grams < 0.5
         assert made.truth.hidden == () and not made.truth.class_right
-    one = [hidden_plant(seed, "none", days=DAYS) for seed in SEEDS]
+    one = [bare(seed) for seed in SEEDS]
     for which in range(2):
         short, long = times_h([flows(made)[which] for made in two])
         assert short < 6.0 and long > 4.0 * short
@@ -175,11 +176,6 @@ def test_other_nulls_differ_in_their_readings_alone(kind: str) -> None:
         assert np.array(quiet) / np.array(loud) == pytest.approx((QUIET, QUIET), rel=0.05)
 
 
-def test_kinds_of_nulls_are_told() -> None:
-    with pytest.raises(ValueError, match="bursts, apart_bursts, found 'sensor'"):
-        null_plant(1, "sensor")
-
-
 # --- halved causes --------------------------------------------------------------------------
 
 
@@ -187,8 +183,6 @@ def test_kinds_of_nulls_are_told() -> None:
     ("cause", "form", "name"),
     [
         ("moisture_sorption", 0, "dry_material_kg"),
-        ("solar_gain", 1, "gain_K_m2_W"),
-        ("heat_release_drift", 0, "change_by_the_end"),
         ("clock_shift", 0, "late_min"),
     ],
 )
@@ -206,12 +200,6 @@ def test_halved_is_half_the_amplitude_of_the_same_law(cause: str, form: int, nam
         assert half.reached == pytest.approx(0.5 * whole.reached)
 
 
-def test_half_the_strength_is_more_than_half_the_amplitude() -> None:
-    (whole,) = hidden_plant(5, "solar_gain", days=40.0).truth.hidden
-    (weaker,) = hidden_plant(5, "solar_gain", days=40.0, strength=0.5).truth.hidden
-    assert 0.6 < weaker.parameters["absorbing_m2"] / whole.parameters["absorbing_m2"] < 0.85
-
-
 def test_summer_time_cannot_be_halved() -> None:
     (half,) = hidden_plant(5, "clock_shift", form=1, days=40.0, halved=True).truth.hidden
     assert half.limited
@@ -220,9 +208,14 @@ def test_summer_time_cannot_be_halved() -> None:
 # --- effects of no library ------------------------------------------------------------------
 
 
+@cache
+def bare(seed: int) -> Plant:
+    return hidden_plant(seed, "none", days=DAYS)
+
+
 def course(cause: str, seed: int = 71) -> tuple[Plant, Plant]:
     """A plant with an effect and the one without it."""
-    return hidden_plant(seed, cause, days=DAYS), hidden_plant(seed, "none", days=DAYS)
+    return hidden_plant(seed, cause, days=DAYS), bare(seed)
 
 
 def test_the_tide_has_its_period() -> None:
@@ -243,8 +236,8 @@ def test_the_routine_is_on_two_days_of_a_week() -> None:
 
 
 def test_the_load_by_chance_lasts_two_days() -> None:
-    counts = [hidden_plant(s, "load_by_chance", days=DAYS).truth.hidden[0].parameters for s in SEEDS]
-    # 85 switchings each, 340 with a standard deviation of 18
+    counts = [hidden_plant(s, "load_by_chance", days=DAYS).truth.hidden[0].parameters for s in SEEDS[:2]]
+    # 85 switchings each, 170 with a standard deviation of 13
     assert np.mean([one["switchings"] for one in counts]) == pytest.approx(DAYS / 2.0, rel=0.2)
 
 

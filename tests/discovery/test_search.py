@@ -10,29 +10,31 @@ import numpy as np
 import pytest
 from plants.as_record import to_record
 from plants.hidden import hidden_plant
+from plants.plant import Plant
 
 from hygrokf.discovery.conclusion import lines
 from hygrokf.discovery.estimate import Calibration
 from hygrokf.discovery.final_set import FinalSet, final_estimator, final_set, fit_of
 from hygrokf.discovery.forms import ground_of
 from hygrokf.discovery.judgement import LEAST_IMPROVEMENT, Scores, judged, levelled, scores
-from hygrokf.discovery.library import LIBRARY
+from hygrokf.discovery.library import named
 from hygrokf.discovery.search import Search, composed
 from hygrokf.discovery.starting_model import base_estimate, free_run_error, renewed
 
-DAYS = 90.0
-Run = tuple[object, Search, int]
+DAYS = 60.0
+TRIED = ("solar_gain", "exchange_step", "condensation")
+"""Causes of the temperature, of both quantities and of the vapour."""
+Run = tuple[Plant, Search]
 
 
 def found(cause: str, seed: int) -> Run:
-    """A plant, what the search finds in it, and the number of its simulations."""
+    """A plant, and what the search finds in it."""
     made = hidden_plant(seed, cause, days=DAYS)
     record = to_record(made)
     record = replace(record, until_s=record.start_s + 2.0 / 3.0 * (record.end_s - record.start_s))
     base = base_estimate(record)
     ground = ground_of(record, base.simulator.heat, base.simulator.vapour)
-    ended = Search(base, [form for one in LIBRARY for form in one.forms(ground)]).run()
-    return made, ended, ended.parent.simulator.work.simulations
+    return made, Search(base, [form for one in TRIED for form in named(one).forms(ground)]).run()
 
 
 @pytest.fixture(scope="module")
@@ -75,15 +77,7 @@ def test_a_plant_that_hides_nothing_has_no_name_and_no_line(nothing: Run) -> Non
     assert nothing[1].accepted == [] and lines(nothing[1].parent, {}) == []
 
 
-def test_the_same_search_gives_the_same_numbers(nothing: Run) -> None:
-    _, again, count = found("none", 9102)
-    assert again.parent.theta.tobytes() == nothing[1].parent.theta.tobytes()
-    assert count == nothing[2]
-
-
-def test_base_and_final_set_hold_the_plants_time_constants(
-    nothing: Run, sunny: Run, final: FinalSet
-) -> None:
+def test_base_and_final_set_hold_the_plants_time_constants(nothing: Run, sunny: Run, final: FinalSet) -> None:
     """Within 15 %: one plant each, and bounds of 95 % are for many."""
     base = nothing[1].base
     assert base.values["thermal_time_constant"] == pytest.approx(nothing[0].truth.tau_h, rel=0.15)
@@ -142,9 +136,7 @@ def test_the_held_out_part_refutes_what_is_worse_and_what_gains_nothing(
     assert judged(before, warmer(0.3), spare=1e4).reason == "" == judged(before, before).reason
 
 
-def test_little_evidence_needs_held_out_readings_that_bear_it_out(
-    sunny: Run, nothing: Run
-) -> None:
+def test_little_evidence_needs_held_out_readings_that_bear_it_out(sunny: Run, nothing: Run) -> None:
     base = scores(levelled(sunny[1].base))
     borne_out = judged(base, scores(levelled(sunny[1].parent)), spare=1e4, weak=True)
     assert borne_out.reason == "" and borne_out.improvement > LEAST_IMPROVEMENT

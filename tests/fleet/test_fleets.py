@@ -7,6 +7,7 @@ import io
 import json
 import os
 import pickle
+import shutil
 import signal
 import threading
 import time
@@ -528,7 +529,7 @@ def limits_file(park: Path) -> None:
 def test_fits_of_a_fleet_give_the_type_of_its_turbines(
     park: Path, serial: tuple[Path, str], tmp_path: Path
 ) -> None:
-    out = tmp_path / "out"
+    out = shutil.copytree(serial[0], tmp_path / "out")
     run_fleet(read_plan(park / "fleet.toml"), out, workers=1)
     kind = read_type(out / "type.json")
     assert kind.turbines == WHOLE

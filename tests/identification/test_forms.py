@@ -172,7 +172,7 @@ def test_a_slow_humidity_sensor_is_told_from_a_slow_exchange(slow_sensor):
 
 
 def test_a_stated_response_is_modelled_and_no_form_of_its_own():
-    record, truth = plant_record("lag_stated", 31001)
+    record, truth = plant_record("lag_stated", 31001, days=15.0)
     fit = identify(record, starts=1, profiles=False)
     entry = fit.results.time_constants["hygric"]
     assert [form.form for form in entry.forms] == ["base", SECOND["vapour_disturbance"]]
@@ -193,8 +193,8 @@ def test_a_response_at_an_end_of_its_range_is_not_adopted():
     assert clock.offset_s + 2.0 * clock.sd_s < 0.0
 
 
-def test_without_lag_convection_or_second_mass_the_base_stays(slow_sensor):
-    record, truth = plant_record("instants", 31002)
+def test_without_lag_convection_or_second_mass_the_base_stays():
+    record, truth = plant_record("instants", 31002, days=30.0)
     fit = identify(record, starts=1, profiles=False)
     assert "natural_convection" not in dict(fit.design.mechanisms)
     thermal, moist = (fit.results.time_constants[name] for name in ("thermal", "hygric"))

@@ -76,13 +76,9 @@ def test_a_held_humidity_has_no_constant():
 
 
 def test_a_discovery_gives_a_held_humidity_no_constant_either():
-    held, free = (
-        discover(a_cabinet(0, humidity), library=()).base.results.time_constants["hygric"]
-        for humidity in ("held", "exchanged")
-    )
+    held = discover(a_cabinet(0, "held"), library=()).base.results.time_constants["hygric"]
     assert held.verdict == "reject" and "input_not_needed" in [one.code for one in held.reasons]
     assert held.lower_h == 0.0 and math.isnan(held.upper_h)
-    assert free.verdict != "reject" and free.lower_h < 0.5 < 1.2 * free.upper_h
 
 
 def test_an_exchange_is_needed_beyond_doubt():

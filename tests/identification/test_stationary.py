@@ -209,8 +209,8 @@ def test_settling_takes_the_transients_bias_off() -> None:
     """A slow cabinet is still warm from operation in the short periods of a standstill."""
     plain, settled = [], []
     for seed in range(1, 9):
-        one, record = plant(seed, tau_h=6.0), to_record(plant(seed, tau_h=6.0))
-        found = heat_release_regression(record, reference_K=REFERENCE_K)
+        one = plant(seed, tau_h=6.0)
+        found = heat_release_regression(to_record(one), reference_K=REFERENCE_K)
         fit, truth = found.standstill, one.truth.standstill_K
         bias = dict(one.truth.biases).get("cabinet_temperature", 0.0)
         right = truth[0] + truth[1] * mean_warmth(fit) + bias

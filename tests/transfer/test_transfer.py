@@ -62,7 +62,7 @@ def other(origin: Fit) -> Transfer:
     return transfer_fit(origin, sister((HEAT,)))
 
 
-@pytest.mark.parametrize("differ", [(), (THERMAL,), (HYGRIC,), (THERMAL, HYGRIC), (THERMAL, HEAT, HYGRIC)])
+@pytest.mark.parametrize("differ", [(), (THERMAL,), (HYGRIC,), (THERMAL, HEAT, HYGRIC)])
 def test_the_verdict_is_right(origin: Fit, differ: tuple[str, ...]) -> None:
     record = sister(differ)
     found = transfer_fit(origin, record, fits=False)
