@@ -242,11 +242,13 @@ def test_a_server_that_is_killed_loses_nothing(tmp_path: Path, record: Record, t
             peer.kill()
             eventually(lambda: tracked.stream.state[0] == "lost", lambda: tracked.stream.state)
             assert "nothing listens there" in tracked.stream.state[1] or "lost" in tracked.stream.state[1]
+            assert tracked.stream.reach().since is not None
             peer.prepare()
             peer.write(samples[part : 3 * part])
             peer.listen()
             peer.write(samples[3 * part :])
             tracked.wait(len(samples))
+            assert tracked.stream.reach().since is None
     expect_offline(tracked.store, record, turbine)
 
 
@@ -765,16 +767,6 @@ def test_a_whole_table(papers: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 def test_what_is_wrong_in_the_table_is_told(papers: Path, changes: dict, said: str) -> None:
     found = faults({**PLAIN, **changes}, papers)
     assert said in found and "s3cret" not in found and "pa55" not in found
-
-
-def test_faults_are_told_together(papers: Path) -> None:
-    table = {
-        "url": "opc.tcp://localhost",
-        "nodes": {"x": {"turbine": "T9", "field": "y"}},
-        "queue": 0,
-        "key": "gone",
-    }
-    assert len(faults(table, papers).splitlines()) == 6
 
 
 def test_the_page_of_the_docs_states_every_key_and_its_example_is_read(papers: Path, tmp_path: Path) -> None:

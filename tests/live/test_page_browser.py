@@ -169,6 +169,9 @@ def newest(service: Service, name: str) -> tuple:
 def test_the_fleet_shows_what_the_store_holds(tab: Tab, live: tuple[str, Hub], service: Service) -> None:
     page = tab.open(live[0])
     expect(page.locator("tbody tr")).to_have_count(4)
+    expect(page.locator("#live-data")).to_have_text(re.compile(r"^data \d+\s(s|min) old$"))
+    expect(page.locator("#live")).not_to_have_class(re.compile("old|off|waiting"))
+    expect(page.locator("#label")).to_be_hidden()
     for name in service.turbines:
         kelvin, kelvin_sd, humidity, humidity_sd, margin, margin_sd, chance, _ = newest(service, name)
         cells = {
@@ -270,13 +273,6 @@ def test_a_sparkline_draws_the_margin_back_and_ahead(tab: Tab, live: tuple[str, 
         for one in (spark.locator(".line.past").last, spark.locator(".line.ahead"), spark.locator(".now"))
     ]
     assert past[0] < past[1] < now[0] < ahead[0] < ahead[1]
-
-
-def test_the_head_says_what_is_live(tab: Tab, live: tuple[str, Hub]) -> None:
-    page = tab.open(live[0])
-    expect(page.locator("#live-data")).to_have_text(re.compile(r"^data \d+\s(s|min) old$"))
-    expect(page.locator("#live")).not_to_have_class(re.compile("old|off|waiting"))
-    expect(page.locator("#label")).to_be_hidden()
 
 
 def test_a_playback_is_marked_and_its_dates_have_a_year(tab: Tab, service: Service, tmp_path: Path) -> None:

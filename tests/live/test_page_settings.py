@@ -8,8 +8,7 @@ from pathlib import Path
 import pytest
 
 from hygrokf.data.toml_form import Place
-from hygrokf.live.sources.endpoint import is_loopback
-from hygrokf.live.web.page_settings import PageSettings, address, page_settings
+from hygrokf.live.web.page_settings import PageSettings, page_settings
 
 TOKEN = "correct-horse-battery"
 
@@ -52,6 +51,7 @@ def test_a_whole_table(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         ("8080", "page must be HOST:PORT"),
         ({"adress": "127.0.0.1:1"}, 'unknown key "adress"'),
         ("0.0.0.0:8080", "other machines reach 0.0.0.0: give an address such as 127.0.0.1:8080"),
+        ("[::]:8080", "other machines reach ::"),
         ({"address": "10.0.0.7:80", "token_file": "token"}, "set behind_proxy = true"),
         ({"address": "10.0.0.7:80", "behind_proxy": True}, "behind_proxy needs token_file or token_env"),
         ({"behind_proxy": True}, "behind_proxy needs token_file or token_env"),
@@ -70,14 +70,3 @@ def test_faults_in_words(folder: Path, value: object, said: str) -> None:
     _, faults = read(folder, value)
     assert len(faults) == 1 and said in faults[0]
     assert "secret-9" not in faults[0] and TOKEN not in faults[0]
-
-
-def test_all_faults_at_once(folder: Path) -> None:
-    _, faults = read(folder, {"address": "x", "hosts": 1, "token_file": "short", "certificate": "page.pem"})
-    assert len(faults) == 4
-
-
-def test_addresses() -> None:
-    assert address("[::1]:80") == ("::1", 80)
-    assert [is_loopback(host) for host in ("127.0.0.1", "127.8.0.1", "::1", "localhost")] == [True] * 4
-    assert [is_loopback(host) for host in ("0.0.0.0", "10.0.0.1", "example.org", "::")] == [False] * 4

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import subprocess
 import sys
 import threading
 from collections.abc import Iterator
@@ -49,20 +48,17 @@ def store(url: str) -> Iterator[Store]:
 def test_a_killed_server_loses_nothing_and_nothing_comes_twice(
     postgresql: Server, url: str, record: Record, turbine: Turbine, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """All of its processes die at once in the middle, twice; it comes back, and so does the loop."""
+    """All of its processes die at once in the middle; it comes back, and so does the loop."""
     in_small_rounds(monkeypatch, 25, 0.05)
-    stream = Acknowledging(record, halts=(0.5, 0.8))
+    stream = Acknowledging(record, halts=(0.6,))
     service = Service({"T1": turbine}, [stream], url)
     with running(service, until_ended=True):
         try:
-            for share in (0.3, 0.6):
-                failures = service.health.failures
-                eventually(lambda share=share: len(stream.acknowledged) > share * len(stream.messages))
-                postgresql.kill()
-                stream.go_on()
-                eventually(lambda failures=failures: service.health.failures > failures)
-                eventually(lambda: url in service.health.store)
-                postgresql.start()
+            eventually(lambda: len(stream.acknowledged) > 0.4 * len(stream.messages))
+            postgresql.kill()
+            stream.go_on()
+            eventually(lambda: service.health.failures > 0)
+            eventually(lambda: url in service.health.store)
         finally:
             if not postgresql.is_running:
                 postgresql.start()
@@ -150,20 +146,6 @@ def test_what_is_not_reached_is_told_without_secrets(
     assert "invalid URI query parameter" in refused(f"postgresql://{OWNER}@127.0.0.1/{name}?sslmod=require")
 
 
-def test_a_password_file_is_libpq_s_own(
-    postgresql: Server, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.delenv("PGPASSWORD", raising=False)
-    name = postgresql.database()
-    file = tmp_path / "pgpass"
-    file.write_text(f"127.0.0.1:{postgresql.port}:*:{OWNER}:{postgresql.password}\n")
-    file.chmod(0o600)
-    assert "no password supplied" in refused(postgresql.tcp_url(name))
-    open_store(postgresql.tcp_url(name, passfile=str(file))).close()
-    monkeypatch.setenv("PGPASSFILE", str(file))
-    open_store(postgresql.tcp_url(name)).close()
-
-
 @pytest.mark.parametrize(
     "url",
     [
@@ -184,6 +166,7 @@ def test_urls_without_a_password_are_fine() -> None:
     for url in (
         "postgresql://me@host:5432/live",
         "postgresql:///live?host=/run/pg&user=me",
+        "postgresql://me@host/live?passfile=/run/pgpass",
         "sqlite:live.db",
     ):
         assert url_fault(url) is None
@@ -304,31 +287,8 @@ def test_every_bit_of_a_number_comes_back(store: Store) -> None:
     assert [one.value for one in found] == values and [one.time for one in found] == times
 
 
-def test_a_role_that_only_reads(postgresql: Server, store: Store) -> None:
-    """As the docs set it up: it sees views and tables, and changes nothing; the tracker's role needs no more
-    than its own."""
-    store.add_turbines({"T1": "digest"})
-    store.commit(everything())
-    name = store.url.partition("@/")[2].partition("?")[0]
-    reader = f"reader_{name}"
-    postgresql.execute(
-        name, f"CREATE ROLE {reader} LOGIN", f"GRANT USAGE ON SCHEMA public TO {reader}",
-        f"GRANT SELECT ON ALL TABLES IN SCHEMA public TO {reader}",
-    )  # fmt: skip
-    other = open_store(postgresql.url(name, user=reader), read_only=True)
-    assert other.rows("SELECT turbine, open_alarms FROM turbine_now") == [("T1", 1)]
-    with pytest.raises(StoreFault, match="read-only"):
-        other.commit(everything())
-    other.close()
-    # rights are granted by somebody: a loop that lacks them tries again
-    other = open_store(postgresql.url(name, user=reader))
-    with pytest.raises(StoreFault, match="permission denied"):
-        other.commit(everything())
-    other.close()
-
-
 def test_tls_is_libpq_s_own(postgresql: Server, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """sslmode=verify-full wants the certificate's own name, and an authority that is known."""
+    """What sslmode and sslrootcert ask for in the URL is asked of the server."""
     certificate = postgresql.data / "server.crt"
     if not certificate.exists():
         pytest.skip("no openssl to make a certificate with")
@@ -342,14 +302,4 @@ def test_tls_is_libpq_s_own(postgresql: Server, tmp_path: Path, monkeypatch: pyt
     assert "does not match host name" in refused(f"postgresql://{OWNER}@elsewhere.example:{place}{root}")
     assert "root certificate file" in refused(
         f"postgresql://{OWNER}@localhost:{place}{tmp_path / 'none.crt'}"
-    )
-    known = subprocess.run(
-        ["openssl", "req", "-x509", "-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:prime256v1", "-nodes",
-            "-subj",
-         "/CN=another", "-keyout", tmp_path / "other.key", "-out", tmp_path / "other.crt"],
-        capture_output=True, check=False,
-    )  # fmt: skip
-    assert known.returncode == 0, known.stderr
-    assert "certificate verify failed" in refused(
-        f"postgresql://{OWNER}@localhost:{place}{tmp_path / 'other.crt'}"
     )

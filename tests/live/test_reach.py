@@ -9,7 +9,6 @@ from pathlib import Path
 
 import httpx
 import pytest
-from builders.opcua_peer import Peer
 from builders.ports import free_port
 from builders.waiting import eventually
 
@@ -68,20 +67,6 @@ def test_what_was_never_there_is_not_reached_from_the_start_on(
         eventually(lambda: stream.state.word in ("waiting", "lost"))
         assert stream.reach()[:2] == (1000.0, limit_s) and stream.reach().words
         assert stream.reach().share(1000.0 + 2.0 * limit_s) == 2.0
-
-
-def test_an_opcua_server_that_is_killed_and_comes_back(tmp_path: Path) -> None:
-    with Peer(tmp_path) as peer:
-        peer.prepare()
-        peer.listen()
-        with started(source(tmp_path, url=peer.url, nodes=NODES)) as stream:
-            eventually(lambda: stream.reach().since is None, lambda: stream.state)
-            peer.kill()
-            eventually(lambda: stream.reach().since is not None, lambda: stream.state)
-            assert stream.state.word == "lost"
-            peer.prepare()
-            peer.listen()
-            eventually(lambda: stream.reach().since is None, lambda: stream.state)
 
 
 def test_the_limit_of_a_file_is_three_of_its_usual_intervals(tmp_path: Path) -> None:

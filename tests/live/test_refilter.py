@@ -4,6 +4,7 @@ once the store is filtered anew."""
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -40,6 +41,14 @@ def filled(folder: Path, turbine: Turbine, record: Record, messages: list[tuple[
     return store
 
 
+@pytest.fixture(scope="module")
+def alone(tmp_path_factory: pytest.TempPathFactory, record: Record, cold: Turbine) -> Iterator[Store]:
+    """A store to which the right values came alone."""
+    made = filled(tmp_path_factory.mktemp("right"), cold, record, record_messages(record, "T1"))
+    yield made
+    made.close()
+
+
 def results(store: Store) -> list[object]:
     tables = ("estimate WHERE final = 1", "property")
     rows = [store.rows(f"SELECT * FROM {table} ORDER BY time") for table in tables]
@@ -63,12 +72,10 @@ def corrected(
 
 
 def test_before_its_instant_is_final_the_last_version_counts(
-    tmp_path: Path, record: Record, cold: Turbine
+    tmp_path: Path, record: Record, cold: Turbine, alone: Store
 ) -> None:
     """Bit for bit as if the right value had come alone; the first value that comes again is a repetition."""
     messages, right = corrected(record, 600.0)
-    (tmp_path / "right").mkdir()
-    alone = filled(tmp_path / "right", cold, record, right)
     store = filled(tmp_path, cold, record, messages)
     assert results(store) == results(alone) and store.rows(ALARMS) == alone.rows(ALARMS)
     count = (len(messages) - len(right)) // 2
@@ -83,7 +90,6 @@ def test_before_its_instant_is_final_the_last_version_counts(
     store.commit(again.round([Delivery(one, at)], record_mapping(record, "T1")))
     assert store.counters()["T1", "repeated"] == count + 1 and results(store) == results(alone)
     store.close()
-    alone.close()
 
 
 def test_a_greater_mark_counts_whatever_comes_last(record: Record, cold: Turbine) -> None:
@@ -98,12 +104,10 @@ def test_a_greater_mark_counts_whatever_comes_last(record: Record, cold: Turbine
 
 
 def test_a_revision_after_that_changes_nothing_until_the_store_is_filtered_anew(
-    tmp_path: Path, record: Record, cold: Turbine
+    tmp_path: Path, record: Record, cold: Turbine, alone: Store
 ) -> None:
     messages, right = corrected(record, 6.0 * 3600.0)
-    for name in ("right", "wrong"):
-        (tmp_path / name).mkdir()
-    alone = filled(tmp_path / "right", cold, record, right)
+    (tmp_path / "wrong").mkdir()
     uncorrected = filled(tmp_path / "wrong", cold, record, [o for o in messages if o[0] <= record.end_s])
     store = filled(tmp_path, cold, record, messages)
     count = (len(messages) - len(right)) // 2
@@ -125,22 +129,21 @@ def test_a_revision_after_that_changes_nothing_until_the_store_is_filtered_anew(
     # the tracker goes on from there
     again = Fleet.from_store({"T1": cold}, store)
     assert again.tracked["T1"].tracker.point.time == store.point("T1").time
-    for one in (store, alone, uncorrected):
-        one.close()
+    store.close()
+    uncorrected.close()
 
 
-def test_readings_that_came_too_late_are_used_too(tmp_path: Path, record: Record, cold: Turbine) -> None:
+def test_readings_that_came_too_late_are_used_too(
+    tmp_path: Path, record: Record, cold: Turbine, alone: Store
+) -> None:
     right = record_messages(record, "T1")
     begin = record.start_s + 2.0 * 86400.0
     late = [(at + 7200.0, one) for at, one in right if begin <= at < begin + 3600.0 and T in one]
     rest = [pair for pair in right if pair[1] not in [one for _, one in late]]
     messages = sorted([*rest, *late, *late], key=lambda one: one[0])
-    (tmp_path / "right").mkdir()
-    alone = filled(tmp_path / "right", cold, record, right)
     store = filled(tmp_path, cold, record, messages)
     # what comes again is a repetition, also where the tracker has forgotten it
     assert store.counters() == {("T1", "late"): len(late), ("T1", "repeated"): len(late)}
     assert refilter(store, {"T1": cold})[0].late == len(late)
     assert results(store) == results(alone)
     store.close()
-    alone.close()

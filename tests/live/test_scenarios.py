@@ -120,13 +120,6 @@ def test_air_that_is_never_saturated_is_not_expected_to_be() -> None:
     assert np.mean(above) < 0.02
 
 
-def test_it_says_the_same_twice(record: Record) -> None:
-    first, second = persistence(record, NOW_S), persistence(record, NOW_S)
-    assert first.words == second.words
-    for one, other in zip(first.members, second.members, strict=True):
-        assert one.keys() == other.keys() and all(np.array_equal(one[n], other[n]) for n in one)
-
-
 def test_what_comes_after_now_is_not_looked_at(record: Record) -> None:
     early = NOW_S - 2.3 * DAY_S  # between two readings
     known = persistence(record.window(START_S, early), early)

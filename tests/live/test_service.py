@@ -204,7 +204,7 @@ def test_a_second_tracker_of_a_turbine_is_refused(
 def test_forecasts_give_way_while_anything_waits(
     behind: bool,
     share: float,
-    store_url: str,
+    tmp_path: Path,
     record: Record,
     turbine: Turbine,
     monkeypatch: pytest.MonkeyPatch,
@@ -216,7 +216,7 @@ def test_forecasts_give_way_while_anything_waits(
         spent[0] += 0.5
 
     stream = Acknowledging(record)
-    service = Service({"T1": turbine}, [stream], store_url)
+    service = Service({"T1": turbine}, [stream], f"sqlite:{tmp_path / 'live.db'}")
     service._open()
     first: list[Delivery] = []
     stream.start(None, lambda one: first.append(one))

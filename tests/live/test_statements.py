@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import json
 import time
 from collections.abc import Iterator
 
@@ -51,7 +52,9 @@ def test_an_acknowledgement_with_its_cause(client: httpx.Client, service: Servic
     alarm = raised(service, "seen")
     given = {"id": alarm.id, "by": " Ä. Berg ", "cause": "look again", "note": "filter ordered", "days": 2}
     assert client.post("/api/alarms/acknowledge", json=given).json() == {"turbine": "T1"}
-    assert client.post("/api/alarms/acknowledge", json=given).status_code == 409
+    for again in (alarm.id, "none"):
+        found = client.post("/api/alarms/acknowledge", json={"id": again, "by": "x"})
+        assert found.status_code == 409 and "already acknowledged" in found.json()["fault"]
     store = opened(service)
     found = alarm_of(store, alarm.id)
     assert (found.acknowledged_by, found.cause, found.note) == ("Ä. Berg", "look again", "filter ordered")
@@ -70,6 +73,12 @@ def test_an_acknowledgement_with_its_cause(client: httpx.Client, service: Servic
     ("path", "given"),
     [
         ("alarms/acknowledge", {"by": "me"}),
+        ("alarms/acknowledge", {"id": "x"}),
+        ("alarms/acknowledge", {"id": 2, "by": "me"}),
+        ("alarms/acknowledge", {"id": "x", "by": "  "}),
+        ("alarms/acknowledge", {"id": "x", "by": "a\nb"}),
+        ("alarms/acknowledge", {"id": "x", "by": "x" * 61}),
+        ("alarms/acknowledge", {"id": "x", "by": "x", "more": "y" * 5000}),
         ("alarms/acknowledge", {"id": "x", "by": "me", "cause": "bad luck"}),
         ("alarms/acknowledge", {"id": "x", "by": "me", "cause": "look again"}),
         ("alarms/acknowledge", {"id": "x", "by": "me", "cause": "look again", "days": 91}),
@@ -94,8 +103,6 @@ def test_an_acknowledgement_with_its_cause(client: httpx.Client, service: Servic
     ],
 )
 def test_what_cannot_be_stated_is_refused(client: httpx.Client, path: str, given: object) -> None:
-    import json
-
     sent = {"content": json.dumps(given), "headers": {"Content-Type": "application/json"}}
     found = client.post(f"/api/{path}", **sent)
     assert found.status_code == 400 and found.json()["fault"].startswith(("expected", "days"))

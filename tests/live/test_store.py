@@ -228,18 +228,6 @@ def test_a_notice_is_written_once_and_sent_once(store: Store) -> None:
     assert outbox.due(store, "mail", T0 + 60.0, 100) == [notices[2], failed]
 
 
-def test_a_store_is_opened_again(store_url: str) -> None:
-    first = open_store(store_url)
-    first.commit(everything())
-    first.close()
-    second = open_store(store_url)
-    assert second.rows("SELECT version FROM schema_version") == [(VERSION,)]
-    assert second.size()["observation"] == 2
-    if store_url.startswith("sqlite:"):
-        assert second.rows("PRAGMA journal_mode") == [("wal",)]
-    second.close()
-
-
 def test_what_is_no_store_is_refused_and_left_as_it_is(tmp_path: Path) -> None:
     text = tmp_path / "notes.db"
     text.write_text("this is no database, it is a note\n" * 200)
@@ -266,21 +254,6 @@ def test_a_folder_without_rights_is_no_damaged_store(
     monkeypatch.setattr("hygrokf.live.storage.sqlite.os.access", lambda path, mode: False)
     said = refused(f"sqlite:{tmp_path / 'live.db'}")
     assert "write-protected" in said and "restore" not in said
-
-
-def test_a_damaged_store_is_refused_and_left_as_it_is(tmp_path: Path) -> None:
-    path = tmp_path / "live.db"
-    store = open_store(f"sqlite:{path}")
-    many = [observed("rain", T0 + i, float(i)) for i in range(5000)]
-    store.commit(Batch(observations=many))
-    store.close()
-    data = bytearray(path.read_bytes())
-    for place in range(8192, len(data) - 4096, 4096):
-        data[place : place + 200] = b"\xff" * 200
-    path.write_bytes(bytes(data))
-    said = refused(f"sqlite:{path}")
-    assert "damaged" in said or "cannot be read as a store" in said
-    assert "restore a copy" in said and path.read_bytes() == bytes(data)
 
 
 @pytest.mark.parametrize("number", [VERSION - 1, VERSION + 1])

@@ -107,11 +107,6 @@ def test_what_a_model_lacks_is_left_out(store: Store) -> None:
     assert found["readings"] == {} and turbine_view(store, "none", T0, T0)["time"] == []
 
 
-def test_open_alarms_come_first(store: Store) -> None:
-    assert [a.id for a in alarms_view(store)] == ["a", "b"]
-    assert [a.id for a in alarms_view(store, "A")] == ["b"]
-
-
 def test_the_limit_is_that_of_the_forecast(store: Store) -> None:
     assert turbine_view(store, "A", T0, T0)["humid"]["limit"] == LIMIT
     store.commit(Batch(memories={("A", "forecast"): asdict(ForecastMade(T0, "", 0.7))}))

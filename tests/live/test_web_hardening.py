@@ -127,6 +127,8 @@ SURROGATE = b'"\\ud800"'
         ("/api/alarms/acknowledge", b'{"id": %s, "by": "x"}' % SURROGATE, 400),
         ("/api/alarms/acknowledge", b'{"id": "x", "by": %s}' % SURROGATE, 400),
         ("/api/alarms/acknowledge", b'{"id": "a\\u0000", "by": "x"}', 400),
+        ("/api/alarms/acknowledge", b"x", 400),
+        ("/api/alarms/acknowledge", b"[" * 4_000, 400),
         ("/api/logout", b"[" * 4_000, 200),
     ],
 )
@@ -161,13 +163,6 @@ def test_addresses_that_nobody_expects_are_refused_in_words(
         client = connected(stack, server, ("\r\n".join(lines) + "\r\n\r\n").encode())
         found = client.makefile("rb").read()
         assert found.split(b" ", 2)[1] == str(status).encode(), found
-
-
-def test_an_origin_that_is_no_address_is_refused(service: Service) -> None:
-    with served(service, LOCAL) as (_, server):
-        headers = {"Content-Type": "application/json", "Origin": "http://["}
-        answer = httpx.post(f"{server.url}api/logout", content=b"{}", headers=headers, timeout=20.0)
-        assert answer.status_code == 403
 
 
 # -- anything ------------------------------------------------------------------------------------------------
