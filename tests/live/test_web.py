@@ -24,7 +24,7 @@ from hygrokf.live.service import Service
 from hygrokf.live.web import server as web_access
 from hygrokf.live.web.application import STATIC, Page
 from hygrokf.live.web.page_settings import PageFault, PageSettings
-from hygrokf.live.web.server import Hub, PageServer, Sessions, host_name, serve
+from hygrokf.live.web.server import Hub, PageServer, Sessions, serve
 from hygrokf.version import __version__
 
 NAMES = ("T1", "A/B <b>&%3F")
