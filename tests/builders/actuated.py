@@ -71,12 +71,12 @@ def actuated(seed: int, *signals: str, days: float = 90.0) -> tuple[Record, dict
     kept: dict[str, np.ndarray] = {}
 
     def build(name, seed, drivers, logging, **options):
-        made = ingredients(seed, drivers, **{k: v for k, v in options.items() if k != "inputs_exact"})
+        made = ingredients(seed, drivers, **options)
         scene = make_scene(made, seed, drivers)
         kept.update({signal: courses(scene)[signal] for signal in signals})
         found = [change(scene, signal, duty) for signal, duty in kept.items()]
         moved = replace(scene, trajectory=states(scene, found)[0])
-        return finish(name, seed, made, moved, logging, options.get("inputs_exact", True), [])
+        return finish(name, seed, made, moved, logging, [])
 
     made = plant(seed, days=days, build=build, **HIDDEN_OPTIONS)
     record = to_record(made)

@@ -44,7 +44,7 @@ class Logging:
     step instead of instants. sensor_errors: "none", "cabinet" (bias, noise and resolution in the
     cabinet, exact outside) or "all". missing: [-] share of the cabinet readings that is missing,
     each by chance.
-    power_gap_days: [d] length of a gap in the power.
+    power_gap_days: [d] length of a gap in the power. ambient_humidity: "relative" or "absolute".
     logger_gaps: number of gaps of 4 to 40 h in which the cabinet logger wrote nothing.
     """
 
@@ -53,6 +53,7 @@ class Logging:
     sensor_errors: str = "cabinet"
     missing: float = 0.01
     power_gap_days: float = 0.0
+    ambient_humidity: str = "relative"
     logger_gaps: int = 0
 
     def __post_init__(self) -> None:
@@ -136,16 +137,18 @@ def _ambient_logger(
     exact = logging.sensor_errors != "all"
     places = slice(drivers.ambient_offset_min, None, drivers.ambient_step_min)
     time, source = drivers.time[places], "ambient logger"
-    percent = 100.0 * relative_humidity(drivers.ambient_kg_m3, drivers.ambient_K)
+    rows = [("ambient_temperature", "degC", drivers.ambient_K - FREEZING_K, TEMPERATURE_ACCURACY_K, 0.05, 0.1)]
+    if logging.ambient_humidity == "relative":
+        percent = 100.0 * relative_humidity(drivers.ambient_kg_m3, drivers.ambient_K)
+        rows.append(("ambient_relative_humidity", "%", percent, HUMIDITY_ACCURACY_PERCENT, 0.3, 0.1))
+    else:
+        rows.append(("ambient_absolute_humidity", "g/m3", 1e3 * drivers.ambient_kg_m3, 0.2, 0.03, 0.01))
     series, biases = [], []
-    for signal, unit, true, accuracy, noise in (
-        ("ambient_temperature", "degC", drivers.ambient_K - FREEZING_K, TEMPERATURE_ACCURACY_K, 0.05),
-        ("ambient_relative_humidity", "%", percent, HUMIDITY_ACCURACY_PERCENT, 0.3),
-    ):
-        value, bias = _sensed(random, true[places], accuracy, noise, 0.1, exact)
+    for signal, unit, true, accuracy, noise, resolution in rows:
+        value, bias = _sensed(random, true[places], accuracy, noise, resolution, exact)
         if unit == "%":
             value = np.clip(value, 0.0, 100.0)
-        stated = 0.0 if exact else 0.1
+        stated = 0.0 if exact else resolution
         series.append(PlantSeries(signal, unit, time, value, "instant", 0.0, stated, accuracy, source))
         biases.append((signal, bias))
     signal, value = "global_horizontal_irradiance", drivers.irradiance_W_m2[places]

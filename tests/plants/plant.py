@@ -250,6 +250,7 @@ def plant(
     missing: float = 0.01,
     power_gap_days: float = 0.0,
     logger_gaps: int = 0,
+    ambient_humidity: str = "relative",
     ambient_step_min: int = 10,
     power: str = "wind",
     standstill: bool = True,
@@ -297,6 +298,7 @@ def plant(
         sensor_errors=sensor_errors,
         missing=missing,
         power_gap_days=power_gap_days,
+        ambient_humidity=ambient_humidity,
         logger_gaps=logger_gaps,
     )
     return build(
