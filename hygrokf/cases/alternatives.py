@@ -76,7 +76,7 @@ class Alternative:
 
 
 @dataclass(frozen=True)
-class Finding:
+class PreferredAlternative:
     """An alternative that the record prefers to what is declared.
 
     gain: [ln L] ahead of the declaration. witnesses: what shows it. verdict: "named"; "clock_or_wall": a
@@ -105,7 +105,7 @@ class Finding:
 class Readings:
     """What a record says of its alternative readings, and what it cannot tell, in sentences."""
 
-    findings: tuple[Finding, ...] = ()
+    findings: tuple[PreferredAlternative, ...] = ()
     untold: tuple[str, ...] = ()
 
 
@@ -198,7 +198,7 @@ _POWER = frozenset({"active_power"})
 
 def _clocks(
     record: Record, scans: Sequence[_Scan], sun_s: float | None
-) -> tuple[tuple[Finding, ...], tuple[str, ...]]:
+) -> tuple[tuple[PreferredAlternative, ...], tuple[str, ...]]:
     """The clock that is wrong, if one is, and the sources whose clock the record cannot tell."""
     names = [name for name in sources(record) if any(scan.move(name)[0] for scan in scans)]
     lit = record[_LIGHT].file if sun_s is not None else None
@@ -241,7 +241,7 @@ def _judged(
     shift: _Shift,
     best: Sequence[_Shift],
     sun_s: float | None,
-) -> Finding | None:
+) -> PreferredAlternative | None:
     """The finding of a shift that wins beyond chance, or None."""
     row = shift.source, shift.more
     largest = max(shift.seasons, key=abs)
@@ -256,7 +256,7 @@ def _judged(
     if min(_lead(scans, shift, rival) for rival in rivals) < SEPARATION:
         return None
     witnesses = _witnesses(scans, shift, sun_s)
-    found = Finding(_clock(record, shift), shift.gain, witnesses)
+    found = PreferredAlternative(_clock(record, shift), shift.gain, witnesses)
     late = max(sign * largest for inputs, sign in (one.move(shift.source) for one in scans) if inputs)
     if late > 0 and not set(witnesses) - {"temperature"}:
         return replace(found, verdict=WALL)
@@ -315,7 +315,7 @@ def _clock(record: Record, shift: _Shift) -> Alternative:
 
 
 # -- units, columns, decimal marks ---------------------------------------------------------------------------
-def _values(record: Record) -> tuple[Finding, ...]:
+def _values(record: Record) -> tuple[PreferredAlternative, ...]:
     """The reading of other units, columns or decimal marks that is likelier by far, if any."""
     if not {"cabinet_temperature", "ambient_temperature"} <= set(record.signals):
         return ()
@@ -333,7 +333,7 @@ def _values(record: Record) -> tuple[Finding, ...]:
         lead = _standard_errors(each[np.abs(each) > 1e-9])
         gain = levels + math.copysign(min(0.5 * lead**2, SYSTEMATIC), lead)
         if gain >= ODDS and (best is None or gain > best.gain):
-            best = Finding(row, gain, ("levels",))
+            best = PreferredAlternative(row, gain, ("levels",))
     return () if best is None else (best,)
 
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from hygrokf.cases.doubts import IDENTIFIABLE, Doubt, no_overlap, power_beside_rated, told_by
 from hygrokf.cases.form import StatedCase, StatedSource, StatedWeather, stated_case
-from hygrokf.data.columns import Table, TableFault
+from hygrokf.data.columns import FileColumns, TableFault
 from hygrokf.data.files import DRAFT_DOUBT
 from hygrokf.data.input_paths import on_change
 from hygrokf.data.probes import copies, temperatures_of
@@ -54,7 +54,7 @@ def read_case(path: str | os.PathLike[str], *, cabinet: bool = True, ambient: bo
         raise CaseFault(file, [other] if other else fault.faults) from None
     case = stated_case({"name": file.stem, **content}, Place(file=file.name, lines=lines_of(text)))
 
-    def table(source: StatedSource) -> Table:
+    def table(source: StatedSource) -> FileColumns:
         return read_table(file.parent / source.file, source.meanings, source.time, source, source.quality)
 
     def weather(stated: StatedWeather) -> Record:
@@ -86,7 +86,7 @@ def _open_doubts(name: str, text: str) -> tuple[str, ...]:
 
 def record_of(
     case: StatedCase,
-    table: Callable[[StatedSource], Table],
+    table: Callable[[StatedSource], FileColumns],
     head: str,
     *,
     weather: Callable[[StatedWeather], Record] | None = None,
@@ -273,7 +273,7 @@ def _weather(stated: StatedWeather, folder: Path, case: StatedCase) -> Record:
 
 
 def _source_series(
-    source: StatedSource, table: Table, rated_W: float | None
+    source: StatedSource, table: FileColumns, rated_W: float | None
 ) -> tuple[list[Series], list[str], list[str]]:
     """Series of a source; warnings; faults."""
     warnings = list(table.warnings)

@@ -10,7 +10,7 @@ import numpy as np
 
 from hygrokf.cases.case_file import CaseFault, record_of
 from hygrokf.cases.form import StatedColumn, StatedPeriod, StatedSource, stated_case
-from hygrokf.data.columns import HEADER, Places, Table, TableFault, column_fault, places_of, table_of
+from hygrokf.data.columns import HEADER, FileColumns, Places, TableFault, column_fault, places_of, table_of
 from hygrokf.data.quality import StatedQuality
 from hygrokf.data.record import Record, Site
 from hygrokf.data.signals import SIGNALS, unit_named
@@ -92,7 +92,7 @@ def read_frames(
     by_column = {key: _per_frame(key, given.get(key), named, faults) for key in COLUMN_OPTIONS}
     mapped = _per_frame("signals", signals, named, faults)
     sources: list[dict[str, Any]] = []
-    tables: dict[str, Callable[[StatedSource], Table]] = {}
+    tables: dict[str, Callable[[StatedSource], FileColumns]] = {}
     for frame_name, frame in named.items():
         stated = {
             key: value.get(frame_name) if isinstance(value, Mapping) else value
@@ -214,7 +214,7 @@ def _prepare(
     by_column: Mapping[str, Mapping[str, Any]],
     stated: Mapping[str, Any],
     faults: list[str],
-) -> tuple[dict[str, Any], Callable[[StatedSource], Table]] | None:
+) -> tuple[dict[str, Any], Callable[[StatedSource], FileColumns]] | None:
     """A frame as a source in the form of a case file, and what reads it; None where no column is usable.
 
     The faults that only frames can have are added.
@@ -264,7 +264,7 @@ def _prepare(
     kept.index = range(len(frame))
     kept.attrs = {HEADER: labels}
 
-    def table(stated: StatedSource) -> Table:
+    def table(stated: StatedSource) -> FileColumns:
         if not len(kept):
             raise TableFault("expected readings, found no row in the frame")
         return table_of(

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hygrokf.data.numbers import PARTED, POINT, Marks, Meaning, Unread, evidence, stated_marks, values_in
-from hygrokf.data.quality import NOTHING_STATED, Judged, StatedQuality
+from hygrokf.data.quality import NOTHING_STATED, MarkedReadings, StatedQuality
 from hygrokf.data.timestamps import (
     EARLIEST_S,
     LATEST_S,
@@ -53,7 +53,7 @@ HEADER = "header"
 
 
 @dataclass(frozen=True)
-class Table:
+class FileColumns:
     """Columns of a file, in the order of the file.
 
     time: [s] (N,) since 1970-01-01T00:00Z; finite, neither sorted nor unique yet.
@@ -69,7 +69,7 @@ class Table:
     warnings: tuple[str, ...]
     sha256: str
     header: tuple[str, ...] = ()
-    judged: Mapping[str, Judged] = field(default_factory=dict)
+    judged: Mapping[str, MarkedReadings] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -121,7 +121,7 @@ def table_of(
     beside: Mapping[str, str] | None = None,
     faults: Sequence[str] = (),
     sha256: str = "",
-) -> Table:
+) -> FileColumns:
     """Readings of a frame: its columns as numbers, its stamps in UTC [s].
 
     frame: rows in the order of the source. columns: of numbers, and what their texts stand for; `faults`
@@ -185,7 +185,7 @@ def table_of(
     if not keep.any():
         raise TableFault("expected readings, found no row with a stamp that can be used")
     kept = {name: array[keep] for name, array in values.items()}
-    return Table(time[keep], kept, tuple(warnings), sha256, tuple(frame.attrs.get(HEADER, ())), judged)
+    return FileColumns(time[keep], kept, tuple(warnings), sha256, tuple(frame.attrs.get(HEADER, ())), judged)
 
 
 def _two_readings(name: str, column: pandas.Series, places: Places) -> str:

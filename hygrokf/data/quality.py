@@ -193,7 +193,7 @@ def drafted(
     return found, VOCABULARIES[fits[0]] if fits else UNSTATED, tuple(filter(None, doubts))
 
 
-class Judged(NamedTuple):
+class MarkedReadings(NamedTuple):
     """Readings by their quality: usable (N,), warnings with counts, and a doubt or ""."""
 
     usable: np.ndarray
@@ -218,7 +218,7 @@ class StatedQuality:
         found |= {one: of for one, of in self.columns.items() if of is not None}
         return {one: found[one] for one in columns if found.get(one)}
 
-    def judged(self, column: str, name: str, marks: pandas.Series) -> Judged:
+    def judged(self, column: str, name: str, marks: pandas.Series) -> MarkedReadings:
         """What the quality in a column says of a column of readings.
 
         marks: (N,).  A quality that nobody stated leaves all readings as they are, with a doubt.
@@ -227,7 +227,7 @@ class StatedQuality:
 
         codes, seen = pd.factorize(marks)
         if self.columns.get(column) is None:
-            return Judged(np.ones(len(marks), dtype=bool), (), unstated(column, name, list(seen)))
+            return MarkedReadings(np.ones(len(marks), dtype=bool), (), unstated(column, name, list(seen)))
         outcome = np.array([*map(self.vocabulary.judge, seen), GOOD])[codes]
         counts, used = Counter(outcome.tolist()), (GOOD, UNCERTAIN) if self.use_uncertain else (GOOD,)
         said = [
@@ -237,7 +237,9 @@ class StatedQuality:
         ]
         warnings = (f'column "{column}": by "{name}" {", ".join(said)}',) if said else ()
         doubt = misfit(self.vocabulary, list(seen))
-        return Judged(np.isin(outcome, used), warnings, doubt and f'column "{column}", "{name}": {doubt}')
+        return MarkedReadings(
+            np.isin(outcome, used), warnings, doubt and f'column "{column}", "{name}": {doubt}'
+        )
 
 
 NOTHING_STATED = StatedQuality()

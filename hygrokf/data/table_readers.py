@@ -17,9 +17,9 @@ from typing import TYPE_CHECKING
 from hygrokf.data.columns import (
     HEADER,
     MISSING,
+    FileColumns,
     Notation,
     Places,
-    Table,
     TableFault,
     column_fault,
     numbered,
@@ -44,7 +44,7 @@ def read_table(
     time_column: str,
     notation: Notation,
     quality: StatedQuality = NOTHING_STATED,
-) -> Table:
+) -> FileColumns:
     """Columns of numbers and their stamps from a file, stamps in UTC [s].
 
     path: text (.csv, .csv.gz, .txt, .tsv) or .parquet (extra `parquet`).
@@ -67,7 +67,7 @@ def table_in(
     time_column: str,
     notation: Notation,
     quality: StatedQuality = NOTHING_STATED,
-) -> Table:
+) -> FileColumns:
     """Columns of numbers and their stamps from the bytes of a file with this name; as `read_table`."""
     faults: list[str] = []
     wanted = list(columns)

@@ -22,7 +22,7 @@ from hygrokf.data.clocks import Shift, in_america
 from hygrokf.data.input_paths import centred, input_path, without_response
 from hygrokf.data.record import Record, Series
 from hygrokf.data.timestamps import HOUR_S, summer_time
-from hygrokf.engine.cell_loop import IDLE, TEMPERATURE, Cells
+from hygrokf.engine.cell_loop import IDLE, TEMPERATURE, CellInputs
 from hygrokf.modelling.derived_inputs import feature
 from hygrokf.modelling.design import HUMIDITIES, Design, reading_step_h
 from hygrokf.modelling.inputs import (
@@ -220,7 +220,7 @@ class Scene:
         values = {_key(name, design.features.get(name)): value for name, design, value in given}
         return replace(self, _cache={"": (base, unknown), **values})
 
-    def cells(self, inputs: Sequence[str], designs: Sequence[Design]) -> Cells:
+    def cells(self, inputs: Sequence[str], designs: Sequence[Design]) -> CellInputs:
         """The inputs of a model over the cells."""
         means = np.empty((self.count, len(inputs)))
         edges = np.empty((self.count + 1, len(inputs)))
@@ -228,7 +228,7 @@ class Scene:
             owner = next((one for one in designs if name in one.model.inputs), designs[0])
             straight = name == TEMPERATURE or owner.model.holds.get(name) == LINEAR
             means[:, c], edges[:, c] = self._over_cells(name, owner, straight)
-        return Cells(self.cell_h, means, edges)
+        return CellInputs(self.cell_h, means, edges)
 
     def _over_cells(self, name: str, design: Design, straight: bool) -> tuple[np.ndarray, np.ndarray]:
         source = self.source(name)

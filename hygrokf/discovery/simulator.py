@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from hygrokf.discovery.scene import Scene
-from hygrokf.engine.cell_loop import CONTROL, SIMULATED, CellModel, Cells, run
+from hygrokf.engine.cell_loop import CONTROL, SIMULATED, CellInputs, CellModel, run
 from hygrokf.engine.llvm_writer import LANES
 from hygrokf.modelling.design import Design
 from hygrokf.physics.model import Model, compose
@@ -52,7 +52,7 @@ class Simulator:
     own: tuple[str, ...] = ()
     limits: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     work: SimulationWork = field(default_factory=SimulationWork, compare=False)
-    _cells: dict[tuple[str, ...], Cells] = field(default_factory=dict, compare=False, repr=False)
+    _cells: dict[tuple[str, ...], CellInputs] = field(default_factory=dict, compare=False, repr=False)
 
     @property
     def designs(self) -> tuple[Design, ...]:
@@ -148,7 +148,7 @@ class Simulator:
             own=tuple(name for name in self.own if name in inputs),
         )
 
-    def cells(self, model: CellModel) -> Cells:
+    def cells(self, model: CellModel) -> CellInputs:
         if model.inputs not in self._cells:
             self._cells[model.inputs] = self.scene.cells(model.inputs, self.designs)
         return self._cells[model.inputs]
@@ -197,7 +197,7 @@ class Simulator:
         """(T, n) readings of a quantity [K] or [g/m³]."""
         return self.scene.readings[quantity].sampled(self.shown(theta, quantity, columns))
 
-    def _start(self, model: CellModel, cells: Cells, theta: np.ndarray) -> np.ndarray:
+    def _start(self, model: CellModel, cells: CellInputs, theta: np.ndarray) -> np.ndarray:
         """States (n, LANES) at the beginning."""
         inputs: dict[str, Any] = {name: cells.edges[0, c] for c, name in enumerate(model.inputs)}
         inputs |= dict.fromkeys((*model.own, *model.controls), 0.0)

@@ -26,7 +26,7 @@ from hygrokf.data.signals import (
 )
 from hygrokf.data.timestamps import HOUR_S
 from hygrokf.drafting.layout import Export
-from hygrokf.drafting.stamps import Clock, clock_of
+from hygrokf.drafting.stamps import ExportClock, clock_of
 from hygrokf.drafting.vocabulary import NamedColumn, name_says, place_of, words_of
 
 
@@ -246,7 +246,7 @@ class Source:
 
     path: str
     export: Export
-    clock: Clock
+    clock: ExportClock
     values: dict[str, np.ndarray]
     named: dict[str, NamedColumn]
     left: dict[str, str] = field(default_factory=dict)

@@ -43,7 +43,7 @@ _CLOCKS_OF_MAKES = {"MESS_DATUM": ("UTC", "the files of DWD are in UTC")}
 
 
 @dataclass(frozen=True)
-class Clock:
+class ExportClock:
     """The stamps of one export.
 
     column: its name. time_format: strptime format, None for ISO 8601. time: [s] (N,) by the clock of the
@@ -125,7 +125,7 @@ def as_text(stamps: pandas.Series) -> tuple[pandas.Series, str | None]:
     return text.str.replace(".000000Z", "Z"), f"Unix {'milliseconds' if milli else 'seconds'}"
 
 
-def clock_of(export: Export, means: bool) -> Clock:
+def clock_of(export: Export, means: bool) -> ExportClock:
     """The clock of an export.
 
     means: whether the readings are means over intervals.  Raises TableFault where no format reads the stamps.
@@ -156,7 +156,7 @@ def clock_of(export: Export, means: bool) -> Clock:
             'means over intervals: the file does not state whether stamps are their "start" or "end"'
         )
     remarks = tuple(filter(None, (remark, why)))
-    return Clock(column, form, time, zone, stamp, step, tuple(doubts), remarks, assumed)
+    return ExportClock(column, form, time, zone, stamp, step, tuple(doubts), remarks, assumed)
 
 
 def _forms(text: pandas.Series) -> list[tuple[str | None, np.ndarray]]:

@@ -254,7 +254,7 @@ def cell_text(t: TracedCell) -> str:
 
 
 @dataclass(frozen=True)
-class Cells:
+class CellInputs:
     """Inputs over cells of `hours` [h]: means (K, m), values at the edges (K+1, m), and own inputs, (K,
     LANES) or (1, LANES) each."""
 
@@ -267,7 +267,7 @@ class Cells:
 
 
 def run(
-    model: CellModel, cells: Cells, theta: np.ndarray, start: np.ndarray, own: Sequence[np.ndarray]
+    model: CellModel, cells: CellInputs, theta: np.ndarray, start: np.ndarray, own: Sequence[np.ndarray]
 ) -> np.ndarray:
     """Readings (K, k, LANES) at the end of each cell, of runs with parameters (P, LANES) from states (n,
     LANES)."""

@@ -103,7 +103,7 @@ def confidence_intervals(
 
 
 @dataclass(frozen=True)
-class TimeConstant:
+class ModalTimeConstant:
     """One time constant of a linear, or linearised, model [h], with bounds by the delta method.
 
     `value` τ = −1/Re λ of an eigenvalue λ of the Jacobian; infinite where Re λ ≥ 0 (no decay).  `lower` and
@@ -128,7 +128,7 @@ def modal_time_constants(
     state: Mapping[str, float] | None = None,
     inputs: Mapping[str, float] | None = None,
     known: Uncertainty | None = None,
-) -> tuple[TimeConstant, ...]:
+) -> tuple[ModalTimeConstant, ...]:
     """Time constants of a model at its estimate, slowest first; one for each pair of conjugate eigenvalues.
 
         A v = λ v,    dλ/dz_j = w' (dA/dz_j) v / (w' v),    Var ln τ = g' V g,  g_j = −d Re λ/dz_j / Re λ,
@@ -192,12 +192,12 @@ def modal_time_constants(
         ordered = dict(sorted(participation.items(), key=lambda pair: -pair[1]))
         period = 2.0 * math.pi / float(values[k].imag) if values[k].imag > 0.0 else math.inf
         if rate >= -rounding:
-            found.append(TimeConstant(math.inf, math.inf, math.inf, level, period, ordered))
+            found.append(ModalTimeConstant(math.inf, math.inf, math.inf, level, period, ordered))
             continue
         value, bounds = -1.0 / rate, [math.nan, math.nan]
         if abs(overlap) > ALIKE:
             bounds = ends(value, np.array([-((w @ s @ v) / overlap).real / rate for s in slopes]))
-        found.append(TimeConstant(value, bounds[0], bounds[1], level, period, ordered))
+        found.append(ModalTimeConstant(value, bounds[0], bounds[1], level, period, ordered))
     return tuple(sorted(found, key=lambda one: -one.value))
 
 

@@ -22,7 +22,7 @@ LEVEL = 0.95
 
 
 @dataclass(frozen=True)
-class Change:
+class EstimatedChange:
     """The change of a quantity [its unit] with 95 % bounds, NaN where a parameter has no standard error."""
 
     value: float = math.nan
@@ -42,7 +42,7 @@ class ActuatorEffect:
     used: bool = False
     statement: str = ""
     on_share: float = optional(math.nan)
-    changes: Mapping[str, Change] | None = optional()
+    changes: Mapping[str, EstimatedChange] | None = optional()
 
 
 def actuator_effects(
@@ -71,7 +71,7 @@ def _effects(
     run: Run,
     one: Actuator,
     known: Sequence[Parameter],
-) -> tuple[float, dict[str, Change]]:
+) -> tuple[float, dict[str, EstimatedChange]]:
     """Share of the time that an actuator is on, and the changes that its parameters cause during that
     time."""
     step = np.diff(run.timeline.time, prepend=run.timeline.time[0])
@@ -106,5 +106,5 @@ def _effects(
         # two parameters together need not act monotonically
         reached = [at[name] - without[name] for at in (now, *ends)]
         bounds = (min(reached), max(reached)) if ends else (math.nan, math.nan)
-        changes[name] = Change(reached[0], *bounds)
+        changes[name] = EstimatedChange(reached[0], *bounds)
     return share, changes

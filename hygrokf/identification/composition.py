@@ -29,7 +29,7 @@ from hygrokf.estimation.confidence import normal_quantile
 
 
 @dataclass(frozen=True)
-class Alternative:
+class AlternativeEstimate:
     """An estimate of the logarithm of a time constant from another form, part or method."""
 
     log_value: float
@@ -38,7 +38,7 @@ class Alternative:
 
 
 @dataclass(frozen=True)
-class Step:
+class CompositionStep:
     """The interval [h] after one source of uncertainty, which adds `sd_ln` [1] to the logarithm.
 
     The first step is the profile likelihood's own interval, which adds nothing.  `upper_h` is NaN where it is
@@ -86,13 +86,13 @@ def of_parts(scale: float, variance: float) -> float:
     return max(scale - 1.0, 0.0) * variance
 
 
-def of_forms(log_value: float, variance: float, forms: Sequence[Alternative]) -> float:
+def of_forms(log_value: float, variance: float, forms: Sequence[AlternativeEstimate]) -> float:
     """The variance about the value that other forms add."""
     total = sum(f.weight * (f.variance + (f.log_value - log_value) ** 2) for f in forms)
     return max(total - variance, 0.0)
 
 
-def of_free_run(log_value: float, variance: float, free: Alternative) -> float:
+def of_free_run(log_value: float, variance: float, free: AlternativeEstimate) -> float:
     """The variance that the free run's own estimate adds, where both contradict each other at the 95 %
     level."""
     apart, both = free.log_value - log_value, variance + free.variance
@@ -105,18 +105,18 @@ def compose_interval(
     level: float,
     sources: Mapping[str, float],
     within: Resolved = ANY,
-) -> tuple[Step, ...]:
+) -> tuple[CompositionStep, ...]:
     """The profile's interval [h], and the interval after each source; the last is the headline interval.
 
     bounds: the profile's [h].  sources: the variance [1] that each adds to the logarithm, by name.  An open
     side stays open, and a bound beyond `within` is open.
     """
     z, total = normal_quantile(level), 0.0
-    steps = [Step("profile", *within.bounds(*bounds))]
+    steps = [CompositionStep("profile", *within.bounds(*bounds))]
     for name, variance in sources.items():
         total += variance
         ends = (_moved(value, bound, side, total) for bound, side in zip(bounds, (-z, z), strict=True))
-        steps.append(Step(name, *within.bounds(*ends), math.sqrt(variance)))
+        steps.append(CompositionStep(name, *within.bounds(*ends), math.sqrt(variance)))
     return tuple(steps)
 
 

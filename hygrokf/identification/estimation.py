@@ -32,7 +32,7 @@ from hygrokf.estimation.profile_likelihood import profile
 from hygrokf.estimation.smoother import smoothed_states
 from hygrokf.evaluation.simulation import project, settled
 from hygrokf.identification.clock_offsets import NO_OFFSETS, ClockOffsets, clock_offsets
-from hygrokf.identification.forms import ADOPTED, Form, ended_at_limits, weigh_forms
+from hygrokf.identification.forms import ADOPTED, FittedForm, ended_at_limits, weigh_forms
 from hygrokf.identification.needed_inputs import WithoutInput, without_input
 from hygrokf.modelling.design import CASCADE, Design, design, reading_step_h
 from hygrokf.modelling.inputs import Run, model_inputs
@@ -73,7 +73,7 @@ class Stage(DesignEstimate):
     bounds: Mapping[str, Bounds]
     clock: ClockOffsets = NO_OFFSETS
     sampling: Mapping[str, float] | None = None
-    forms: tuple[Form, ...] = ()
+    forms: tuple[FittedForm, ...] = ()
     response_stated: bool = False
     without: Mapping[str, WithoutInput] = field(default_factory=dict)
 
@@ -87,7 +87,7 @@ def identify_stage(early: Record, base: Design, starts: int, profiles: bool, say
 
 def select_form(
     early: Record, found: DesignEstimate, say: Progress
-) -> tuple[DesignEstimate, tuple[Form, ...]]:
+) -> tuple[DesignEstimate, tuple[FittedForm, ...]]:
     """The form that the evidence of a record selects, and all forms with their weights.
 
     A form with more than `ADOPTED` of the evidence becomes the base, and its share is divided among the forms
@@ -123,7 +123,7 @@ def estimate_design(
 
 
 def assess_stage(
-    early: Record, found: DesignEstimate, profiles: bool, say: Progress, forms: tuple[Form, ...] = ()
+    early: Record, found: DesignEstimate, profiles: bool, say: Progress, forms: tuple[FittedForm, ...] = ()
 ) -> Stage:
     """Uncertainty, bounds of the time constants, and their sensitivity to clocks and sampling.
 

@@ -20,7 +20,7 @@ from hygrokf.evaluation.actuator_effects import ActuatorEffect
 from hygrokf.evaluation.diagnosis import Diagnosis
 from hygrokf.evaluation.scoring import Scored, Shares
 from hygrokf.identification.clock_offsets import ClockOffset
-from hygrokf.identification.composition import Step
+from hygrokf.identification.composition import CompositionStep
 from hygrokf.identification.needed_inputs import WithoutInput
 from hygrokf.identification.steady_state import HeatRelease
 from hygrokf.identification.verdict_terms import Interval, Kind, Reason
@@ -85,7 +85,7 @@ class TimeConstant(Interval):
 
     level: float = math.nan
     method: str = ""
-    composition: tuple[Step, ...] = ()
+    composition: tuple[CompositionStep, ...] = ()
     forms: tuple[FormEstimate, ...] = ()
     parts_scatter: float = math.nan
     limited_by: tuple[Limit, ...] = ()
@@ -168,7 +168,7 @@ class Period:
 
 
 @dataclass(frozen=True)
-class Optimum:
+class LocalOptimum:
     """Another local optimum: its penalised log-likelihood and the time constants there [h]."""
 
     objective: float
@@ -213,7 +213,7 @@ class FitResults(Scored):
     n_obs: int = 0
     converged: bool | None = None
     message: str = ""
-    other_optima: tuple[Optimum, ...] = ()
+    other_optima: tuple[LocalOptimum, ...] = ()
     at_bounds: tuple[str, ...] = ()
     flat: tuple[str, ...] = ()
     trade_offs: tuple[tuple[str, str, float], ...] = ()

@@ -63,7 +63,7 @@ UNSTATED = {
 
 
 @dataclass(frozen=True)
-class Candidate:
+class CandidateDesign:
     """A form to try: `design`, start values besides the base's maximum, and whether it may become the
     base."""
 
@@ -74,7 +74,7 @@ class Candidate:
 
 
 @dataclass(frozen=True)
-class Form:
+class FittedForm:
     """A form on one record.
 
     `estimate` is its maximum; `gain` its advantage over the base in the penalised ln L; `weight` its share of
@@ -91,7 +91,7 @@ class Form:
     covariance: np.ndarray
     adoptable: bool = False
 
-    def within(self, chosen: Form) -> Form:
+    def within(self, chosen: FittedForm) -> FittedForm:
         """This form as one of those that share the weight of an adopted form."""
         name = chosen.name if self.name == BASE else f"{chosen.name} + {self.name}"
         return replace(self, name=name, gain=chosen.gain + self.gain, weight=chosen.weight * self.weight)
@@ -105,20 +105,20 @@ class Form:
         return float(slope @ self.covariance[np.ix_(places, places)] @ slope) if inside else 0.0
 
 
-def candidates(base: Design, early: Record, run: Run, values: Mapping[str, float]) -> list[Candidate]:
+def candidates(base: Design, early: Record, run: Run, values: Mapping[str, float]) -> list[CandidateDesign]:
     """The forms to compare with a design on a record, except those that the design already contains."""
     names = [name for name, _ in base.mechanisms]
-    found: list[Candidate] = []
+    found: list[CandidateDesign] = []
     if "thermal_network" in names:
         apart = np.abs(run.timeline.reading(TEMPERATURE) - run.timeline.input("ambient_temperature"))
         difference = float(np.nanmedian(apart)) if np.isfinite(apart).any() else 0.0
         if "natural_convection" not in names and difference > STILL_K:
             wider = extended(base, [("natural_convection", {"difference_K": difference})])
-            found.append(Candidate(CONVECTION, wider, ({"convection_exponent": 0.1},), True))
+            found.append(CandidateDesign(CONVECTION, wider, ({"convection_exponent": 0.1},), True))
         if "wall_thermal_mass" not in names:
             wider = extended(base, [("wall_thermal_mass", {})])
             start = {"wall_conductance": 0.1, "wall_time_constant": 5.0, "wall_position": 0.9}
-            found.append(Candidate(SECOND_MASS, wider, (start,), False))
+            found.append(CandidateDesign(SECOND_MASS, wider, (start,), False))
     for signal, sensor in UNSTATED.items():
         if base.humidity != signal or signal not in early or early[signal].response_time_s is not None:
             continue
@@ -128,13 +128,13 @@ def candidates(base: Design, early: Record, run: Run, values: Mapping[str, float
             wider = replace(
                 base, mechanisms=tuple((m, responding if m == sensor else s) for m, s in base.mechanisms)
             )
-            found.append(Candidate(RESPONSE, wider, ({f"{signal}_response": 0.1},), True))
+            found.append(CandidateDesign(RESPONSE, wider, ({f"{signal}_response": 0.1},), True))
     return found + [
         _second(base, first, values) for first in SECOND if first in names and f"second_{first}" not in names
     ]
 
 
-def _second(base: Design, first: str, values: Mapping[str, float]) -> Candidate:
+def _second(base: Design, first: str, values: Mapping[str, float]) -> CandidateDesign:
     """A second disturbance of the same kind, with a faster and a slower start.
 
     Real disturbances rarely have a single time scale, and the remainder would be attributed to the cabinet's
@@ -145,7 +145,7 @@ def _second(base: Design, first: str, values: Mapping[str, float]) -> Candidate:
     starts = tuple(
         {f"second_{first}_time": factor * time, f"second_{first}_sd": 0.4 * sd} for factor in OTHER_TIMES
     )
-    return Candidate(SECOND[first], extended(base, [(f"second_{first}", settings)]), starts, True)
+    return CandidateDesign(SECOND[first], extended(base, [(f"second_{first}", settings)]), starts, True)
 
 
 def weigh_forms(
@@ -155,7 +155,7 @@ def weigh_forms(
     estimate: Estimate,
     constants: Sequence[str],
     scout: Likelihood | None = None,
-) -> tuple[Form, ...]:
+) -> tuple[FittedForm, ...]:
     """The base and its competing forms on the identification period `early`, with their weights.
 
     `run` is the base's run; `constants` are the parameters of interest, whose misfit tempers the evidence;
@@ -170,10 +170,10 @@ def weigh_forms(
     if scout is not None:
         start = Objective(scout, estimate.coordinates)
         known = climb(start, estimate.z, passes=8, tolerance=1e-2).objective
-    forms = [Form(BASE, base, estimate, 0.0, 1.0, at_base.names, at_base.wider)]
+    forms = [FittedForm(BASE, base, estimate, 0.0, 1.0, at_base.names, at_base.wider)]
     evidence = [0.0]
 
-    def try_form(one: Candidate) -> tuple[Form, float] | None:
+    def try_form(one: CandidateDesign) -> tuple[FittedForm, float] | None:
         """A form and its evidence; None where the shorter stretch rules it out."""
         timeline = model_inputs(one.design, early).timeline
         likelihood = Likelihood(one.design.model, timeline, tolerance=STEP_TOLERANCE)
@@ -185,7 +185,7 @@ def weigh_forms(
         further = [p.name for p in found.coordinates.free if p.name not in estimate.coordinates.names]
         adoptable = one.adoptable and not ended_at_limits(found, estimate)
         spread = _within_ranges(found, at, further)
-        form = Form(one.name, one.design, found, gain, 0.0, at.names, spread, adoptable)
+        form = FittedForm(one.name, one.design, found, gain, 0.0, at.names, spread, adoptable)
         return form, gain / temper + _occam(found, at, score, further, temper)
 
     for tried in mapped(try_form, candidates(base, early, run, estimate.values)):
@@ -211,7 +211,7 @@ def ended_at_limits(found: Estimate, base: Estimate) -> set[str]:
 
 
 def _fitted(
-    one: Candidate, whole: Likelihood, base: Estimate, scout: Likelihood | None, known: float
+    one: CandidateDesign, whole: Likelihood, base: Estimate, scout: Likelihood | None, known: float
 ) -> Estimate | None:
     """A form's maximum from its starts; None where it is too far below the `known` maximum of the base on the
     shorter stretch `scout`."""

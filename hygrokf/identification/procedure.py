@@ -42,7 +42,7 @@ from hygrokf.identification.fit import Fit, likelihood_on
 from hygrokf.identification.fit_results import (
     Covariance,
     FitResults,
-    Optimum,
+    LocalOptimum,
     ParameterRow,
     Period,
     PriorTerms,
@@ -366,7 +366,7 @@ def _searched(results: FitResults, stages: Sequence[Stage], loglik: float, n: in
         message="; ".join(dict.fromkeys(stage.estimate.message for stage in stages)),
         discretisation_error=sum(stage.estimate.discretisation_error for stage in stages),
         other_optima=tuple(
-            Optimum(loglik + o - stage.estimate.objective, **{k: v[k] for k in TIME_CONSTANTS if k in v})
+            LocalOptimum(loglik + o - stage.estimate.objective, **{k: v[k] for k in TIME_CONSTANTS if k in v})
             for stage in stages
             for o, v in stage.estimate.others
         ),

@@ -13,7 +13,7 @@ from hygrokf.estimation.output_error import OutputError
 from hygrokf.evaluation.simulation import measured
 from hygrokf.identification.composition import (
     ANY,
-    Alternative,
+    AlternativeEstimate,
     Resolved,
     compose_interval,
     of_forms,
@@ -28,7 +28,7 @@ from hygrokf.identification.fit_results import (
     SensorResponse,
     TimeConstant,
 )
-from hygrokf.identification.forms import Form
+from hygrokf.identification.forms import FittedForm
 from hygrokf.identification.verdict_terms import Interval
 from hygrokf.modelling.design import TEMPERATURE
 from hygrokf.modelling.inputs import Run
@@ -112,7 +112,7 @@ def _resistance_capacity(stage: Stage, entry: TimeConstant, exponent: float) -> 
             n = form.estimate.values.get("convection_exponent", 0.0)
             spread = form.variance({THERMAL: 1.0, "convection_exponent": 1.0 / (1.0 + n)})
             forms.append(
-                Alternative(math.log(form.estimate.values[THERMAL] * (1.0 + n)), spread, form.weight)
+                AlternativeEstimate(math.log(form.estimate.values[THERMAL] * (1.0 + n)), spread, form.weight)
             )
         if exponent > 0:
             variance = max(variance, max(forms, key=lambda form: form.weight).variance)
@@ -195,7 +195,7 @@ def _entry(stage: Stage, name: str, scale: float, simulated: Mapping[str, Output
     )
 
 
-def _sources(stage: Stage, name: str, free: Alternative | None) -> dict[str, float]:
+def _sources(stage: Stage, name: str, free: AlternativeEstimate | None) -> dict[str, float]:
     """The variances by which sources of uncertainty widen a profile's bounds."""
     place = stage.uncertainty.place(name)
     if place is None:
@@ -204,7 +204,7 @@ def _sources(stage: Stage, name: str, free: Alternative | None) -> dict[str, flo
     found = {"parts": of_parts(parts_scale(stage.uncertainty, name), variance)}
     if stage.forms:
         alternatives = [
-            Alternative(math.log(form.estimate.values[name]), form.variance({name: 1.0}), form.weight)
+            AlternativeEstimate(math.log(form.estimate.values[name]), form.variance({name: 1.0}), form.weight)
             for form in stage.forms
         ]
         found["forms"] = of_forms(value, variance, alternatives)
@@ -218,7 +218,7 @@ def _sources(stage: Stage, name: str, free: Alternative | None) -> dict[str, flo
     return found
 
 
-def _by_free_run(found: OutputError | None, name: str) -> Alternative | None:
+def _by_free_run(found: OutputError | None, name: str) -> AlternativeEstimate | None:
     """The free run's own estimate; None where its bounds are uninformative."""
     if found is None or name not in found.names or name in found.at_bounds:
         return None
@@ -226,11 +226,11 @@ def _by_free_run(found: OutputError | None, name: str) -> Alternative | None:
     variance = float(found.covariance[place, place])
     # a singular information matrix leaves a variance of any sign
     told = 0.0 < variance and 2.0 * normal_quantile(LEVEL) * math.sqrt(variance) <= math.log(OPEN)
-    return Alternative(math.log(found.values[name]), variance) if told else None
+    return AlternativeEstimate(math.log(found.values[name]), variance) if told else None
 
 
 def _simulation(
-    found: OutputError, free: Alternative | None, name: str, scale: float, resolved: Resolved
+    found: OutputError, free: AlternativeEstimate | None, name: str, scale: float, resolved: Resolved
 ) -> Interval:
     """The free run's estimate of a time constant."""
     value = found.values[name] * scale
@@ -248,7 +248,7 @@ def _disagree(b: Bounds, other: OutputError, name: str) -> bool:
     return apart > math.hypot(0.5 * math.log(max(high / low, 1.0 + 1e-9)), own)
 
 
-def _form(form: Form, name: str, scale: float, level: float, resolved: Resolved) -> FormEstimate:
+def _form(form: FittedForm, name: str, scale: float, level: float, resolved: Resolved) -> FormEstimate:
     value = form.estimate.values[name] * scale
     reach = normal_quantile(level) * math.sqrt(form.variance({name: 1.0}))
     return FormEstimate(value, *resolved.around(value, reach), form.name, form.weight, form.gain)

@@ -280,7 +280,7 @@ def _failed_band(fit: FitResults, quantity: str) -> Iterator[Reason]:
 
 
 @dataclass(frozen=True)
-class Rule:
+class SimpleRule:
     """The best rule that needs no model in one period: its words, its error, the model's error, and the
     model's gain [1]."""
 
@@ -293,7 +293,7 @@ class Rule:
         return 1.0 - self.error / self.rule
 
 
-def best_rule(fit: FitResults, quantity: str, period: str) -> Rule | None:
+def best_rule(fit: FitResults, quantity: str, period: str) -> SimpleRule | None:
     """The rule with the smallest error in a period, with the free run's error there; None where nothing was
     scored."""
     error = fit.errors(period, quantity).total
@@ -305,7 +305,7 @@ def best_rule(fit: FitResults, quantity: str, period: str) -> Rule | None:
     if not rules or not math.isfinite(error):
         return None
     words = min(rules, key=lambda one: rules[one])
-    return Rule(words, rules[words], error)
+    return SimpleRule(words, rules[words], error)
 
 
 def _innovations(fit: FitResults, part: str) -> Iterator[Reason]:

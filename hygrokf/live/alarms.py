@@ -22,7 +22,7 @@ from hygrokf.identification.verdict_terms import Inherited, rests_on
 from hygrokf.identification.wording import fixed, signed
 from hygrokf.live.batch import Alarm
 from hygrokf.live.condition import Z95, Condition
-from hygrokf.live.fault_isolation import PAIRS, SENSORS, Finding, ShiftStep
+from hygrokf.live.fault_isolation import PAIRS, SENSORS, CauseFinding, ShiftStep
 from hygrokf.live.frozen import Frozen
 from hygrokf.live.plan import Need
 from hygrokf.live.properties import MOIST, TrackedState, relative_shift
@@ -292,7 +292,7 @@ def frozen_levels(now: Estimated) -> list[Level]:
     ]
 
 
-def shift_levels(step: ShiftStep, finding: Finding | None) -> list[Level]:
+def shift_levels(step: ShiftStep, finding: CauseFinding | None) -> list[Level]:
     """Levels that follow from the tracked properties and, for those of lasting shifts, from fault isolation.
 
     There is no level of a shift before fault isolation has a finding; a finding without a cause gives one
@@ -326,7 +326,7 @@ def shift_levels(step: ShiftStep, finding: Finding | None) -> list[Level]:
     ]
 
 
-def _sensor_levels(finding: Finding) -> list[Level]:
+def _sensor_levels(finding: CauseFinding) -> list[Level]:
     """The level of a sensor that fault isolation names; a humidity sensor that reads too high may be right,
     and is part of `SENSOR_OR_WATER`."""
     if finding.cause == HUMIDITY_SENSOR and finding.value > 0.0:
@@ -343,7 +343,7 @@ def _sensor_levels(finding: Finding) -> list[Level]:
     return [Level(SUSPECT.kind, 1.0 if low > 0.0 else UNSURE, statement, remedy, finding.cause)]
 
 
-def _shift_level(name: str, deviation: TrackedState, finding: Finding) -> Level:
+def _shift_level(name: str, deviation: TrackedState, finding: CauseFinding) -> Level:
     statement, remedy = CABINET_CHANGES[name, deviation.x > 0.0]
     size, sure = _size(name, deviation)
     words = f"{statement}: {name.replace('_', ' ')} {size}{_alternatives(finding)}"
@@ -364,7 +364,7 @@ def _size(name: str, deviation: TrackedState) -> tuple[str, float]:
     return f"{size} ({low} … {high}) {unit}", 1.0 if abs(x) > Z95 * sd else UNSURE
 
 
-def _alternatives(finding: Finding) -> str:
+def _alternatives(finding: CauseFinding) -> str:
     others = [CAUSES[cause] for cause in finding.alike if PAIRS.get(cause) != finding.cause]
     return f" (or {', '.join(others)})" if others else ""
 

@@ -35,7 +35,7 @@ from hygrokf.live.condition import Surface
 from hygrokf.live.forecast import LIMIT, heating_sd
 from hygrokf.live.notification.channel import Channel
 from hygrokf.live.notification.transports import channel_of
-from hygrokf.live.plan import LATENESS_S, WANDERING, Form, Plan, plan
+from hygrokf.live.plan import LATENESS_S, WANDERING, Plan, SignalReporting, plan
 from hygrokf.live.properties import standard_errors
 from hygrokf.live.sources.local import FileForm, InputForm
 from hygrokf.live.sources.opcua import OpcUaForm
@@ -111,7 +111,7 @@ class SignalForm(StatedSensor):
     def to_field(self) -> Field:
         """The field of a payload."""
         hold = self.hold or (MEAN if self.interval_s > 0 else self.signal.hold)
-        form = Form(hold, self.interval_s, **self.settings, longest_hold_s=self.longest_hold_s)
+        form = SignalReporting(hold, self.interval_s, **self.settings, longest_hold_s=self.longest_hold_s)
         return Field(self.signal.name, self.unit, form, self.stamp, self.scale, self.offset, self.one or "")
 
 
@@ -259,12 +259,12 @@ def expect_one_place(
 
 def source_forms(
     mappings: Iterable[PayloadMapping], sources: Sequence[Mapping[str, object]], place: Place
-) -> dict[str, Form]:
+) -> dict[str, SignalReporting]:
     """Signal → how its sources report it, which must be the same for all but weather forecasts.
 
     What only switches and comes from a source that reports changes holds while connected by default.
     """
-    found: dict[str, Form] = {}
+    found: dict[str, SignalReporting] = {}
     on_change: set[str] = set()
     for number, mapping in enumerate(mappings):
         if number < len(sources) and sources[number].get("weather") is True:
@@ -505,7 +505,7 @@ def _own_names(
 
 
 def _turbines(
-    form: TrackForm, folder: Path, forms: Mapping[str, Form], place: Place
+    form: TrackForm, folder: Path, forms: Mapping[str, SignalReporting], place: Place
 ) -> tuple[dict[str, Turbine], dict[str, str]]:
     """Turbines by name, and the turbine that each name in a payload stands for."""
     rates = None

@@ -26,7 +26,7 @@ from hygrokf.data.toml_form import Place
 from hygrokf.identification.fit import read_fit, write_fit
 from hygrokf.identification.procedure import identify
 from hygrokf.live.config import Config, ConfigFault, read_turbine, store_url, stream_of, turbine_of
-from hygrokf.live.plan import Form, plan
+from hygrokf.live.plan import SignalReporting, plan
 from hygrokf.live.sources.local import Playback, form_of, record_mapping, record_messages
 from hygrokf.live.sources.payload import Field, PayloadMapping
 from hygrokf.live.turbines import Turbine
@@ -61,7 +61,9 @@ PLAYED = (
 
 def default_mapping() -> PayloadMapping:
     """The mapping with all signals under their own names, in display units (°C, %, kW, g/m³)."""
-    return PayloadMapping({name: Field(name, row.display, Form(row.hold)) for name, row in SIGNALS.items()})
+    return PayloadMapping(
+        {name: Field(name, row.display, SignalReporting(row.hold)) for name, row in SIGNALS.items()}
+    )
 
 
 def page_at(address: str | None) -> PageSettings:

@@ -62,7 +62,7 @@ EVERY_S = DAY_S
 
 
 @dataclass(frozen=True)
-class Finding:
+class CauseFinding:
     """How well a cause explains the readings, or the most likely one, "" if none explains them.
 
     `state`, `value`, `sd`: the state that explains it, its value now and its standard deviation; `gain`: in
@@ -105,7 +105,7 @@ def shift_step(
 
 def isolate(
     plan: Plan, record: Record, reference: Point | None = None, sisters: Sequence[Record] = ()
-) -> Iterator[Finding | None]:
+) -> Iterator[CauseFinding | None]:
     """Search for the cause in a record, step by step: yields None after each step and the finding at the end.
 
     `reference`: the state from which shifts count after a stated change, None for the fit's values; the
@@ -130,7 +130,7 @@ def isolate(
         start = _still_state(plan, wide, reference.state)
     likelihood = wide.likelihood(t)
     base, end_s = censored_end(likelihood, still, start).loglik, float(t.seconds[-1])
-    gains: dict[str, Finding] = {}
+    gains: dict[str, CauseFinding] = {}
     evidence: dict[str, float] = {}
     for cause, options in STATES.items():
         best: tuple[Mapping[str, float], Gaussian | None, int] | None = None
@@ -145,7 +145,9 @@ def isolate(
                 gain = found.loglik - base
                 if cause not in gains or gain > gains[cause].gain:
                     sd = float(np.sqrt(max(found.last.covariance[place, place], 0.0)))
-                    gains[cause] = Finding(end_s, cause, state, float(found.last.mean[place]), gain, sd=sd)
+                    gains[cause] = CauseFinding(
+                        end_s, cause, state, float(found.last.mean[place]), gain, sd=sd
+                    )
                     best = values, begin, place
                 yield None
         departed = departures(record, sisters, AMBIENT.get(cause, ""))
@@ -176,8 +178,8 @@ def _with_variance(state: Gaussian, place: int, variance: float) -> Gaussian:
 
 
 def finding_from(
-    gains: Mapping[str, Finding], time_s: float, evidence: Mapping[str, float] | None = None
-) -> Finding:
+    gains: Mapping[str, CauseFinding], time_s: float, evidence: Mapping[str, float] | None = None
+) -> CauseFinding:
     """The finding at `time_s` [s] from the best explanation by each cause.
 
     `evidence`: by how much in ln L the sister turbines support each error of an ambient sensor.  If they
@@ -194,7 +196,7 @@ def finding_from(
             left.update({one: replace(left[one], gain=gain) for one in pair})
     ordered = sorted(left, key=lambda cause: -left[cause].gain)
     if not ordered or left[ordered[0]].gain < LEAST:
-        return Finding(time_s, "")
+        return CauseFinding(time_s, "")
     best = left[ordered[0]]
     alike = tuple(cause for cause in ordered[1:] if best.gain - left[cause].gain < CLOSE)
     return replace(best, alike=alike)

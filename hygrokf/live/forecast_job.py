@@ -14,7 +14,7 @@ from hygrokf.data.ambient import ambient_absolute_humidity
 from hygrokf.data.record import Record, Series
 from hygrokf.data.timestamps import DAY_S, HOUR_S
 from hygrokf.live.batch import Batch
-from hygrokf.live.fault_isolation import AMBIENT, BEFORE_S, LONGEST_S, Finding, ShiftStep, isolate
+from hygrokf.live.fault_isolation import AMBIENT, BEFORE_S, LONGEST_S, CauseFinding, ShiftStep, isolate
 from hygrokf.live.forecast import ForecastMade, NoForecast, forecast, restart
 from hygrokf.live.plan import AMBIENT_HUMIDITIES, Plan
 from hygrokf.live.scenarios import DAYS, NoScenarios, Scenarios, persistence, weather_forecast
@@ -73,7 +73,7 @@ def isolation_steps(
     store: Store,
     reference: Point | None = None,
     sisters: Mapping[str, Plan] | None = None,
-) -> Iterator[Finding | None]:
+) -> Iterator[CauseFinding | None]:
     """Search for the cause of a turbine's lasting shifts, on readings from some weeks before them, or since
     the state from which shifts count after a stated change, up to the time of the step; `sisters`: the plans
     of the turbines whose readings up to then are final."""
@@ -91,7 +91,7 @@ def isolation_steps(
         for found in isolate(one.plan, history, reference, others):
             yield None if found is None else replace(found, time_s=step.time)
     except ValueError:
-        yield Finding(step.time, "")
+        yield CauseFinding(step.time, "")
 
 
 def _history(

@@ -49,7 +49,7 @@ sensor like a scale error.  One of each pair is held almost constant; fault isol
 
 
 @dataclass(frozen=True)
-class Form:
+class SignalReporting:
     """How a source reports a signal: `hold` between readings, averaging `interval_s` [s], `resolution` and
     `accuracy` [SI unit], `response_time_s` [s] of the sensor, None if unknown, and `longest_hold_s` [s], all
     as in a `Series`."""
@@ -93,7 +93,7 @@ class Plan:
     design: Design
     values: Mapping[str, float]
     lateness_s: float = LATENESS_S
-    forms: Mapping[str, Form] = field(default_factory=dict)
+    forms: Mapping[str, SignalReporting] = field(default_factory=dict)
     site: Site | None = None
     rated_power_W: float | None = None
 
@@ -105,9 +105,9 @@ class Plan:
         """The likelihood on a timeline, of the plan's model."""
         return Likelihood(self.model, t)
 
-    def form(self, signal: str) -> Form:
+    def form(self, signal: str) -> SignalReporting:
         """The form of a signal; by default instantaneous readings."""
-        return self.forms.get(signal) or Form(SIGNALS[signal].hold_of_instants)
+        return self.forms.get(signal) or SignalReporting(SIGNALS[signal].hold_of_instants)
 
     def looks_back(self, signal: str) -> bool:
         """Whether an input at a time depends on readings up to that time alone."""
@@ -183,7 +183,7 @@ def plan(
     fit: Fit,
     *,
     name: str | None = None,
-    forms: Mapping[str, Form] | None = None,
+    forms: Mapping[str, SignalReporting] | None = None,
     lateness_s: float = LATENESS_S,
     wandering: Mapping[str, float] | None = None,
     site: Site | None = None,

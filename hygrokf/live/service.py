@@ -23,7 +23,7 @@ from typing import TypeVar
 
 from hygrokf.data.timestamps import HOUR_S
 from hygrokf.live.batch import Batch
-from hygrokf.live.fault_isolation import Finding
+from hygrokf.live.fault_isolation import CauseFinding
 from hygrokf.live.forecast_job import EVERY_S, isolation_steps, make_forecast
 from hygrokf.live.notification.channel import Channel
 from hygrokf.live.notification.notices import look_again, notices_of
@@ -138,7 +138,7 @@ class Service:
         self._tick = self._forecasts = self._latest = 0.0
         self._words: dict[str, str] = {}
         self._marks: dict[str, str] = {}
-        self._isolation: tuple[str, Iterator[Finding | None]] | None = None
+        self._isolation: tuple[str, Iterator[CauseFinding | None]] | None = None
         self._waiting: queue.Queue[tuple[str, Delivery, float]] = queue.Queue(WAITING)
         self.store: Store | None = None
         self.fleet: Fleet | None = None

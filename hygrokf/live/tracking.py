@@ -58,10 +58,10 @@ def track(
     with ExitStack() as stack:
         page = None
         if with_page:
-            from hygrokf.live.web.application import Page
+            from hygrokf.live.web.application import PageEndpoints
             from hygrokf.live.web.server import serve
 
-            app = Page(service, hub, config.page).app()
+            app = PageEndpoints(service, hub, config.page).app()
             page = stack.enter_context(serve(app, config.page, hub)).url
         stack.enter_context(ended_by_signals(service))
         senders = [Sender(one, service.store_url, lambda: service.now) for one in service.channels]

@@ -26,7 +26,7 @@ from hygrokf.live.condition import (
     only,
     vapour_read,
 )
-from hygrokf.live.fault_isolation import Finding, ShiftStep
+from hygrokf.live.fault_isolation import CauseFinding, ShiftStep
 from hygrokf.live.forecast import LIMIT
 from hygrokf.live.frozen import Frozen
 from hygrokf.live.plan import Plan
@@ -76,7 +76,7 @@ class Kept:
     deviations: dict[str, TrackedState] = field(default_factory=dict)
     references: Mapping[str, TrackedState] = field(default_factory=dict)
     reference_point: Point | None = None
-    finding: Finding | None = None
+    finding: CauseFinding | None = None
     shift_steps: list[ShiftStep] = field(default_factory=list)
     alarms: dict[str, Standing] = field(default_factory=dict)
     excess: float = math.nan

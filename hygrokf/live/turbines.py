@@ -43,7 +43,7 @@ from hygrokf.live.assessment import STANDSTILL_S, Known, Outlook, assess
 from hygrokf.live.batch import Alarm, Assessment, Batch, Estimates, Event, Loss, Observation
 from hygrokf.live.clocks import Ahead, Backlogs, clock_levels
 from hygrokf.live.condition import Condition
-from hygrokf.live.fault_isolation import Finding, ShiftStep, shift_step
+from hygrokf.live.fault_isolation import CauseFinding, ShiftStep, shift_step
 from hygrokf.live.forecast import ForecastMade
 from hygrokf.live.plan import Plan
 from hygrokf.live.properties import (
@@ -490,7 +490,7 @@ class Fleet:
             state.outlook = Outlook(made.condition.time_s, made.condition.condensation)
         self._assess(name, batch)
 
-    def keep_finding(self, name: str, finding: Finding) -> Batch:
+    def keep_finding(self, name: str, finding: CauseFinding) -> Batch:
         """Keep the finding of fault isolation, unless a change was stated meanwhile, and judge the alarms
         that it explains."""
         state, batch = self.tracked[name], Batch()

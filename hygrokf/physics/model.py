@@ -305,7 +305,7 @@ class Model:
         """`evaluate`, with a check that some mechanism reads every sum that is contributed to; raises
         ValueError otherwise."""
         read: set[str] = set()
-        found = self._equations(x, u, p, lambda sums: _Sums(sums, read))
+        found = self._equations(x, u, p, lambda sums: _ReadSums(sums, read))
         known = (*SUMS, *sorted(read - set(SUMS)))
         unknown = [name for name in found.sums if name not in known]
         if unknown:
@@ -530,7 +530,7 @@ def _noise_size(z: Value, power: float) -> tuple[Value, Value]:
     return inner ** (power / (1.0 - power)), power / inner
 
 
-class _Sums(Space):
+class _ReadSums(Space):
     """The sums of a model as a mechanism reads them; records the names that were read."""
 
     def __init__(self, sums: Values, read: set[str]) -> None:

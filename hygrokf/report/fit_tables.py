@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from functools import partial
 
-from hygrokf.evaluation.actuator_effects import Change
+from hygrokf.evaluation.actuator_effects import EstimatedChange
 from hygrokf.evaluation.diagnosis import CumulativePeriodogram
 from hygrokf.evaluation.scoring import REGIMES, SCORED, Errors, Scored
 from hygrokf.identification.fit_on_record import Evaluation
@@ -187,7 +187,7 @@ def actuators_table(fit: FitResults) -> Table:
         cells = []
         factors = {"temperature_K": 1.0, "relative_humidity": 100.0, "absolute_humidity_g_m3": 1.0}
         for name, factor in factors.items():
-            change = (one.changes or {}).get(name, Change())
+            change = (one.changes or {}).get(name, EstimatedChange())
             value, low, high = (factor * v for v in (change.value, change.lower, change.upper))
             decimals, bounds = 2, ""
             if math.isfinite(high - low):

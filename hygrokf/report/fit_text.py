@@ -81,7 +81,7 @@ def lead_words(lead: str) -> str:
 
 
 @dataclass(frozen=True)
-class Judgement:
+class SubjectVerdict:
     """A subject's verdict, in one sentence without its stop, and the reasons for it, the worst first.
 
     `about`: a time constant ("thermal", "hygric"), a scored quantity, "bands" or "innovations".
@@ -100,25 +100,25 @@ ENDS = {
 }
 
 
-def _judged(about: str, subject: str, reasons: Iterable[Reason]) -> Judgement:
+def _judged(about: str, subject: str, reasons: Iterable[Reason]) -> SubjectVerdict:
     """A judgement by its worst reason; nothing is said for a subject that something speaks against."""
     found = worst_first(reasons)
     verdict = verdict_of(found)
     told = tuple(one for one in found if verdict == BELIEVE or one.verdict != BELIEVE)
-    return Judgement(about, verdict, subject + ENDS[verdict], told)
+    return SubjectVerdict(about, verdict, subject + ENDS[verdict], told)
 
 
-def judgements(fit: FitResults) -> list[Judgement]:
+def judgements(fit: FitResults) -> list[SubjectVerdict]:
     """The verdicts on the time constants with their reasons, then those on errors, bands and innovations."""
     constants = [_time_constant(fit, part) for part in PARTS]
     return [*constants, *_errors(fit), *_bands(fit), *_innovations(fit)]
 
 
-def _time_constant(fit: FitResults, part: str) -> Judgement:
+def _time_constant(fit: FitResults, part: str) -> SubjectVerdict:
     found = fit.time_constants.get(part)
     if found is None:
         none = f"There is no {part} time constant: nothing in the record determines one"
-        return Judgement(part, CAUTION, none)
+        return SubjectVerdict(part, CAUTION, none)
     known = inherited(fit)[part]
     size = f", known to {known.spread}" if known.closed else ""
     head = f"The {part} time constant, {known.texts[0]}{size}{ENDS[known.verdict]}"
@@ -127,10 +127,10 @@ def _time_constant(fit: FitResults, part: str) -> Judgement:
     reasons = [one for one in known.reasons if one.text not in told]
     if known.verdict == BELIEVE and free_run_informs(found):
         reasons.append(reason("criteria_agree", free=free_run_text(found)))
-    return Judgement(part, known.verdict, head, tuple(reasons))
+    return SubjectVerdict(part, known.verdict, head, tuple(reasons))
 
 
-def _errors(fit: FitResults) -> Iterator[Judgement]:
+def _errors(fit: FitResults) -> Iterator[SubjectVerdict]:
     """The free run's error in validation, else in identification."""
     for part, name in QUANTITY_OF.items():
         told = quantity(name)
@@ -141,7 +141,7 @@ def _errors(fit: FitResults) -> Iterator[Judgement]:
             yield _judged(name, subject, free_run_reasons(fit, part))
 
 
-def _bands(fit: FitResults) -> Iterator[Judgement]:
+def _bands(fit: FitResults) -> Iterator[SubjectVerdict]:
     """All 95 % bands by how many readings they hold."""
     shares = {
         f"{lead_words(lead)} {quantity(name).words} {percent(band.coverage)}": band.coverage
@@ -161,7 +161,7 @@ def _bands(fit: FitResults) -> Iterator[Judgement]:
         yield _judged("bands", f"The 95 % band, which holds {span} of the readings", reasons)
 
 
-def _innovations(fit: FitResults) -> Iterator[Judgement]:
+def _innovations(fit: FitResults) -> Iterator[SubjectVerdict]:
     """The one-step predictions, by the tests of their innovations."""
     tests = fit.innovations.tests
     against = [row for row in tests if row.rejected]

@@ -36,7 +36,7 @@ T = TypeVar("T")
 
 
 @dataclass(frozen=True)
-class Content:
+class FileContent:
     """One file, or one member of an archive.
 
     member: its name in the archive, "" for the file itself. kind: as in `kind_of`. data: all of its bytes.
@@ -47,7 +47,7 @@ class Content:
     data: bytes
 
 
-def contents(path: Path) -> tuple[tuple[Content, ...], str]:
+def contents(path: Path) -> tuple[tuple[FileContent, ...], str]:
     """Contents of a weather file, and the SHA-256 of the file itself.
 
     path: NetCDF or text, plain, as gzip or in a ZIP archive; recognised by the first bytes, not by the name.
@@ -64,10 +64,10 @@ def contents(path: Path) -> tuple[tuple[Content, ...], str]:
                 data = _bounded(stream, len(packed), MOST_BYTES)
         except (OSError, EOFError, zlib.error) as broken:
             raise TableFault(f"cannot be unpacked: {broken}; fetch it again") from None
-    return (Content("", kind_of(data), data),), digest
+    return (FileContent("", kind_of(data), data),), digest
 
 
-def read_each(found: Sequence[Content], read: Callable[[Content], T]) -> list[T]:
+def read_each(found: Sequence[FileContent], read: Callable[[FileContent], T]) -> list[T]:
     """What is read from each content.  Raises TableFault with the faults of all, those of members named."""
     made, faults = [], []
     for one in found:
@@ -80,7 +80,7 @@ def read_each(found: Sequence[Content], read: Callable[[Content], T]) -> list[T]
     return made
 
 
-def only_content(path: Path, kinds: Sequence[str], what: str) -> tuple[Content, str]:
+def only_content(path: Path, kinds: Sequence[str], what: str) -> tuple[FileContent, str]:
     """The content of some kinds, which may stand beside others in an archive, and the SHA-256 of the file.
 
     what: such a file in words.  Raises TableFault where there is none, or several.
@@ -153,7 +153,7 @@ def _bounded(stream: IO[bytes] | gzip.GzipFile, packed: int, most: int) -> bytes
     return b"".join(pieces)
 
 
-def _members(packed: bytes) -> tuple[Content, ...]:
+def _members(packed: bytes) -> tuple[FileContent, ...]:
     """Members of a ZIP archive that hold data."""
     try:
         archive = zipfile.ZipFile(io.BytesIO(packed))
@@ -167,7 +167,7 @@ def _members(packed: bytes) -> tuple[Content, ...]:
         for one in inside:
             try:
                 data = _member(archive, one, left)
-                found.append(Content(one.filename, kind_of(data), data))
+                found.append(FileContent(one.filename, kind_of(data), data))
                 left -= len(data)
             except TableFault as broken:
                 faults += [f"{one.filename}: {fault}" for fault in broken.faults]

@@ -142,7 +142,7 @@ def align(one: Series, other: Series, *, america: bool = False) -> Alignment | N
 
 
 @dataclass(frozen=True)
-class _Sums:
+class _BlockSums:
     """Sums over each block, which the bootstrap weighs (B blocks, L lags).
 
     lags: [s] (L,). xy, xx, yy: (B, L) of the series without mean day. wave, other_wave: (B,) complex.
@@ -161,7 +161,7 @@ class _Sums:
     summer: np.ndarray
 
 
-def _sums(time: np.ndarray, x: np.ndarray, y: np.ndarray, america: bool) -> _Sums:
+def _sums(time: np.ndarray, x: np.ndarray, y: np.ndarray, america: bool) -> _BlockSums:
     """Sums of every block; a block ends with five days, a month, or summer time."""
     month = time.astype("datetime64[s]").astype("datetime64[M]")
     warm = summer_time(time, america)
@@ -191,7 +191,7 @@ def _sums(time: np.ndarray, x: np.ndarray, y: np.ndarray, america: bool) -> _Sum
     count = np.add.reduceat(both.astype(float), starts)
     difference = np.add.reduceat(np.where(both, x - y, 0.0), starts)
     days = np.add.reduceat(known.astype(float), starts) * GRID_S / DAY_S
-    return _Sums(
+    return _BlockSums(
         GRID_S * lags, xy, xx, yy, waves[0], waves[1], difference, count, days, warm[starts]
     )  # fmt: skip
 
@@ -237,7 +237,7 @@ def _change(winter: Bounded, summer: Bounded, draws: np.ndarray) -> Bounded:
 
 
 def _lag(
-    sums: _Sums, inside: np.ndarray, random: np.random.Generator
+    sums: _BlockSums, inside: np.ndarray, random: np.random.Generator
 ) -> tuple[Lag, tuple[np.ndarray, np.ndarray]]:
     """Lag over some blocks, and the draws of both of its estimates."""
     weights = np.concatenate([inside[None, :].astype(float), _weights(sums.days, inside, random)])

@@ -18,7 +18,7 @@ import numpy as np
 from hygrokf.data.columns import TableFault
 from hygrokf.data.record import Site
 from hygrokf.weather.archive import MOST_BYTES
-from hygrokf.weather.site_weather import GRAVITY, Field, SiteWeather, Variable, place_text, short_name
+from hygrokf.weather.site_weather import GRAVITY, SiteWeather, Variable, WeatherField, place_text, short_name
 
 if TYPE_CHECKING:
     import xarray
@@ -119,7 +119,7 @@ def point_weather(
         if short == "z":
             altitude_m = _altitude(one.values, unit)
         elif one.dims == (time_name,):
-            fields[short] = Field(one.values.astype(float), name, None if unit is None else str(unit))
+            fields[short] = WeatherField(one.values.astype(float), name, None if unit is None else str(unit))
     return SiteWeather(
         file, stamps, fields, variables,
         site=None if at is None else point_site(*at, altitude_m), near=site, shift_s=shift_s,

@@ -19,9 +19,9 @@ from hygrokf.data.table_readers import csv_rows
 from hygrokf.data.timestamps import HOUR_S, stamp_text
 from hygrokf.weather.archive import only_content
 from hygrokf.weather.site_weather import (
-    Field,
     SiteWeather,
     Variable,
+    WeatherField,
     complete,
     dew_point_of,
     short_name,
@@ -168,7 +168,9 @@ def _weather(
     places = Places("row", lambda rows: [int(row) + 1 for row in rows])
     notation = Notation(timezone="UTC", decimal=".")
     table = table_of(frame, dict.fromkeys(used, UNKNOWN), stamps, "time", places, notation)
-    fields = {short: Field(table.values[name], name, unit.get(name, "")) for name, short in used.items()}
+    fields = {
+        short: WeatherField(table.values[name], name, unit.get(name, "")) for name, short in used.items()
+    }
     time, warnings = table.time - offset, list(table.warnings)
     if offset:
         warnings.append(

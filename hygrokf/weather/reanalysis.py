@@ -15,13 +15,13 @@ from hygrokf.data.record import Record, Site
 from hygrokf.data.table_readers import table_in
 from hygrokf.data.timestamps import DAY_S, HOUR_S, MINUTE_S, duration_text, modal_step, stamp_text
 from hygrokf.physics.psychrometrics import dew_point, vapour_pressure_from_specific_humidity
-from hygrokf.weather.archive import FORMATS_OF_KINDS, Content, contents, read_each
+from hygrokf.weather.archive import FORMATS_OF_KINDS, FileContent, contents, read_each
 from hygrokf.weather.gridded import GROUND, open_dataset, point_site, point_weather
 from hygrokf.weather.joining import joined
 from hygrokf.weather.site_weather import (
-    Field,
     SiteWeather,
     Variable,
+    WeatherField,
     complete,
     short_name,
     unit_in_weather,
@@ -88,7 +88,7 @@ def read_merra2(path: str | os.PathLike[str], site: Site | None = None) -> Recor
     Raises TableFault with every fault and, for an archive, its member.
     """
 
-    def weather_of(one: Content, file: str, alone: bool) -> SiteWeather:
+    def weather_of(one: FileContent, file: str, alone: bool) -> SiteWeather:
         if not one.kind.startswith("netcdf"):
             raise TableFault(f"expected NetCDF of MERRA-2, found {one.kind}")
         # a stamp is the middle of its hour; a record has ends
@@ -119,7 +119,7 @@ def read_era5(path: str | os.PathLike[str], site: Site | None = None) -> Record:
     Raises TableFault with every fault and, for an archive, its member.
     """
 
-    def weather_of(one: Content, file: str, alone: bool) -> SiteWeather | None:
+    def weather_of(one: FileContent, file: str, alone: bool) -> SiteWeather | None:
         if (form := FORMATS_OF_KINDS.get(one.kind, "era5")) != "era5":
             raise TableFault(f'expected a file of ERA5, found {one.kind}; state format = "{form}"')
         if one.kind == "csv":
@@ -140,11 +140,11 @@ def read_era5(path: str | os.PathLike[str], site: Site | None = None) -> Record:
     return complete(record, lacking, "2m_dewpoint_temperature (d2m) in the request")
 
 
-def _read(path: Path, weather_of: Callable[[Content, str, bool], SiteWeather | None]) -> Record:
+def _read(path: Path, weather_of: Callable[[FileContent, str, bool], SiteWeather | None]) -> Record:
     """The record of a file or of the members of an archive; None for a member without a known field."""
     found, digest = contents(path)
 
-    def record(one: Content) -> Record | None:
+    def record(one: FileContent) -> Record | None:
         weather = weather_of(one, path.name, len(found) == 1)
         return None if weather is None else weather.record(digest)
 
@@ -169,7 +169,7 @@ def _csv_weather(data: bytes, file: str, site: Site | None, alone: bool) -> Site
     # stamps carry no offset, and are in UTC
     columns = dict.fromkeys([*used, *spots], UNKNOWN)
     table = table_in(data, "", columns, time_name, Notation(timezone="UTC", decimal="."))
-    fields = {str(short): Field(table.values[name], name) for name, short in used.items()}
+    fields = {str(short): WeatherField(table.values[name], name) for name, short in used.items()}
     if len(spots) < 2:
         return SiteWeather(file, table.time, fields, ERA5, warnings=table.warnings)
     at = np.unique(np.column_stack([table.values[name] for name in spots]), axis=0)

@@ -67,7 +67,7 @@ class Variable(NamedTuple):
     names: tuple[str, ...] = ()
 
 
-class Field(NamedTuple):
+class WeatherField(NamedTuple):
     """One field at one place: values (T,), its name in the file, and the unit that it states, or None."""
 
     value: np.ndarray
@@ -92,7 +92,8 @@ class SiteWeather:
     """
 
     def __init__(
-        self, file: str, time: np.ndarray, fields: Mapping[str, Field], variables: Mapping[str, Variable], *,
+        self, file: str, time: np.ndarray, fields: Mapping[str, WeatherField],
+        variables: Mapping[str, Variable], *,
         site: Site | None = None, near: Site | None = None, height_m: float | None = None,
         shift_s: float = 0.0, warnings: Iterable[str] = (),
     ) -> None:  # fmt: skip

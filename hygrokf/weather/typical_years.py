@@ -24,7 +24,7 @@ from hygrokf.physics.psychrometrics import (
     vapour_pressure_from_humidity_ratio,
 )
 from hygrokf.weather.archive import only_content
-from hygrokf.weather.site_weather import Field, SiteWeather, Variable, complete, dew_point_of
+from hygrokf.weather.site_weather import SiteWeather, Variable, WeatherField, complete, dew_point_of
 
 WIND_HEIGHT_M = 10.0
 """[m] height of the wind in files of typical years."""
@@ -115,7 +115,7 @@ def _weather(
             absent = np.isclose(columns[name][:, None], codes, rtol=0.0, atol=1e-6).any(axis=1)
             value = np.where(absent, np.nan, columns[name])
             if np.isfinite(value).any():
-                fields[name] = Field(value, name)
+                fields[name] = WeatherField(value, name)
     return SiteWeather(file, time, fields, variables, site=site, height_m=WIND_HEIGHT_M, warnings=warnings)
 
 

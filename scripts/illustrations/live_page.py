@@ -70,7 +70,7 @@ def live_page(directory: Path) -> None:
 
     from hygrokf.live import service as loop
     from hygrokf.live.condition import Surface
-    from hygrokf.live.web.application import Page
+    from hygrokf.live.web.application import PageEndpoints
     from hygrokf.live.web.page_settings import PageSettings
     from hygrokf.live.web.server import Hub, serve
 
@@ -89,7 +89,10 @@ def live_page(directory: Path) -> None:
     loop.MOST = 50  # rounds as short as those of a live source: alarms are judged once a round
     service = filled(directory, cases, 7.0)
     _stated(service)
-    with serve(Page(service, hub, settings).app(), settings, hub) as server, sync_playwright() as playwright:
+    with (
+        serve(PageEndpoints(service, hub, settings).app(), settings, hub) as server,
+        sync_playwright() as playwright,
+    ):
         browser = playwright.chromium.launch(executable_path=shutil.which("chromium"), args=list(ARGUMENTS))
         for name, (view, width, height, scheme) in VIEWS.items():
             shown = browser.new_page(viewport={"width": width, "height": height}, color_scheme=scheme)

@@ -19,7 +19,7 @@ from hygrokf.identification.fit import Fit
 from hygrokf.identification.procedure import identify
 from hygrokf.live.condition import Surface
 from hygrokf.live.forecast import heating_sd
-from hygrokf.live.plan import Form, Plan, plan
+from hygrokf.live.plan import Plan, SignalReporting, plan
 from hygrokf.live.scenarios import DAYS, Scenarios, persistence
 from hygrokf.live.tracker import Point, TrackedCourse, offline_course
 from hygrokf.physics.psychrometrics import (
@@ -47,7 +47,7 @@ def identified(record: Record, until_s: float) -> Fit:
 
 def plan_of(fit: Fit, record: Record) -> Plan:
     """How a tracker of this cabinet is planned."""
-    forms = {s.signal: Form(s.hold, s.interval_s, s.resolution, s.accuracy) for s in record.series}
+    forms = {s.signal: SignalReporting(s.hold, s.interval_s, s.resolution, s.accuracy) for s in record.series}
     return plan(fit, forms=forms, site=record.site, rated_power_W=record.rated_power_W)
 
 

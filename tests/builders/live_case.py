@@ -14,7 +14,7 @@ from hygrokf.cases.case_file import read_case
 from hygrokf.cases.synthetic import synthetic_turbine, write_case
 from hygrokf.data.record import Record
 from hygrokf.identification.fit import Fit
-from hygrokf.live.plan import Form, Plan, plan
+from hygrokf.live.plan import Plan, SignalReporting, plan
 from hygrokf.live.sources.local import Playback
 from hygrokf.live.sources.stream import Delivery
 from hygrokf.live.storage.store import open_store
@@ -44,7 +44,7 @@ def live_fit(record: Record, **known: float) -> Fit:
 
 def live_plan(fit: Fit, record: Record, **options: object) -> Plan:
     """The plan of a fit for readings as a record has them."""
-    forms = {s.signal: Form(s.hold, s.interval_s) for s in record.series}
+    forms = {s.signal: SignalReporting(s.hold, s.interval_s) for s in record.series}
     return plan(fit, forms=forms, site=record.site, rated_power_W=record.rated_power_W, **options)
 
 

@@ -30,7 +30,7 @@ from hygrokf.live.sources.local import Playback, record_mapping, record_messages
 from hygrokf.live.sources.payload import PayloadMapping
 from hygrokf.live.sources.stream import Delivery, Stream
 from hygrokf.live.storage.store import Store, open_store
-from hygrokf.live.web.application import Page
+from hygrokf.live.web.application import PageEndpoints
 from hygrokf.live.web.page_settings import PageSettings
 from hygrokf.live.web.server import Hub, PageServer, serve
 
@@ -161,10 +161,10 @@ class Fed(Stream):
 
 
 @contextmanager
-def served(service: Service, settings: PageSettings = LOCAL) -> Iterator[tuple[Page, PageServer]]:
+def served(service: Service, settings: PageSettings = LOCAL) -> Iterator[tuple[PageEndpoints, PageServer]]:
     """A page of a service, and its server, which runs as long as the block."""
     hub = Hub()
-    page = Page(service, hub, settings)
+    page = PageEndpoints(service, hub, settings)
     with serve(page.app(), settings, hub) as server:
         yield page, server
     page.close()

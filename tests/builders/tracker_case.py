@@ -6,7 +6,7 @@ import numpy as np
 
 from hygrokf.data.record import Record
 from hygrokf.identification.fit import Fit
-from hygrokf.live.plan import Form, Plan, plan
+from hygrokf.live.plan import Plan, SignalReporting, plan
 from hygrokf.live.tracker import Reading
 from hygrokf.modelling.design import CASCADE, design, merged
 
@@ -17,7 +17,7 @@ def planned(record: Record, **options: object) -> Plan:
     """A plan with the base model at its start values: the filter's arithmetic does not care which."""
     base = merged([design(record, kind="thermal"), design(record, kind=CASCADE)])
     fit = Fit(record.name, base, {p.name: p.start for p in base.model.parameters})
-    forms = {s.signal: Form(s.hold, s.interval_s, s.resolution, s.accuracy) for s in record.series}
+    forms = {s.signal: SignalReporting(s.hold, s.interval_s, s.resolution, s.accuracy) for s in record.series}
     settings = {"site": record.site, "rated_power_W": record.rated_power_W, "lateness_s": LATENESS_S}
     return plan(fit, forms=forms, **{**settings, **options})
 

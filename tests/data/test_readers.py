@@ -14,13 +14,13 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from hygrokf.data import table_readers
-from hygrokf.data.columns import Notation, Table, TableFault
+from hygrokf.data.columns import FileColumns, Notation, TableFault
 from hygrokf.data.numbers import UNKNOWN, Meaning
 
 BASE = 1577836800.0  # 2020-01-01T00:00Z
 
 
-def read_table(path: Path, columns: list[str], time: str, meanings=None, **stated) -> Table:
+def read_table(path: Path, columns: list[str], time: str, meanings=None, **stated) -> FileColumns:
     of_columns = dict.fromkeys(columns, UNKNOWN) | (meanings or {})
     return table_readers.read_table(path, of_columns, time, Notation(**stated))
 

@@ -34,9 +34,7 @@ def scene_of(seed: int, days: float, **options: object) -> Scene:
     """The scene of a plant, as its cause would find it."""
     found: list[Scene] = []
 
-    def build(
-        name: str, seed: int, drivers: Drivers, logging: object, inputs_exact: bool = True, **rest: object
-    ):
+    def build(name: str, seed: int, drivers: Drivers, logging: object, **rest: object):
         found.append(make_scene(ingredients(seed, drivers, **rest), seed, drivers))
 
     plant(seed, days=days, build=build, **{**HIDDEN_OPTIONS, **options})

@@ -23,7 +23,7 @@ from hygrokf.data.record import Record
 from hygrokf.discovery import simulator as simulator_module
 from hygrokf.discovery.scene import Scene, driven, scene_of
 from hygrokf.discovery.simulator import Simulator
-from hygrokf.engine.cell_loop import CONTROL, CellModel, Cells, run
+from hygrokf.engine.cell_loop import CONTROL, CellInputs, CellModel, run
 from hygrokf.engine.llvm_writer import LANES
 from hygrokf.estimation.likelihood import Likelihood
 from hygrokf.evaluation.self_switching import self_switched
@@ -62,7 +62,7 @@ def passed(model: Model, tau: float, hours: float, edges: np.ndarray, begun: flo
     cell_model = CellModel(None, model)
     inputs = np.zeros((len(edges), len(cell_model.inputs)))
     inputs[:, cell_model.inputs.index("drive")] = edges
-    cells = Cells(hours, 0.5 * (inputs[1:] + inputs[:-1]), inputs)
+    cells = CellInputs(hours, 0.5 * (inputs[1:] + inputs[:-1]), inputs)
     theta = np.zeros((len(cell_model.parameters), LANES))
     theta[cell_model.parameters.index("tau")] = tau
     out = run(cell_model, cells, theta, np.full((len(model.states), LANES), begun), [])
@@ -260,10 +260,7 @@ def acts_on(effect: Effect) -> tuple[str, ...]:
 
 
 CASES = [
-    (name, quantity)
-    for name, effect in EFFECTS.items()
-    for quantity in acts_on(effect)
-    if name != "vent"
+    (name, quantity) for name, effect in EFFECTS.items() for quantity in acts_on(effect) if name != "vent"
 ]
 
 

@@ -26,7 +26,7 @@ from hygrokf.identification.clock_offsets import (
     prior_s,
 )
 from hygrokf.identification.composition import (
-    Alternative,
+    AlternativeEstimate,
     compose_interval,
     of_forms,
     of_free_run,
@@ -378,7 +378,7 @@ def test_an_open_side_stays_open(lower, upper):
 
 def test_forms_widen_to_the_variance_of_their_mixture():
     """Two forms of equal evidence 10 % apart, against a sample of the mixture itself."""
-    forms = [Alternative(0.0, 0.02**2, 0.5), Alternative(0.1, 0.03**2, 0.5)]
+    forms = [AlternativeEstimate(0.0, 0.02**2, 0.5), AlternativeEstimate(0.1, 0.03**2, 0.5)]
     random = np.random.default_rng(3)
     sample = np.concatenate([random.normal(0.0, 0.02, 200_000), random.normal(0.1, 0.03, 200_000)])
     whole = 0.02**2 + of_forms(0.0, 0.02**2, forms)
@@ -407,9 +407,9 @@ def test_ranges_of_a_forms_parameters_bound_what_they_could_imitate() -> None:
 
 
 def test_a_free_run_that_agrees_adds_nothing():
-    assert of_free_run(0.0, 0.02**2, Alternative(0.05, 0.05**2)) == 0.0
-    assert of_free_run(0.0, 0.02**2, Alternative(0.1, 0.05**2)) == 0.0
-    apart = of_free_run(0.0, 0.02**2, Alternative(0.3, 0.05**2))
+    assert of_free_run(0.0, 0.02**2, AlternativeEstimate(0.05, 0.05**2)) == 0.0
+    assert of_free_run(0.0, 0.02**2, AlternativeEstimate(0.1, 0.05**2)) == 0.0
+    apart = of_free_run(0.0, 0.02**2, AlternativeEstimate(0.3, 0.05**2))
     assert apart == pytest.approx(0.5 * (0.09 - 0.0004 - 0.0025))
 
 

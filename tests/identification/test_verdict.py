@@ -15,7 +15,7 @@ from builders.report_case import report_case
 
 from hygrokf.data.structured import StructureFault, plain, structured
 from hygrokf.discovery.procedure import WET_SENSOR
-from hygrokf.identification.composition import Step
+from hygrokf.identification.composition import CompositionStep
 from hygrokf.identification.fit import Fit
 from hygrokf.identification.fit_results import FitResults
 from hygrokf.identification.verdict import criteria_apart, inherited, with_reasons, with_verdicts
@@ -287,7 +287,7 @@ def test_the_plain_profile_is_held_against_the_free_run_where_the_headline_is_wi
     narrow = criteria_apart(data)
     wide = replace(data, lower_h=0.5, upper_h=4.0)
     assert criteria_apart(wide) < narrow
-    profile = Step("profile", data.lower_h, data.upper_h)
+    profile = CompositionStep("profile", data.lower_h, data.upper_h)
     assert criteria_apart(replace(wide, composition=(profile,))) == pytest.approx(narrow)
 
 

@@ -30,7 +30,7 @@ from hygrokf.live.alarms import (
 )
 from hygrokf.live.batch import Alarm
 from hygrokf.live.condition import Condition, Quantity
-from hygrokf.live.fault_isolation import Finding, shift_step
+from hygrokf.live.fault_isolation import CauseFinding, shift_step
 from hygrokf.live.frozen import Frozen
 from hygrokf.live.properties import WATCHED, ParameterShift, TrackedState
 from hygrokf.physics.psychrometrics import ZERO_CELSIUS_K
@@ -39,7 +39,7 @@ MINUTE = 60.0
 
 
 def said_of(
-    shifts: dict[str, ParameterShift], finding: Finding | None, now: dict[str, TrackedState]
+    shifts: dict[str, ParameterShift], finding: CauseFinding | None, now: dict[str, TrackedState]
 ) -> list[Level]:
     return shift_levels(shift_step(0.0, shifts, now, -math.inf), finding)
 
@@ -120,7 +120,7 @@ def test_shifts_name_cause_and_remedy() -> None:
         "heat_release_change": ParameterShift("heat_release_change", 0.0, True, 2.25),
     }
     now = {"hygric_k": TrackedState(math.log(0.5), 0.1), "heat_release_change": TrackedState(2.25, 0.5)}
-    exchange, heat = said_of(found, Finding(0.0, ""), now)
+    exchange, heat = said_of(found, CauseFinding(0.0, ""), now)
     assert exchange.statement.endswith("hygric k −50 (−59 … −39) %")
     assert "seals" in exchange.remedy and exchange.subject == "hygric_k"
     assert heat.statement.endswith("heat release change +2.2 (+1.3 … +3.2) K")
@@ -130,9 +130,9 @@ def test_shifts_name_cause_and_remedy() -> None:
 def test_no_change_is_said_while_its_bounds_contain_zero() -> None:
     """What is open then stays open."""
     found = {"heat_release_change": ParameterShift("heat_release_change", 0.0, True, 2.25)}
-    (unsure,) = said_of(found, Finding(0.0, ""), {"heat_release_change": TrackedState(1.2, 0.7)})
+    (unsure,) = said_of(found, CauseFinding(0.0, ""), {"heat_release_change": TrackedState(1.2, 0.7)})
     assert CHANGED.off <= unsure.level < CHANGED.on
-    sensor = Finding(0.0, "temperature_sensor", "temperature_reading_change", 0.4, 20.0, sd=0.3)
+    sensor = CauseFinding(0.0, "temperature_sensor", "temperature_reading_change", 0.4, 20.0, sd=0.3)
     (unsure,) = said_of(found, sensor, {})
     assert SUSPECT.off <= unsure.level < SUSPECT.on and "0.4 (−0.2 … 1.0) K too high" in unsure.statement
     (sure,) = said_of(found, replace(sensor, sd=0.1), {})
@@ -150,15 +150,15 @@ def test_air_that_is_too_moist_is_sensor_or_water_whatever_the_finding() -> None
     for shifts in ({}, lasting):
         (unsure,) = said_of(shifts, None, moist)
         assert SENSOR_OR_WATER.off <= unsure.level < SENSOR_OR_WATER.on
-    (level,) = said_of(lasting, Finding(9.0, ""), moist)
+    (level,) = said_of(lasting, CauseFinding(9.0, ""), moist)
     assert level.kind == SENSOR_OR_WATER.kind and level.level == pytest.approx(3.0)
     assert "+12 (+11 … +13) % relative humidity" in level.statement and "water" in level.statement
-    high = Finding(9.0, "humidity_sensor", "humidity_scale_change", 0.3, 50.0, sd=0.02)
-    for finding in (None, Finding(9.0, ""), high):
+    high = CauseFinding(9.0, "humidity_sensor", "humidity_scale_change", 0.3, 50.0, sd=0.02)
+    for finding in (None, CauseFinding(9.0, ""), high):
         assert [one.kind for one in said_of(lasting, finding, moist)] == [SENSOR_OR_WATER.kind]
-    other = Finding(9.0, "temperature_sensor", "temperature_reading_change", 3.0, 50.0, sd=0.2)
+    other = CauseFinding(9.0, "temperature_sensor", "temperature_reading_change", 3.0, 50.0, sd=0.2)
     assert [one.kind for one in said_of(lasting, other, moist)] == [SUSPECT.kind]
-    ambient = Finding(9.0, "ambient_humidity", "ambient_humidity_change", -0.1, 50.0, sd=0.02)
+    ambient = CauseFinding(9.0, "ambient_humidity", "ambient_humidity_change", -0.1, 50.0, sd=0.02)
     (level,) = said_of(lasting, ambient, moist)
     assert level.subject == "ambient_humidity" and "10 (6 … 14) % too low: neither" in level.statement
     (level,) = said_of(lasting, replace(high, alike=("ambient_humidity",)), moist)

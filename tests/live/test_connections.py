@@ -17,7 +17,7 @@ from hygrokf.data.record import Record, Series
 from hygrokf.data.toml_form import Place, read_form
 from hygrokf.live.batch import Batch
 from hygrokf.live.config import MappingForm, source_forms, source_mappings
-from hygrokf.live.plan import Form, Plan
+from hygrokf.live.plan import Plan, SignalReporting
 from hygrokf.live.refilter import refilter
 from hygrokf.live.service import Service
 from hygrokf.live.sources.local import record_mapping, record_messages
@@ -55,7 +55,9 @@ def record(whole: Record) -> Record:
 def door_plan(whole: Record) -> Plan:
     made = planned(whole)
     values = {**made.values, "door_conductance": 1.0, "door_exchange": 1.0}
-    return replace(made, values=values, forms={**made.forms, DOOR: Form("previous", longest_hold_s=math.inf)})
+    return replace(
+        made, values=values, forms={**made.forms, DOOR: SignalReporting("previous", longest_hold_s=math.inf)}
+    )
 
 
 def tracked(
@@ -199,7 +201,7 @@ def test_a_sender_that_has_left_is_lost(record: Record, door_plan: Plan) -> None
 def test_what_switches_holds_while_connected_where_changes_are_reported() -> None:
     """Unless an age is stated; from files it is three usual intervals, as that of a power is anywhere."""
 
-    def forms(url: str, **said: str) -> dict[str, Form]:
+    def forms(url: str, **said: str) -> dict[str, SignalReporting]:
         place = Place()
         signals = {
             "Door": {"signal": "door_open", "unit": "1", **said},

@@ -527,7 +527,7 @@ def test_the_page_s_address(folder: Path) -> None:
 
 @pytest.mark.parametrize("unix", ["", "page.sock"])
 def test_a_tracker_s_own_page_is_told_from_a_stranger(folder: Path, unix: str) -> None:
-    from hygrokf.live.web.application import Page
+    from hygrokf.live.web.application import PageEndpoints
     from hygrokf.live.web.server import Hub, serve
 
     config = read_config(folder / "track.toml")
@@ -537,7 +537,7 @@ def test_a_tracker_s_own_page_is_told_from_a_stranger(folder: Path, unix: str) -
     if unix:
         said(list(page_checks(settings)), "ok", "the address is free")
         assert not (folder / unix).exists()
-    with serve(Page(service, hub, settings).app(), settings, hub) as server:
+    with serve(PageEndpoints(service, hub, settings).app(), settings, hub) as server:
         there = replace(settings, port=server.port)
         said(list(page_checks(there)), "doubt", "has not opened its store yet", "that tracker's log")
         service.store = open_store(config.store)

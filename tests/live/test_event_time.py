@@ -18,7 +18,7 @@ from hygrokf.data.timestamps import DAY_S
 from hygrokf.live import forecast_job
 from hygrokf.live.alarms import DELIVERY_RULES
 from hygrokf.live.condition import Surface
-from hygrokf.live.fault_isolation import EVERY_S, Finding
+from hygrokf.live.fault_isolation import EVERY_S, CauseFinding
 from hygrokf.live.forecast_job import isolation_steps
 from hygrokf.live.plan import Plan
 from hygrokf.live.service import Service
@@ -63,7 +63,7 @@ def cold(record: Record) -> Turbine:
 
 def searched(
     plan: Plan, given: Record, reference: Point | None = None, sisters: Sequence[Record] = ()
-) -> Iterator[Finding | None]:
+) -> Iterator[CauseFinding | None]:
     """Stands in for the search for a cause: its finding hangs on every reading that it is given."""
     assert set(given.signals) == set(SIGNALS)
     yield None
@@ -72,7 +72,7 @@ def searched(
         readings = [array.tobytes() for s in sorted(of.series, key=lambda s: s.signal) for array in s.known]
         marks.append(crc32(b"".join(readings)))
     cause = ("", "hygric_k")[int(given.end_s // DAY_S) % 2]
-    yield Finding(given.end_s, cause, value=float(marks[0]), gain=float(sum(marks[1:])))
+    yield CauseFinding(given.end_s, cause, value=float(marks[0]), gain=float(sum(marks[1:])))
 
 
 @pytest.fixture(scope="module", autouse=True)

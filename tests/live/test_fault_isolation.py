@@ -16,7 +16,7 @@ from hygrokf.data.record import Record, Series
 from hygrokf.identification.procedure import identify
 from hygrokf.live.alarms import CHANGED, shift_levels
 from hygrokf.live.defaults import SIGNALS
-from hygrokf.live.fault_isolation import CLOSE, LEAST, USUAL, Finding, finding_from, isolate, shift_step
+from hygrokf.live.fault_isolation import CLOSE, LEAST, USUAL, CauseFinding, finding_from, isolate, shift_step
 from hygrokf.live.plan import Plan, plan
 from hygrokf.live.properties import ParameterShift, TrackedState
 from hygrokf.live.sources.local import form_of
@@ -50,7 +50,7 @@ def tracked(record: Record) -> Plan:
 
 def asked(
     tracked: Plan, record: Record, sisters: Sequence[Record] = (), before: float = 4.0, after: float = 5.0
-) -> Finding:
+) -> CauseFinding:
     """The finding on the days around the change."""
     begin, end = (record.start_s + day * DAY_S for day in (CHANGE - before, CHANGE + after))
     beside = [one.window(begin, end) for one in sisters]
@@ -231,12 +231,12 @@ def test_a_stated_change_is_followed_at_once_and_is_the_reference(
 
 
 def test_judgement_at_its_edges() -> None:
-    assert finding_from({}, 5.0) == Finding(5.0, "")
-    little = Finding(5.0, "hygric_k", "log_hygric_change", 0.4, LEAST - 0.01)
-    assert finding_from({"hygric_k": little}, 5.0) == Finding(5.0, "")
+    assert finding_from({}, 5.0) == CauseFinding(5.0, "")
+    little = CauseFinding(5.0, "hygric_k", "log_hygric_change", 0.4, LEAST - 0.01)
+    assert finding_from({"hygric_k": little}, 5.0) == CauseFinding(5.0, "")
     two = {
-        "hygric_k": Finding(5.0, "hygric_k", "log_hygric_change", 0.4, 20.0),
-        "humidity_sensor": Finding(5.0, "humidity_sensor", "humidity_scale_change", 0.1, 18.0),
+        "hygric_k": CauseFinding(5.0, "hygric_k", "log_hygric_change", 0.4, 20.0),
+        "humidity_sensor": CauseFinding(5.0, "humidity_sensor", "humidity_scale_change", 0.1, 18.0),
     }
     found = finding_from(two, 5.0)
     assert (found.cause, found.alike) == ("hygric_k", ("humidity_sensor",))
@@ -246,10 +246,14 @@ def test_judgement_at_its_edges() -> None:
 
 def test_sisters_decide_between_two_and_water_is_not_ruled_out_without_them() -> None:
     gains = {
-        "temperature_sensor": Finding(5.0, "temperature_sensor", "temperature_reading_change", 2.0, 90.0),
-        "humidity_sensor": Finding(5.0, "humidity_sensor", "humidity_reading_change", 0.05, 80.0),
-        "ambient_temperature": Finding(5.0, "ambient_temperature", "ambient_temperature_change", -2.0, 100.0),
-        "ambient_humidity": Finding(5.0, "ambient_humidity", "ambient_humidity_change", -0.1, 95.0),
+        "temperature_sensor": CauseFinding(
+            5.0, "temperature_sensor", "temperature_reading_change", 2.0, 90.0
+        ),
+        "humidity_sensor": CauseFinding(5.0, "humidity_sensor", "humidity_reading_change", 0.05, 80.0),
+        "ambient_temperature": CauseFinding(
+            5.0, "ambient_temperature", "ambient_temperature_change", -2.0, 100.0
+        ),
+        "ambient_humidity": CauseFinding(5.0, "ambient_humidity", "ambient_humidity_change", -0.1, 95.0),
     }
     alone = finding_from(gains, 5.0)
     assert (alone.cause, alone.state, alone.gain) == ("humidity_sensor", "humidity_reading_change", 95.0)
@@ -265,7 +269,7 @@ def test_what_is_said_of_it() -> None:
     lasting = {"heat_release_change": ParameterShift("heat_release_change", 0.0, True, 2.2)}
     step = shift_step(9.0, lasting, {"heat_release_change": TrackedState(2.2, 0.2)}, 0.0)
     assert shift_levels(step, None) == []  # nobody has looked yet
-    cabinet = Finding(9.0, "heat_release_change", "release_change", 2.0, 50.0, ("temperature_sensor",))
+    cabinet = CauseFinding(9.0, "heat_release_change", "release_change", 2.0, 50.0, ("temperature_sensor",))
     (one,) = shift_levels(step, cabinet)
     assert (one.kind, one.subject) == (CHANGED.kind, "heat_release_change")
     assert one.statement.endswith("(or the temperature sensor)") and "+2.2 (+1.8 … +2.6) K" in one.statement

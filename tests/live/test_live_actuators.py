@@ -20,7 +20,7 @@ from hygrokf.identification.fit import Fit
 from hygrokf.live.condition import Surface
 from hygrokf.live.config import turbine_of
 from hygrokf.live.forecast import LONGEST_H, forecast, heaters, heating, restart
-from hygrokf.live.plan import Form, Plan, plan
+from hygrokf.live.plan import Plan, SignalReporting, plan
 from hygrokf.live.scenarios import persistence
 from hygrokf.live.service import Service
 from hygrokf.live.sources.local import Playback, record_mapping, record_messages
@@ -158,7 +158,7 @@ def test_an_identified_cabinet_with_a_heater_and_a_drier_is_tracked_as_offline(t
     whole, _, made = actuated(41003, "heater_duty", "dehumidifier_duty", days=45.0)
     until_s = whole.start_s + 40.0 * DAY_S
     fit = identify(replace(whole.window(whole.start_s, until_s), until_s=None), starts=1, profiles=False)
-    forms = {s.signal: Form(s.hold, s.interval_s, s.resolution, s.accuracy) for s in whole.series}
+    forms = {s.signal: SignalReporting(s.hold, s.interval_s, s.resolution, s.accuracy) for s in whole.series}
     one = turbine_of(
         fit, plan(fit, forms=forms, site=whole.site, rated_power_W=whole.rated_power_W, lateness_s=LATENESS_S)
     )

@@ -30,7 +30,7 @@ from hygrokf.live.doctor.check import file_checks
 from hygrokf.live.doctor.examination import channel_checks
 from hygrokf.live.notification import notices as outbox
 from hygrokf.live.notification import sender as module
-from hygrokf.live.notification.channel import Channel, ChannelFault, Content, Message
+from hygrokf.live.notification.channel import Channel, ChannelFault, Content, NoticeMessage
 from hygrokf.live.notification.notices import acknowledge, decide, look_again, notices_of
 from hygrokf.live.notification.sender import Sender
 from hygrokf.live.notification.transports import Mail, Webhook, secret_bytes
@@ -60,9 +60,9 @@ class Silent(Channel):
 
     name: str = "ops"
     url: str = ""
-    messages: list[Message] = field(default_factory=list)
+    messages: list[NoticeMessage] = field(default_factory=list)
 
-    def send(self, message: Message) -> None:
+    def send(self, message: NoticeMessage) -> None:
         self.messages.append(message)
 
     def cautions(self) -> list[str]:
@@ -156,7 +156,7 @@ def raised(store: Store, channel: Channel, *alarms: Alarm) -> None:
     store.commit(Batch(alarms=list(alarms), notices=notices_of(alarms, [channel], now, now)))
 
 
-def events(messages: list[Message]) -> list[str]:
+def events(messages: list[NoticeMessage]) -> list[str]:
     return [one.event for message in messages for one in message.contents.values()]
 
 
@@ -211,7 +211,7 @@ def test_a_digest_is_one_message_that_stays_the_same(store_url: str, monkeypatch
     monkeypatch.setattr(module, "BACK_OFF_S", (0.0, 0.0))
 
     class Failing(Silent):
-        def send(self, message: Message) -> None:
+        def send(self, message: NoticeMessage) -> None:
             super().send(message)
             if len(self.messages) < 2:
                 raise ChannelFault("refused", reached=True)
@@ -303,7 +303,7 @@ def test_mail_over_tls_with_a_login(tls: bool, pair: tuple[Path, Path], tmp_path
     with MailServer(*pair, tls=tls, login=True) as server:
         mail = mail_to(server, **right)
         assert "TLSv1.3" in mail.probe() and USER in mail.probe() and not server.accepted.messages
-        mail.send(Message.of({"n1": Content("began", an_alarm())}))
+        mail.send(NoticeMessage.of({"n1": Content("began", an_alarm())}))
         ((sent, to),) = server.accepted.messages
         assert to == ("ops@farm.example",) and sent["From"] == "tracker@farm.example"
         assert sent["Subject"] == "[hygrokf] T1: condensation (warning, began)"
@@ -311,7 +311,7 @@ def test_mail_over_tls_with_a_login(tls: bool, pair: tuple[Path, Path], tmp_path
         (tmp_path / "wrong").write_text("falsch")
         for settings in ({**right, "password_file": "wrong"}, {**right, "ca": ""}):
             for attempt in (mail_to(server, **settings).probe, lambda s=settings: mail_to(
-                server, **s).send(Message("test"))):  # fmt: skip
+                server, **s).send(NoticeMessage("test"))):  # fmt: skip
                 with pytest.raises(ChannelFault) as fault:
                     attempt()
                 assert "falsch" not in str(fault.value) and "127.0.0.1" in str(fault.value)
@@ -321,12 +321,12 @@ def test_mail_over_tls_with_a_login(tls: bool, pair: tuple[Path, Path], tmp_path
 def test_mail_is_not_sent_in_plain_text_unasked() -> None:
     with MailServer() as server:
         with pytest.raises(ChannelFault, match="STARTTLS"):
-            mail_to(server, unencrypted=False).send(Message.of({"n": Content("began", an_alarm())}))
+            mail_to(server, unencrypted=False).send(NoticeMessage.of({"n": Content("began", an_alarm())}))
         assert not server.accepted.messages
 
 
 def test_a_refused_address_does_not_hold_up_the_others_for_long() -> None:
-    message = Message.of({"n": Content("began", an_alarm())})
+    message = NoticeMessage.of({"n": Content("began", an_alarm())})
     with MailServer() as server:
         mail = replace(mail_to(server), to=("ops@farm.example", "gone@farm.example"))
         server.refuses = {"gone@farm.example": "450 come back"}
@@ -347,9 +347,9 @@ def test_a_webhook_over_tls_is_signed(pair: tuple[Path, Path], tmp_path: Path) -
     with WebhookServer(SECRET, *pair) as server:
         hook = hook_to(server, tmp_path, tls=True, ca=str(pair[0]), timeout_s=10.0)
         assert "TLSv1.3" in hook.probe() and not server.accepted.messages
-        message = Message.of({"n1": Content("began", alarm)})
+        message = NoticeMessage.of({"n1": Content("began", alarm)})
         hook.send(message)
-        hook.send(Message("test"))
+        hook.send(NoticeMessage("test"))
         first, test = server.accepted.messages
         assert first["notices"][0]["alarm"] == json.loads(json.dumps(vars(alarm)))
         assert (first["type"], test["type"], test["notices"]) == ("hygrokf.alarms", "hygrokf.test", [])
@@ -366,11 +366,11 @@ def test_what_a_webhook_refuses_says_nothing_secret(tmp_path: Path) -> None:
         for status in (307, 401, 404, 500):
             server.status = status
             with pytest.raises(ChannelFault) as fault:
-                hook_to(server, tmp_path).send(Message("k"))
+                hook_to(server, tmp_path).send(NoticeMessage("k"))
             assert fault.value.reached and str(status) in str(fault.value)
             assert "geheim" not in str(fault.value) + repr(hook_to(server, tmp_path))
     with pytest.raises(ChannelFault) as fault:
-        replace(hook_to(server, tmp_path), url=f"http://127.0.0.1:{free_port()}").send(Message("k"))
+        replace(hook_to(server, tmp_path), url=f"http://127.0.0.1:{free_port()}").send(NoticeMessage("k"))
     assert not fault.value.reached
     for text in ("short", "whsec_AAAA", SECRET_TEXT.removeprefix("whsec_"), "whsec_!"):
         with pytest.raises(ChannelFault) as fault:

@@ -30,7 +30,7 @@ from hygrokf.live.condition import Surface
 from hygrokf.live.notification.notices import acknowledge
 from hygrokf.live.service import Service
 from hygrokf.live.sources.local import Playback, record_mapping, record_messages
-from hygrokf.live.web.application import Page as LivePage
+from hygrokf.live.web.application import PageEndpoints as LivePage
 from hygrokf.live.web.page_settings import PageSettings
 from hygrokf.live.web.server import Hub, serve
 

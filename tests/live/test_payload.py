@@ -10,14 +10,14 @@ from builders.rejections import counted
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hygrokf.live.plan import Form
+from hygrokf.live.plan import SignalReporting
 from hygrokf.live.sources.payload import Field, PayloadMapping, TurbineReadings
 from hygrokf.live.sources.payload_formats import DEEPEST, LARGEST, Refused
 from hygrokf.live.sources.payload_values import seconds
 
 NOW = 1_772_367_000.0  # 2026-03-01T12:10:00Z
 STAMP = "2026-03-01T12:10:00Z"
-MEAN = Form("mean", 600.0)
+MEAN = SignalReporting("mean", 600.0)
 WIDE = PayloadMapping(
     {
         "Tcab": Field("cabinet_temperature", "degC"),

@@ -18,7 +18,7 @@ from hygrokf.live.service import Service
 from hygrokf.live.sources.payload import Field, PayloadMapping
 from hygrokf.live.sources.stream import Stream
 from hygrokf.live.turbines import Turbine
-from hygrokf.live.web.application import Page
+from hygrokf.live.web.application import PageEndpoints
 from hygrokf.live.web.page_settings import PageSettings
 from hygrokf.live.web.server import Hub, serve
 
@@ -105,7 +105,7 @@ def test_liveness_and_readiness(tmp_path: Path, turbine: Turbine) -> None:
     service._open()
     settings = PageSettings("127.0.0.1", 0)
     hub = Hub()
-    page = Page(service, hub, settings)
+    page = PageEndpoints(service, hub, settings)
     try:
         with serve(page.app(), settings, hub) as server, httpx.Client(base_url=server.url) as client:
 

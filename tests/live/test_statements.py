@@ -17,7 +17,7 @@ from hygrokf.live.batch import Alarm, Batch
 from hygrokf.live.notification.notices import alarm_of, beginning_with
 from hygrokf.live.notification.transports import Webhook
 from hygrokf.live.service import Service
-from hygrokf.live.web.application import Page
+from hygrokf.live.web.application import PageEndpoints
 from hygrokf.live.web.page_settings import PageSettings
 from hygrokf.live.web.server import Hub, serve
 
@@ -34,7 +34,7 @@ def service(tmp_path_factory: pytest.TempPathFactory) -> Service:
 @pytest.fixture(scope="module")
 def client(service: Service) -> Iterator[httpx.Client]:
     hub, settings = Hub(), PageSettings(port=0)
-    page = Page(service, hub, settings)
+    page = PageEndpoints(service, hub, settings)
     with serve(page.app(), settings, hub) as server, httpx.Client(base_url=server.url) as client:
         yield client
     page.reader.close()

@@ -22,7 +22,7 @@ from prometheus_client.parser import text_string_to_metric_families
 from hygrokf.live.batch import STATES, Alarm, Batch
 from hygrokf.live.service import Service
 from hygrokf.live.web import server as web_access
-from hygrokf.live.web.application import STATIC, Page
+from hygrokf.live.web.application import STATIC, PageEndpoints
 from hygrokf.live.web.page_settings import PageFault, PageSettings
 from hygrokf.live.web.server import Hub, PageServer, Sessions, serve
 from hygrokf.version import __version__
@@ -397,11 +397,11 @@ def test_a_unix_socket(service: Service, tmp_path: Path) -> None:
             with httpx.Client(base_url="http://localhost", transport=transport) as client:
                 assert len(client.get("/api/fleet").json()["turbines"]) == 2
             with pytest.raises(PageFault, match=r"page\.sock: Address already in use"):
-                serve(Page(service, hub, settings).app(), settings, hub).__enter__()
+                serve(PageEndpoints(service, hub, settings).app(), settings, hub).__enter__()
     (tmp_path / "other").write_text("kept")
     taken = PageSettings("localhost", 0, unix=str(tmp_path / "other"))
     with pytest.raises(PageFault, match="Address already in use"):
-        serve(Page(service, hub, taken).app(), taken, hub).__enter__()
+        serve(PageEndpoints(service, hub, taken).app(), taken, hub).__enter__()
     assert (tmp_path / "other").read_text() == "kept"
 
 
@@ -409,10 +409,10 @@ def test_an_address_in_use_is_said(service: Service) -> None:
     with asked(service) as (_, hub, server):
         settings = PageSettings(port=server.port)
         with pytest.raises(PageFault, match=f"127.0.0.1:{server.port}: the port is in use"):
-            serve(Page(service, hub, settings).app(), settings, hub).__enter__()
+            serve(PageEndpoints(service, hub, settings).app(), settings, hub).__enter__()
     with pytest.raises(PageFault, match="does not have this address"):
         away = PageSettings("203.0.113.7", 0, token=TOKEN, behind_proxy=True)
-        serve(Page(service, hub, LOCAL).app(), away, hub).__enter__()
+        serve(PageEndpoints(service, hub, LOCAL).app(), away, hub).__enter__()
 
 
 def test_it_listens_on_loopback_alone_and_is_gone_after_its_end(service: Service) -> None:

@@ -19,7 +19,7 @@ from hygrokf.live.batch import Alarm, Batch, Observation
 from hygrokf.live.service import Service
 from hygrokf.live.tracker import Reading
 from hygrokf.live.web import server as web_events
-from hygrokf.live.web.application import Page
+from hygrokf.live.web.application import PageEndpoints
 from hygrokf.live.web.page_settings import PageSettings
 from hygrokf.live.web.server import STOP_S, Hub, PageServer, changed_turbines, serve
 
@@ -60,7 +60,7 @@ def page(monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[Hub, PageServer]]:
     """A hub and a server of a page without turbines."""
     monkeypatch.setattr(web_events, "PACE_S", 0.05)
     hub = Hub(most=3)
-    with serve(Page(Service({}, [], "sqlite:none"), hub, LOCAL).app(), LOCAL, hub) as server:
+    with serve(PageEndpoints(Service({}, [], "sqlite:none"), hub, LOCAL).app(), LOCAL, hub) as server:
         yield hub, server
 
 
@@ -82,7 +82,7 @@ def test_a_change_is_told_to_all(page: tuple[Hub, PageServer]) -> None:
 def test_a_real_commit_is_told(tmp_path: Path) -> None:
     hub = Hub()
     batches: list[Batch] = []
-    with serve(Page(Service({}, [], "sqlite:none"), hub, LOCAL).app(), LOCAL, hub) as server:
+    with serve(PageEndpoints(Service({}, [], "sqlite:none"), hub, LOCAL).app(), LOCAL, hub) as server:
         listener = Listener(server.url)
 
         def settle(batch: Batch) -> None:
@@ -131,7 +131,7 @@ def test_clients_are_bounded_and_leave_room_behind(page: tuple[Hub, PageServer])
 
 def test_the_end_comes_in_time_with_open_streams() -> None:
     hub = Hub()
-    with serve(Page(Service({}, [], "sqlite:none"), hub, LOCAL).app(), LOCAL, hub) as server:
+    with serve(PageEndpoints(Service({}, [], "sqlite:none"), hub, LOCAL).app(), LOCAL, hub) as server:
         listeners = [Listener(server.url) for _ in range(3)]
         began = time.monotonic()
     took = time.monotonic() - began

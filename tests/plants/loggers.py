@@ -137,7 +137,8 @@ def _ambient_logger(
     exact = logging.sensor_errors != "all"
     places = slice(drivers.ambient_offset_min, None, drivers.ambient_step_min)
     time, source = drivers.time[places], "ambient logger"
-    rows = [("ambient_temperature", "degC", drivers.ambient_K - FREEZING_K, TEMPERATURE_ACCURACY_K, 0.05, 0.1)]
+    celsius = drivers.ambient_K - FREEZING_K
+    rows = [("ambient_temperature", "degC", celsius, TEMPERATURE_ACCURACY_K, 0.05, 0.1)]
     if logging.ambient_humidity == "relative":
         percent = 100.0 * relative_humidity(drivers.ambient_kg_m3, drivers.ambient_K)
         rows.append(("ambient_relative_humidity", "%", percent, HUMIDITY_ACCURACY_PERCENT, 0.3, 0.1))

@@ -37,7 +37,7 @@ from hygrokf.live.doctor.check import (
     worst,
 )
 from hygrokf.live.doctor.sources import examine_sources
-from hygrokf.live.notification.channel import Channel, ChannelFault, Message
+from hygrokf.live.notification.channel import Channel, ChannelFault, NoticeMessage
 from hygrokf.live.plan import AMBIENT_HUMIDITIES, Plan
 from hygrokf.live.sources.stream import Stream, several
 from hygrokf.live.storage.database import StoreUnready, one_line
@@ -153,7 +153,7 @@ def _channel_checks(channel: Channel, send: bool) -> Iterator[Check]:
     try:
         yield ok(about, f"{channel.where}: {channel.probe()}")
         if send:
-            channel.send(Message(secrets.token_hex(16)))  # without contents it is a test
+            channel.send(NoticeMessage(secrets.token_hex(16)))  # without contents it is a test
             yield ok(about, "a test message was accepted")
     except ChannelFault as found:
         yield fault(about, str(found), _MEND)

@@ -59,7 +59,7 @@ class Content:
 
 
 @dataclass(frozen=True)
-class Message:
+class NoticeMessage:
     """What is sent at once: contents by id of their notices.
 
     `key` is the same at every attempt, so that a receiver can drop a repeat; a message without contents is a
@@ -71,13 +71,13 @@ class Message:
     attempts: int = 0
 
     @classmethod
-    def of(cls, contents: dict[str, Content]) -> Message:
+    def of(cls, contents: dict[str, Content]) -> NoticeMessage:
         """A new message, whose key is a digest of its notices' ids."""
         key = hashlib.sha256("\n".join(sorted(contents)).encode()).hexdigest()[:32]
         return cls(key, {name: replace(one, message=key) for name, one in contents.items()})
 
 
-def subject(message: Message) -> str:
+def subject(message: NoticeMessage) -> str:
     """One line that says what a message is about."""
     contents = list(message.contents.values())
     if not contents:
@@ -98,7 +98,7 @@ def headline(content: Content) -> str:
     return one_line(f"{whose}: {alarm.kind} ({word}{content.event})")
 
 
-def text(message: Message) -> str:
+def text(message: NoticeMessage) -> str:
     """The message for people, the most severe and newest contents last."""
     if not message.contents:
         return f"{TEST}\n"
@@ -123,7 +123,7 @@ def _paragraph(content: Content) -> str:
     return "\n".join(lines)
 
 
-def data(message: Message) -> JsonObject:
+def data(message: NoticeMessage) -> JsonObject:
     """The message for machines; the same at every attempt."""
     return {
         "type": "hygrokf.alarms" if message.contents else "hygrokf.test",
@@ -178,7 +178,7 @@ class Channel(UrlKeys, FolderKeys):
             return "url must be ASCII"
         return self.address.fault
 
-    def send(self, message: Message) -> None:
+    def send(self, message: NoticeMessage) -> None:
         """Returns once the receiver has accepted a message.  Raises ChannelFault."""
         raise NotImplementedError
 

@@ -17,7 +17,7 @@ from contextlib import suppress
 from hygrokf.data.timestamps import DAY_S
 from hygrokf.live.batch import Notice
 from hygrokf.live.notification import notices
-from hygrokf.live.notification.channel import Channel, ChannelFault, Content, Message
+from hygrokf.live.notification.channel import Channel, ChannelFault, Content, NoticeMessage
 from hygrokf.live.notification.notices import as_text, content_of, decide, prefix
 from hygrokf.live.sources.stream import pause_s
 from hygrokf.live.storage.store import Store, StoreFault, open_store
@@ -130,7 +130,9 @@ class Sender:
             elif time.monotonic() > self._end_by or not self._attempt(store, message):
                 return
 
-    def _messages(self, store: Store, found: Sequence[Notice], now: float) -> list[tuple[Message, float]]:
+    def _messages(
+        self, store: Store, found: Sequence[Notice], now: float
+    ) -> list[tuple[NoticeMessage, float]]:
         """Messages to attempt now, each with the time [s] at which its first notice was made."""
         messages: dict[str, list[Notice]] = {}
         fresh: list[Notice] = []
@@ -144,12 +146,14 @@ class Sender:
             messages.popitem()  # it may be incomplete
         again = [
             (
-                Message(key, {one.id: content_of(one) for one in rows}, max(one.attempts for one in rows)),
+                NoticeMessage(
+                    key, {one.id: content_of(one) for one in rows}, max(one.attempts for one in rows)
+                ),
                 min(one.made for one in rows),
             )
             for key, rows in messages.items()
         ]
-        new = [Message.of(one) for one in self._collected(self._decided(store, fresh, now))]
+        new = [NoticeMessage.of(one) for one in self._collected(self._decided(store, fresh, now))]
         notices.keep_contents(store, [(name, as_text(one)) for m in new for name, one in m.contents.items()])
         return again + [(one, now) for one in new]
 
@@ -186,7 +190,7 @@ class Sender:
             {name: digest[name] for name in part} for part in together
         ]
 
-    def _attempt(self, store: Store, message: Message) -> bool:
+    def _attempt(self, store: Store, message: NoticeMessage) -> bool:
         """Attempt a message; returns whether others should be attempted now.
 
         One that is refused does not hold up the others, but several in a row mean that the server fails.
@@ -222,7 +226,7 @@ class Sender:
             notices.mark_sent(store, names, at)
             del self._accepted[0]
 
-    def _give_up(self, store: Store, message: Message) -> None:
+    def _give_up(self, store: Store, message: NoticeMessage) -> None:
         reason = f"given up after {message.attempts} attempts: {self.failure}"
         notices.drop(store, [(name, reason) for name in message.contents], time.time())
         LOG.error(

@@ -35,7 +35,7 @@ from typing import ClassVar
 from hygrokf.data.timestamps import duration
 from hygrokf.data.toml_form import Place, across, read_form, setting
 from hygrokf.errors import suggestion
-from hygrokf.live.notification.channel import Channel, ChannelFault, Message, data, subject, text
+from hygrokf.live.notification.channel import Channel, ChannelFault, NoticeMessage, data, subject, text
 from hygrokf.live.sources.broker import unreachable
 from hygrokf.live.sources.endpoint import PasswordKeys, Secret, tls_context
 from hygrokf.live.sources.stream import SourceFault
@@ -141,7 +141,7 @@ class Mail(PasswordKeys, Channel):
             user = f", accepts the user {self.address.user}" if self.address.user else ""
             return f"it answers{_secured(smtp)}{user}"
 
-    def send(self, message: Message) -> None:
+    def send(self, message: NoticeMessage) -> None:
         """Send a message to all receivers."""
         with self._session() as smtp:
             self._deliver(smtp, message)
@@ -185,7 +185,7 @@ class Mail(PasswordKeys, Channel):
                 raise ChannelFault(f"{self.where}: it offers no login: check the port, or omit the user")
             smtp.login(self.address.user, self.password.read() or "")
 
-    def _deliver(self, smtp: smtplib.SMTP, message: Message) -> None:
+    def _deliver(self, smtp: smtplib.SMTP, message: NoticeMessage) -> None:
         code, said = smtp.mail(parseaddr(self.sender)[1])
         if code != 250:
             raise ChannelFault(f"{self.where}: it refuses the sender: {_answer(code, said)}", reached=True)
@@ -274,7 +274,7 @@ class Webhook(Channel):
             connection.connect()
             return f"it answers{_secured(connection)}; notices are {'signed' if secret else 'not signed'}"
 
-    def send(self, message: Message) -> None:
+    def send(self, message: NoticeMessage) -> None:
         """Post a message; only an answer of 200 to 299 accepts it."""
         body = json.dumps(data(message), ensure_ascii=False, allow_nan=False).encode()
         headers = {"Content-Type": "application/json", "User-Agent": "hygrokf"}

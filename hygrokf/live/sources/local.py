@@ -22,7 +22,7 @@ from hygrokf.data.record import Record, Series
 from hygrokf.data.signals import SIGNALS
 from hygrokf.data.timestamps import duration
 from hygrokf.data.toml_form import Place, across, setting
-from hygrokf.live.plan import Form
+from hygrokf.live.plan import SignalReporting
 from hygrokf.live.sources.payload import Field, PayloadMapping
 from hygrokf.live.sources.payload_formats import JSON, LARGEST, Content, Unreadable
 from hygrokf.live.sources.payload_values import RECEIVED
@@ -312,8 +312,8 @@ def record_mapping(record: Record, turbine: str) -> PayloadMapping:
     return PayloadMapping(fields, turbines={turbine: turbine})
 
 
-def form_of(series: Series) -> Form:
-    return Form(**{one.name: getattr(series, one.name) for one in fields(Form)})
+def form_of(series: Series) -> SignalReporting:
+    return SignalReporting(**{one.name: getattr(series, one.name) for one in fields(SignalReporting)})
 
 
 def record_messages(record: Record, turbine: str) -> list[tuple[float, Content]]:

@@ -37,7 +37,7 @@ from hygrokf.data.quality import (
 from hygrokf.data.signals import signal_named, to_si
 from hygrokf.data.structured import Json
 from hygrokf.data.timestamps import DAY_S
-from hygrokf.live.plan import Form
+from hygrokf.live.plan import SignalReporting
 from hygrokf.live.sources.payload_formats import JSON, Content, Order, PayloadRecord, Refused, Scopes, records
 from hygrokf.live.sources.payload_values import (
     LONGEST,
@@ -83,7 +83,7 @@ class Field:
 
     signal: str
     unit: str
-    form: Form = field(default_factory=Form)
+    form: SignalReporting = field(default_factory=SignalReporting)
     stamp: str = "instant"
     scale: float = 1.0
     offset: float = 0.0

@@ -56,7 +56,7 @@ KEPT_S = 10.0
 """[s] after which the fleet's rows are read again even without a change."""
 
 
-class Page:
+class PageEndpoints:
     """The page's endpoints, which read a tracker's service and the hub that announces its commits."""
 
     def __init__(self, service: Service, hub: Hub, settings: PageSettings) -> None:

@@ -14,7 +14,7 @@ from typing import Literal
 
 import numpy as np
 
-from hygrokf.identification.composition import Step
+from hygrokf.identification.composition import CompositionStep
 from hygrokf.identification.fit_results import FitResults, TimeConstant
 from hygrokf.identification.steady_state import Regression
 from hygrokf.identification.verdict_terms import Interval
@@ -277,7 +277,7 @@ def figure_composition(fit: FitResults, series: Mapping[str, np.ndarray]) -> Pic
     )
 
 
-def _steps(found: TimeConstant) -> list[Step]:
+def _steps(found: TimeConstant) -> list[CompositionStep]:
     """Steps of an interval that is closed throughout, without those that add nothing."""
     rows = [row for row in found.composition if row.source in LABELS]
     if not all(0 < row.lower_h < row.upper_h < math.inf for row in rows):
@@ -285,7 +285,7 @@ def _steps(found: TimeConstant) -> list[Step]:
     return [row for i, row in enumerate(rows) if i == 0 or row.sd_ln > SHOWN_SD]
 
 
-def _composed(name: str, found: TimeConstant, steps: list[Step]) -> Panel:
+def _composed(name: str, found: TimeConstant, steps: list[CompositionStep]) -> Panel:
     *parts, whole = [(row.lower_h, row.upper_h, place) for place, row in enumerate(steps)]
     marks: list[Mark] = [bounds(*part, MEASURED, 2.6, 0.55) for part in parts]
     marks += [bounds(*whole, MEASURED, 5.0, 1.0), CrossLine(found.value_h, "x", INK, 0.8)]
