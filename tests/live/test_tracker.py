@@ -188,7 +188,7 @@ LATE_S = 0.95 * LATENESS_S
     [
         *((shape, 31, LATE_S, 31) for shape in SHAPES),
         # where a state spans rounds: small ones, and ones that hold more than a stretch of it
-        *((shape, 1, LATE_S, 7) for shape in (rarely_told, saturated_means, spoilt)),
+        *((shape, 1, LATE_S, 7) for shape in (rarely_told, of_means, saturated_means, spoilt)),
         *((shape, 2, LATE_S, 400) for shape in (gapped, switches_unknown, lagging)),
         *((shape, 0, 0.0, 31) for shape in (without_gaps, on_change)),
     ],
