@@ -16,10 +16,10 @@ from hygrokf.data.gate import REACH_S
 from hygrokf.data.readings import SATURATED
 from hygrokf.data.record import Record, Series
 from hygrokf.live import tracker as tracker_module
-from hygrokf.live.ceiling import censored_trace
 from hygrokf.live.frozen import Frozen, frozen_runs
 from hygrokf.live.plan import BEFORE, Plan
 from hygrokf.live.sources.local import form_of
+from hygrokf.live.traces import censored_trace
 from hygrokf.live.tracker import NEITHER, Reading, Tracker, offline_course, record_of
 from hygrokf.live.turbine import SILENT_S, instants_kept
 
