@@ -208,11 +208,10 @@ def compiled_texts() -> Iterator[set[str]]:
         self: jit.Code, text: str | Callable[[], str], functions: Sequence[str], source: str = ""
     ) -> None:
         written = text if isinstance(text, str) else text()
-        if {"adjoint", "tangent"} & {*functions}:
-            # their derivatives are nodes of the model's graph, numbered after those of loops written before,
-            # an order that garbage collection and threads may change: what they are made from stands for them
-            written = source
-        found.add(hashlib.sha256(written.encode()).hexdigest()[:16])
+        # their derivatives are nodes of the model's graph, numbered after those of loops written before, an
+        # order that garbage collection and threads may change: what they are made from stands for them
+        told = source if {"adjoint", "tangent"} & {*functions} else written
+        found.add(hashlib.sha256(told.encode()).hexdigest()[:16])
         real(self, written, functions, source)
 
     jit.Code.__init__ = noted
