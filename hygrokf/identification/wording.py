@@ -57,11 +57,15 @@ def percent(share: float, decimals: int = 0) -> str:
     return f"{100.0 * share:.{decimals}f} %" if math.isfinite(share) else NONE
 
 
+MOST_DECIMALS = 8
+"""A number that would need as many is better told by its significant digits."""
+
+
 def decimals_for(spread: float) -> int:
     """Decimals that show a spread with one significant digit, or with two where the first is 1 or 2."""
     if not (math.isfinite(spread) and spread > 0):
         return 2
-    return min(max(math.ceil(0.4 - math.log10(spread)), 0), 8)
+    return min(max(math.ceil(0.4 - math.log10(spread)), 0), MOST_DECIMALS)
 
 
 class _Numbers(Formatter):

@@ -14,6 +14,7 @@ from functools import partial
 from hygrokf.data.record import Site
 from hygrokf.identification.fit_results import ParameterRow
 from hygrokf.identification.wording import (
+    MOST_DECIMALS,
     NONE,
     QUANTITIES,
     decimals_for,
@@ -159,11 +160,14 @@ def signed_percent(share: float) -> str:
 
 
 def parameter_cells(row: ParameterRow) -> tuple[str, str, str]:
-    """(value, bounds, unit) of a parameter with the digits that its bounds justify; temperatures in °C."""
+    """(value, bounds, unit) of a parameter with the digits that its standard error justifies, or its bounds
+    where it has none; temperatures in °C."""
     value, low, high, symbol = row.value, row.lower, row.upper, unit(row.unit)
     if row.unit == "K" and value > COLDEST_K:
         value, low, high, symbol = *(v - ZERO_CELSIUS_K for v in (value, low, high)), "°C"
+    spread = row.se if row.se > 0.0 else 0.5 * (high - low)
+    decimals = decimals_for(0.5 * spread) if 0.0 < spread < math.inf else MOST_DECIMALS
     text: Callable[[float], str] = plain_number
-    if math.isfinite(low) and math.isfinite(high) and high > low:
-        text = partial(fixed, decimals=decimals_for(0.25 * (high - low)))
+    if decimals < MOST_DECIMALS:
+        text = partial(fixed, decimals=decimals)
     return text(value), interval(low, high, lambda v: text(v) if math.isfinite(v) else "open"), symbol
