@@ -235,5 +235,5 @@ def test_odd_terminals_change_neither_status_nor_words(folder):
     )
     assert done.stderr == ""
     first, *statuses = done.stdout.splitlines()
-    assert first.endswith("20.0 d, rated 2050 kW, 52.4?N 0.95?W")
+    assert first.endswith("20.0 d, rated 2050 kW, 52.4? N 0.95? W")
     assert statuses == ["0", "0"]
