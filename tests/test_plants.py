@@ -12,8 +12,9 @@ import numpy as np
 import plants
 import pytest
 from plants import Forcing, Plant, integrate, plant, undisturbed
-from plants.chance import ornstein_uhlenbeck, shots
-from plants.saturation import saturation_pressure
+from plants.chance import ornstein_uhlenbeck, power_law, shots
+from plants.plant import random_cabinet
+from plants.saturation import relative_humidity, saturation_pressure
 
 FOLDER = Path(plants.__file__).parent
 ONLY_BRIDGE = "as_record.py"
@@ -129,6 +130,15 @@ def test_trajectory_is_the_papers_model_in_lumped_form(made: Plant) -> None:
     assert truth.hygric_h == pytest.approx(hygric, rel=1e-3)
 
 
+def test_heat_balance_closes(made: Plant) -> None:
+    cabinet, run = made.cabinet, made.trajectory
+    lost = trapezoid((run.cabinet_K - made.drivers.ambient_K) / cabinet.outer_resistance)
+    stored = cabinet.heat_capacity * (run.converter_K - run.converter_K[0])
+    given = held(made.forcing.heat_W)
+    np.testing.assert_allclose(lost + stored, given, atol=2e-6 * given[-1])
+    assert np.ptp(stored) > 1e-4 * given[-1]
+
+
 def test_heat_balance_with_a_wall_closes(walled: Plant) -> None:
     cabinet, run = walled.cabinet, walled.trajectory
     outer = cabinet.outer_resistance * (1.0 - cabinet.wall_place)
@@ -149,6 +159,40 @@ def test_vapour_mass_balance_closes(walled: Plant) -> None:
     np.testing.assert_allclose(mass - mass[0], moved, atol=2e-3 * np.ptp(mass))
 
 
+def test_equivalent_vapour_balance_closes(made: Plant) -> None:
+    run, drivers, cabinet = made.trajectory, made.drivers, made.cabinet
+    volume = cabinet.volume * drivers.ambient_K / run.cabinet_K
+    resistance = cabinet.diffusion_resistance(drivers.ambient_K)
+    exchanged = trapezoid((drivers.ambient_kg_m3 - run.equivalent_kg_m3) / (resistance * volume))
+    middle = 0.5 * (volume[:-1] + volume[1:])
+    moved = exchanged + held(made.forcing.vapour_kg_s / middle)
+    change = run.equivalent_kg_m3 - run.equivalent_kg_m3[0]
+    np.testing.assert_allclose(change, moved, atol=2e-3 * np.ptp(change))
+
+
+def test_the_mass_balance_leaves_the_papers_only_while_temperatures_move() -> None:
+    closed = plant(4, days=30.0, vapour_balance="mass")
+    open_ = plant(4, days=30.0)
+    apart = 1e3 * root_mean_square(closed.trajectory.cabinet_kg_m3 - open_.trajectory.cabinet_kg_m3)
+    assert 1e-4 < apart < 0.1
+    size = 40 * 60
+    still = {
+        "ambient_K": np.full(size, 283.15),
+        "ambient_kg_m3": np.linspace(6e-3, 9e-3, size),
+        "forcing": Forcing(np.full(size - 1, 300.0), np.full(size - 1, 1e-7)),
+    }
+    one = integrate(closed.cabinet, 60.0, **still)
+    two = integrate(open_.cabinet, 60.0, **still)
+    np.testing.assert_allclose(one.cabinet_kg_m3, two.cabinet_kg_m3, rtol=1e-9)
+
+
+def test_halving_the_step_changes_nothing(made: Plant) -> None:
+    drivers = made.drivers
+    finer = integrate(made.cabinet, 60.0, drivers.ambient_K, drivers.ambient_kg_m3, made.forcing, substeps=2)
+    np.testing.assert_allclose(finer.cabinet_K, made.trajectory.cabinet_K, atol=1e-7)
+    np.testing.assert_allclose(finer.cabinet_kg_m3, made.trajectory.cabinet_kg_m3, atol=1e-9)
+
+
 def test_the_integrator_is_of_fourth_order(made: Plant) -> None:
     coarse = slice(0, 1440 * 10 + 1, 20)
     ambient, outside = made.drivers.ambient_K[coarse], made.drivers.ambient_kg_m3[coarse]
@@ -165,6 +209,32 @@ def test_the_integrator_is_of_fourth_order(made: Plant) -> None:
     assert 12.0 < errors[1] / errors[2] < 26.0
 
 
+def test_settled_cabinet_has_the_closed_form() -> None:
+    cabinet = random_cabinet(np.random.default_rng(1))
+    size = 3 * 1440
+    run = integrate(
+        cabinet,
+        60.0,
+        np.full(size, 280.0),
+        np.full(size, 6e-3),
+        Forcing(np.full(size - 1, 350.0), np.full(size - 1, 2e-7)),
+    )
+    rise = 350.0 * cabinet.outer_resistance
+    assert run.cabinet_K[-1] == pytest.approx(280.0 + rise, abs=1e-9)
+    through = cabinet.outer_resistance + cabinet.inner_resistance
+    assert run.converter_K[-1] == pytest.approx(280.0 + 350.0 * through, abs=1e-9)
+    lift = 2e-7 * float(cabinet.diffusion_resistance(np.array(280.0)))
+    expected = (6e-3 + lift) * 280.0 / (280.0 + rise)
+    assert run.cabinet_kg_m3[-1] == pytest.approx(expected, rel=1e-9)
+
+
+def test_without_inner_resistance_air_and_equipment_are_one() -> None:
+    one = plant(5, days=10.0, rho=1.0)
+    assert one.truth.rho == 1.0
+    assert one.cabinet.inner_resistance == 0.0
+    np.testing.assert_allclose(one.trajectory.cabinet_K, one.trajectory.converter_K, rtol=1e-14)
+
+
 # --- random parts ---------------------------------------------------------------------------
 
 
@@ -178,6 +248,27 @@ def test_coloured_noise_has_unit_variance_and_its_correlation_time(process) -> N
     assert (kurtosis > 4.0) == (process is shots)
 
 
+def test_power_law_noise_has_unit_variance_and_its_slope() -> None:
+    random = np.random.default_rng(8)
+    draws = [power_law(random, 2**14, 1.0, 1.3, 200.0) for _ in range(40)]
+    assert np.mean([np.mean(values**2) for values in draws]) == pytest.approx(1.0, abs=0.1)
+    spectrum = np.mean([np.abs(np.fft.rfft(values)) ** 2 for values in draws], axis=0)
+    frequency = np.fft.rfftfreq(2**14)
+    inside = (frequency > 0.03) & (frequency < 0.3)
+    slope = np.polyfit(np.log(frequency[inside]), np.log(spectrum[inside]), 1)[0]
+    assert slope == pytest.approx(-1.3, abs=0.1)
+
+
+def test_cabinets_lie_within_the_stated_ranges() -> None:
+    cabinets = [random_cabinet(np.random.default_rng(seed)) for seed in range(300)]
+    thermal = np.array([cabinet.thermal_h for cabinet in cabinets])
+    hygric = np.array([cabinet.hygric_h(292.0, 283.0) for cabinet in cabinets])
+    rho = np.array([cabinet.rho for cabinet in cabinets])
+    for drawn, low, high in ((thermal, 0.8, 3.0), (hygric, 0.15, 0.8), (rho, 0.72, 0.93)):
+        assert low <= drawn.min() < low + 0.1 * (high - low)
+        assert high - 0.1 * (high - low) < drawn.max() <= high
+
+
 @pytest.mark.parametrize("kind", [kind for kind in plants.DISTURBANCES if kind != "none"])
 @pytest.mark.parametrize("seed", [1, 2])
 def test_free_run_errs_as_much_as_stated(kind: str, seed: int) -> None:
@@ -188,6 +279,10 @@ def test_free_run_errs_as_much_as_stated(kind: str, seed: int) -> None:
     assert kelvin == pytest.approx(one.truth.heat.free_run_K, rel=0.2)
     assert grams == pytest.approx(1e3 * one.truth.vapour.free_run_kg_m3, rel=0.2)
     assert one.truth.class_right == (kind == "ou")
+
+
+def test_a_plant_without_disturbance_is_its_own_free_run() -> None:
+    assert free_run(plant(2, days=30.0, disturbance="none")) == (0.0, 0.0)
 
 
 def test_disturbances_are_independent_of_every_driver() -> None:
@@ -222,7 +317,40 @@ def test_the_same_seed_gives_the_same_plant(made: Plant) -> None:
     assert other.truth.tau_h != made.truth.tau_h
 
 
+def test_options_of_the_loggers_leave_the_plant_alone(made: Plant) -> None:
+    hourly = plant(3, logger_step_min=60.0, sensor_errors="all")
+    np.testing.assert_array_equal(hourly.trajectory.cabinet_K, made.trajectory.cabinet_K)
+    assert hourly.truth.tau_h == made.truth.tau_h
+    assert np.all(np.diff(hourly["cabinet_temperature"].time) == 3600.0)
+
+
 # --- drivers and loggers --------------------------------------------------------------------
+
+
+def test_climate_is_that_of_a_cabinet_in_a_turbine(made: Plant) -> None:
+    rise = made.trajectory.cabinet_K - made.drivers.ambient_K
+    assert 5.0 < rise.mean() < 13.0
+    outside = relative_humidity(made.drivers.ambient_kg_m3, made.drivers.ambient_K)
+    assert 0.3 < outside.min() < outside.max() < 1.0
+    assert np.mean(made["cabinet_relative_humidity"].value >= 100.0) < 1e-3
+    share = made.drivers.power_W / made.cabinet.rated_W
+    assert 0.2 < share.mean() < 0.45
+    assert 0.1 < np.mean(share <= 0.0) < 0.35
+    assert 0.02 < np.mean(share > 0.97) < 0.25
+    ratio = made.trajectory.cabinet_kg_m3.mean() / made.drivers.ambient_kg_m3.mean()
+    assert 0.95 < ratio < 0.99
+
+
+def test_exact_inputs_can_be_rebuilt_from_the_readings(made: Plant) -> None:
+    temperature = made["ambient_temperature"]
+    drivers = made.drivers
+    inside = (drivers.time >= temperature.time[0]) & (drivers.time <= temperature.time[-1])
+    rebuilt = np.interp(drivers.time[inside], temperature.time, temperature.value + 273.15)
+    np.testing.assert_allclose(rebuilt, drivers.ambient_K[inside], atol=1e-9)
+    power = made["active_power"]
+    steps = np.searchsorted(power.time, drivers.time, side="right")
+    known = steps < power.time.size
+    np.testing.assert_allclose(1e3 * power.value[steps[known]], drivers.power_W[known], rtol=1e-12)
 
 
 def test_preheating_follows_faults_and_warms() -> None:
@@ -262,6 +390,28 @@ def test_logger_means_are_means_and_stamped_at_the_end() -> None:
     assert abs(reading.value[50] - values[-1]) > 2e-3
 
 
+def test_power_gap_is_missing_not_zero() -> None:
+    one = plant(3, power_gap_days=2.0)
+    missing = np.isnan(one["active_power"].value)
+    assert missing.sum() == 288
+    assert np.ptp(np.flatnonzero(missing)) == 287
+
+
+def test_absolute_humidity_may_be_what_is_logged() -> None:
+    one = plant(3, days=20.0, sensor_errors="none", missing=0.0, ambient_humidity="absolute")
+    reading = one["ambient_absolute_humidity"]
+    true = np.interp(reading.time, one.drivers.time, one.drivers.ambient_kg_m3)
+    np.testing.assert_allclose(reading.value, 1e3 * true, rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    "option", ["disturbance", "sensor_errors", "power", "ambient_humidity", "vapour_balance"]
+)
+def test_unknown_options_are_refused(option: str) -> None:
+    with pytest.raises(ValueError, match="found 'pink'"):
+        plant(1, days=5.0, **{option: "pink"})
+
+
 # --- measured drivers and the bridge --------------------------------------------------------
 
 
@@ -277,6 +427,16 @@ def test_uk_plant_keeps_the_measured_hourly_power() -> None:
     assert np.all(np.diff(outside.time) == 3600.0)
     celsius = measured["T2m_C"][first : first + outside.value.size]
     np.testing.assert_allclose(outside.value, celsius, atol=1e-9)
+
+
+@uk_only
+@pytest.mark.parametrize("seed", [1])
+def test_uk_free_run_errs_as_much_as_stated(seed: int) -> None:
+    one = plants.uk_plant(seed)
+    kelvin, grams = free_run(one)
+    assert 1.0 < kelvin < 2.0
+    assert 0.3 < grams < 0.5
+    assert np.nanmax(one["active_power"].value) < 2.1e3
 
 
 def test_record_of_a_plant_is_in_si_units(made: Plant) -> None:

@@ -12,7 +12,7 @@ from other_make import ROWS, make_plant
 from other_make.as_record import to_record
 
 from hygrokf.cases.alternatives import EITHER, NAMED, WALL, Readings, alternative_readings, solar_lag
-from hygrokf.cases.doubts import all_doubts
+from hygrokf.cases.doubts import all_doubts, doubted
 from hygrokf.cases.summary import describe
 from hygrokf.data.clocks import Shift, shifted
 from hygrokf.data.record import Record, Series, Site
@@ -56,6 +56,7 @@ def test_a_right_record_has_no_better_reading() -> None:
     ("source", "hours", "words"),
     [
         ("cabinet.csv", 2.0, "2 h fast"),
+        ("ambient.csv", -1.0, "1 h slow"),
         ("scada.csv", 5.5, "5.5 h fast"),
     ],
 )
@@ -79,6 +80,12 @@ def test_the_named_reading_is_the_right_record() -> None:
     assert found.alternative.signals == ("ambient_temperature", "ambient_relative_humidity")
     assert found.alternative.reading(wrong) == right()
     assert found.gain > 100.0
+
+
+def test_a_doubt_about_a_clock_touches_every_time_constant() -> None:
+    said = all_doubts(shifted(right(), Shift("cabinet.csv", 7200.0)))
+    for lines in doubted(said).values():
+        assert any('clock_correction = "-2h"' in one for one in lines)
 
 
 def test_a_cabinet_that_only_seems_late_needs_a_second_witness() -> None:
@@ -110,7 +117,7 @@ def test_the_sun_tells_which_of_two_clocks_is_wrong() -> None:
     assert "the sun" in found.witnesses
 
 
-@pytest.mark.parametrize("hours", [-11.0, 0.0, 9.0])
+@pytest.mark.parametrize("hours", [-11.0, -6.0, 0.0, 3.0, 9.0])
 def test_the_sun_tells_half_a_day(hours: float) -> None:
     time = 1.6e9 + 600.0 * np.arange(40 * 144)
     light = np.clip(800.0 * np.cos(2.0 * np.pi * (time / DAY_S - 0.5)), 0.0, None)
@@ -147,6 +154,11 @@ def with_humidity_as_temperature(record: Record) -> Record:
             'unit = "degF"',
         ),
         (
+            lambda r: fahrenheit(r, "cabinet_temperature", "ambient_temperature"),
+            "cabinet_temperature and ambient_temperature seem in °F, called °C",
+            'unit = "degF"',
+        ),
+        (
             lambda r: exchanged(r, "cabinet_temperature", "ambient_temperature"),
             "cabinet_temperature and ambient_temperature seem exchanged",
             "exchange their columns",
@@ -178,7 +190,7 @@ def relation() -> Relation:
     return next(one for one in relations(right()) if one.name == "temperature")
 
 
-@pytest.mark.parametrize(("quarters", "more"), [(0, 0), (8, 4)])
+@pytest.mark.parametrize(("quarters", "more"), [(0, 0), (-40, 0), (8, 4)])
 def test_all_shifts_together_are_each_shift_alone(quarters: int, more: int) -> None:
     one = relation()
     summer = np.arange(len(one.time)) > len(one.time) // 2

@@ -130,11 +130,15 @@ def test_a_case_becomes_a_record(folder):
     [
         ("instant", None, 0.0, ("linear", 0.0)),
         ("start", None, 600.0, ("mean", 600.0)),
+        ("middle", None, 300.0, ("mean", 600.0)),
         ("end", None, 0.0, ("mean", 600.0)),
         ("start", "linear", 300.0, ("linear", 0.0)),
+        ("middle", "linear", 0.0, ("linear", 0.0)),
         ("end", "linear", -300.0, ("linear", 0.0)),
+        ("end", "mean", 0.0, ("mean", 600.0)),
         ("end", "foh", -300.0, ("linear", 0.0)),
         ("instant", "zoh", 0.0, ("previous", 0.0)),
+        ("instant", "previous", 0.0, ("previous", 0.0)),
     ],
 )
 def test_stamps_and_holds(folder, stamp, hold, shift, found):
@@ -149,8 +153,10 @@ def test_stamps_and_holds(folder, stamp, hold, shift, found):
     [
         ('hold = "zero-order"', r"two meanings: held from its stamp on .*\"previous\".*ends at its stamp"),
         ('hold = "Linear"', r"expected the hold previous, mean or linear, found 'Linear'; did you mean"),
+        ('hold = ""', r"expected the hold previous, mean or linear, found ''"),
         ('hold = "mean"', r"a mean needs to know where in it the stamp is"),
         ('stamp = "end"\nhold = "zoh"', r'hold = "previous" is for stamp = "instant"'),
+        ('hold = "zoh"\nlongest_hold = "long"', r"longest_hold"),
         ('hold = "zoh"\nlongest_hold = "0s"', r"longest_hold"),
     ],
 )
@@ -280,7 +286,8 @@ def test_until_and_start(folder):
     assert record.validation()["cabinet_temperature"].time[0] == record.until_s + 600.0
 
 
-@pytest.mark.parametrize(("key", "year"), [("until", 2019), ("start", 2022)])
+@pytest.mark.parametrize("key", ["until", "start"])
+@pytest.mark.parametrize("year", [2019, 2022])
 def test_periods_lie_in_the_record(folder, key, year):
     (fault,) = faults(folder, add=f'[identification]\n{key} = "{year}-01-01T00:00:00Z"\n')
     assert fault.startswith(f"case.toml, line 18, [identification]: {key} = {year}-01-01T00:00Z is outside")
@@ -304,7 +311,17 @@ def test_faults_of_the_case_and_of_every_source_come_together(folder):
         assert f"  {number}. {fault}" in str(caught.value)
     again = pickle.loads(pickle.dumps(caught.value))  # as from a worker process
     assert type(again) is CaseFault and again.faults == found and str(again) == str(caught.value)
-    assert len(found) == 6  # where each stands: tests/commands/test_wrong_input.py
+    expected = (
+        'case.toml, line 2: unknown key "rated_power_kw"',
+        'case.toml, line 16, [[source]] 3 signals.active_power: unknown unit "kWh"',
+        'cabinet.csv: no column "rH"',
+        'cabinet.csv: column "time": 3000 of 3000 stamps have no offset',
+        'ambient.csv: column "T": expected numbers, found text in 1 of 3000 rows: line 4 "x',
+        "scda.csv: no such file",
+    )
+    for start in expected:
+        assert any(one.startswith(start) for one in found), (start, found)
+    assert len(found) == len(expected)
 
 
 @pytest.mark.parametrize(
@@ -312,7 +329,9 @@ def test_faults_of_the_case_and_of_every_source_come_together(folder):
     [
         ("cabinet", {"RH": columns(0)["RH"] / 100}, (), ["called %", 'unit = "1"']),
         ("cabinet", {}, (('unit = "%"', 'unit = "1"'),), ["called a fraction", 'unit = "%"']),
+        ("cabinet", {"T": columns(0)["T"] + 273}, (), ["called degC", "fit as K"]),
         ("ambient", {}, (('"T", unit = "degC" }\n[', '"T", unit = "K" }\n['),), ["called K", "degC"]),
+        ("ambient", {"T": columns(1)["T"] * 1.8 + 32}, (), ["degF"]),
         ("scada", {}, (('"kW"', '"MW"'),), ["called MW", "kW"]),
         ("scada", {"P": columns(2)["P"] * 20}, (), ["times the rated 2050 kW"]),
         ("cabinet", {"T": np.full(COUNT, -273.0)}, (), ["median -273", "column"]),
@@ -324,6 +343,27 @@ def test_readings_in_another_unit_than_stated(folder, file, new, changes, words)
     assert fault.startswith(f"{file}.csv: column ")
     for word in words:
         assert word in fault
+
+
+def test_a_percentage_duty_called_a_fraction(folder):
+    change(folder, "scada", P=np.where(np.arange(COUNT) % 50 == 0, 80.0, 0.0))
+    (fault,) = faults(
+        folder, ('active_power = { column = "P", unit = "kW" }', 'heater_duty = { column = "P", unit = "1" }')
+    )
+    assert "look like per cent" in fault
+
+
+def test_humidity_with_sentinels_is_still_seen_to_be_a_fraction(folder):
+    humidity = columns(0)["RH"] / 100
+    humidity[::400] = -99.0
+    change(folder, "cabinet", RH=humidity)
+    assert "called %" in faults(folder)[0]
+
+
+@pytest.mark.parametrize("factor", [1e-3, 2.0])
+def test_doubtful_power_is_a_doubt(folder, factor):
+    change(folder, "scada", P=columns(2)["P"] * factor)
+    assert any("are its unit and the rated power right?" in one for one in all_doubts(read(folder)))
 
 
 def test_sources_that_share_no_time_show_both_spans(folder):
@@ -343,6 +383,26 @@ def test_the_ambient_temperature_and_a_cabinet_signal_are_needed(folder):
     )
     assert "ambient_temperature" in found[0]
     assert "nothing in the cabinet to identify" in found[1]
+
+
+def test_drivers_alone_are_read_when_asked_for(folder):
+    record = read(
+        folder,
+        ("cabinet_temperature", "nacelle_temperature"),
+        ("cabinet_relative_humidity", "nacelle_relative_humidity"),
+        cabinet=False,
+    )
+    assert "nacelle_temperature" in record
+
+
+@pytest.mark.parametrize("left_out", ["RH", "P", "both"])
+def test_records_without_humidity_or_power_are_legal(folder, left_out):
+    humidity = 'signals.cabinet_relative_humidity = { column = "RH", unit = "%" }\n'
+    scada = CASE[CASE.index('[[source]]\nfile = "scada') :]
+    changes = {"RH": [(humidity, "")], "P": [(scada, "")], "both": [(humidity, ""), (scada, "")]}
+    record = read(folder, *changes[left_out])
+    assert "cabinet_temperature" in record
+    assert ("active_power" in record) == (left_out == "RH")
 
 
 def test_columns_without_any_number_leave_nothing_to_identify(folder):
@@ -405,6 +465,33 @@ def test_irregular_means_need_their_interval(folder):
     assert power.interval_s == 300.0
 
 
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ('name = "x', ["line 1, at the end: not valid TOML", 'name = "x']),
+        ('name = "x"\nname = "y"', ["line 2", "not valid TOML"]),
+        ('[source]\nfile="a"\n[[source]]\n', ["line 3", "[[source]]"]),
+    ],
+)
+def test_broken_toml_shows_its_line(tmp_path, text, words):
+    (tmp_path / "case.toml").write_text(text)
+    with pytest.raises(CaseFault) as caught:
+        read_case(tmp_path / "case.toml")
+    for word in words:
+        assert word in caught.value.faults[0]
+
+
+def test_no_case_file(tmp_path):
+    (tmp_path / "uk-01.toml").write_text("")
+    with pytest.raises(CaseFault, match=r"did you mean \"uk-01.toml\"\?"):
+        read_case(tmp_path / "uk01.toml")
+    with pytest.raises(CaseFault, match="cannot be read"):
+        read_case(tmp_path)
+    (tmp_path / "latin.toml").write_bytes(b'name = "\xe9"')
+    with pytest.raises(CaseFault, match="UTF-8"):
+        read_case(tmp_path / "latin.toml")
+
+
 @measured
 def test_the_attic_is_read_without_a_word(tmp_path):
     (tmp_path / "case.toml").write_text(
@@ -426,6 +513,27 @@ signals.rain = {{ column = "precip", unit = "mm" }}
     assert record.warnings == ()
     assert record.start_s == seconds("2010-11-23T00:00+02:00")
     assert all(len(one) == 13921 and not one.missing.any() for one in record.series)
+
+
+@measured
+def test_the_french_clock_that_contradicts_its_stamps_is_noticed(tmp_path):
+    (tmp_path / "case.toml").write_text(
+        f"""[[source]]
+file = "{DATA / "la_haute_borne_R80736_10min_2014_2015.csv.gz"}"
+time = "Date_time"
+stamp = "start"
+signals.active_power = {{ column = "P_avg", unit = "kW" }}
+signals.ambient_temperature = {{ column = "Ot_avg", unit = "degC" }}
+""",
+        encoding="utf-8",
+    )
+    record = read_case(tmp_path / "case.toml", cabinet=False)
+    holes = [one for one in record.warnings if "summer-time hole" in one]
+    assert len(holes) == 1
+    assert "2014-10-26, 2015-10-25" in holes[0]
+    assert "2014-03-30, 2015-03-29" in holes[0]
+    assert record["active_power"].interval_s == 600.0
+    assert not any("frozen" in one for one in record.warnings)
 
 
 # -- a draft -------------------------------------------------------------------------------------------------

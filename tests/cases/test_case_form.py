@@ -78,21 +78,32 @@ def test_the_form_is_read():
     [
         ('name = "', 'nam = "', 1, ['unknown key "nam"', '"name"?']),
         ("2050.0", '"2050"', 2, ["rated_power_kW", "above 0", "'2050'"]),
+        ("2050.0", "-1", 2, ["above 0"]),
+        ("2050.0", "true", 2, ["above 0"]),
         ("latitude_deg = 52.4", "lat = 52.4", 3, ["needs latitude_deg"]),
+        ("52.4", "152.4", 4, ["-90 … 90"]),
         ("-0.95", '"west"', 5, ["longitude_deg must be a number"]),
+        ('file = "c', 'fil = "c', 7, ['unknown key "fil"', '"file"?']),
+        ('"cabinet.csv"', "3", 7, ["file must be text"]),
         ("cabinet_temperature", "cabinet_temp", 9, ['"cabinet_temp"', '"cabinet_temperature"']),
         ('"degC"', '"celsius"', 9, ["unknown unit", '"degC"?']),
         ('"degC"', '"kW"', 9, ['unit "kW" is one of power', "K, degC, degF"]),
+        ("column =", "colum =", 9, ['unknown key "colum"', '"column"?']),
         ("accuracy = 0.5", "accuracy = -0.5", 9, ["accuracy: expected a number ≥ 0"]),
         ("resolution = 0.1", "response_time = 10", 9, ["response_time: expected a duration"]),
+        ("resolution = 0.1", 'resolution = "x"', 9, ["resolution: expected a number ≥ 0"]),
         ('stamp = "start"', 'stamp = "begin"', 14, ["instant, start, middle, end"]),
         ('stamp = "start"', "", 15, ["where in it the stamp is"]),
         ('"10min"', "10", 15, ["interval", "10min"]),
+        ('"10min"', '"0s"', 15, ["longer than 0"]),
+        ('"2min"', '"two"', 16, ["clock_uncertainty", "duration"]),
         ('";"', '";;"', 17, ["one character"]),
         ('";"', '","', 18, ["both"]),
+        ('["bad"]', '"bad"', 19, ["list of texts"]),
         ('start = "2020-07-01T00:00:00Z"', "from = 1", 22, ["unknown key", "until, start"]),
         ('"2020-07-01T00:00:00Z"', '"2020-07-01"', 22, ["no offset"]),
         ('"2020-07-01T00:00:00Z"', '"2021-07-01T00:00Z"', 22, ["before until"]),
+        ("2020-12-01T00:00:00Z", "2020-12-01", 23, ["ISO 8601", '"2020-12-01"']),
         ("2020-12-01T00:00:00Z", "2020-12-01T00:00:00", 23, ["no offset", "Z"]),
     ],
 )
@@ -101,6 +112,13 @@ def test_a_fault_names_line_finding_and_remedy(old, new, line, words):
     hits = [one for one in found if all(word in one for word in words)]
     assert hits, found
     assert re.match(rf"case\.toml, line {line}[:,]", hits[0])
+
+
+def test_all_faults_come_at_once():
+    found = faults(
+        ("2050.0", "0"), ("52.4", "152.4"), ("degC", "C"), ('"start"', '"begin"'), ("until", "untill")
+    )
+    assert len(found) >= 5
 
 
 def test_a_signal_named_twice_names_both_lines():
@@ -130,7 +148,9 @@ def test_signals_may_be_tables():
     [
         ("", "names no source"),
         ("source = 3", "[[source]]"),
+        ('[source]\nfile = "a.csv"', "[[source]]"),
         ("site = 3", "[site]"),
+        ("identification = 3", "[identification]"),
         ('[[source]]\nfile = "a"\ntime = "t"\nsignals.rain = "r"', "column = "),
         (
             '[[source]]\nfile = "a"\ntime = "t"\nsignals.rain = { column = "r" }',

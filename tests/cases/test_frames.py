@@ -14,7 +14,7 @@ from builders.faults import faults_of
 from hygrokf.cases.case_file import CaseFault, read_case
 from hygrokf.cases.doubts import all_doubts
 from hygrokf.cases.frames import read_frames
-from hygrokf.data.record import Record
+from hygrokf.data.record import Record, Site
 
 COUNT = 6 * 24 * 30
 INDEX = pd.date_range("2020-10-05", periods=COUNT, freq="10min", tz="UTC")
@@ -188,6 +188,10 @@ def test_frames_give_the_record_that_files_give(tmp_path: Path) -> None:
     assert held.compared[0].signal == "ambient_temperature" and held["active_power"].interval_s == 600.0
 
 
+def test_a_site_may_be_a_site() -> None:
+    assert made(site=Site(52.4, -0.95)).site == Site(52.4, -0.95)
+
+
 def test_columns_of_the_same_name_are_told_apart_by_their_frames() -> None:
     one, other = cabinet()[["T", "RH"]], cabinet()[["ambient_temperature"]].set_axis(["T"], axis=1) + 273.15
     record = made(
@@ -251,6 +255,13 @@ def test_arrow_columns_and_stamps() -> None:
     assert made({"cabinet": frame, "scada": scada()}, time={"cabinet": "when"}).series == made().series
 
 
+def test_float32_has_its_resolution_and_no_more_than_its_precision() -> None:
+    found = made({"cabinet": cabinet().astype("float32"), "scada": scada()})
+    for signal in ("cabinet_temperature", "cabinet_relative_humidity"):
+        np.testing.assert_allclose(found[signal].value, made()[signal].value, rtol=1e-6)
+        assert found[signal].resolution == made()[signal].resolution
+
+
 def test_missing_readings_of_every_kind_are_missing() -> None:
     frame = cabinet()
     frame["T"] = frame["T"].astype(object)
@@ -294,6 +305,13 @@ def test_periods_are_means_over_themselves() -> None:
     assert local["active_power"].time[0] == first + 3600.0
 
 
+def test_a_frame_is_left_as_it_was() -> None:
+    frames = {"cabinet": cabinet(), "scada": scada()}
+    made(frames)
+    pd.testing.assert_frame_equal(frames["cabinet"], cabinet())
+    pd.testing.assert_frame_equal(frames["scada"], scada())
+
+
 # -- what is wrong -------------------------------------------------------------------------------------------
 def at(frame: str, change: Callable[[pd.DataFrame], object]) -> dict[str, object]:
     """Both frames, one of them changed."""
@@ -303,12 +321,26 @@ def at(frame: str, change: Callable[[pd.DataFrame], object]) -> dict[str, object
 
 WRONG = [
     (None, {"timezone": None}, "scada: the index: 4320 of 4320 stamps have no offset", 'timezone = "UTC"'),
+    (None, {"timezone": {"scada": "Europe/Berln"}}, "scada: unknown timezone",
+        'did you mean "Europe/Berlin"'),
     (None, {"timezone": {"scda": "UTC"}}, 'timezone: no frame is called "scda"', 'did you mean "scada"?'),
+    (None, {"units": {**UNITS, "T": "K"}}, "cabinet_temperature is called K, but its readings (median 22",
+        "degC"),
+    (None, {"units": {**UNITS, "RH": "1"}}, "they look like per cent", 'state unit = "%"'),
+    (at("cabinet", lambda f: f.assign(RH=0.01 * f["RH"])), {}, "they look like fractions", 'unit = "1"'),
+    (None, {"units": {**UNITS, "P": "MW"}}, "active_power is called MW, but its readings (median 9",
+        "W or kW"),
+    (None, {"units": {**UNITS, "T": "celsius"}}, 'cabinet, column "T": unknown unit "celsius"',
+        'did you mean "degC"?'),
+    (None, {"units": {k: u for k, u in UNITS.items() if k != "P"}},
+        'scada, column "P": needs unit, one of', "W, kW, MW"),
     (None, {"units": {**UNITS, "TT": "K"}}, 'units: no column "TT" (the frames have "T", "RH"',
         'did you mean "T"'),
     (None, {"units": "degC"}, "units: expected a mapping from columns", "'degC'"),
     (None, {"units": {"T": "degC", "scada": {"P": "kW"}}}, "units: expected columns or frames as keys",
         "both"),
+    (None, {"signals": {**SIGNALS, "T": "cabinet_temp"}}, 'unknown signal "cabinet_temp"',
+        '"cabinet_temperature"'),
     (None, {"signals": {**SIGNALS, "RH": "cabinet_temperature"}},
         'columns "T" and "RH" are both cabinet_temperature', "one series"),
     (None, {"signals": {**SIGNALS, "P": "ambient_temperature"}, "units": {**UNITS, "P": "degC"}},
@@ -324,10 +356,15 @@ WRONG = [
         "expected times"),
     (at("scada", lambda f: f.set_axis(f.index.strftime("%d.%m.%Y %H:%M"))), {}, "expected ISO 8601 stamps",
         'time_format = "%d.%m.%Y %H:%M"'),
+    (at("scada",
+        lambda f: f.set_axis(f.index.where(f.index < f.index[9], pd.Timestamp("9999-12-31").as_unit("us")))),
+        {},
+     "found 4311 before 1850 or after 2200", "correct or remove these rows"),
     (at("scada", lambda f: f.set_index("P", append=True, drop=False)), {}, "the index has 2 levels",
         ".reset_index(level=…)"),
     (at("scada", lambda f: pd.concat({"a": f}, axis=1)), {}, "expected one level of column names, found 2",
         "one name"),
+    (at("scada", lambda f: pd.concat([f, f], axis=1)), {}, 'scada: column "P" occurs 2 times', ""),
     (at("scada", lambda f: f.iloc[:0]), {}, "scada: expected readings, found no row in the frame", ""),
     (at("scada", lambda f: f["P"]), {}, "found pandas.Series", '.to_frame("cabinet_temperature")'),
     (at("scada", lambda f: {"P": 3}), {}, "scada: expected a pandas DataFrame, found builtins.dict", ""),
@@ -345,17 +382,35 @@ WRONG = [
     (at("cabinet", lambda f: f.assign(T=pd.to_timedelta(f["T"], unit="s"))), {},
         "expected numbers, found durations", "another column"),
     (at("cabinet", lambda f: f.assign(T=f.index)), {}, "expected numbers, found dates", "another column"),
-    (at("scada",
-        lambda f: f.set_axis(f.index.where(f.index < f.index[9], pd.Timestamp("9999-12-31").as_unit("us")))),
-        {}, "found 4311 before 1850 or after 2200", "correct or remove these rows"),
+    (at("cabinet", lambda f: f.assign(T=f["T"] + 1j)), {}, "expected numbers, found text", "(2"),
+    (at("cabinet", lambda f: f.assign(T=[[one] for one in f["T"]])), {}, "expected numbers, found text",
+        "[2"),
+    (at("scada", lambda f: f.shift(freq="400D")), {}, "no overlap: active_power in scada (2021-11-09",
+        "share no time"),
     (None, {"time": {"scada": "tim"}}, 'scada: no column "tim" (the frame has "P")', ""),
     (None, {"stmp": "start"}, 'unknown option "stmp"', 'did you mean "stamp"?'),
     (None, {"until": "2020-10-20T00:00Z"}, 'unknown option "until"', 'identification={"until": …}'),
     (None, {"separator": ";"}, 'unknown option "separator"', "for files"),
+    (None, {"stamp": {"scada": "begin"}}, "scada: stamp must be one of instant, start, middle, end",
+        '"begin"'),
+    (None, {"interval": "10"}, 'expected a duration such as "30s"', "'10'"),
     (None, {"response_time": {"RH": 600}}, 'cabinet, column "RH": response_time: expected a duration such as',
         "600"),
+    (None, {"accuracy": {"RH": -1.0}}, 'cabinet, column "RH": accuracy: expected a number ≥ 0', "-1.0"),
+    (None, {"identification": {"until": "2020-10-20"}}, 'until: stamp "2020-10-20" has no offset', "add Z"),
+    (None, {"identification": {"until": "2021-10-20T00:00Z"}},
+        "until = 2021-10-20T00:00Z is outside of the record", "2020-10-05"),
     (None, {"identification": {"untill": "2020-10-20T00:00Z"}},
         'read_frames, identification={…}: unknown key "untill"', '"until"'),
+    (None, {"site": {"latitude_deg": 152.4}}, "read_frames, site={…}: needs longitude_deg", ""),
+    (None, {"site": {"latitude_deg": 152.4, "longitude_deg": 0.0}}, "latitude_deg must lie within -90 … 90",
+        "152.4"),
+    (None, {"rated_power_kW": 2.05},
+        "active_power is called kW and reaches 2050 kW, 1e+03 times the rated 2.05 kW",
+        "correct its unit or rated"),
+    (None, {"rated_power_kW": 0.0}, "rated_power_kW must be a number above 0", "0.0"),
+    ({"scada": scada()}, {"units": {"P": "kW"}, "signals": {"P": "active_power"}},
+     "no source names ambient_temperature, the input that every model needs", ""),
     ({"scada": scada().set_axis(["power"], axis=1)}, {"units": None, "signals": None},
         'none of its columns is a signal (it has "power")', "signals={"),
 ]  # fmt: skip

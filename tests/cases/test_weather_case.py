@@ -148,11 +148,17 @@ def test_all_faults_of_the_form_at_once(folder: Path) -> None:
     )
     said = faults(folder, SITE, CABINET, wrong)
     for words in (
-        "line 12, [[source]] 2: format", "line 13, [[source]] 2: a source with format needs no time",
-        "line 15, [[source]] 2: altitude_m", "line 16, [[source]] 2: lapse_rate_K_per_km",
-        "line 17, [[source]] 2: to_site_altitude", "line 18, [[source]] 2: compare",
-        "line 19, [[source]] 2: clock_correction", 'unknown key "height"', "supplies all signals of its file",
-    ):  # fmt: skip
+        "case.toml, line 12, [[source]] 2: format must be one of era5, epw, merra2, open_meteo, try, "
+        'found "era6"; did you mean "era5"',
+        "line 13, [[source]] 2: a source with format needs no time; remove it",
+        "line 15, [[source]] 2: altitude_m must be a number within -500 … 9000",
+        "line 16, [[source]] 2: lapse_rate_K_per_km must be a number within -20 … 20",
+        "line 17, [[source]] 2: to_site_altitude must be true or false",
+        "line 18, [[source]] 2: compare must be true or false",
+        "line 19, [[source]] 2: clock_correction",
+        'unknown key "height" in a [[source]] with format',
+        "a source with format supplies all signals of its file",
+    ):
         assert words in said, said
     assert "year is for typical years" in faults(folder, SITE, CABINET, ERA5, "year = 2019\n")
     assert "to_site_altitude needs altitude_m in [site]" in faults(
@@ -163,6 +169,13 @@ def test_all_faults_of_the_form_at_once(folder: Path) -> None:
     )
     assert "[[source]] 2: needs file" in faults(folder, SITE, CABINET, '[[source]]\nformat = "epw"\n')
     assert "compare must be true or false" in faults(folder, SITE, CABINET + "compare = 1\n", ERA5)
+
+
+def test_faults_of_the_file_name_it(folder: Path) -> None:
+    assert faults(folder, CABINET, ERA5).startswith("era5.nc: ")
+    assert "no site is given" in faults(folder, CABINET, ERA5)
+    (folder / "era5.nc").write_bytes(b"PK\x03\x04 cut short")
+    assert "era5.nc: is a damaged ZIP archive" in faults(folder, SITE, CABINET, ERA5)
 
 
 def test_check_shows_the_comparison_and_stays_quiet_on_right_clocks(tmp_path: Path, capsys) -> None:

@@ -59,6 +59,11 @@ def test_noise_free_readings_rarely_raise_a_false_alarm():
     assert alarms <= 2
 
 
+def test_noise_well_below_the_weathers_own_steps_is_no_finding():
+    found = [reading_noise(walk(seed, 4000, 0.2, 0.01)) for seed in range(50)]
+    assert sum(one is not None for one in found) <= 1
+
+
 def test_smooth_weather_without_noise_is_left_alone():
     """Increments of smooth weather are correlated, the nearer the more: the opposite of noise."""
     hours = np.arange(6000) / 6.0
@@ -120,6 +125,23 @@ def test_smoothed_is_the_conditional_mean_on_any_clock():
     assert_allclose(found.value[there], dense_mean(time[there], value[there], q, r), atol=1e-5)
     assert_array_equal(np.isnan(found.value), ~there)  # NaN stay NaN
     assert replace(found, value=series.value) == series
+
+
+def test_smoothing_has_both_limits():
+    series = walk(4, 300, 0.06, 0.05)
+    assert_allclose(smoothed(series, (1.0, 1e-12)).value, series.value, atol=1e-9)
+    flat = smoothed(series, (1e-15, 1.0)).value
+    assert_allclose(flat, series.value.mean(), atol=1e-3)
+
+
+def test_smoothing_brings_noisy_readings_nearer_to_the_truth():
+    random = np.random.default_rng(12)
+    true = 283.0 + np.cumsum(0.03 * random.normal(size=5000))
+    series = Series(
+        "ambient_temperature", START_S + STEP_S * np.arange(5000), true + 0.1 * random.normal(size=5000)
+    )
+    found = smoothed(series, reading_noise(series))
+    assert np.std(found.value - true) < 0.7 * np.std(series.value - true)
 
 
 def test_nothing_to_smooth():

@@ -20,6 +20,13 @@ def test_text_arrives_as_utf8_with_its_line_ends(tmp_path):
     assert [one.name for one in tmp_path.iterdir()] == ["a.txt"]
 
 
+def test_old_content_is_replaced(tmp_path):
+    path = tmp_path / "a.bin"
+    path.write_bytes(b"old and longer")
+    write_bytes_whole(path, b"new")
+    assert path.read_bytes() == b"new"
+
+
 @pytest.mark.parametrize("step", ["fsync", "replace"])
 def test_failure_on_the_way_leaves_the_old_file_and_no_litter(tmp_path, monkeypatch, step):
     path = tmp_path / "a.txt"
@@ -58,6 +65,11 @@ def test_the_target_is_complete_before_it_is_renamed(tmp_path, monkeypatch):
     monkeypatch.setattr(files.os, "replace", look)
     write_bytes_whole(tmp_path / "a.bin", b"x" * 100_000)
     assert seen == [b"x" * 100_000]
+
+
+def test_missing_directory_is_the_systems_error(tmp_path):
+    with pytest.raises(FileNotFoundError):
+        write_text_whole(tmp_path / "nowhere" / "a.txt", "x")
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="permissions and links as POSIX has them")

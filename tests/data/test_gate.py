@@ -67,6 +67,13 @@ def test_a_change_over_a_gap_is_no_departure():
     assert not verdicts(time, value).any()
 
 
+def test_bad_readings_do_not_widen_the_scale():
+    time, value = course()
+    clean = scale_of(TEMPERATURE, time, value, 0.1)
+    value[np.random.default_rng(3).choice(3000, 10, replace=False)] = 358.15
+    assert scale_of(TEMPERATURE, time, value, 0.1).departure == pytest.approx(clean.departure, rel=0.1)
+
+
 def test_hardly_any_clean_reading_is_suspected():
     suspected = sum(np.count_nonzero(verdicts(*course(seed=seed))) for seed in range(20))
     assert suspected <= 6  # of 60,000
@@ -90,6 +97,13 @@ def test_a_frozen_sensor_is_known_when_it_is_still_for_too_long_and_in_hindsight
     late = (time - time[1000] + 600.0 > scale.still_s) & (np.arange(3000) < 1300)
     np.testing.assert_array_equal(live == FROZEN, late)
     assert (whole[1001:1300] == FROZEN).all() and not whole[:1001].any() and not whole[1303:].any()
+
+
+def test_readings_at_rest_are_never_frozen():
+    time = 600.0 * np.arange(1000)
+    value = np.round(np.random.default_rng(2).uniform(0.4, 0.9, 1000), 2)
+    value[300:600] = 1.0
+    assert not verdicts(time, value, "ambient_relative_humidity").any()
 
 
 @pytest.mark.parametrize("step_s", [60.0, 600.0, 3600.0])

@@ -77,3 +77,10 @@ def test_a_notebook_shows_one_output_that_is_updated(monkeypatch, capsys) -> Non
         "", "discover: begins", "discover: solar_gain", "discover: done",
     ]  # fmt: skip
     assert capsys.readouterr() == ("", "")
+
+
+def test_ipython_on_a_terminal_has_the_line_of_a_terminal(monkeypatch, capsys) -> None:
+    display = _ipython(monkeypatch, SimpleNamespace())
+    with reporting(True, "discover"):
+        pass
+    assert display.outputs == [] and "discover: done" in capsys.readouterr().err

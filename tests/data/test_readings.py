@@ -105,8 +105,11 @@ class TestRange:
         ("signal", "wrong", "word"),
         [
             ("cabinet_temperature", -273.0, "-273 degC"),
+            ("cabinet_temperature", -99.0, "-99 degC"),
             ("cabinet_temperature", 9999.0, "9999 degC"),
+            ("ambient_temperature", -273.15, "degC"),
             ("cabinet_relative_humidity", -5.0, "-5 %"),
+            ("cabinet_relative_humidity", 150.0, "150 %"),
             ("cabinet_relative_humidity", 0.0, "0 %"),
             ("wind_speed", -1.0, "-1 m/s"),
             ("active_power", 9e9, "kW"),
@@ -125,6 +128,11 @@ class TestRange:
         row = SIGNALS[signal]
         one = Series(signal, np.arange(2.0), np.array([row.low, row.high]))
         assert mask_out_of_range(one) == (one, ())
+
+    def test_masking_twice_says_nothing_new(self):
+        masked, _ = mask_out_of_range(series("cabinet_temperature", [20.0, -273.0]))
+        assert mask_out_of_range(masked) == (masked, ())
+
 
 class TestSaturated:
     def test_cabinet_humidity_at_the_end_of_the_scale_is_masked(self):
@@ -163,9 +171,14 @@ class TestSaturated:
         fog = series("ambient_relative_humidity", np.full(10, 100.0))
         assert mask_saturated(fog) == (fog, ())
 
+    def test_other_signals_are_left_alone(self):
+        one = series("heater_duty", [0.0, 1.0])
+        assert mask_saturated(one) == (one, ())
+
+
 class TestFrozen:
     @pytest.mark.parametrize("digits", [1, 2])
-    @pytest.mark.parametrize("seed", range(2))
+    @pytest.mark.parametrize("seed", range(4))
     @pytest.mark.parametrize("hours", [12, 24, 72])
     def test_a_frozen_thermometer_is_found(self, digits, seed, hours):
         value = walk(6000, 0.05, digits, seed)
@@ -180,6 +193,14 @@ class TestFrozen:
         assert not masked.missing[2000]
         assert "frozen sensor, 1 run" in said
 
+    def test_several_frozen_stretches_of_one_length_are_found(self):
+        value = walk(6000, 0.05, 1, 7)
+        for start in (1000, 2500, 4000):
+            value[start : start + 144] = value[start]
+        masked, (said,) = mask_gated(series("cabinet_temperature", value))
+        assert masked.missing.sum() >= 3 * 143
+        assert "3 runs" in said
+
     def test_gaps_do_not_hide_a_frozen_sensor(self):
         value = walk(6000, 0.05, 1, 8)
         value[2000:2400] = value[2000]
@@ -188,7 +209,7 @@ class TestFrozen:
         assert said
         assert masked.missing[2001:2400].all()
 
-    @pytest.mark.parametrize("seed", range(2))
+    @pytest.mark.parametrize("seed", range(6))
     @pytest.mark.parametrize("digits", [0, 1, 2])
     @pytest.mark.parametrize("spread", [0.003, 0.02, 0.2])
     def test_a_slow_or_coarse_thermometer_is_not_frozen(self, seed, digits, spread):
@@ -207,6 +228,12 @@ class TestFrozen:
             assert word in said
         calm = series("wind_speed", np.zeros(300))
         assert mask_gated(calm) == (calm, ())
+
+    def test_means_of_a_coarse_sensor_are_not_frozen(self):
+        quiet = np.repeat(walk(300, 0.05, 1, 1), 20) + 0.0
+        fine = np.round(quiet.reshape(-1, 5).mean(axis=1) + 0.0, 2)
+        one = series("ambient_temperature", fine)
+        assert mask_gated(one) == (one, ())
 
     def test_hourly_readings_repeated_every_ten_minutes_are_not_frozen(self):
         one = series("ambient_temperature", np.repeat(walk(800, 0.5, 2, 1), 6))
@@ -250,6 +277,13 @@ class TestFrozen:
         one = series("cabinet_temperature", np.full(40, 20.0))
         assert mask_gated(one) == (one, ())
 
+    def test_masking_twice_says_nothing_new(self):
+        value = walk(6000, 0.05, 1, 8)
+        value[2000:2400] = value[2000]
+        masked, _ = mask_gated(series("cabinet_temperature", value))
+        assert mask_gated(masked) == (masked, ())
+
+
 def _column(file: str, column: str) -> np.ndarray:
     import pandas as pd
 
@@ -258,7 +292,7 @@ def _column(file: str, column: str) -> np.ndarray:
 
 ATTIC = [
     (f"attic_trh1_{house}_hourly.csv.gz", column, signal, 3600.0)
-    for house in ("R2",)
+    for house in ("R2", "R4", "R7")
     for column, signal in (
         ("T_fmi", "ambient_temperature"),
         ("RH_fmi", "ambient_relative_humidity"),
@@ -297,9 +331,10 @@ def test_clean_measured_series_lose_nothing(file, column, signal, step):
 
 
 @measured
-@pytest.mark.parametrize("start", [1500, 9000])
-def test_a_frozen_day_in_the_attic_is_found(start):
-    value = _column("attic_trh1_R2_hourly.csv.gz", "T_roofmiddle_airmiddle")
+@pytest.mark.parametrize("start", [1500, 4000, 9000, 12000])
+@pytest.mark.parametrize("column", ["T_roofmiddle_airmiddle", "T_roofmiddle_airtop"])
+def test_a_frozen_day_in_the_attic_is_found(column, start):
+    value = _column("attic_trh1_R2_hourly.csv.gz", column)
     value[start : start + 30] = value[start]
     masked, _ = mask_gated(series("cabinet_temperature", value, 3600.0))
     assert masked.missing[start + 1 : start + 30].all()

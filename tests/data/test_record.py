@@ -62,30 +62,44 @@ SECONDS = 1.6e9 + 600.0 * np.arange(50)
 INDEX = pd.date_range("2020-09-13", periods=50, freq="10min")
 
 
-KELVIN = CELSIUS + 273.15
-NO_SI = [
-    ("cabinet_temperature", INDEX, KELVIN, ["expected seconds", "found datetime64", "read_frames"]),
-    ("cabinet_temperature", INDEX.tz_localize("UTC"), KELVIN, ["found Timestamp"]),
-    ("cabinet_temperature", INDEX.to_period("10min"), KELVIN, ["found Period"]),
-    ("cabinet_temperature", INDEX - INDEX[0], KELVIN, ["found timedelta64"]),
-    ("cabinet_temperature", list(INDEX.strftime("%Y-%m-%d %H:%M")), KELVIN, ["found str"]),
-    ("cabinet_temperature", 1e3 * SECONDS, KELVIN, ["found 1.6e+12", "milliseconds: divide them by 1000"]),
-    ("cabinet_temperature", INDEX.as_unit("us").asi8, KELVIN, ["microseconds: divide them by 1e+06"]),
-    ("cabinet_temperature", INDEX.as_unit("ns").asi8, KELVIN, ["nanoseconds: divide them by 1e+09"]),
-    ("cabinet_temperature", -1e10 + SECONDS, KELVIN, ["expected seconds since 1970"]),
-    ("cabinet_temperature", SECONDS, CELSIUS, ["expected K", 'to_si(value, "degC", "cabinet_temp']),
-    ("cabinet_temperature", SECONDS, [f"{one:.1f} C" for one in CELSIUS], ["numbers in K, found str"]),
-    ("cabinet_temperature", SECONDS, [pd.NA, *range(273, 322)], ["found NAType", "na_value=numpy.nan"]),
-    ("cabinet_temperature", SECONDS, [*CELSIUS[1:], [1.0, 2.0]], ["numbers in K, found list"]),
-    ("cabinet_relative_humidity", SECONDS, 2.0 * CELSIUS, ["expected fractions", 'to_si(value, "%"']),
-    ("ambient_pressure", SECONDS, 990.0 + CELSIUS, ["expected Pa", "hPa"]),
-    ("cabinet_absolute_humidity", SECONDS, 0.4 * CELSIUS, ["expected kg/m3", "g/m3"]),
-    ("wind_direction", SECONDS, 7.0 * CELSIUS, ["expected rad", "deg"]),
-    ("cabinet_temprature", INDEX, CELSIUS, ['unknown signal "cabinet_temprature"', "expected seconds"]),
-]
-
-
-@pytest.mark.parametrize(("signal", "time", "value", "words"), NO_SI)
+@pytest.mark.parametrize(
+    ("signal", "time", "value", "words"),
+    [
+        ("cabinet_temperature", INDEX, CELSIUS + 273.15,
+            ["expected seconds since 1970", "found datetime64", "read_frames"]),
+        ("cabinet_temperature", INDEX.tz_localize("UTC"), CELSIUS + 273.15,
+            ["expected seconds", "found Timestamp"]),
+        ("cabinet_temperature", INDEX.to_period("10min"), CELSIUS + 273.15,
+            ["expected seconds", "found Period"]),
+        ("cabinet_temperature", INDEX - INDEX[0], CELSIUS + 273.15,
+            ["expected seconds", "found timedelta64"]),
+        ("cabinet_temperature", list(INDEX.strftime("%Y-%m-%d %H:%M")), CELSIUS + 273.15,
+            ["expected seconds", "found str"]),
+        ("cabinet_temperature", 1e3 * SECONDS, CELSIUS + 273.15,
+            ["found 1.6e+12", "milliseconds: divide them by 1000"]),
+        ("cabinet_temperature", INDEX.as_unit("us").asi8, CELSIUS + 273.15,
+            ["microseconds: divide them by 1e+06"]),
+        ("cabinet_temperature", INDEX.as_unit("ns").asi8, CELSIUS + 273.15,
+            ["nanoseconds: divide them by 1e+09"]),
+        ("cabinet_temperature", -1e10 + SECONDS, CELSIUS + 273.15,
+            ["expected seconds since 1970", "correct them"]),
+        ("cabinet_temperature", SECONDS, CELSIUS,
+            ["expected K, found readings of about 22.45", 'to_si(value, "degC", "cabinet_temp']),
+        ("cabinet_temperature", SECONDS, [f"{one:.1f} C" for one in CELSIUS],
+            ["value: expected numbers in K, found str"]),
+        ("cabinet_temperature", SECONDS, [pd.NA, *range(273, 322)], ["found NAType", "na_value=numpy.nan"]),
+        ("cabinet_temperature", SECONDS, [*CELSIUS[1:], [1.0, 2.0]],
+            ["value: expected numbers in K, found list"]),
+        ("ambient_temperature", SECONDS, CELSIUS - 40.0, ["expected K", "degC"]),
+        ("cabinet_relative_humidity", SECONDS, 2.0 * CELSIUS,
+            ["expected fractions (unit 1), found", 'to_si(value, "%"']),
+        ("ambient_pressure", SECONDS, 990.0 + CELSIUS, ["expected Pa", "hPa"]),
+        ("cabinet_absolute_humidity", SECONDS, 0.4 * CELSIUS, ["expected kg/m3", "g/m3"]),
+        ("wind_direction", SECONDS, 7.0 * CELSIUS, ["expected rad", "deg"]),
+        ("cabinet_temprature", INDEX, CELSIUS,
+            ['unknown signal "cabinet_temprature"; did you mean', "expected seconds"]),
+    ],
+)  # fmt: skip
 def test_readings_that_cannot_be_in_si_are_refused(signal, time, value, words):
     with pytest.raises(ValueError, match=f"series {signal}: ") as caught:
         Series(signal, time, value)
@@ -183,6 +197,11 @@ def test_a_record_finds_its_signals():
         record["rain"]
 
 
+def test_a_signal_occurs_once():
+    with pytest.raises(ValueError, match="more than one series of cabinet_temperature"):
+        Record("x", (series(), series()))
+
+
 @pytest.mark.parametrize("rated", [0.0, -1.0, math.nan, math.inf])
 def test_rated_power_is_above_zero(rated):
     with pytest.raises(ValueError, match="rated_power_W"):
@@ -222,6 +241,12 @@ def test_identification_and_validation_part_the_readings(times, until):
         assert reading.time[0] > until
 
 
+def test_without_until_everything_identifies_and_nothing_validates():
+    record = Record("x", (series(),))
+    assert record.identification() == record
+    assert record.validation().series == ()
+
+
 @given(limits=st.tuples(st.floats(-50, 200), st.floats(-50, 200)).map(sorted))
 def test_window_keeps_what_lies_inside(limits):
     time = np.arange(0.0, 150.0, 10.0)
@@ -229,6 +254,11 @@ def test_window_keeps_what_lies_inside(limits):
     expected = [one for one in time if limits[0] <= one <= limits[1]]
     kept = record.series[0].time if record.series else []
     np.testing.assert_array_equal(kept, expected)
+
+
+def test_window_over_the_whole_span_changes_nothing():
+    record = Record("x", (series(),), until_s=60.0)
+    assert record.window(record.start_s, record.end_s) == record
 
 
 def test_window_keeps_until_only_inside():

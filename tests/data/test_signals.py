@@ -23,6 +23,7 @@ from hygrokf.data.signals import (
     to_si,
     unit_fault,
 )
+from hygrokf.errors import near_names
 
 PAIRS = [(name, unit) for name in SIGNALS for unit in fitting_units(name)]
 
@@ -42,6 +43,10 @@ def test_every_row_of_the_table_is_sound(signal):
     assert signal.display in fitting_units(signal)
     if signal.idle is not None:
         assert signal.idle[0] < signal.idle[1]
+
+
+def test_units_of_the_issue_are_all_there():
+    assert set("K degC degF % 1 Pa hPa kPa W kW MW g/m3 kg/m3 m/s W/m2 mm".split()) <= set(UNITS)
 
 
 @pytest.mark.parametrize(
@@ -83,6 +88,19 @@ def test_difference_is_the_difference_of_two_values(pair, one, size):
     assert difference_from_si(difference, unit, signal) == pytest.approx(size, rel=1e-12)
 
 
+def test_degf_accuracy_is_scaled_without_offset():
+    assert difference_to_si(0.9, "degF", "cabinet_temperature") == pytest.approx(0.5)
+
+
+def test_missing_values_stay_missing():
+    assert np.isnan(to_si(np.array([np.nan]), "degC", "cabinet_temperature")).all()
+
+
+def test_unit_of_another_dimension_lists_what_fits():
+    with pytest.raises(ValueError, match=r"\"Pa\" is one of pressure.*K, degC, degF"):
+        to_si(np.zeros(1), "Pa", "cabinet_temperature")
+
+
 @pytest.mark.parametrize(
     ("unit", "signal", "meant"),
     [
@@ -100,12 +118,29 @@ def test_unknown_unit_suggests_the_one_meant(unit, signal, meant):
     assert f'did you mean "{meant}"?' in fault
 
 
+def test_rain_takes_millimetres_and_wind_does_not():
+    assert unit_fault("mm", "rain") is None
+    assert unit_fault("1", "rain") is None
+    assert unit_fault("mm", "wind_speed") is not None
+
+
 def test_unknown_signal_names_near_ones():
     with pytest.raises(KeyError, match="cabinet_temperature"):
         signal_named("cabinet_temprature")
+
+
+def test_default_accuracies_are_the_loggers():
+    assert signal_named("cabinet_temperature").default_accuracy == 0.3
+    assert signal_named("cabinet_relative_humidity").default_accuracy == 0.02
+    assert signal_named("active_power").default_accuracy is None
 
 
 def test_values_in_words_use_the_shown_unit():
     assert in_words(0.15, "cabinet_temperature") == "-273 degC"
     assert in_words(1.5, "cabinet_relative_humidity") == "150 %"
     assert in_words(0.5, "heater_duty") == "0.5"
+
+
+def test_near_names_ignore_case_and_keep_order():
+    assert near_names("TEMP", ["time", "Temp", "RH"])[0] == "Temp"
+    assert near_names("xyz", ["time", "Temp"]) == []

@@ -21,6 +21,7 @@ from hygrokf.data.timestamps import (
     read_stamps,
     stamp_text,
     summer_time_holes,
+    time_format_fault,
     zone_in_header,
     zone_named,
 )
@@ -78,6 +79,14 @@ def test_zones(name, hours):
     assert offset == timedelta(hours=hours)
 
 
+@pytest.mark.parametrize(
+    ("name", "word"), [("Europe/Berln", "Europe/Berlin"), ("+25:00", "14 hours"), ("", "Berlin"), (2, "text")]
+)
+def test_bad_zones_are_explained(name, word):
+    with pytest.raises(ValueError, match=word):
+        zone_named(name)
+
+
 def test_moments_need_an_offset():
     assert moment("1970-01-01T01:00:00+01:00") == 0.0
     assert moment(datetime(1970, 1, 1, tzinfo=UTC)) == 0.0
@@ -125,6 +134,11 @@ def test_mixed_offsets_and_missing_stamps():
     assert not stamps.unreadable.any()
 
 
+def test_one_naive_stamp_among_others_is_found():
+    stamps = read_stamps(column("2020-10-25T02:30+02:00", "2020-10-25T02:40", "2020-10-25T02:50Z"))
+    np.testing.assert_array_equal(stamps.naive, [False, True, False])
+
+
 @pytest.mark.parametrize(
     "text", ["yesterday", "2020-13-01", "1577836800", "43831.5", "2020", "01.02.2020 00:00", "12:00"]
 )
@@ -132,6 +146,13 @@ def test_what_is_no_stamp(text):
     stamps = read_stamps(column("2020-01-01T00:00Z", text))
     np.testing.assert_array_equal(stamps.unreadable, [False, True])
     assert np.isnan(stamps.time[1])
+
+
+def test_midnight_at_the_end_of_a_day():
+    stamps = read_stamps(column("2020-01-01T23:00Z", "2020-01-01T24:00Z", "2020-01-02T01:00Z"))
+    np.testing.assert_array_equal(np.diff(stamps.time), 3600.0)
+    naive = read_stamps(column("2020-01-01 23:00", "2020-01-01 24:00:00"), UTC)
+    np.testing.assert_array_equal(np.diff(naive.time), 3600.0)
 
 
 @pytest.mark.parametrize(
@@ -171,6 +192,14 @@ def test_months_carry_no_offset():
 )  # fmt: skip
 def test_a_zone_in_a_header(header, zone):
     assert zone_in_header(header) == zone
+
+
+@pytest.mark.parametrize(
+    ("form", "word"), [("%m/%d/%Y %H:%M %p", "%I for %H"), ("%d.%m.%Y %I:%M", "%H for %I"), ("%H:%M", None)]
+)
+def test_hours_of_a_form_that_would_be_read_wrongly(form, word):
+    fault = time_format_fault(form)
+    assert fault is None if word is None else word in fault
 
 
 def test_stated_form():
@@ -236,6 +265,11 @@ def test_a_doubled_hour_shown_once_is_left_out():
     assert "left out" in stamps.warnings[0]
 
 
+def test_a_doubled_hour_in_pairs_is_left_out():
+    text = column(*[f"2020-10-25 02:{10 * k:02d}" for k in range(6) for _ in range(2)])
+    assert np.isnan(read_stamps(text, BERLIN).time).all()
+
+
 def test_a_repeated_row_is_no_return_of_the_clock():
     """One pass of the repeated hour with one row twice: nothing tells the pass."""
     expected, text = local_stamps("2021-10-30T23:40", 6, 10)
@@ -279,6 +313,14 @@ def test_ends_of_intervals_within_the_repeated_hour(step, newest_first):
     if newest_first:
         rows, expected = rows[::-1].reset_index(drop=True), expected[::-1]
     np.testing.assert_array_equal(read_stamps(rows, BERLIN).time, expected)
+
+
+def test_a_clock_without_summer_time_is_noticed_in_spring():
+    _, text = local_stamps("2020-03-28T12:00", 144, 10, zone=zone_named("+01:00"))
+    stamps = read_stamps(text, BERLIN)
+    assert np.isnan(stamps.time).sum() == 6
+    assert "does not exist" in stamps.warnings[0]
+    assert "2020-03-29" in stamps.warnings[0]
 
 
 def test_modal_step():
@@ -333,3 +375,11 @@ def test_offsets_on_a_clock_without_summer_time_show():
     assert "twice on 2020-03-29" in warning
     assert "missing on 2020-10-25" in warning
     assert "ignore_offset" in warning
+
+
+def test_an_hour_moved_by_the_export_shows():
+    time = regular("2020-03-01T00:00", 60)
+    spring = datetime(2020, 3, 29, 2, tzinfo=UTC).timestamp()
+    moved = np.where((time >= spring) & (time < spring + 3600.0), time + 3600.0, time)
+    (warning,) = summer_time_holes(np.sort(moved))
+    assert "moved" in warning

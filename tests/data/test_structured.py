@@ -58,6 +58,10 @@ def test_data_of_a_result_are_json_and_come_back() -> None:
     np.testing.assert_array_equal(again.curve, WHOLE.curve)
 
 
+def test_keys_of_later_files_are_ignored() -> None:
+    assert structured(Made, {"name": "x", "gain": 0.5, "of the future": 1}).gain == 0.5
+
+
 @pytest.mark.parametrize(
     ("change", "place", "words"),
     [

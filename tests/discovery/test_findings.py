@@ -115,13 +115,21 @@ def single(found: list[Finding]) -> Finding:
 
 
 def test_nothing_hidden_hardly_anything_found() -> None:
-    """At a level of 5 %, one of 8 records is expected to have a finding at most."""
-    assert sum(bool(findings(made(seed))) for seed in range(100, 108)) <= 1
+    """At a level of 5 %, one of 16 records is expected to have a finding at most."""
+    assert sum(bool(findings(made(seed))) for seed in range(100, 116)) <= 1
 
 
 @pytest.mark.slow
 def test_at_most_one_in_twenty_records_without_an_effect_has_a_finding() -> None:
     assert np.mean([bool(findings(made(seed))) for seed in range(100, 250)]) <= 0.05
+
+
+def named(found: list[Finding], quantity: str, kinds: tuple[str, ...], driver: str = "") -> bool:
+    """Whether the first finding is of a quantity, a kind and a driver."""
+    if not found:
+        return False
+    one = found[0]
+    return one.quantity == quantity and one.kind in kinds and one.driver == driver
 
 
 def behind(values: np.ndarray, time_h: float) -> np.ndarray:
@@ -144,8 +152,11 @@ def behind(values: np.ndarray, time_h: float) -> np.ndarray:
         ("drift", "temperature", ("step", "drift", "season"), ""),
     ],
 )
-def test_what_is_hidden_is_named_first(name: str, quantity: str, kinds: tuple[str, ...], driver: str) -> None:
-    for seed in (60, 61):
+def test_what_is_hidden_is_named_first_in_five_of_six_records(
+    name: str, quantity: str, kinds: tuple[str, ...], driver: str
+) -> None:
+    count = 0
+    for seed in range(60, 66):
         base = made(seed)
         wind = base.drivers["wind_speed"]
         effect = {
@@ -157,8 +168,8 @@ def test_what_is_hidden_is_named_first(name: str, quantity: str, kinds: tuple[st
             "step": -1.0 * (base.time_h >= 600.0),
             "drift": 5.0 * (base.time_h / base.time_h[-1] - 0.5),
         }[name]
-        first = findings(with_effect(base, quantity, effect))[0]
-        assert (first.quantity, first.driver) == (quantity, driver) and first.kind in kinds
+        count += named(findings(with_effect(base, quantity, effect)), quantity, kinds, driver)
+    assert count >= 5
 
 
 def test_a_peak_at_pre_heating_is_told_in_full() -> None:
@@ -166,7 +177,9 @@ def test_a_peak_at_pre_heating_is_told_in_full() -> None:
     one = single(findings(with_effect(base, "humidity", 1.1 * base.preheating)))
     assert one.quantity == "humidity" and one.size == pytest.approx(1.1, abs=0.35)
     start, _, hours = one.statement.removesuffix(" h").partition(f" is {one.size:.1f} g/m³ too low for ")
-    assert start == "after standstills longer than a day, during pre-heating, simulated absolute humidity"
+    assert (
+        start == "after standstills longer than a day, during pre-heating, simulated absolute humidity"
+    )
     assert float(hours) == pytest.approx(6.0, abs=2.0)
     assert (one.n_episodes, one.n_possible) == (3, 3)
     assert one.sensor_share == pytest.approx((0.15 / one.size) ** 2)
@@ -314,6 +327,14 @@ def saturated(record: Record) -> np.ndarray:
     return saturation_pressure(kelvin) / (461.5 * kelvin)
 
 
+def heated(record: Record, kelvin: np.ndarray) -> Record:
+    """Cabinet readings that are warmer [K] and hold the same vapour."""
+    old, humidity = record["cabinet_temperature"], record["cabinet_relative_humidity"]
+    warm = record.replace_series(replace(old, value=old.value + kelvin))
+    damp = humidity.value * saturated(record) / saturated(warm)
+    return warm.replace_series(replace(humidity, value=np.clip(damp, 0.005, 1.05)))
+
+
 def moistened(record: Record, kg_m3: np.ndarray) -> Record:
     """Humidity readings with more vapour [kg/m³]."""
     humidity = record["cabinet_relative_humidity"]
@@ -323,7 +344,7 @@ def moistened(record: Record, kg_m3: np.ndarray) -> Record:
 
 @cache
 def bare(seed: int) -> Record:
-    return to_record(plant(seed, days=45.0, sensor_errors="all", preheating=True))
+    return to_record(plant(seed, days=75.0, sensor_errors="all", preheating=True))
 
 
 def fitted(record: Record) -> tuple[Fit, Residuals]:
@@ -339,7 +360,7 @@ def peaked() -> tuple[Fit, Residuals, Record]:
     at = record["cabinet_relative_humidity"].time
     on = np.interp(at, duty.time[~duty.missing], duty.value[~duty.missing]) > 0.5
     record = moistened(record, 1e-3 * on)
-    record = replace(record, until_s=record.start_s + 35.0 * 86400.0)
+    record = replace(record, until_s=record.start_s + 65.0 * 86400.0)
     return *fitted(record), record
 
 
@@ -383,14 +404,35 @@ def test_a_peak_at_pre_heating_survives_the_fit() -> None:
     assert one.size == pytest.approx(1.0, abs=0.4)
 
 
+def test_a_bump_of_the_day_survives_the_fit() -> None:
+    record = bare(301)
+    hour = (record["cabinet_temperature"].time / 3600.0) % 24.0
+    _, found = fitted(heated(record, 0.8 * np.exp(-0.5 * ((hour - 14.5) / 2.2) ** 2)))
+    one = findings(found)[0]
+    assert (one.kind, one.quantity) == ("hour", "temperature") and one.statement.endswith("too low")
+
+
 def test_a_step_of_a_sensor_survives_the_fit() -> None:
     record = bare(301)
     old = record["cabinet_temperature"]
-    date = record.start_s + 20.0 * 86400.0
+    date = record.start_s + 33.0 * 86400.0
     _, found = fitted(record.replace_series(replace(old, value=old.value + 0.6 * (old.time >= date))))
     one = findings(found)[0]
     assert one.kind == "step"
     assert one.spans[0][0] == pytest.approx(date, abs=86400.0)
+
+
+def test_an_error_that_follows_the_wind_survives_the_fit() -> None:
+    from scipy.signal import lfilter
+
+    record = bare(302)
+    at, wind = record["cabinet_temperature"].time, record["wind_speed"]
+    speed = np.interp(at, wind.time, wind.value)
+    gain = math.exp(-0.25 / 3.0)
+    slow = lfilter([1.0 - gain], [1.0, -gain], speed - speed.mean())
+    _, found = fitted(heated(record, 0.5 * slow))
+    one = findings(found)[0]
+    assert (one.driver, one.quantity) == ("wind_speed", "temperature")
 
 
 @pytest.mark.slow

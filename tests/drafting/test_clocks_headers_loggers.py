@@ -37,8 +37,9 @@ def drafted(folder, *exports):
 
 @pytest.mark.parametrize(
     ("stated", "offset_h"),
-    [("GMT-6", -6.0), ("UTC+05:30", 5.5), ("(UTC+02:00) Athens", 2.0), ("+03:00", 3.0)],
-)
+    [("UTC+01:00", 1.0), ("GMT-6", -6.0), ("UTC+05:30", 5.5), ("(UTC+02:00) Athens", 2.0), ("UTC", 0.0),
+     ("+03:00", 3.0)],
+)  # fmt: skip
 def test_the_offset_above_a_header_is_kept(stated, offset_h, tmp_path):
     above = f"Logger: 7\nTime zone: {stated}\n\n"
     export = written(tmp_path / "o.csv", "time,Outside (degC)", ["ambient_temperature"], above)
@@ -70,12 +71,19 @@ def test_names_of_iec_61400_25_with_instances_and_attributes(name, signal):
     assert name_says(name).signal == signal
 
 
-@pytest.mark.parametrize("name", ["Temp. top box (°C)", "Cont_Top_Temp_Avg"])
+@pytest.mark.parametrize("name", ["Temp. top box (°C)", "Cont_Top_Temp_Avg", "Temperatur Topbox"])
 def test_the_top_box_is_read_but_to_confirm(name, tmp_path):
     columns = ["active_power", "ambient_temperature", "cabinet_temperature"]
     export = written(tmp_path / "s.csv", f"time,Power (kW),Outside (°C),{name}", columns)
     _, found = drafted(tmp_path, export)
     assert found["cabinet_temperature"].column == name and found["cabinet_temperature"].doubts
+
+
+def test_the_panel_of_the_converter_comes_before_the_top_box(tmp_path):
+    columns = ["active_power", "ambient_temperature", "oil", "cabinet_temperature"]
+    header = "time,Grd_Prod_Pwr_Avg,Amb_Temp_Avg,Cont_Top_Temp_Avg,Cont_VCP_Temp_Avg"
+    _, found = drafted(tmp_path, written(tmp_path / "s.csv", header, columns))
+    assert found["cabinet_temperature"].column == "Cont_VCP_Temp_Avg"
 
 
 def test_a_title_of_several_cells_is_no_header(tmp_path):
@@ -172,6 +180,26 @@ def test_an_assumed_zone_is_doubted_beside_a_stated_one(tmp_path):
     assert len([doubt for doubt in beside.doubts if "cabinet.csv" in doubt and "+01:00" in doubt]) == 1
 
 
+def test_a_zone_named_in_central_europe_is_a_stated_one(tmp_path):
+    short, columns = STAMPS[:500], ["active_power", "ambient_temperature"]
+    scada = written(tmp_path / "scada.csv", "time,Power (kW),Outside (°C)", columns)
+    cabinet = tmp_path / "cabinet.csv"
+    written(cabinet, "Zeit (MEZ),Temperatur (°C)", ["cabinet_temperature"], stamps=short)
+    draft, _ = drafted(tmp_path, scada, cabinet)
+    assert len([doubt for doubt in draft.doubts if doubt.startswith("scada.csv: cabinet.csv")]) == 1
+    assert any("summer time" in doubt for doubt in draft.doubts if doubt.startswith("cabinet.csv"))
+
+
+def test_two_loggers_without_a_place_name_each_other(tmp_path):
+    columns = ["ambient_temperature", "ambient_relative_humidity"]
+    exports = [
+        written(tmp_path / name / "log.csv", "time (UTC),Temp (°C),Hum (%rF)", columns)
+        for name in ("left", "right")
+    ]
+    draft, _ = drafted(tmp_path, *exports)
+    assert any("right/log.csv" in doubt for one in draft.signals for doubt in one.doubts)
+
+
 def test_the_copy_of_an_earlier_draft_is_no_export(tmp_path):
     (path,) = rotronic().write(tmp_path)
     draft = draft_case([path], tmp_path / "case.toml")
@@ -240,6 +268,15 @@ def test_hours_from_1_to_24_are_ends_of_intervals(tmp_path):
     assert 'stamp = "end"' in text
     series = read_case(tmp_path / "case.toml")["ambient_temperature"]
     np.testing.assert_array_equal(series.time, first.timestamp() + 3600.0 * np.arange(1, 24 * days + 1))
+
+
+def test_a_day_that_ends_at_24_is_read_in_any_form(tmp_path):
+    first = TIMES[0].replace(hour=0, minute=0)
+    days = [first + timedelta(days=day) for day in range(12)]
+    stamps = [f"{day:%d.%m.%Y} {hour:02d}:00" for day in days for hour in range(1, 25)]
+    drafted(tmp_path, climate(tmp_path / "o.csv", "time", stamps))
+    time = read_case(tmp_path / "case.toml")["ambient_temperature"].time
+    np.testing.assert_array_equal(time, first.timestamp() + 3600.0 * np.arange(1, len(stamps) + 1))
 
 
 # -- numbers -------------------------------------------------------------------------------------------------

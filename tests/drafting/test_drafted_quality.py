@@ -35,25 +35,21 @@ def doubts(draft: Draft) -> str:
     return " ".join(draft.doubts)
 
 
-NAMED = (
-    "time,Cabinet Temp,Cabinet Temp Quality,Ambient Temp,Ambient Temp Quality",
-    "{time},{inside},{mark},{outside},{sound}",
-)
-OF_ONE_NAME = ("time,Cabinet Temp,Quality,Ambient Temp,Quality", NAMED[1])
-ONE_ROW_A_VALUE = (
-    "time,tag,value,quality",
-    "{time},Cabinet Temp,{inside},{mark}\n{time},Ambient Temp,{outside},{sound}",
-)
-
-
 @pytest.mark.parametrize(
-    ("header", "row", "good", "bad", "vocabulary"),
+    ("header", "row"),
     [
-        (*NAMED, 192, 0, "opc-da"), (*NAMED, 0, 0x80340000, "opc-ua"), (*NAMED, "Good", "Bad", None),
-        (*OF_ONE_NAME, 216, 24, "opc-da"), (*ONE_ROW_A_VALUE, 192, 0, "opc-da"),
-        (*ONE_ROW_A_VALUE, "Good", "Bad", None),
+        ("time,Cabinet Temp,Cabinet Temp Quality,Ambient Temp,Ambient Temp Quality",
+         "{time},{inside},{mark},{outside},{sound}"),
+        ("time,Cabinet Temp,Quality,Ambient Temp,Quality", "{time},{inside},{mark},{outside},{sound}"),
+        ("time,tag,value,quality",
+         "{time},Cabinet Temp,{inside},{mark}\n{time},Ambient Temp,{outside},{sound}"),
     ],
+    ids=["named", "of one name", "one row a value"],
 )  # fmt: skip
+@pytest.mark.parametrize(
+    ("good", "bad", "vocabulary"),
+    [(192, 0, "opc-da"), (0, 0x80340000, "opc-ua"), ("Good", "Bad", None), (216, 24, "opc-da")],
+)
 def test_quality_is_found_and_its_vocabulary(
     header: str, row: str, good: object, bad: object, vocabulary: str | None, tmp_path: Path
 ) -> None:

@@ -9,7 +9,7 @@ from builders.measured_exports import EXPECTED, counts, export_of
 from hygrokf.cases.case_file import read_case
 from hygrokf.drafting.draft import draft_case
 
-ROWS = 2000
+ROWS = 3500
 """Of each file, to be quick: weeks to months."""
 
 

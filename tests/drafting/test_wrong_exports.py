@@ -14,7 +14,9 @@ from hygrokf.drafting.draft import DraftFault, draft_case
 ROWS = "time,T (degC)\n2020-01-01 00:00,1.5\n2020-01-01 00:10,1.6\n2020-01-01 00:20,1.8\n"
 WRONG = {
     "empty": (b"", "is empty"),
+    "blank": (b" \n\n", "is empty"),
     "binary": (bytes(range(1, 200)) * 40, "not text"),
+    "zero bytes": (b"time,T\n2020-01-01 00:00,\x00\n", "zero byte"),
     "one column": (b"time\n2020-01-01 00:00\n2020-01-01 00:10\n", "one column alone"),
     "no time": (b"a,b\n1.5,2.5\n3.5,4.5\n", "column of stamps"),
     "a web page": (b"<!DOCTYPE html>\n<html><body>Log in</body></html>", "web page"),
@@ -25,6 +27,7 @@ WRONG = {
     ),
     "JSON": (b'{"time": ["2020-01-01"]}', "JSON"),
     "PDF": (b"%PDF-1.7\n1 0 obj", "PDF"),
+    "header alone": (b"time,T\n", "column of stamps"),
     "one row": (b"time,T\n2020-01-01 00:00,1.5\n", "1 row"),
     "more cells than the header": (ROWS.encode() + b"2020-01-01 00:30,1,5\n", "more|cells"),
     "a damaged archive": (gzip.compress(ROWS.encode())[:-20], "decompressed"),

@@ -11,7 +11,7 @@ from scipy.optimize import brentq
 from hygrokf.engine.timeline import timeline
 from hygrokf.engine.traced_filter import traced
 from hygrokf.estimation.likelihood import Likelihood
-from hygrokf.estimation.start import stationary_with_slopes
+from hygrokf.estimation.start import prior, prior_slopes, stationary, stationary_with_slopes
 from hygrokf.physics.expression import exp
 from hygrokf.physics.mechanisms import linear_network
 from hygrokf.physics.model import Model, compose
@@ -63,6 +63,27 @@ def test_a_nonlinear_steady_state_and_its_slopes() -> None:
         np.testing.assert_allclose(own, expected, rtol=1e-9, atol=1e-11)
 
 
+def test_slopes_of_the_mechanisms_own_law() -> None:
+    slopes = prior_slopes(radiating(), VALUES, {"u": 3.0})
+    k, c, q = (VALUES[name] for name in ("k", "c", "q"))
+    np.testing.assert_allclose(slopes.mean, [[-3.0 / k**2, 0.0], [0.0, 1.0], [0.0, 0.0], [0.0, 0.0]])
+    np.testing.assert_allclose(slopes.covariance[:, 0, 0], [0.0, -q / c**2, 1.0 / c, 0.0])
+    assert not slopes.covariance[:, 1].any()
+
+
+def test_every_mechanism_of_the_cabinets_takes_steps_along_all_parameters(joint: object) -> None:
+    """The slopes of the prior are its central differences."""
+    inputs = Likelihood(joint.model, joint.timeline).first_inputs()
+    slopes = prior_slopes(joint.model, joint.values, inputs)
+    for i, (name, value) in enumerate(joint.values.items()):
+        step = 1e-5 * max(abs(value), 1e-3)
+        up, down = (prior(joint.model, {**joint.values, name: value + s}, inputs) for s in (step, -step))
+        np.testing.assert_allclose(slopes.mean[i], (up.mean - down.mean) / (2 * step), rtol=1e-6, atol=1e-9)
+        np.testing.assert_allclose(
+            slopes.covariance[i], (up.covariance - down.covariance) / (2 * step), rtol=1e-6, atol=1e-9
+        )
+
+
 @pytest.mark.parametrize("law", ["prior", "stationary"])
 def test_the_score_takes_the_start_with_it(law: str) -> None:
     """Richardson's differences of ln L over 12 instants, where the start weighs most."""
@@ -74,3 +95,13 @@ def test_the_score_takes_the_start_with_it(law: str) -> None:
         h = 1e-3 * VALUES[name]
         ends = [likelihood.value({**VALUES, name: VALUES[name] + s * h}) for s in (-2, -1, 1, 2)]
         assert slope == pytest.approx((ends[0] - 8 * ends[1] + 8 * ends[2] - ends[3]) / (12 * h), rel=1e-7)
+
+
+def test_no_steady_state_is_said() -> None:
+    grows = linear_network(
+        "grows", [Parameter("q", "1", 1.0, 0.0, 9.0)], ["x"], [], lambda p, x, u: {"x": 1.0 + 0.0 * x.x},
+        {"y": lambda p, x, u: (x.x, 1.0)}, lambda p: {"x": p.q}, lambda p, u: {"x": (0.0, 1.0)},
+    )  # fmt: skip
+    model = compose([grows])
+    with pytest.raises(ValueError, match="no stationary state"):
+        stationary(model, traced(model), {"q": 1.0}, {})

@@ -59,6 +59,10 @@ class Logging:
     def __post_init__(self) -> None:
         if self.sensor_errors not in SENSOR_ERRORS:
             raise ValueError(f"sensor_errors must be one of {SENSOR_ERRORS}, found {self.sensor_errors!r}")
+        if self.ambient_humidity not in ("relative", "absolute"):
+            raise ValueError(
+                f'ambient_humidity must be "relative" or "absolute", found {self.ambient_humidity!r}'
+            )
 
 
 def _sensed(

@@ -76,6 +76,13 @@ def test_the_mixing_ratio_stays(altitude: float) -> None:
     assert moved.site.altitude_m == altitude
 
 
+def test_there_and_back() -> None:
+    # downwards first, where nothing condenses
+    again = at_altitude(at_altitude(record(), 0.0, 250.0), 250.0, 0.0)
+    for signal in ("ambient_temperature", "ambient_dew_point_temperature", "ambient_pressure"):
+        assert again[signal].value == pytest.approx(record()[signal].value, rel=1e-9)
+
+
 def test_missing_readings_stay_missing() -> None:
     one = record()
     value = one["ambient_dew_point_temperature"].value.copy()

@@ -112,7 +112,9 @@ def test_a_real_leap_year_in_a_common_one(tmp_path: Path) -> None:
 def test_faults_of_files(tmp_path: Path) -> None:
     text = made.epw_text()
     lines = text.splitlines()
-    assert "found 4992: the file is cut short" in faults(written(tmp_path, "\n".join(lines[:5000])))
+    assert faults(written(tmp_path, "\n".join(lines[:5000]))) == (
+        "expected 8760 hours after its DATA PERIODS, found 4992: the file is cut short; fetch it again"
+    )
     assert "the file is cut short or is not EPW" in faults(written(tmp_path, "\n".join(lines[:4])))
     assert "first line begins with LOCATION" in faults(written(tmp_path, "time,T\n1,2\n"))
     wrong = [lines[0].replace("48.500", "north"), *lines[1:100], "2010,1,4,25,0,x,warm", *lines[101:]]
@@ -137,6 +139,17 @@ def test_faults_of_files(tmp_path: Path) -> None:
     )
     with pytest.raises(TableFault, match="1900 … 2200"):
         read_epw(written(tmp_path, text), 19)
+
+
+def test_archives_of_weather_services(tmp_path: Path) -> None:
+    text = made.epw_text().encode()
+    path = made.zipped(
+        tmp_path / "site.zip",
+        {"site.epw": text, "site.stat": b"statistics of the file", "site.ddy": b"! days"},
+    )
+    assert len(read_epw(path)["ambient_temperature"]) == 8760
+    assert "holds 2 such files" in faults(made.zipped(path, {"a.epw": text, "b.epw": text}))
+    assert 'state format = "era5"' in faults(made.new_file(tmp_path / "era5.nc"))
 
 
 @measured
@@ -178,9 +191,6 @@ def test_an_archive_of_a_weather_service_is_known_by_what_is_in_it(tmp_path: Pat
     )
     assert form_of(written(tmp_path, text, "site.txt")) == "epw"
     assert form_of(made.streams(tmp_path / "era5.nc")) == "era5" and form_of(tmp_path / "no.zip") is None
-    both = {"a.epw": text.encode(), "b.epw": text.encode()}
-    assert "holds 2 such files" in faults(made.zipped(tmp_path / "two.zip", both))
-    assert 'state format = "era5"' in faults(made.new_file(tmp_path / "new.nc"))
     (tmp_path / "cut.zip").write_bytes(path.read_bytes()[:400])
     with pytest.raises(TableFault, match="damaged ZIP"):
         read_weather(tmp_path / "cut.zip")

@@ -126,6 +126,15 @@ def test_the_point_products_csv(tmp_path: Path, packing: str) -> None:
     assert (record.site.latitude_deg, record.site.longitude_deg) == (48.5, 5.5)
 
 
+def test_the_point_products_netcdf_needs_no_site(tmp_path: Path) -> None:
+    dataset = (
+        made.new_dataset(("t2m", "d2m", "sp")).drop_vars(["number", "expver"]).isel(latitude=1, longitude=1)
+    )
+    path = tmp_path / "point.nc"
+    path.write_bytes(made.netcdf4(dataset))
+    assert_middle_cell(read_era5(path))
+
+
 def test_any_data_set_with_long_names() -> None:
     import xarray
 
@@ -220,7 +229,8 @@ def packed(total: np.ndarray, largest: np.ndarray) -> np.ndarray:
     return np.floor(total / step) * step
 
 
-@pytest.mark.parametrize(("longitude", "as_csv"), [(8.0, False), (-75.0, True), (-150.0, True)])
+@pytest.mark.parametrize("longitude", [8.0, -75.0, -150.0])
+@pytest.mark.parametrize("as_csv", [True, False])
 def test_packed_sums_since_midnight_are_told_over_the_whole_file(
     longitude: float, as_csv: bool, tmp_path: Path
 ) -> None:
@@ -280,6 +290,12 @@ def test_a_netcdf_file_cut_short(tmp_path: Path) -> None:
             assert "cut short; fetch it again" in said and said.count("\n") == 0
 
 
+def test_an_archive_cut_short(tmp_path: Path) -> None:
+    path = made.streams(tmp_path / "era5.zip")
+    path.write_bytes(path.read_bytes()[:-300])
+    assert "damaged ZIP archive" in faults(path)
+
+
 def test_csv_cut_short(tmp_path: Path) -> None:
     path = tmp_path / "point.csv"
     path.write_bytes(made.point_csv()[:-30])
@@ -304,6 +320,13 @@ def test_other_files(tmp_path: Path, data: bytes, words: str) -> None:
     path = tmp_path / "era5.nc"
     path.write_bytes(data)
     assert words in faults(path)
+
+
+def test_no_such_file_and_a_directory(tmp_path: Path) -> None:
+    (tmp_path / "era5_2021.nc").touch()
+    said = faults(tmp_path / "era5_2020.nc")
+    assert "no such file" in said and "era5_2021" in said
+    assert "directory" in faults(tmp_path)
 
 
 def test_wrong_units_all_at_once(tmp_path: Path) -> None:
@@ -344,10 +367,15 @@ def test_missing_axes_and_fields(tmp_path: Path) -> None:
     assert "expected times such as" in faults(path)
 
 
+def test_without_a_dew_point_the_lack_is_said(tmp_path: Path) -> None:
+    record = read_era5(made.new_file(tmp_path / "era5.nc", ("t2m", "sp")), SITE)
+    assert any("no humidity" in said for said in record.warnings)
+
+
 # -- archives ------------------------------------------------------------------------------------------------
 def test_a_zip_bomb_is_refused_before_it_unfolds(tmp_path: Path) -> None:
-    path = made.zipped(tmp_path / "bomb.zip", {"era5.nc": b"\x89HDF\r\n\x1a\n" + bytes(60_000_000)})
-    assert path.stat().st_size < 100_000
+    path = made.zipped(tmp_path / "bomb.zip", {"era5.nc": b"\x89HDF\r\n\x1a\n" + bytes(300_000_000)})
+    assert path.stat().st_size < 400_000
     assert "unpacks to more than 200 times its size" in faults(path)
     path = tmp_path / "bomb.nc"
     path.write_bytes(gzip.compress(b"CDF\x01" + bytes(50_000_000)))

@@ -51,7 +51,7 @@ def test_daily_files_follow_each_other_alone_and_in_an_archive(tmp_path: Path) -
         for file in files:
             into.write(file, file.name)
     assert form_of(archive) == "merra2"
-    for given in (files[::-1], [archive]):
+    for given in (files, [archive], files[::-1]):
         series = read_weather(given, site=SITE)["ambient_temperature"]
         np.testing.assert_allclose(series.value, made.merra2_truth("T2M", days=4), rtol=1e-6)
         assert (np.diff(series.time) == 3600.0).all()
@@ -85,3 +85,12 @@ def test_what_is_missing_is_nan(tmp_path: Path) -> None:
 )
 def test_faults_are_named(tmp_path: Path, names: tuple[str, ...], minute: int, words: str) -> None:
     assert words in faults(made.merra2_file(tmp_path, names=names, first_minute=minute))
+
+
+def test_a_grid_needs_a_site(tmp_path: Path) -> None:
+    assert "no site is given" in faults(made.merra2_file(tmp_path), None)
+
+
+def test_without_humidity_the_record_says_so(tmp_path: Path) -> None:
+    record = read_merra2(made.merra2_file(tmp_path, names=("T2M", "U10M", "V10M")), SITE)
+    assert any("no humidity" in said for said in record.warnings)

@@ -14,7 +14,7 @@ from builders.weather_case import relative_humidity
 
 from hygrokf.data.record import Site
 from hygrokf.weather.open_meteo import read_open_meteo
-from hygrokf.weather.reading import form_of, read_weather_file
+from hygrokf.weather.reading import form_of, read_weather, read_weather_file
 
 START_S = np.datetime64("2021-03-01T00:00", "s").astype(np.int64).astype(float)
 HOUR = np.arange(96.0)
@@ -129,6 +129,14 @@ def test_null_is_missing_and_gzip_is_read(tmp_path: Path) -> None:
     assert list(np.flatnonzero(np.isnan(read_open_meteo(path)["ambient_temperature"].value))) == [5]
     csv = made.open_meteo_csv(tmp_path / "site.csv", answer)
     assert list(np.flatnonzero(np.isnan(read_open_meteo(csv)["ambient_temperature"].value))) == [5]
+
+
+def test_years_follow_each_other(tmp_path: Path) -> None:
+    files = [
+        made.open_meteo_json(tmp_path / f"{start}.json", made.open_meteo(start=f"{start}T00:00"))
+        for start in ("2021-03-01", "2021-03-05")
+    ]
+    assert len(read_weather(files)["ambient_temperature"]) == 192
 
 
 def test_other_files_are_named(tmp_path: Path) -> None:

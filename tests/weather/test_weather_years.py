@@ -17,6 +17,10 @@ from hygrokf.weather.reading import gaps_text, read_weather, read_weather_file
 SITE = Site(48.48, 5.57, 311.0)
 
 
+def moment(text: str) -> float:
+    return float(np.datetime64(text, "s").astype(np.int64))
+
+
 def test_files_put_after_each_other(tmp_path: Path) -> None:
     later = made.START + 3600 * made.HOURS
     paths = [made.new_file(tmp_path / "b.nc", start=later, preliminary=5), made.new_file(tmp_path / "a.nc")]
@@ -88,6 +92,15 @@ def test_records_of_different_places_are_not_joined() -> None:
     assert len(joined([at(48.0, 0.0), at(48.0, 7200.0)], "x")["ambient_temperature"]) == 5
     with pytest.raises(TableFault, match="different places"):
         joined([at(48.0, 0.0), at(49.0, 1e5)], "x")
+
+
+def test_contradicting_files_are_masked_and_said() -> None:
+    time = 3600.0 * np.arange(3)
+    one = Record("a", (Series("ambient_temperature", time, np.array([280.0, 281.0, 282.0])),))
+    other = Record("b", (Series("ambient_temperature", time, np.array([280.0, 281.5, 282.0])),))
+    record = joined([one, other], "x")
+    assert list(record["ambient_temperature"].missing) == [False, True, False]
+    assert "contradicting ones masked" in record.warnings[0]
 
 
 def test_the_rounding_of_packed_files_is_no_contradiction() -> None:
