@@ -1,8 +1,8 @@
 """What the package's causes are as models: forms, each with the mechanisms that it adds and the settings to
 try.
 
-What is a near image of another form, such as a heater by thermostat or by
-humidistat, is a form of one cause and not a cause of its own.
+What is a near image of another form, such as a heater by thermostat or by humidistat, is a form of one cause
+and not a cause of its own.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ class Form:
     """One form of a cause.
 
     code: its name among the cause's forms, which views tell in words: an underscore is a space, two are a
-    comma and a space; of a clock the source's.
+    comma and a space.  What follows a colon is the name of a source and stays as it is.
     heat, vapour: mechanisms that it adds; altered: mechanism of the base → settings that differ.  On a record
     without humidity those of the heat alone are added.
     grid: what is tried; limits: of parameters, where they are narrower than the library's.
@@ -278,10 +278,10 @@ def clock(ground: Ground) -> Iterator[Form]:
     shifts, hour = ([Setting(shift_s=HOUR_S * h) for h in hours] for hours in (SHIFTS_H, (-1.0, 1.0)))
     steps = {("clock", "shift_s"): 0.125 * HOUR_S}
     for name in names:
-        yield Form("clock_shift", name, grid=tuple(shifts), steps=steps, clock=name)
+        yield Form("clock_shift", f"all_year:{name}", grid=tuple(shifts), steps=steps, clock=name)
     summer = summer_time(ground.record[TEMPERATURE].time, in_america(ground.record))
     for name in names if summer.any() and not summer.all() else ():
-        yield Form("clock_shift", f"{name}__in_summer_time", grid=tuple(hour), clock=name, summer=True)
+        yield Form("clock_shift", f"in_summer_time:{name}", grid=tuple(hour), clock=name, summer=True)
 
 
 def temperature_offset(ground: Ground) -> Iterator[Form]:

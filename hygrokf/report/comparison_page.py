@@ -187,13 +187,13 @@ def _differences(tables: Sequence[Table]) -> tuple[Block, ...]:
 
 def _card(found: ComparisonResults, name: str) -> Card:
     """The column that errs least in one quantity, and its differences from the others."""
-    told = quantity(name)
+    terms = quantity(name)
     period = "validation" if found.errors("validation", name) else "whole"
     scored = found.errors(period, name)
     best = min(scored, key=lambda label: scored[label].value)
-    value = f"{best}: {told.told(scored[best].value)}"
+    value = f"{best}: {terms.with_unit(scored[best].value)}"
     lines = summary(found, name, best)
-    label = f"Smallest error of the {told.words}, {_WHERE[period]}"
+    label = f"Smallest error of the {terms.words}, {_WHERE[period]}"
     return Card(label, value, lines=tuple(lines[:2]), words=True, tone="plain")
 
 
@@ -201,7 +201,7 @@ _WHERE = {"validation": "in validation", "whole": "over the whole record"}
 
 
 def summary(found: ComparisonResults, name: str, best: str) -> list[str]:
-    """The differences of the best column from the others in one name, in sentences: in validation, and
+    """The differences of the best column from the others in one quantity, in sentences: in validation, and
     over the whole record where the validation is too short for bounds."""
     said = []
     for of, less in (pair for pair in found.pairs if best in pair):
@@ -223,10 +223,10 @@ def _sentence(row: ErrorRow) -> str:
         sure = f" (95 % {interval(low, high)})"
     else:
         sure = "; the bounds include zero"
-    told, where = quantity(row.quantity), _WHERE[row.period]
+    terms, where = quantity(row.quantity), _WHERE[row.period]
     if abs(row.value) < 0.005:
-        return f"{row.column} and {row.against} differ by less than {told.told(0.01)} {where}{sure}."
-    return f"{less} errs by {told.told(abs(row.value))} less than {more} {where}{sure}."
+        return f"{row.column} and {row.against} differ by less than {terms.with_unit(0.01)} {where}{sure}."
+    return f"{less} errs by {terms.with_unit(abs(row.value))} less than {more} {where}{sure}."
 
 
 # --- tables ----------------------------------------------------------------------------------

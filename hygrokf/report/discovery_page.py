@@ -107,16 +107,16 @@ def gains_table(found: DiscoveryResults) -> Table:
     wider = found.extended is not None
     places = [place_of(found, gain) for gain in found.gains]
     for gain, place in zip(found.gains, places, strict=True):
-        told = quantity(gain.quantity)
-        name = told.words
-        rule = best_rule(found.baseline.fit, told.name, gain.period) if told.name else None
-        against = NONE if rule is None else f"{told.told(rule.rule)} (“{rule.words}”)"
-        pair = _pair(gain.rmse_before, gain.rmse_after, told)
+        terms = quantity(gain.quantity)
+        name = terms.words
+        rule = best_rule(found.baseline.fit, terms.name, gain.period) if terms.name else None
+        against = NONE if rule is None else f"{terms.with_unit(rule.rule)} (“{rule.words}”)"
+        pair = _pair(gain.rmse_before, gain.rmse_after, terms)
         known = not unchanged(gain.rmse_before, gain.rmse_after) and math.isfinite(gain.upper - gain.lower)
-        bounds = interval(gain.lower, gain.upper, symbol=told.unit) if known else NONE
+        bounds = interval(gain.lower, gain.upper, symbol=terms.unit) if known else NONE
         rows.append((name if place == places[0] else f"{name}, {place}", *pair, bounds, against))
         if math.isfinite(gain.driven_before):
-            driven = _pair(gain.driven_before, gain.driven_after, told)
+            driven = _pair(gain.driven_before, gain.driven_after, terms)
             rows.append((f"{name}, on the measured temperature", *driven, NONE, NONE))
     about = f"free-run error on {places[0] if places else 'readings'}"
     head = (about, "base model", "extended model", "change", "bounds of the fall", "best rule, no model")
@@ -134,19 +134,19 @@ def gains_table(found: DiscoveryResults) -> Table:
     )
 
 
-def _pair(before: float, after: float, told: QuantityTerms) -> tuple[str, str, str]:
+def _pair(before: float, after: float, terms: QuantityTerms) -> tuple[str, str, str]:
     change = "±0 %" if unchanged(before, after) else _change(before, after)
-    return told.told(before), told.told(after), change
+    return terms.with_unit(before), terms.with_unit(after), change
 
 
 def held_out_table(test: HeldOutTest) -> Table:
     """What held-out readings say of a cause, by quantity."""
     rows = []
     for q in test.before:
-        told = quantity(q)
+        terms = quantity(q)
         numbers = (round(one.get(q, math.nan), 2) + 0.0 for one in (test.z, test.growth))  # no −0.00
-        pair = _pair(test.before[q], test.after.get(q, math.nan), told)
-        rows.append((told.words, *pair, *map(fixed, numbers)))
+        pair = _pair(test.before[q], test.after.get(q, math.nan), terms)
+        rows.append((terms.words, *pair, *map(fixed, numbers)))
     return Table(
         "Held-out readings, without and with the cause",
         ("", "without", "with", "change", "z", "growth"),

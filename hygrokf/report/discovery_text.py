@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
@@ -88,9 +89,10 @@ UNCHANGED = 5e-3
 
 
 def form_words(code: str) -> str:
-    """The code of a form as it is read: "humidistat__at_standstill" -> "humidistat, at standstill"; the name
-    of a clock's file stays as it is."""
-    return ", ".join(part if "." in part else spoken(part) for part in code.split("__"))
+    """The code of a form as it is read: "humidistat__at_standstill" -> "humidistat, at standstill",
+    "in_summer_time:scada_log" -> "scada_log, in summer time"."""
+    words, _, source = code.partition(":")
+    return ", ".join([source] * bool(source) + [spoken(part) for part in words.split("__")])
 
 
 def formed(one: CauseFound | Rejected) -> str:
@@ -321,8 +323,8 @@ def chosen_words(cause: CauseFound) -> Iterator[str]:
     for name in (one for one in cause.chosen if one in cause.settings):
         value = cause.settings[name]
         against = cause.settings.get("relative_to") if name == "shift_s" else None
-        try:
-            words = CHOSEN[name](value)
-        except (KeyError, TypeError, ValueError):  # of a user's own feature
-            words = f"{name} = {value}"
+        words = f"{name} = {value}"
+        if name in CHOSEN:
+            with suppress(TypeError, ValueError):  # a user's own feature may mean something else by it
+                words = CHOSEN[name](value)
         yield f"{words} against {against}" if against else words

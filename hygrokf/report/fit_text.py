@@ -133,11 +133,11 @@ def _time_constant(fit: FitResults, part: str) -> SubjectVerdict:
 def _errors(fit: FitResults) -> Iterator[SubjectVerdict]:
     """The free run's error in validation, else in identification."""
     for part, name in QUANTITY_OF.items():
-        told = quantity(name)
+        terms = quantity(name)
         errors = ((period, fit.errors(period, name).total) for period in ("validation", "identification"))
-        scored = [f"{told.told(error)} in {period}" for period, error in errors if math.isfinite(error)]
+        scored = [f"{terms.with_unit(error)} in {period}" for period, error in errors if math.isfinite(error)]
         if scored:
-            subject = f"The free run's {told.words}, off by {' after '.join(scored)}"
+            subject = f"The free run's {terms.words}, off by {' after '.join(scored)}"
             yield _judged(name, subject, free_run_reasons(fit, part))
 
 

@@ -68,7 +68,7 @@ class QuantityTerms:
         """The label of its root mean squared errors."""
         return f"RMSE of the {self.words} [{self.unit}]"
 
-    def told(self, value: float) -> str:
+    def with_unit(self, value: float) -> str:
         """An error with its unit: "0.52 K"."""
         return f"{fixed(value)} {self.unit}"
 
@@ -82,6 +82,8 @@ NAMES = {
     "absolute_humidity": "absolute_humidity_g_m3",
 }
 """Quantity of series, of residuals or of a search → scored quantity."""
+LEAST_P = 0.001
+"""[1] below it a probability is told as less than it."""
 COLDEST_K = 150.0
 """[K] above it a parameter is a temperature, below it a difference."""
 
@@ -145,7 +147,12 @@ def interval(low: float, high: float, text: Callable[[float], str] = fixed, symb
 
 def p_value(p: float) -> str:
     """A probability as printed."""
-    return NONE if math.isnan(p) else "< 0.001" if p < 0.001 else f"{p:.3f}"
+    return NONE if math.isnan(p) else f"< {LEAST_P}" if p < LEAST_P else f"{p:.3f}"
+
+
+def p_equation(p: float) -> str:
+    """A probability with its name: "p < 0.001", "p = 0.034"."""
+    return f"p {'' if p < LEAST_P else '= '}{p_value(p)}"
 
 
 def share_text(share: float) -> str:

@@ -58,6 +58,7 @@ from hygrokf.report.discovery_page import (
 )
 from hygrokf.report.discovery_text import (
     chosen_words,
+    form_words,
     formed,
     held_out_sentence,
     held_out_sentences,
@@ -121,7 +122,7 @@ def test_tables_and_sentences_carry_the_numbers() -> None:
         ),
     )
     assert parameters_table(found.causes[0]).rows == (
-        ("solar_heat", "6.1", "5.5 … 6.9", "K/(kW/m²)", "heat of the sun"),
+        ("solar_heat", "6.13", "5.47 … 6.88", "K/(kW/m²)", "heat of the sun"),
         ("solar_time", "0.690", "open … 1.01", "h", "lag"),
     )
     errors = gains_table(found)
@@ -297,14 +298,17 @@ def test_every_form_of_the_library_has_words() -> None:
     assert {form.cause for form in made} == {cause.name for cause in LIBRARY}
     assert all(form.code for form in made)
     clocks = {form.code for form in made if form.cause == "clock_shift"}
-    assert clocks and clocks <= set(sources(record))
+    assert clocks and {code.partition(":")[2] for code in clocks} <= set(sources(record))
+    assert all(form_words(form.code) for form in made)
 
 
 def test_a_form_is_told_with_its_cause() -> None:
     assert formed(Rejected("unlogged_heater", "humidistat__at_standstill")) == (
         "unlogged heater (humidistat, at standstill)"
     )
-    assert formed(Rejected("clock_shift", "cabinet_log.csv")) == "clock shift (cabinet_log.csv)"
+    assert formed(Rejected("clock_shift", "in_summer_time:cabinet_log")) == (
+        "clock shift (cabinet_log, in summer time)"
+    )
     assert formed(Rejected("oven")) == "oven"
 
 
@@ -397,7 +401,7 @@ def test_the_text_is_narrow_and_says_what_the_page_says() -> None:
     expect_narrow(text)
     joined = " ".join(text.split())
     for part in (
-        "temperature 1.85 K 1.57 K −15 %", "solar_heat 6.1 5.5 … 6.9 K/(kW/m²)", SHADE,
+        "temperature 1.85 K 1.57 K −15 %", "solar_heat 6.13 5.47 … 6.88 K/(kW/m²)", SHADE,
         "1.36 h (1.31 … 1.41)", "1.20 h (1.15 … 1.25)", "Door opening (single openings)", "SYNTHETIC",
     ):  # fmt: skip
         assert part in joined, part

@@ -95,13 +95,13 @@ def figure_courses(records: Sequence[Shown]) -> Picture:
         raise NothingToShow("There are no readings to show.")
     panels = []
     for name in quantities:
-        told = quantity(name)
-        label = told.level.replace(" ", "\n", told.words.count(" "))
+        terms = quantity(name)
+        label = terms.level.replace(" ", "\n", terms.words.count(" "))
         for one in records:
             made = {MEASURED_NAME: one.course.measured, **one.course.simulated}
             lines = {MEASURED_NAME: ("reading", MEASURED), **one.lines}
             marks = tuple(
-                course(one.course.time_s, made[key][name] - told.zero, one.span, colour, width, words)
+                course(one.course.time_s, made[key][name] - terms.zero, one.span, colour, width, words)
                 for key, (words, colour) in lines.items()
                 if name in made[key]
                 for width in (1.3 if key == MEASURED_NAME else 0.9,)

@@ -70,9 +70,9 @@ def events(found: DiscoveryResults) -> list[Finding]:
 def figure_episodes(residuals: Residuals, finding: Finding, after: Residuals | None = None) -> Picture:
     """The episodes in which a finding is largest, with the free run's 95 % band and below it the error; of a
     lasting finding the daily means over the whole record."""
-    name, told = finding.quantity, quantity(finding.quantity)
+    name, terms = finding.quantity, quantity(finding.quantity)
     if name not in residuals.measured or not np.isfinite(residuals.error[name]).any():
-        raise NothingToShow(f"There are no errors of the {told.words} to show.")
+        raise NothingToShow(f"There are no errors of the {terms.words} to show.")
     if finding.kind in LASTING_KINDS:
         return Picture((_lasting(residuals, finding, after),), height_in=2.5)
     windows = _windows(finding, residuals)
@@ -90,8 +90,8 @@ def figure_episodes(residuals: Residuals, finding: Finding, after: Residuals | N
         errors = [
             course(one.time_s, -one.error[name], span, colour, 1.0, bins=NARROW) for one, colour, _ in models
         ]
-        above.append(Panel((*marks, *where), x, Axis(told.level, limits)))
-        y = Axis(told.error, (-1.1 * reach, 1.1 * reach), most=5)
+        above.append(Panel((*marks, *where), x, Axis(terms.level, limits)))
+        y = Axis(terms.error, (-1.1 * reach, 1.1 * reach), most=5)
         below.append(Panel((*where, CrossLine(0.0, "y"), *errors), x, y))
     for row in (above, below):
         row[1:] = [replace(one, y=replace(one.y, label="")) for one in row[1:]]

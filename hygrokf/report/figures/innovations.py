@@ -32,7 +32,7 @@ from hygrokf.report.figures.panels import (
     course,
     strokes,
 )
-from hygrokf.report.quantities import p_value, spoken
+from hygrokf.report.quantities import p_equation, spoken
 
 QUANTILES = 160
 """Points of the quantile plot, evenly spread over the normal distribution's quantiles."""
@@ -130,7 +130,7 @@ def _cumulative(data: CumulativePeriodogram) -> Panel:
         return Panel(title="no cumulative periodogram in fit.json")
     end = float(frequency[-1])
     line = np.array([0.0, end])
-    words = f"p = {p_value(data.p)}".replace("= <", "<")
+    words = p_equation(data.p)
     marks = (
         Band(line, line / end - data.limit, line / end + data.limit, QUIET),
         Curve(line, line / end, QUIET, 0.6),

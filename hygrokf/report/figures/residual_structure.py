@@ -71,7 +71,7 @@ def figure_drivers(residuals: Residuals, drivers: Sequence[str], after: Residual
         raise NothingToShow("No driver varies enough to hold the error against it.")
     panels = []
     for one in quantities:
-        error, told = -early.error[one], quantity(one)
+        error, terms = -early.error[one], quantity(one)
         reach = 1.05 * float(np.nanquantile(np.abs(error), 0.95)) or 1.0
         for name in chosen:
             value, unit = displayed(name, early.drivers[name])
@@ -83,8 +83,8 @@ def figure_drivers(residuals: Residuals, drivers: Sequence[str], after: Residual
                 marks.append(Curve(*line, AFTER, 1.4, "after", "o", 2.4))
             short = unit.replace("% of the rated power", "% of rated")
             x = Axis(textwrap.fill(f"{words(name)} [{short or '1'}]", 27), most=5)
-            title = told.title if name == chosen[0] else ""
-            y = Axis(told.excess, (-reach, reach))
+            title = terms.title if name == chosen[0] else ""
+            y = Axis(terms.excess, (-reach, reach))
             panels.append(Panel(tuple(marks), x, y, title) if marks else Panel(title="too few hours"))
     return Picture(tuple(panels), height_in=0.7 + 1.7 * len(quantities), columns=len(chosen), shared="xy")
 
@@ -174,8 +174,8 @@ def figure_error_course(before: Residuals, after: Residuals) -> Picture:
         )
         top = 1.08 * float(np.nanmax([base, extended])) or 1.0
         x = Axis(limits=(time[0], time[-1]), kind="time")
-        told = quantity(one)
-        panels.append(Panel(marks, x, Axis(f"RMS [{told.unit}]", (0.0, top), most=5), told.title))
+        terms = quantity(one)
+        panels.append(Panel(marks, x, Axis(f"RMS [{terms.unit}]", (0.0, top), most=5), terms.title))
     if not panels:
         raise NothingToShow("No held-out readings can be compared with the simulations.")
     return Picture(tuple(panels), height_in=0.62 + 1.35 * len(panels), shared="x")
@@ -194,14 +194,14 @@ def _daily_rms(residuals: Residuals, name: str, days: np.ndarray) -> np.ndarray:
 
 def figure_day_hour(residuals: Residuals, name: str = TEMPERATURE, after: Residuals | None = None) -> Picture:
     """Error of the free run by day (across) and hour of the day (up), over identification and validation."""
-    told = quantity(name)
+    terms = quantity(name)
     if name not in _known(residuals):
-        raise NothingToShow(f"There are no errors of the {told.words} to show.")
+        raise NothingToShow(f"There are no errors of the {terms.words} to show.")
     models = [("", residuals)] if after is None else [(", before", residuals), (", after", after)]
     maps = [_by_day(one, name) for _, one in models]
     first, table = maps[0]
     reach = float(np.nanquantile(np.abs(table), 0.97)) or 1.0
-    scale = ColourScale(DIVERGING, told.unit, -reach, reach)
+    scale = ColourScale(DIVERGING, terms.unit, -reach, reach)
     span = (DAY_S * first, DAY_S * (first + len(table)))
     panels = []
     for (label, one), (day, values) in zip(models, maps, strict=True):
@@ -211,7 +211,7 @@ def figure_day_hour(residuals: Residuals, name: str = TEMPERATURE, after: Residu
                 (shown, *held_out(one, span)),
                 Axis(limits=span, kind="time", grid=False),
                 Axis("hour [UTC]", (0.0, 24.0), at=range(0, 25, 6), grid=False),
-                f"{told.title}, simulation − reading{label}",
+                f"{terms.title}, simulation − reading{label}",
             )
         )
     return Picture(tuple(panels), height_in=0.5 + 1.55 * len(maps), shared="x", scale=scale)

@@ -302,7 +302,7 @@ def _constants(fit: FitResults) -> Table:
         if name in kinds and (late == late or early == early):
             error, where = (late, "on new data") if late == late else (early, "on the data of the fit")
             words = f"error of the simulated {quantity(name).words}, {where}"
-            rows.append((words, quantity(name).told(error), "", WORDS[kinds[name]]))
+            rows.append((words, quantity(name).with_unit(error), "", WORDS[kinds[name]]))
     return Table(
         "The numbers",
         ("", "value", "95 % bounds", "verdict"),
