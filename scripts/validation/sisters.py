@@ -6,12 +6,14 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
 
+from builders import greenhouse
+
 from hygrokf import identify, transfer_fit
 from hygrokf.data.record import Record
 from hygrokf.identification.fit import Fit
 from validation.counts import markdown
 from validation.frame import DATA, Claim
-from validation.records import expect, measured
+from validation.records import expect
 
 TURBINES = "two_sister_turbines_2MW_10min_2016.csv.gz"
 PAIRS = {
@@ -53,7 +55,8 @@ def record(name: str) -> Record:
     if name.startswith("turbine"):
         expect(TURBINES)
         return turbine(int(name.split()[1]))
-    return measured(name)
+    expect(*greenhouse.files(name))
+    return greenhouse.whole(name)
 
 
 @lru_cache(maxsize=2)

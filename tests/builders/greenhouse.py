@@ -14,6 +14,7 @@ from hygrokf.cases.frames import read_frames
 from hygrokf.data.record import Record
 
 EXCERPTS = Path(__file__).parent / "greenhouse_data"
+WHOLE = Path(__file__).resolve().parents[2] / "../shared/data"
 PIPE_K = 60.0
 """[K] warmth of the pipe above the air that counts as full duty."""
 UNITS = {
@@ -23,15 +24,30 @@ UNITS = {
 }  # fmt: skip
 
 
-def _read(name: str) -> pd.DataFrame:
-    found = pd.read_csv(EXCERPTS / f"{name}_15min.csv.gz")
+def _read(file: Path) -> pd.DataFrame:
+    found = pd.read_csv(file)
     found.index = pd.to_datetime(found.pop("time"))
     return found[~found.index.duplicated()]
 
 
 def excerpt(compartment: str) -> Record:
     """Quarter-hourly rows of four weeks, identified up to 1 March."""
-    inside, weather = _read(compartment), _read("weather")
+    inside, weather = (_read(EXCERPTS / f"{name}_15min.csv.gz") for name in (compartment, "weather"))
+    return _record(compartment, inside, weather, "2022-03-01T00:00+01:00")
+
+
+def files(compartment: str) -> tuple[str, str]:
+    """The files of a compartment and of the weather, which are not shipped."""
+    return tuple(f"greenhouse_agc2022_{name}_5min.csv.gz" for name in (compartment, "weather"))
+
+
+def whole(compartment: str) -> Record:
+    """Five-minute rows of six weeks, identified up to 4 March; FileNotFoundError where they are absent."""
+    inside, weather = (_read(WHOLE / file) for file in files(compartment))
+    return _record(compartment, inside, weather, "2022-03-04T00:00+01:00")
+
+
+def _record(compartment: str, inside: pd.DataFrame, weather: pd.DataFrame, until: str) -> Record:
     pipe = np.clip(inside.heating_pipe_degC - inside.air_temperature_degC, 0.0, None)
     cabinet = pd.DataFrame(
         {
@@ -53,6 +69,6 @@ def excerpt(compartment: str) -> Record:
         {"climate computer": cabinet, "weather": ambient},
         units=UNITS,
         timezone="+01:00",
-        identification={"until": "2022-03-01T00:00+01:00"},
+        identification={"until": until},
         name=compartment,
     )
