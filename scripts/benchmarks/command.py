@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 import sys
 from collections.abc import Sequence
 
@@ -39,6 +40,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
             ratios.append(one)
     except against.NotMeasured as why:
         parser.error(str(why))
-    rows = ((r.name, f"{r.median:.4g}", f"{r.low:.3g} … {r.high:.3g}", r.note) for r in ratios)
+    rows = ((r.name, f"{r.median:.4g}", _interval(r), r.note) for r in ratios)
     print(markdown(("measurement", f"this / {options.against}", "interval", ""), rows))
     return 0
+
+
+def _interval(ratio: against.Ratio) -> str:
+    """The interval that holds the median; none from two pairs."""
+    return f"{ratio.low:.3g} … {ratio.high:.3g}" if math.isfinite(ratio.low) else "–"
