@@ -16,13 +16,14 @@ from hygrokf.data.files import DRAFT_DOUBT, write_text_whole
 from hygrokf.data.input_paths import ON_CHANGE, on_change
 from hygrokf.data.readings import detect_resolution
 from hygrokf.data.signals import SIGNALS, to_si
-from hygrokf.data.timestamps import duration_text, stamp_text, summer_time_holes
+from hygrokf.data.timestamps import summer_time_holes
 from hygrokf.drafting.layout import Export, read_export
 from hygrokf.drafting.mapping import DraftedSignal, LeftColumn, Source, assigned, rated_power, source_of
 from hygrokf.drafting.reshape import joined, prepared, same_layout
 from hygrokf.drafting.stamps import sun_remark
 from hygrokf.errors import HygrokfError
 from hygrokf.physics.holds import LINEAR
+from hygrokf.texts.wording import duration_text, stamp_text
 from hygrokf.weather.archive import contents
 from hygrokf.weather.reading import form_of
 

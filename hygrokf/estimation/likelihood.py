@@ -19,7 +19,6 @@ from typing import Any
 import numpy as np
 
 from hygrokf.data.record import kind_of
-from hygrokf.data.timestamps import duration_text, stamp_text
 from hygrokf.engine.filter_loops import Control, filter_loop
 from hygrokf.engine.gaps import gap_variances
 from hygrokf.engine.information import summed
@@ -51,6 +50,7 @@ from hygrokf.estimation.start import Moments, law, law_with_slopes, packed, pack
 from hygrokf.physics.expression import Expression
 from hygrokf.physics.model import Model, fields_alone, fields_by_line
 from hygrokf.physics.parameters import Parameter, expect_values
+from hygrokf.texts.wording import duration_text, stamp_text
 
 CHUNK = 4096
 """Number of instants for which sensitivities are held in memory at a time."""

@@ -16,7 +16,8 @@ from hygrokf.data.columns import Notation, Places, TableFault, table_of
 from hygrokf.data.numbers import UNKNOWN
 from hygrokf.data.record import Record, Site
 from hygrokf.data.table_readers import csv_rows
-from hygrokf.data.timestamps import HOUR_S, stamp_text
+from hygrokf.data.timestamps import HOUR_S
+from hygrokf.texts.wording import stamp_text
 from hygrokf.weather.archive import only_content
 from hygrokf.weather.site_weather import (
     SiteWeather,

@@ -16,7 +16,8 @@ import numpy as np
 from hygrokf.data.columns import TableFault
 from hygrokf.data.readings import mask
 from hygrokf.data.record import Record, Series, Site
-from hygrokf.data.timestamps import duration_text, modal_step, stamp_text
+from hygrokf.data.timestamps import modal_step
+from hygrokf.texts.wording import duration_text, stamp_text
 from hygrokf.weather.archive import kind_of
 from hygrokf.weather.joining import joined
 from hygrokf.weather.open_meteo import read_open_meteo

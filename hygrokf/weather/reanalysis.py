@@ -13,8 +13,9 @@ from hygrokf.data.columns import Notation, TableFault
 from hygrokf.data.numbers import UNKNOWN
 from hygrokf.data.record import Record, Site
 from hygrokf.data.table_readers import table_in
-from hygrokf.data.timestamps import DAY_S, HOUR_S, MINUTE_S, duration_text, modal_step, stamp_text
+from hygrokf.data.timestamps import DAY_S, HOUR_S, MINUTE_S, modal_step
 from hygrokf.physics.psychrometrics import dew_point, vapour_pressure_from_specific_humidity
+from hygrokf.texts.wording import duration_text, stamp_text
 from hygrokf.weather.archive import FORMATS_OF_KINDS, FileContent, contents, read_each
 from hygrokf.weather.gridded import GROUND, open_dataset, point_site, point_weather
 from hygrokf.weather.joining import joined

@@ -22,8 +22,7 @@ from builders.service_case import running
 from builders.waiting import eventually
 from playwright.sync_api import Browser, Page, expect
 
-from hygrokf.data.timestamps import stamp_text
-from hygrokf.identification.verdict_terms import REJECT, Inherited, Reason
+from hygrokf.identification.verdict_terms import Inherited
 from hygrokf.live import service as service_module
 from hygrokf.live.batch import Alarm, Assessment, Batch
 from hygrokf.live.condition import Surface
@@ -33,6 +32,8 @@ from hygrokf.live.sources.local import Playback, record_mapping, record_messages
 from hygrokf.live.web.application import PageEndpoints as LivePage
 from hygrokf.live.web.page_settings import PageSettings
 from hygrokf.live.web.server import Hub, serve
+from hygrokf.texts.verdict import REJECT, Reason
+from hygrokf.texts.wording import stamp_text
 
 pytestmark = needs_chromium
 EVIL = '<img src=x onerror="window.broken=1">'

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from typing import cast
 
-from hygrokf.identification.verdict_terms import CAUTION, Inherited, Reason
+from hygrokf.identification.verdict_terms import Inherited
 from hygrokf.live.plan import Plan
 from hygrokf.live.tracking import record_doubts
 from hygrokf.live.turbine import Turbine
+from hygrokf.texts.verdict import CAUTION, Reason
 
 
 def test_doubts_about_the_record_of_a_model_are_said_once_a_turbine() -> None:

@@ -28,8 +28,6 @@ from hygrokf.identification.fit import Fit
 from hygrokf.identification.fit_on_record import evaluate, simulate_fit, simulation_summary
 from hygrokf.identification.turbine_type import TypeFault, pool_types
 from hygrokf.identification.verdict import inherited
-from hygrokf.identification.verdict_terms import BELIEVE, CAUTION, REJECT, Reason
-from hygrokf.identification.wording import sentence
 from hygrokf.live.alarms import Level, with_doubts
 from hygrokf.live.defaults import default_config
 from hygrokf.live.storage.store import Store, open_store
@@ -44,6 +42,8 @@ from hygrokf.report.fleet_page import fleet_blocks
 from hygrokf.report.page import page_html
 from hygrokf.report.terminal import page_text
 from hygrokf.report.transfer_page import transfer_blocks
+from hygrokf.texts.verdict import BELIEVE, CAUTION, REJECT, Reason
+from hygrokf.texts.wording import sentence
 from hygrokf.transfer.comparison import compare, comparison_column
 from hygrokf.transfer.procedure import transfer_fit
 from hygrokf.transfer.results import transfer_results

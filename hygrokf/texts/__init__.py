@@ -1,0 +1,1 @@
+"""Codes of what results say, the template of each, and how numbers are written."""
