@@ -1,1 +1,1 @@
-"""Codes of what results say, the template of each, and how numbers are written."""
+"""What results say, as codes, and how numbers are written."""

@@ -72,9 +72,16 @@ class Statement:
 
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> Self:
-        """The statement that `to_json` wrote.  Raises ValueError for a code that is not known."""
-        values = {name: _value(value) for name, value in data["values"].items()}
-        return cls(Code.from_json(data["code"]), values)
+        """The statement that `to_json` wrote.  Raises ValueError for an unknown code and for
+        values that do not fill its template."""
+        code = Code.from_json(data["code"])
+        made = cls(code, {name: _value(value) for name, value in data["values"].items()})
+        try:
+            made.text  # noqa: B018  values that do not fill the template are found here, not on a page
+        except (KeyError, ValueError, TypeError):
+            fields = ", ".join(name for _, name, *_ in Formatter().parse(code.template) if name)
+            raise ValueError(f"{code.key}: expected values of {fields}, found {data['values']}") from None
+        return made
 
     @property
     def text(self) -> str:

@@ -172,7 +172,8 @@ class Reason(Statement):
     def from_json(cls, data: Mapping[str, Any]) -> Self:
         """The reason that `to_json` wrote.  Raises ValueError for a code or a verdict that is not known."""
         if data["verdict"] not in VERDICTS:
-            raise ValueError(f"expected one of {VERDICTS}, found {data['verdict']!r}")
+            words = ", ".join(map(repr, VERDICTS))
+            raise ValueError(f"expected one of {words}, found {data['verdict']!r}")
         return replace(super().from_json(data), verdict=data["verdict"], source=data["source"])
 
 

@@ -24,7 +24,7 @@ from hygrokf.report.blocks import Cards
 from hygrokf.report.fit_page import fit_blocks
 from hygrokf.report.fit_text import judgements
 from hygrokf.report.terminal import page_text
-from hygrokf.texts.verdict import BELIEVE, CAUTION, REJECT, VERDICTS, WORDS, Reason, verdict_of
+from hygrokf.texts.verdict import BELIEVE, CAUTION, REJECT, VERDICTS, WORDS, Reason, ReasonCode, verdict_of
 
 PAGE = document("verdict.md")
 
@@ -339,15 +339,20 @@ def test_verdicts_survive_json() -> None:
     found = decided(fit)["thermal"]
     data = json.loads(json.dumps(plain(found), allow_nan=False))
     assert structured(Inherited, data) == found
-    assert data["reasons"][0].keys() == {"code", "verdict", "text", "numbers"}
-    assert data["reasons"][0]["numbers"].keys() >= {"simulation_h", "apart"}
+    assert data["reasons"][0].keys() == {"code", "values", "verdict", "source"}
+    assert data["reasons"][0]["values"].keys() >= {"simulation_h", "apart"}
     for faulty in (
         data | {"verdict": "perhaps"},
         data | {"reasons": [data["reasons"][0] | {"verdict": "x"}]},
     ):
         with pytest.raises(StructureFault, match="expected one of 'believe', 'caution', 'reject'"):
             structured(Inherited, faulty)
-    assert plain(Reason("a", CAUTION, "b", {"x": math.inf}))["numbers"] == {"x": None}
+    for faulty in ({"code": "never_heard_of"}, {"values": {"likelihood_h": 1.0}}):
+        with pytest.raises(StructureFault, match=r"expected (a code|values)"):
+            structured(Inherited, data | {"reasons": [data["reasons"][0] | faulty]})
+    unbounded = ReasonCode.ONE_SIDED(side="above", sign="≤", bound_h=math.inf)
+    assert plain(unbounded)["values"]["bound_h"] is None
+    assert structured(Reason, plain(unbounded)).text == unbounded.text
 
 
 def test_stated_verdicts_stay_and_missing_ones_are_decided() -> None:
@@ -358,7 +363,7 @@ def test_stated_verdicts_stay_and_missing_ones_are_decided() -> None:
     assert fit.time_constants["thermal"].verdict is None  # nothing is changed in place
     assert filled.time_constants["thermal"].verdict == CAUTION
     assert (filled.time_constants["hygric"].verdict, filled.time_constants["hygric"].reasons) == (BELIEVE, ())
-    stated = Reason("x", REJECT, "said by the fit")
+    stated = ReasonCode.RECORD_DOUBTED(REJECT, doubt="its clock")
     _put(f"{THERMAL}/verdict", REJECT)(data)
     _put(f"{THERMAL}/reasons", [plain(stated)])(data)
     kept = inherited(typed(data))["thermal"]
@@ -370,7 +375,7 @@ def test_stated_verdicts_stay_and_missing_ones_are_decided() -> None:
 
 def test_further_reasons_are_added_once() -> None:
     fit = with_verdicts(typed(_sound()))
-    further = Reason("elsewhere", REJECT, "on another turbine it failed")
+    further = ReasonCode.BAND_FAILED(REJECT, coverage=0.1, quantity="temperature")
     wider = with_reasons(with_reasons(fit, "thermal", [further]), "thermal", [further])
     assert {part: (one.verdict, one.reasons) for part, one in inherited(wider).items()} == {
         "thermal": (REJECT, (further,)), "hygric": (BELIEVE, ()),
