@@ -37,8 +37,7 @@ from hygrokf.identification.fit import Fit
 from hygrokf.identification.verdict import inherited
 from hygrokf.identification.verdict_terms import rests_on
 from hygrokf.modelling.inputs import IDENTIFIED_ON
-from hygrokf.physics.cold_surface import Surface
-from hygrokf.physics.psychrometrics import ZERO_CELSIUS_K
+from hygrokf.physics.psychrometrics import ZERO_CELSIUS_K, Surface
 from hygrokf.texts.wording import stamp_text
 from hygrokf.version import __version__
 

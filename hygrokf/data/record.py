@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hygrokf.data.result_file import utc_index, with_units
 from hygrokf.data.signals import LARGEST_FRACTION, SIGNALS, Signal, better_units
-from hygrokf.data.tabular import utc_index, with_units
 from hygrokf.data.timestamps import EARLIEST_S, LATEST_S
 from hygrokf.data.toml_form import setting
 from hygrokf.errors import suggestion
