@@ -16,11 +16,11 @@ from typing import Any, TypeVar
 import numpy as np
 
 from hygrokf.data.signals import SIGNALS, from_si
+from hygrokf.data.structured import plain
 from hygrokf.data.timestamps import DAY_S, HOUR_S
 from hygrokf.identification.verdict_terms import PARAMETER_OF, Inherited
 from hygrokf.live.alarms import CHANGED, CONTRADICTS
-from hygrokf.live.assessment import NOT_ASSESSED
-from hygrokf.live.batch import CAUSES, STATES, Alarm, Assessment
+from hygrokf.live.batch import CAUSES, STATES, Alarm, Assessment, pieces_of, text_of
 from hygrokf.live.condition import QUANTITIES, Z95, Quantity, probability_above
 from hygrokf.live.forecast import LIMIT
 from hygrokf.live.plan import Need
@@ -31,6 +31,7 @@ from hygrokf.live.storage.database import Row
 from hygrokf.live.storage.store import Store
 from hygrokf.live.web.reader import Reader
 from hygrokf.physics.psychrometrics import ZERO_CELSIUS_K
+from hygrokf.texts.live import StateCode
 from hygrokf.texts.verdict import MARKS, VERDICTS
 
 DECIMALS = 4
@@ -145,9 +146,16 @@ def _need(row: View) -> tuple[int, int, float, str]:
 
 
 def _state(found: Assessment | None) -> View:
-    if found is None:
-        return {"state": "no estimate", "reason": NOT_ASSESSED, "since": None}
-    return {"state": found.state, "reason": found.reason, "since": found.since}
+    """A turbine's `state` `since` [s] a time, its `reason` as text, as codes with values (`content`) and in
+    `pieces`, of which the numbers are instants [s]."""
+    statements = (StateCode.NOT_ASSESSED_YET(),) if found is None else found.statements
+    return {
+        "state": "no estimate" if found is None else found.state,
+        "since": None if found is None else found.since,
+        "reason": text_of(statements),
+        "content": plain(list(statements)),
+        "pieces": pieces_of(statements),
+    }
 
 
 def turbine_view(
@@ -410,7 +418,7 @@ def signal_rows(
                 "received": received,
                 "count": count,
                 "needed": used.get(signal, ""),
-                "contradicts": any(f":{CONTRADICTS.kind} {signal}:" in one.id for one in open_),
+                "contradicts": any(one.subject == signal for one in open_),
             }
         )
     return found
