@@ -162,6 +162,48 @@ class NoticeCode(Code):
     GIVEN_UP = "given up after {attempts:.0} attempts: {failure}"
 
 
+_DRY = (
+    "below {limit:%} at the coldest surface with a probability of {probability:chance}, and of at least "
+    "{least:chance} until a start within {stays_h:.0} h{effect}"
+)
+
+
+class AdviceCode(Code):
+    """How long to pre-heat before a restart, or why nobody knows."""
+
+    HEATING_UNKNOWN = (
+        "the record that identified the model has no pre-heating and no logged heater: its heating power is "
+        "unknown"
+    )
+    HEATING_COOLS = "the identified effect of {heaters:words with} is no heat ({effect_K:+.1} K)"
+    PREHEAT = f"pre-heat for {{hours:.1}} h: relative humidity is then {_DRY}"
+    NO_PREHEATING = f"no pre-heating is needed: relative humidity is {_DRY}"
+    PREHEATING_TOO_WEAK = (
+        "not even {longest_h:.0} h of pre-heating bring relative humidity at the coldest surface below "
+        "{limit:%} for {stays_h:.0} h with a probability of {enough:chance}: at best it is "
+        "{probability:chance}, after {hours:.1} h{effect}"
+    )
+    WITH_EFFECT = (
+        " (identified effect of {heaters:words with}: {effect_K:.1} K, within {lower_K:.1} to {upper_K:.1} K"
+        "{needed})"
+    )
+    NEEDED_HOURS = ", for which {shortest_h:.1} to {longest_h:.1} h are needed"
+    NEEDED_HOURS_OPEN = ", for which {shortest_h:.1} to more than {longest_h:.0} h are needed"
+
+
+class BasisCode(Code):
+    """What a forecast is based on, or why there is none."""
+
+    PERSISTENCE = "persistence of the weather, drawn from {days:.0} days; {operation}"
+    WEATHER_FORECAST = "a weather forecast; {operation}"
+    NO_FORECAST = "{fault}"
+    POWER_UNKNOWN = "no power is known"
+    PRESENT_POWER_UNKNOWN = "the present power is unknown: operation as on other days"
+    OPERATION_AS_NOW = "operation as now"
+    OPERATION_OF_ALIKE_DAYS = "operation as on days that began similarly"
+    STANDSTILL_MAY_END = "standstill that may end, as {count:.0} earlier ones of this length did"
+
+
 class CauseCode(Code):
     """Causes of a lasting shift."""
 

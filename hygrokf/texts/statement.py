@@ -14,6 +14,7 @@ from typing import Any, Self, TypeAlias
 
 from hygrokf.texts.wording import (
     bytes_text,
+    chance_text,
     duration_text,
     fixed,
     minus,
@@ -34,10 +35,11 @@ class Code(Enum):
 
     Fields of a template: `{x}` a name or a statement, `{x:words}` a name with blanks for its underscores,
     `{x:3}` a number with three significant digits, `{x:.2}` with two decimals, `{x:+.2}` with its sign,
-    `{x:%}` a share in per cent, `{x:.1%}` with one decimal, `{x:g}` as short as it is, `{x:4g}` with at most
-    four significant digits, `{x:bytes}` a size, `{x:stamp}` an instant [s since 1970], `{x:duration}` a
-    duration [s], `{x:reading|readings}` the word for one or for another number, `{x}` names or statements
-    parted by commas, `{x:and}` the last two by "and", `{x:several}` the first ones of many.
+    `{x:%}` a share in per cent, `{x:.1%}` with one decimal, `{x:chance}` a probability that is never certain,
+    `{x:g}` a number as short as it is, `{x:4g}` with at most four significant digits, `{x:bytes}` a size,
+    `{x:stamp}` an instant [s since 1970], `{x:duration}` a duration [s], `{x:reading|readings}` the word for
+    one or for another number, `{x}` names or statements parted by commas, `{x:and}` the last two by "and",
+    `{x:several}` the first ones of many.
     """
 
     def __init__(self, template: str, remedy: str = "") -> None:
@@ -159,6 +161,8 @@ def _number(value: float, spec: str) -> str:
     """A number as the field of a template asks for it."""
     if spec == "duration":
         return duration_text(value)
+    if spec == "chance":
+        return chance_text(value)
     if spec == "bytes":
         return bytes_text(value)
     if spec.endswith("g"):

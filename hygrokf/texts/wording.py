@@ -42,6 +42,13 @@ def fixed(value: float, decimals: int = 2) -> str:
     return minus(f"{value:.{decimals}f}") if math.isfinite(value) else NONE
 
 
+def chance_text(probability: float) -> str:
+    """A probability [1] in per cent, which never claims certainty."""
+    if probability > 0.99:
+        return "over 99 %"
+    return f"{100 * probability:.0f} %" if probability >= 0.01 else "under 1 %"
+
+
 def signed(value: float, decimals: int = 2) -> str:
     """A difference with its sign and `decimals` decimals."""
     return minus(f"{value:+.{decimals}f}") if math.isfinite(value) else NONE

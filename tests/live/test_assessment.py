@@ -24,7 +24,7 @@ from hygrokf.live.storage.store import Store
 from hygrokf.live.tracker import Reading, Tracker
 from hygrokf.live.turbines import Fleet, Turbine
 from hygrokf.live.web.views import fleet_view, turbine_view
-from hygrokf.texts.live import AlarmCode
+from hygrokf.texts.live import AlarmCode, BasisCode
 
 RECORD = {"seed": 7, "days": 2.0}
 
@@ -180,7 +180,7 @@ def test_a_forecast_of_condensation_puts_a_turbine_at_risk(
     hours = record.end_s + HOUR_S * np.arange(1.0, 4.0)
     chances = np.array([0.1, 0.7, 0.9])
     air = Condition(hours, *[None] * 6, chances, None)
-    made = Batch(forecasts={"T1": Forecast(record.end_s, air, chances, 0.8, "made up")})
+    made = Batch(forecasts={"T1": Forecast(record.end_s, air, chances, 0.8, BasisCode.OPERATION_AS_NOW())})
     fleet.keep_forecast("T1", record.end_s, made)
     (found,) = made.assessments
     assert found.state == "at risk" and found.reason.startswith("condensation is likely from ")

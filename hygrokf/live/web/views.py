@@ -16,13 +16,13 @@ from typing import Any, TypeVar
 import numpy as np
 
 from hygrokf.data.signals import SIGNALS, from_si
-from hygrokf.data.structured import plain
+from hygrokf.data.structured import plain, structured
 from hygrokf.data.timestamps import DAY_S, HOUR_S
 from hygrokf.identification.verdict_terms import PARAMETER_OF, Inherited
 from hygrokf.live.alarms import CHANGED, CONTRADICTS
 from hygrokf.live.batch import CAUSES, STATES, Alarm, Assessment, pieces_of, text_of
 from hygrokf.live.condition import QUANTITIES, Z95, Quantity, probability_above
-from hygrokf.live.forecast import LIMIT
+from hygrokf.live.forecast import LIMIT, ForecastMade
 from hygrokf.live.plan import Need
 from hygrokf.live.properties import WATCHED
 from hygrokf.live.service import Health
@@ -265,17 +265,22 @@ def _courses(rows: Sequence[Row]) -> View:
 
 
 def _forecast(store: Store, name: str) -> View | None:
-    """A turbine's newest forecast: what the store keeps of it (`ForecastMade`), and its courses; None before
-    the first one."""
-    made = store.memory(name, "forecast")
-    if not isinstance(made, dict):
+    """A turbine's newest forecast: what the store keeps of it (`ForecastMade`) as codes, `weather` and
+    `advice` as texts, and its courses; None before the first one."""
+    kept = store.memory(name, "forecast")
+    if not isinstance(kept, dict):
         return None
+    made = structured(ForecastMade, kept)
     rows = store.rows(
         f"SELECT {_COLUMNS}, time, condensation, above_limit FROM forecast WHERE turbine = ? ORDER BY time",
         (name,),
     )
     return {
-        **made,
+        "made": made.made,
+        "limit": made.limit,
+        "weather": made.basis.text,
+        "advice": None if made.advice is None else made.advice.text,
+        "content": {"weather": kept["basis"], "advice": kept["advice"]},
         "time": [row[-3] for row in rows],
         "condensation": [row[-2] for row in rows],
         "above_limit": [row[-1] for row in rows],
