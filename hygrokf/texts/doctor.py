@@ -304,6 +304,7 @@ class ExaminedCode(Code):
     BY_TLS = " by TLS"
     AS_USER = " as user {user}"
     AGED = "{turbine} {age:duration} ago"
+    REFUSED = "{count:.0} {kind} ({why})"
     NODE = "{node} ({why})"
     NODE_SINCE = "{node} ({at:stamp})"
 
