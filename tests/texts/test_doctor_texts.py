@@ -18,7 +18,8 @@ VALUES = {
     "why": "too short", "names": tuple("abcdefg"), "count": 3, "folder": "store", "url": "sqlite:live.db",
     "damages": "a; b", "version": 7, "size": 1.5e6, "free": 2e9, "a_day": 3e6, "days": 12.0,
     "who": "process 7", "kind": "no time", "used": 2, "examined": ExaminedCode.LAST_ROWS(),
-    "refused": ("1 no time",), "at": 86400.0, "grown": 120, "within": 5.0, "security": ExaminedCode.BY_TLS(), "user": " as reader",
+    "refused": ("1 no time",), "at": 86400.0,
+    "grown": 120, "within": 5.0, "security": ExaminedCode.BY_TLS(), "user": " as reader",
     "wait": 10.0, "live": 9, "unkept": 4, "retained": 2, "of": 4, "columns": ("time", "value"),
     "took": 12.0, "poll": 10.0, "watermark": "id", "span": 600.0, "turbine": "T07", "node": "ns=2;s=a",
 }  # fmt: skip
