@@ -13,8 +13,9 @@ The states are those of `batch.STATES`, and the first one that applies is taken:
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import TypeAlias
 
 import numpy as np
 
@@ -22,12 +23,13 @@ from hygrokf.data.timestamps import HOUR_S
 from hygrokf.live.alarms import CONDENSATION, MISSING, STALE
 from hygrokf.live.batch import Alarm
 from hygrokf.live.plan import Need
-from hygrokf.texts.wording import stamp_text
+from hygrokf.texts.live import StateCode
+from hygrokf.texts.statement import Statement
 
 STANDSTILL_S = HOUR_S
 """[s] without power after which a turbine counts as off."""
-NOT_ASSESSED = "not assessed yet"
-"""Reason of a turbine that was never assessed."""
+Reasons: TypeAlias = tuple[Statement, ...]
+"""Why a turbine is in a state."""
 
 
 @dataclass(frozen=True)
@@ -73,37 +75,35 @@ class Known:
     silent_s: float | None = None
 
 
-def assess(known: Known, now: float) -> tuple[str, str]:
+def assess(known: Known, now: float) -> tuple[str, Reasons]:
     """The state at `now` [s], one of `batch.STATES`, and its reason, with what the estimate lacks."""
     state, reason = _assess(known, now)
-    return state, reason + _lacking(known, now)
+    return state, (*reason, *_lacking(known))
 
 
-def _lacking(known: Known, now: float) -> str:
-    """The sensors of the cabinet that are silent while estimates go on, in words; empty if there is none."""
+def _lacking(known: Known) -> Iterator[Statement]:
+    """The sensors of the cabinet that are silent while estimates go on."""
     if known.estimate_s is None:
-        return ""
+        return
     if known.silent_s is not None:
-        return f"; from the inputs alone since {stamp_text(known.silent_s)}"
-    silent = [
-        f"without {signal.replace('_', ' ')} since {stamp_text(at)}"
-        for signal, at in sorted(known.heard.items())
-        if signal.startswith("cabinet_") and known.estimate_s - at > known.stale_s
-    ]
-    return "".join(f"; {one}" for one in silent)
+        yield StateCode.FROM_INPUTS_ALONE(since=known.silent_s)
+        return
+    for signal, at in sorted(known.heard.items()):
+        if signal.startswith("cabinet_") and known.estimate_s - at > known.stale_s:
+            yield StateCode.WITHOUT_SIGNAL(signal=signal, since=at)
 
 
-def _assess(known: Known, now: float) -> tuple[str, str]:
+def _assess(known: Known, now: float) -> tuple[str, Reasons]:
     for state, judge in _JUDGES:
-        reason = judge(known, now)
-        if reason:
-            return state, reason
-    now_and = "now" if known.outlook is None else "now and within the forecast"
-    unlikely = f"condensation is unlikely {now_and}"
+        if reasons := judge(known, now):
+            return state, reasons
+    unlikely = StateCode.CONDENSATION_UNLIKELY_AHEAD()
+    if known.outlook is None:
+        unlikely = StateCode.CONDENSATION_UNLIKELY_NOW()
     power_s = known.heard.get("active_power", -math.inf)
     if known.standstill and now - power_s <= known.stale_s:
-        return "off", f"the turbine feeds no power; {unlikely}"
-    return "ok", unlikely
+        return "off", (StateCode.FEEDS_NO_POWER(), unlikely)
+    return "ok", (unlikely,)
 
 
 def _old(known: Known, now: float) -> bool:
@@ -111,49 +111,52 @@ def _old(known: Known, now: float) -> bool:
     return known.estimate_s is not None and now - known.estimate_s > known.stale_s
 
 
-def _at_risk(known: Known, now: float) -> str:
+def _at_risk(known: Known, now: float) -> Reasons:
     chance = known.condensation
     if chance is not None and chance >= CONDENSATION.on and not _old(known, now):
-        return "condensation is likely now"
+        return (StateCode.CONDENSATION_LIKELY_NOW(),)
     likely_s = None if known.outlook is None else known.outlook.likely_s(now)
-    return "" if likely_s is None else f"condensation is likely from {stamp_text(likely_s)} on"
+    return () if likely_s is None else (StateCode.CONDENSATION_LIKELY_FROM(at=likely_s),)
 
 
-def _alarm(known: Known, now: float) -> str:
-    unsaid = {STALE.kind} if known.estimate_s is not None else {STALE.kind, MISSING.kind}
-    said = [one.kind for one in known.alarms if one.kind not in unsaid and one.severity != "notice"]
-    return ", ".join(dict.fromkeys(said))
+def _alarm(known: Known, now: float) -> Reasons:
+    untold = {STALE.kind} if known.estimate_s is not None else {STALE.kind, MISSING.kind}
+    kinds = [one.kind for one in known.alarms if one.kind not in untold and one.severity != "notice"]
+    return (StateCode.ALARMS_OPEN(kinds=tuple(dict.fromkeys(kinds))),) if kinds else ()
 
 
-def _stale(known: Known, now: float) -> str:
+def _stale(known: Known, now: float) -> Reasons:
     if known.estimate_s is None:
-        return ""
+        return ()
     if _old(known, now):
         if known.catching_up:  # the time of the estimate changes with every delivery
-            return "the estimate is old; a backlog is being delivered"
-        return f"the estimate is from {stamp_text(known.estimate_s)}"
-    return next((one.statement for one in known.alarms if one.kind == STALE.kind), "")
+            return (StateCode.ESTIMATE_OLD_IN_BACKLOG(),)
+        return (StateCode.ESTIMATE_OLD(at=known.estimate_s),)
+    return next((one.statements for one in known.alarms if one.kind == STALE.kind), ())
 
 
-def _no_estimate(known: Known, now: float) -> str:
+def _no_estimate(known: Known, now: float) -> Reasons:
+    reason = _why_none(known)
+    return () if reason is None else (reason,)
+
+
+def _why_none(known: Known) -> Statement | None:
+    """Why there is no probability of condensation; None if there is one."""
     if known.estimate_s is not None and known.condensation is not None:
-        return "" if math.isfinite(known.condensation) else "the estimate is not a number"
-    since = stamp_text(known.known_s)
+        return None if math.isfinite(known.condensation) else StateCode.ESTIMATE_NOT_A_NUMBER()
     if not known.with_humidity:
-        return "the model has no humidity"
+        return StateCode.MODEL_WITHOUT_HUMIDITY()
     if not known.heard:
-        return f"no reading has come since {since}"
+        return StateCode.NO_READING_YET(since=known.known_s)
     if known.awaited:
-        names = " and ".join(one.words for one in known.awaited)
-        return f"{names} never came since {since}"
+        quantities = tuple(one.quantity for one in known.awaited)
+        return StateCode.INPUTS_NEVER_CAME(quantities=quantities, since=known.known_s)
     if known.fault:
-        return f"the filter cannot run: {known.fault}"
+        return StateCode.FILTER_FAILS(fault=known.fault)
     if known.history_until_s is not None:
-        return f"waiting for history until {stamp_text(known.history_until_s)}"
-    if known.estimate_s is None:
-        return "its readings are not filtered yet"
-    return "the estimate gives no probability of condensation"
+        return StateCode.HISTORY_AWAITED(until=known.history_until_s)
+    return StateCode.NOT_FILTERED_YET() if known.estimate_s is None else StateCode.NO_PROBABILITY()
 
 
 _JUDGES = (("at risk", _at_risk), ("alarm", _alarm), ("stale", _stale), ("no estimate", _no_estimate))
-"""States that need attention, with what gives their reason; empty if a state does not apply."""
+"""States that need attention, with what gives their reasons; none if a state does not apply."""

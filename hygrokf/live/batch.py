@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import json
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 
-from hygrokf.data.structured import Json
+from hygrokf.data.structured import Json, JsonObject, plain, structured
 from hygrokf.live.condition import Condition
 from hygrokf.live.forecast import Forecast
 from hygrokf.live.properties import Property
 from hygrokf.live.tracker import Point, Reading
+from hygrokf.texts.statement import Statement
 
 
 @dataclass(frozen=True)
@@ -46,12 +48,28 @@ CAUSES = ("defect", "settings changed", "false alarm", "unexplained", "look agai
 """Causes with which a person acknowledges an alarm."""
 
 
+def content_of(statements: Sequence[Statement]) -> str:
+    """What a row says, as the JSON of its column `content`."""
+    return json.dumps(plain(list(statements)), ensure_ascii=False)
+
+
+def text_of(statements: Sequence[Statement]) -> str:
+    """What a row says, as the text of the column that people read."""
+    return "; ".join(one.text for one in statements)
+
+
+def pieces_of(statements: Sequence[Statement]) -> list[str | float]:
+    """The same in pieces, of which the numbers are instants [s]: the page writes them in its own zone."""
+    return [piece for i, one in enumerate(statements) for piece in ("; "[: 2 * i], *one.pieces)]
+
+
 @dataclass(frozen=True)
 class Alarm:
-    """An alarm: `began`, `ended`, `acknowledged` [s]; `severity` "notice", "warning" or "alarm".
+    """An alarm: `began`, `ended`, `acknowledged` [s]; `severity` "notice", "warning" or "alarm"; `subject`
+    distinguishes alarms of one kind.
 
-    Whoever acknowledges it states a `cause` (one of `CAUSES`) and may add a `note`; `look_again` [s] is when
-    it is due once more.
+    It says `content`, of which `statement` is the text, and what to do is the `remedy`.  Whoever acknowledges
+    it states a `cause` (one of `CAUSES`) and may add a `note`; `look_again` [s] is when it is due once more.
     """
 
     id: str
@@ -67,16 +85,33 @@ class Alarm:
     cause: str | None = None
     note: str | None = None
     look_again: float | None = None
+    subject: str = ""
+    content: str = "[]"
+
+    @property
+    def statements(self) -> tuple[Statement, ...]:
+        """What it says: the first statement, and doubts about it."""
+        return structured(tuple[Statement, ...], json.loads(self.content))
+
+    def served(self) -> JsonObject:
+        """The alarm as programs receive it."""
+        return {**asdict(self), "content": json.loads(self.content)}
 
 
 @dataclass(frozen=True)
 class Assessment:
-    """The `state` of a turbine (one of `STATES`) `since` a time [s], with its `reason`."""
+    """The `state` of a turbine (one of `STATES`) `since` a time [s]; its `reason` is that of `content`."""
 
     turbine: str
     state: str
     reason: str
     since: float
+    content: str = "[]"
+
+    @property
+    def statements(self) -> tuple[Statement, ...]:
+        """The reason, and what the estimate lacks."""
+        return structured(tuple[Statement, ...], json.loads(self.content))
 
 
 @dataclass(frozen=True)

@@ -15,13 +15,14 @@ import math
 from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 
-from hygrokf.data.timestamps import HOUR_S, MINUTE_S
+from hygrokf.data.timestamps import DAY_S, MINUTE_S
 from hygrokf.live.alarms import CLOCK, Level
 from hygrokf.live.batch import Batch, Observation
 from hygrokf.live.sources.payload_values import AHEAD_S
 from hygrokf.live.storage.store import Store
 from hygrokf.live.tracker import Reading
-from hygrokf.texts.wording import duration_text
+from hygrokf.texts.live import AlarmCode
+from hygrokf.texts.statement import Statement
 
 HELD_MOST = 200_000
 """Largest number of readings that are held back for one turbine; further ones are counted and discarded, so
@@ -100,27 +101,19 @@ def clock_levels(ahead_s: Mapping[str, float]) -> dict[str, list[Level]]:
     if len(alike) < max(2.0, SHARED * len(ahead_s)):
         alike = set()
     else:
-        statement = (
-            f"readings of {len(alike)} of {len(ahead_s)} turbines are stamped {_lasting(middle)} ahead of "
-            f"this machine's clock: this clock is slow, or a clock that they share is fast. {HELD_BACK}"
-        )
-        found[MACHINE] = [Level(CLOCK.kind, 1.0, statement)]
+        shared = AlarmCode.MACHINE_CLOCK_SLOW(count=len(alike), of=len(ahead_s), ahead=_shown(middle))
+        found[MACHINE] = [Level(CLOCK.kind, 1.0, (shared,))]
+    own = AlarmCode.SENDER_OR_MACHINE_CLOCK if len(ahead_s) == 1 else AlarmCode.SENDER_CLOCK_FAST
     for name, one in ahead_s.items():
         if one > 0.0 and name not in alike:
-            whose = "its sender's clock is fast"
-            if len(ahead_s) == 1:
-                whose += ", or this machine's clock is slow"
-            statement = f"its readings are stamped {_lasting(one)} ahead of this machine's clock: {whose}"
-            found[name] = [Level(CLOCK.kind, 1.0, f"{statement}. {HELD_BACK}")]
+            found[name] = [Level(CLOCK.kind, 1.0, (own(ahead=_shown(one)),))]
     return found
 
 
-HELD_BACK = "They are stored and held back until this machine's clock reaches them"
-
-
-def _lasting(seconds: float) -> str:
-    years = seconds / (365.25 * 24.0 * HOUR_S)
-    return f"{years:.1f} years" if years >= 1.0 else duration_text(60.0 * round(seconds / 60.0))
+def _shown(seconds: float) -> float | Statement:
+    """A duration [s] in whole minutes, or in years."""
+    years = seconds / (365.25 * DAY_S)
+    return AlarmCode.YEARS(count=years) if years >= 1.0 else 60.0 * round(seconds / 60.0)
 
 
 GAINED_S = 2.0 * MINUTE_S

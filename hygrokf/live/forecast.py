@@ -37,6 +37,8 @@ from hygrokf.live.tracker import SAME_S, Point
 from hygrokf.modelling.inputs import Run, model_inputs
 from hygrokf.physics.holds import LINEAR, MEAN
 from hygrokf.physics.model import Model
+from hygrokf.texts.live import AdviceCode, StateCode
+from hygrokf.texts.statement import Statement, Value
 
 LIMIT = 0.8
 """Default limit of relative humidity [1]; a forecast gives the probability of exceeding it."""
@@ -51,26 +53,26 @@ class Forecast:
     """The condition at future instants (T,).
 
     `made_s`: time [s] of the state it starts from; `above` (T,): probability [1] that relative humidity
-    exceeds `limit`; `words`: description of the scenarios.
+    exceeds `limit`; `basis`: that of the scenarios.
     """
 
     made_s: float
     condition: Condition
     above: np.ndarray
     limit: float
-    words: str
+    basis: Statement
 
 
 @dataclass(frozen=True)
 class ForecastMade:
-    """What the store keeps of a forecast beside its courses: time [s] of the state it starts from, the
-    scenarios in words or why there are none, the limit of relative humidity [1], and the advice for a restart
-    at standstill."""
+    """What the store keeps of a forecast beside its courses: time [s] of the state it starts from, what the
+    scenarios are based on or why there are none, the limit of relative humidity [1], and the advice for a
+    restart at standstill."""
 
     made: float
-    weather: str
+    basis: Statement
     limit: float
-    advice: str | None = None
+    advice: Statement | None = None
 
 
 def forecast(
@@ -93,7 +95,7 @@ def forecast(
     above = np.full(len(mixed.time_s), np.nan)
     if humidities:
         above = np.mean([probability_above(humidity, limit) for humidity in humidities], axis=0)
-    return Forecast(state.time, mixed, above, limit, scenarios.words)
+    return Forecast(state.time, mixed, above, limit, scenarios.basis)
 
 
 def conditions_by_member(
@@ -203,11 +205,6 @@ class Heating:
         return {one.signal: one.full for one in self.heaters}
 
     @property
-    def words(self) -> str:
-        """The heaters in words."""
-        return " with ".join(one.signal.replace("_", " ") for one in self.heaters)
-
-    @property
     def bounds_K(self) -> tuple[float, float]:
         """Bounds of the effect [K]; a heater does not cool."""
         reach = normal_quantile(LEVEL) * self.sd_K
@@ -248,13 +245,13 @@ def heating_sd(fit: Fit) -> float:
 
 @dataclass(frozen=True)
 class Advice:
-    """How long to pre-heat before a restart, in words.
+    """How long to pre-heat before a restart.
 
     `hours` [h] of pre-heating until the air is dry enough, None if `LONGEST_H` is not enough or the time is
     unknown; `probability` [1] of dry air after that time, or the highest one within `LONGEST_H`.
     """
 
-    statement: str
+    statement: Statement
     hours: float | None = None
     probability: float | None = None
 
@@ -276,12 +273,10 @@ def restart(
     """
     found = heating(plan, heating_sd_K)
     if found is None:
-        return Advice(
-            "the record that identified the model has no pre-heating and no logged heater: its heating power "
-            "is unknown"
-        )
+        return Advice(AdviceCode.HEATING_UNKNOWN())
+    effect: dict[str, Value] = {"heaters": tuple(found.signals), "effect_K": found.effect_K}
     if not found.effect_K > 0.0:
-        return Advice(f"the identified effect of {found.words} is no heat ({found.effect_K:+.1f} K)")
+        return Advice(AdviceCode.HEATING_COOLS(**effect))
     heated = scenarios.with_preheating(LONGEST_H + STAYS_H, found.signals)
     effects = sorted({found.effect_K, *found.bounds_K})
     chances = []
@@ -290,7 +285,7 @@ def restart(
         conditions = conditions_by_member(own, state, heated, surface, excess)
         humidities = [one.surface_humidity for one in conditions if one.surface_humidity is not None]
         if not humidities:
-            return Advice("the model has no humidity")
+            return Advice(StateCode.MODEL_WITHOUT_HUMIDITY())
         chances.append(np.mean([probability_below(humidity, limit) for humidity in humidities], axis=0))
     hours = (conditions[0].time_s - state.time) / HOUR_S
     if len(effects) == 1:
@@ -300,11 +295,13 @@ def restart(
     advice = advice_from(hours, outer * (chances[0] + chances[2]) + (1.0 - 2.0 * outer) * chances[1], limit)
     weak, _, strong = (_hours_until_dry(hours, chance) for chance in chances)
     lower, upper = found.bounds_K
-    effect = f"{found.words}: {found.effect_K:.1f} K, within {lower:.1f} to {upper:.1f} K"
+    needed: Statement | str = ""
     if strong is not None and advice.hours != 0.0:
-        longest = f"more than {LONGEST_H:.0f}" if weak is None else f"{weak:.1f}"
-        effect += f", for which {strong:.1f} to {longest} h are needed"
-    return replace(advice, statement=f"{advice.statement} (identified effect of {effect})")
+        code = AdviceCode.NEEDED_HOURS_OPEN if weak is None else AdviceCode.NEEDED_HOURS
+        needed = code(shortest_h=strong, longest_h=LONGEST_H if weak is None else weak)
+    told = AdviceCode.WITH_EFFECT(**effect, lower_K=lower, upper_K=upper, needed=needed)
+    values = {**advice.statement.values, "effect": told}
+    return replace(advice, statement=replace(advice.statement, values=values))
 
 
 def _hours_until_dry(hours: np.ndarray, chance: np.ndarray) -> float | None:
@@ -322,27 +319,18 @@ def advice_from(hours: np.ndarray, chance: np.ndarray, limit: float) -> Advice:
     """The advice from the probability `chance` (T,) of dry air after `hours` (T,) [h] of pre-heating."""
     at = _hours_until_dry(hours, chance)
     if at is not None:
-        likely, stays = float(chance[hours == at][0]), float(chance[_until_start(hours, at)].min())
-        begin = f"pre-heat for {at:.1f} h: relative humidity is then"
-        if at == 0.0:
-            begin = "no pre-heating is needed: relative humidity is"
-        return Advice(
-            f"{begin} below {100 * limit:.0f} % at the coldest surface with a probability of "
-            f"{percent(likely)}, and of at least {percent(stays)} until a start within {STAYS_H:.0f} h",
-            at,
-            likely,
-        )
+        likely, least = float(chance[hours == at][0]), float(chance[_until_start(hours, at)].min())
+        code = AdviceCode.NO_PREHEATING if at == 0.0 else AdviceCode.PREHEAT
+        own = {"limit": limit, "probability": likely, "least": least, "stays_h": STAYS_H, "hours": at}
+        return Advice(code(**own, effect=""), at, likely)
     best = int(np.argmax(np.where(hours <= LONGEST_H, chance, -1.0)))
-    return Advice(
-        f"not even {LONGEST_H:.0f} h of pre-heating bring relative humidity at the coldest surface below "
-        f"{100 * limit:.0f} % for {STAYS_H:.0f} h with a probability of {percent(ENOUGH)}: at best it is "
-        f"{percent(chance[best])}, after {hours[best]:.1f} h",
+    statement = AdviceCode.PREHEATING_TOO_WEAK(
+        limit=limit,
+        longest_h=LONGEST_H,
+        stays_h=STAYS_H,
+        enough=ENOUGH,
         probability=float(chance[best]),
+        hours=float(hours[best]),
+        effect="",
     )
-
-
-def percent(probability: float) -> str:
-    """A probability as text that never claims certainty."""
-    if probability > 0.99:
-        return "over 99 %"
-    return f"{100 * probability:.0f} %" if probability >= 0.01 else "under 1 %"
+    return Advice(statement, probability=float(chance[best]))

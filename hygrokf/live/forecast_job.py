@@ -4,7 +4,7 @@ weeks."""
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import asdict, replace
+from dataclasses import replace
 from itertools import groupby
 from operator import itemgetter
 
@@ -12,6 +12,7 @@ import numpy as np
 
 from hygrokf.data.ambient import ambient_absolute_humidity
 from hygrokf.data.record import Record, Series
+from hygrokf.data.structured import plain
 from hygrokf.data.timestamps import DAY_S, HOUR_S
 from hygrokf.live.batch import Batch
 from hygrokf.live.fault_isolation import AMBIENT, BEFORE_S, LONGEST_S, CauseFinding, ShiftStep, isolate
@@ -21,6 +22,7 @@ from hygrokf.live.scenarios import DAYS, NoScenarios, Scenarios, persistence, we
 from hygrokf.live.storage.store import Store
 from hygrokf.live.tracker import Point, Tracker, record_of
 from hygrokf.live.turbines import Turbine
+from hygrokf.texts.live import BasisCode
 
 DRIVERS = ("ambient_temperature", *AMBIENT_HUMIDITIES, "active_power", "preheating")
 CABINET = ("cabinet_temperature", "cabinet_relative_humidity", "cabinet_absolute_humidity")
@@ -43,15 +45,16 @@ def make_forecast(name: str, one: Turbine, tracker: Tracker, store: Store) -> tu
     found, advice = None, None
     try:
         scenarios = _scenarios(store, name, plan.further, history, state)
-        found, words = forecast(plan, state, scenarios, one.surface, one.limit, excess), scenarios.words
+        found = forecast(plan, state, scenarios, one.surface, one.limit, excess)
+        basis = scenarios.basis
         # a running turbine needs no restart advice
         if not tracker.running:
-            said = restart(plan, state, scenarios, one.surface, one.limit, one.heating_sd_K, excess)
-            advice = said.statement
+            heating_sd_K = one.heating_sd_K
+            advice = restart(plan, state, scenarios, one.surface, one.limit, heating_sd_K, excess).statement
     except (NoScenarios, NoForecast) as fault:
-        found, words = None, str(fault)
+        found, basis = None, BasisCode.NO_FORECAST(fault=str(fault))
     batch = Batch(forecasts={name: found})
-    batch.memories[name, "forecast"] = asdict(ForecastMade(state.time, words, one.limit, advice))
+    batch.memories[name, "forecast"] = plain(ForecastMade(state.time, basis, one.limit, advice))
     return state.time, batch
 
 

@@ -73,11 +73,9 @@ class Need:
     required: bool = False
 
     @property
-    def words(self) -> str:
-        """The quantity in words."""
-        if self.signals == AMBIENT_HUMIDITIES:
-            return "ambient humidity"
-        return self.signals[0].replace("_", " ")
+    def quantity(self) -> str:
+        """The name of the quantity."""
+        return "ambient_humidity" if self.signals == AMBIENT_HUMIDITIES else self.signals[0]
 
 
 @dataclass(frozen=True)

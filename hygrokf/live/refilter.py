@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from itertools import groupby
 
 from hygrokf.data.timestamps import DAY_S
-from hygrokf.live.alarms import DELIVERY_RULES
+from hygrokf.live.alarms import DELIVERY, kinds_of
 from hygrokf.live.batch import Alarm, Batch
 from hygrokf.live.forecast_job import isolation_steps
 from hygrokf.live.storage.database import Cursor, SqlValue
@@ -95,8 +95,7 @@ def _batches(store: Store, name: str, turbines: Mapping[str, Turbine]) -> Iterat
 
 def _differences(before: Mapping[str, Alarm], after: Mapping[str, Alarm]) -> Iterator[str]:
     """How the alarms of before would differ, in words, by their beginnings."""
-    delivery = {rule.kind for rule in DELIVERY_RULES}
-    told = {key: alarm for key, alarm in before.items() if alarm.kind not in delivery}
+    told = {key: alarm for key, alarm in before.items() if alarm.kind not in kinds_of(*DELIVERY)}
     for key, alarm in sorted({**told, **after}.items(), key=lambda item: (item[1].began, item[0])):
         about = f"{alarm.kind} from {stamp_text(alarm.began)}"
         if key not in told:

@@ -21,6 +21,8 @@ from hygrokf.data.input_paths import input_path
 from hygrokf.data.record import Record, Series
 from hygrokf.data.timestamps import DAY_S, HOUR_S
 from hygrokf.physics.psychrometrics import absolute_humidity, relative_humidity
+from hygrokf.texts.live import BasisCode
+from hygrokf.texts.statement import Statement
 
 FINE_S = 600.0
 """[s] between instants of the scenarios for pre-heating advice."""
@@ -66,13 +68,13 @@ class Scenarios:
     """Possible futures, seen from `now_s` [s].
 
     `members`: each maps signal → values (H,) [SI unit] at `time_s` (H,) [s], with the same signals in all;
-    `words`: what the scenarios are based on.
+    `basis`: what the scenarios are based on.
     """
 
     now_s: float
     time_s: np.ndarray
     members: tuple[Mapping[str, np.ndarray], ...]
-    words: str
+    basis: Statement
 
     def with_preheating(self, hours: float, heaters: Mapping[str, float] | None = None) -> Scenarios:
         """The scenarios for the next `hours` [h], with the turbine at standstill, and pre-heating and
@@ -112,11 +114,9 @@ def persistence(history: Record, now_s: float, further: Sequence[str] = ()) -> S
             f"earlier; found {len(paths)}"
         )
     ambient = _ambients(history, now_s, time, [day for day, _ in paths])
-    others, said = possible_operation(history, now_s, time, [one for _, one in paths], len(paths))
+    others, operation = possible_operation(history, now_s, time, [one for _, one in paths], len(paths))
     members = tuple({**weather, **other} for weather, other in zip(ambient, others, strict=True))
-    return Scenarios(
-        now_s, time, members, f"persistence of the weather, drawn from {len(members)} days; {said}"
-    )
+    return Scenarios(now_s, time, members, BasisCode.PERSISTENCE(days=len(members), operation=operation))
 
 
 def weather_forecast(
@@ -159,12 +159,12 @@ def weather_forecast(
         }
         members.append(_physical(drawn["temperature"][kept], np.exp(drawn["vapour"][kept])))
     days = [one for _, one in _days(history, time, further)]
-    others, said = possible_operation(history, now_s, time, days, MEMBERS)
+    others, operation = possible_operation(history, now_s, time, days, MEMBERS)
     both = tuple(
         {**weather, **{name: values[kept] for name, values in other.items()}}
         for weather, other in zip(members, others, strict=True)
     )
-    return Scenarios(now_s, time[kept], both, f"a weather forecast; {said}")
+    return Scenarios(now_s, time[kept], both, BasisCode.WEATHER_FORECAST(operation=operation))
 
 
 def _continue_readings(seen: Series, told: Series, now_s: float, log: bool) -> tuple[Series, float]:
@@ -332,9 +332,9 @@ def values_held(series: Series, time: np.ndarray) -> np.ndarray:
 
 def possible_operation(
     history: Record, now_s: float, time: np.ndarray, days: Sequence[Courses], count: int
-) -> tuple[list[Courses], str]:
-    """`count` courses that cycle through the days, with an operation that may follow the present one; and a
-    description.
+) -> tuple[list[Courses], Statement]:
+    """`count` courses that cycle through the days, with an operation that may follow the present one; and
+    what this is based on.
 
     `days`: non-ambient signals of earlier days at the scenarios' instants `time` (H,) [s].
     """
@@ -350,24 +350,21 @@ def possible_operation(
         past = {n: past[n] if n != "preheating" else np.zeros(len(time)) for n in names}
         given = [{n: v for n, v in one.items() if n not in SWITCHED} for one in given]
         coming = [{n: one.get(n, np.full(len(time), steady[n])) for n in names} for one in given]
-        said = "no power is known"
+        basis = BasisCode.POWER_UNKNOWN()
     elif np.isnan(level):
-        coming, said = (
-            _as_on(known, given, names),
-            "the present power is unknown: operation as on other days",
-        )
+        coming, basis = _as_on(known, given, names), BasisCode.PRESENT_POWER_UNKNOWN()
     elif level <= 0.0:
-        coming, said = _standing_still(history, now_s, time, given, steady)
+        coming, basis = _standing_still(history, now_s, time, given, steady)
     else:
         alike = [one for one in known if _level(one["active_power"], time, now_s) > 0.0]
-        coming, said = _running(alike, given, {**steady, "active_power": level}, time, now_s)
+        coming, basis = _running(alike, given, {**steady, "active_power": level}, time, now_s)
     before = time <= now_s
     found = []
     for one, ahead in zip(given, coming, strict=True):
         whole = {n: np.where(np.isnan(v), steady[n], v) for n, v in ahead.items()}
         joined = {n: np.where(before & np.isfinite(v), v, whole[n]) for n, v in past.items()}
         found.append({**one, **joined})
-    return found, said
+    return found, basis
 
 
 def _present(series: Series, now_s: float) -> float:
@@ -390,20 +387,21 @@ def _running(
     steady: Mapping[str, float],
     time: np.ndarray,
     now_s: float,
-) -> tuple[list[Courses], str]:
+) -> tuple[list[Courses], Statement]:
     """Operation that may follow while the turbine runs: that of days that began alike, adjusted to the
     present power, or the operation as now (`steady`)."""
     if len(alike) < LEAST:
-        return [{n: np.full(len(time), v) for n, v in steady.items()}] * len(given), "operation as now"
+        same = {n: np.full(len(time), v) for n, v in steady.items()}
+        return [same] * len(given), BasisCode.OPERATION_AS_NOW()
     found = _as_on(alike, given, tuple(steady))
     for one in found:
         one["active_power"] = _shift_power(one["active_power"], steady["active_power"], time, now_s)
-    return found, "operation as on days that began similarly"
+    return found, BasisCode.OPERATION_OF_ALIKE_DAYS()
 
 
 def _standing_still(
     history: Record, now_s: float, time: np.ndarray, given: Sequence[Courses], steady: Mapping[str, float]
-) -> tuple[list[Courses], str]:
+) -> tuple[list[Courses], Statement]:
     """Operation that may follow a standstill: that after each earlier standstill of the same length, or an
     unprecedented one.
 
@@ -424,7 +422,7 @@ def _standing_still(
         share = (i // turn + 0.5) / unlike
         still = time <= now_s + age_s * (1.0 / share - 1.0)
         found.append({n: np.where(still, value, one.get(n, value)) for n, value in steady.items()})
-    return found, f"standstill that may end, as {len(others)} earlier ones of this length did"
+    return found, BasisCode.STANDSTILL_MAY_END(count=len(others))
 
 
 def _standstills(history: Record, now_s: float) -> tuple[float, list[float]]:

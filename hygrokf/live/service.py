@@ -323,7 +323,7 @@ class Service:
                 if self._words.get(url) != word:
                     self._words[url] = word
                     LOG.info("source", extra={"source": url, "state": word, "behind": words})
-            left = {name: words for one in self.streams.values() for name, words in one.left().items()}
+            left = {name: why for one in self.streams.values() for name, why in one.left().items()}
             now, reaches = self.now, self.reaches()
             quiet = self._quiet(reaches, now)
             self._publish(self._commit(lambda: self._open_fleet.tick(now, reaches, left, quiet)))

@@ -18,14 +18,13 @@ import numpy as np
 from hygrokf.data.structured import plain, structured
 from hygrokf.data.timestamps import DAY_S, HOUR_S, MINUTE_S
 from hygrokf.live.alarms import (
-    CLOCK,
+    CLOCKS,
     CONTRADICTS,
-    ESTIMATE_RULES,
-    LOST,
-    MISSING,
-    SHIFT_RULES,
-    STALE,
-    AlarmRule,
+    ESTIMATES,
+    INNOVATIONS,
+    REACH,
+    SHIFTS,
+    SILENCE,
     Estimated,
     Level,
     Standing,
@@ -33,6 +32,7 @@ from hygrokf.live.alarms import (
     estimate_levels,
     innovations,
     judge,
+    kinds_of,
     missing_levels,
     shift_levels,
     source_levels,
@@ -40,7 +40,17 @@ from hygrokf.live.alarms import (
     with_doubts,
 )
 from hygrokf.live.assessment import STANDSTILL_S, Known, Outlook, assess
-from hygrokf.live.batch import Alarm, Assessment, Batch, Estimates, Event, Loss, Observation
+from hygrokf.live.batch import (
+    Alarm,
+    Assessment,
+    Batch,
+    Estimates,
+    Event,
+    Loss,
+    Observation,
+    content_of,
+    text_of,
+)
 from hygrokf.live.clocks import Ahead, Backlogs, clock_levels
 from hygrokf.live.condition import Condition
 from hygrokf.live.fault_isolation import CauseFinding, ShiftStep, shift_step
@@ -65,6 +75,7 @@ from hygrokf.live.turbine import Kept as Kept
 from hygrokf.live.turbine import Turbine as Turbine
 from hygrokf.live.turbine import conditions as conditions
 from hygrokf.live.turbine import digest as digest
+from hygrokf.texts.statement import Statement
 
 PROPERTY_S = HOUR_S
 """[s] between two stored rows of a property."""
@@ -305,12 +316,12 @@ class Fleet:
         for one in innovations(course, point.time):
             # between the two thresholds a level says nothing: that of the other signals
             others = [s for s in course.run.timeline.outputs if s != one.signal]
-            silent = [Level(CONTRADICTS.kind, CONTRADICTS.off, "", subject=s) for s in others]
-            self._judge(name, one.time_s, [*silent, contradiction_level(one)], (CONTRADICTS,), batch)
+            silent = [Level(CONTRADICTS.kind, CONTRADICTS.off, subject=s) for s in others]
+            self._judge(name, one.time_s, [*silent, contradiction_level(one)], INNOVATIONS, batch)
         due = (found.time_s > course.judged_s + SAME_S) & (found.time_s <= course.final_s + SAME_S)
         for i in np.flatnonzero(due):
             levels = estimate_levels(Estimated(found, int(i), course.frozen), state.turbine.verdicts)
-            self._judge(name, float(found.time_s[i]), levels, ESTIMATE_RULES, batch)
+            self._judge(name, float(found.time_s[i]), levels, ESTIMATES, batch)
 
     def _watch_properties(self, name: str, course: TrackedCourse, final_s: float, batch: Batch) -> None:
         """Update properties and parameter shifts once per hour of final estimates, however many hours came at
@@ -345,7 +356,7 @@ class Fleet:
         while steps and (not steps[0].due or (finding is not None and finding.time_s == steps[0].time)):
             step = steps.pop(0)
             levels = with_doubts(shift_levels(step, finding), state.turbine.verdicts)
-            self._judge(name, step.time, levels, SHIFT_RULES, batch)
+            self._judge(name, step.time, levels, SHIFTS, batch)
         self._keep(name, batch, shift_steps=steps)
 
     def _references(
@@ -381,7 +392,7 @@ class Fleet:
             )  # fmt: skip
             self._note_doubt(name, batch)
             if tracker.point is not None:
-                self._judge(name, tracker.point.time, [], SHIFT_RULES, batch)
+                self._judge(name, tracker.point.time, [], SHIFTS, batch)
             self.waiting[name] = None
             self._assess(name, batch)
         return batch
@@ -390,12 +401,12 @@ class Fleet:
         self,
         now: float,
         sources: Mapping[str, Reach],
-        left: Mapping[str, str] | None = None,
+        left: Mapping[str, Statement] | None = None,
         quiet: Collection[str] = (),
     ) -> Batch:
         """Judge alarms about delivery at `now` [s], release readings that were ahead, assess every turbine.
 
-        left: turbine -> text about a sender that has left. quiet: turbines whose silence is no news.
+        left: turbine -> that its sender has left. quiet: turbines whose silence is no news.
         """
         batch, left = Batch(), left or {}
         self._began, self._now = min(self._began, now), now
@@ -403,11 +414,11 @@ class Fleet:
             self._take(name, self.ahead.release(name, now, batch), batch)
         for name in self.tracked:
             if name in left or name not in quiet:
-                self._judge_missing(name, now, left.get(name, ""), batch)
+                self._judge_missing(name, now, left.get(name), batch)
         clocks = clock_levels(self.ahead.by_turbine())
         for name in (*self.tracked, SOURCE):
-            self._judge(name, now, clocks.get(name, []), (CLOCK,), batch)
-        self._judge(SOURCE, now, source_levels(sources, now), (LOST,), batch)
+            self._judge(name, now, clocks.get(name, []), CLOCKS, batch)
+        self._judge(SOURCE, now, source_levels(sources, now), REACH, batch)
         for name in self.tracked:
             self._assess(name, batch)
         return batch
@@ -440,7 +451,7 @@ class Fleet:
             batch.memories[SOURCE, CONNECTED] = now
         return batch
 
-    def _judge_missing(self, name: str, now: float, left: str, batch: Batch) -> None:
+    def _judge_missing(self, name: str, now: float, left: Statement | None, batch: Batch) -> None:
         """Judge alarms about signals that came and come no more, and signals that never came; not while a
         backlog may still bring them, unless their sender has `left`."""
         state = self.tracked[name]
@@ -453,7 +464,7 @@ class Fleet:
         missing = [need for need in one.plan.expected if heard and not set(need.signals) & set(heard)]
         levels = stale_levels(ages, one.stale_s, left)
         levels += missing_levels(missing, state.known_s, now, one.stale_s)
-        self._judge(name, now, levels, (STALE, MISSING), batch)
+        self._judge(name, now, levels, SILENCE, batch)
 
     def isolation_due(self) -> tuple[str, ShiftStep] | None:
         """A turbine, the one that waits longest first, with the step at which the cause of its shifts is to
@@ -513,11 +524,9 @@ class Fleet:
                     best, oldest = name, age
         return best
 
-    def _judge(
-        self, name: str, now: float, levels: list[Level], rules: tuple[AlarmRule, ...], batch: Batch
-    ) -> None:
+    def _judge(self, name: str, now: float, levels: list[Level], follows: str, batch: Batch) -> None:
         before = self.tracked.get(name, self._common).alarms
-        after, changed = judge(name, before, now, levels, [rule.kind for rule in rules])
+        after, changed = judge(name, before, now, levels, kinds_of(follows))
         if after != before:
             self._keep(name, batch, alarms=after)
         batch.alarms += changed
@@ -528,10 +537,11 @@ class Fleet:
         if not math.isfinite(self._now):
             return
         state, now = self.tracked[name], self._now
-        found, before = assess(state.known(now, self.backlogs.awaited(name, now)), now), state.assessment
-        if before is None or (before.state, before.reason) != found:
-            since = before.since if before is not None and before.state == found[0] else now
-            state.assessment = Assessment(name, *found, since)
+        word, statements = assess(state.known(now, self.backlogs.awaited(name, now)), now)
+        content, before = content_of(statements), state.assessment
+        if before is None or (before.state, before.content) != (word, content):
+            since = before.since if before is not None and before.state == word else now
+            state.assessment = Assessment(name, word, text_of(statements), since, content)
             others = [one for one in batch.assessments if one.turbine != name]
             batch.assessments = [*others, state.assessment]
 
@@ -546,5 +556,5 @@ class Fleet:
 def _without_pending(standings: Mapping[str, Standing]) -> dict[str, Standing]:
     """Standings at a restart: what was silent before it must be silent again for as long before an alarm
     begins, because its readings may have been kept for the tracker."""
-    silent = (STALE.kind, MISSING.kind, CLOCK.kind)
-    return {key: one for key, one in standings.items() if one.alarm is not None or not key.startswith(silent)}
+    silent = kinds_of(SILENCE, CLOCKS)
+    return {key: one for key, one in standings.items() if one.alarm is not None or one.kind not in silent}

@@ -6,38 +6,45 @@ A result holds codes and numbers; whoever shows it asks for the `text`.  Nothing
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
 from string import Formatter
 from typing import Any, Self, TypeAlias
 
 from hygrokf.texts.wording import (
+    bytes_text,
+    chance_text,
     duration_text,
     fixed,
     minus,
     percent,
     plain_number,
+    several,
     signed,
     stamp_text,
 )
 
-Value: TypeAlias = "float | str | Statement | Sequence[str]"
-"""What fills a template: a number, a name, a statement, or names in a list."""
+Value: TypeAlias = "float | str | Statement | Sequence[str | Statement]"
+"""What fills a template: a number, a name, a statement, or several names or statements in a list."""
 
 
 class Code(Enum):
-    """What a statement can say: a member's name is the code in files, its value the template of its sentence.
+    """What a statement can say: a member's name is the code in files, its value the template of its sentence
+    or, with what to do about it, the pair of both templates.
 
-    Fields of a template: `{x}` a name or a statement, `{x:3}` a number with three significant digits,
-    `{x:.2}` with two decimals, `{x:+.2}` with its sign, `{x:%}` a share in per cent, `{x:.1%}` with one
-    decimal, `{x:g}` as short as it is, `{x:stamp}` an instant [s since 1970], `{x:duration}` a duration [s],
-    `{x:reading|readings}` the word for one or for another number, `{x}` names parted by commas, `{x:and}`
-    the last two by "and".
+    Fields of a template: `{x}` a name or a statement, `{x:words}` a name with blanks for its underscores,
+    `{x:3}` a number with three significant digits, `{x:.2}` with two decimals, `{x:+.2}` with its sign,
+    `{x:%}` a share in per cent, `{x:.1%}` with one decimal, `{x:chance}` a probability that is never certain,
+    `{x:g}` a number as short as it is, `{x:4g}` with at most four significant digits, `{x:bytes}` a size,
+    `{x:stamp}` an instant [s since 1970], `{x:duration}` a duration [s], `{x:reading|readings}` the word for
+    one or for another number, `{x}` names or statements parted by commas, `{x:and}` the last two by "and",
+    `{x:several}` the first ones of many.
     """
 
-    def __init__(self, template: str) -> None:
+    def __init__(self, template: str, remedy: str = "") -> None:
         self.template = template
+        self.remedy = remedy
 
     def __call__(self, **values: Value) -> Statement:
         """The statement with these values."""
@@ -84,36 +91,63 @@ class Statement:
         return made
 
     @property
+    def pieces(self) -> tuple[str | float, ...]:
+        """The sentence in pieces, of which the numbers are instants [s since 1970]: a page shows these in its
+        own time zone."""
+        return tuple(one for one in _pieces(self.code.template, self.values) if one != "")
+
+    @property
     def text(self) -> str:
         """The sentence, without a capital letter and a full stop."""
-        return _Fields().vformat(self.code.template, (), self.values)
+        return _joined(self.pieces)
+
+    @property
+    def remedy(self) -> str:
+        """What to do about it; empty where nothing is."""
+        return _joined(_pieces(self.code.remedy, self.values))
 
     def __str__(self) -> str:
         return self.text
 
 
 def _value(data: Any) -> Value:
-    """A value from a file: an object is a statement, a list names, null no number."""
+    """A value from a file: an object is a statement, a list names or statements, null no number."""
     if isinstance(data, Mapping):
         return Statement.from_json(data)
     if isinstance(data, list):
-        return tuple(data)
+        return tuple(Statement.from_json(one) if isinstance(one, Mapping) else one for one in data)
     return math.nan if data is None else data
 
 
-class _Fields(Formatter):
-    """Fields of a template as `Code` describes them."""
-
-    def format_field(self, value: Any, spec: str) -> str:
+def _pieces(template: str, values: Mapping[str, Value]) -> Iterator[str | float]:
+    """The pieces of a template whose fields are filled as `Code` describes them."""
+    for literal, name, spec, _ in Formatter().parse(template):
+        yield literal
+        if name is None:
+            continue
+        value = values[name]
         if isinstance(value, Statement):
-            return value.text
-        if isinstance(value, str):
-            return value
-        if isinstance(value, Sequence):
-            return listed(value, spec)
-        if "|" in spec:
-            return spec.split("|")[0 if value == 1 else 1]
-        return _number(float(value), spec)
+            yield from value.pieces
+        elif spec == "stamp" and not isinstance(value, str | Sequence):
+            yield float(value)
+        else:
+            yield _filled(value, spec or "")
+
+
+def _joined(pieces: Iterable[str | float]) -> str:
+    return "".join(one if isinstance(one, str) else stamp_text(one) for one in pieces)
+
+
+def _filled(value: Value, spec: str) -> str:
+    if isinstance(value, str):
+        return value.replace("_", " ") if spec.startswith("words") else value
+    if isinstance(value, Sequence):
+        names = [_filled(str(one), spec) for one in value]
+        return several(names) if spec == "several" else listed(names, spec.removeprefix("words").strip())
+    assert not isinstance(value, Statement), "its pieces are taken"
+    if "|" in spec:
+        return spec.split("|")[0 if value == 1 else 1]
+    return _number(float(value), spec)
 
 
 def listed(names: Sequence[str], last: str = "") -> str:
@@ -125,12 +159,14 @@ def listed(names: Sequence[str], last: str = "") -> str:
 
 def _number(value: float, spec: str) -> str:
     """A number as the field of a template asks for it."""
-    if spec == "stamp":
-        return stamp_text(value)
     if spec == "duration":
         return duration_text(value)
-    if spec == "g":
-        return minus(f"{value:g}")
+    if spec == "chance":
+        return chance_text(value)
+    if spec == "bytes":
+        return bytes_text(value)
+    if spec.endswith("g"):
+        return minus(f"{value:.{spec[:-1] or 6}g}")
     if spec.endswith("%"):
         return minus(percent(value, int(spec[1:-1] or 0)))
     if spec.startswith("+"):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Iterable
 from datetime import UTC, datetime, timedelta
 
 NONE = "–"
@@ -39,6 +40,13 @@ def plain_number(value: float, digits: int = 3) -> str:
 def fixed(value: float, decimals: int = 2) -> str:
     """A number with `decimals` decimals."""
     return minus(f"{value:.{decimals}f}") if math.isfinite(value) else NONE
+
+
+def chance_text(probability: float) -> str:
+    """A probability [1] in per cent, which never claims certainty."""
+    if probability > 0.99:
+        return "over 99 %"
+    return f"{100 * probability:.0f} %" if probability >= 0.01 else "under 1 %"
 
 
 def signed(value: float, decimals: int = 2) -> str:
@@ -78,6 +86,25 @@ def ends(value: float, low: float, high: float) -> tuple[str, str]:
         return plain_number(value), f"{plain_number(low, 2)} … {plain_number(high, 2)}"
     decimals = decimals_for(0.5 * (high - low))
     return fixed(value, decimals), f"{fixed(low, decimals)} … {fixed(high, decimals)}"
+
+
+NAMED = 5
+"""Names of a list that are shown; further names are only counted."""
+
+
+def several(names: Iterable[str]) -> str:
+    """The first `NAMED` names in one line, and the number of further ones."""
+    found = list(names)
+    more = f" and {len(found) - NAMED} more" if len(found) > NAMED else ""
+    return f"{', '.join(found[:NAMED])}{more}"
+
+
+def bytes_text(count: float) -> str:
+    """A size [bytes] in a convenient unit, such as "12 MB"."""
+    for unit, size in (("GB", 1e9), ("MB", 1e6), ("kB", 1e3)):
+        if count >= size:
+            return f"{count / size:.3g} {unit}"
+    return f"{count:.0f} bytes"
 
 
 def one_line(text: str) -> str:

@@ -113,9 +113,9 @@ def _stated(service: Service) -> None:
 
     from hygrokf.data.timestamps import DAY_S
     from hygrokf.live.assessment import Outlook
-    from hygrokf.live.batch import Assessment, Batch, Event, Shelf
+    from hygrokf.live.batch import Assessment, Batch, Event, Shelf, content_of, text_of
     from hygrokf.live.notification.notices import acknowledge
-    from hygrokf.texts.wording import stamp_text
+    from hygrokf.texts.live import StateCode
 
     store, now = opened(service), service.now
     advice = "from 06:00 on pre-heat for 40 min before a start; from 11:00 on none is needed."
@@ -126,8 +126,9 @@ def _stated(service: Service) -> None:
         add_forecast(store, name, advice, drift=-0.12 if n in (3, 5) else 0.0)
         likely_s = Outlook(*np.array(store.outlook(name)).T).likely_s(now)
         if likely_s is not None and states[name].state != "at risk":
-            reason = f"condensation is likely from {stamp_text(likely_s)} on"
-            store.commit(Batch(assessments=[Assessment(name, "at risk", reason, now)]))
+            said = (StateCode.CONDENSATION_LIKELY_FROM(at=likely_s),)
+            risk = Assessment(name, "at risk", text_of(said), now, content_of(said))
+            store.commit(Batch(assessments=[risk]))
     # a detail of the last alarm of the fleet, as the control room would have left it
     ended = store.rows("SELECT id FROM alarm WHERE ended IS NOT NULL ORDER BY began DESC")
     for (alarm,), cause in zip(ended, 3 * ("defect", "defect", "false alarm"), strict=False):

@@ -193,9 +193,10 @@ def _alarm(alarm: Alarm, made: FaultyPlant, raw: np.ndarray) -> dict:
     read = raw[while_open]
     return {
         "kind": alarm.kind,
-        "subject": alarm.id.split(":")[1].removeprefix(alarm.kind).strip(),
+        "subject": alarm.subject,
         "days": [round(day, 2) for day in days],
         "statement": alarm.statement,
+        "either": bool(alarm.statements[0].values.get("either")),
         "margin": round(float(made.margin_K[while_open].min(initial=np.inf)), 2),
         "margin_raw": round(float(np.nanmin(read)), 2) if np.isfinite(read).any() else None,
     }
@@ -227,7 +228,7 @@ def _named(name: str, lines: Sequence[Mapping]) -> str:
     within, kind, subject = RIGHT[lines[0]["fault"]]
     early = [[a for a in line["alarms"] if 0.0 <= a["days"][0] <= within] for line in lines]
     named = sum(any((a["kind"], a["subject"]) == (kind, subject) for a in told) for told in early)
-    joined = sum(any("or the ambient's" in a["statement"] for a in told) for told in early)
+    joined = sum(any(a["either"] for a in told) for told in early)
     blamed = sum(any(a["kind"] == "cabinet changed" for a in line["alarms"]) for line in lines)
     return (
         f"{name}: right name within {within:g} days in {named} of {len(lines)}; the cabinet's sensor "

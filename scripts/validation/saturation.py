@@ -12,6 +12,7 @@ from hygrokf.data.readings import SATURATED
 from hygrokf.live.condition import Condition, air_condition, inputs_of, only
 from hygrokf.live.forecast import moments_by_member
 from hygrokf.live.scenarios import HORIZON_S, NoScenarios, Scenarios
+from hygrokf.texts.live import BasisCode
 from validation.counts import Columns, between_plants, markdown, reliability
 from validation.frame import Claim
 from validation.tracked import DAY_S, SETTLED_S, Surface, Tracked, tracked_plant, truth
@@ -101,7 +102,7 @@ def _known(case: Tracked, now_s: float) -> Scenarios:
     }
     if drivers.preheating.any():
         member["preheating"] = _means(drivers.time, drivers.preheating, time)
-    return Scenarios(begin, time, (member,), "what came")
+    return Scenarios(begin, time, (member,), BasisCode.OPERATION_AS_NOW())
 
 
 def _means(minutes: np.ndarray, held: np.ndarray, time: np.ndarray) -> np.ndarray:

@@ -10,6 +10,7 @@ from hygrokf.live.plan import Plan
 from hygrokf.live.scenarios import Scenarios
 from hygrokf.live.tracker import Point, offline_course
 from hygrokf.physics.psychrometrics import absolute_humidity, relative_humidity
+from hygrokf.texts.live import BasisCode
 
 STEP_S = 600.0
 DAY_S = 86400.0
@@ -52,7 +53,7 @@ def standstill(one: Plan, humidity: float, now_s: float, *further: str) -> tuple
     series = tuple(Series(name, past, np.full(len(past), value)) for name, value in values.items())
     state = offline_course(one, Record("steady", series, None, RATED_W)).trace.last
     member = {name: np.full(len(ahead), value) for name, value in values.items()}
-    return Point(now_s, state), Scenarios(now_s, ahead, (member,), "steady")
+    return Point(now_s, state), Scenarios(now_s, ahead, (member,), BasisCode.OPERATION_AS_NOW())
 
 
 def cabinet_record(days: float, seed: int = 1, moisture: float = 0.0) -> Record:

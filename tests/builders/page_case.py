@@ -9,7 +9,7 @@ import queue
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime, timedelta
 from ipaddress import ip_address
 from pathlib import Path
@@ -23,6 +23,7 @@ from cryptography.x509.oid import NameOID
 from builders.live_case import live_record, live_turbine
 from builders.record_edits import without
 from hygrokf.data.record import Record
+from hygrokf.data.structured import plain
 from hygrokf.live.condition import Surface
 from hygrokf.live.forecast import LIMIT, ForecastMade
 from hygrokf.live.service import Service
@@ -33,6 +34,7 @@ from hygrokf.live.storage.store import Store, open_store
 from hygrokf.live.web.application import PageEndpoints
 from hygrokf.live.web.page_settings import PageSettings
 from hygrokf.live.web.server import Hub, PageServer, serve
+from hygrokf.texts.live import BasisCode
 
 HOUR_S = 3600.0
 LOCAL = PageSettings(port=0)
@@ -111,6 +113,7 @@ def add_forecast(
         (name,),
     )
     made, kelvin, humidity, density, dew, margin = start
+    told = BasisCode.NO_FORECAST(fault=statement)
     rows = []
     for step in range(1, 2 * hours + 1):
         h = step / 2.0
@@ -132,7 +135,7 @@ def add_forecast(
         cursor.execute(
             "INSERT INTO memory (turbine, name, content) VALUES (?, 'forecast', ?) "
             "ON CONFLICT (turbine, name) DO UPDATE SET content = excluded.content",
-            (name, json.dumps(asdict(ForecastMade(made, "", LIMIT, statement)))),
+            (name, json.dumps(plain(ForecastMade(made, told, LIMIT, told)))),
         )
 
 

@@ -12,8 +12,8 @@ from builders.documents import document
 from hygrokf.identification.verdict_terms import Inherited
 from hygrokf.live import alarms
 from hygrokf.live.alarms import (
-    CABINET_CHANGES,
     CHANGED,
+    CHANGES,
     FROZEN_S,
     RULES,
     SENSOR_OR_WATER,
@@ -34,6 +34,8 @@ from hygrokf.live.fault_isolation import CauseFinding, shift_step
 from hygrokf.live.frozen import Frozen
 from hygrokf.live.properties import WATCHED, ParameterShift, TrackedState
 from hygrokf.physics.psychrometrics import ZERO_CELSIUS_K
+from hygrokf.texts.live import AlarmCode, CauseCode
+from hygrokf.texts.statement import Code, Statement
 from hygrokf.texts.verdict import REJECT
 
 MINUTE = 60.0
@@ -45,15 +47,24 @@ def said_of(
     return shift_levels(shift_step(0.0, shifts, now, -math.inf), finding)
 
 
+def condensing(probability: float) -> Statement:
+    return AlarmCode.WATER_CONDENSES(probability=probability, margin_K=-1.0, lower_K=-2.0, upper_K=0.0)
+
+
 def course(levels: list[tuple[float, float | None]], kind: str = "condensation") -> tuple[dict, list[Alarm]]:
     """Standings and all changes after (minute, level) pairs; None: nothing is told."""
     known: dict[str, Standing] = {}
     changes: list[Alarm] = []
     for minute, level in levels:
-        told = [] if level is None else [Level(kind, level, f"level {level}")]
+        told = [] if level is None else [Level(kind, level, (condensing(level),))]
         known, changed = judge("T1", known, minute * MINUTE, told, RULES)
         changes += changed
     return known, changes
+
+
+def values_of(level: Level, size: str = "change") -> tuple[int, ...]:
+    """Size and bounds of what a level says, rounded."""
+    return tuple(round(level.statements[0].values[name]) for name in (size, "lower", "upper"))
 
 
 def test_an_alarm_begins_after_its_hold_off() -> None:
@@ -78,7 +89,7 @@ def test_it_ends_by_hysteresis() -> None:
 def test_it_worsens_once_and_keeps_its_name() -> None:
     _, changes = course([(0, 0.6), (20, 0.6), (25, 0.97), (26, 0.99), (27, 0.6)])
     assert [one.severity for one in changes] == ["warning", "alarm"]
-    assert changes[1].id == changes[0].id and changes[1].statement == "level 0.97"
+    assert changes[1].id == changes[0].id and "probability of 97 %" in changes[1].statement
     assert course([(0, 0.97), (20, 0.97)])[1][0].severity == "alarm"
 
 
@@ -92,7 +103,7 @@ def test_a_late_delivery_goes_back_and_ends_only_what_began_before() -> None:
 
 
 def test_several_subjects_of_one_kind_stand_apart() -> None:
-    two = [Level("clock wrong", 1.0, "a", subject="file:a"), Level("clock wrong", 1.0, "b", subject="file:b")]
+    two = [Level("clock wrong", 1.0, subject=subject) for subject in ("file:a", "file:b")]
     known, changes = judge("T1", {}, 0.0, two, RULES)
     assert changes == []
     known, changes = judge("T1", known, 900.0, two, RULES)
@@ -103,13 +114,16 @@ def test_several_subjects_of_one_kind_stand_apart() -> None:
     assert [(one.id, one.ended) for one in changes] == [("T1:clock wrong file:b:0", 1200.0)]
 
 
-def test_condensation_in_words() -> None:
+def test_condensation_has_its_probability_and_margin() -> None:
     one = Quantity(np.array([2.0, -1.5]), np.array([1.0, 0.5]))
     found = Condition(np.array([0.0, 600.0]), one, one, one, one, one, one, np.array([0.02, 0.998]), one)
     assert [one.level for one in condensation_levels(Estimated(found, 0))] == [0.02]
     (level,) = condensation_levels(Estimated(found, 1))
     assert level.level == 0.998
-    assert all(number in level.statement for number in ("100 %", "−1.5 K", "(−2.5 … −0.5)"))
+    (statement,) = level.statements
+    ends = {"lower_K": pytest.approx(-2.48, abs=1e-3), "upper_K": pytest.approx(-0.52, abs=1e-3)}
+    assert statement.code is AlarmCode.WATER_CONDENSES
+    assert statement.values == {"probability": 0.998, "margin_K": -1.5, **ends}
     bare = Condition(np.array([0.0]), one, *[None] * 7)
     assert condensation_levels(Estimated(bare, 0)) == []
 
@@ -122,10 +136,11 @@ def test_shifts_name_cause_and_remedy() -> None:
     }
     now = {"hygric_k": TrackedState(math.log(0.5), 0.1), "heat_release_change": TrackedState(2.25, 0.5)}
     exchange, heat = said_of(found, CauseFinding(0.0, ""), now)
-    assert exchange.statement.endswith("hygric k −50 (−59 … −39) %")
-    assert "seals" in exchange.remedy and exchange.subject == "hygric_k"
-    assert heat.statement.endswith("heat release change +2.2 (+1.3 … +3.2) K")
-    assert {name for name, _ in CABINET_CHANGES} == {one.name for one in WATCHED}
+    assert exchange.statements[0].code is AlarmCode.AIR_EXCHANGE_HIGHER and exchange.subject == "hygric_k"
+    assert values_of(exchange) == (-50, -59, -39) and "seals" in exchange.statements[0].remedy
+    assert heat.statements[0].code is AlarmCode.HEAT_RELEASE_HIGHER
+    assert heat.statements[0].values["change"] == 2.25
+    assert {name for name, _ in CHANGES} == {one.name for one in WATCHED}
 
 
 def test_no_change_is_said_while_its_bounds_contain_zero() -> None:
@@ -135,13 +150,18 @@ def test_no_change_is_said_while_its_bounds_contain_zero() -> None:
     assert CHANGED.off <= unsure.level < CHANGED.on
     sensor = CauseFinding(0.0, "temperature_sensor", "temperature_reading_change", 0.4, 20.0, sd=0.3)
     (unsure,) = said_of(found, sensor, {})
-    assert SUSPECT.off <= unsure.level < SUSPECT.on and "0.4 (−0.2 … 1.0) K too high" in unsure.statement
+    assert SUSPECT.off <= unsure.level < SUSPECT.on
+    (statement,) = unsure.statements
+    assert statement.code is AlarmCode.TEMPERATURE_SENSOR_SUSPECT
+    assert (statement.values["size"], statement.values["side"]) == (0.4, "high")
+    assert statement.values["lower"] == pytest.approx(-0.188, abs=1e-3)
     (sure,) = said_of(found, replace(sensor, sd=0.1), {})
     assert sure.level == SUSPECT.on
     pair = replace(sensor, sd=0.1, alike=("ambient_temperature", "heat_release_change"))
     (either,) = said_of(found, pair, {})
-    assert "K too high, or the ambient's too low: " in either.statement
-    assert either.statement.endswith(" (or a changed heat release)")
+    assert either.statements[0].values["either"] == AlarmCode.OR_AMBIENT(side="low")
+    others = AlarmCode.OR_OTHERS(causes=(CauseCode.CHANGED_HEAT_RELEASE(),))
+    assert either.statements[0].values["others"] == others
 
 
 def test_air_that_is_too_moist_is_sensor_or_water_whatever_the_finding() -> None:
@@ -153,7 +173,7 @@ def test_air_that_is_too_moist_is_sensor_or_water_whatever_the_finding() -> None
         assert SENSOR_OR_WATER.off <= unsure.level < SENSOR_OR_WATER.on
     (level,) = said_of(lasting, CauseFinding(9.0, ""), moist)
     assert level.kind == SENSOR_OR_WATER.kind and level.level == pytest.approx(3.0)
-    assert "+12 (+11 … +13) % relative humidity" in level.statement and "water" in level.statement
+    assert level.statements[0].code is AlarmCode.HUMIDITY_SENSOR_OR_WATER and values_of(level) == (12, 11, 13)
     high = CauseFinding(9.0, "humidity_sensor", "humidity_scale_change", 0.3, 50.0, sd=0.02)
     for finding in (None, CauseFinding(9.0, ""), high):
         assert [one.kind for one in said_of(lasting, finding, moist)] == [SENSOR_OR_WATER.kind]
@@ -161,13 +181,15 @@ def test_air_that_is_too_moist_is_sensor_or_water_whatever_the_finding() -> None
     assert [one.kind for one in said_of(lasting, other, moist)] == [SUSPECT.kind]
     ambient = CauseFinding(9.0, "ambient_humidity", "ambient_humidity_change", -0.1, 50.0, sd=0.02)
     (level,) = said_of(lasting, ambient, moist)
-    assert level.subject == "ambient_humidity" and "10 (6 … 14) % too low: neither" in level.statement
+    assert level.subject == "ambient_humidity" and values_of(level, "size") == (10, 6, 14)
     (level,) = said_of(lasting, replace(high, alike=("ambient_humidity",)), moist)
-    assert level.level == pytest.approx(3.0) and "it or the ambient's errs" in level.statement
+    assert level.level == pytest.approx(3.0)
+    assert level.statements[0].code is AlarmCode.EITHER_SENSOR_OR_WATER
     lasting = {"humidity_offset": ParameterShift("humidity_offset", 0.0, True, -0.12)}
     below, low = said_of(lasting, replace(high, value=-0.3), dry)
     assert below.level < 0.0 and low.kind == SUSPECT.kind
-    assert "30 (26 … 34) % of its value too low" in low.statement
+    assert low.statements[0].code is AlarmCode.HUMIDITY_SCALE_SUSPECT
+    assert values_of(low, "size") == (30, 26, 34) and low.statements[0].values["side"] == "low"
 
 
 def test_a_frozen_signal_is_named_whichever_it_is() -> None:
@@ -179,7 +201,9 @@ def test_a_frozen_signal_is_named_whichever_it_is() -> None:
     bare = Condition(np.array([FROZEN_S - 600.0, FROZEN_S + 600.0]), *[None] * 8)
     early, late = (frozen_levels(Estimated(bare, i, frozen)) for i in (0, 1))
     assert [one.level >= STUCK.on for one in early + late] == [False, False, False, True, False]
-    assert late[0].statement.startswith("ambient temperature has read 8.3 degC since 1970-01-01T00:00Z")
+    (statement,) = late[0].statements
+    expected = {"signal": "ambient_temperature", "value": pytest.approx(8.3), "unit": " °C", "since": 0.0}
+    assert statement.code is AlarmCode.SIGNAL_FROZEN and statement.values == expected
     assert late[0].subject == "ambient_temperature"
 
 
@@ -191,26 +215,30 @@ def test_the_alarm_that_the_page_adds(monkeypatch: pytest.MonkeyPatch) -> None:
     """The example of docs/explanation/live.md, put into the module as the page says."""
     page = document("live.md").read_text(encoding="utf-8")
     _, _, text = page.partition("### Adding an alarm")
-    space = {**vars(alarms), "ZERO_CELSIUS_K": ZERO_CELSIUS_K}
-    exec(text.split("```text\n")[1].split("```")[0], space)
-    hot, heat_levels = space["HOT"], space["heat_levels"]
-    monkeypatch.setitem(alarms.RULES, hot.kind, hot)
-    monkeypatch.setitem(alarms.RESTS_ON, hot.kind, alarms.PARTS[:1])
-    monkeypatch.setattr(alarms, "ESTIMATE_LEVELS", (heat_levels,))
+    code, levels = (part.split("```")[0] for part in text.split("```text\n")[1:3])
+    own: dict = {}
+    exec(code, own)
+    codes = Code("OwnCode", {"CABINET_HOT": own["CABINET_HOT"]})
+    space = {**vars(alarms), "ZERO_CELSIUS_K": ZERO_CELSIUS_K, "AlarmCode": codes}
+    exec(levels.replace("\nAlarmRule(", "\nrule = AlarmRule("), space)
+    hot = space["rule"]
+    monkeypatch.setattr(alarms, "RULES", {hot.kind: hot})
     air = Quantity(np.array([300.0, 324.15]), np.array([0.1, 0.1]))
     found = Condition(np.array([0.0, 600.0]), air, *[None] * 7)
     rejected = {part: Inherited(verdict=REJECT) for part in alarms.PARTS}
     (calm,), (level,) = (estimate_levels(Estimated(found, place), rejected) for place in (0, 1))
-    assert calm.level < hot.off and "51.0 °C" in level.statement
-    assert "thermal" in level.statement and "hygric" not in level.statement
-    known, begun = judge("T1", {}, 0.0, [level], RULES)
-    assert begun == [] and [one.kind for one in judge("T1", known, 600.0, [level], RULES)[1]] == [hot.kind]
+    assert calm.level < hot.off and level.statements[0].values == {"air_C": pytest.approx(51.0)}
+    assert level.statements[1].values["parts"] == ("thermal",)
+    known, begun = judge("T1", {}, 0.0, [level], [hot.kind])
+    (begun,) = [*begun, *judge("T1", known, 600.0, [level], [hot.kind])[1]]
+    assert (begun.kind, begun.remedy.split()[0]) == (hot.kind, "check")
+    assert begun.statement.startswith("the cabinet air is at 51.0 °C; the model's thermal time constant")
 
 
 def test_a_kind_may_begin_with_the_words_of_another(monkeypatch: pytest.MonkeyPatch) -> None:
-    soon = replace(alarms.CONDENSATION, kind="condensation soon", remedy="look ahead")
+    soon = replace(alarms.CONDENSATION, kind="condensation soon", severity="notice")
     monkeypatch.setitem(alarms.RULES, soon.kind, soon)
-    assert [one.remedy for one in course([(0, 0.6), (20, 0.6)], soon.kind)[1]] == ["look ahead"]
-    levels = [Level("condensation", 0.6, "now"), Level(soon.kind, 0.6, "later")]
+    assert [one.severity for one in course([(0, 0.6), (20, 0.6)], soon.kind)[1]] == ["notice"]
+    levels = [Level("condensation", 0.6), Level(soon.kind, 0.6)]
     known, _ = judge("T1", {}, 0.0, levels, RULES)
     assert {one.kind for one in judge("T1", known, 1200.0, levels, RULES)[1]} == {"condensation", soon.kind}

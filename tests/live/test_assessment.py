@@ -12,8 +12,8 @@ import pytest
 
 from hygrokf.data.record import Record
 from hygrokf.live.alarms import RULES
-from hygrokf.live.assessment import NOT_ASSESSED, Known, Outlook, assess
-from hygrokf.live.batch import Alarm, Batch
+from hygrokf.live.assessment import Known, Outlook, assess
+from hygrokf.live.batch import Alarm, Batch, content_of, text_of
 from hygrokf.live.condition import Condition
 from hygrokf.live.forecast import Forecast
 from hygrokf.live.plan import AMBIENT_HUMIDITIES, Need
@@ -24,6 +24,7 @@ from hygrokf.live.storage.store import Store
 from hygrokf.live.tracker import Reading, Tracker
 from hygrokf.live.turbines import Fleet, Turbine
 from hygrokf.live.web.views import fleet_view, turbine_view
+from hygrokf.texts.live import AlarmCode, BasisCode
 
 RECORD = {"seed": 7, "days": 2.0}
 
@@ -34,7 +35,8 @@ NEED = Need(AMBIENT_HUMIDITIES, True)
 
 
 def alarm(kind: str, severity: str = "warning") -> Alarm:
-    return Alarm(f"T1:{kind}:0", "T1", kind, severity, NOW, f"about {kind}", "")
+    content = content_of((AlarmCode.NOTHING_ARRIVES(age_h=2.5),))
+    return Alarm(f"T1:{kind}:0", "T1", kind, severity, NOW, "", "", content=content)
 
 
 def known(**changed: object) -> Known:
@@ -59,7 +61,7 @@ def coming(*chances: float) -> Outlook:
         ({"alarms": [alarm("cabinet changed"), alarm("data stale")]}, "alarm", "cabinet changed"),
         ({"alarms": [alarm("signal missing")]}, "alarm", "signal missing"),
         ({"alarms": [alarm("signal missing", "notice")]}, "ok", ""),
-        ({"alarms": [alarm("data stale")]}, "stale", "about data stale"),
+        ({"alarms": [alarm("data stale")]}, "stale", "no signal has arrived for 2.5 h"),
         ({"estimate_s": NOW - 3.0 * HOUR_S}, "stale", "from 2020-09-13T09:26:40Z"),
         ({"estimate_s": NOW - 3.0 * HOUR_S, "condensation": 0.98}, "stale", "from"),
         ({"estimate_s": NOW - 3.0 * HOUR_S, "catching_up": True}, "stale", "backlog"),
@@ -86,8 +88,8 @@ def coming(*chances: float) -> Outlook:
     ],
 )
 def test_states(changed: dict, state: str, words: str) -> None:
-    found, reason = assess(known(**changed), NOW)
-    assert found == state and words in reason and reason
+    found, statements = assess(known(**changed), NOW)
+    assert found == state and words in text_of(statements) and statements
 
 
 def test_every_state_and_no_null_is_ok() -> None:
@@ -119,7 +121,7 @@ def test_ambient_humidity_that_never_comes(
 ) -> None:
     fleet = Fleet.from_store({"T1": turbine}, store)
     (row,) = fleet_view(store, ["T1"], record.start_s)
-    assert (row["state"], row["reason"], row["since"]) == ("no estimate", NOT_ASSESSED, None)
+    assert (row["state"], row["reason"], row["since"]) == ("no estimate", "not assessed yet", None)
     rounds(fleet, store, record, mapping, without="ambient_relative_humidity")
     (row,) = fleet_view(store, ["T1"], record.end_s)
     assert row["state"] == "no estimate" and row["reason"].startswith("ambient humidity never came since")
@@ -178,7 +180,7 @@ def test_a_forecast_of_condensation_puts_a_turbine_at_risk(
     hours = record.end_s + HOUR_S * np.arange(1.0, 4.0)
     chances = np.array([0.1, 0.7, 0.9])
     air = Condition(hours, *[None] * 6, chances, None)
-    made = Batch(forecasts={"T1": Forecast(record.end_s, air, chances, 0.8, "made up")})
+    made = Batch(forecasts={"T1": Forecast(record.end_s, air, chances, 0.8, BasisCode.OPERATION_AS_NOW())})
     fleet.keep_forecast("T1", record.end_s, made)
     (found,) = made.assessments
     assert found.state == "at risk" and found.reason.startswith("condensation is likely from ")

@@ -27,6 +27,7 @@ from hygrokf.live.sources.broker import (
 )
 from hygrokf.live.sources.payload import Field, PayloadMapping
 from hygrokf.live.sources.sparkplug import MqttForm
+from hygrokf.texts.doctor import CheckCode
 
 MAPPING = PayloadMapping({"Tcab": Field("cabinet_temperature", "degC")}, turbines={"T1": "T1"})
 SECRET = "pa55-4711"
@@ -174,11 +175,11 @@ def test_cautions(folder: Path) -> None:
     (folder / "secret").chmod(0o644)
     (folder / "client.key").chmod(0o604)
     found = list(read(folder, text)[0].cautions())
-    assert len(found) == 2 and all("chmod o-rwx" in one for one in found)
+    assert len(found) == 2 and all(one.code is CheckCode.SECRET_READABLE for one in found)
     plain = read(folder, SHORT + 'user = "u"\npassword_file = "secret"')[0]
-    assert any("in plain text: use mqtts://" in one for one in plain.cautions())
+    assert CheckCode.LOGIN_IN_PLAIN_TEXT in [one.code for one in plain.cautions()]
     near = read(folder, SHORT.replace("//h", "//localhost") + 'user = "u"\npassword_file = "secret"')[0]
-    assert not any("in plain text" in one for one in near.cautions())
+    assert CheckCode.LOGIN_IN_PLAIN_TEXT not in [one.code for one in near.cautions()]
 
 
 def test_a_source_of_these_schemes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -213,7 +214,8 @@ def test_filters() -> None:
 def test_topics_of_alarms() -> None:
     def topic(turbine: str, kind: str, subject: str = "") -> str:
         key = f"{kind} {subject}".strip()
-        return alarm_topic("p", Alarm(f"{turbine}:{key}:16", turbine, kind, "notice", 16.0, "", ""))
+        alarm = Alarm(f"{turbine}:{key}:16", turbine, kind, "notice", 16.0, "", "", subject=subject)
+        return alarm_topic("p", alarm)
 
     assert topic("T1", "condensation") == "p/T1/condensation"
     assert topic("T1", "cabinet changed", "hygric_k") == "p/T1/cabinet_changed_hygric_k"

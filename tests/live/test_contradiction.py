@@ -25,7 +25,8 @@ HUMIDITY = "cabinet_relative_humidity"
 def test_the_level_is_that_of_the_prediction_s_own_bounds() -> None:
     level = contradiction_level(Innovation(HUMIDITY, 0.0, 0.45, 0.77, 0.004))
     assert level.level == pytest.approx(0.32 / 0.004 / BEYOND)
-    assert all(words in level.statement for words in ("reads 45.0 %", "expects 77.0 (76.2 … 77.8)"))
+    (statement,) = level.statements
+    assert statement.text.endswith("reads 45.0 %, where the estimate expects 77.0 (76.2 … 77.8)")
     assert contradiction_level(Innovation(HUMIDITY, 0.0, 0.45, 0.77, 0.2)).level < 0.5  # wide bounds say less
 
 

@@ -38,7 +38,6 @@ from hygrokf.live.doctor import check as doctor_check
 from hygrokf.live.doctor import examination as doctor_store
 from hygrokf.live.doctor import sources as doctor_sources
 from hygrokf.live.doctor.check import (
-    Check,
     elapsed_from,
     machine_checks,
     server_check,
@@ -49,9 +48,10 @@ from hygrokf.live.doctor.check import (
 from hygrokf.live.doctor.examination import examine, page_checks
 from hygrokf.live.service import Service
 from hygrokf.live.sources.opcua_client import Connection
-from hygrokf.live.sources.stream import several
 from hygrokf.live.storage.store import open_store
 from hygrokf.live.web.page_settings import PageSettings
+from hygrokf.texts.doctor import Check, CheckCode
+from hygrokf.texts.wording import several
 
 TRACK = """\
 store = "sqlite:live.db"
@@ -128,7 +128,7 @@ def said(checks: list[Check], level: str, words: str, remedy: str = "") -> Check
     """The one check of this level that says so; every one that is not fine says what to do."""
     assert all(bool(one.remedy) == (one.level != "ok") for one in checks), checks
     found = [
-        c for c in checks if c.level == level and words in f"{c.about}: {c.found}" and remedy in c.remedy
+        c for c in checks if c.level == level and words in f"{c.about}: {c.text}" and remedy in c.remedy
     ]
     assert len(found) == 1, "\n".join(map(str, checks))
     return found[0]
@@ -185,7 +185,8 @@ def test_the_command_its_status_and_its_json(folder: Path, capsys: pytest.Captur
     found = json.loads(out)
     assert (status, err, found["level"]) == (1, "", "fault")
     (wrong,) = [one for one in found["checks"] if one["level"] == "fault"]
-    assert wrong["about"] == "store" and "does not exist" in wrong["found"] and "make it" in wrong["remedy"]
+    assert (wrong["about"], wrong["code"]) == ("store", "store_fails")
+    assert "does not exist; make it" in wrong["found"] and wrong["values"]["fault"] == wrong["found"]
     status, out, _ = told(
         f"{folder}/T07/fit.json --source file:{folder}/live.csv --store sqlite:{folder}/x.db --wait 0s "
         "--no-page"
@@ -199,7 +200,9 @@ def test_the_command_its_status_and_its_json(folder: Path, capsys: pytest.Captur
 
 
 def test_lines_are_lines_and_lists_are_short() -> None:
-    assert str(Check("fault", "a", "b\nc\x1b[31m", "d")) == "fault  a: b c [31m; to do: d"
+    check = CheckCode.SECRET_READABLE("a", "fault", path="b\nc\x1b[31m")
+    assert str(check).startswith("fault  a: every user ")
+    assert str(check).endswith("can read b c [31m; to do: chmod o-rwx b c [31m")
     assert several("abcdefg") == "a, b, c, d, e and 2 more"
 
 
@@ -223,7 +226,7 @@ def test_rows_that_give_no_reading_are_counted_with_the_reason(folder: Path) -> 
     source, now = folder / "live.csv", time.time()
     with source.open("a") as file:
         file.write(row(now, "T99") + row(now, cabinet=500.0) + f"T07,yesterday,1,2\nT07,{iso(now)},,\n")
-    found = said(looked(folder), "doubt", "37 of 40 last rows gave readings", "compare [mapping]").found
+    found = said(looked(folder), "doubt", "37 of 40 last rows gave readings", "compare [mapping]").text
     for words in ("1 unknown turbine (turbine 'T99'", "1 impossible value", "1 no time", "1 no value"):
         assert words in found
     write_rows(source, now, turbine="T99")
@@ -232,7 +235,7 @@ def test_rows_that_give_no_reading_are_counted_with_the_reason(folder: Path) -> 
 
 def test_a_long_file_is_read_from_its_end(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("hygrokf.live.doctor.sources.TAIL", 500)
-    found = [one.found for one in looked(folder) if "last rows gave readings" in one.found]
+    found = [one.text for one in looked(folder) if "last rows gave readings" in one.text]
     count, of = (int(found[0].split()[k]) for k in (0, 2))
     assert count == of and 5 < of < 20
 
@@ -286,7 +289,7 @@ def test_what_goes_wrong_in_a_source_s_own_thread_is_not_lost(
 )
 def test_stamps_against_the_clock(lag_s: float, level: str, words: str) -> None:
     found = stamp_check("x", lag_s, 1800.0)
-    assert found.level == level and words in found.found
+    assert found.level == level and words in found.text
     assert stamp_check("x", lag_s, 1800.0, fresh=False).level == ("ok" if lag_s >= 0 else level)
 
 
@@ -302,12 +305,12 @@ def test_this_machine_s_clock(monkeypatch: pytest.MonkeyPatch) -> None:
     assert [one.level for one in machine_checks(elapsed_from(), now)] == ["ok"]
     assert [one.level for one in machine_checks(elapsed_from(), -math.inf)] == ["ok"]
     (jumped,) = machine_checks(elapsed_from() - 30.0, now)
-    assert jumped.level == "doubt" and "jumped by +30.0 s" in jumped.found
+    assert jumped.level == "doubt" and "jumped by +30.0 s" in jumped.text
     (back,) = machine_checks(elapsed_from(), now + 9000.0)
-    assert back.level == "fault" and "received 2.5 h in the future" in back.found
+    assert back.level == "fault" and "received 2.5 h in the future" in back.text
     monkeypatch.setattr(doctor_check, "synchronised", lambda: False)
     (loose,) = machine_checks(elapsed_from(), now)
-    assert loose.level == "doubt" and "not synchronised" in loose.found and "NTP" in loose.remedy
+    assert loose.level == "doubt" and loose.code is CheckCode.CLOCK_NOT_SYNCHRONISED and "NTP" in loose.remedy
     monkeypatch.setattr(doctor_check, "synchronised", lambda: None)
     assert [one.level for one in machine_checks(elapsed_from(), now)] == ["ok"]
 
@@ -327,13 +330,13 @@ def test_the_validity_of_the_certificates_of_a_file(tmp_path: Path) -> None:
     files = [made.issue(f"n{one}", days=one)[0] for one in (400, 20_000, -1)]
     chain = b"# a chain\n" + b"".join(file.read_bytes() for file in files)
     first, last = validity_check("x", chain, "chain"), validity_check("x", chain, "chain", max)
-    assert first.level == "fault" and "chain has expired " in first.found
-    assert (last.level, last.found) == ("ok", "chain is valid for 20000 d")
+    assert first.level == "fault" and "chain has expired " in first.text
+    assert (last.level, last.text) == ("ok", "chain is valid for 20000 d")
     der = ssl.PEM_cert_to_DER_cert(files[0].read_text())
-    assert validity_check("x", der, "one").found == "one is valid for 400 d"
+    assert validity_check("x", der, "one").text == "one is valid for 400 d"
     key = b"-----BEGIN RSA PRIVATE KEY-----\nAA==\n"
     for wrong in (b"", b"no certificate", key, chain[:400], b"\x30\x82\xff"):
-        assert "found something else" in validity_check("x", wrong, "w").found
+        assert validity_check("x", wrong, "w").code is CheckCode.NO_CERTIFICATE
 
 
 def test_without_cryptography_certificates_are_in_doubt(
@@ -379,19 +382,19 @@ def test_stores_that_cannot_be_used(folder: Path) -> None:
     for first in (8192, len(whole) - 16384):
         path.write_bytes(whole[:first] + b"\xff" * 8192 + whole[first + 8192 :])
         found = said(looked(folder), "fault", "store: ", "restore a copy")
-        assert "damaged" in found.found or "malformed" in found.found
+        assert "damaged" in found.text or "malformed" in found.text
     path.write_text("no database at all, but some text")
     said(looked(folder), "fault", "cannot be read as a store")
     path.unlink()
     with closing(sqlite3.connect(path)) as other:
         other.execute("CREATE TABLE mine (a)")
         other.commit()
-    said(looked(folder), "fault", "found another database", "name another file")
+    said(looked(folder), "fault", "found another database; name another file", "restore a copy")
     path.write_bytes(whole)
     with closing(sqlite3.connect(path)) as store:
         store.execute("UPDATE schema_version SET version = 99")
         store.commit()
-    said(looked(folder), "fault", "found schema 99, which another version", "Use that version")
+    said(looked(folder), "fault", "Use that version", "restore a copy")
 
 
 def test_who_tracks_is_told_as_long_as_it_lives(folder: Path) -> None:
@@ -446,13 +449,13 @@ def test_a_disk_that_fills(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Non
         monkeypatch.setattr(
             doctor_store.shutil, "disk_usage", lambda path: shutil._ntuple_diskusage(0, 0, count)
         )
-        (found,) = [one for one in looked(folder) if "free on its disk" in one.found]
+        (found,) = [one for one in looked(folder) if "free on its disk" in one.text]
         return found
 
     monkeypatch.setattr(doctor_store, "LEAST_FREE", size // 4)
     assert free(400 * size).level == "ok"
     found = free(10 * size)
-    assert found.level == "doubt" and "fills it in 10 d" in found.found and "retention" in found.remedy
+    assert found.level == "doubt" and "fills it in 10 d" in found.text and "retention" in found.remedy
     assert free(size // 2).level == "fault" and free(0).level == "fault"
     monkeypatch.setattr(doctor_store, "LEAST_FREE", 500 * size)
     assert free(400 * size).level == "fault"
@@ -520,7 +523,7 @@ def test_the_page_s_address(folder: Path) -> None:
 
         thread = threading.Thread(target=hang_up)
         thread.start()
-        said(list(page_checks(settings)), "fault", "the port is in use", "another port")
+        said(list(page_checks(settings)), "fault", "the port is in use", "another address")
         thread.join()
     said(list(page_checks(PageSettings("192.0.2.1", 8080))), "fault", "does not have this address")
 
@@ -714,7 +717,7 @@ def test_a_sound_opcua_server(server, folder: Path) -> None:
     before = server.asked_of()
     found = looked_at(opcua_source(server.url, nodes), folder, 10.0)
     assert (
-        troubles([one for one in found if "its clock agrees" not in one.found]) == []
+        troubles([one for one in found if one.code is not CheckCode.SERVER_CLOCK_AGREES]) == []
     )  # the peer's stands still
     said(found, "ok", "its clock agrees with this machine's")
     said(found, "ok", "2 of 2 nodes have a good value")

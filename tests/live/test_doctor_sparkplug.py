@@ -125,7 +125,7 @@ def look(
 
         def examined() -> dict[str, Check] | None:
             found = examine(read_config(file), file, 1.0, False)
-            checks = {one.found: one for one in found if broker.url in one.about}
+            checks = {one.text: one for one in found if broker.url in one.about}
             return checks if any(re.search(words, text) for text in checks) else None
 
         return eventually(examined)

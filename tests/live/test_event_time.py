@@ -16,7 +16,7 @@ from builders.live_case import SIGNALS, count_of, live_record, live_turbine
 from hygrokf.data.record import Record
 from hygrokf.data.timestamps import DAY_S
 from hygrokf.live import forecast_job
-from hygrokf.live.alarms import DELIVERY_RULES
+from hygrokf.live.alarms import DELIVERY, kinds_of
 from hygrokf.live.condition import Surface
 from hygrokf.live.fault_isolation import EVERY_S, CauseFinding
 from hygrokf.live.forecast_job import isolation_steps
@@ -98,7 +98,7 @@ def isolated(fleet: Fleet, store: Store) -> list[float]:
 
 def told(store: Store) -> dict[str, object]:
     """What a store holds of alarms about the process, of causes, properties and final estimates."""
-    delivery = tuple(rule.kind for rule in DELIVERY_RULES)
+    delivery = kinds_of(*DELIVERY)
     alarms = "SELECT id, kind, severity, began, ended, statement, remedy FROM alarm ORDER BY id"
     return {
         "alarms": [row for row in store.rows(alarms) if row[1] not in delivery],

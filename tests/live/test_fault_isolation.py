@@ -22,6 +22,7 @@ from hygrokf.live.properties import ParameterShift, TrackedState
 from hygrokf.live.sources.local import form_of
 from hygrokf.live.tracker import Point, offline_course
 from hygrokf.physics.psychrometrics import saturation_pressure_water
+from hygrokf.texts.live import AlarmCode, CauseCode
 
 SEED, DAYS, FITTED, CHANGE = 21, 75.0, 45.0, 60.0
 """Seed; days of the record, of those from which the model is identified, and until the change."""
@@ -272,5 +273,6 @@ def test_what_is_said_of_it() -> None:
     cabinet = CauseFinding(9.0, "heat_release_change", "release_change", 2.0, 50.0, ("temperature_sensor",))
     (one,) = shift_levels(step, cabinet)
     assert (one.kind, one.subject) == (CHANGED.kind, "heat_release_change")
-    assert one.statement.endswith("(or the temperature sensor)") and "+2.2 (+1.8 … +2.6) K" in one.statement
+    others = AlarmCode.OR_OTHERS(causes=(CauseCode.TEMPERATURE_SENSOR(),))
+    assert one.statements[0].values["others"] == others and "+2.2 (+1.8 … +2.6) K" in one.statements[0].text
     assert shift_levels(shift_step(9.0, {}, {}, 0.0), replace(cabinet, cause="temperature_sensor")) == []

@@ -23,6 +23,7 @@ from hygrokf.live.sources.stream import Delivery, Reach
 from hygrokf.live.storage.store import Store, open_store
 from hygrokf.live.tracker import offline_course
 from hygrokf.live.turbines import Fleet, Turbine, conditions
+from hygrokf.texts.live import AlarmCode
 
 RECORD = {"seed": 6, "days": 2.0}
 
@@ -234,10 +235,10 @@ def test_data_are_stale_once_their_sender_has_left_for_five_minutes(
 ) -> None:
     fleet = Fleet.from_store({"T1": turbine}, store)
     store.commit(fleet.round(deliveries(record), mapping))
-    end, left = record.end_s, {"T1": "Farm/N1 has left"}
+    end, left = record.end_s, {"T1": AlarmCode.SENDER_LEFT(sender="Farm/N1", at=record.end_s)}
     assert fleet.tick(end + 60.0, {}, left).empty or not fleet.open_alarms()
     (alarm,) = fleet.tick(end + 400.0, {}, left).alarms
-    assert (alarm.kind, alarm.statement, alarm.ended) == ("data stale", "Farm/N1 has left", None)
+    assert (alarm.kind, alarm.statements, alarm.ended) == ("data stale", (left["T1"],), None)
     fleet.tick(end + 500.0, {}, {})
     (alarm,) = fleet.tick(end + 900.0, {}, {}).alarms
     assert alarm.ended is not None

@@ -31,6 +31,7 @@ from hygrokf.live.scenarios import HORIZON_S, Scenarios, persistence
 from hygrokf.live.traces import censored_trace
 from hygrokf.live.tracker import Point, offline_course
 from hygrokf.modelling.design import design, extended
+from hygrokf.texts.live import AdviceCode, BasisCode, StateCode
 
 DAYS = 16.0
 NOW_S = START_S + 14.0 * DAY_S
@@ -99,9 +100,8 @@ def test_with_the_true_future_it_is_the_filter_without_readings(
     record: Record, planned_for: Plan, point: Point, step_s: float
 ) -> None:
     time = NOW_S + np.arange(-18 * 600.0, 40 * HOUR_S + 1.0, step_s)
-    found = forecast(
-        planned_for, point, Scenarios(NOW_S, time, (future(record, time),), "the truth"), SURFACE
-    )
+    known = Scenarios(NOW_S, time, (future(record, time),), BasisCode.OPERATION_AS_NOW())
+    found = forecast(planned_for, point, known, SURFACE)
     t, offline = unread(planned_for, record)
     place = np.searchsorted(t.origin_s + HOUR_S * t.time, found.condition.time_s - 1.0)
     assert len(found.condition.time_s) == 1 + int(40 * HOUR_S / step_s)
@@ -136,7 +136,7 @@ def test_the_mixture_is_that_of_drawn_courses(record: Record, planned_for: Plan,
     limit = 0.5
     each = conditions_by_member(planned_for, point, scenarios, SURFACE)
     found = forecast(planned_for, point, scenarios, SURFACE, limit)
-    assert found.limit == limit and found.words == scenarios.words
+    assert found.limit == limit and found.basis == scenarios.basis
     random = np.random.default_rng(5)
     count = 4000  # of each member, each instant
     for name in ("relative_humidity", "margin_K"):
@@ -166,11 +166,12 @@ HOURS = np.arange(0.0, LONGEST_H + STAYS_H + 0.01, 1.0 / 6.0)
 def test_dry_at_once_needs_no_heating() -> None:
     advice = advice_from(HOURS, np.full(len(HOURS), 0.97), 0.6)
     assert (advice.hours, advice.probability) == (0.0, 0.97)
-    assert advice.statement == (
+    assert advice.statement.code is AdviceCode.NO_PREHEATING
+    assert advice.statement.text == (
         "no pre-heating is needed: relative humidity is below 60 % at the coldest surface with a probability "
         "of 97 %, and of at least 97 % until a start within 1 h"
     )
-    assert "over 99 %" in advice_from(HOURS, np.ones(len(HOURS)), 0.6).statement
+    assert "over 99 %" in advice_from(HOURS, np.ones(len(HOURS)), 0.6).statement.text
 
 
 def test_never_dry_says_how_close_it_comes() -> None:
@@ -179,8 +180,8 @@ def test_never_dry_says_how_close_it_comes() -> None:
     best = HOURS[HOURS < 20.0][-1]
     assert advice.hours is None and advice.probability == pytest.approx(0.2 + 0.02 * best)
     for number in ("24 h", "below 60 %", "95 %", "at best it is 60 %", f"after {best:.1f} h"):
-        assert number in advice.statement
-    assert "under 1 %" in advice_from(HOURS, np.zeros(len(HOURS)), 0.6).statement
+        assert number in advice.statement.text
+    assert "under 1 %" in advice_from(HOURS, np.zeros(len(HOURS)), 0.6).statement.text
 
 
 def test_a_peak_of_vapour_must_have_passed() -> None:
@@ -188,7 +189,7 @@ def test_a_peak_of_vapour_must_have_passed() -> None:
     chance = np.where(HOURS < 0.4, 0.99, np.where(HOURS < 4.9, 0.3, 0.96))
     advice = advice_from(HOURS, chance, 0.6)
     assert advice.hours == pytest.approx(5.0) and advice.probability == pytest.approx(0.96)
-    assert "5.0 h" in advice.statement and "60 %" in advice.statement
+    assert advice.statement.code is AdviceCode.PREHEAT and advice.statement.values["limit"] == 0.6
     # dry for a moment alone is never dry, though the probability was reached
     moment = advice_from(HOURS, np.where(np.abs(HOURS - 3.0) < 0.4, 0.99, 0.5), 0.6)
     assert moment.hours is None and moment.probability == 0.99
@@ -245,7 +246,7 @@ def test_who_never_saw_a_pre_heating_gives_no_advice(record: Record) -> None:
     state = point_at(one, cold)
     advice = restart(one, state, scenarios, SURFACE)
     assert (advice.hours, advice.probability) == (None, None)
-    assert "has no pre-heating" in advice.statement
+    assert advice.statement == AdviceCode.HEATING_UNKNOWN()
     assert np.isfinite(forecast(one, state, scenarios, SURFACE).condition.temperature_K.value).all()
 
 
@@ -258,7 +259,7 @@ def test_a_model_without_humidity_forecasts_the_temperature(record: Record) -> N
     assert np.isfinite(found.condition.temperature_K.sd).all() and np.isnan(found.above).all()
     assert found.condition.relative_humidity is None and found.condition.condensation is None
     advice = restart(one, state, scenarios, SURFACE)
-    assert (advice.hours, advice.statement) == (None, "the model has no humidity")
+    assert (advice.hours, advice.statement) == (None, StateCode.MODEL_WITHOUT_HUMIDITY())
 
 
 # -- what is not known ahead ---------------------------------------------------------------------------------
@@ -279,7 +280,7 @@ def test_a_switch_is_foretold_by_what_the_forecast_itself_shows(record: Record) 
         values = {p.name: p.start for p in base.model.parameters} | {"throttled_conductance": 3.0}
         one = live_plan(Fit("cooled", base, values), record)
         found[full_K] = forecast(one, state, scenarios, SURFACE).condition.temperature_K.value
-        assert restart(one, state, scenarios, SURFACE).statement
+        assert restart(one, state, scenarios, SURFACE).statement.text
     assert found[350.0][1:] == pytest.approx(without[1:], abs=0.05)
     assert found[200.0][-1] < without[-1] - 0.1
 
@@ -309,7 +310,7 @@ def test_an_unknown_power_makes_it_less_sure_not_impossible(record: Record) -> N
     known = forecast(one, state, persistence(gap, NOW_S), SURFACE).condition
     lost = persistence(without(gap, "active_power"), NOW_S)
     found = forecast(one, state, lost, SURFACE).condition
-    assert lost.words.endswith("no power is known")
+    assert lost.basis.values["operation"] == BasisCode.POWER_UNKNOWN()
     assert np.all(found.temperature_K.sd[6:] > 0.3) and np.isfinite(found.margin_K.value).all()
     # half an hour ahead the power of now is worth something
     assert found.temperature_K.sd[1] > known.temperature_K.sd[1]

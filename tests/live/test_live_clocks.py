@@ -22,6 +22,7 @@ from hygrokf.live.sources.stream import Delivery
 from hygrokf.live.storage.store import Store, StoreFault, open_store
 from hygrokf.live.tracker import Reading
 from hygrokf.live.turbines import Fleet, Turbine
+from hygrokf.texts.live import AlarmCode
 
 HOUR_S = 3600.0
 YEAR_S = 365.25 * 24.0 * HOUR_S
@@ -184,12 +185,13 @@ def test_whose_clock_is_wrong() -> None:
     assert clock_levels({"A": 0.0, "B": 0.0}) == {"A": [], "B": [], MACHINE: []}
     alone = clock_levels({"A": 0.0, "B": 7200.0, "C": 0.0})
     assert [name for name, levels in alone.items() if levels] == ["B"]
-    assert "its sender's clock is fast." in alone["B"][0].statement
+    assert alone["B"][0].statements == (AlarmCode.SENDER_CLOCK_FAST(ahead=7200.0),)
     shared = clock_levels({"A": 7200.0, "B": 7150.0, "C": 7260.0, "D": 90000.0})
     assert [name for name, levels in shared.items() if levels] == ["D", MACHINE]
-    assert "3 of 4 turbines are stamped 2 h ahead" in shared[MACHINE][0].statement
+    assert shared[MACHINE][0].statements == (AlarmCode.MACHINE_CLOCK_SLOW(count=3, of=4, ahead=7200.0),)
     (only,) = clock_levels({"A": 10.0 * YEAR_S})["A"]
-    assert "10.0 years ahead" in only.statement and "or this machine's clock is slow" in only.statement
+    assert only.statements[0].code is AlarmCode.SENDER_OR_MACHINE_CLOCK
+    assert "10.0 years ahead" in only.statements[0].text
 
 
 def test_the_newest_reading_tells_the_clock() -> None:

@@ -40,6 +40,7 @@ from hygrokf.live.sources.stream import Stream
 from hygrokf.live.storage.database import Row
 from hygrokf.live.web.metrics import exposition
 from hygrokf.live.web.views import fleet_view
+from hygrokf.texts.live import BasisCode
 
 FILES = DOCS / "live_files"
 RULES, RULES_TEST = FILES / "prometheus_rules.yml", FILES / "prometheus_rules_test.yml"
@@ -161,7 +162,7 @@ def filled_store(
     condition = Condition(at, *known, None, Quantity(3.0 * one, one), 0.1 * one, None)
     alarm = Alarm("one", NAME, "condensation", "warning", now - 60.0, "water condenses", "dry it")
     with closing(opened(made)) as store:
-        made_forecast = Forecast(now, condition, 0.2 * one, 0.8, "persistence")
+        made_forecast = Forecast(now, condition, 0.2 * one, 0.8, BasisCode.OPERATION_AS_NOW())
         store.commit(Batch(forecasts={NAME: made_forecast}, alarms=[alarm]))
     return made
 

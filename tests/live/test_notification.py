@@ -38,6 +38,9 @@ from hygrokf.live.sources.local import Playback, record_mapping, record_messages
 from hygrokf.live.storage.store import Store, StoreFault, open_store
 from hygrokf.live.tracking import track
 from hygrokf.live.turbines import Turbine
+from hygrokf.texts.doctor import Check
+from hygrokf.texts.live import NoticeCode
+from hygrokf.texts.statement import Code, Statement
 
 T0 = 1.7e9
 SECRET = bytes(range(32))
@@ -65,7 +68,7 @@ class Silent(Channel):
     def send(self, message: NoticeMessage) -> None:
         self.messages.append(message)
 
-    def cautions(self) -> list[str]:
+    def cautions(self) -> list[Check]:
         return []
 
 
@@ -106,7 +109,14 @@ def test_the_end_is_for_those_who_were_told_of_the_beginning() -> None:
     begin = written(replace(worse, severity="warning"), T0, channel)
     ended = replace(worse, ended=T0 + 9.0)
     assert isinstance(decide(end, channel, **known(ended, replace(begin, sent=T0))), Content)
-    assert isinstance(decide(end, channel, **known(ended)), str)
+    assert why_not(end, channel, **known(ended)) is NoticeCode.BEGINNING_NOT_SENT
+
+
+def why_not(notice: Notice, channel: Channel, **more: object) -> Code:
+    """Why nothing is sent."""
+    reason = decide(notice, channel, **more)
+    assert isinstance(reason, Statement)
+    return reason.code
 
 
 def known(alarm: Alarm | None, *others: Notice, shelved: bool = False, now: float = T0 + 100.0) -> dict:
@@ -126,26 +136,29 @@ def test_what_becomes_of_a_beginning() -> None:
     worse = replace(alarm, severity="alarm")
     sent = replace(begin, sent=T0)
     assert isinstance(decide(begin, held, **known(alarm)), Content)
-    assert isinstance(decide(begin, held, **known(short, written(short, T0 + 50.0))), str)
+    assert why_not(begin, held, **known(short, written(short, T0 + 50.0))) is NoticeCode.ENDED_IN_HOLD_OFF
     # a server was away while the alarm stood long enough
     late = known(long, written(long, T0 + 5000.0), now=T0 + 9000.0)
     assert isinstance(decide(begin, held, **late), Content)
-    assert isinstance(decide(begin, held, **known(long, now=T0 + 3 * DAY_S)), str)
-    assert isinstance(decide(begin, held, **known(None)), str)
-    assert isinstance(decide(begin, held, **known(replace(alarm, acknowledged=T0 + 1.0))), str)
+    assert why_not(begin, held, **known(long, now=T0 + 3 * DAY_S)) is NoticeCode.OVER_BEFORE_CAUGHT_UP
+    assert why_not(begin, held, **known(None)) is NoticeCode.ALARM_NOT_STORED
+    acknowledged = replace(alarm, acknowledged=T0 + 1.0)
+    assert why_not(begin, held, **known(acknowledged)) is NoticeCode.ACKNOWLEDGED_BEFORE
     assert decide(begin, held, **known(alarm, shelved=True)) == T0 + 160.0
-    assert isinstance(decide(begin, held, **known(long, shelved=True)), str)
+    assert why_not(begin, held, **known(long, shelved=True)) is NoticeCode.ENDED_WHILE_SHELVED
     found = decide(written(worse), held, **known(worse, sent))
     assert isinstance(found, Content) and found.event == "worsened"
-    assert isinstance(decide(begin, held, **known(worse, replace(written(worse), sent=T0))), str)
+    severer = replace(written(worse), sent=T0)
+    assert why_not(begin, held, **known(worse, severer)) is NoticeCode.SEVERER_SENT
 
 
 def test_an_end_is_sent_only_after_its_beginning() -> None:
     alarm = Alarm("a", "T1", "condensation", "warning", T0, "", "", ended=T0 + 50.0)
     begin, end = written(replace(alarm, ended=None)), written(alarm, T0 + 50.0)
     assert isinstance(decide(end, SILENT, **known(alarm, replace(begin, sent=T0))), Content)
-    assert isinstance(decide(end, SILENT, **known(alarm, replace(begin, sent=T0, failure="dropped"))), str)
-    assert isinstance(decide(end, SILENT, **known(alarm)), str)
+    dropped = replace(begin, sent=T0, failure="dropped")
+    assert why_not(end, SILENT, **known(alarm, dropped)) is NoticeCode.BEGINNING_NOT_SENT
+    assert why_not(end, SILENT, **known(alarm)) is NoticeCode.BEGINNING_NOT_SENT
     assert decide(end, SILENT, **known(alarm, replace(begin, due=T0 + 500.0))) == T0 + 500.0
 
 
@@ -351,7 +364,7 @@ def test_a_webhook_over_tls_is_signed(pair: tuple[Path, Path], tmp_path: Path) -
         hook.send(message)
         hook.send(NoticeMessage("test"))
         first, test = server.accepted.messages
-        assert first["notices"][0]["alarm"] == json.loads(json.dumps(vars(alarm)))
+        assert first["notices"][0]["alarm"] == json.loads(json.dumps(alarm.served()))
         assert (first["type"], test["type"], test["notices"]) == ("hygrokf.alarms", "hygrokf.test", [])
         assert server.accepted.keys[message.key] == 1 and not server.wrong
         with pytest.raises(ChannelFault):

@@ -24,7 +24,7 @@ from playwright.sync_api import Browser, Page, expect
 
 from hygrokf.identification.verdict_terms import Inherited
 from hygrokf.live import service as service_module
-from hygrokf.live.batch import Alarm, Assessment, Batch
+from hygrokf.live.batch import Alarm, Assessment, Batch, content_of
 from hygrokf.live.condition import Surface
 from hygrokf.live.notification.notices import acknowledge
 from hygrokf.live.service import Service
@@ -32,8 +32,9 @@ from hygrokf.live.sources.local import Playback, record_mapping, record_messages
 from hygrokf.live.web.application import PageEndpoints as LivePage
 from hygrokf.live.web.page_settings import PageSettings
 from hygrokf.live.web.server import Hub, serve
+from hygrokf.texts.live import StateCode
+from hygrokf.texts.statement import Statement
 from hygrokf.texts.verdict import REJECT, ReasonCode
-from hygrokf.texts.wording import stamp_text
 
 pytestmark = needs_chromium
 EVIL = '<img src=x onerror="window.broken=1">'
@@ -42,6 +43,10 @@ MINUS = "\u2212"
 expect.set_options(timeout=60_000)
 UNREACHED = re.compile(r"net::ERR_|Failed to load resource")
 """What a browser says when its server is not there, or refuses."""
+
+
+def assessment(name: str, state: str, since: float, reason: Statement) -> Assessment:
+    return Assessment(name, state, reason.text, since, content_of([reason]))
 
 
 @pytest.fixture(scope="module")
@@ -67,17 +72,21 @@ def service(tmp_path_factory: pytest.TempPathFactory) -> Service:
                     now - 20_000.0,
                     "cabinet temperature reads 40.0 °C, where the estimate expects 25.0",
                     "compare",
+                    subject="cabinet_temperature",
                 ),
-                Alarm("evil", EVIL, "condensation", "alarm", now - 7200.0, EVIL, "dry <b>it</b>"),
+                Alarm(
+                    "evil", EVIL, "condensation", "alarm", now - 7200.0, EVIL, "dry <b>it</b>",
+                    content=content_of([StateCode.FILTER_FAILS(fault=EVIL)]),
+                ),
                 Alarm("wet", "T1", "condensation", "warning", now - 3600.0, "water condenses", "pre-heat"),
                 Alarm(
                     "past", "T1", "data stale", "warning", now - 9000.0, "silent", "look", ended=now - 8000.0
                 ),
             ],
             assessments=[
-                Assessment("T1", "at risk", "condensation is likely now", now - 3600.0),
-                Assessment(EVIL, "alarm", EVIL, now - 7200.0),
-                Assessment("silent", "stale", f"the estimate is from {stamp_text(now - 18e3)}", now - 60.0),
+                assessment("T1", "at risk", now - 3600.0, StateCode.CONDENSATION_LIKELY_NOW()),
+                assessment(EVIL, "alarm", now - 7200.0, StateCode.ALARMS_OPEN(kinds=(EVIL,))),
+                assessment("silent", "stale", now - 60.0, StateCode.ESTIMATE_OLD(at=now - 18e3)),
             ],
             counters={("T1", "late"): 12, ("T1", "bad quality"): 1},
         )
@@ -205,7 +214,7 @@ def test_what_rests_on_a_number_that_is_not_to_be_believed_says_so(
             1
         )  # of the number that is believed nothing needs to be said
         expect(page.locator(".model li")).to_have_text(
-            f"✕ thermal time constant not reliable: it ended at its limit {EVIL}"
+            f"✕ thermal time constant not reliable: doubt about the record: the source {EVIL}"
         )
         expect(page.locator("#now-temperature")).to_contain_text("by a rejected model")
         assert "by a model" not in page.locator("#now-absolute_humidity").inner_text()
@@ -444,13 +453,13 @@ def test_names_and_texts_stay_text(tab: Tab, live: tuple[str, Hub]) -> None:
     row_of(page, EVIL).locator("a").click()
     expect(page.locator("h1")).to_have_text(EVIL)
     assert page.url.endswith(quote(EVIL, safe="!~*'()"))
-    expect(page.locator(".item .statement")).to_have_text(EVIL)
+    expect(page.locator(".item .statement")).to_have_text(f"the filter cannot run: {EVIL}")
     expect(page.locator(".item .remedy")).to_have_text("To do: dry <b>it</b>")
     page.locator(".item button.acknowledge").click()
     expect(page.locator("#acknowledge-about")).to_contain_text(EVIL)
     page.keyboard.press("Escape")
     page.goto(live[0] + "#/alarms")
-    expect(page.locator(".item .statement").first).to_have_text(EVIL)
+    expect(page.locator(".item .statement").first).to_contain_text(EVIL)
     assert page.locator("img").count() == 0 and page.evaluate("window.broken") is None
 
 

@@ -451,7 +451,7 @@ def examined(folder: Path, url: str, watermark: str = "received") -> list[tuple[
     (folder / "track.toml").write_text(TRACK.format(url=url, watermark=watermark))
     config = read_config(folder / "track.toml")
     checks = examine(config, folder / "track.toml", 0.2, False)
-    return [(one.level, one.found) for one in checks if one.about.startswith("source postgresql:")]
+    return [(one.level, one.text) for one in checks if one.about.startswith("source postgresql:")]
 
 
 def test_the_doctor_reads_the_newest_rows(postgresql: Server, historian: str, tmp_path: Path) -> None:

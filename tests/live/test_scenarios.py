@@ -25,6 +25,7 @@ from hygrokf.live.scenarios import (
     weather_forecast,
 )
 from hygrokf.physics.psychrometrics import relative_humidity
+from hygrokf.texts.live import BasisCode
 
 DAYS = 20
 NOW_S = START_S + DAYS * DAY_S
@@ -188,7 +189,7 @@ def test_means_of_the_ambient_stand_in_the_middle_of_their_interval() -> None:
     expected = 283.0 + 3.0 * np.sin(2.0 * np.pi * found.time_s / DAY_S)
     # the last mean is half an hour old
     assert courses(found, AMBIENT[0]) == pytest.approx(np.tile(expected, (len(found.members), 1)), abs=0.5)
-    assert found.words.endswith("no power is known")
+    assert found.basis.values["operation"] == BasisCode.POWER_UNKNOWN()
 
 
 # -- operation -----------------------------------------------------------------------------------------------
@@ -203,7 +204,7 @@ def daily(record: Record, now_s: float) -> Record:
 def test_operation_is_that_of_days_that_began_alike(record: Record) -> None:
     noon = NOW_S - 0.5 * DAY_S
     found = persistence(daily(record, noon), noon)
-    assert found.words.endswith("operation as on days that began similarly")
+    assert found.basis.values["operation"] == BasisCode.OPERATION_OF_ALIKE_DAYS()
     power = courses(found, "active_power")
     hour = np.mod(found.time_s - 1.0, DAY_S) / HOUR_S
     assert np.all((power > 0.0) == ((hour > 6.0) & (hour <= 18.0)))
@@ -227,7 +228,7 @@ def test_a_standstill_that_no_other_was_like_may_last_as_long_again(record: Reco
     steady = changed(changed(record, "active_power", 0.5 * RATED_W), "preheating", 0.0)
     stands = changed(steady, "active_power", -5e3, NOW_S - 5 * HOUR_S)
     found = persistence(stands, NOW_S)
-    assert "standstill" in found.words and "0 earlier ones" in found.words
+    assert found.basis.values["operation"] == BasisCode.STANDSTILL_MAY_END(count=0)
     ahead = (found.time_s - NOW_S) / HOUR_S
     still = (courses(found, "active_power") <= 0.0).mean(axis=0)
     for hours in (0.5, 5.0, 20.0, 48.0):
@@ -243,14 +244,14 @@ def test_a_standstill_that_no_other_was_like_may_last_as_long_again(record: Reco
 def test_a_standstill_ends_as_others_did(record: Record) -> None:
     """Every night from six to six: at midnight it will last six hours more."""
     found = persistence(daily(record, NOW_S), NOW_S)
-    assert found.words.endswith("as 18 earlier ones of this length did")
+    assert found.basis.values["operation"] == BasisCode.STANDSTILL_MAY_END(count=18)
     hour = np.mod(found.time_s - 1.0, DAY_S) / HOUR_S
     runs = (hour > 6.0) & (hour <= 18.0)
     agree = ((courses(found, "active_power") > 0.0) == runs).all(axis=1)
     assert agree.all()
     # a standstill that had ended by then is no example for one that has lasted longer
     longer = changed(daily(record, NOW_S), "active_power", -5e3, NOW_S - 0.9 * DAY_S)
-    assert persistence(longer, NOW_S).words.endswith("as 0 earlier ones of this length did")
+    assert persistence(longer, NOW_S).basis.values["operation"] == BasisCode.STANDSTILL_MAY_END(count=0)
 
 
 def test_a_pre_heating_that_followed_a_standstill_may_follow_again(record: Record) -> None:
@@ -269,7 +270,7 @@ def test_a_pre_heating_that_followed_a_standstill_may_follow_again(record: Recor
 def test_operation_goes_on_where_too_few_days_say_more(record: Record) -> None:
     stood = changed(changed(record, "active_power", -5e3), "active_power", 0.3 * RATED_W, NOW_S - DAY_S / 4)
     found = persistence(stood, NOW_S)
-    assert found.words.endswith("operation as now")
+    assert found.basis.values["operation"] == BasisCode.OPERATION_AS_NOW()
     assert np.all(courses(found, "active_power")[:, found.time_s > NOW_S] == 0.3 * RATED_W)
 
 
@@ -279,11 +280,11 @@ def test_an_unknown_power_is_no_standstill(record: Record) -> None:
     found = persistence(changed(steady, "active_power", np.nan, *gap), NOW_S)
     assert np.all(courses(found, "active_power") > 0.0)
     lost = persistence(changed(steady, "active_power", np.nan, NOW_S - 2 * DAY_S), NOW_S)
-    assert "present power is unknown" in lost.words
+    assert lost.basis.values["operation"] == BasisCode.PRESENT_POWER_UNKNOWN()
     assert np.all(courses(lost, "active_power") == 0.5 * RATED_W)
     for never in (changed(record, "active_power", np.nan), without(record, "active_power")):
         found = persistence(never, NOW_S)
-        assert found.words.endswith("no power is known")
+        assert found.basis.values["operation"] == BasisCode.POWER_UNKNOWN()
         assert all(set(member) == {*AMBIENT, "preheating"} for member in found.members)
 
 
@@ -327,7 +328,7 @@ def test_heating_from_now_on(record: Record) -> None:
 def test_a_weather_forecast_is_followed_and_its_present_error_fades(record: Record) -> None:
     told = coming(record)
     exact = weather_forecast(record, NOW_S, told, error={"temperature_K": 0.0, "vapour": 0.0})
-    assert exact.words.startswith("a weather forecast; ") and len(exact.members) == MEMBERS
+    assert exact.basis.code is BasisCode.WEATHER_FORECAST and len(exact.members) == MEMBERS
     assert exact.time_s[-1] == NOW_S + HORIZON_S
     kelvin = courses(exact, AMBIENT[0])
     assert np.ptp(kelvin, axis=0).max() == 0.0
@@ -389,4 +390,4 @@ def test_a_forecast_serves_where_the_ambient_is_not_read(record: Record) -> None
         cabinet_record(1.0),
         START_S + DAY_S,
         {name: replace(series, time=series.time - (DAYS - 1) * DAY_S) for name, series in told.items()},
-    ).words.endswith("operation as now")  # needs no history
+    ).basis.values["operation"] == BasisCode.OPERATION_AS_NOW()  # needs no history

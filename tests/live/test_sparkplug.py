@@ -176,7 +176,7 @@ def test_a_broken_edge_node_is_told_until_it_is_born_again(
             node.die()
             eventually(lambda: stream.state.word == "lost", lambda: stream.state)
         assert "Farm/N1/T1 since" in stream.state.words
-        assert set(stream.left()) == {"T1"} and "Farm/N1/T1" in stream.left()["T1"]
+        assert set(stream.left()) == {"T1"} and stream.left()["T1"].values["sender"] == "Farm/N1/T1"
         with edge_node(broker, record, bdseq=1, first_alias=50).connected() as node:
             node.bear(now - 30.0, cabinet_temperature=291.0)
             eventually(lambda: stored(store) == 2)

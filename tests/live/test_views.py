@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from hygrokf.data.structured import plain
 from hygrokf.live.batch import Alarm, Assessment, Batch, Estimates, Observation
 from hygrokf.live.condition import Condition, Quantity
 from hygrokf.live.forecast import LIMIT, ForecastMade
@@ -18,6 +18,7 @@ from hygrokf.live.sources.stream import SourceState, Stream
 from hygrokf.live.storage.store import Store, open_store
 from hygrokf.live.tracker import Reading
 from hygrokf.live.web.views import MOST, alarms_view, by_hour, fleet_view, health_view, turbine_view
+from hygrokf.texts.live import BasisCode
 
 T0 = 1.7e9
 
@@ -109,7 +110,8 @@ def test_what_a_model_lacks_is_left_out(store: Store) -> None:
 
 def test_the_limit_is_that_of_the_forecast(store: Store) -> None:
     assert turbine_view(store, "A", T0, T0)["humid"]["limit"] == LIMIT
-    store.commit(Batch(memories={("A", "forecast"): asdict(ForecastMade(T0, "", 0.7))}))
+    made = ForecastMade(T0, BasisCode.OPERATION_AS_NOW(), 0.7)
+    store.commit(Batch(memories={("A", "forecast"): plain(made)}))
     found = turbine_view(store, "A", T0, T0)
     assert found["humid"]["limit"] == found["forecast"]["limit"] == 0.7
 

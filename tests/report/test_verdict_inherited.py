@@ -42,6 +42,7 @@ from hygrokf.report.fleet_page import fleet_blocks
 from hygrokf.report.page import page_html
 from hygrokf.report.terminal import page_text
 from hygrokf.report.transfer_page import transfer_blocks
+from hygrokf.texts.live import AlarmCode, CauseCode, StateCode
 from hygrokf.texts.verdict import BELIEVE, CAUTION, REJECT, ReasonCode
 from hygrokf.texts.wording import sentence
 from hygrokf.transfer.comparison import compare, comparison_column
@@ -249,15 +250,16 @@ def test_track(store: Store, fit: Fit, tmp_path: Path) -> None:
 
 def test_an_alarm_that_rests_on_a_rejected_number_says_so(fit: Fit) -> None:
     known = inherited(rejected(fit).results)
-    tail = "; the model's thermal time constant, on which this rests, is not reliable"
     levels = [
-        Level("condensation", 0.9, "water condenses"),
-        Level("condensation", 0.1, ""),
-        Level("cabinet changed", 1.0, "loses heat", subject="thermal_time_constant"),
-        Level("cabinet changed", 1.0, "exchanges air", subject="hygric_k"),
+        Level("condensation", 0.9, (StateCode.CONDENSATION_LIKELY_NOW(),)),
+        Level("condensation", 0.1),
+        Level("cabinet changed", 1.0, (CauseCode.CHANGED_HEAT_LOSS(),), "thermal_time_constant"),
+        Level("cabinet changed", 1.0, (CauseCode.CHANGED_AIR_EXCHANGE(),), "hygric_k"),
     ]
-    said = [one.statement for one in with_doubts(levels, known)]
-    assert said == [f"water condenses{tail}", "", f"loses heat{tail}", "exchanges air"]
+    first, calm, heat, air = with_doubts(levels, known)
+    doubt = AlarmCode.RESTS_ON_REJECTED(parts=("thermal",), count=1)
+    assert [one.statements[1:] for one in (first, heat, air)] == [(doubt,), (doubt,), ()]
+    assert calm.statements == ()
     assert (
         with_doubts(levels, inherited(replace(fit.results, time_constants={})))
         == levels

@@ -20,6 +20,7 @@ class Example(Code):
     TIMES = "{begin:stamp}, {length:duration}"
     WORDS = "{count:.0} {count:reading|readings} of {names} and of {names:and}"
     NESTED = "because {why}"
+    LISTS = "{names:several} of {names:words and}, {size:bytes}, {number:4g}, {chance:chance}"
 
 
 ENUMERATIONS = [kind for kind in Code.__subclasses__() if kind is not Example]
@@ -33,6 +34,21 @@ def test_fields_of_a_template() -> None:
     assert words.text == "2 readings of a, b, c and of a, b and c"
     assert Example.WORDS(count=1, names=("a",)).text == "1 reading of a and of a"
     assert str(Example.NESTED(why=words)) == f"because {words.text}"
+
+
+def test_a_page_writes_the_instants_itself() -> None:
+    pieces = Example.NESTED(why=Example.TIMES(begin=86400.0, length=5400.0)).pieces
+    assert pieces == ("because ", 86400.0, ", ", "90 min")
+
+
+def test_lists_names_and_sizes() -> None:
+    values = {"names": ("a_b", "c_d", *"efgh"), "size": 1.5e6, "number": -8.30679, "chance": 0.999}
+    listed = "a_b, c_d, e, f, g and 1 more of a b, c d, e, f, g and h"
+    assert Example.LISTS(**values).text == f"{listed}, 1.5 MB, −8.307, over 99 %"
+    nested = Example.NESTED(why="x")
+    assert Example.LISTS(**values | {"names": (nested, nested)}).text.startswith("because x, because x of")
+    several = Example.LISTS(**values | {"names": (nested,)})
+    assert structured(Statement, plain(several)) == several
 
 
 def test_a_statement_survives_its_file_and_a_process() -> None:

@@ -13,32 +13,27 @@ import socket
 import time
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 
 from hygrokf.data.signals import SIGNALS
-from hygrokf.data.structured import JsonObject
+from hygrokf.data.structured import JsonObject, plain
 from hygrokf.data.timestamps import DAY_S, HOUR_S
 from hygrokf.live.config import Config
 from hygrokf.live.doctor.check import (
-    LEVELS,
-    Check,
-    doubt,
     elapsed_from,
-    fault,
     file_checks,
-    lasting,
     machine_checks,
     of_names,
-    ok,
+    rounded,
     worst,
 )
 from hygrokf.live.doctor.sources import examine_sources
 from hygrokf.live.notification.channel import Channel, ChannelFault, NoticeMessage
 from hygrokf.live.plan import AMBIENT_HUMIDITIES, Plan
-from hygrokf.live.sources.stream import Stream, several
+from hygrokf.live.sources.stream import Stream
 from hygrokf.live.storage.database import StoreUnready, one_line
 from hygrokf.live.storage.schema import VERSION
 from hygrokf.live.storage.sqlite import path_of
@@ -48,13 +43,14 @@ from hygrokf.live.turbines import Turbine, digest
 from hygrokf.live.web.page_settings import PageFault, PageSettings
 from hygrokf.live.web.server import listening_socket
 from hygrokf.modelling.inputs import model_inputs
+from hygrokf.texts.doctor import DOUBT, FAULT, LEVELS, OK, Check, CheckCode, ExaminedCode
+from hygrokf.texts.statement import Statement
 from hygrokf.texts.verdict import REJECT
 
 ANSWER_S = 5.0
 """[s] allowed for a page's answer."""
 TRIED_H = 72
 """Length of the readings on which a model is tried [h]."""
-_MEND = "correct [[notify]], or the server; notices wait in the store meanwhile"
 
 
 def examine(
@@ -95,24 +91,21 @@ def page_checks(settings: PageSettings) -> Iterator[Check]:
     """Whether the page can be served, or a running tracker already serves it."""
     about = f"page {settings.place}"
     if None in map(importlib.util.find_spec, ("starlette", "uvicorn", "prometheus_client")):
-        yield fault(about, "its packages are missing", "pip install 'hygrokf[live]', or start with --no-page")
+        yield CheckCode.PAGE_PACKAGES_MISSING(about)
         return
     try:
         listening_socket(settings).close()
         if settings.unix:
             Path(settings.unix).unlink()
-        yield ok(about, "the address is free")
+        yield CheckCode.PAGE_ADDRESS_FREE(about)
     except PageFault as error:
         said = _page_says(settings)
         if said is None:
-            words, _, remedy = str(error).partition("; ")
-            yield fault(about, words, remedy or "give another address")
+            yield CheckCode.PAGE_ADDRESS_TAKEN(about, fault=str(error))
         elif said:
-            yield doubt(
-                about, f"a tracker's page already runs there and reports: {said}", "read that tracker's log"
-            )
+            yield CheckCode.PAGE_REPORTS(about, fault=said)
         else:
-            yield ok(about, "a tracker's page already runs there and is healthy")
+            yield CheckCode.PAGE_HEALTHY(about)
 
 
 def _page_says(settings: PageSettings) -> str | None:
@@ -149,26 +142,26 @@ def channel_checks(channels: Sequence[Channel], send: bool) -> list[Check]:
 def _channel_checks(channel: Channel, send: bool) -> Iterator[Check]:
     about = f"notify {channel.name}"
     for caution in channel.cautions():
-        yield doubt(about, caution, "use TLS and a secret where others could listen")
+        yield replace(caution, about=about)
     try:
-        yield ok(about, f"{channel.where}: {channel.probe()}")
+        yield CheckCode.CHANNEL_ANSWERS(about, where=channel.where, answer=channel.probe())
         if send:
             channel.send(NoticeMessage(secrets.token_hex(16)))  # without contents it is a test
-            yield ok(about, "a test message was accepted")
+            yield CheckCode.CHANNEL_ACCEPTS(about)
     except ChannelFault as found:
-        yield fault(about, str(found), _MEND)
+        yield CheckCode.CHANNEL_FAILS(about, fault=str(found))
 
 
 def as_text(checks: list[Check]) -> str:
     """One line per check, and the number of checks at each level with a conclusion."""
     counts = [f"{sum(one.level == level for one in checks)} {level}" for level in LEVELS]
-    said = "ready to track" if worst(checks) != "fault" else "fix the faults first"
+    said = "ready to track" if worst(checks) != FAULT else "fix the faults first"
     return "\n".join([*map(str, checks), f"{', '.join(counts)}: {said}"])
 
 
 def as_data(checks: list[Check]) -> JsonObject:
     """The checks as JSON data."""
-    return {"level": worst(checks), "checks": [asdict(one) for one in checks]}
+    return {"level": worst(checks), "checks": plain(checks)}
 
 
 # -- models --------------------------------------------------------------------------------------------------
@@ -181,39 +174,28 @@ def model_checks(
         mapped = set[str]().union(*(stream.signals(name) for stream in streams))
         for part, verdict in one.verdicts.items():
             if verdict.verdict == REJECT:
-                yield doubt(
-                    f"turbine {name}",
-                    f"the {part} time constant of its model is {verdict.words}: {verdict.why}",
-                    "read the fit's report; estimates and alarms that rest on this number say so",
+                yield CheckCode.NUMBER_REJECTED(
+                    f"turbine {name}", part=part, words=verdict.words, why=verdict.why
                 )
-        wrong = model_fault(one.plan, mapped)
+        wrong = model_fault(one.plan, mapped, f"turbine {name}")
         if wrong is not None:
-            yield fault(f"turbine {name}", *wrong)
+            yield wrong
             continue
         if mapped.isdisjoint(one.plan.model.outputs):
-            yield ok(
-                f"turbine {name}",
-                "no mapped field is a reading of its cabinet: the estimates come from the model alone",
-            )
+            yield CheckCode.MODEL_ALONE(f"turbine {name}")
         if "operating" in one.plan.model.inputs and "active_power" not in mapped:
-            yield doubt(
-                f"turbine {name}",
-                "the model needs the operation, but no mapped field is active_power: it assumes standstill",
-                "add the field to [mapping.signals]",
-            )
+            yield CheckCode.STANDSTILL_ASSUMED(f"turbine {name}")
         absent = lacking(one.plan, mapped, came.get(name, ()))
-        names = "compare the names in [mapping.signals] with the delivered payloads"
+        yield from of_names(
+            f"turbine {name}", absent if came.get(name) else (), CheckCode.INPUTS_NEVER_ARRIVED
+        )
         if not came.get(name):
             unheard.append(name)
-        elif absent:
-            found = f"its model reads {several(absent)}, which never arrived"
-            yield doubt(f"turbine {name}", found, names)
-        else:
+        elif not absent:
             fine.append(name)
-    known_as = "compare their known_as with the names in the payloads, or wait longer (--wait 10min)"
-    yield from of_names("turbines", ("doubt", unheard, "no reading of {} has ever arrived", known_as))
+    yield from of_names("turbines", unheard, CheckCode.TURBINES_NEVER_HEARD)
     if fine:
-        yield ok("turbines", f"{len(fine)} have a model that can run, and have delivered all its inputs")
+        yield CheckCode.MODELS_CAN_RUN("turbines", count=len(fine))
 
 
 def lacking(plan: Plan, mapped: Collection[str], came: Collection[str]) -> list[str]:
@@ -228,8 +210,8 @@ def lacking(plan: Plan, mapped: Collection[str], came: Collection[str]) -> list[
     return sorted(inputs & set(mapped) - set(came))
 
 
-def model_fault(plan: Plan, signals: Collection[str]) -> tuple[str, str] | None:
-    """Why a model cannot run on these signals, whatever their readings, and what to do; None if it can."""
+def model_fault(plan: Plan, signals: Collection[str], about: str) -> Check | None:
+    """Why a model cannot run on these signals, whatever their readings; None if it can."""
     times = HOUR_S * np.arange(1.0, TRIED_H)
     near = np.resize((0.5, 0.500001), len(times))  # readings that never change would count as frozen
     values = {name: SIGNALS[name].low + near * (SIGNALS[name].high - SIGNALS[name].low) for name in signals}
@@ -237,22 +219,15 @@ def model_fault(plan: Plan, signals: Collection[str]) -> tuple[str, str] | None:
         plan, readings=(Reading(name, 0.0, float(v[0])) for name, v in values.items())
     ).awaited()
     if awaited:
-        return (
-            f"its model needs {several(awaited)}, but no mapped field provides it",
-            "add it to [mapping.signals]",
-        )
+        return CheckCode.INPUTS_NOT_MAPPED(about, names=tuple(awaited))
     try:
         model_inputs(plan.design, record_of(plan, dict.fromkeys(values, times), values))
     except (ValueError, KeyError) as error:
-        return (
-            f"its model cannot be run on these signals: {error}",
-            "correct [mapping.signals] or [[turbine]], or fit the model again",
-        )
+        return CheckCode.MODEL_CANNOT_RUN(about, fault=str(error))
     return None
 
 
 # -- the store -----------------------------------------------------------------------------------------------
-REACH = "check the store's URL, its server or folder, and this user's rights; restore a copy if it is damaged"
 LEAST_FREE = 100_000_000
 """Free space [bytes] below which the disk may be full at any time."""
 SOON_D = 30.0
@@ -276,33 +251,21 @@ def store_checks(
         store = open_store(url, read_only=True)
     except StoreUnready:
         if url.startswith("sqlite:") and not os.access(path_of(url).parent, os.W_OK):
-            said = f"{path_of(url).parent} is not writable"
-            yield fault("store", said, "check the folder's permissions")
+            yield CheckCode.STORE_FOLDER_LOCKED("store", folder=str(path_of(url).parent))
         else:
-            yield ok("store", f"{url} does not exist yet; the tracker creates it at its first start")
+            yield CheckCode.STORE_TO_BE_MADE("store", url=url)
         return
     except StoreFault as error:
-        yield fault("store", *_finding_and_remedy(str(error)))
+        yield CheckCode.STORE_FAILS("store", fault=str(error))
         return
     try:
         yield from _contents(store, turbines, retention_s, played_back, contents)
     except StoreFault as error:
-        yield fault("store", *_finding_and_remedy(str(error)))
+        yield CheckCode.STORE_FAILS("store", fault=str(error))
     except store.database.errors as error:
-        yield fault(
-            "store",
-            f"{url} cannot be read ({one_line(error)})",
-            "restore a copy, or name a new store",
-        )
+        yield CheckCode.STORE_UNREADABLE("store", url=url, fault=one_line(error))
     finally:
         store.close()
-
-
-def _finding_and_remedy(words: str) -> tuple[str, str]:
-    """Split a fault's message into the finding and the remedy after the first semicolon; `REACH` without
-    one."""
-    found, _, remedy = words.partition("; ")
-    return found, remedy or REACH
 
 
 def _contents(
@@ -314,14 +277,12 @@ def _contents(
 ) -> Iterator[Check]:
     damages = store.database.faults()
     if damages:
-        yield fault(
-            "store", f"{store.url} is damaged ({'; '.join(damages)})", "move it away and restore a copy"
-        )
+        yield CheckCode.STORE_DAMAGED("store", url=store.url, damages="; ".join(damages))
         return
     size = store.database.size()
-    yield ok("store", f"{store.url} is reached and intact; version {VERSION}, {_bytes(size)}")
+    yield CheckCode.STORE_INTACT("store", url=store.url, version=VERSION, size=size)
     if not store.database.may_write():
-        yield fault("store", "this user may not write into it", "grant the tracker's user write permission")
+        yield CheckCode.STORE_READ_ONLY("store")
     spans = _read_contents(store, turbines, contents)
     if store.url.startswith("sqlite:"):
         free = shutil.disk_usage(path_of(store.url).parent).free
@@ -352,17 +313,11 @@ def _room(size: int, free: int, span_s: float, retention_s: float) -> Check:
     """Whether the disk has room for the growth until retention stops it."""
     a_day = size * DAY_S / max(span_s, DAY_S)
     coming = a_day * max(retention_s - span_s, 0.0) / DAY_S
-    said = f"{_bytes(free)} free on its disk; it grows by about {_bytes(a_day)} a day"
-    remedy = "make room, keep less (retention), or move the store"
-    if free < LEAST_FREE:
-        return fault("store", said, remedy)
-    if coming > free:
+    if free >= LEAST_FREE and coming > free:
         days = free / a_day
-        found = f"{said}, which fills it in {days:.0f} d, before retention stops its growth"
-        return (
-            (fault if days < 1.0 else doubt)("store", found, remedy) if days < SOON_D else ok("store", found)
-        )
-    return ok("store", said)
+        level = FAULT if days < 1.0 else DOUBT if days < SOON_D else OK
+        return CheckCode.DISK_FILLS("store", level, free=free, a_day=a_day, days=days)
+    return CheckCode.DISK_ROOM("store", FAULT if free < LEAST_FREE else OK, free=free, a_day=a_day)
 
 
 def _claims(store: Store, turbines: Mapping[str, Turbine]) -> Iterator[Check]:
@@ -371,9 +326,9 @@ def _claims(store: Store, turbines: Mapping[str, Turbine]) -> Iterator[Check]:
         if kind == "turbine" and name in turbines:
             holders.setdefault(who, []).append(name)
     for who, names in holders.items():
-        yield ok("store", f"{who} tracks {several(sorted(names))} now")
+        yield CheckCode.TURBINES_TRACKED("store", who=who, names=tuple(sorted(names)))
     if not holders:
-        yield ok("store", "no process tracks these turbines now")
+        yield CheckCode.TURBINES_NOT_TRACKED("store")
 
 
 def _turbines(store: Store, turbines: Mapping[str, Turbine]) -> Iterator[Check]:
@@ -386,23 +341,11 @@ def _turbines(store: Store, turbines: Mapping[str, Turbine]) -> Iterator[Check]:
         name for name, one in turbines.items() if known.get(name, digest(one.plan)) != digest(one.plan)
     ]
     was_read = new and store.rows("SELECT url FROM source")
+    yield from of_names("store", left, CheckCode.TURBINES_LEFT)
     yield from of_names(
-        "store",
-        (
-            "doubt", left, "no process tracks {}, which it contains",
-            "add a [[turbine]], or delete their rows by hand",
-        ),
-        (
-            "doubt", new if was_read else [], "it does not contain {} yet, but its sources were read for "
-            "others: only what comes after that is read for these",
-            "nothing if this is intended; name a new store to read a file from its start",
-        ),
-        ("ok", [] if was_read else new, "it does not contain {} yet: their first readings add them", ""),
-        (
-            "doubt", changed, "{} had another model, or readings in another form, when last tracked",
-            "nothing if this is intended: the next start filters their readings again",
-        ),
-    )  # fmt: skip
+        "store", new, CheckCode.TURBINES_MISS_THE_PAST if was_read else CheckCode.TURBINES_NEW
+    )
+    yield from of_names("store", changed, CheckCode.MODELS_CHANGED)
 
 
 def _estimates(store: Store, turbines: Mapping[str, Turbine], played_back: bool) -> Iterator[Check]:
@@ -413,26 +356,16 @@ def _estimates(store: Store, turbines: Mapping[str, Turbine], played_back: bool)
         if at is not None
     }
     if not newest:
-        yield doubt("store", "it has no estimate yet", "start the tracker; read its log if none appears")
+        yield CheckCode.NO_ESTIMATE_YET("store")
         return
     if played_back:
-        yield ok("store", f"it has estimates of {several(newest)}")
+        yield CheckCode.ESTIMATES_OF_RECORD("store", names=tuple(newest))
         return
-    old: list[str] = []
-    fresh: list[str] = []
+    old: list[Statement] = []
+    fresh: list[Statement] = []
     for name, at in sorted(newest.items(), key=lambda one: one[1]):
         age = time.time() - at
-        (old if age > turbines[name].stale_s else fresh).append(f"{name} {lasting(age)} ago")
-    check = "check whether the tracker runs and readings arrive"
-    yield from of_names(
-        "store",
-        ("doubt", old, "newest estimates are old: {}", check),
-        ("ok", fresh, "newest estimates: {}", ""),
-    )
-
-
-def _bytes(count: float) -> str:
-    for unit, size in (("GB", 1e9), ("MB", 1e6), ("kB", 1e3)):
-        if count >= size:
-            return f"{count / size:.3g} {unit}"
-    return f"{count:.0f} bytes"
+        aged = ExaminedCode.AGED(turbine=name, age=rounded(age))
+        (old if age > turbines[name].stale_s else fresh).append(aged)
+    yield from of_names("store", old, CheckCode.ESTIMATES_OLD)
+    yield from of_names("store", fresh, CheckCode.ESTIMATES_FRESH)

@@ -11,12 +11,12 @@ import time
 import zlib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import IO, Any, cast
 
 from hygrokf.data.signals import from_si, signal_named
-from hygrokf.data.structured import JsonObject
+from hygrokf.data.structured import JsonObject, plain
 from hygrokf.live.doctor.sources import arrivals, doctor_session, listening
 from hygrokf.live.sources.broker import filter_fault
 from hygrokf.live.sources.local import Lines, TailedFile, contents
@@ -25,6 +25,7 @@ from hygrokf.live.sources.payload import USED_THOUGH, PayloadMapping, PayloadSta
 from hygrokf.live.sources.payload_formats import JSON, UNPACKED, Content, Unreadable, decoded
 from hygrokf.live.sources.stream import Delivery, SourceFault, Stream
 from hygrokf.live.tracker import Reading
+from hygrokf.texts.statement import Statement
 from hygrokf.texts.wording import one_line, stamp_text
 
 MOST = 20
@@ -49,7 +50,7 @@ class Trial:
     payloads: tuple[dict[str, Any], ...]
     count: int
     used: int
-    rejected: str
+    rejected: tuple[Statement | str, ...]
 
 
 # -- where the payloads come from ----------------------------------------------------------------------------
@@ -183,11 +184,11 @@ def as_text(trials: Sequence[Trial]) -> str:
                 lines.append(f"      {used}: {row['kind']}: {row['why']}")
         if one.count > len(one.payloads):
             lines.append(f"  … and {one.count - len(one.payloads)} more")
-        unused = f"; not used: {one.rejected}" if one.rejected else ""
+        unused = f"; not used: {', '.join(map(str, one.rejected))}" if one.rejected else ""
         lines.append(f"  {one.used} of {one.count} payloads gave readings{unused}")
     return "\n".join(map(one_line, lines))
 
 
 def as_data(trials: Sequence[Trial]) -> JsonObject:
     """The same as JSON data."""
-    return {"trials": [asdict(one) for one in trials]}
+    return {"trials": plain(list(trials))}

@@ -26,14 +26,9 @@ from typing import TYPE_CHECKING, TypeAlias
 from hygrokf.data.timestamps import DAY_S, HOUR_S
 from hygrokf.live.doctor.check import (
     OLD_S,
-    SECRETS,
-    Check,
-    doubt,
-    fault,
-    lasting,
     of_names,
-    ok,
     payload_checks,
+    rounded,
     server_check,
     stamp_check,
     validity_check,
@@ -47,26 +42,21 @@ from hygrokf.live.sources.opcua_form import Node
 from hygrokf.live.sources.payload import PayloadStatistics
 from hygrokf.live.sources.payload_formats import Unreadable
 from hygrokf.live.sources.postgres import LOWEST, TIMES, PostgresQuery, reason_of, rows_above
-from hygrokf.live.sources.sparkplug import ASK, EdgeNodes, Sparkplug
+from hygrokf.live.sources.sparkplug import EdgeNodes, Sparkplug
 from hygrokf.live.sources.sparkplug_node import UNEXPLAINED
 from hygrokf.live.sources.stream import PAUSE_S, SourceFault, Stream
 from hygrokf.live.storage.database import Row
-from hygrokf.texts.wording import stamp_text
+from hygrokf.texts.doctor import DOUBT, OK, Check, CheckCode, ExaminedCode
+from hygrokf.texts.statement import Statement
 
 if TYPE_CHECKING:
     import psycopg
 
 ANSWER_S = 10.0
 """[s] allowed for a broker to accept the client and answer its subscription."""
-REACH = "check url, user, password and certificates of this [[source]], and that the broker runs"
-KEPT = (
-    "edge nodes publish at QoS 0: let the broker keep it for sessions (mosquitto: queue_qos0_messages true)"
-)
-SILENT = "check topic, publisher and the rights of this user; wait longer (--wait 10min) if messages are rare"
 
-
-Look: TypeAlias = Generator[Check, None, str]
-"""The checks of a source; it returns the name of what it has read."""
+Look: TypeAlias = Generator[Check, None, Statement]
+"""The checks of a source; it returns what it has read."""
 
 
 def mqtt_checks(source: Mqtt, statistics: PayloadStatistics, wait_s: float) -> Look:
@@ -77,13 +67,16 @@ def mqtt_checks(source: Mqtt, statistics: PayloadStatistics, wait_s: float) -> L
     """
     broker, about = source.broker, f"source {source.url}"
     for caution in broker.cautions():
-        if not caution.startswith(SECRETS):  # `file_checks` reports these
-            yield doubt(about, *caution.split(": ", 1))
+        if caution.code is not CheckCode.SECRET_READABLE:  # `file_checks` reports these
+            yield replace(caution, about=about)
     with listening(doctor_session(broker), source.largest) as link:
         if link.lost.is_set() or not link.answered:
             raise SourceFault(link.reason or f"{broker.where} has not answered within {ANSWER_S:g} s")
-        user = f" as user {broker.user_name}" if broker.user_name else ""
-        yield ok(about, f"connected{' by TLS' * broker.tls}{user}")
+        yield CheckCode.BROKER_CONNECTED(
+            about,
+            security=ExaminedCode.BY_TLS() if broker.tls else "",
+            user=ExaminedCode.AS_USER(user=broker.user_name) if broker.user_name else "",
+        )
         yield from _certificate(link, about)
         retained = PayloadStatistics(source.mapping)
 
@@ -100,16 +93,17 @@ def mqtt_checks(source: Mqtt, statistics: PayloadStatistics, wait_s: float) -> L
                     continue
                 (retained if arrival.retained else statistics).take(content, arrival.time, arrival.topic)
         if link.lost.is_set():
-            yield fault(about, f"the connection was lost: {link.reason}", REACH)
+            yield CheckCode.CONNECTION_LOST(about, fault=link.reason)
         denied = link.denied
-    keep = KEPT if isinstance(source, Sparkplug) else "publish at QoS 1"
+    of_nodes = isinstance(source, Sparkplug)
+    unkept = CheckCode.NODE_MESSAGES_NOT_KEPT if of_nodes else CheckCode.MESSAGES_NOT_KEPT
     for topics, one in heard.items():
-        yield _filter_check(f"{about} {topics}", one, denied.get(topics), wait_s, keep)
+        yield _filter_check(f"{about} {topics}", one, denied.get(topics), rounded(wait_s), unkept)
     if retained.payloads and not statistics.payloads:
         yield from payload_checks(f"{about} retained messages", retained)
     if isinstance(source, Sparkplug):
-        yield from _edge_node_checks(about, source.edge_nodes, f"within {lasting(wait_s)}")
-    return "payloads"
+        yield from _edge_node_checks(about, source.edge_nodes, rounded(wait_s))
+    return ExaminedCode.PAYLOADS()
 
 
 def doctor_session(broker: Broker) -> Broker:
@@ -162,52 +156,31 @@ def arrivals(link: BrokerLink, wait_s: float) -> Iterator[Arrival]:
             yield arrival
 
 
-def _filter_check(about: str, one: Counter[str], denied: str | None, wait_s: float, keep: str) -> Check:
-    within = f"within {lasting(wait_s)}"
+def _filter_check(
+    about: str, one: Counter[str], denied: str | None, wait_s: float, unkept: CheckCode
+) -> Check:
     if denied is not None:
-        return fault(
-            about,
-            f"the broker denies the subscription: {denied}",
-            "give this user the right to read the topic",
-        )
+        return CheckCode.SUBSCRIPTION_DENIED(about, fault=denied)
     if one["live"] and one["unkept"]:
-        return doubt(
-            about,
-            f"{one['live']} messages {within}, {one['unkept']} of them published at QoS 0, which the broker "
-            "does not keep while the tracker is not running",
-            keep,
-        )
+        return unkept(about, live=one["live"], wait=wait_s, unkept=one["unkept"])
     if one["live"]:
-        return ok(about, f"granted; {one['live']} messages {within}")
+        return CheckCode.MESSAGES_ARRIVE(about, live=one["live"], wait=wait_s)
     if one["retained"]:
-        return doubt(
-            about, f"granted; nothing new {within}, only {one['retained']} retained messages", SILENT
-        )
-    return doubt(
-        about, f"granted, but no message arrived {within}: a broker may grant and deliver nothing", SILENT
-    )
+        return CheckCode.ONLY_RETAINED(about, wait=wait_s, retained=one["retained"])
+    return CheckCode.NO_MESSAGE(about, wait=wait_s)
 
 
-def _edge_node_checks(about: str, nodes: EdgeNodes, within: str) -> Iterator[Check]:
+def _edge_node_checks(about: str, nodes: EdgeNodes, wait_s: float) -> Iterator[Check]:
     for node in nodes.nodes.values():
         node.look(time.time())
     gaps = [name for name, node in nodes.nodes.items() if node.gap_s is not None]
     unborn = [name for name in nodes.without_birth() if name not in gaps]
     left = [name for name, node in nodes.nodes.items() if "" in node.left_s]
     sound = [name for name in nodes.nodes if name not in (*gaps, *unborn, *left)]
-    yield from of_names(
-        about,
-        ("ok", sound, "every message is explained, of edge nodes {}", ""),
-        (
-            "doubt", gaps, "messages are missing in the sequence of {}",
-            "look for a bad connection of the edge node, and for two that bear one name",
-        ),
-        (
-            "doubt", unborn, f"values came by aliases, but no birth certificate {within}, of {{}}",
-            f"if the tracker does not know these either: {ASK}, or set rebirth_requests = true",
-        ),
-        ("doubt", left, f"a death certificate came {within}, of {{}}", "check the edge node"),
-    )  # fmt: skip
+    yield from of_names(about, sound, CheckCode.NODES_EXPLAINED)
+    yield from of_names(about, gaps, CheckCode.SEQUENCE_BROKEN)
+    yield from of_names(about, unborn, CheckCode.BIRTH_MISSING, wait=wait_s)
+    yield from of_names(about, left, CheckCode.NODES_DIED, wait=wait_s)
 
 
 # -- OPC UA --------------------------------------------------------------------------------------------------
@@ -215,20 +188,19 @@ BACK_S = DAY_S
 """Length of the history that is requested of an OPC UA server [s]."""
 ASKED = 20
 """Largest number of nodes whose history is requested."""
-REACH_SERVER = "check url, certificates and user of this [[source]], and that the server runs"
 
 
 def opcua_checks(source: OpcUa, statistics: PayloadStatistics, wait_s: float) -> Look:
     """Connect, subscribe, and wait up to `wait_s` [s] for the first values, which go into the statistics."""
     yield from asyncio.run(_examine(source, statistics, wait_s))
-    return "values"
+    return ExaminedCode.VALUES()
 
 
 async def _examine(source: OpcUa, statistics: PayloadStatistics, wait_s: float) -> list[Check]:
     about, connection = f"source {source.url}", source.connection()
     try:
         await connection.open()
-        checks = [ok(about, "connected"), *await _clock(connection, about)]
+        checks = [CheckCode.SERVER_CONNECTED(about), *await _clock(connection, about)]
         refused = await connection.subscribe(source.nodes)
         there = [node for node in source.nodes if node not in refused]
         first = await _first_samples(connection, set(there), wait_s)
@@ -264,33 +236,25 @@ async def _first_samples(connection: Connection, awaited: set[Node], wait_s: flo
 def _node_checks(
     about: str, nodes: Sequence[Node], refused: dict[Node, str], first: dict[Node, Sample], wait_s: float
 ) -> Iterator[Check]:
-    now, sensor = time.time(), "check the sensor and its connection to the server"
+    now, wait_s = time.time(), rounded(wait_s)
     silent = [node.id for node in nodes if node not in refused and node not in first]
     bad = {n: one.word for n, one in first.items() if one.quality != "good"}
-    old = {n: stamp_text(one.time) for n, one in first.items() if one.time and now - one.time > OLD_S}
+    old = {n: one.time for n, one in first.items() if one.time and now - one.time > OLD_S}
+    aged = [ExaminedCode.NODE_SINCE(node=node.id, at=at) for node, at in old.items()]
     unstamped = {n: "no stamp" for n, one in first.items() if one.time is None and one.quality == "good"}
-    yield from of_names(
-        about,
-        (
-            "fault", _with_words(refused),
-            f"{len(refused)} of {len(nodes)} nodes do not exist or are denied: {{}}",
-            "compare the ids with the server's address space, and give this user the right to read them",
-        ),
-        (
-            "doubt", silent, f"no value of {{}} within {lasting(wait_s)}",
-            "wait longer (--wait 1min), or check whether the server samples these nodes",
-        ),
-        ("doubt", _with_words(bad), "values that are not good: {}", sensor),
-        ("doubt", _with_words(old), f"values older than {lasting(OLD_S)}: {{}}", sensor),
-        ("doubt", _with_words(unstamped), "values without a time stamp, which are not used: {}", sensor),
-    )  # fmt: skip
+    count = {"count": len(refused), "of": len(nodes)}
+    yield from of_names(about, _with_reasons(refused), CheckCode.NODES_REFUSED, **count)
+    yield from of_names(about, silent, CheckCode.NODES_SILENT, wait=wait_s)
+    yield from of_names(about, _with_reasons(bad), CheckCode.VALUES_BAD)
+    yield from of_names(about, aged, CheckCode.VALUES_OLD, limit=OLD_S)
+    yield from of_names(about, _with_reasons(unstamped), CheckCode.VALUES_UNSTAMPED)
     fine = set(first).difference(bad, old, unstamped)
     if fine:
-        yield ok(about, f"{len(fine)} of {len(nodes)} nodes have a good value")
+        yield CheckCode.NODES_GOOD(about, count=len(fine), of=len(nodes))
 
 
-def _with_words(nodes: Mapping[Node, str]) -> list[str]:
-    return [f"{node.id} ({word})" for node, word in nodes.items()]
+def _with_reasons(nodes: Mapping[Node, str]) -> list[Statement]:
+    return [ExaminedCode.NODE(node=node.id, why=why) for node, why in nodes.items()]
 
 
 async def _histories(connection: Connection, about: str, nodes: Sequence[Node]) -> list[Check]:
@@ -304,21 +268,14 @@ async def _histories(connection: Connection, about: str, nodes: Sequence[Node]) 
         except HistoryFault as error:
             unread[node] = str(error)
     if asked and not unread:
-        return [ok(about, f"the server keeps the history of the {len(asked)} nodes examined")]
-    missing = f"no history of {len(unread)} of {len(asked)} nodes: {{}}"
-    enable = (
-        "enable history on the server and let this user read it: otherwise samples are lost while the "
-        "tracker is not running"
-    )
-    return list(of_names(about, ("doubt", _with_words(unread), missing, enable)))
+        return [CheckCode.HISTORY_KEPT(about, count=len(asked))]
+    names = _with_reasons(unread)
+    return list(of_names(about, names, CheckCode.HISTORY_MISSING, count=len(unread), of=len(asked)))
 
 
 # -- all sources, files and databases ------------------------------------------------------------------------
 TAIL = 4_000_000
 """[bytes] read from the end of a file."""
-FIRST_ROWS = "first rows"
-"""Rows of a watermark that is no time, whose age says nothing."""
-REACH_DATABASE = "check url, password and query of this [[source]], and that the server runs"
 MOST_ROWS = 20_000
 """Rows of a database's query that are examined at most."""
 SPANS_S = (600.0, 2.0 * HOUR_S, DAY_S, 30.0 * DAY_S)
@@ -360,36 +317,32 @@ def _checks(
     about = f"source {stream.url}"
     kind = next((one for one in KINDS if isinstance(stream, one)), None)
     if kind is None:
-        yield ok(about, "can be read only while the tracker runs; not examined")
+        yield CheckCode.SOURCE_NOT_EXAMINED(about)
         return
-    (look, remedy), what = KINDS[kind], "payloads"
+    (look, fails), examined = KINDS[kind], ExaminedCode.PAYLOADS()
     try:
-        what = yield from look(stream, statistics, wait_s)
+        examined = yield from look(stream, statistics, wait_s)
     except SourceFault as error:
-        yield fault(about, str(error), remedy)
-    yield from payload_checks(about, statistics, what)
+        yield fails(about, fault=str(error))
+    yield from payload_checks(about, statistics, examined)
     newest = max(statistics.newest.values(), default=-math.inf)
+    age = time.time() - newest
     if stream.mapping.weather and statistics.newest:
-        ahead = newest - time.time()
-        said = f"its weather forecast reaches {lasting(ahead)} ahead"
-        need = "deliver at least a day: shorter forecasts are not used"
-        yield doubt(about, said, need) if ahead < DAY_S else ok(about, said)
+        yield CheckCode.FORECAST_REACHES(about, DOUBT if -age < DAY_S else OK, ahead=rounded(-age))
     if stream.mapping.weather or stream.played_back:
         return
     is_heard = isinstance(stream, Mqtt)
     if statistics.newest and not is_heard:
-        age = time.time() - newest
-        said = f"its newest reading is from {stamp_text(newest)}, {lasting(max(age, 0.0))} ago"
-        judged = age > OLD_S and what != FIRST_ROWS
-        writer = "check the program that writes the file, or fills the table"
-        yield doubt(about, said, writer) if judged else ok(about, said)
+        # the age of the first rows of a watermark that is no time says nothing
+        old = age > OLD_S and examined.code is not ExaminedCode.FIRST_ROWS
+        yield CheckCode.NEWEST_READING(about, DOUBT if old else OK, at=newest, age=rounded(age))
     stamped = stamp_check(
         about,
         statistics.lag_s,
         lateness_s if is_heard else math.inf,
         fresh=is_heard or isinstance(stream, TailedFile),
     )
-    if stamped is not None and (is_heard or stamped.level != "ok"):
+    if stamped is not None and (is_heard or stamped.level != OK):
         yield stamped
 
 
@@ -398,21 +351,20 @@ def playback_checks(stream: Playback, statistics: PayloadStatistics, wait_s: flo
     for at, content in stream.messages:
         statistics.take(content, at)
     yield from ()
-    return "rows that are played back"
+    return ExaminedCode.PLAYED_BACK()
 
 
 def file_checks(stream: TailedFile, statistics: PayloadStatistics, wait_s: float) -> Look:
     """Check that a followed file exists, is readable and grows, and what its last rows give."""
-    about, path, what = f"source {stream.url}", stream.path, "last rows"
+    about, path, examined = f"source {stream.url}", stream.path, ExaminedCode.LAST_ROWS()
     try:
         found = path.stat()
         size, written = found.st_size, found.st_mtime
         read_rows(path, statistics)
     except FileNotFoundError:
         if stream.follow and path.parent.is_dir():
-            waits = "does not exist yet; the tracker waits for it"
-            yield doubt(about, waits, "check the path and the program that writes the file")
-            return what
+            yield CheckCode.FILE_AWAITED(about)
+            return examined
         raise SourceFault(
             f"its folder {path.parent} does not exist" if stream.follow else "no such file"
         ) from None
@@ -421,12 +373,10 @@ def file_checks(stream: TailedFile, statistics: PayloadStatistics, wait_s: float
     if stream.follow:
         yield _growth(about, path, size, written, wait_s)
     if not statistics.payloads:
-        yield doubt(
-            about, "it has no rows yet", "write a line of names and then rows, or one JSON object per line"
-        )
+        yield CheckCode.FILE_EMPTY(about)
     if statistics.newest:  # its clock is judged by the time at which it was last written
         statistics.lag_s = min(statistics.lag_s, written - max(statistics.newest.values()))
-    return what
+    return examined
 
 
 def _growth(about: str, path: Path, size: int, written: float, wait_s: float) -> Check:
@@ -437,17 +387,13 @@ def _growth(about: str, path: Path, size: int, written: float, wait_s: float) ->
         except FileNotFoundError:
             now = -1
         if now > size:
-            return ok(about, f"it grows: {now - size} bytes more within {lasting(wait_s)}")
+            return CheckCode.FILE_GROWS(about, grown=now - size, within=rounded(wait_s))
         if now < size:
-            return doubt(
-                about,
-                "it was replaced or truncated just now",
-                "append to it; the tracker reads a replaced file from its start",
-            )
+            return CheckCode.FILE_REPLACED(about)
         time.sleep(PAUSE_S)
     age = time.time() - written
-    said = f"it has not grown within {lasting(wait_s)}; it was last written {lasting(max(age, 0.0))} ago"
-    return doubt(about, said, "check the program that writes the file") if age > OLD_S else ok(about, said)
+    level = DOUBT if age > OLD_S else OK
+    return CheckCode.FILE_RESTS(about, level, within=rounded(wait_s), age=rounded(age))
 
 
 def read_rows(path: Path, statistics: PayloadStatistics) -> None:
@@ -476,59 +422,58 @@ def postgres_checks(source: PostgresQuery, statistics: PayloadStatistics, wait_s
 def _postgres_checks(source: PostgresQuery, statistics: PayloadStatistics, about: str) -> Look:
     with closing(source.open()) as connection:
         columns = source.columns(connection)
-        yield ok(about, f"connected; the query gives {', '.join(columns.names)}")
+        yield CheckCode.QUERY_ANSWERED(about, columns=tuple(columns.names))
         before = time.time()
         (shown,) = connection.execute("SELECT clock_timestamp()").fetchone() or (None,)
         if isinstance(shown, datetime):
             yield server_check(about, shown.timestamp() - 0.5 * (before + time.time()))
-        rows, span, took_s = _newest_rows(source, columns.kind, connection)
+        rows, examined, took_s = _newest_rows(source, columns.kind, connection)
     if not rows:
-        yield doubt(about, f"no {span}", "check the query and the program that fills its table")
-        return span
+        yield CheckCode.QUERY_EMPTY(about, examined=examined)
+        return examined
     now = time.time()
     for row in rows:
         columns.watermark(row)
         statistics.take(columns.payload(row), now)
-    if took_s > source.form.poll_s:
-        yield doubt(
-            about,
-            f"the query took {lasting(took_s)}, longer than poll ({lasting(source.form.poll_s)})",
-            f"create an index on {source.form.watermark}, or poll less often",
+    poll_s = source.form.poll_s
+    if took_s > poll_s:
+        yield CheckCode.QUERY_SLOW(
+            about, took=rounded(took_s), poll=rounded(poll_s), watermark=source.form.watermark
         )
-    return span
+    return examined
 
 
 def _newest_rows(
     source: PostgresQuery, kind: str, connection: psycopg.Connection[Row]
-) -> tuple[list[Row], str, float]:
-    """Rows of the shortest span that has any, the name of the span, and how long the query took [s]."""
+) -> tuple[list[Row], Statement, float]:
+    """Rows of the shortest span that has any, what they are, and how long the query took [s]."""
     found: list[Row] = []
-    said, took_s = "rows", 0.0
-    for after, said in _starts(kind):  # noqa: B007
+    examined, took_s = ExaminedCode.ROWS(), 0.0
+    for after, examined in _starts(kind):  # noqa: B007
         began = time.monotonic()
         with closing(rows_above(connection, source.form.query, after)) as rows:
             found = list(islice(rows, MOST_ROWS))
         took_s = time.monotonic() - began
         if found:
             break
-    return found, said, took_s
+    return found, examined, took_s
 
 
-def _starts(kind: str) -> Iterator[tuple[str, str]]:
+def _starts(kind: str) -> Iterator[tuple[str, Statement]]:
     if kind in TIMES:
         for span in SPANS_S:
             since = datetime.fromtimestamp(time.time() - span, UTC)
-            yield since.isoformat(), f"rows of the last {lasting(span)}"
+            yield since.isoformat(), ExaminedCode.ROWS_SINCE(span=span)
     else:
-        yield LOWEST[kind], FIRST_ROWS
+        yield LOWEST[kind], ExaminedCode.FIRST_ROWS()
 
 
-KINDS: Mapping[type[Stream], tuple[Callable[..., Look], str]] = {
-    TailedFile: (file_checks, "check the path, and its permissions for the user of the tracker"),
-    Playback: (playback_checks, ""),
-    Mqtt: (mqtt_checks, REACH),
-    OpcUa: (opcua_checks, REACH_SERVER),
-    PostgresQuery: (postgres_checks, REACH_DATABASE),
+KINDS: Mapping[type[Stream], tuple[Callable[..., Look], CheckCode]] = {
+    TailedFile: (file_checks, CheckCode.FILE_FAILS),
+    Playback: (playback_checks, CheckCode.FILE_FAILS),
+    Mqtt: (mqtt_checks, CheckCode.BROKER_FAILS),
+    OpcUa: (opcua_checks, CheckCode.SERVER_FAILS),
+    PostgresQuery: (postgres_checks, CheckCode.DATABASE_FAILS),
 }
-"""Kind of source -> its checks, a function of (stream, statistics, wait_s) that returns the name of what it
-has read; and what to do where it cannot be reached."""
+"""Kind of source -> its checks, a function of (stream, statistics, wait_s) that returns what it has read; and
+the code where it cannot be reached."""

@@ -7,7 +7,7 @@ import hashlib
 import math
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 
 from hygrokf.data.structured import JsonObject
 from hygrokf.data.timestamps import DAY_S, duration
@@ -16,6 +16,7 @@ from hygrokf.errors import HygrokfError
 from hygrokf.live.alarms import RULES
 from hygrokf.live.batch import Alarm
 from hygrokf.live.sources.endpoint import UrlKeys
+from hygrokf.texts.doctor import Check
 from hygrokf.texts.wording import one_line, stamp_text
 
 SEVERITIES = ("notice", "warning", "alarm")
@@ -129,7 +130,7 @@ def data(message: NoticeMessage) -> JsonObject:
         "type": "hygrokf.alarms" if message.contents else "hygrokf.test",
         "text": text(message),
         "notices": [
-            {"id": name, "event": one.event, "alarm": asdict(one.alarm)}
+            {"id": name, "event": one.event, "alarm": one.alarm.served()}
             for name, one in message.contents.items()
         ],
     }
@@ -186,7 +187,7 @@ class Channel(UrlKeys, FolderKeys):
         """Try everything but sending; returns what was found.  Raises ChannelFault."""
         raise NotImplementedError
 
-    def cautions(self) -> Iterator[str]:
+    def cautions(self) -> Iterator[Check]:
         """Settings that work but are unsafe."""
         raise NotImplementedError
 

@@ -29,6 +29,8 @@ from hygrokf.live.notification.channel import (
 )
 from hygrokf.live.storage.database import Row
 from hygrokf.live.storage.store import Store
+from hygrokf.texts.live import NoticeCode
+from hygrokf.texts.statement import Statement
 
 PAST_S = DAY_S
 """[s] after its beginning from which a new alarm counts as one of the past: the tracker is catching up."""
@@ -142,7 +144,7 @@ def decide(
     shelved: bool,
     now: float,
     record_now: float,
-) -> Content | str | float:
+) -> Content | Statement | float:
     """What becomes of a notice that is due and was not attempted before: the content to send now, the reason
     to send nothing, or the time [s] at which to decide again.
 
@@ -151,28 +153,28 @@ def decide(
     """
     content = content_of(notice)
     if alarm is None:
-        return "the alarm is no longer stored"
+        return NoticeCode.ALARM_NOT_STORED()
     if content.event not in OPENING:
         openings = [one for one in others if content_of(one).event in OPENING]
         if any(delivered(one) for one in openings):
             return content
         waiting = [one.due for one in openings if one.sent is None]
-        return max(min(waiting), now + 1.0) if waiting else "its beginning was not sent"
+        return max(min(waiting), now + 1.0) if waiting else NoticeCode.BEGINNING_NOT_SENT()
     if alarm.acknowledged is not None:
-        return "it was acknowledged before the notice was due"
+        return NoticeCode.ACKNOWLEDGED_BEFORE()
     if shelved:
-        return "it ended while shelved" if alarm.ended is not None else now + SHELVED_S
+        return NoticeCode.ENDED_WHILE_SHELVED() if alarm.ended is not None else now + SHELVED_S
     if alarm.ended is not None:
         made = [one.made for one in others if content_of(one).event == ENDED]
         if alarm.ended - alarm.began < channel.hold_off_s and made and made[0] < notice.due:
-            return "it ended within the hold-off"
+            return NoticeCode.ENDED_IN_HOLD_OFF()
         if record_now - alarm.ended > PAST_S:
-            return "it was over before the tracker had caught up"
+            return NoticeCode.OVER_BEFORE_CAUGHT_UP()
     told = (content_of(one) for one in others if delivered(one))
     before = [one.alarm.severity for one in told if one.event in OPENING]
     if content.event == BEGAN and before:
         if max(map(SEVERITIES.index, before)) >= SEVERITIES.index(content.alarm.severity):
-            return "a severer notice was sent"
+            return NoticeCode.SEVERER_SENT()
         return replace(content, event=WORSENED)
     return content
 
@@ -227,12 +229,12 @@ def postpone(store: Store, notices: Iterable[tuple[str, float]]) -> None:
     _change(store, "UPDATE outbox SET due = ? WHERE id = ?", [(at, name) for name, at in notices])
 
 
-def drop(store: Store, notices: Iterable[tuple[str, str]], at: float) -> None:
+def drop(store: Store, notices: Iterable[tuple[str, Statement]], at: float) -> None:
     """Send notices (id) never, for a reason."""
     _change(
         store,
         "UPDATE outbox SET sent = ?, failure = ? WHERE id = ? AND sent IS NULL",
-        [(at, reason, name) for name, reason in notices],
+        [(at, reason.text, name) for name, reason in notices],
     )
 
 

@@ -21,6 +21,8 @@ from hygrokf.live.notification.channel import Channel, ChannelFault, Content, No
 from hygrokf.live.notification.notices import as_text, content_of, decide, prefix
 from hygrokf.live.sources.stream import pause_s
 from hygrokf.live.storage.store import Store, StoreFault, open_store
+from hygrokf.texts.live import NoticeCode
+from hygrokf.texts.statement import Statement
 
 LOG = logging.getLogger("hygrokf.notify")
 POLL_S = 1.0
@@ -67,7 +69,7 @@ class Sender:
     def start(self) -> None:
         """Begin to send."""
         for caution in self.channel.cautions():
-            LOG.warning(caution, extra={"channel": self.channel.name})
+            LOG.warning(caution.text, extra={"channel": self.channel.name})
         self._thread = threading.Thread(target=self._run, name=f"notify {self.channel.name}", daemon=True)
         self._thread.start()
 
@@ -163,7 +165,7 @@ class Sender:
         record_now = self._record_now()
         shelves = {(one.turbine, one.kind) for one in store.shelves(record_now)}
         sent: dict[str, Content] = {}
-        dropped: list[tuple[str, str]] = []
+        dropped: list[tuple[str, Statement]] = []
         postponed: list[tuple[str, float]] = []
         for notice in fresh:
             alarm = content_of(notice).alarm
@@ -173,7 +175,7 @@ class Sender:
             outcome = decide(notice, self.channel, known, others, shelved, now, record_now)
             if isinstance(outcome, Content):
                 sent[notice.id] = outcome
-            elif isinstance(outcome, str):
+            elif isinstance(outcome, Statement):
                 dropped.append((notice.id, outcome))
             else:
                 postponed.append((notice.id, outcome))
@@ -227,9 +229,9 @@ class Sender:
             del self._accepted[0]
 
     def _give_up(self, store: Store, message: NoticeMessage) -> None:
-        reason = f"given up after {message.attempts} attempts: {self.failure}"
+        reason = NoticeCode.GIVEN_UP(attempts=message.attempts, failure=self.failure)
         notices.drop(store, [(name, reason) for name in message.contents], time.time())
         LOG.error(
             "a message was given up",
-            extra={"channel": self.channel.name, "notices": len(message.contents), "reason": reason},
+            extra={"channel": self.channel.name, "notices": len(message.contents), "reason": reason.text},
         )

@@ -39,6 +39,7 @@ from hygrokf.live.notification.channel import Channel, ChannelFault, NoticeMessa
 from hygrokf.live.sources.broker import unreachable
 from hygrokf.live.sources.endpoint import PasswordKeys, Secret, tls_context
 from hygrokf.live.sources.stream import SourceFault
+from hygrokf.texts.doctor import Check, CheckCode
 
 _ADDRESS = 'an address such as "ops@farm.example"'
 PATIENT = 3
@@ -130,9 +131,9 @@ class Mail(PasswordKeys, Channel):
         if self.unencrypted and self.password.is_stated:
             yield "unencrypted: a password is only sent over TLS"
 
-    def cautions(self) -> Iterator[str]:
+    def cautions(self) -> Iterator[Check]:
         if self.unencrypted and self.leaves_machine:
-            yield f"mail goes to {self.where} unencrypted"
+            yield CheckCode.MAIL_UNENCRYPTED(where=self.where)
 
     def probe(self) -> str:
         """Connect, encrypt and log in."""
@@ -257,11 +258,11 @@ class Webhook(Channel):
             return str(fault)
         return None
 
-    def cautions(self) -> Iterator[str]:
+    def cautions(self) -> Iterator[Check]:
         if not self.tls and self.leaves_machine:
-            yield f"notices go to {self.where} unencrypted: use https://"
+            yield CheckCode.NOTICES_UNENCRYPTED(where=self.where)
         if not (self.secret_file or self.secret_env):
-            yield f"notices to {self.where} are not signed: name a secret_file"
+            yield CheckCode.NOTICES_UNSIGNED(where=self.where)
 
     def signing_key(self) -> bytes | None:
         """The present secret, None for none.  Raises SourceFault, ChannelFault."""

@@ -21,6 +21,7 @@ from hygrokf.live.batch import Alarm
 from hygrokf.live.sources.endpoint import OTHERS_READ, PasswordKeys, UrlKeys, tls_context
 from hygrokf.live.sources.sparkplug_node import NAMESPACE
 from hygrokf.live.sources.stream import SourceKeys
+from hygrokf.texts.doctor import Check, CheckCode
 
 if TYPE_CHECKING:
     from paho.mqtt.reasoncodes import ReasonCode
@@ -115,10 +116,8 @@ def alarm_topic(prefix: str, alarm: Alarm) -> str:
 
     Characters that are special in topics are percent-encoded; spaces in the kind become "_".
     """
-    # several alarms of one kind may be open at once; their ids contain the subject that distinguishes them
-    name = alarm.id.removeprefix(f"{alarm.turbine}:").rpartition(":")[0]
-    kind = name if name.startswith(alarm.kind) else alarm.kind
-    return f"{prefix}/{quote(alarm.turbine, safe='')}/{quote(kind.replace(' ', '_'), safe='')}"
+    kind = f"{alarm.kind} {alarm.subject}".strip().replace(" ", "_")
+    return f"{prefix}/{quote(alarm.turbine, safe='')}/{quote(kind, safe='')}"
 
 
 # -- the session ---------------------------------------------------------------------------------------------
@@ -244,15 +243,15 @@ class Broker(UrlKeys, PasswordKeys, SourceKeys):
         context.sslsocket_class = _ClosingSocket
         return context
 
-    def cautions(self) -> Iterator[str]:
-        """Warnings about settings that work but are unsafe."""
+    def cautions(self) -> Iterator[Check]:
+        """Settings that work but are unsafe."""
         for name in ("password_file", "key"):
             path = self.path(name)
             if path is not None and os.name == "posix" and path.exists():
                 if path.stat().st_mode & OTHERS_READ:
-                    yield f"{name}: every user of this machine can read {path}: chmod o-rwx {path}"
+                    yield CheckCode.SECRET_READABLE(path=str(path))
         if self.user_name and not self.tls and self.leaves_machine:
-            yield f"user and password go to {self.where} in plain text: use mqtts://"
+            yield CheckCode.LOGIN_IN_PLAIN_TEXT(where=self.where)
 
 
 # -- why a connection fails ----------------------------------------------------------------------------------

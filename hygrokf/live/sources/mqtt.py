@@ -20,7 +20,6 @@ import threading
 import time
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
-from dataclasses import asdict
 from functools import cache, partial
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -68,7 +67,7 @@ class Mqtt(Stream):
 
     def start(self, place: str | None, put: Callable[[Delivery], None]) -> None:
         for caution in self.broker.cautions():
-            LOG.warning(caution, extra={"source": self.url})
+            LOG.warning(f"{caution.text}: {caution.remedy}", extra={"source": self.url})
         self._known = bool(place)
         super().start(place, put)
 
@@ -88,7 +87,7 @@ class Mqtt(Stream):
             return
         with self._lock:
             for alarm in alarms:
-                payload = json.dumps(asdict(alarm), ensure_ascii=False).encode()
+                payload = json.dumps(alarm.served(), ensure_ascii=False).encode()
                 self._alarms[alarm_topic(self.broker.alarms, alarm)] = (payload, None)
             if self._link is not None:
                 self._publish(self._link)

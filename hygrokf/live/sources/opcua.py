@@ -23,7 +23,8 @@ from hygrokf.live.sources.opcua_client import Connection, HistoryFault, Sample, 
 from hygrokf.live.sources.opcua_form import Node, Security, Server
 from hygrokf.live.sources.payload import EARLIEST_S, PayloadMapping
 from hygrokf.live.sources.payload_values import AHEAD_S
-from hygrokf.live.sources.stream import PAUSE_S, Delivery, SourceFault, SourceState, Stream, several
+from hygrokf.live.sources.stream import PAUSE_S, Delivery, SourceFault, SourceState, Stream
+from hygrokf.texts.wording import several
 
 LOG = logging.getLogger("hygrokf.track")
 FIRST_S = 2.0

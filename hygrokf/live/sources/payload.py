@@ -58,6 +58,8 @@ from hygrokf.live.sources.payload_values import (
     tag_reader,
 )
 from hygrokf.live.tracker import Reading
+from hygrokf.texts.doctor import ExaminedCode
+from hygrokf.texts.statement import Statement
 
 EARLIEST_S = 631_152_000.0
 """1990 [s since 1970]: earlier stamps are not times of a turbine."""
@@ -506,8 +508,10 @@ class PayloadStatistics:
                     self._beside.setdefault(names, {})[str(payload[names[1]])] = None
 
     @property
-    def rejected(self) -> str:
-        """Text about the rejected items, and doubts about quality; empty if there are none."""
-        counted = [f"{n} {kind} ({self.reasons[kind]})" for kind, n in self.counts.most_common()]
-        beside = [unstated(*names, list(marks)) for names, marks in self._beside.items()]
-        return ", ".join(filter(None, (*counted, misfit(self._noting.of, list(self._noting.seen)), *beside)))
+    def rejected(self) -> tuple[Statement | str, ...]:
+        """The rejected items by kind, and doubts about quality."""
+        kinds = self.counts.most_common()
+        counted = (ExaminedCode.REFUSED(count=n, kind=kind, why=self.reasons[kind]) for kind, n in kinds)
+        doubts = [misfit(self._noting.of, list(self._noting.seen))]
+        doubts += [unstated(*names, list(marks)) for names, marks in self._beside.items()]
+        return (*counted, *filter(None, doubts))

@@ -21,8 +21,11 @@ from hygrokf.live.sources.payload import PayloadMapping
 from hygrokf.live.sources.payload_formats import Content, Payload, PayloadRecord, Refused, Unreadable
 from hygrokf.live.sources.sparkplug_node import NAMESPACE, Arrived, EdgeNode, Released, address_of
 from hygrokf.live.sources.sparkplug_payload import LARGEST_MESSAGE, decode, rebirth_request
-from hygrokf.live.sources.stream import Delivery, SourceState, several
-from hygrokf.texts.wording import stamp_text
+from hygrokf.live.sources.stream import Delivery, SourceState
+from hygrokf.texts.doctor import ASK_REBIRTH
+from hygrokf.texts.live import AlarmCode
+from hygrokf.texts.statement import Statement
+from hygrokf.texts.wording import several, stamp_text
 
 LOG = logging.getLogger("hygrokf.track")
 MOST_NODES = 1_000
@@ -36,8 +39,6 @@ DEVICE_PLACE = 4
 DEVICE_LEVEL = f"{{{DEVICE_PLACE}}}"
 """The mapping's turbine where each device is one."""
 _OF_NO_DEVICE = Unreadable("of no device", "metrics of an edge node itself, while turbines are devices")
-ASK = f'publish the command "Node Control/Rebirth" to {NAMESPACE}/GROUP/NCMD/NODE'
-"""What to do where the tracker may not ask."""
 
 
 class EdgeNodes:
@@ -164,10 +165,10 @@ class Sparkplug(Mqtt):
             for device, since in tuple(node.left_s.items())
         ]
 
-    def left(self) -> dict[str, str]:
-        """Turbine -> text about its edge node or device that has left, where the topic names the turbine and
-        nothing else sends for it."""
-        found: dict[str, str] = {}
+    def left(self) -> dict[str, Statement]:
+        """Turbine -> that its edge node or device has left, where the topic names the turbine and nothing
+        else sends for it."""
+        found: dict[str, Statement] = {}
         nodes = tuple(self.edge_nodes.nodes.items())
         present = {
             self._turbine(data_topic(name, one)) for name, node in nodes for one in tuple(node.present)
@@ -175,8 +176,7 @@ class Sparkplug(Mqtt):
         for sender, topic, since in self._absences():
             turbine = self._turbine(topic)
             if turbine is not None and turbine not in present:
-                words = f"{sender} has left by its death certificate of {stamp_text(since)}"
-                found[turbine] = f"{words}: its signals are stale until it is born again"
+                found[turbine] = AlarmCode.SENDER_LEFT(sender=sender, at=since)
         return found
 
     def _turbine(self, topic: str) -> str | None:
@@ -205,7 +205,7 @@ class Sparkplug(Mqtt):
             remedy = (
                 "it has been asked for a rebirth"
                 if self.broker.rebirth_requests
-                else (f"ask for a rebirth: {ASK}, or set rebirth_requests = true")
+                else (f"ask for a rebirth: {ASK_REBIRTH}, or set rebirth_requests = true")
             )
             notes.append(f"gap or no birth certificate, aliases are not read: {several(waiting)}: {remedy}")
         return notes

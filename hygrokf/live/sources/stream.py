@@ -22,14 +22,13 @@ from hygrokf.errors import HygrokfError
 from hygrokf.live.batch import Alarm
 from hygrokf.live.sources.payload import PayloadMapping
 from hygrokf.live.sources.payload_formats import Content
+from hygrokf.texts.statement import Statement
 
 LOG = logging.getLogger("hygrokf.track")
 PAUSE_S = 0.2
 """[s] between two looks at a source that has nothing new."""
 BACK_OFF_S = (1.0, 60.0)
 """Shortest and longest pause [s] between attempts to read a source."""
-NAMED = 5
-"""Names of a list that are shown; further names are only counted."""
 
 
 @dataclass(frozen=True)
@@ -260,8 +259,8 @@ class Stream:
     def state(self) -> SourceState:
         return self._state
 
-    def left(self) -> dict[str, str]:
-        """Turbine -> text about its sender that has left: none, because these senders do not say so."""
+    def left(self) -> dict[str, Statement]:
+        """Turbine -> that its sender has left: none, because these senders do not say so."""
         return {}
 
     def signals(self, turbine: str) -> set[str]:
@@ -277,10 +276,3 @@ def _reason(fault: Exception, url: str) -> str:
     if isinstance(fault, OSError):
         return f"{url}: {fault.strerror or fault}"
     return f"{url}: unforeseen fault, {type(fault).__name__}: {fault}; please report it with the log"
-
-
-def several(names: Iterable[str]) -> str:
-    """The first `NAMED` names in one line, and the number of further ones."""
-    found = list(names)
-    more = f" and {len(found) - NAMED} more" if len(found) > NAMED else ""
-    return f"{', '.join(found[:NAMED])}{more}"

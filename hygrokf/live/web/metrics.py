@@ -14,7 +14,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import accumulate
 from typing import TYPE_CHECKING
 
-from hygrokf.live.alarms import CLOCK, LOST, RULES
+from hygrokf.live.alarms import CLOCKS, REACH, RULES
 from hygrokf.live.batch import STATES as TURBINE_STATES
 from hygrokf.live.batch import Alarm
 from hygrokf.live.service import WAITS_S, Health, Service
@@ -172,7 +172,7 @@ def _open_alarms(names: Sequence[str], alarms: Sequence[Alarm]) -> Metric:
     counts: Counter[tuple[str, str, str]] = Counter()
     for name in names:
         for rule in RULES.values():
-            if (name == SOURCE and rule in (LOST, CLOCK)) or (name != SOURCE and rule != LOST):
+            if rule.follows in (REACH, CLOCKS) if name == SOURCE else rule.follows != REACH:
                 counts[name, rule.kind, rule.severity] = 0
                 if math.isfinite(rule.severe):
                     counts[name, rule.kind, "alarm"] = 0

@@ -27,7 +27,7 @@ from urllib.parse import urlsplit
 
 from hygrokf.data.structured import Json, JsonObject
 from hygrokf.data.timestamps import DAY_S
-from hygrokf.live.batch import Batch
+from hygrokf.live.batch import Alarm, Batch, pieces_of
 from hygrokf.live.web.page_settings import NEEDED, PageFault, PageSettings
 
 if TYPE_CHECKING:
@@ -326,8 +326,13 @@ def reply(
     """A JSON response."""
     from starlette.responses import Response
 
-    text = json.dumps(content, ensure_ascii=False, allow_nan=False, separators=(",", ":"), default=asdict)
+    text = json.dumps(content, ensure_ascii=False, allow_nan=False, separators=(",", ":"), default=_served)
     return Response(text, status, {"Content-Type": "application/json", **(headers or {})})
+
+
+def _served(one: Any) -> JsonObject:
+    """A row of the store as the page receives it; the sentence of an alarm also in pieces (`pieces_of`)."""
+    return {**one.served(), "pieces": pieces_of(one.statements)} if isinstance(one, Alarm) else asdict(one)
 
 
 def refusal(status: int, words: str, headers: Mapping[str, str] | None = None) -> Response:

@@ -16,13 +16,13 @@ from typing import Any, TypeVar
 import numpy as np
 
 from hygrokf.data.signals import SIGNALS, from_si
+from hygrokf.data.structured import plain, structured
 from hygrokf.data.timestamps import DAY_S, HOUR_S
 from hygrokf.identification.verdict_terms import PARAMETER_OF, Inherited
 from hygrokf.live.alarms import CHANGED, CONTRADICTS
-from hygrokf.live.assessment import NOT_ASSESSED
-from hygrokf.live.batch import CAUSES, STATES, Alarm, Assessment
+from hygrokf.live.batch import CAUSES, STATES, Alarm, Assessment, pieces_of, text_of
 from hygrokf.live.condition import QUANTITIES, Z95, Quantity, probability_above
-from hygrokf.live.forecast import LIMIT
+from hygrokf.live.forecast import LIMIT, ForecastMade
 from hygrokf.live.plan import Need
 from hygrokf.live.properties import WATCHED
 from hygrokf.live.service import Health
@@ -31,6 +31,7 @@ from hygrokf.live.storage.database import Row
 from hygrokf.live.storage.store import Store
 from hygrokf.live.web.reader import Reader
 from hygrokf.physics.psychrometrics import ZERO_CELSIUS_K
+from hygrokf.texts.live import StateCode
 from hygrokf.texts.verdict import MARKS, VERDICTS
 
 DECIMALS = 4
@@ -145,9 +146,16 @@ def _need(row: View) -> tuple[int, int, float, str]:
 
 
 def _state(found: Assessment | None) -> View:
-    if found is None:
-        return {"state": "no estimate", "reason": NOT_ASSESSED, "since": None}
-    return {"state": found.state, "reason": found.reason, "since": found.since}
+    """A turbine's `state` `since` [s] a time, its `reason` as text, as codes with values (`content`) and in
+    `pieces`, of which the numbers are instants [s]."""
+    statements = (StateCode.NOT_ASSESSED_YET(),) if found is None else found.statements
+    return {
+        "state": "no estimate" if found is None else found.state,
+        "since": None if found is None else found.since,
+        "reason": text_of(statements),
+        "content": plain(list(statements)),
+        "pieces": pieces_of(statements),
+    }
 
 
 def turbine_view(
@@ -257,17 +265,22 @@ def _courses(rows: Sequence[Row]) -> View:
 
 
 def _forecast(store: Store, name: str) -> View | None:
-    """A turbine's newest forecast: what the store keeps of it (`ForecastMade`), and its courses; None before
-    the first one."""
-    made = store.memory(name, "forecast")
-    if not isinstance(made, dict):
+    """A turbine's newest forecast: what the store keeps of it (`ForecastMade`) as codes, `weather` and
+    `advice` as texts, and its courses; None before the first one."""
+    kept = store.memory(name, "forecast")
+    if not isinstance(kept, dict):
         return None
+    made = structured(ForecastMade, kept)
     rows = store.rows(
         f"SELECT {_COLUMNS}, time, condensation, above_limit FROM forecast WHERE turbine = ? ORDER BY time",
         (name,),
     )
     return {
-        **made,
+        "made": made.made,
+        "limit": made.limit,
+        "weather": made.basis.text,
+        "advice": None if made.advice is None else made.advice.text,
+        "content": {"weather": kept["basis"], "advice": kept["advice"]},
         "time": [row[-3] for row in rows],
         "condensation": [row[-2] for row in rows],
         "above_limit": [row[-1] for row in rows],
@@ -410,7 +423,7 @@ def signal_rows(
                 "received": received,
                 "count": count,
                 "needed": used.get(signal, ""),
-                "contradicts": any(f":{CONTRADICTS.kind} {signal}:" in one.id for one in open_),
+                "contradicts": any(one.subject == signal for one in open_),
             }
         )
     return found

@@ -24,7 +24,7 @@ export function alarmItem(alarm, linked, shelf) {
           ? make("a", { href: `#/turbine/${encodeURIComponent(alarm.turbine)}` }, alarm.turbine) : make("a", { href: "#/data" }, where),
         linked ? " " : null, make("strong", {}, alarm.kind),
         make("span", { class: "more" }, " since ", timeOf(alarm.began), ", ", ...lasted)),
-      make("p", { class: "statement" }, withTimes(alarm.statement)),
+      make("p", { class: "statement" }, withTimes(alarm.pieces)),
       alarm.remedy ? make("p", { class: "remedy" }, "To do: ", alarm.remedy) : null,
       alarm.acknowledged === null ? null : acknowledgedBy(alarm),
       open && shelf ? make("p", { class: "seen" }, "shelved until ", timeOf(shelf.until)) : null),

@@ -178,9 +178,10 @@ class Row {
   words(state) {
     const { row } = this;
     // the server's reason of another state would contradict the one that is shown
-    const reason = state === "ok" ? "" : state === row.state ? withTimes(row.reason, near) : state === "in doubt" ? "a number of its model is rejected"
+    const reason = state === "ok" ? "" : state === row.state ? withTimes(row.pieces, near) : state === "in doubt" ? "a number of its model is rejected"
       : row.heard === null ? "never heard" : `not heard for ${span(clock() - row.heard)}`;
-    const kinds = [...new Set(row.alarms.map((alarm) => alarm.kind))].filter((kind) => !reason.includes(kind));
+    const told = state === "at risk" ? ["condensation"] : state === "alarm" ? row.content[0].values.kinds : [];
+    const kinds = [...new Set(row.alarms.map((alarm) => alarm.kind))].filter((kind) => !told.includes(kind));
     return [reason, ...kinds].filter(Boolean).join("; ");
   }
 

@@ -108,9 +108,8 @@ export function near(at) {
   return off < DAY_S / 2 ? hour(at) : `${WEEKDAY.format(at * 1000)} ${hour(at)}`;
 }
 
-const STAMP = /\d{4}-\d\d-\d\dT\d\d:\d\d(?::\d\d)?Z/g;
-/** A sentence of the tracker with its UTC stamps as times of the page, by default with their day. */
-export const withTimes = (text, format = local) => text.replace(STAMP, (stamp) => format(Date.parse(stamp) / 1000));
+/** A sentence from its pieces, of which the numbers are instants: as times of the page, by default with their day. */
+export const withTimes = (pieces, format = local) => pieces.map((one) => typeof one === "number" ? format(one) : one).join("");
 
 /** A time element in local time, with UTC as tooltip. */
 export function timeOf(at, text = local(at)) {

@@ -181,7 +181,7 @@ export class Turbine {
     const state = shownState({ ...found, model: found.model.verdict, heard: Number.isFinite(heard) ? heard : null });
     say(this.badge, state);
     this.badge.className = stateClass(state, severity);
-    say(this.reason, state === found.state && state !== "alarm" ? `${withTimes(found.reason)}${found.since ? `, since ${local(found.since)}` : ""}` : "");
+    say(this.reason, state === found.state && state !== "alarm" ? `${withTimes(found.pieces)}${found.since ? `, since ${local(found.since)}` : ""}` : "");
   }
 
   showChanges(found) {
