@@ -8,10 +8,11 @@ path between the readings (`input_paths`); the ambient's vapour, its noise, and 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import astuple, dataclass, field, fields
 from functools import cached_property
 
 from hygrokf.data.ambient import absolute_humidity_at, reading_noise, smoothed
+from hygrokf.data.gate import scale_of
 from hygrokf.data.input_paths import input_path, without_response
 from hygrokf.data.record import Record, Series
 
@@ -50,6 +51,12 @@ class PreparedRecord(Record):
         series = {"ambient_temperature": self["ambient_temperature"], VAPOUR: self.ambient_vapour}
         estimated = {name: reading_noise(one) for name, one in series.items() if one is not None}
         return {name: noise for name, noise in estimated.items() if noise is not None}
+
+    @cached_property
+    def scales(self) -> dict[str, tuple[float, float, float, float]]:
+        """The numbers of the gate's scale of every series that has one."""
+        known = {one.signal: scale_of(one.signal, *one.known, one.resolution) for one in self.series}
+        return {signal: astuple(scale) for signal, scale in known.items() if scale is not None}
 
     def path(self, name: str) -> Series:
         """The path of a signal's readings as they are, or of the ambient's vapour."""

@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import astuple, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 from weakref import WeakValueDictionary
@@ -18,7 +18,6 @@ import numpy as np
 
 from hygrokf.data.actuators import Chosen, actuators
 from hygrokf.data.ambient import bridge_h
-from hygrokf.data.gate import scale_of
 from hygrokf.data.prepared import PreparedRecord, prepare
 from hygrokf.data.record import Record, Series
 from hygrokf.data.signals import SIGNALS, signal_named
@@ -248,14 +247,8 @@ def design(
         ambient_noise=record.noise,
         statements=tuple(statements),
         actuator_means={a.signal: float(np.nanmean(record[a.signal].value)) for a in acting},
-        scales=scales(record),
+        scales=record.scales,
     )
-
-
-def scales(record: Record) -> dict[str, tuple[float, float, float, float]]:
-    """The numbers of the gate's scale of every series that has one."""
-    found = {one.signal: scale_of(one.signal, *one.known, one.resolution) for one in record.series}
-    return {signal: astuple(scale) for signal, scale in found.items() if scale is not None}
 
 
 def _sensor(series: Series, scale: float = 1.0) -> dict[str, float]:

@@ -3,7 +3,7 @@ gaps."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -26,16 +26,29 @@ IDENTIFIED_ON = {
 
 @dataclass(frozen=True)
 class Run:
-    """A timeline with flags for its instants.
+    """A record on the instants of a model: its timeline, with flags for them.
 
-    `operating` (T,) is True where the turbine feeds power (a record without power counts as standstill);
-    `scored` (T,) is False where an input is unknown, after `evaluation.simulation.settled` also until
-    the free run has forgotten it.
+    `record` is the one whose inputs and readings the timeline holds; `operating` (T,) is True where the
+    turbine feeds power (a record without power counts as standstill); `scored` (T,) is False where an input
+    is unknown, after `evaluation.simulation.settled` also until the free run has forgotten it.
     """
 
+    record: PreparedRecord
     timeline: Timeline
     operating: np.ndarray
     scored: np.ndarray
+
+    def window(self, first: int, last: int) -> Run:
+        """Instants first … last−1, as `Timeline.window`."""
+        part = self.timeline.window(first, last)
+        return replace(
+            self, timeline=part, operating=self.operating[first:last], scored=self.scored[first:last]
+        )
+
+    def unread(self) -> Run:
+        """The run without any reading, for simulations and forecasts."""
+        t = self.timeline
+        return replace(self, timeline=t.with_readings(np.full_like(t.y, np.nan)))
 
     def __repr__(self) -> str:
         """The timeline, and how many of its instants are flagged."""
@@ -104,8 +117,8 @@ def model_inputs(design: Design, record: Record, *, beyond: bool = False) -> Run
         values[name] = further_input(record, name, time, model.holds[name], design.actuator_means.get(name))
     readings, resets = _readings(design, record, outputs, time, unknown_ambient)
     ends = gap_ends(~unknown_ambient)
-    run = timeline(model, (time - first) / 3600.0, values, readings, resets, first, ends)
-    return Run(run, operating, ~unknown_ambient & ~unknown_power)
+    made = timeline(model, (time - first) / 3600.0, values, readings, resets, first, ends)
+    return Run(record, made, operating, ~unknown_ambient & ~unknown_power)
 
 
 def gap_ends(known: np.ndarray) -> np.ndarray:
