@@ -40,7 +40,7 @@ _WHERE = {
     "timeline": "engine.timeline",
     "Likelihood": "estimation.likelihood",
     "JointLikelihood": "estimation.joint_likelihood",
-    "Gaussian": "estimation.gaussian",
+    "Gaussian": "estimation.moments",
     "fit_mle": "estimation.optimiser",
     "confidence_intervals": "estimation.inference",
     "covariances": "estimation.subject",
@@ -79,12 +79,12 @@ if TYPE_CHECKING:
     from hygrokf.discovery.procedure import discover as discover
     from hygrokf.engine.timeline import timeline as timeline
     from hygrokf.errors import HygrokfError as HygrokfError
-    from hygrokf.estimation.gaussian import Gaussian as Gaussian
     from hygrokf.estimation.inference import confidence_intervals as confidence_intervals
     from hygrokf.estimation.inference import modal_time_constants as modal_time_constants
     from hygrokf.estimation.inference import parameter_table as parameter_table
     from hygrokf.estimation.joint_likelihood import JointLikelihood as JointLikelihood
     from hygrokf.estimation.likelihood import Likelihood as Likelihood
+    from hygrokf.estimation.moments import Gaussian as Gaussian
     from hygrokf.estimation.optimiser import fit_mle as fit_mle
     from hygrokf.estimation.smoother import to_filterpy as to_filterpy
     from hygrokf.estimation.subject import covariances as covariances

@@ -24,9 +24,10 @@ from hygrokf.data.readings import detect_resolution, mask, order_readings
 from hygrokf.data.record import Record, Series
 from hygrokf.data.signals import SWITCHED, difference_to_si, to_si, unit_mistaken
 from hygrokf.data.table_readers import read_table
-from hygrokf.data.timestamps import duration_text, modal_step, period_text, stamp_text, summer_time_holes
+from hygrokf.data.timestamps import modal_step, summer_time_holes
 from hygrokf.data.toml_form import FormFault, Place, lines_of, read_toml
 from hygrokf.physics.holds import LINEAR, MEAN, PREVIOUS
+from hygrokf.texts.wording import duration_text, period_text, stamp_text
 from hygrokf.weather.joining import follows, joined
 from hygrokf.weather.reading import read_weather_file
 

@@ -14,9 +14,10 @@ from hygrokf.data.probes import copies
 from hygrokf.data.readings import out_of_range, range_sentence
 from hygrokf.data.record import Record, Series
 from hygrokf.data.signals import HUMIDITIES, signal_named, unit_mistaken
-from hygrokf.data.timestamps import DAY_S, duration_text, modal_step, period_text, stamp_text
+from hygrokf.data.timestamps import DAY_S, modal_step
 from hygrokf.modelling.design import PARTS
 from hygrokf.physics.holds import LINEAR
+from hygrokf.texts.wording import duration_text, period_text, stamp_text
 from hygrokf.weather.clocks import (
     FEWEST_D,
     NOT_COMPARED,

@@ -12,10 +12,11 @@ from hygrokf.data.numbers import POLES, Meaning
 from hygrokf.data.quality import UNSTATED, QualityVocabulary, StatedQuality, stated_vocabulary
 from hygrokf.data.record import Site
 from hygrokf.data.signals import SIGNALS, Signal, difference_to_si, fitting_units, unit_fault
-from hygrokf.data.timestamps import duration, moment, signed_duration, stamp_text
+from hygrokf.data.timestamps import duration, moment, signed_duration
 from hygrokf.data.toml_form import Place, across, entry_name, read_form, setting
 from hygrokf.errors import suggestion
 from hygrokf.physics.holds import HOLDS, MEAN, PREVIOUS, hold_named
+from hygrokf.texts.wording import stamp_text
 from hygrokf.weather.reading import FORMATS, TYPICAL
 
 STAMPS = ("instant", "start", "middle", "end")

@@ -13,9 +13,10 @@ from hygrokf.cases.doubts import all_doubts
 from hygrokf.data.actuators import actuators
 from hygrokf.data.prepared import prepare
 from hygrokf.data.record import Record, Series, Site
+from hygrokf.data.result_file import units_by_name, with_units
 from hygrokf.data.signals import difference_from_si, from_si, signal_named
-from hygrokf.data.tabular import units_by_name, with_units
-from hygrokf.data.timestamps import DAY_S, modal_step, stamp_text
+from hygrokf.data.timestamps import DAY_S, modal_step
+from hygrokf.texts.wording import stamp_text
 from hygrokf.weather.clocks import ClockError, alignments, clock_errors
 
 if TYPE_CHECKING:

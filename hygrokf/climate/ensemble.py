@@ -34,14 +34,15 @@ from hygrokf.evaluation.self_switching import Switchboard, cut, switches_of
 from hygrokf.identification.fit import Fit
 from hygrokf.modelling.design import read_as
 from hygrokf.modelling.inputs import Run, model_inputs
-from hygrokf.physics.cold_surface import Surface, condenses
 from hygrokf.physics.expression import Value
 from hygrokf.physics.holds import inputs_between
 from hygrokf.physics.model import Model
 from hygrokf.physics.parameters import Parameter
 from hygrokf.physics.psychrometrics import (
     GAS_CONSTANT_VAPOUR,
+    Surface,
     absolute_humidity_from_vapour_pressure,
+    condenses,
     saturation_pressure_water,
 )
 

@@ -33,13 +33,12 @@ from hygrokf.climate.study import DurationCurve, JointDistribution, RegionClimat
 from hygrokf.data.ambient import middle
 from hygrokf.data.progress import Progress, reporting
 from hygrokf.data.record import Record
-from hygrokf.data.timestamps import stamp_text
 from hygrokf.identification.fit import Fit
 from hygrokf.identification.verdict import inherited
 from hygrokf.identification.verdict_terms import rests_on
 from hygrokf.modelling.inputs import IDENTIFIED_ON
-from hygrokf.physics.cold_surface import Surface
-from hygrokf.physics.psychrometrics import ZERO_CELSIUS_K
+from hygrokf.physics.psychrometrics import ZERO_CELSIUS_K, Surface
+from hygrokf.texts.wording import stamp_text
 from hygrokf.version import __version__
 
 DAYS_OF = 8

@@ -17,10 +17,11 @@ from hygrokf.data.actuators import ACTUATORS
 from hygrokf.data.ambient import AMBIENT_BRIDGE_H, at_times, bridge_h
 from hygrokf.data.input_paths import centred, input_path
 from hygrokf.data.record import Record, Series
-from hygrokf.data.timestamps import DAY_S, HOUR_S, stamp_text
+from hygrokf.data.timestamps import DAY_S, HOUR_S
 from hygrokf.data.toml_form import across, setting
 from hygrokf.errors import HygrokfError
 from hygrokf.identification.fit import Fit
+from hygrokf.texts.wording import stamp_text
 from hygrokf.weather.reading import TYPICAL, form_of, read_weather
 
 YEAR_S = 365.25 * DAY_S

@@ -17,12 +17,10 @@ from hygrokf.climate.chamber import ProfilePlan
 from hygrokf.climate.chamber_profile import ChamberProfile
 from hygrokf.climate.limits import Exceedance
 from hygrokf.climate.statistics import STATISTICS
-from hygrokf.data.drawn import drawn
 from hygrokf.data.files import CLIMATE, SUMMARIES, write_text_whole
-from hygrokf.data.result_file import read_result, result_text
-from hygrokf.data.tabular import with_units
+from hygrokf.data.result_file import drawn, read_result, result_text, with_units
 from hygrokf.identification.verdict_terms import Inherited
-from hygrokf.physics.cold_surface import Surface
+from hygrokf.physics.psychrometrics import Surface
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

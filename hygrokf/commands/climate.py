@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from hygrokf.climate.region import PowerCurve, Region
     from hygrokf.data.record import Record
     from hygrokf.identification.fit import Fit
-    from hygrokf.physics.cold_surface import Surface
+    from hygrokf.physics.psychrometrics import Surface
 
 
 def _arguments(parser: argparse.ArgumentParser) -> None:
@@ -74,7 +74,7 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _surface(text: str) -> Surface:
-    from hygrokf.physics.cold_surface import Surface
+    from hygrokf.physics.psychrometrics import Surface
 
     share, *offset = (float(part) for part in text.split(","))
     within(0, len(offset), 1)

@@ -16,7 +16,6 @@ from hygrokf.commands.inputs import own_causes, source_model, stored_fit
 from hygrokf.data.files import write_text_whole
 from hygrokf.data.result_file import result_text
 from hygrokf.data.structured import Cell
-from hygrokf.data.timestamps import stamp_text
 from hygrokf.fleet.job import Job, Row, Work
 from hygrokf.fleet.plan import FleetPlan
 from hygrokf.fleet.results import FleetResults
@@ -27,6 +26,7 @@ from hygrokf.modelling.design import PARTS
 from hygrokf.report.fit_page import write_report
 from hygrokf.report.fleet_page import write_fleet_report
 from hygrokf.report.transfer_page import write_transfer
+from hygrokf.texts.wording import stamp_text
 
 if TYPE_CHECKING:
     from hygrokf.data.record import Record

@@ -69,11 +69,11 @@ def _restore_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _restore(options: argparse.Namespace) -> int:
-    from hygrokf.data.timestamps import stamp_text
     from hygrokf.live.defaults import store_at
     from hygrokf.live.storage.postgres import postgres_commands
     from hygrokf.live.storage.schema import VERSION
     from hygrokf.live.storage.sqlite import path_of, restore_sqlite
+    from hygrokf.texts.wording import stamp_text
 
     url = store_at(options.store)
     if not url.startswith("sqlite:"):

@@ -9,7 +9,8 @@ import numpy as np
 from hygrokf.data.gate import DEPARTED, FEWEST, FROZEN, REACH_S, judge, resting, runs_of, scale_of
 from hygrokf.data.record import Record, Series
 from hygrokf.data.signals import in_words, signal_named
-from hygrokf.data.timestamps import duration_text, modal_step, period_text, stamp_text
+from hygrokf.data.timestamps import modal_step
+from hygrokf.texts.wording import duration_text, period_text, stamp_text
 
 SATURATED = 0.995
 """[-] relative humidity from which a reading is censored: the sensor cannot show more."""

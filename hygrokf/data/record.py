@@ -14,12 +14,13 @@ from typing import TYPE_CHECKING, Self
 
 import numpy as np
 
+from hygrokf.data.result_file import utc_index, with_units
 from hygrokf.data.signals import LARGEST_FRACTION, SIGNALS, Signal, better_units
-from hygrokf.data.tabular import utc_index, with_units
-from hygrokf.data.timestamps import EARLIEST_S, LATEST_S, duration_text, stamp_text
+from hygrokf.data.timestamps import EARLIEST_S, LATEST_S
 from hygrokf.data.toml_form import setting
 from hygrokf.errors import suggestion
 from hygrokf.physics.holds import LINEAR, MEAN, PREVIOUS, hold_named
+from hygrokf.texts.wording import duration_text, stamp_text
 
 if TYPE_CHECKING:
     from pandas import DataFrame

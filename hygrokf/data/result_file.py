@@ -1,18 +1,78 @@
-"""Results on disk: JSON files, read with every fault and their version; the arrays of series.npz."""
+"""Results on disk, as frames and as pictures: JSON files, read with every fault and their version, and the
+arrays of series.npz.
+
+A column states its unit in brackets, as "value [h]", or `frame.attrs["units"]` does, as {column: unit}; where
+the unit changes from row to row, it is the column "unit".
+
+The report stands on a higher floor than all results; none of them imports it, colours or matplotlib: its
+drawing is imported at its first use.
+"""
 
 from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from importlib import import_module
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 from zipfile import BadZipFile
 
 import numpy as np
 
 from hygrokf.data.structured import StructureFault, plain, structured
 from hygrokf.errors import HygrokfError
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from pandas import DataFrame, DatetimeIndex
+
+
+ENDINGS = {
+    "_h": "h", "_s": "s", "_K": "K", "_degC": "°C", "_percent": "%", "_g_m3": "g/m³", "_kW": "kW", "_W": "W",
+    "_share": "1", "_coverage": "1", "confidence": "1",
+}  # fmt: skip
+"""Units of columns by the end of their names, as results write them."""
+
+
+def with_units(frame: DataFrame, units: Mapping[str, str], stamps: Sequence[str] = ()) -> DataFrame:
+    """The frame with the units of its columns, and with the columns `stamps` (text in ISO 8601) as times in
+    UTC."""
+    import pandas as pd
+
+    for name in stamps:
+        frame[name] = pd.to_datetime(frame[name], utc=True, format="ISO8601")
+    frame.attrs["units"] = {name: unit for name, unit in units.items() if name in frame.columns}
+    return frame
+
+
+def units_by_name(columns: Sequence[str]) -> dict[str, str]:
+    """The units that the names of columns end in; bounds have those of their value."""
+    found = {}
+    for name in columns:
+        bare = name.removesuffix("_lower").removesuffix("_upper")
+        unit = next((unit for end, unit in ENDINGS.items() if bare.endswith(end)), "")
+        if unit:
+            found[name] = unit
+    return found
+
+
+def utc_index(time_s: np.ndarray) -> DatetimeIndex:
+    """Times [s] since 1970-01-01T00:00Z as an index in UTC, to the microsecond."""
+    import pandas as pd
+
+    stamps = np.round(1e6 * np.asarray(time_s, dtype=float)).astype("int64").astype("datetime64[us]")
+    return pd.DatetimeIndex(stamps, name="time").tz_localize("UTC")
+
+
+PLOTS = "hygrokf.report.plots"
+
+
+def drawn(result: object, axes: Axes | Sequence[Axes] | None) -> tuple[Axes, ...]:
+    """A result drawn on axes by `hygrokf.report.plots`."""
+    done: tuple[Axes, ...] = import_module(PLOTS).plotted(result, axes)
+    return done
+
 
 T = TypeVar("T")
 FIRST_S, LAST_S = -6.2e10, 2.5e11
@@ -33,9 +93,7 @@ def read_json(path: Path, command: str) -> Any:
     try:
         return json.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
-        raise ResultFault(
-            f"{path}: no such file; run `{command}` with --out {path.parent} first"
-        ) from None
+        raise ResultFault(f"{path}: no such file; run `{command}` with --out {path.parent} first") from None
     except (OSError, ValueError, RecursionError) as fault:
         reason = getattr(fault, "strerror", None) or f"{type(fault).__name__} {fault}"
         raise ResultFault(

@@ -15,6 +15,7 @@ from zoneinfo import ZoneInfo, ZoneInfoNotFoundError, available_timezones
 import numpy as np
 
 from hygrokf.errors import suggestion
+from hygrokf.texts.wording import stamp_text
 
 if TYPE_CHECKING:
     import pandas
@@ -77,37 +78,6 @@ def signed_duration(text: str) -> float:
     if isinstance(text, str) and text[:1] in ("-", "+"):
         return (-1.0 if text[0] == "-" else 1.0) * duration(text[1:])
     return duration(text)
-
-
-def duration_text(seconds: float) -> str:
-    """A duration in a convenient unit, such as "10 min" or "3.5 d".
-
-    seconds: [s] ≥ 0.
-    """
-    for unit, size in (("d", DAY_S), ("h", HOUR_S), ("min", 60.0)):
-        if seconds >= 2.0 * size or (seconds >= size and seconds % size == 0.0):
-            return f"{float(f'{seconds / size:.3g}'):g} {unit}"
-    return f"{seconds:.3g} s"
-
-
-def stamp_text(seconds: float) -> str:
-    """A time in ISO 8601, UTC, such as "2020-12-01T00:00Z".
-
-    seconds: [s] since 1970-01-01T00:00Z; "-" for NaN.
-    """
-    if not math.isfinite(seconds):
-        return "-"
-    moment = datetime(1970, 1, 1, tzinfo=UTC) + timedelta(seconds=round(float(seconds)))
-    return moment.strftime("%Y-%m-%dT%H:%M:%SZ" if moment.second else "%Y-%m-%dT%H:%MZ")
-
-
-def period_text(start_s: float, end_s: float) -> str:
-    """A period such as "2020-01-01T00:00Z to 2020-01-02T00:00Z"; one stamp if it has no length.
-
-    start_s, end_s: [s] since 1970-01-01T00:00Z.
-    """
-    first, last = stamp_text(start_s), stamp_text(end_s)
-    return first if first == last else f"{first} to {last}"
 
 
 def zone_named(text: str) -> tzinfo:

@@ -14,9 +14,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hygrokf.data.timestamps import stamp_text
 from hygrokf.discovery.residuals import Residuals, displayed, run_lengths, words
-from hygrokf.identification.wording import plain_number
+from hygrokf.texts.wording import plain_number, stamp_text
 
 LAGS_H = (1.0, 2.0, 3.0, 4.0, 6.0, 9.0, 12.0, 18.0, 24.0)
 LAG_TOLERANCE = 0.1

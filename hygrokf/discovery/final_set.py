@@ -47,10 +47,10 @@ from hygrokf.identification.needed_inputs import CHANCE, WithoutInput, alternati
 from hygrokf.identification.procedure import Basis, assemble_fit
 from hygrokf.identification.steady_state import heat_release_regression
 from hygrokf.identification.verdict import with_reasons, with_verdicts
-from hygrokf.identification.verdict_terms import Reason
 from hygrokf.modelling.design import CASCADE, TEMPERATURE, Design
 from hygrokf.modelling.inputs import model_inputs
 from hygrokf.physics.parameters import Coordinates
+from hygrokf.texts.verdict import Reason
 
 Estimator = Literal["likelihood", "output-error"]
 BETTER = 0.95

@@ -22,7 +22,7 @@ from hygrokf.discovery.residuals import (
 )
 from hygrokf.discovery.results import Finding
 from hygrokf.discovery.significance import Whitened, benjamini_hochberg
-from hygrokf.identification.wording import plain_number
+from hygrokf.texts.wording import plain_number
 
 LEVEL = 0.05
 BIN_H = 0.25

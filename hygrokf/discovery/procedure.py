@@ -43,15 +43,15 @@ from hygrokf.discovery.starting_model import base_estimate
 from hygrokf.identification.fit import Fit
 from hygrokf.identification.fit_results import ParameterRow
 from hygrokf.identification.procedure import expect_readings
-from hygrokf.identification.reasons import reason
 from hygrokf.physics.switches import CONTROLLED
+from hygrokf.texts.verdict import ReasonCode
 from hygrokf.version import __version__
 
 BUDGET = 40_000
 """Simulations after which no further cause is tried."""
 MOVING = ("cabinet_temperature", "cabinet_relative_humidity", "cabinet_absolute_humidity")
 """Readings that a simulation explains."""
-WET_SENSOR = reason("sensor_or_water")
+WET_SENSOR = ReasonCode.SENSOR_OR_WATER()
 
 
 def discover(

@@ -9,8 +9,9 @@ from dataclasses import replace
 import numpy as np
 
 from hygrokf.data.record import Record, Series
-from hygrokf.data.timestamps import DAY_S, stamp_text
+from hygrokf.data.timestamps import DAY_S
 from hygrokf.discovery.residuals import run_lengths
+from hygrokf.texts.wording import stamp_text
 
 SHORTEST_S = 3600.0
 """[s] shortest stretch."""

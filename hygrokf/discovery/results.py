@@ -17,11 +17,9 @@ from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 import numpy as np
 
-from hygrokf.data.drawn import drawn
 from hygrokf.data.files import DISCOVERY, DISCOVERY_SERIES, write_bytes_whole, write_text_whole
-from hygrokf.data.result_file import ResultFault, read_arrays, read_result, result_text
+from hygrokf.data.result_file import ResultFault, drawn, read_arrays, read_result, result_text, with_units
 from hygrokf.data.structured import JsonObject, optional, plain
-from hygrokf.data.tabular import with_units
 from hygrokf.discovery.residuals import Quantity, Residuals
 from hygrokf.evaluation.scoring import RuleScores, Scores
 from hygrokf.identification.fit import Fit, write_fit

@@ -10,9 +10,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from hygrokf.engine.discretisation import Assign, Repeat, operations
+from hygrokf.engine.information import RunningSums, accumulate
 from hygrokf.engine.llvm_writer import SCALAR, VECTOR, Writer, declarations, literal
 from hygrokf.engine.packing import place, trace_width
-from hygrokf.engine.running_sums import RunningSums, accumulate
 from hygrokf.engine.schedule_codegen import WALKED, Walk
 from hygrokf.engine.step_codegen import Names, Stages, Symbols, seed
 from hygrokf.engine.traced_filter import INSTANT, KEY, Block, Recursion
@@ -20,8 +20,7 @@ from hygrokf.physics.expression import Expression, forward, reverse
 
 COMMON = [("i64", "count"), ("i64", "nkeys")]
 COMMON += [
-    ("ptr", name)
-    for name in "theta keys nsub table key offset row within u y reset state first".split()
+    ("ptr", name) for name in "theta keys nsub table key offset row within u y reset state first".split()
 ]
 """Instants and keys; parameters, key leaves, doublings and workspace of the keys; key of every instant, first
 of its sub-steps, and key and fractions of the step (S, 2) of every sub-step; inputs, readings and resets of
@@ -228,9 +227,7 @@ class Emission(Stages):
         self.save_state(slots, "%state")
         total.write(w, "%out")
 
-    def _predict_with_transition(
-        self, slots: Names, transition: Sequence[str], noise: Names, k: str
-    ) -> None:
+    def _predict_with_transition(self, slots: Names, transition: Sequence[str], noise: Names, k: str) -> None:
         r, w = self.recursion, self.writer
         n = r.n
         with self.sub_steps(k) as one:

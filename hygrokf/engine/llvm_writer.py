@@ -47,7 +47,7 @@ def _suffix(kind: str) -> str:
 class Writer:
     """Text of one LLVM function `void name(arguments)` with vectors of `lanes` lanes.
 
-    functions: operation → function of the module that computes it for vectors (see `vector_math`).
+    functions: operation → function of the module that computes it for vectors (see `cell_loop`).
     """
 
     def __init__(

@@ -23,8 +23,8 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 
 from hygrokf.engine.filter_codegen import Emission
+from hygrokf.engine.information import RunningSums, accumulate
 from hygrokf.engine.llvm_writer import LANES, SCALAR, VECTOR, Writer, declarations, literal
-from hygrokf.engine.running_sums import RunningSums, accumulate
 from hygrokf.engine.step_codegen import Names, Symbols, seed
 from hygrokf.engine.traced_filter import Block
 from hygrokf.engine.wide_products import ROWS, functions

@@ -19,7 +19,6 @@ from typing import Any
 import numpy as np
 
 from hygrokf.data.record import kind_of
-from hygrokf.data.timestamps import duration_text, stamp_text
 from hygrokf.engine.filter_loops import Control, filter_loop
 from hygrokf.engine.gaps import gap_variances
 from hygrokf.engine.information import summed
@@ -41,16 +40,16 @@ from hygrokf.engine.step_codegen import DOUBLINGS, level_room
 from hygrokf.engine.timeline import Timeline
 from hygrokf.engine.traced_filter import Recursion, traced
 from hygrokf.engine.wide_recursion import recursion_of
-from hygrokf.estimation.gaussian import Gaussian as Gaussian
-from hygrokf.estimation.gaussian import expect_initial
 from hygrokf.estimation.moments import End as End
+from hygrokf.estimation.moments import Gaussian as Gaussian
 from hygrokf.estimation.moments import Sensitivities as Sensitivities
 from hygrokf.estimation.moments import Trace as Trace
-from hygrokf.estimation.moments import checked_loglik, covariances, loglik_of
+from hygrokf.estimation.moments import checked_loglik, covariances, expect_initial, loglik_of
 from hygrokf.estimation.start import Moments, law, law_with_slopes, packed, packed_slopes
 from hygrokf.physics.expression import Expression
 from hygrokf.physics.model import Model, fields_alone, fields_by_line
 from hygrokf.physics.parameters import Parameter, expect_values
+from hygrokf.texts.wording import duration_text, stamp_text
 
 CHUNK = 4096
 """Number of instants for which sensitivities are held in memory at a time."""
@@ -376,7 +375,7 @@ class Likelihood:
         return sums
 
     def _sums(self) -> np.ndarray:
-        """Room for the sums of a piece (`running_sums`)."""
+        """Room for the sums of a piece (`information`)."""
         return np.zeros(3 + 2 * len(self.model.outputs))
 
     def controlled(

@@ -323,9 +323,7 @@ def bounded_step(
     shortened = np.zeros_like(z)
     while moving.any():
         rest = gradient - information @ np.where(moving, 0.0, held)
-        held[moving] = _damped_step(
-            information[np.ix_(moving, moving)], rest[moving], damping, reach[moving]
-        )
+        held[moving] = _damped_step(information[np.ix_(moving, moving)], rest[moving], damping, reach[moving])
         if moving.sum() == free.sum():
             shortened = np.clip(held / max(1.0, float(np.max(np.abs(held) / reach))), lower - z, upper - z)
         beyond = moving & ((held < low) | (held > high))

@@ -65,9 +65,7 @@ def long_run_covariance(terms: np.ndarray) -> LongRun:
     size = np.sqrt(np.diag(product))
     scale = np.divide(deviations, size, out=np.zeros(f), where=size > 0.0)
     # the optimal length grows with the cube root of the series' length
-    return LongRun(
-        product * np.outer(scale, scale), np.maximum((FEWEST_COSINES * optimal / n) ** 1.5, 1.0)
-    )
+    return LongRun(product * np.outer(scale, scale), np.maximum((FEWEST_COSINES * optimal / n) ** 1.5, 1.0))
 
 
 def optimal_block(terms: np.ndarray) -> float:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hygrokf.data.tabular import utc_index, with_units
+from hygrokf.data.result_file import utc_index, with_units
 from hygrokf.estimation.confidence import normal_quantile
 
 if TYPE_CHECKING:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hygrokf.data.record import Record
-from hygrokf.data.tabular import with_units
+from hygrokf.data.result_file import with_units
 from hygrokf.engine.timeline import Timeline
 from hygrokf.estimation.likelihood import Gaussian, Likelihood, Trace
 from hygrokf.estimation.smoother import smoothed_states

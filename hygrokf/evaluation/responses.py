@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hygrokf.data.drawn import drawn
 from hygrokf.data.record import Record
+from hygrokf.data.result_file import drawn
 from hygrokf.estimation.confidence import expect_level
 from hygrokf.estimation.inference import operating_point
 from hygrokf.estimation.subject import Given, Source, Spread, is_fit, subject

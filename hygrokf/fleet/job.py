@@ -30,7 +30,7 @@ from hygrokf.data.toml_form import FormFault, read_toml
 from hygrokf.errors import HygrokfError
 from hygrokf.estimation.likelihood import RatesFault
 from hygrokf.estimation.moments import DigitsFault
-from hygrokf.identification.wording import one_line
+from hygrokf.texts.wording import one_line
 from hygrokf.version import __version__
 
 Row: TypeAlias = Mapping[str, Cell]

@@ -9,8 +9,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
+from hygrokf.data.result_file import units_by_name, with_units
 from hygrokf.data.structured import optional
-from hygrokf.data.tabular import units_by_name, with_units
 from hygrokf.fleet.job import DONE, Row
 from hygrokf.fleet.tasks import SHARED, TASKS
 from hygrokf.identification.turbine_type import TurbineType

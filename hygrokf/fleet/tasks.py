@@ -12,8 +12,8 @@ from dataclasses import dataclass
 
 from hygrokf.data.toml_form import setting
 from hygrokf.fleet.job import Row
-from hygrokf.identification.verdict_terms import REJECT
 from hygrokf.modelling.design import PARTS
+from hygrokf.texts.verdict import REJECT
 
 BETWEEN = " | "
 """Between the statements of a column: sentences have semicolons of their own."""

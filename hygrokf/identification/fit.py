@@ -17,7 +17,6 @@ from typing import TYPE_CHECKING, Any, TypeGuard
 import numpy as np
 
 from hygrokf.data.actuators import ACTUATORS
-from hygrokf.data.drawn import drawn
 from hygrokf.data.files import (
     BESIDE_DISCOVERY,
     DISCOVERY,
@@ -30,9 +29,8 @@ from hygrokf.data.files import (
 )
 from hygrokf.data.readings import mask
 from hygrokf.data.record import Record, expect_record
-from hygrokf.data.result_file import ResultFault, read_arrays, read_json, result_text
+from hygrokf.data.result_file import ResultFault, drawn, read_arrays, read_json, result_text, with_units
 from hygrokf.data.structured import JsonObject, StructureFault, plain, structured
-from hygrokf.data.tabular import with_units
 from hygrokf.data.toml_form import FormFault, read_toml
 from hygrokf.estimation.likelihood import Likelihood
 from hygrokf.estimation.subject import IDENTIFICATION, WHOLE

@@ -15,10 +15,10 @@ from hygrokf.evaluation.simulation import Prediction, free_run, run_on
 from hygrokf.identification.fit import Fit
 from hygrokf.identification.verdict import inherited
 from hygrokf.identification.verdict_terms import Inherited
-from hygrokf.identification.wording import iso_time
 from hygrokf.modelling.design import HUMIDITIES, Design
 from hygrokf.modelling.inputs import Run
 from hygrokf.physics.psychrometrics import ZERO_CELSIUS_K
+from hygrokf.texts.wording import iso_time
 
 COLUMNS = {
     "cabinet_temperature_degC": "temperature_K",

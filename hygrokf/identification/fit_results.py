@@ -23,8 +23,9 @@ from hygrokf.identification.clock_offsets import ClockOffset
 from hygrokf.identification.composition import CompositionStep
 from hygrokf.identification.needed_inputs import WithoutInput
 from hygrokf.identification.steady_state import HeatRelease
-from hygrokf.identification.verdict_terms import Interval, Kind, Reason
+from hygrokf.identification.verdict_terms import Interval
 from hygrokf.modelling.design import Design
+from hygrokf.texts.verdict import Kind, Reason
 
 if TYPE_CHECKING:
     from pandas import DataFrame

@@ -51,7 +51,6 @@ from hygrokf.identification.fit_results import (
 )
 from hygrokf.identification.time_constants import by_simulation, hygric_entry, thermal_entry
 from hygrokf.identification.verdict import with_verdicts
-from hygrokf.identification.wording import iso_time
 from hygrokf.modelling.design import (
     CASCADE,
     FEWEST_READINGS,
@@ -64,6 +63,7 @@ from hygrokf.modelling.design import (
 )
 from hygrokf.modelling.inputs import IDENTIFIED_ON, Run, model_inputs
 from hygrokf.physics.parameters import Parameter, Prior
+from hygrokf.texts.wording import iso_time
 from hygrokf.version import __version__
 
 if TYPE_CHECKING:

@@ -31,9 +31,10 @@ from hygrokf.errors import HygrokfError
 from hygrokf.estimation.confidence import normal_quantile, student
 from hygrokf.identification.fit import Fit
 from hygrokf.identification.verdict import inherited
-from hygrokf.identification.verdict_terms import PARAMETER_OF, REJECT
+from hygrokf.identification.verdict_terms import PARAMETER_OF
 from hygrokf.modelling.design import Design
 from hygrokf.physics.parameters import Parameter, Prior
+from hygrokf.texts.verdict import REJECT
 from hygrokf.version import __version__
 
 FEWEST_TURBINES = 2

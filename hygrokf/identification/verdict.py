@@ -7,7 +7,7 @@ the worst reason decides, and a number without any reason against it is believed
 A reason is "reject" where the evidence contradicts the number, or where the record does not determine it.  It
 is "caution" where the evidence is weak, or where it affects the interval but not the number.
 
-A further rule takes one function `rule(fit, part) -> reasons` in `RULES`, a template in `REASONS`, and
+A further rule takes one function `rule(fit, part) -> reasons` in `RULES`, a code in `ReasonCode`, and
 one row in docs/explanation/verdict.md.
 `fit` are the results of a fit, of which parts may be missing; `part` is "thermal" or "hygric".
 """
@@ -25,22 +25,10 @@ from hygrokf.estimation.optimiser import INEXACT
 from hygrokf.evaluation.diagnosis import OutputDiagnosis
 from hygrokf.evaluation.innovation_tests import SMALL
 from hygrokf.identification.fit_results import FitResults, ParameterRow, Sampling, TimeConstant
-from hygrokf.identification.reasons import reason
-from hygrokf.identification.verdict_terms import (
-    CAUTION,
-    PARAMETER_OF,
-    PERIODS,
-    QUANTITY_OF,
-    REJECT,
-    VERDICTS,
-    Inherited,
-    Interval,
-    Reason,
-    verdict_of,
-    worst_first,
-)
-from hygrokf.identification.wording import BASELINES, QUANTITIES, plain_number
+from hygrokf.identification.verdict_terms import PARAMETER_OF, PERIODS, QUANTITY_OF, Inherited, Interval
 from hygrokf.modelling.design import PARTS
+from hygrokf.texts.verdict import CAUTION, REJECT, VERDICTS, Reason, ReasonCode, verdict_of, worst_first
+from hygrokf.texts.wording import BASELINES, QUANTITIES, plain_number
 
 TIGHT = 0.25
 """[1] largest relative half-width of the interval of a well-determined time constant."""
@@ -124,11 +112,11 @@ def with_reasons(fit: FitResults, part: str, further: Iterable[Reason]) -> FitRe
 
 def _convergence(fit: FitResults, part: str) -> Iterator[Reason]:
     if fit.converged is None:
-        yield reason("convergence_unknown")
+        yield ReasonCode.CONVERGENCE_UNKNOWN()
     elif not fit.converged:
-        yield reason("not_converged", why=f" ({fit.message})" if fit.message else "")
+        yield ReasonCode.NOT_CONVERGED(why=f" ({fit.message})" if fit.message else "")
     if fit.discretisation_error > INEXACT:
-        yield reason("not_exact", change=fit.discretisation_error)
+        yield ReasonCode.NOT_EXACT(change=fit.discretisation_error)
 
 
 def _interval(fit: FitResults, part: str) -> Iterator[Reason]:
@@ -136,28 +124,28 @@ def _interval(fit: FitResults, part: str) -> Iterator[Reason]:
     data = fit.time_constants[part]
     low, high, without = data.lower_h, data.upper_h, data.without_input
     if PARAMETER_OF[part] in fit.at_bounds:
-        yield reason("at_limit", value_h=data.value_h)
+        yield ReasonCode.AT_LIMIT(value_h=data.value_h)
     if without is not None and not without.enough:
         how = "better, by" if without.gain < 0 else "as well up to chance, worse by"
         by, required = abs(without.gain), without.required
-        yield reason("input_not_needed", model=without.words, how=how, by=by, required=required)
+        yield ReasonCode.INPUT_NOT_NEEDED(model=without.words, how=how, by=by, required=required)
     elif not math.isfinite(data.value_h) or not (low > 0 or math.isfinite(high)):
-        yield reason("not_identifiable")
+        yield ReasonCode.NOT_IDENTIFIABLE()
     elif not low > 0:
-        yield reason("one_sided", side="above", sign="≤", bound_h=high)
+        yield ReasonCode.ONE_SIDED(side="above", sign="≤", bound_h=high)
     elif not math.isfinite(high):
-        yield reason("one_sided", side="below", sign="≥", bound_h=low)
+        yield ReasonCode.ONE_SIDED(side="below", sign="≥", bound_h=low)
     elif high > DECADE * low:
-        yield reason("undetermined", spread=data.spread, lower_h=low, upper_h=high)
+        yield ReasonCode.UNDETERMINED(spread=data.spread, lower_h=low, upper_h=high)
     elif not data.half_width <= TIGHT:
-        yield reason("imprecise", spread=data.spread, half_width=data.half_width)
+        yield ReasonCode.IMPRECISE(spread=data.spread, half_width=data.half_width)
 
 
 def _guards(fit: FitResults, part: str) -> Iterator[Reason]:
     """Other parameters that ended at a guard of their search."""
     names = [name for name, row in _rows(fit, part) if row.at_guard and name != PARAMETER_OF[part]]
     if names:
-        yield reason("guard_reached", names=", ".join(names))
+        yield ReasonCode.GUARD_REACHED(names=", ".join(names))
 
 
 def _sensors(fit: FitResults, part: str) -> Iterator[Reason]:
@@ -167,7 +155,7 @@ def _sensors(fit: FitResults, part: str) -> Iterator[Reason]:
             apart = abs(row.value - row.prior.mean) / row.prior.sd
             if apart > STRETCHED:
                 said = {"name": name, "unit": "" if row.unit == "1" else f" {row.unit}"}
-                yield reason("sensor_stretched", error=row.value, standard_deviations=apart, **said)
+                yield ReasonCode.SENSOR_STRETCHED(error=row.value, standard_deviations=apart, **said)
 
 
 def _rows(fit: FitResults, part: str) -> list[tuple[str, ParameterRow]]:
@@ -184,8 +172,7 @@ def _criteria(fit: FitResults, part: str) -> Iterator[Reason]:
     if data.criteria_disagree:
         apart, own = criteria_apart(data), (data.likelihood or data).value_h
         held = not any(value < data.lower_h or value > data.upper_h for value in (other, own))
-        yield reason(
-            "criteria_disagree",
+        yield ReasonCode.CRITERIA_DISAGREE(
             REJECT if apart > CONTRADICTION and not held else CAUTION,
             likelihood_h=own,
             simulation_h=other,
@@ -196,7 +183,7 @@ def _criteria(fit: FitResults, part: str) -> Iterator[Reason]:
     elif not free_run_informs(data) and data.likelihood is None:
         closed = low > 0 and math.isfinite(high)
         bounds = f"{plain_number(low)} … {plain_number(high)} h" if closed else "without bounds"
-        yield reason("free_run_silent", simulation_h=other, bounds=bounds)
+        yield ReasonCode.FREE_RUN_SILENT(simulation_h=other, bounds=bounds)
 
 
 def free_run_informs(data: TimeConstant) -> bool:
@@ -246,15 +233,15 @@ def free_run_reasons(fit: FitResults, part: str) -> Iterator[Reason]:
         yield beyond[0]
         return
     if not math.isfinite(late):
-        yield reason("not_validated")
+        yield ReasonCode.NOT_VALIDATED()
     elif 0 < CARRIES_OVER * early < late:
-        yield reason("worse_on_new_data")
+        yield ReasonCode.WORSE_ON_NEW_DATA()
     worse, rule = [*_worse_than_rule(fit, quantity, period)], best_rule(fit, quantity, period)
     yield from worse
     if rule is not None and not worse:
-        code = "better_than_rule" if rule.gain >= MATERIAL else "no_better_than_rule"
+        code = ReasonCode.BETTER_THAN_RULE if rule.gain >= MATERIAL else ReasonCode.NO_BETTER_THAN_RULE
         unit = QUANTITIES[quantity][1]
-        yield reason(code, rule=rule.words, rule_error=rule.rule, gain=rule.gain, unit=unit)
+        yield code(rule=rule.words, rule_error=rule.rule, gain=rule.gain, unit=unit)
     yield from (replace(one, verdict=REJECT) for one in _failed_band(fit, quantity))
 
 
@@ -263,20 +250,20 @@ def _worse_than_mean(fit: FitResults, quantity: str, period: str) -> Iterator[Re
     spread = fit.readings_sd.get(period, {}).get(quantity, math.nan)
     if error > spread:
         said = {"quantity": name, "unit": unit, "period": period}
-        yield reason("worse_than_mean", error=error, readings_sd=spread, **said)
+        yield ReasonCode.WORSE_THAN_MEAN(error=error, readings_sd=spread, **said)
 
 
 def _worse_than_rule(fit: FitResults, quantity: str, period: str, but: str = "") -> Iterator[Reason]:
     rule, (name, unit) = best_rule(fit, quantity, period), QUANTITIES[quantity]
     if rule is not None and rule.gain < -MATERIAL:
         said = {"quantity": name, "unit": unit, "period": period, "rule": rule.words, "but": but}
-        yield reason("worse_than_rule", error=rule.error, rule_error=rule.rule, **said)
+        yield ReasonCode.WORSE_THAN_RULE(error=rule.error, rule_error=rule.rule, **said)
 
 
 def _failed_band(fit: FitResults, quantity: str) -> Iterator[Reason]:
     band = fit.band("free_run", quantity)
     if band.coverage < FAILED and band.n >= FEWEST_IN_BAND:
-        yield reason("band_failed", coverage=band.coverage, quantity=QUANTITIES[quantity][0])
+        yield ReasonCode.BAND_FAILED(coverage=band.coverage, quantity=QUANTITIES[quantity][0])
 
 
 @dataclass(frozen=True)
@@ -313,10 +300,10 @@ def _innovations(fit: FitResults, part: str) -> Iterator[Reason]:
     size, beside = largest_correlation(fit, _OUTPUTS[part])
     if size >= SMALL:
         quantity = QUANTITIES[QUANTITY_OF[part]][0]
-        yield reason("innovations_correlated", correlation=size, beside=beside, quantity=quantity)
+        yield ReasonCode.INNOVATIONS_CORRELATED(correlation=size, beside=beside, quantity=quantity)
     factor = fit.time_constants[part].factor
     if factor > SCATTER:
-        yield reason("noise_not_as_modelled", factor=factor)
+        yield ReasonCode.NOISE_NOT_AS_MODELLED(factor=factor)
 
 
 def largest_correlation(fit: FitResults, output: str) -> tuple[float, str]:
@@ -347,19 +334,19 @@ def _data(fit: FitResults, part: str) -> Iterator[Reason]:
     shift, step = sampling.shift_ln_when_halved, sampling.ambient_step_h
     reach = 0.5 * math.log(high / low) if 0 < low < high < math.inf else math.inf
     if abs(shift) > max(reach, MATERIAL):
-        yield reason("ambient_coarse", shift=math.expm1(shift), ambient_step_min=60.0 * step)
+        yield ReasonCode.AMBIENT_COARSE(shift=math.expm1(shift), ambient_step_min=60.0 * step)
     output = fit.innovations.outputs.get(_OUTPUTS[part])
     n, every = (math.nan, math.nan) if output is None else (output.n, output.step_h)
     if every > FORGOTTEN * value:
-        yield reason("readings_coarse", step_min=60.0 * every, decayed=1.0 - math.exp(-every / value))
+        yield ReasonCode.READINGS_COARSE(step_min=60.0 * every, decayed=1.0 - math.exp(-every / value))
     free = sum(not row.fixed for _, row in _rows(fit, part))
     if n < PER_PARAMETER * free:
-        yield reason("few_readings", readings=n, parameters=free)
+        yield ReasonCode.FEW_READINGS(readings=n, parameters=free)
     length = _hours(fit.period.start, fit.period.until or fit.period.end)
     if length < CONSTANTS * value:
-        yield reason("record_short", time_constants=length / value)
+        yield ReasonCode.RECORD_SHORT(time_constants=length / value)
     for doubt in fit.doubted.get(part, ()):
-        yield reason("record_doubted", doubt=doubt)
+        yield ReasonCode.RECORD_DOUBTED(doubt=doubt)
 
 
 def _hours(start: str | None, end: str | None) -> float:
@@ -376,9 +363,9 @@ def _other_estimates(fit: FitResults, part: str) -> Iterator[Reason]:
     data = fit.time_constants[part]
     for one in data.forms:
         if one.weight >= CREDIBLE and (one.value_h < data.lower_h or one.value_h > data.upper_h):
-            yield reason("forms_differ", form=one.form, weight=one.weight, other_h=one.value_h)
+            yield ReasonCode.FORMS_DIFFER(form=one.form, weight=one.weight, other_h=one.value_h)
     if data.parts_scatter > PARTS_SCATTER:
-        yield reason("parts_differ", scatter=data.parts_scatter)
+        yield ReasonCode.PARTS_DIFFER(scatter=data.parts_scatter)
 
 
 RULES: tuple[Callable[[FitResults, str], Iterable[Reason]], ...] = (

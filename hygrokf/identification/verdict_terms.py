@@ -3,48 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterable, Mapping
-from dataclasses import dataclass, field
-from typing import Final, Literal, TypeAlias
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
 
-from hygrokf.identification.wording import UNBOUNDED, WIDE, ends, percent, plain_number
 from hygrokf.modelling.design import PARTS
+from hygrokf.texts.verdict import BELIEVE, PLAIN_MARKS, REJECT, WORDS, Kind, Reason
+from hygrokf.texts.wording import UNBOUNDED, WIDE, ends, percent, plain_number
 
-Kind: TypeAlias = Literal["believe", "caution", "reject"]
-BELIEVE: Final = "believe"
-CAUTION: Final = "caution"
-REJECT: Final = "reject"
-VERDICTS: tuple[Kind, ...] = (BELIEVE, CAUTION, REJECT)
-"""From best to worst."""
-WORDS = {BELIEVE: "reliable", CAUTION: "with caution", REJECT: "not reliable"}
-MARKS = {BELIEVE: "✓", CAUTION: "!", REJECT: "✕"}
-PLAIN_MARKS = {BELIEVE: "+", CAUTION: "!", REJECT: "x"}
-"""Marks for a terminal."""
 PERIODS = ("validation", "identification")
 
 QUANTITY_OF = {"thermal": "temperature_K", "hygric": "absolute_humidity_g_m3"}
 PARAMETER_OF = {"thermal": "thermal_time_constant", "hygric": "hygric_k"}
-
-
-@dataclass(frozen=True)
-class Reason:
-    """Evidence for or against a number: `code` for machines, `verdict` that it alone would give, `text` a
-    sentence, and the `numbers` behind it by name."""
-
-    code: str
-    verdict: Kind
-    text: str
-    numbers: Mapping[str, float] = field(default_factory=dict)
-
-
-def worst_first(reasons: Iterable[Reason]) -> tuple[Reason, ...]:
-    """Reasons in the order of their verdicts, the most serious first."""
-    return tuple(sorted(reasons, key=lambda one: -VERDICTS.index(one.verdict)))
-
-
-def verdict_of(reasons: Iterable[Reason]) -> Kind:
-    """The verdict of the most serious reason; believed without one."""
-    return max((one.verdict for one in reasons), key=VERDICTS.index, default=BELIEVE)
 
 
 @dataclass(frozen=True)

@@ -17,9 +17,8 @@ import numpy as np
 
 from hygrokf.data.readings import SATURATED
 from hygrokf.data.signals import SIGNALS, from_si, in_words, signal_named
-from hygrokf.data.timestamps import HOUR_S, MINUTE_S, stamp_text
+from hygrokf.data.timestamps import HOUR_S, MINUTE_S
 from hygrokf.identification.verdict_terms import Inherited, rests_on
-from hygrokf.identification.wording import fixed, signed
 from hygrokf.live.batch import Alarm
 from hygrokf.live.condition import Z95, Condition
 from hygrokf.live.fault_isolation import PAIRS, SENSORS, CauseFinding, ShiftStep
@@ -30,6 +29,7 @@ from hygrokf.live.sources.stream import Reach
 from hygrokf.live.traces import HUMIDITY
 from hygrokf.live.tracker import SAME_S, TrackedCourse
 from hygrokf.modelling.design import PARTS
+from hygrokf.texts.wording import fixed, signed, stamp_text
 
 
 @dataclass(frozen=True)

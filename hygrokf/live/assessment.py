@@ -18,10 +18,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from hygrokf.data.timestamps import HOUR_S, stamp_text
+from hygrokf.data.timestamps import HOUR_S
 from hygrokf.live.alarms import CONDENSATION, MISSING, STALE
 from hygrokf.live.batch import Alarm
 from hygrokf.live.plan import Need
+from hygrokf.texts.wording import stamp_text
 
 STANDSTILL_S = HOUR_S
 """[s] without power after which a turbine counts as off."""

@@ -15,12 +15,13 @@ import math
 from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 
-from hygrokf.data.timestamps import HOUR_S, MINUTE_S, duration_text
+from hygrokf.data.timestamps import HOUR_S, MINUTE_S
 from hygrokf.live.alarms import CLOCK, Level
 from hygrokf.live.batch import Batch, Observation
 from hygrokf.live.sources.payload_values import AHEAD_S
 from hygrokf.live.storage.store import Store
 from hygrokf.live.tracker import Reading
+from hygrokf.texts.wording import duration_text
 
 HELD_MOST = 200_000
 """Largest number of readings that are held back for one turbine; further ones are counted and discarded, so

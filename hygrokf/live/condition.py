@@ -18,7 +18,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hygrokf.engine.timeline import Timeline
-from hygrokf.physics.cold_surface import Surface as Surface
 from hygrokf.physics.linearisation import state_slopes
 from hygrokf.physics.mechanisms.hygric import saturation_pressure
 from hygrokf.physics.model import Model
@@ -33,6 +32,7 @@ from hygrokf.physics.psychrometrics import (
     saturation_pressure_water,
     saturation_pressure_water_slope,
 )
+from hygrokf.physics.psychrometrics import Surface as Surface
 
 Z95 = 1.959964
 

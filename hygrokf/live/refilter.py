@@ -8,7 +8,7 @@ from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, replace
 from itertools import groupby
 
-from hygrokf.data.timestamps import DAY_S, stamp_text
+from hygrokf.data.timestamps import DAY_S
 from hygrokf.live.alarms import DELIVERY_RULES
 from hygrokf.live.batch import Alarm, Batch
 from hygrokf.live.forecast_job import isolation_steps
@@ -16,6 +16,7 @@ from hygrokf.live.storage.database import Cursor, SqlValue
 from hygrokf.live.storage.store import Store
 from hygrokf.live.tracker import Tracker
 from hygrokf.live.turbines import Fleet, Turbine, digest
+from hygrokf.texts.wording import stamp_text
 
 KEPT = ("alarms", "known_s", "forecast")
 """Memories of a turbine that do not follow from its final estimates; alarms stay as they were told."""

@@ -17,12 +17,13 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from datetime import UTC, datetime
 
-from hygrokf.identification.wording import one_line
 from hygrokf.live.config import Config
 from hygrokf.live.notification.sender import Sender
 from hygrokf.live.service import Service
 from hygrokf.live.sources.stream import SourceFault
 from hygrokf.live.turbine import Turbine
+from hygrokf.texts.verdict import ReasonCode
+from hygrokf.texts.wording import one_line
 
 LOG = logging.getLogger("hygrokf.track")
 _OWN = frozenset(vars(logging.makeLogRecord({}))) | {"message", "asctime", "taskName"}
@@ -88,7 +89,7 @@ def record_doubts(turbines: Mapping[str, Turbine]) -> Iterator[tuple[str, str]]:
     """(turbine, sentence) of each doubt about a record that a turbine's model was identified on."""
     for name, turbine in turbines.items():
         reasons = (reason for one in turbine.verdicts.values() for reason in one.reasons)
-        said = dict.fromkeys(one.text for one in reasons if one.code == "record_doubted")
+        said = dict.fromkeys(one.text for one in reasons if one.code is ReasonCode.RECORD_DOUBTED)
         yield from ((name, one) for one in said)
 
 

@@ -9,7 +9,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal, TypeAlias
 
-from hygrokf.identification.verdict_terms import WORDS, Inherited
+from hygrokf.identification.verdict_terms import Inherited
+from hygrokf.texts.verdict import WORDS
 
 if TYPE_CHECKING:
     from hygrokf.report.figures.panels import Picture

@@ -10,8 +10,7 @@ from typing import Literal
 from hygrokf.climate.chamber_profile import ChamberProfile
 from hygrokf.climate.study import UNITS, RegionClimate, Study, read_climate, write_climate
 from hygrokf.data.files import REPORT, write_bytes_whole, write_text_whole
-from hygrokf.identification.verdict_terms import REJECT, rests_on
-from hygrokf.identification.wording import moment, percent, plain_number, sentence
+from hygrokf.identification.verdict_terms import rests_on
 from hygrokf.report.blocks import (
     Block,
     Card,
@@ -47,6 +46,8 @@ from hygrokf.report.figures.drawing import png
 from hygrokf.report.figures.lead import duration_figure, lead_of_climate, year_figure
 from hygrokf.report.page import page_html
 from hygrokf.report.quantities import interval, versions
+from hygrokf.texts.verdict import REJECT
+from hygrokf.texts.wording import moment, percent, plain_number, sentence
 
 PICTURE = "test_profile.png"
 TONES: dict[str, Literal["open", "plain", "reject"]] = {

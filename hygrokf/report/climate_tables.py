@@ -9,9 +9,9 @@ from hygrokf.climate.chamber_profile import NOT_REPRODUCED
 from hygrokf.climate.limits import QUANTITIES, Exceedance
 from hygrokf.climate.statistics import STATISTICS, YearNumber
 from hygrokf.climate.study import RegionClimate
-from hygrokf.identification.wording import NONE, fixed, percent, plain_number
 from hygrokf.report.blocks import Table
 from hygrokf.report.quantities import interval
+from hygrokf.texts.wording import NONE, fixed, percent, plain_number
 
 SCOPE_WORDS = {
     "all": "whole year",

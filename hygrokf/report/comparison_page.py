@@ -11,7 +11,6 @@ from pathlib import Path
 from hygrokf.data.files import COMPARISON, COMPARISON_SERIES, COMPARISON_TABLE, REPORT, write_text_whole
 from hygrokf.data.result_file import read_result, result_text
 from hygrokf.evaluation.scoring import REGIMES, SCORED
-from hygrokf.identification.wording import RULES, fixed, sentence, signed
 from hygrokf.report.blocks import (
     FREE_RUN,
     SYNTHETIC_RECORD,
@@ -37,6 +36,7 @@ from hygrokf.report.figures.comparison import (
 )
 from hygrokf.report.page import page_html
 from hygrokf.report.quantities import interval, quantity, share_text, versions
+from hygrokf.texts.wording import RULES, fixed, sentence, signed
 from hygrokf.transfer.comparison import (
     ComparisonColumn,
     ComparisonResults,

@@ -11,7 +11,6 @@ from functools import partial
 from pathlib import Path
 
 from hygrokf.data.files import BESIDE_DISCOVERY, REPORT, write_text_whole
-from hygrokf.data.timestamps import stamp_text
 from hygrokf.discovery.residuals import QUANTITIES, Residuals
 from hygrokf.discovery.results import (
     CauseFound,
@@ -24,7 +23,6 @@ from hygrokf.discovery.results import (
     write_discovery,
 )
 from hygrokf.identification.verdict import best_rule, inherited
-from hygrokf.identification.wording import NONE, fixed, one_line, percent, plain_number, sentence
 from hygrokf.report.blocks import (
     FREE_RUN,
     SYNTHETIC_PAGE,
@@ -74,6 +72,7 @@ from hygrokf.report.quantities import (
     signed_percent,
     versions,
 )
+from hygrokf.texts.wording import NONE, fixed, one_line, percent, plain_number, sentence, stamp_text
 
 
 def findings_table(found: Sequence[Finding], when: str = "in the identification period") -> Table:

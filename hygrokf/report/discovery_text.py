@@ -8,7 +8,6 @@ from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
-from hygrokf.data.timestamps import stamp_text
 from hygrokf.discovery.judgement import LEAST_IMPROVEMENT, WORSE_GROWTH
 from hygrokf.discovery.repeats import repeated_text
 from hygrokf.discovery.results import (
@@ -20,14 +19,9 @@ from hygrokf.discovery.results import (
     SpectralLine,
 )
 from hygrokf.identification.verdict import inherited
-from hygrokf.identification.verdict_terms import REJECT
-from hygrokf.identification.wording import (
-    fixed,
-    percent,
-    plain_number,
-    sentence,
-)
 from hygrokf.report.quantities import capital, listed, quantity, spoken
+from hygrokf.texts.verdict import REJECT
+from hygrokf.texts.wording import fixed, percent, plain_number, sentence, stamp_text
 
 EXCLUSIONS = {
     "refuted": "held-out readings refute it",

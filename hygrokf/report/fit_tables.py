@@ -11,7 +11,13 @@ from hygrokf.evaluation.scoring import REGIMES, SCORED, Errors, Scored
 from hygrokf.identification.fit_on_record import Evaluation
 from hygrokf.identification.fit_results import FitResults, PriorTerms, SensorResponse, TimeConstant
 from hygrokf.identification.verdict import inherited
-from hygrokf.identification.wording import (
+from hygrokf.physics.psychrometrics import ZERO_CELSIUS_K
+from hygrokf.report.blocks import FREE_RUN, Block, Heading, Items, Prose, Table, inherited_verdicts, present
+from hygrokf.report.figures.fit import PRODUCT
+from hygrokf.report.fit_text import lead_words, level_and_method, range_text
+from hygrokf.report.quantities import interval, p_value, parameter_cells, quantity
+from hygrokf.report.terminal import blocks_text
+from hygrokf.texts.wording import (
     NONE,
     QUANTITIES,
     RULES,
@@ -22,12 +28,6 @@ from hygrokf.identification.wording import (
     sentence,
     signed,
 )
-from hygrokf.physics.psychrometrics import ZERO_CELSIUS_K
-from hygrokf.report.blocks import FREE_RUN, Block, Heading, Items, Prose, Table, inherited_verdicts, present
-from hygrokf.report.figures.fit import PRODUCT
-from hygrokf.report.fit_text import lead_words, level_and_method, range_text
-from hygrokf.report.quantities import interval, p_value, parameter_cells, quantity
-from hygrokf.report.terminal import blocks_text
 
 ACTUATORS = (
     "Mean difference between the simulations with and without the actuator while it is above half of its "

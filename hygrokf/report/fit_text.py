@@ -14,7 +14,6 @@ from functools import partial
 from hygrokf.evaluation.innovation_tests import SMALL
 from hygrokf.evaluation.scoring import SCORED
 from hygrokf.identification.fit_results import FitResults, TimeConstant
-from hygrokf.identification.reasons import reason
 from hygrokf.identification.verdict import (
     COVERAGE,
     FEWEST_IN_BAND,
@@ -23,19 +22,11 @@ from hygrokf.identification.verdict import (
     inherited,
     largest_correlation,
 )
-from hygrokf.identification.verdict_terms import (
-    BELIEVE,
-    CAUTION,
-    QUANTITY_OF,
-    REJECT,
-    Kind,
-    Reason,
-    verdict_of,
-    worst_first,
-)
-from hygrokf.identification.wording import decimals_for, fixed, percent, plain_number
+from hygrokf.identification.verdict_terms import QUANTITY_OF
 from hygrokf.modelling.design import PARTS
 from hygrokf.report.quantities import interval, quantity, spoken
+from hygrokf.texts.verdict import BELIEVE, CAUTION, REJECT, Kind, Reason, ReasonCode, verdict_of, worst_first
+from hygrokf.texts.wording import decimals_for, fixed, percent, plain_number
 
 METHODS = {
     "composed": "all sources",
@@ -123,10 +114,10 @@ def _time_constant(fit: FitResults, part: str) -> SubjectVerdict:
     size = f", known to {known.spread}" if known.closed else ""
     head = f"The {part} time constant, {known.texts[0]}{size}{ENDS[known.verdict]}"
     # doubts about the record stand before everything else
-    told = {reason("record_doubted", doubt=doubt).text for doubt in fit.doubts}
+    told = {ReasonCode.RECORD_DOUBTED(doubt=doubt).text for doubt in fit.doubts}
     reasons = [one for one in known.reasons if one.text not in told]
     if known.verdict == BELIEVE and free_run_informs(found):
-        reasons.append(reason("criteria_agree", free=free_run_text(found)))
+        reasons.append(ReasonCode.CRITERIA_AGREE(free=free_run_text(found)))
     return SubjectVerdict(part, known.verdict, head, tuple(reasons))
 
 
@@ -153,11 +144,11 @@ def _bands(fit: FitResults) -> Iterator[SubjectVerdict]:
     if shares:
         low, high = COVERAGE
         outside = {
-            "bands_narrow": [words for words, share in shares.items() if share < low],
-            "bands_wide": [words for words, share in shares.items() if share > high],
+            ReasonCode.BANDS_NARROW: [words for words, share in shares.items() if share < low],
+            ReasonCode.BANDS_WIDE: [words for words, share in shares.items() if share > high],
         }
         span = f"{100.0 * min(shares.values()):.0f} to {percent(max(shares.values()))}"
-        reasons = (reason(code, bands=", ".join(words)) for code, words in outside.items() if words)
+        reasons = (code(bands=", ".join(words)) for code, words in outside.items() if words)
         yield _judged("bands", f"The 95 % band, which holds {span} of the readings", reasons)
 
 
@@ -171,8 +162,9 @@ def _innovations(fit: FitResults) -> Iterator[SubjectVerdict]:
     small, reasons = 0 < largest < SMALL, []
     if against:
         kinds = dict.fromkeys(f"{row.test}{' with inputs' * bool(row.input)}" for row in against)
-        reasons.append(reason("not_white", BELIEVE if small else CAUTION, kinds=", ".join(kinds)))
+        reasons.append(ReasonCode.NOT_WHITE(BELIEVE if small else CAUTION, kinds=", ".join(kinds)))
     if largest > 0:
-        reasons.append(reason("correlated_little" if small else "correlated", correlation=largest))
+        code = ReasonCode.CORRELATED_LITTLE if small else ReasonCode.CORRELATED
+        reasons.append(code(correlation=largest))
     white = f"white by {len(tests) - len(against)} of {len(tests)} tests"
     yield _judged("innovations", f"The one-step prediction, whose innovations are {white}", reasons)

@@ -13,17 +13,6 @@ from hygrokf.fleet.job import DONE, Row, number, text_of
 from hygrokf.fleet.outliers import DRAWS, FEWEST_JUDGED, LEVEL, Scatter, spreads
 from hygrokf.fleet.results import CSV, FleetResults
 from hygrokf.fleet.tasks import TASKS, Compared, Tally, Task
-from hygrokf.identification.verdict_terms import REJECT, WORDS
-from hygrokf.identification.wording import (
-    NONE,
-    decimals_for,
-    fixed,
-    moment,
-    one_line,
-    percent,
-    plain_number,
-    sentence,
-)
 from hygrokf.report.blocks import (
     Block,
     Card,
@@ -42,6 +31,8 @@ from hygrokf.report.figures.comparison import figure_spreads
 from hygrokf.report.page import page_html
 from hygrokf.report.quantities import interval, spoken, versions
 from hygrokf.report.transfer_page import type_section
+from hygrokf.texts.verdict import REJECT, WORDS
+from hygrokf.texts.wording import NONE, decimals_for, fixed, moment, one_line, percent, plain_number, sentence
 
 RANKED = 50
 """Rows of the ranking on the page; fleet.csv has all."""

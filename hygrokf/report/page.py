@@ -7,10 +7,10 @@ from functools import cache
 from importlib import resources
 from typing import TYPE_CHECKING
 
-from hygrokf.identification.verdict_terms import MARKS, VERDICTS, WORDS
-from hygrokf.identification.wording import one_line, unbroken
 from hygrokf.report.blocks import Figure, Page, Table
 from hygrokf.report.figures.drawing import FONTS, NothingToShow, inline_svg, styled
+from hygrokf.texts.verdict import MARKS, VERDICTS, WORDS
+from hygrokf.texts.wording import one_line, unbroken
 
 if TYPE_CHECKING:
     from jinja2 import Template

@@ -13,7 +13,8 @@ from functools import partial
 
 from hygrokf.data.record import Site
 from hygrokf.identification.fit_results import ParameterRow
-from hygrokf.identification.wording import (
+from hygrokf.physics.psychrometrics import ZERO_CELSIUS_K
+from hygrokf.texts.wording import (
     MOST_DECIMALS,
     NONE,
     QUANTITIES,
@@ -23,7 +24,6 @@ from hygrokf.identification.wording import (
     percent,
     plain_number,
 )
-from hygrokf.physics.psychrometrics import ZERO_CELSIUS_K
 from hygrokf.version import __version__
 
 

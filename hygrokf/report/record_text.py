@@ -9,10 +9,11 @@ from typing import TYPE_CHECKING
 
 from hygrokf.cases.summary import RecordSummary, SignalSummary
 from hygrokf.data.signals import difference_from_si, signal_named
-from hygrokf.data.timestamps import MINUTE_S, duration_text
+from hygrokf.data.timestamps import MINUTE_S
 from hygrokf.report.blocks import Block, Heading, Items, Prose, Table
 from hygrokf.report.quantities import interval, place
 from hygrokf.report.terminal import blocks_text
+from hygrokf.texts.wording import duration_text
 from hygrokf.weather.clocks import Alignment, Lag
 
 if TYPE_CHECKING:

@@ -8,8 +8,6 @@ import unicodedata
 from collections.abc import Iterable, Sequence
 from functools import cache
 
-from hygrokf.identification.verdict_terms import PLAIN_MARKS, REJECT, VERDICTS
-from hygrokf.identification.wording import one_line, sentence, unbroken
 from hygrokf.report.blocks import (
     Banner,
     Block,
@@ -26,6 +24,8 @@ from hygrokf.report.blocks import (
     Table,
     Verdicts,
 )
+from hygrokf.texts.verdict import PLAIN_MARKS, REJECT, VERDICTS
+from hygrokf.texts.wording import one_line, sentence, unbroken
 
 TEXT_WIDTH = 100
 """Most columns of a text, and those of one that is printed to a file."""

@@ -15,7 +15,6 @@ from hygrokf.data.result_file import read_result, result_text
 from hygrokf.evaluation.scoring import SCORED
 from hygrokf.identification.fit import write_fit
 from hygrokf.identification.turbine_type import TurbineType, write_type
-from hygrokf.identification.wording import NONE, fixed, percent, plain_number, sentence
 from hygrokf.report.blocks import (
     FREE_RUN,
     INNOVATIONS,
@@ -38,6 +37,7 @@ from hygrokf.report.figures.comparison import SETS, figure_course, figure_parame
 from hygrokf.report.fit_page import write_report
 from hygrokf.report.page import page_html
 from hygrokf.report.quantities import interval, p_value, quantity, versions
+from hygrokf.texts.wording import NONE, fixed, percent, plain_number, sentence
 from hygrokf.transfer.results import (
     NOT,
     OPEN,

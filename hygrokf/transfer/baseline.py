@@ -34,12 +34,13 @@ from hygrokf.identification.fit_on_record import rated_power_mismatch
 from hygrokf.identification.procedure import expect_readings
 from hygrokf.identification.turbine_type import TurbineType
 from hygrokf.identification.verdict import inherited
-from hygrokf.identification.verdict_terms import Inherited, Reason
-from hygrokf.identification.wording import iso_time
+from hygrokf.identification.verdict_terms import Inherited
 from hygrokf.modelling.design import HUMIDITIES, Design, read_as
 from hygrokf.modelling.inputs import Run, model_inputs
 from hygrokf.physics.model import Model
 from hygrokf.physics.parameters import Coordinates
+from hygrokf.texts.verdict import Reason
+from hygrokf.texts.wording import iso_time
 
 THERMAL = "thermal time constant"
 HEAT = "heat release"
@@ -175,7 +176,7 @@ class Origin:
     def reasons(self, part: str) -> tuple[Reason, ...]:
         """The reasons against a time constant, for a fit that takes it over from here."""
         known = self.verdicts[part].reasons if part in self.verdicts else ()
-        return tuple(replace(reason, text=f"on {self.name}: {reason.text}") for reason in known)
+        return tuple(replace(reason, source=self.name) for reason in known)
 
     @classmethod
     def of(cls, source: Fit | TurbineType) -> Origin:

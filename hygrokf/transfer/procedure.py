@@ -34,9 +34,9 @@ from hygrokf.identification.fit import Fit
 from hygrokf.identification.procedure import Basis, assemble_fit
 from hygrokf.identification.turbine_type import TurbineType
 from hygrokf.identification.verdict import inherited, with_reasons
-from hygrokf.identification.wording import iso_time
 from hygrokf.modelling.design import JOINT, PARTS
 from hygrokf.physics.parameters import within_limits
+from hygrokf.texts.wording import iso_time
 from hygrokf.transfer.baseline import (
     OFFSETS,
     Baseline,

@@ -12,7 +12,7 @@ import numpy as np
 from hygrokf.estimation.confidence import Uncertainty
 from hygrokf.estimation.optimiser import Estimate
 from hygrokf.evaluation.scoring import SCORED
-from hygrokf.identification.wording import QUANTITIES, RULES
+from hygrokf.texts.wording import QUANTITIES, RULES
 from hygrokf.transfer.baseline import (
     HYGRIC,
     OF_THE_RECORD,

@@ -111,10 +111,11 @@ def _stated(service: Service) -> None:
     import numpy as np
     from builders.page_case import add_forecast, opened
 
-    from hygrokf.data.timestamps import DAY_S, stamp_text
+    from hygrokf.data.timestamps import DAY_S
     from hygrokf.live.assessment import Outlook
     from hygrokf.live.batch import Assessment, Batch, Event, Shelf
     from hygrokf.live.notification.notices import acknowledge
+    from hygrokf.texts.wording import stamp_text
 
     store, now = opened(service), service.now
     advice = "from 06:00 on pre-heat for 40 min before a start; from 11:00 on none is needed."

@@ -24,7 +24,7 @@ from hygrokf.climate.procedure import SHARES as LEVELS
 from hygrokf.climate.procedure import reduced
 from hygrokf.climate.region import driven
 from hygrokf.data.record import Record
-from hygrokf.physics.cold_surface import Surface, condenses
+from hygrokf.physics.psychrometrics import Surface, condenses
 from validation.counts import markdown
 from validation.frame import Claim, by_variant
 from validation.records import expect, measured

@@ -14,7 +14,7 @@ import hygrokf
 ROOT = Path(hygrokf.__file__).parent
 FACE = "hygrokf"
 FLOORS = (
-    "physics",
+    "physics texts",
     "engine data",
     "weather estimation modelling",
     "cases evaluation drafting",

@@ -12,7 +12,7 @@ from builders.record_edits import without
 from hygrokf.cases.case_file import read_case
 from hygrokf.cases.synthetic import LATITUDE_DEG, LONGITUDE_DEG, synthetic_turbine, write_case
 from hygrokf.data.record import Record, Series
-from hygrokf.data.timestamps import stamp_text
+from hygrokf.texts.wording import stamp_text
 
 DAYS = 5.0
 DAY_S = 86400.0

@@ -22,9 +22,9 @@ from hygrokf.cases.frames import read_frames
 from hygrokf.data.ambient import at_times
 from hygrokf.data.input_paths import on_change
 from hygrokf.data.record import Record, Series
-from hygrokf.data.timestamps import stamp_text
 from hygrokf.modelling.design import design, extended
 from hygrokf.modelling.inputs import model_inputs
+from hygrokf.texts.wording import stamp_text
 
 START = datetime(2020, 6, 1, tzinfo=UTC)
 COUNT = 3000

@@ -16,7 +16,7 @@ from hygrokf.evaluation.simulation import free_run
 from hygrokf.identification.fit import Fit
 from hygrokf.identification.fit_results import Covariance, FitResults
 from hygrokf.modelling.design import extended
-from hygrokf.physics.cold_surface import Surface, condenses
+from hygrokf.physics.psychrometrics import Surface, condenses
 
 
 def short(days: int) -> Record:

@@ -19,8 +19,7 @@ from hygrokf.evaluation.innovation_tests import diagnose
 from hygrokf.identification.fit import Fit
 from hygrokf.identification.fit_results import FitResults
 from hygrokf.modelling.inputs import model_inputs
-from hygrokf.physics.cold_surface import Surface
-from hygrokf.physics.psychrometrics import saturation_pressure_water
+from hygrokf.physics.psychrometrics import Surface, saturation_pressure_water
 
 STEP_H = 1.0 / 30.0
 TAU_H, HYGRIC_H = 1.5, 0.4

@@ -14,17 +14,15 @@ from hypothesis import strategies as st
 
 from hygrokf.data.timestamps import (
     duration,
-    duration_text,
     modal_step,
     moment,
-    period_text,
     read_stamps,
-    stamp_text,
     summer_time_holes,
     time_format_fault,
     zone_in_header,
     zone_named,
 )
+from hygrokf.texts.wording import duration_text, period_text, stamp_text
 
 BERLIN = ZoneInfo("Europe/Berlin")
 

@@ -39,8 +39,9 @@ from hygrokf.discovery.screening import parent_of, screened
 from hygrokf.discovery.starting_model import base_designs, base_estimate
 from hygrokf.identification.fit_on_record import evaluate
 from hygrokf.identification.verdict import inherited
-from hygrokf.identification.verdict_terms import REJECT, rests_on
+from hygrokf.identification.verdict_terms import rests_on
 from hygrokf.physics.psychrometrics import absolute_humidity
+from hygrokf.texts.verdict import REJECT
 
 STEP = (named("exchange_step"),)
 SUN = (named("solar_gain"), named("condensation"))

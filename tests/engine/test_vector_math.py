@@ -8,9 +8,9 @@ from functools import cache
 import numpy as np
 import pytest
 
+from hygrokf.engine.cell_loop import exponential, logarithm
 from hygrokf.engine.jit import Code, has_fused_multiply_add
 from hygrokf.engine.llvm_writer import LANES, Writer, declarations
-from hygrokf.engine.vector_math import exponential, logarithm
 
 UNITS = 3.0 if has_fused_multiply_add() else 6.0
 """Units in the last place: the reduction, the polynomial and the last sum round once each; without fused

@@ -7,7 +7,7 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.linalg import expm
 
-from hygrokf.engine.wide_steps import bound, powers, series
+from hygrokf.engine.wide_recursion import bound, powers, series
 
 N, HOURS = 5, np.array([0.0, 0.01, 0.3, 1.0, 2.0, 50.0])
 DRIVEN = np.eye(N)[:, [0, 3]]

@@ -31,13 +31,13 @@ from hygrokf.evaluation.simulation import free_run
 from hygrokf.live.plan import Plan
 from hygrokf.live.tracker import Tracker, offline_course
 from hygrokf.modelling.inputs import model_inputs
-from hygrokf.physics.cold_surface import Surface
 from hygrokf.physics.mechanisms.wandering import (
     wandering_exchange,
     wandering_release,
     wandering_time_constant,
 )
 from hygrokf.physics.model import extend
+from hygrokf.physics.psychrometrics import Surface
 
 YEAR_H = 8766.0
 AT = 60

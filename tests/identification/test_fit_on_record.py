@@ -39,11 +39,11 @@ from hygrokf.identification.fit_on_record import (
 )
 from hygrokf.identification.fit_results import Covariance, FitResults
 from hygrokf.identification.procedure import identify
-from hygrokf.identification.wording import NONE, QUANTITIES, RULES
 from hygrokf.modelling.design import design
 from hygrokf.modelling.inputs import Run, model_inputs
 from hygrokf.report.blocks import Table
 from hygrokf.report.fit_tables import evaluation_blocks, evaluation_text
+from hygrokf.texts.wording import NONE, QUANTITIES, RULES
 
 HOUR = 3600.0
 DAY = 86400.0

@@ -19,21 +19,12 @@ from hygrokf.identification.composition import CompositionStep
 from hygrokf.identification.fit import Fit
 from hygrokf.identification.fit_results import FitResults
 from hygrokf.identification.verdict import criteria_apart, inherited, with_reasons, with_verdicts
-from hygrokf.identification.verdict_terms import (
-    BELIEVE,
-    CAUTION,
-    REJECT,
-    VERDICTS,
-    WORDS,
-    Inherited,
-    Reason,
-    verdict_lines,
-    verdict_of,
-)
+from hygrokf.identification.verdict_terms import Inherited, verdict_lines
 from hygrokf.report.blocks import Cards
 from hygrokf.report.fit_page import fit_blocks
 from hygrokf.report.fit_text import judgements
 from hygrokf.report.terminal import page_text
+from hygrokf.texts.verdict import BELIEVE, CAUTION, REJECT, VERDICTS, WORDS, Reason, ReasonCode, verdict_of
 
 PAGE = document("verdict.md")
 
@@ -223,12 +214,12 @@ def test_each_rule_gives_its_reason_and_no_other(code: str) -> None:
     fit = spoilt(change)
     found = decided(fit)
     others = {"worse_than_rule": {"free_run_silent"}, "worse_than_mean": {"worse_than_rule"}}.get(code, set())
-    assert {one.code for one in found["thermal"].reasons} - others == {code}
-    reason = next(one for one in found["thermal"].reasons if one.code == code)
+    assert {one.code.key for one in found["thermal"].reasons} - others == {code}
+    reason = next(one for one in found["thermal"].reasons if one.code.key == code)
     assert reason.verdict == verdict == found["thermal"].verdict
     assert words in reason.text
     whole = code in ("not_converged", "convergence_unknown", "not_exact", "record_short")
-    assert {one.code for one in found["hygric"].reasons} == (
+    assert {one.code.key for one in found["hygric"].reasons} == (
         {code} if whole and code != "record_short" else set()
     )
 
@@ -239,7 +230,7 @@ def test_the_docs_name_every_reason() -> None:
     )
     assert [code for code, _ in rows] == list(dict.fromkeys(code for code, _ in rows))
     # a discovery's own reason is none of a fit's
-    assert {code for code, _ in rows} == {*CASES, WET_SENSOR.code}
+    assert {code for code, _ in rows} == {*CASES, WET_SENSOR.code.key}
     assert {verdict for _, verdict in rows} <= set(VERDICTS)
 
 
@@ -266,7 +257,7 @@ def test_criteria_that_contradict_reject_and_those_that_differ_a_little_warn(
     # the distance by hand: both half-widths on the logarithm, in quadrature
     reach = math.hypot(math.log(1 / 0.85), 0.5 * math.log(1.05 / 0.95))
     apart = abs(math.log(simulated / 1.5)) / reach
-    assert found.reasons[0].numbers["apart"] == pytest.approx(apart)
+    assert found.reasons[0].values["apart"] == pytest.approx(apart)
     assert (apart > 2.0) == (verdict == REJECT)
 
 
@@ -278,8 +269,8 @@ def test_a_contradiction_that_the_interval_holds_only_warns() -> None:
     assert decided(fit)["thermal"].verdict == REJECT
     _all(_put(f"{THERMAL}/lower_h", 0.8), _put(f"{THERMAL}/upper_h", 2.8))(fit)
     found = decided(fit)["thermal"]
-    assert found.verdict == CAUTION and found.reasons[0].numbers["half_width"] > 0.25
-    assert {one.code for one in found.reasons} == {"imprecise", "criteria_disagree"}
+    assert found.verdict == CAUTION and found.reasons[0].values["half_width"] > 0.25
+    assert {one.code.key for one in found.reasons} == {"imprecise", "criteria_disagree"}
 
 
 def test_the_plain_profile_is_held_against_the_free_run_where_the_headline_is_wider() -> None:
@@ -294,11 +285,11 @@ def test_the_plain_profile_is_held_against_the_free_run_where_the_headline_is_wi
 def test_losing_to_a_rule_in_one_period_or_against_a_free_run_that_agrees_only_warns() -> None:
     for change in (_all(_errors(2.5, "validation"), SILENT), _errors(2.5, *BOTH)):
         fit = spoilt(change)
-        found = {one.code: one for one in decided(fit)["thermal"].reasons}
+        found = {one.code.key: one for one in decided(fit)["thermal"].reasons}
         assert found["worse_than_rule"].verdict == CAUTION
     assert "its own best constant agrees" in found["worse_than_rule"].text
     fit = spoilt(_all(_errors(1.9, *BOTH), SILENT))  # by less than a tenth
-    assert "worse_than_rule" not in {one.code for one in decided(fit)["thermal"].reasons}
+    assert "worse_than_rule" not in {one.code.key for one in decided(fit)["thermal"].reasons}
 
 
 def test_small_or_accidental_correlations_are_no_reason() -> None:
@@ -335,7 +326,7 @@ def test_the_simulation_criterion_is_judged_by_its_own_interval() -> None:
         "upper_h": None,
         "simulation": {"value_h": 0.02, "lower_h": 0.0, "upper_h": None},
     }
-    assert [one.code for one in decided(fit)["thermal"].reasons] == ["not_identifiable"]
+    assert [one.code.key for one in decided(fit)["thermal"].reasons] == ["not_identifiable"]
 
 
 # --- as data ---------------------------------------------------------------------------------
@@ -348,15 +339,20 @@ def test_verdicts_survive_json() -> None:
     found = decided(fit)["thermal"]
     data = json.loads(json.dumps(plain(found), allow_nan=False))
     assert structured(Inherited, data) == found
-    assert data["reasons"][0].keys() == {"code", "verdict", "text", "numbers"}
-    assert data["reasons"][0]["numbers"].keys() >= {"simulation_h", "apart"}
+    assert data["reasons"][0].keys() == {"code", "values", "verdict", "source"}
+    assert data["reasons"][0]["values"].keys() >= {"simulation_h", "apart"}
     for faulty in (
         data | {"verdict": "perhaps"},
         data | {"reasons": [data["reasons"][0] | {"verdict": "x"}]},
     ):
         with pytest.raises(StructureFault, match="expected one of 'believe', 'caution', 'reject'"):
             structured(Inherited, faulty)
-    assert plain(Reason("a", CAUTION, "b", {"x": math.inf}))["numbers"] == {"x": None}
+    for faulty in ({"code": "never_heard_of"}, {"values": {"likelihood_h": 1.0}}):
+        with pytest.raises(StructureFault, match=r"expected (a code|values)"):
+            structured(Inherited, data | {"reasons": [data["reasons"][0] | faulty]})
+    unbounded = ReasonCode.ONE_SIDED(side="above", sign="≤", bound_h=math.inf)
+    assert plain(unbounded)["values"]["bound_h"] is None
+    assert structured(Reason, plain(unbounded)).text == unbounded.text
 
 
 def test_stated_verdicts_stay_and_missing_ones_are_decided() -> None:
@@ -367,7 +363,7 @@ def test_stated_verdicts_stay_and_missing_ones_are_decided() -> None:
     assert fit.time_constants["thermal"].verdict is None  # nothing is changed in place
     assert filled.time_constants["thermal"].verdict == CAUTION
     assert (filled.time_constants["hygric"].verdict, filled.time_constants["hygric"].reasons) == (BELIEVE, ())
-    stated = Reason("x", REJECT, "said by the fit")
+    stated = ReasonCode.RECORD_DOUBTED(REJECT, doubt="its clock")
     _put(f"{THERMAL}/verdict", REJECT)(data)
     _put(f"{THERMAL}/reasons", [plain(stated)])(data)
     kept = inherited(typed(data))["thermal"]
@@ -379,7 +375,7 @@ def test_stated_verdicts_stay_and_missing_ones_are_decided() -> None:
 
 def test_further_reasons_are_added_once() -> None:
     fit = with_verdicts(typed(_sound()))
-    further = Reason("elsewhere", REJECT, "on another turbine it failed")
+    further = ReasonCode.BAND_FAILED(REJECT, coverage=0.1, quantity="temperature")
     wider = with_reasons(with_reasons(fit, "thermal", [further]), "thermal", [further])
     assert {part: (one.verdict, one.reasons) for part, one in inherited(wider).items()} == {
         "thermal": (REJECT, (further,)), "hygric": (BELIEVE, ()),

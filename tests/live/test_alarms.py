@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from builders.documents import document
 
-from hygrokf.identification.verdict_terms import REJECT, Inherited
+from hygrokf.identification.verdict_terms import Inherited
 from hygrokf.live import alarms
 from hygrokf.live.alarms import (
     CABINET_CHANGES,
@@ -34,6 +34,7 @@ from hygrokf.live.fault_isolation import CauseFinding, shift_step
 from hygrokf.live.frozen import Frozen
 from hygrokf.live.properties import WATCHED, ParameterShift, TrackedState
 from hygrokf.physics.psychrometrics import ZERO_CELSIUS_K
+from hygrokf.texts.verdict import REJECT
 
 MINUTE = 60.0
 

@@ -22,8 +22,7 @@ from builders.service_case import running
 from builders.waiting import eventually
 from playwright.sync_api import Browser, Page, expect
 
-from hygrokf.data.timestamps import stamp_text
-from hygrokf.identification.verdict_terms import REJECT, Inherited, Reason
+from hygrokf.identification.verdict_terms import Inherited
 from hygrokf.live import service as service_module
 from hygrokf.live.batch import Alarm, Assessment, Batch
 from hygrokf.live.condition import Surface
@@ -33,6 +32,8 @@ from hygrokf.live.sources.local import Playback, record_mapping, record_messages
 from hygrokf.live.web.application import PageEndpoints as LivePage
 from hygrokf.live.web.page_settings import PageSettings
 from hygrokf.live.web.server import Hub, serve
+from hygrokf.texts.verdict import REJECT, ReasonCode
+from hygrokf.texts.wording import stamp_text
 
 pytestmark = needs_chromium
 EVIL = '<img src=x onerror="window.broken=1">'
@@ -189,7 +190,7 @@ def test_the_fleet_shows_what_the_store_holds(tab: Tab, live: tuple[str, Hub], s
 def test_what_rests_on_a_number_that_is_not_to_be_believed_says_so(
     tab: Tab, service: Service, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    reasons = (Reason("at_limit", REJECT, f"it ended at its limit {EVIL}"),)
+    reasons = (ReasonCode.RECORD_DOUBTED(REJECT, doubt=f"the source {EVIL}"),)
     known = {"thermal": Inherited(1.5, 1.4, 1.6, REJECT, reasons), "hygric": Inherited(1.5, 1.4, 1.6)}
     monkeypatch.setitem(service.turbines, "T2", replace(service.turbines["T2"], verdicts=known))
     with served(service) as (_, server):

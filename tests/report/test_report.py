@@ -15,7 +15,6 @@ from builders.report_case import report_case, results, write_case
 
 from hygrokf.data.structured import StructureFault, plain
 from hygrokf.identification.verdict import with_verdicts
-from hygrokf.identification.wording import decimals_for, percent, plain_number
 from hygrokf.report.blocks import Figure
 from hygrokf.report.figures.drawing import NothingToShow
 from hygrokf.report.figures.fit import FIGURES
@@ -24,6 +23,7 @@ from hygrokf.report.fit_tables import rmse_table
 from hygrokf.report.fit_text import judgements
 from hygrokf.report.page import page_html
 from hygrokf.report.terminal import KEY, cells, page_text, shortened
+from hygrokf.texts.wording import decimals_for, percent, plain_number
 
 
 @pytest.fixture
@@ -81,7 +81,7 @@ def test_a_fit_that_did_not_converge_is_red_on_top(quick) -> None:
     assert '<p class="banner severe"><b>NOT CONVERGED</b> no further progress' in text
     assert "NOT CONVERGED: no further progress" in page_text(fit_blocks(results(fit), {}))
     first = judgements(results(fit))[0]
-    assert (first.verdict, first.reasons[0].code) == ("reject", "not_converged")
+    assert (first.verdict, first.reasons[0].code.key) == ("reject", "not_converged")
 
 
 def test_a_disagreement_of_the_criteria_stands_under_its_number(quick) -> None:

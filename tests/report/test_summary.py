@@ -32,6 +32,7 @@ from builders.report_case import report_case, results, write_case
 from hygrokf.climate.limits import ClimateLimit, Exceedance
 from hygrokf.climate.study import RegionClimate, Study, write_climate
 from hygrokf.data.files import SUMMARIES
+from hygrokf.data.structured import plain
 from hygrokf.report.page import page_html
 from hygrokf.report.summary.contents import (
     MOST_ACTIONS,
@@ -44,6 +45,7 @@ from hygrokf.report.summary.contents import (
     summary_of_fit,
 )
 from hygrokf.report.summary.writing import SummaryFault, planned, written, written_pdf
+from hygrokf.texts.verdict import ReasonCode
 
 LONG = "Windpark Nordfriesland Süd – Umrichterschrank WEA-17/B (Nachrüstung, Prüfstand) " + "x" * 90
 LIMITS = (
@@ -174,11 +176,11 @@ def test_a_wrong_model_without_a_cause_has_something_to_do_too() -> None:
     data = empty_case()
     text = "not even its order of magnitude is known"
     data["baseline"]["time_constants"]["thermal"] |= {
-        "verdict": "reject", "reasons": [{"code": "undetermined", "verdict": "reject", "text": text}],
+        "verdict": "reject", "reasons": [plain(ReasonCode.UNDETERMINED(spread="a factor of 9"))],
     }  # fmt: skip
     made = summary_of_discovery(typed(data), residuals_case(0.0), None)
     assert made.tone == "open" and "not right" in made.answer and text in " ".join(made.reasons)
-    (longer,) = (action for action, codes in REMEDIES.items() if "record_short" in codes)
+    (longer,) = (action for action, codes in REMEDIES.items() if ReasonCode.RECORD_SHORT in codes)
     assert longer in made.actions
     data = discovery_case()
     data["causes"][0] |= {"remedy": "", "separate_by": ""}
@@ -225,7 +227,7 @@ def test_regions_are_ranked_or_told_by_their_limits() -> None:
 
 def test_every_reason_against_a_time_constant_has_a_remedy() -> None:
     codes = re.findall(r"^\| `(\w+)` \| (?:caution|reject)", document("verdict.md").read_text(), re.M)
-    assert sorted(code for asking in REMEDIES.values() for code in asking) == sorted(codes)
+    assert sorted(code.key for asking in REMEDIES.values() for code in asking) == sorted(codes)
 
 
 # --- on paper --------------------------------------------------------------------------------

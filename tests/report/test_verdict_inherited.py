@@ -28,8 +28,6 @@ from hygrokf.identification.fit import Fit
 from hygrokf.identification.fit_on_record import evaluate, simulate_fit, simulation_summary
 from hygrokf.identification.turbine_type import TypeFault, pool_types
 from hygrokf.identification.verdict import inherited
-from hygrokf.identification.verdict_terms import BELIEVE, CAUTION, REJECT, Reason
-from hygrokf.identification.wording import sentence
 from hygrokf.live.alarms import Level, with_doubts
 from hygrokf.live.defaults import default_config
 from hygrokf.live.storage.store import Store, open_store
@@ -44,18 +42,20 @@ from hygrokf.report.fleet_page import fleet_blocks
 from hygrokf.report.page import page_html
 from hygrokf.report.terminal import page_text
 from hygrokf.report.transfer_page import transfer_blocks
+from hygrokf.texts.verdict import BELIEVE, CAUTION, REJECT, ReasonCode
+from hygrokf.texts.wording import sentence
 from hygrokf.transfer.comparison import compare, comparison_column
 from hygrokf.transfer.procedure import transfer_fit
 from hygrokf.transfer.results import transfer_results
 
-WHY = "the free run would choose another number"
+WHY = "its interval spans a factor of 9 on either side: not even its order of magnitude is known"
 SAID = f"x thermal time constant, not reliable: {WHY} – 1.50 h (1.40 … 1.60)"
 BELIEVED = {"verdict": BELIEVE, "reasons": []}
 
 
-def refuted(code: str, numbers: dict[str, float] | None = None) -> dict:
+def refuted() -> dict:
     """The verdict of a time constant that is not reliable, as data."""
-    return {"verdict": REJECT, "reasons": [plain(Reason(code, REJECT, WHY, numbers or {}))]}
+    return {"verdict": REJECT, "reasons": [plain(ReasonCode.UNDETERMINED(spread="a factor of 9"))]}
 
 
 def rejected(fit: Fit, part: str = "thermal") -> Fit:
@@ -65,7 +65,7 @@ def rejected(fit: Fit, part: str = "thermal") -> Fit:
         entry |= BELIEVED
         if name == part:
             entry |= {"value_h": 1.5, "lower_h": 1.4, "upper_h": 1.6}
-            entry |= refuted("criteria_disagree", {"apart": 3.0})
+            entry |= refuted()
     return with_parts(fit, time_constants=entries)
 
 
@@ -104,7 +104,7 @@ def test_simulate_and_evaluate(case: Path, record: Record, fit: Fit, tmp_path, c
         found = plain(made)
         assert found["verdicts"] == plain(inherited(doubtful.results))
         assert found["verdicts"]["thermal"]["reasons"] == [
-            {"code": "criteria_disagree", "verdict": REJECT, "text": WHY, "numbers": {"apart": 3.0}}
+            plain(ReasonCode.UNDETERMINED(spread="a factor of 9"))
         ]
         assert json.loads(result_text(found))["verdicts"]["hygric"]["verdict"] == BELIEVE
     text = " ".join(evaluation_text(evaluate(doubtful, record)).split())
@@ -161,7 +161,7 @@ def test_a_type_is_made_of_numbers_that_can_be_believed(fit: Fit) -> None:
 
 def test_climate() -> None:
     entry = {"value_h": 1.5, "lower_h": 1.4, "upper_h": 1.6}
-    constants = {"thermal": entry | refuted("criteria_disagree"), "hygric": entry | BELIEVED}
+    constants = {"thermal": entry | refuted(), "hygric": entry | BELIEVED}
     study = study_of(fit=known_fit(found={"time_constants": constants}), members=3)
     assert study.verdicts["thermal"].verdict == REJECT
     (region,) = study.regions
@@ -178,7 +178,7 @@ def test_climate() -> None:
 
 def test_discovery() -> None:
     found = discovery_case()
-    found["baseline"]["time_constants"]["thermal"] |= refuted("worse_than_rule")
+    found["baseline"]["time_constants"]["thermal"] |= refuted()
     assert struck(page_html(discovery_blocks(typed(found)))) == ["1.36 h (1.31 … 1.41)"]
     text = " ".join(page_text(discovery_blocks(typed(found))).split())
     assert f"x thermal time constant, not reliable: {WHY} – 1.36 h (1.31 … 1.41)" in text

@@ -16,9 +16,8 @@ from builders.faults import faults_of
 from hygrokf.data.columns import TableFault
 from hygrokf.data.record import Record, Site
 from hygrokf.weather import archive
-from hygrokf.weather.gridded import point_weather
 from hygrokf.weather.reading import read_weather_file
-from hygrokf.weather.reanalysis import ERA5, derive_era5, read_era5
+from hygrokf.weather.reanalysis import ERA5, derive_era5, point_weather, read_era5
 
 if TYPE_CHECKING:
     import xarray

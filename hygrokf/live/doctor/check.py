@@ -13,13 +13,13 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from hygrokf.data.timestamps import DAY_S, HOUR_S, duration_text, stamp_text
+from hygrokf.data.timestamps import DAY_S, HOUR_S
 from hygrokf.data.toml_form import read_toml
-from hygrokf.identification.wording import one_line
 from hygrokf.live.sources.endpoint import OTHERS_READ
 from hygrokf.live.sources.payload import PayloadStatistics
 from hygrokf.live.sources.payload_values import AHEAD_S
 from hygrokf.live.sources.stream import several
+from hygrokf.texts.wording import duration_text, one_line, stamp_text
 
 LEVELS = ("ok", "doubt", "fault")
 CLOSE_S = 60.0

@@ -21,7 +21,6 @@ import numpy as np
 from hygrokf.data.signals import SIGNALS
 from hygrokf.data.structured import JsonObject
 from hygrokf.data.timestamps import DAY_S, HOUR_S
-from hygrokf.identification.verdict_terms import REJECT
 from hygrokf.live.config import Config
 from hygrokf.live.doctor.check import (
     LEVELS,
@@ -49,6 +48,7 @@ from hygrokf.live.turbines import Turbine, digest
 from hygrokf.live.web.page_settings import PageFault, PageSettings
 from hygrokf.live.web.server import listening_socket
 from hygrokf.modelling.inputs import model_inputs
+from hygrokf.texts.verdict import REJECT
 
 ANSWER_S = 5.0
 """[s] allowed for a page's answer."""

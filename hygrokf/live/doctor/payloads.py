@@ -17,8 +17,6 @@ from typing import IO, Any, cast
 
 from hygrokf.data.signals import from_si, signal_named
 from hygrokf.data.structured import JsonObject
-from hygrokf.data.timestamps import stamp_text
-from hygrokf.identification.wording import one_line
 from hygrokf.live.doctor.sources import arrivals, doctor_session, listening
 from hygrokf.live.sources.broker import filter_fault
 from hygrokf.live.sources.local import Lines, TailedFile, contents
@@ -27,6 +25,7 @@ from hygrokf.live.sources.payload import USED_THOUGH, PayloadMapping, PayloadSta
 from hygrokf.live.sources.payload_formats import JSON, UNPACKED, Content, Unreadable, decoded
 from hygrokf.live.sources.stream import Delivery, SourceFault, Stream
 from hygrokf.live.tracker import Reading
+from hygrokf.texts.wording import one_line, stamp_text
 
 MOST = 20
 """Payloads that are shown; further ones are only counted."""

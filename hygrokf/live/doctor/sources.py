@@ -23,7 +23,7 @@ from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
 
-from hygrokf.data.timestamps import DAY_S, HOUR_S, stamp_text
+from hygrokf.data.timestamps import DAY_S, HOUR_S
 from hygrokf.live.doctor.check import (
     OLD_S,
     SECRETS,
@@ -51,6 +51,7 @@ from hygrokf.live.sources.sparkplug import ASK, EdgeNodes, Sparkplug
 from hygrokf.live.sources.sparkplug_node import UNEXPLAINED
 from hygrokf.live.sources.stream import PAUSE_S, SourceFault, Stream
 from hygrokf.live.storage.database import Row
+from hygrokf.texts.wording import stamp_text
 
 if TYPE_CHECKING:
     import psycopg

@@ -10,13 +10,13 @@ from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field, replace
 
 from hygrokf.data.structured import JsonObject
-from hygrokf.data.timestamps import DAY_S, duration, stamp_text
+from hygrokf.data.timestamps import DAY_S, duration
 from hygrokf.data.toml_form import FolderKeys, across, setting
 from hygrokf.errors import HygrokfError
-from hygrokf.identification.wording import one_line
 from hygrokf.live.alarms import RULES
 from hygrokf.live.batch import Alarm
 from hygrokf.live.sources.endpoint import UrlKeys
+from hygrokf.texts.wording import one_line, stamp_text
 
 SEVERITIES = ("notice", "warning", "alarm")
 """Severities of an alarm, the lowest first."""

@@ -19,10 +19,10 @@ from datetime import UTC, datetime
 from types import ModuleType
 from typing import TYPE_CHECKING
 
-from hygrokf.data.timestamps import stamp_text
 from hygrokf.errors import HygrokfError
 from hygrokf.live.sources.opcua_form import HELD, Node, Security, Server
 from hygrokf.live.sources.stream import SourceFault
+from hygrokf.texts.wording import stamp_text
 
 if TYPE_CHECKING:
     from asyncua import ua

@@ -14,7 +14,6 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 from hygrokf.data.structured import JsonObject
-from hygrokf.data.timestamps import stamp_text
 from hygrokf.data.toml_form import Place
 from hygrokf.live.sources.broker import SPARKPLUG, Broker
 from hygrokf.live.sources.mqtt import Arrival, BrokerLink, Mqtt, libraries_fault
@@ -23,6 +22,7 @@ from hygrokf.live.sources.payload_formats import Content, Payload, PayloadRecord
 from hygrokf.live.sources.sparkplug_node import NAMESPACE, Arrived, EdgeNode, Released, address_of
 from hygrokf.live.sources.sparkplug_payload import LARGEST_MESSAGE, decode, rebirth_request
 from hygrokf.live.sources.stream import Delivery, SourceState, several
+from hygrokf.texts.wording import stamp_text
 
 LOG = logging.getLogger("hygrokf.track")
 MOST_NODES = 1_000

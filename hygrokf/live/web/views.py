@@ -17,7 +17,7 @@ import numpy as np
 
 from hygrokf.data.signals import SIGNALS, from_si
 from hygrokf.data.timestamps import DAY_S, HOUR_S
-from hygrokf.identification.verdict_terms import MARKS, PARAMETER_OF, VERDICTS, Inherited
+from hygrokf.identification.verdict_terms import PARAMETER_OF, Inherited
 from hygrokf.live.alarms import CHANGED, CONTRADICTS
 from hygrokf.live.assessment import NOT_ASSESSED
 from hygrokf.live.batch import CAUSES, STATES, Alarm, Assessment
@@ -31,6 +31,7 @@ from hygrokf.live.storage.database import Row
 from hygrokf.live.storage.store import Store
 from hygrokf.live.web.reader import Reader
 from hygrokf.physics.psychrometrics import ZERO_CELSIUS_K
+from hygrokf.texts.verdict import MARKS, VERDICTS
 
 DECIMALS = 4
 """Decimal places of numbers sent to the page; rounding halves the size of the response."""

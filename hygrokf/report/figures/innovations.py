@@ -17,7 +17,6 @@ from hygrokf.evaluation.diagnosis import (
     Periodogram,
 )
 from hygrokf.identification.fit_results import FitResults
-from hygrokf.identification.wording import one_line
 from hygrokf.report.figures.drawing import INK, MEASURED, QUIET, SIMULATED, NothingToShow
 from hygrokf.report.figures.panels import (
     Axis,
@@ -33,6 +32,7 @@ from hygrokf.report.figures.panels import (
     strokes,
 )
 from hygrokf.report.quantities import p_equation, spoken
+from hygrokf.texts.wording import one_line
 
 QUANTILES = 160
 """Points of the quantile plot, evenly spread over the normal distribution's quantiles."""

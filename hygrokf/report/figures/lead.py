@@ -11,7 +11,6 @@ from hygrokf.climate.study import RegionClimate, Study
 from hygrokf.discovery.residuals import Residuals
 from hygrokf.discovery.results import DiscoveryResults
 from hygrokf.identification.fit_results import FitResults
-from hygrokf.identification.wording import percent, sentence
 from hygrokf.report.blocks import Figure
 from hygrokf.report.climate_tables import share_held
 from hygrokf.report.figures.climate import figure_duration, figure_joint, figure_regions
@@ -19,6 +18,7 @@ from hygrokf.report.figures.drawing import NothingToShow
 from hygrokf.report.figures.findings import drawable, events, figure_episodes
 from hygrokf.report.figures.fit import figure_of
 from hygrokf.report.figures.residual_structure import figure_drivers, telling_drivers
+from hygrokf.texts.wording import percent, sentence
 
 EPISODE_FIGURES = 3
 JOINT_CAPTION = (

@@ -17,17 +17,7 @@ from hygrokf.discovery.results import DiscoveryResults
 from hygrokf.evaluation.scoring import SCORED
 from hygrokf.identification.fit_results import FitResults
 from hygrokf.identification.verdict import inherited
-from hygrokf.identification.verdict_terms import (
-    BELIEVE,
-    CAUTION,
-    REJECT,
-    VERDICTS,
-    WORDS,
-    Inherited,
-    Kind,
-    Reason,
-)
-from hygrokf.identification.wording import NONE, one_line, sentence
+from hygrokf.identification.verdict_terms import Inherited
 from hygrokf.modelling.design import PARTS
 from hygrokf.report.blocks import (
     SYNTHETIC_PAGE,
@@ -61,6 +51,8 @@ from hygrokf.report.figures.lead import lead_of_climate, lead_of_discovery, lead
 from hygrokf.report.fit_page import period_text
 from hygrokf.report.fit_text import judgements
 from hygrokf.report.quantities import listed, quantity, versions
+from hygrokf.texts.verdict import BELIEVE, CAUTION, REJECT, VERDICTS, WORDS, Kind, Reason, ReasonCode
+from hygrokf.texts.wording import NONE, one_line, sentence
 
 MOST_ROWS, MOST_ACTIONS = 12, 8
 """What one page can hold."""
@@ -130,23 +122,39 @@ def drawable(make: Callable[[], Figure]) -> Figure | None:
 
 LACKING = "Run “hygrokf discover” on the record: the model lacks something that the readings show."
 REMEDIES = {
-    "Settle the doubts about the record first: “hygrokf check” lists them.": ("record_doubted",),
-    "Compare the humidity sensor with a second one.": ("sensor_or_water",),
+    "Settle the doubts about the record first: “hygrokf check” lists them.": (ReasonCode.RECORD_DOUBTED,),
+    "Compare the humidity sensor with a second one.": (ReasonCode.SENSOR_OR_WATER,),
     "Run “hygrokf fit” again with more starts (--starts): the estimation has not ended.": (
-        "not_converged", "convergence_unknown",
+        ReasonCode.NOT_CONVERGED,
+        ReasonCode.CONVERGENCE_UNKNOWN,
     ),
-    "Give the likelihood a smaller tolerance: the filter's steps are too long here.": ("not_exact",),
+    "Give the likelihood a smaller tolerance: the filter's steps are too long here.": (ReasonCode.NOT_EXACT,),
     LACKING: (
-        "criteria_disagree", "worse_than_mean", "worse_than_rule", "band_failed", "innovations_correlated",
-        "noise_not_as_modelled", "sensor_stretched", "forms_differ", "parts_differ",
+        ReasonCode.CRITERIA_DISAGREE,
+        ReasonCode.WORSE_THAN_MEAN,
+        ReasonCode.WORSE_THAN_RULE,
+        ReasonCode.BAND_FAILED,
+        ReasonCode.INNOVATIONS_CORRELATED,
+        ReasonCode.NOISE_NOT_AS_MODELLED,
+        ReasonCode.SENSOR_STRETCHED,
+        ReasonCode.FORMS_DIFFER,
+        ReasonCode.PARTS_DIFFER,
     ),
     "Record for longer, with changes of load and standstills: this record hardly determines the number.": (
-        "at_limit", "not_identifiable", "one_sided", "undetermined", "imprecise", "free_run_silent",
-        "few_readings", "input_not_needed", "record_short", "guard_reached",
+        ReasonCode.AT_LIMIT,
+        ReasonCode.NOT_IDENTIFIABLE,
+        ReasonCode.ONE_SIDED,
+        ReasonCode.UNDETERMINED,
+        ReasonCode.IMPRECISE,
+        ReasonCode.FREE_RUN_SILENT,
+        ReasonCode.FEW_READINGS,
+        ReasonCode.INPUT_NOT_NEEDED,
+        ReasonCode.RECORD_SHORT,
+        ReasonCode.GUARD_REACHED,
     ),
-    "Log the cabinet at shorter steps.": ("readings_coarse",),
-    "Take the weather from a source with shorter steps.": ("ambient_coarse",),
-}  # fmt: skip
+    "Log the cabinet at shorter steps.": (ReasonCode.READINGS_COARSE,),
+    "Take the weather from a source with shorter steps.": (ReasonCode.AMBIENT_COARSE,),
+}
 """What to do about the reasons against a time constant (`identification.verdict`), what comes first first:
 the action, and the codes of the reasons that ask for it."""
 

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 
 from hygrokf.evaluation.scoring import SCORED
-from hygrokf.identification.wording import fixed, percent
+from hygrokf.texts.wording import fixed, percent
 from validation.counts import markdown
 from validation.paper.cabinets import LocalAir
 from validation.paper.models import CRITERIA, FREE_RUN, LIKELIHOOD

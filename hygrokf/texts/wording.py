@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping
-from datetime import UTC, datetime
-from string import Formatter
+from datetime import UTC, datetime, timedelta
 
 NONE = "–"
 UNBOUNDED = "not identifiable"
@@ -68,22 +66,6 @@ def decimals_for(spread: float) -> int:
     return min(max(math.ceil(0.4 - math.log10(spread)), 0), MOST_DECIMALS)
 
 
-class _Numbers(Formatter):
-    """Fields of a template: `{x}` text, `{x:3}` significant digits, `{x:.2}` decimals, `{x:%}` per cent."""
-
-    def format_field(self, value: float | str, spec: str) -> str:
-        if isinstance(value, str):
-            return value
-        if spec == "%":
-            return minus(percent(value))
-        return fixed(value, int(spec[1:])) if spec.startswith(".") else plain_number(value, int(spec))
-
-
-def worded(template: str, values: Mapping[str, float | str]) -> str:
-    """A template with its fields filled, see `_Numbers`."""
-    return _Numbers().vformat(template, (), values)
-
-
 WIDE = 4.0
 """[1] ratio of upper to lower end above which an interval is given as a factor and its ends get their own
 digits."""
@@ -122,3 +104,34 @@ def iso_time(seconds: float) -> str:
 def moment(text: str) -> str:
     """An instant of a result, "2024-05-01T12:00:00+00:00", as date and time to the minute."""
     return text[:16].replace("T", " ") if len(text) >= 16 else text
+
+
+def duration_text(seconds: float) -> str:
+    """A duration in a convenient unit, such as "10 min" or "3.5 d".
+
+    seconds: [s] ≥ 0.
+    """
+    for unit, size in (("d", 86400.0), ("h", 3600.0), ("min", 60.0)):
+        if seconds >= 2.0 * size or (seconds >= size and seconds % size == 0.0):
+            return f"{float(f'{seconds / size:.3g}'):g} {unit}"
+    return f"{seconds:.3g} s"
+
+
+def stamp_text(seconds: float) -> str:
+    """A time in ISO 8601, UTC, such as "2020-12-01T00:00Z".
+
+    seconds: [s] since 1970-01-01T00:00Z; "-" for NaN.
+    """
+    if not math.isfinite(seconds):
+        return "-"
+    moment = datetime(1970, 1, 1, tzinfo=UTC) + timedelta(seconds=round(float(seconds)))
+    return moment.strftime("%Y-%m-%dT%H:%M:%SZ" if moment.second else "%Y-%m-%dT%H:%MZ")
+
+
+def period_text(start_s: float, end_s: float) -> str:
+    """A period such as "2020-01-01T00:00Z to 2020-01-02T00:00Z"; one stamp if it has no length.
+
+    start_s, end_s: [s] since 1970-01-01T00:00Z.
+    """
+    first, last = stamp_text(start_s), stamp_text(end_s)
+    return first if first == last else f"{first} to {last}"

@@ -1,0 +1,1 @@
+"""What results say, as codes, and how numbers are written."""

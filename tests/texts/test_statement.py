@@ -1,0 +1,77 @@
+"""Statements: their templates, their files, and that codes are unique over the package."""
+
+from __future__ import annotations
+
+import json
+import math
+import pickle
+from collections import Counter
+from string import Formatter
+
+import pytest
+
+from hygrokf.data.structured import StructureFault, plain, structured
+from hygrokf.texts.statement import Code, Statement
+from hygrokf.texts.verdict import ReasonCode
+
+
+class Example(Code):
+    FIELDS = "{name} {number:3} {number:.2} {number:+.1} {share:%} {share:.1%} {number:g}"
+    TIMES = "{begin:stamp}, {length:duration}"
+    WORDS = "{count:.0} {count:reading|readings} of {names} and of {names:and}"
+    NESTED = "because {why}"
+
+
+ENUMERATIONS = [kind for kind in Code.__subclasses__() if kind is not Example]
+
+
+def test_fields_of_a_template() -> None:
+    values = {"name": "heat", "number": -1.2345, "share": 0.1234}
+    assert Example.FIELDS(**values).text == "heat −1.23 −1.23 −1.2 12 % 12.3 % −1.2345"
+    assert Example.TIMES(begin=86400.0, length=5400.0).text == "1970-01-02T00:00Z, 90 min"
+    words = Example.WORDS(count=2, names=("a", "b", "c"))
+    assert words.text == "2 readings of a, b, c and of a, b and c"
+    assert Example.WORDS(count=1, names=("a",)).text == "1 reading of a and of a"
+    assert str(Example.NESTED(why=words)) == f"because {words.text}"
+
+
+def test_a_statement_survives_its_file_and_a_process() -> None:
+    inner = Example.WORDS(count=1.0, names=("a", "b"))
+    statement = Example.NESTED(why=inner)
+    data = json.loads(json.dumps(plain(statement), allow_nan=False))
+    values = {"count": 1.0, "names": ["a", "b"]}
+    assert data == {"code": "nested", "values": {"why": {"code": "words", "values": values}}}
+    assert structured(Statement, data) == statement == pickle.loads(pickle.dumps(statement))
+    unknown = Example.FIELDS(name="x", number=math.nan, share=math.inf)
+    assert structured(Statement, json.loads(json.dumps(plain(unknown)))).text == unknown.text
+
+
+@pytest.mark.parametrize(
+    ("data", "fault"),
+    [
+        ({"code": "never_heard_of", "values": {}}, "expected a code of this version, found 'never_heard_of'"),
+        ({"code": 3, "values": {}}, "expected a code of this version, found 3"),
+        ({"code": "nested", "values": {"what": 1.0}}, "nested: expected values of why, found"),
+        ({"code": "times", "values": {"begin": "x", "length": []}}, None),
+        ({"code": "fields", "values": {"name": "a", "number": {}, "share": 0.1}}, "expected, and missing"),
+    ],
+)
+def test_a_file_with_an_unknown_code_or_other_values_is_refused(data: dict, fault: str | None) -> None:
+    if fault is None:  # a text stands for any value
+        assert structured(Statement, data).text == "x, "
+        return
+    with pytest.raises(StructureFault) as refused:
+        structured(Statement, data)
+    assert fault in str(refused.value)
+
+
+def test_codes_are_unique_and_every_template_is_one() -> None:
+    assert ReasonCode in ENUMERATIONS
+    names = Counter(name for kind in ENUMERATIONS for name in kind.__members__)
+    assert {name for name, count in names.items() if count > 1} == set()
+    for kind in ENUMERATIONS:
+        aliases = {name for name, code in kind.__members__.items() if code.name != name}
+        assert not aliases, f"{kind.__name__}: equal templates {aliases}"
+        for code in kind:
+            assert all(spec is not None for _, name, spec, _ in Formatter().parse(code.template) if name)
+            assert not code.template.endswith("."), code
