@@ -19,9 +19,9 @@ from functools import partial
 
 import numpy as np
 
-from hygrokf.data.ambient import place_absolute_humidity
 from hygrokf.data.clocks import Shift, in_america, shifted, sources
 from hygrokf.data.input_paths import centred
+from hygrokf.data.prepared import PreparedRecord, prepare
 from hygrokf.data.record import Record, Series
 from hygrokf.data.signals import SIGNALS, from_si, to_si
 from hygrokf.data.timestamps import DAY_S, modal_step, summer_time
@@ -172,6 +172,7 @@ class _Scan:
 
 def alternative_readings(record: Record) -> Readings:
     """The clock and the other reading that a record prefers to what is declared, if any."""
+    record = prepare(record)
     found = relations(record)
     if not found:
         return Readings(_values(record), ("clocks: fewer than 14 days in common to tell whether they agree",))
@@ -315,7 +316,7 @@ def _clock(record: Record, shift: _Shift) -> Alternative:
 
 
 # -- units, columns, decimal marks ---------------------------------------------------------------------------
-def _values(record: Record) -> tuple[PreferredAlternative, ...]:
+def _values(record: PreparedRecord) -> tuple[PreferredAlternative, ...]:
     """The reading of other units, columns or decimal marks that is likelier by far, if any."""
     if not {"cabinet_temperature", "ambient_temperature"} <= set(record.signals):
         return ()
@@ -325,7 +326,7 @@ def _values(record: Record) -> tuple[PreferredAlternative, ...]:
             other = row.reading(record)
         except ValueError:  # readings that no such signal can have
             continue
-        levels = usual - _surprise(other)
+        levels = usual - _surprise(prepare(other))
         if levels <= max(ODDS - SYSTEMATIC, 0.0 if best is None else best.gain - SYSTEMATIC):
             continue
         # how much more the inputs tell of the cabinet in the other reading
@@ -403,7 +404,7 @@ def _exchanged(pairs: Sequence[tuple[str, str]], record: Record) -> Record:
     return record.replace_series(*(taken(*one) for one in both))
 
 
-def _surprise(record: Record) -> float:
+def _surprise(record: PreparedRecord) -> float:
     """How unusual the levels of a record are: half the sum of squares of their distances from usual bands.
 
     Bands and scales are those of attics, greenhouses, rooms, boxes outdoors and turbines: a cabinet 0 … 10 K
@@ -411,7 +412,7 @@ def _surprise(record: Record) -> float:
     again), outside −5 … 25 °C (6 K) and 2 … 15 g/m³ (a factor of 1.5).
     """
     inside, outside = (_mean(record, f"{place}_temperature") for place in ("cabinet", "ambient"))
-    vapours = (place_absolute_humidity(record, place) for place in ("cabinet", "ambient"))
+    vapours = record.cabinet_vapour, record.ambient_vapour
     ln_inside, ln_outside = (
         np.nan if one is None or not len(one.known[1]) else np.log(max(one.known[1].mean(), 1e-9))
         for one in vapours

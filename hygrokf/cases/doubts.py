@@ -7,14 +7,9 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from hygrokf.cases.alternatives import Readings, alternative_readings, solar_lag
-from hygrokf.data.ambient import (
-    AMBIENT_BRIDGE_H,
-    ambient_absolute_humidity,
-    at_times,
-    bridge_h,
-    place_absolute_humidity,
-)
+from hygrokf.data.ambient import AMBIENT_BRIDGE_H, at_times, bridge_h
 from hygrokf.data.input_paths import ON_CHANGE, centred, on_change
+from hygrokf.data.prepared import PreparedRecord, prepare
 from hygrokf.data.probes import copies
 from hygrokf.data.readings import out_of_range, range_sentence
 from hygrokf.data.record import Record, Series
@@ -68,6 +63,7 @@ def all_doubts(
 
     clocks, read: clock errors and alternative readings, if already known.
     """
+    record = prepare(record)
     if clocks is None:
         clocks = clock_errors(alignments(record))
     south = record.site is not None and record.site.latitude_deg < 0.0
@@ -152,10 +148,10 @@ def no_overlap(series: Sequence[Series]) -> list[str]:
     ]
 
 
-def _doubts_of_gaps(record: Record) -> Iterator[str]:
+def _doubts_of_gaps(record: PreparedRecord) -> Iterator[str]:
     """Readings of the cabinet that no fit uses, because the air outside is unknown at their time."""
     outside = {"temperature": record["ambient_temperature"]} if "ambient_temperature" in record else {}
-    vapour = ambient_absolute_humidity(record) if outside else None
+    vapour = record.ambient_vapour if outside else None
     outside |= {} if vapour is None else {"humidity": vapour}
     for signal in (one for one in IDENTIFIABLE if one in record):
         time = record[signal].known[0]
@@ -241,7 +237,7 @@ def _doubts_of_power(record: Record) -> Iterator[str]:
             break
 
 
-def _doubts_of_climate(record: Record) -> Iterator[str]:
+def _doubts_of_climate(record: PreparedRecord) -> Iterator[str]:
     humid = any(f"cabinet_{kind}" in record for kind in HUMIDITIES)
     if "cabinet_temperature" not in record and not humid:
         yield "no cabinet signal: nothing can be identified or scored"
@@ -271,7 +267,7 @@ def _doubts_of_climate(record: Record) -> Iterator[str]:
         )
     for series, words in copies(record.series):
         yield Doubt(words, *told_by(series.signal))
-    pair = _pair(*(place_absolute_humidity(record, place) for place in ("cabinet", "ambient")))
+    pair = _pair(record.cabinet_vapour, record.ambient_vapour)
     if pair is not None:
         factor = float(np.mean(pair[0]) / np.mean(pair[1]))
         if not 0.7 <= factor <= 1.3:

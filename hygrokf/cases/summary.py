@@ -11,6 +11,7 @@ import numpy as np
 from hygrokf.cases.alternatives import alternative_readings
 from hygrokf.cases.doubts import all_doubts
 from hygrokf.data.actuators import actuators
+from hygrokf.data.prepared import prepare
 from hygrokf.data.record import Record, Series, Site
 from hygrokf.data.result_file import units_by_name, with_units
 from hygrokf.data.signals import difference_from_si, from_si, signal_named
@@ -102,6 +103,7 @@ class RecordSummary:
 
 def describe(record: Record) -> RecordSummary:
     """The summary of a record for `hygrokf check`: spans, steps, gaps, clocks, doubts."""
+    record = prepare(record)
     clocks, read = clock_errors(alignments(record)), alternative_readings(record)
     whole = _span(record.start_s, record.end_s)
     return RecordSummary(

@@ -32,7 +32,7 @@ from hygrokf.data.record import Record
 from hygrokf.estimation.batch_filter import SideBySide
 from hygrokf.evaluation.self_switching import Switchboard, cut, switches_of
 from hygrokf.identification.fit import Fit
-from hygrokf.modelling.design import read_as
+from hygrokf.modelling.design import Design, read_as
 from hygrokf.modelling.inputs import Run, model_inputs
 from hygrokf.physics.expression import Value
 from hygrokf.physics.holds import inputs_between
@@ -299,14 +299,15 @@ def _factor(covariance: np.ndarray) -> np.ndarray:
 # --- instants and years ----------------------------------------------------------------------
 
 
-def course(fit: Fit, record: Record) -> Run:
-    """The instants of weather and power for a fit's model; raises ValueError where they do not suffice."""
-    return model_inputs(read_as(fit.design, record), record)
+def course(fit: Fit, record: Record) -> tuple[Design, Run]:
+    """A fit's design and its run on weather and power; raises ValueError where they do not suffice."""
+    design = read_as(fit.design, record)
+    return design, model_inputs(design, record)
 
 
-def shots_of(fit: Fit, record: Record) -> tuple[Shots, ...]:
-    """The shots of a fit's disturbances, under inputs that are typical of a record."""
-    t, model = course(fit, record).timeline, read_as(fit.design, record).model
+def shots_of(fit: Fit, design: Design, run: Run) -> tuple[Shots, ...]:
+    """The shots of a fit's disturbances, under inputs that are typical of a run of its `course`."""
+    t, model = run.timeline, design.model
     inputs = {name: _typical(t.input(name), name in t.regimes) for name in model.inputs}
     first = np.array([model.initial(fit.values, inputs)[0]], dtype=float)
     still = {name: np.full(2, value) for name, value in inputs.items()}
@@ -327,7 +328,8 @@ def _typical(values: np.ndarray, regime: bool) -> float:
 
 def simulate_years(
     fit: Fit,
-    record: Record,
+    design: Design,
+    run: Run,
     members: Sequence[Mapping[str, float]],
     seed: int,
     surface: Surface,
@@ -335,18 +337,17 @@ def simulate_years(
     rare: Sequence[Shots] = (),
     say: Callable[[str], None] = lambda text: None,
 ) -> Iterator[Year]:
-    """Years of weather and power (a record), one after the other, through every member's model.
+    """Years of weather and power, one after the other, through every member's model.
 
+    design, run: of `course`.
     members: parameter values of each, as `draw_members` gives them.
     process: without it the disturbances stay at their means, and only the parameters differ.
     rare: noise that comes as shots (`shots_of`); all other noise is Gaussian.
     say: is told the number of each year.
 
-    Raises ValueError where the record lacks an input of the model, and where a member's state diverges.
+    Raises ValueError where a member's state diverges.
     """
-    made = course(fit, record)
-    design = read_as(fit.design, record)
-    model, t = design.model, made.timeline
+    model, t = design.model, run.timeline
     kept = kept_instants(t.time)
     groups = years_of(t.time[kept])
     switches = switches_of(design)
@@ -365,7 +366,7 @@ def simulate_years(
     off = {name: np.zeros(len(members)) for name in switches}
     board = Switchboard(model, spread, switches, off) if switches else None
     walk = _EnsembleWalk(
-        runs, np.array(starts), inputs, t.time, random if process else None, rare, board, ~made.operating
+        runs, np.array(starts), inputs, t.time, random if process else None, rare, board, ~run.operating
     )
     again = int(np.searchsorted(t.time, t.time[0] + SPIN_UP_H, side="right"))
     walk.through(range(min(again, len(t.time))))
@@ -378,7 +379,7 @@ def simulate_years(
             walk.through(range(at, place + 1), jump=at == 0)
             at = place + 1
             states[row] = walk.state
-        yield _year(model, members, made, places, states, surface)
+        yield _year(model, members, run, places, states, surface)
 
 
 def kept_instants(time_h: np.ndarray) -> np.ndarray:

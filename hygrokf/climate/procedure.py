@@ -36,7 +36,8 @@ from hygrokf.data.record import Record
 from hygrokf.identification.fit import Fit
 from hygrokf.identification.verdict import inherited
 from hygrokf.identification.verdict_terms import rests_on
-from hygrokf.modelling.inputs import IDENTIFIED_ON
+from hygrokf.modelling.design import Design
+from hygrokf.modelling.inputs import IDENTIFIED_ON, Run
 from hygrokf.physics.psychrometrics import ZERO_CELSIUS_K, Surface
 from hygrokf.texts.wording import stamp_text
 from hygrokf.version import __version__
@@ -212,8 +213,8 @@ def climate_profile(
     plan, surface = plan or ProfilePlan(), surface or Surface()
     drawn = draw_members(fit, members, seed)
 
-    def simulate(record: Record, rare: Sequence[Shots], tell: Callable[[str], None]) -> Iterator[Year]:
-        return simulate_years(fit, record, drawn, seed, surface, rare=rare, say=tell)
+    def simulate(design: Design, run: Run, rare: Sequence[Shots], tell: Progress) -> Iterator[Year]:
+        return simulate_years(fit, design, run, drawn, seed, surface, rare=rare, say=tell)
 
     found = []
     with reporting(progress, "climate_profile") as say:
@@ -243,14 +244,15 @@ def _region(
     power: Record | PowerCurve | None,
     limits: Sequence[ClimateLimit],
     plan: ProfilePlan,
-    simulate: Callable[[Record, Sequence[Shots], Callable[[str], None]], Iterator[Year]],
+    simulate: Callable[[Design, Run, Sequence[Shots], Progress], Iterator[Year]],
     members: int,
     say: Progress,
 ) -> RegionClimate:
     record, statements = driven(fit, region.weather, power)
-    rare = shots_of(fit, record)
+    design, run = course(fit, record)
+    rare = shots_of(fit, design, run)
     statements += shot_words(rare)
-    years = simulate(record, rare, lambda text: say(f"{region.name}: {text}"))
+    years = simulate(design, run, rare, lambda text: say(f"{region.name}: {text}"))
     gathered, count = _gathered(years, limits, plan.law, members)
     if not gathered.spans:
         raise ValueError(
@@ -262,13 +264,13 @@ def _region(
         statements.append(operating_text(gathered, isinstance(power, PowerCurve)))
     statements += [
         *filter(None, [rests_on(inherited(fit.results))]),
-        *extrapolation_words(fit, record),
+        *extrapolation_words(fit, run),
         *region.weather.warnings,
         *weather_words(region.weather, gathered, count, members, limits),
     ]
     if operates:
         still, _ = driven(fit, region.weather, None)
-        years = simulate(still, rare, lambda text: say(f"{region.name} at standstill: {text}"))
+        years = simulate(*course(fit, still), rare, lambda text: say(f"{region.name} at standstill: {text}"))
         scopes[STANDSTILL_YEAR] = _bounded(_gathered(years, (), plan.law, members)[0].of("all"))
     say(f"{region.name}: test profile")
     profile = gathered.test_profile(plan)
@@ -395,13 +397,12 @@ def operating_text(gathered: Gathered, by_curve: bool) -> str:
     return f"{said}: check {'units and height of the wind' if by_curve else 'unit and sign of the power'}"
 
 
-def extrapolation_words(fit: Fit, record: Record) -> list[str]:
+def extrapolation_words(fit: Fit, run: Run) -> list[str]:
     """Statements on the hours of weather and power outside the range on which a fit was identified; none for
     a fit without a stated range."""
     ranges = fit.results.identified_on
     if not ranges:
         return []
-    made = course(fit, record)
     units = {  # with meaning; factor and offset from the model's unit; decimals
         "ambient_temperature": ("°C of ambient air", 1.0, -ZERO_CELSIUS_K, 1),
         "ambient_absolute_humidity": ("g/m³ of ambient air", 1.0, 0.0, 1),
@@ -413,7 +414,7 @@ def extrapolation_words(fit: Fit, record: Record) -> list[str]:
             continue
         low, high = ranges[key]
         beyond = BEYOND_K if name == "ambient_temperature" else BEYOND_SHARE * (high - low)
-        value = made.timeline.input(name)[made.scored]
+        value = run.timeline.input(name)[run.scored]
         outside = (value < low - beyond) | (value > high + beyond)
         share = float(outside.mean()) if len(value) else 0.0
         if share > SAID_FROM:

@@ -94,14 +94,9 @@ def smoothed(series: Series, noise: tuple[float, float] | None) -> Series:
     return replace(series, value=result)
 
 
-def ambient_absolute_humidity(record: Record) -> Series | None:
-    """Vapour concentration of the ambient air [kg/m³] at the times of its humidity readings; None without
-    such readings."""
-    return place_absolute_humidity(record, "ambient")
-
-
-def place_absolute_humidity(record: Record, place: str) -> Series | None:
-    """The same of the "cabinet" or the "ambient"."""
+def absolute_humidity_at(record: Record, place: str) -> Series | None:
+    """Vapour concentration [kg/m³] in the "cabinet" or the "ambient", at the times of its humidity readings;
+    None without such readings."""
     name = f"{place}_absolute_humidity"
     if name in record:
         return without_response(record[name])

@@ -23,7 +23,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from functools import cache, lru_cache
+from functools import cache
 
 import numpy as np
 
@@ -69,27 +69,9 @@ def input_path(series: Series, noise: tuple[float, float] | None = None) -> Seri
     of its interval, and so are means whose intervals overlap.  A value that holds from its stamp on takes the
     place of the one before within `JOINED_S` after it.
     """
-    return series if series.hold == LINEAR else _known_path(Same(series), noise)
-
-
-class Same:
-    """A series as a cache key, compared by identity.  It keeps the series alive, so that its id stays
-    unique."""
-
-    def __init__(self, series: Series) -> None:
-        self.series = series
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, Same) and self.series is other.series
-
-    def __hash__(self) -> int:
-        return id(self.series)
-
-
-@lru_cache(maxsize=32)
-def _known_path(key: Same, noise: tuple[float, float] | None) -> Series:
-    """The cached path; discovery requests the path of one series hundreds of times."""
-    return _through_means(key.series, noise) if key.series.hold == MEAN else _held(key.series)
+    if series.hold == LINEAR:
+        return series
+    return _through_means(series, noise) if series.hold == MEAN else _held(series)
 
 
 def without_response(series: Series) -> Series:

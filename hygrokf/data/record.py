@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
 from numbers import Real
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Self
 
 import numpy as np
 
@@ -418,7 +418,7 @@ class Record:
         ends = [one.time[-1] for one in self.series if len(one)]
         return float(max(ends)) if ends else math.nan
 
-    def window(self, start_s: float, end_s: float) -> Record:
+    def window(self, start_s: float, end_s: float) -> Self:
         """The readings with start_s ≤ time ≤ end_s [s].
 
         A mean belongs to the window that holds the end of its interval. Series without a reading
@@ -439,19 +439,19 @@ class Record:
         (`Series.to_frame`)."""
         return {one.signal: one.to_frame() for one in self.series}
 
-    def identification(self) -> Record:
+    def identification(self) -> Self:
         """The identification period: readings up to and including `until_s`."""
         if self.until_s is None:
             return self
         return self.window(-math.inf, self.until_s)
 
-    def validation(self) -> Record:
+    def validation(self) -> Self:
         """The validation period: readings after `until_s`; no series if there is no such period."""
         if self.until_s is None:
             return dataclasses.replace(self, series=())
         return self.window(float(np.nextafter(self.until_s, math.inf)), math.inf)
 
-    def replace_series(self, *changed: Series, warnings: tuple[str, ...] = ()) -> Record:
+    def replace_series(self, *changed: Series, warnings: tuple[str, ...] = ()) -> Self:
         """A record in which series are replaced by others of the same signal.
 
         changed: the new series. warnings: sentences to add to the record's own.

@@ -18,6 +18,7 @@ from typing import Literal
 import numpy as np
 
 from hygrokf.data.clocks import shifted
+from hygrokf.data.prepared import PreparedRecord, prepare
 from hygrokf.data.progress import Progress
 from hygrokf.data.record import Record
 from hygrokf.data.timestamps import HOUR_S
@@ -188,10 +189,10 @@ def fit_of(
     Raises ValueError where the set is faster than a filter of the readings can follow.
     """
     record = shifted(record, *final.estimate.simulator.scene.shifts)
-    early = record.identification()
+    early = prepare(record.identification())
     try:
         stages = tuple(_stage(early, one, final, say) for one in final_designs(final))
-        basis = Basis(CASCADE, stages, (early,) * len(stages), heat_release_regression(early))
+        basis = Basis(CASCADE, stages, heat_release_regression(early))
         fit = assemble_fit(record, basis, {}, say=say, tolerance=STEP_TOLERANCE)
     except (RatesFault, DigitsFault) as fault:
         raise ValueError(f"the model that the search ends with cannot be filtered: {fault}") from fault
@@ -214,7 +215,7 @@ def final_designs(final: FinalSet) -> tuple[Design, ...]:
     return tuple(found)
 
 
-def _stage(early: Record, base: Design, final: FinalSet, say: Progress) -> Stage:
+def _stage(early: PreparedRecord, base: Design, final: FinalSet, say: Progress) -> Stage:
     """One likelihood at the set's values, with the set's covariance."""
     say("sizes of the disturbances")
     run = model_inputs(base, early)

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
-from hygrokf.data.ambient import ambient_absolute_humidity
+from hygrokf.data.prepared import prepare
 from hygrokf.discovery import forms
 from hygrokf.discovery.forms import Form, Ground, Setting, using
 from hygrokf.discovery.results import Settings
@@ -87,7 +87,7 @@ def cause_of(
     def given(ground: Ground) -> list[Form]:
         there = {key: one for key, one in mechanisms.items() if ground.humid or key == "thermal"}
         known = {*ALWAYS, *settings, *ground.record.signals}
-        if ambient_absolute_humidity(ground.record) is not None:
+        if prepare(ground.record).ambient_vapour is not None:
             known.add("ambient_absolute_humidity")
         lacking = [
             key for key, one in there.items()

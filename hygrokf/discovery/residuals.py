@@ -12,8 +12,8 @@ from typing import Literal
 
 import numpy as np
 
-from hygrokf.data.ambient import AMBIENT_BRIDGE_H, ambient_absolute_humidity, at_times, bridge_h
-from hygrokf.data.input_paths import input_path
+from hygrokf.data.ambient import AMBIENT_BRIDGE_H, at_times, bridge_h
+from hygrokf.data.prepared import VAPOUR, prepare
 from hygrokf.data.record import Record
 from hygrokf.data.signals import SIGNALS
 from hygrokf.data.signals import UNITS as CASE_UNITS
@@ -136,9 +136,9 @@ def _drivers(s: Mapping[str, np.ndarray], record: Record, time: np.ndarray) -> d
     }
     found = {name: np.asarray(s[key], dtype=float) for name, key in names.items()}
     if not np.isfinite(found["ambient_absolute_humidity"]).any():
-        vapour = ambient_absolute_humidity(record)
-        if vapour is not None:
-            found["ambient_absolute_humidity"] = 1e3 * at_times(input_path(vapour), time, AMBIENT_BRIDGE_H)
+        prepared = prepare(record)
+        if prepared.ambient_vapour is not None:
+            found[VAPOUR] = 1e3 * at_times(prepared.path(VAPOUR), time, AMBIENT_BRIDGE_H)
     for one in record.series:
         known = one.signal in (*found, *SAME_AIR, "active_power") or one.signal.startswith(RESPONSES)
         if not known and not one.missing.all():

@@ -19,19 +19,20 @@ import numpy as np
 
 from hygrokf.data.ambient import AMBIENT_BRIDGE_H, at_times, bridge_h
 from hygrokf.data.clocks import Shift, in_america
-from hygrokf.data.input_paths import centred, input_path, without_response
+from hygrokf.data.input_paths import centred
+from hygrokf.data.prepared import PreparedRecord, prepare
 from hygrokf.data.record import Record, Series
 from hygrokf.data.timestamps import HOUR_S, summer_time
 from hygrokf.engine.cell_loop import IDLE, TEMPERATURE, CellInputs
 from hygrokf.modelling.derived_inputs import feature
 from hygrokf.modelling.design import HUMIDITIES, Design, reading_step_h
 from hygrokf.modelling.inputs import (
-    _ambient_inputs,
-    _bridged,
-    _common_span,
-    _courses,
-    _further,
-    _power_inputs,
+    ambient_inputs,
+    bridged,
+    common_span,
+    courses,
+    further_input,
+    power_inputs,
 )
 from hygrokf.physics.holds import LINEAR
 from hygrokf.physics.psychrometrics import absolute_humidity
@@ -130,7 +131,7 @@ class Scene:
     runs.
     """
 
-    record: Record
+    record: PreparedRecord
     first_s: float
     cell_h: float
     count: int
@@ -152,14 +153,14 @@ class Scene:
         if "" not in self._cache:
             design = self.vapour or self.heat
             time, wanted = self.edges_s, {"exchange_factor"}
-            courses = _courses(design, self.record)
+            ambient = courses(design, self.record)
             # a gap of the cabinet's own temperature is one of the vapour's inputs alone
-            courses.pop(TEMPERATURE, None)
-            found, unknown = _ambient_inputs(courses, time, wanted)
-            power, operating, unknown_power = _power_inputs(self.heat, self.record, time)
+            ambient.pop(TEMPERATURE, None)
+            found, unknown = ambient_inputs(ambient, time, wanted)
+            power, operating, unknown_power = power_inputs(self.heat, self.record, time)
             found |= power
             if "preheating" in self.record:
-                found["preheating"] = np.nan_to_num(_bridged(self.record, "preheating", time))
+                found["preheating"] = np.nan_to_num(bridged(self.record, "preheating", time))
             if "operating" not in found:
                 found["operating"] = operating.astype(float)
             found[IDLE] = 1.0 - found["operating"]
@@ -171,7 +172,7 @@ class Scene:
         unknown = self._base()[1]
         if signal == TEMPERATURE:
             return unknown
-        path = input_path(without_response(self.record[TEMPERATURE]))
+        path = self.record.course(TEMPERATURE)
         return unknown | np.isnan(at_times(path, self.edges_s, bridge_h(path, AMBIENT_BRIDGE_H)))
 
     def at_edges(self, name: str, design: Design) -> np.ndarray:
@@ -209,7 +210,7 @@ class Scene:
             # of hundreds of settings only the means over cells are kept
             return np.asarray(feature(self.record, name, settings, self.edges_s), dtype=float)
         mean = design.actuator_means.get(name)
-        value = _further(self.record, name, self.edges_s, design.model.holds[name], mean)
+        value = further_input(self.record, name, self.edges_s, design.model.holds[name], mean)
         self._cache[key] = np.asarray(value, dtype=float)
         return self._cache[key]
 
@@ -274,8 +275,8 @@ def over_cells(value: np.ndarray, straight: bool) -> tuple[np.ndarray, np.ndarra
 
 def scene_of(record: Record, heat: Design, vapour: Design | None) -> Scene:
     """The record on cells of half its readings' step, 180 s to 20 min."""
-    design = vapour or heat
-    first, last = _common_span(record, _courses(design, record), False)
+    design, record = vapour or heat, prepare(record)
+    first, last = common_span(record, courses(design, record), False)
     step_s = HOUR_S * min(reading_step_h(record[n]) for n in (TEMPERATURE, *HUMIDITIES) if n in record)
     cell_s = min(max(0.5 * step_s, SHORTEST_S, (last - first) / MOST_CELLS), LONGEST_S)
     # readings at the edges of cells need no interpolation
@@ -284,7 +285,7 @@ def scene_of(record: Record, heat: Design, vapour: Design | None) -> Scene:
     count = max(math.ceil((last - first) / cell_s - 1e-9), 2)
     scene = Scene(record, first, cell_s / HOUR_S, count, heat, vapour)
     warm_series = record[TEMPERATURE]
-    warm = at_times(input_path(without_response(warm_series)), scene.edges_s, math.inf)
+    warm = at_times(record.course(TEMPERATURE), scene.edges_s, math.inf)
     scene = replace(scene, drive=_filled(warm))
     readings = {"temperature": _readings(scene, warm_series, warm_series.value, np.ones(1))}
     if vapour is not None and vapour.humidity is not None:

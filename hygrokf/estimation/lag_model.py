@@ -21,8 +21,9 @@ from functools import cached_property
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from hygrokf.data.ambient import at_times, bridge_h, place_absolute_humidity
+from hygrokf.data.ambient import at_times, bridge_h
 from hygrokf.data.input_paths import centred, input_path
+from hygrokf.data.prepared import prepare
 from hygrokf.data.record import Record, Series
 from hygrokf.data.timestamps import HOUR_S, modal_step
 
@@ -94,7 +95,8 @@ def relations(record: Record) -> tuple[Relation, ...]:
     if not {"cabinet_temperature", "ambient_temperature"} <= set(record.signals):
         return ()
     made = [_relation("temperature", record["cabinet_temperature"], _heat_inputs(record))]
-    inside, outside = (place_absolute_humidity(record, place) for place in ("cabinet", "ambient"))
+    prepared = prepare(record)
+    inside, outside = prepared.cabinet_vapour, prepared.ambient_vapour
     if inside is not None and outside is not None:
         made.append(_relation("vapour", inside, {"ambient_absolute_humidity": [outside]}))
     return tuple(one for one in made if one is not None)

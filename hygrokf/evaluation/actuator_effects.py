@@ -10,7 +10,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from hygrokf.data.actuators import Actuator, actuators
-from hygrokf.data.record import Record
 from hygrokf.data.structured import optional
 from hygrokf.estimation.confidence import normal_quantile
 from hygrokf.evaluation.simulation import QUANTITIES, free_run
@@ -46,7 +45,7 @@ class ActuatorEffect:
 
 
 def actuator_effects(
-    design: Design, values: Mapping[str, float], errors: Mapping[str, float], run: Run, record: Record
+    design: Design, values: Mapping[str, float], errors: Mapping[str, float], run: Run
 ) -> tuple[ActuatorEffect, ...]:
     """The effect of each logged actuator [K, 1, g/m³], from free runs with and without it.
 
@@ -54,7 +53,7 @@ def actuator_effects(
     """
     mechanisms = {one.name: one for one in design.model.mechanisms}
     found = []
-    for one in actuators(record):
+    for one in actuators(run.record):
         names = [pair[0] for pair in (one.thermal, one.hygric) if pair is not None and pair[0] in mechanisms]
         known = [
             p for name in names if one.signal in mechanisms[name].inputs for p in mechanisms[name].parameters

@@ -9,7 +9,6 @@ from typing import TypeAlias, TypeVar
 
 import numpy as np
 
-from hygrokf.data.record import Record
 from hygrokf.engine.schedule import TOLERANCE
 from hygrokf.estimation.confidence import normal_quantile
 from hygrokf.evaluation.simulation import QUANTITIES, Prediction, forecasts, measured
@@ -93,9 +92,9 @@ class Scored:
         return self.bands.get(lead, {}).get(quantity, Coverage())
 
 
-def period_masks(run: Run, until_s: float | None) -> dict[str, np.ndarray]:
-    """Instants (T,) of the identification and of the validation period."""
-    seconds = run.timeline.seconds
+def period_masks(run: Run) -> dict[str, np.ndarray]:
+    """Instants (T,) of the identification and of the validation period of a run's record."""
+    seconds, until_s = run.timeline.seconds, run.record.until_s
     early = np.ones(len(seconds), bool) if until_s is None else seconds <= until_s
     return {"identification": early, "validation": ~early}
 
@@ -108,23 +107,23 @@ def rmse(error: np.ndarray, operating: np.ndarray) -> Errors:
     return Errors(on, off, all_, Counts(*map(len, parts)))
 
 
-def _by_period(run: Run, until_s: float | None, of: Callable[[np.ndarray], T]) -> dict[str, T]:
+def _by_period(run: Run, of: Callable[[np.ndarray], T]) -> dict[str, T]:
     """What there is to say of the scored instants (T,) of each period."""
-    return {period: of(chosen & run.scored) for period, chosen in period_masks(run, until_s).items()}
+    return {period: of(chosen & run.scored) for period, chosen in period_masks(run).items()}
 
 
-def scores(run: Run, predicted: Prediction, until_s: float | None) -> Scores:
+def scores(run: Run, predicted: Prediction) -> Scores:
     """The paper's Table III for both quantities and both periods, without stretches of unknown inputs."""
     known, nothing = measured(run), np.full(len(run.scored), np.nan)
     errors = {q: known[q] - (predicted.of(q) or (nothing,))[0] for q in SCORED}
-    return _by_period(run, until_s, lambda chosen: _errors(errors, chosen, run))
+    return _by_period(run, lambda chosen: _errors(errors, chosen, run))
 
 
 def _errors(errors: Mapping[str, np.ndarray], chosen: np.ndarray, run: Run) -> dict[str, Errors]:
     return {q: rmse(np.where(chosen, error, np.nan), run.operating) for q, error in errors.items()}
 
 
-def readings_sd(run: Run, until_s: float | None) -> Shares:
+def readings_sd(run: Run) -> Shares:
     """Standard deviation of the scored readings by period and quantity [K, g/m³]; NaN without readings.
 
     A free run with a larger error is worse than the readings' own mean.
@@ -135,10 +134,10 @@ def readings_sd(run: Run, until_s: float | None) -> Shares:
         parts = {q: known[q][chosen & np.isfinite(known[q])] for q in SCORED}
         return {q: float(np.std(part)) if len(part) else math.nan for q, part in parts.items()}
 
-    return _by_period(run, until_s, spread)
+    return _by_period(run, spread)
 
 
-def guesses(run: Run, until_s: float | None) -> dict[str, dict[str, np.ndarray]]:
+def guesses(run: Run) -> dict[str, dict[str, np.ndarray]]:
     """Simple rules in place of a model: readings (T,) by rule and quantity.
 
     `ambient`: c = c_amb; `ambient_pressure_balance`: c = c_amb T_amb/T_conv,a with the measured temperature;
@@ -147,7 +146,7 @@ def guesses(run: Run, until_s: float | None) -> dict[str, dict[str, np.ndarray]]
     """
     t = run.timeline
     known = measured(run)
-    masks = period_masks(run, until_s)
+    masks = period_masks(run)
     found: dict[str, dict[str, np.ndarray]] = {}
     if "ambient_absolute_humidity" in t.varying:
         ambient = t.input("ambient_absolute_humidity")
@@ -160,12 +159,12 @@ def guesses(run: Run, until_s: float | None) -> dict[str, dict[str, np.ndarray]]
     return found
 
 
-def baselines(run: Run, until_s: float | None) -> RuleScores:
+def baselines(run: Run) -> RuleScores:
     """Errors of the rules in `guesses`."""
-    known, rules = measured(run), guesses(run, until_s)
+    known, rules = measured(run), guesses(run)
     errors = {name: {q: known[q] - value for q, value in one.items()} for name, one in rules.items()}
     return _by_period(
-        run, until_s, lambda chosen: {name: _errors(one, chosen, run) for name, one in errors.items()}
+        run, lambda chosen: {name: _errors(one, chosen, run) for name, one in errors.items()}
     )
 
 
@@ -187,14 +186,14 @@ def _static(run: Run, temperature: np.ndarray, chosen: np.ndarray) -> np.ndarray
     return ambient + features @ found
 
 
-def sensor_share(record: Record, run: Run, found: Scores) -> Shares:
+def sensor_share(run: Run, found: Scores) -> Shares:
     """Share of the total mean squared error explained by the sensors' stated accuracy (accuracy = 95 %
     bound).
 
     For absolute humidity the errors of the humidity and of the temperature sensor add in quadrature
     (2 % relative humidity is 0.26 g/m³ at 15 °C).
     """
-    known = measured(run)
+    known, record = measured(run), run.record
     variance: dict[str, float] = {}
     temperature = (
         accuracy_of(record["cabinet_temperature"]) / 1.96 if "cabinet_temperature" in record else 0.0
@@ -236,12 +235,11 @@ def bands(
     values: Mapping[str, float],
     run: Run,
     predicted: Prediction,
-    until_s: float | None,
     tolerance: float = TOLERANCE,
 ) -> Bands:
     """Coverage of the 1 h, 6 h, 24 h and free-run bands on the validation period (the whole record without
     one)."""
-    masks = period_masks(run, until_s)
+    masks = period_masks(run)
     late = masks["validation"] if masks["validation"].any() else masks["identification"]
     known = measured(run)
     result: dict[str, dict[str, Coverage]] = {}

@@ -96,7 +96,7 @@ def settled(design: Design, values: Mapping[str, float], run: Run, tolerance: fl
     if not ends.any():
         return run
     # readings do not count, and the end of a gap changes no course: the sub-steps serve both
-    blind = replace(run.timeline.with_readings(np.full_like(run.timeline.y, np.nan)), ends=ends[:0])
+    blind = replace(run.unread().timeline, ends=ends[:0])
     held = Likelihood(design.model, blind, tolerance=tolerance).scheduled(values)
     with_gaps, without = (
         replace(held, timeline=replace(blind, ends=one)).trace(values).variance for one in (ends, ends[:0])
@@ -200,8 +200,7 @@ def free_run(
     model does not have.
     """
     run = self_switched(design, values, [run])[0]
-    blind = run.timeline.with_readings(np.full_like(run.timeline.y, np.nan))
-    likelihood = Likelihood(design.model, blind, tolerance=tolerance).scheduled(values)
+    likelihood = Likelihood(design.model, run.unread().timeline, tolerance=tolerance).scheduled(values)
     prediction = predicted_readings(design, values, run, likelihood.trace(values))
     if covariance is None:
         return prediction
@@ -309,13 +308,8 @@ def ahead(
 ) -> Iterator[tuple[Run, Prediction]]:
     """The run after each start, up to before its end (instants), and its prediction from the filtered state
     at the start; the switches of a piece follow the prediction."""
-    t = run.timeline
     states = [Gaussian(trace.mean[start], trace.covariance[start]) for start in starts]
-    pieces = []
-    for start, last in zip(starts, ends, strict=True):
-        part = t.window(start + 1, last)
-        part = part.with_readings(np.full_like(part.y, np.nan))
-        pieces.append(Run(part, run.operating[start + 1 : last], run.scored[start + 1 : last]))
+    pieces = [run.window(start + 1, last).unread() for start, last in zip(starts, ends, strict=True)]
     for piece, state in zip(self_switched(design, values, pieces, states), states, strict=True):
         own = replace(likelihood, timeline=piece.timeline, schedule=None)
         yield piece, predicted_readings(design, values, piece, own.trace(values, start=state))

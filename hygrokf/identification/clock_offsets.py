@@ -23,7 +23,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from hygrokf.data.record import Record, Series
+from hygrokf.data.record import Series
 from hygrokf.estimation.confidence import Uncertainty, positive_inverse
 from hygrokf.estimation.likelihood import Likelihood
 from hygrokf.estimation.optimiser import Estimate, Objective
@@ -89,20 +89,15 @@ def _system(series: Series) -> str:
     return series.source.split(",")[0]
 
 
-def clock_offsets(
-    early: Record,
-    base: Design,
-    run: Run,
-    estimate: Estimate,
-    uncertainty: Uncertainty,
-) -> ClockOffsets:
-    """Offsets of the sources that drive a design's run on a record, at its estimate; sources without clock
-    uncertainty are left out."""
-    reference = next((early[name] for name in (TEMPERATURE, *HUMIDITIES) if name in early), None)
+def clock_offsets(base: Design, run: Run, estimate: Estimate, uncertainty: Uncertainty) -> ClockOffsets:
+    """Offsets of the sources that drive a design's run, at its estimate; sources without clock uncertainty
+    are left out."""
+    record = run.record
+    reference = next((record[name] for name in (TEMPERATURE, *HUMIDITIES) if name in record), None)
     if reference is None:
         return NO_OFFSETS
     groups: dict[str, list[Series]] = {}
-    for series in early.series:
+    for series in record.series:
         if series.signal in DRIVERS and prior_s(series, reference) > 0:
             groups.setdefault(_system(series), []).append(series)
     likelihood = Likelihood(base.model, run.timeline)
@@ -112,7 +107,7 @@ def clock_offsets(
     known = positive_inverse(at.information[np.ix_(places, places)], uncertainty.open)
     moved, names = [], []
     for name, group in groups.items():
-        shifted = early.replace_series(*(replace(s, time=s.time - STEP_S) for s in group))
+        shifted = record.replace_series(*(replace(s, time=s.time - STEP_S) for s in group))
         other = model_inputs(base, shifted)
         there = _matched(run, other)
         if there is None:

@@ -81,12 +81,12 @@ class Stage(DesignEstimate):
 def identify_stage(early: Record, base: Design, starts: int, profiles: bool, say: Progress) -> Stage:
     """Estimate a design on the identification period `early`, in the form that the record supports, with its
     uncertainty."""
-    found, forms = select_form(early, estimate_design(early, base, starts, say), say)
-    return assess_stage(early, found, profiles, say, forms)
+    found, forms = select_form(estimate_design(early, base, starts, say), say)
+    return assess_stage(found, profiles, say, forms)
 
 
 def select_form(
-    early: Record, found: DesignEstimate, say: Progress
+    found: DesignEstimate, say: Progress
 ) -> tuple[DesignEstimate, tuple[FittedForm, ...]]:
     """The form that the evidence of a record selects, and all forms with their weights.
 
@@ -96,16 +96,15 @@ def select_form(
     another cause.
     """
     say("forms of the model")
-    forms = weigh_forms(
-        early, found.base, found.run, found.estimate, TIME_CONSTANTS, _search(found.likelihood)
-    )
+    forms = weigh_forms(found.base, found.run, found.estimate, TIME_CONSTANTS, _search(found.likelihood))
     chosen = next((form for form in forms if form.adoptable and form.weight > ADOPTED), None)
     if chosen is None:
         return found, forms
-    run = model_inputs(chosen.design, early)
-    estimate = fit_mle(Likelihood(chosen.design.model, run.timeline), chosen.estimate.values, count=1)
+    likelihood = Likelihood(chosen.design.model, found.run.timeline)
+    estimate = fit_mle(likelihood, chosen.estimate.values, count=1)
     least = least_objective(estimate.coordinates, (found.estimate,))
-    last, further = select_form(early, DesignEstimate(chosen.design, run, reject_below(least, estimate)), say)
+    adopted = DesignEstimate(chosen.design, found.run, reject_below(least, estimate))
+    last, further = select_form(adopted, say)
     if ended_at_limits(last.estimate, found.estimate):
         return found, forms
     return last, (*(form for form in forms if form is not chosen), *(form.within(chosen) for form in further))
@@ -123,7 +122,7 @@ def estimate_design(
 
 
 def assess_stage(
-    early: Record, found: DesignEstimate, profiles: bool, say: Progress, forms: tuple[FittedForm, ...] = ()
+    found: DesignEstimate, profiles: bool, say: Progress, forms: tuple[FittedForm, ...] = ()
 ) -> Stage:
     """Uncertainty, bounds of the time constants, and their sensitivity to clocks and sampling.
 
@@ -136,9 +135,9 @@ def assess_stage(
         found = replace(found, estimate=refine(found.likelihood, better))
         spread, bounds = _bounded(found, profiles, say)
     base, run, estimate = found.base, found.run, found.estimate
-    clock = clock_offsets(early, base, run, estimate, spread)
-    sampling = _sampling(early, found, tuple(bounds), say)
-    moist = early[base.humidity] if base.humidity is not None and base.humidity in early else None
+    clock = clock_offsets(base, run, estimate, spread)
+    sampling = _sampling(found, tuple(bounds), say)
+    moist = run.record[base.humidity] if base.humidity is not None and base.humidity in run.record else None
     stated = moist is not None and moist.response_time_s is not None
     say("models without the input")
     without = {name: without_input(name, base.model, run, estimate) for name in bounds}
@@ -168,19 +167,18 @@ def _search(likelihood: Likelihood) -> Likelihood | None:
     return Likelihood(likelihood.model, t.window(0, int(np.searchsorted(t.time, 24.0 * SEARCH_DAYS))))
 
 
-def _sampling(
-    early: Record, old: DesignEstimate, names: tuple[str, ...], say: Progress
-) -> dict[str, float] | None:
+def _sampling(old: DesignEstimate, names: tuple[str, ...], say: Progress) -> dict[str, float] | None:
     """Change of the log time constants with half as many ambient readings.
 
     The course of the ambient between its readings is reconstructed; the change shows how much an error in it
     could matter.
     """
-    sparse = [thinned(s) for s in early.series if s.signal.startswith("ambient_")]
+    record = old.run.record
+    sparse = [thinned(s) for s in record.series if s.signal.startswith("ambient_")]
     if not sparse or not all(len(s) > 2 for s in sparse):
         return None
     say("ambient sampling")
-    estimate, run = old.estimate, model_inputs(old.base, early.replace_series(*sparse))
+    estimate, run = old.estimate, model_inputs(old.base, record.replace_series(*sparse))
     likelihood = Likelihood(old.base.model, run.timeline)
     found = climb(Objective(likelihood, estimate.coordinates), estimate.z, passes=8, tolerance=0.05)
     values = estimate.coordinates.values(found.z)
@@ -189,12 +187,12 @@ def _sampling(
 
 
 def smoothed_temperature(
-    base: Design, run: Run, values: Mapping[str, float], early: Record, humidity: str
+    base: Design, run: Run, values: Mapping[str, float], humidity: str
 ) -> Series:
     """The cabinet air temperature given all its readings [K], at the run's instants and the times of the
     humidity.
 
-    `base` is a thermal design with its run on `early` and its parameters; `humidity` is the signal of the
+    `base` is a thermal design with its run and its parameters; `humidity` is the signal of the
     cabinet's humidity.
 
     The hygric model divides by e_s(T).  The noise of raw readings would attenuate that dependence, as errors
@@ -206,8 +204,7 @@ def smoothed_temperature(
     mean, _ = smoothed_states(Likelihood(base.model, t), values, covariance=False)
     air, _ = project(base.model, t, values, mean, None, "cabinet_air_temperature")
     seconds = t.seconds
-    raw = early["cabinet_temperature"]
-    moist = early[humidity]
+    raw, moist = run.record["cabinet_temperature"], run.record[humidity]
     time = np.union1d(seconds, moist.time[~moist.missing])
     time = time[(time >= seconds[0]) & (time <= seconds[-1])]
     return replace(raw, time=time, value=np.interp(time, seconds, air), hold=LINEAR, interval_s=0.0)

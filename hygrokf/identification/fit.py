@@ -98,7 +98,8 @@ class Fit:
         """
         if part not in (IDENTIFICATION, WHOLE):
             raise ValueError(f"part: expected {IDENTIFICATION!r} or {WHOLE!r}, found {part!r}")
-        return likelihood_on(self.design, expect_record(record, "likelihood"), part)
+        whole = mask(expect_record(record, "likelihood"))
+        return likelihood_on(self.design, whole if part == WHOLE else whole.identification(), part)
 
     def to_json(self) -> JsonObject:
         """The data of `fit.json`."""
@@ -158,10 +159,9 @@ class Fit:
 
 
 def likelihood_on(design: Design, record: Record, part: str) -> Likelihood:
-    """The likelihood of a design on a record, or on its identification period, masked as `identify` does."""
-    chosen = mask(record).identification() if part == IDENTIFICATION else mask(record)
-    own = read_as(design, chosen)
-    return Likelihood(own.model, replace(model_inputs(own, chosen).timeline, part=part))
+    """The likelihood of a design on a record that is this part of another one."""
+    own = read_as(design, record)
+    return Likelihood(own.model, replace(model_inputs(own, record).timeline, part=part))
 
 
 # --- files -----------------------------------------------------------------------------------

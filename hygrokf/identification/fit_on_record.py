@@ -137,12 +137,12 @@ def evaluate(fit: Fit, record: Record) -> Evaluation:
     lacks an input that the model reads.
     """
     base, run, predicted = simulate_fit(fit, record)
-    table = scores(run, predicted, record.until_s)
+    table = scores(run, predicted)
     return Evaluation(
         table,
-        baselines(run, record.until_s),
-        sensor_share(record, run, table),
-        bands(base, fit.values, run, predicted, record.until_s),
+        baselines(run),
+        sensor_share(run, table),
+        bands(base, fit.values, run, predicted),
         fit.name,
         record.name,
         inherited(fit.results),

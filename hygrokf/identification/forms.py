@@ -23,13 +23,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hygrokf.data.record import Record
 from hygrokf.engine.parallel import mapped
 from hygrokf.estimation.confidence import Uncertainty, uncertainty_by
 from hygrokf.estimation.likelihood import Likelihood
 from hygrokf.estimation.optimiser import Estimate, Objective, climb, estimate_of
 from hygrokf.modelling.design import TEMPERATURE, Design, extended
-from hygrokf.modelling.inputs import Run, model_inputs
+from hygrokf.modelling.inputs import Run
 from hygrokf.physics.mechanisms.thermal import STILL_K
 from hygrokf.physics.parameters import Coordinates
 
@@ -105,8 +104,9 @@ class FittedForm:
         return float(slope @ self.covariance[np.ix_(places, places)] @ slope) if inside else 0.0
 
 
-def candidates(base: Design, early: Record, run: Run, values: Mapping[str, float]) -> list[CandidateDesign]:
-    """The forms to compare with a design on a record, except those that the design already contains."""
+def candidates(base: Design, run: Run, values: Mapping[str, float]) -> list[CandidateDesign]:
+    """The forms to compare with a design on its run, except those that the design already contains; they read
+    the same inputs, so that the run is theirs, too."""
     names = [name for name, _ in base.mechanisms]
     found: list[CandidateDesign] = []
     if "thermal_network" in names:
@@ -120,7 +120,8 @@ def candidates(base: Design, early: Record, run: Run, values: Mapping[str, float
             start = {"wall_conductance": 0.1, "wall_time_constant": 5.0, "wall_position": 0.9}
             found.append(CandidateDesign(SECOND_MASS, wider, (start,), False))
     for signal, sensor in UNSTATED.items():
-        if base.humidity != signal or signal not in early or early[signal].response_time_s is not None:
+        known = run.record[signal] if base.humidity == signal and signal in run.record else None
+        if known is None or known.response_time_s is not None:
             continue
         settings = dict(base.mechanisms)[sensor]
         if settings.get("longest_response_h") is None:
@@ -149,17 +150,17 @@ def _second(base: Design, first: str, values: Mapping[str, float]) -> CandidateD
 
 
 def weigh_forms(
-    early: Record,
     base: Design,
     run: Run,
     estimate: Estimate,
     constants: Sequence[str],
     scout: Likelihood | None = None,
 ) -> tuple[FittedForm, ...]:
-    """The base and its competing forms on the identification period `early`, with their weights.
+    """The base and its competing forms, with their weights.
 
-    `run` is the base's run; `constants` are the parameters of interest, whose misfit tempers the evidence;
-    `scout` is the base's likelihood of a shorter stretch, on which every form is tried first.
+    `run` is the base's run on the identification period; `constants` are the parameters of interest, whose
+    misfit tempers the evidence; `scout` is the base's likelihood of a shorter stretch, on which every form is
+    tried first.
     """
     likelihood = Likelihood(base.model, run.timeline)
     at_base, _ = _curvature(likelihood, estimate)
@@ -175,8 +176,7 @@ def weigh_forms(
 
     def try_form(one: CandidateDesign) -> tuple[FittedForm, float] | None:
         """A form and its evidence; None where the shorter stretch rules it out."""
-        timeline = model_inputs(one.design, early).timeline
-        likelihood = Likelihood(one.design.model, timeline, tolerance=STEP_TOLERANCE)
+        likelihood = Likelihood(one.design.model, run.timeline, tolerance=STEP_TOLERANCE)
         found = _fitted(one, likelihood, estimate, scout, known)
         if found is None:
             return None
@@ -188,7 +188,7 @@ def weigh_forms(
         form = FittedForm(one.name, one.design, found, gain, 0.0, at.names, spread, adoptable)
         return form, gain / temper + _occam(found, at, score, further, temper)
 
-    for tried in mapped(try_form, candidates(base, early, run, estimate.values)):
+    for tried in mapped(try_form, candidates(base, run, estimate.values)):
         if tried is not None:
             forms.append(tried[0])
             evidence.append(tried[1])

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hygrokf.cases.doubts import all_doubts, doubted
+from hygrokf.data.prepared import PreparedRecord, prepare
 from hygrokf.data.progress import Progress, reporting
 from hygrokf.data.readings import mask
 from hygrokf.data.record import Record, expect_record
@@ -113,9 +114,8 @@ def identify(
         raise ValueError(f"kind: expected {JOINT!r} or {CASCADE!r}, found {kind!r}")
     if criterion not in CRITERIA:
         raise ValueError(f"criterion: expected one of {CRITERIA}, found {criterion!r}")
-    record = mask(
-        expect_record(record, "identify")
-    )  # nothing to do for a record of `read_case` and `read_frames`
+    # nothing to mask in a record of `read_case` and `read_frames`
+    record = prepare(mask(expect_record(record, "identify")))
     early = record.identification()
     if model is not None:
         _expect_model(model, criterion, prior, early)
@@ -130,15 +130,11 @@ def identify(
 
 @dataclass(frozen=True)
 class Basis:
-    """The stages identified on a record's identification period: one, or the two of a cascade.
-
-    `records` are the records that drove each stage; `regression` is the heat release over quasi-stationary
-    periods.
-    """
+    """The stages identified on a record's identification period: one, or the two of a cascade, and the
+    `regression` of the heat release over quasi-stationary periods."""
 
     kind: str
     stages: tuple[Stage, ...]
-    records: tuple[Record, ...]
     regression: HeatRelease
 
     @property
@@ -152,7 +148,7 @@ class Basis:
 
 
 def identify_stages(
-    early: Record,
+    early: PreparedRecord,
     kind: str,
     starts: int,
     profiles: bool,
@@ -175,25 +171,23 @@ def identify_stages(
         return replace(base, priors=known)
 
     first = base_of(JOINT if kind == JOINT else "thermal")
-    found, forms = select_form(early, estimate_design(early, first, starts, say), say)
+    found, forms = select_form(estimate_design(early, first, starts, say), say)
 
     second = None if kind == JOINT else base_of(CASCADE)
 
-    def own() -> tuple[Record, Stage]:
-        return early, assess_stage(early, found, profiles, say, forms)
+    def own() -> Stage:
+        return assess_stage(found, profiles, say, forms)
 
-    def moist(base: Design, humidity: str) -> tuple[Record, Stage]:
+    def moist(base: Design, humidity: str) -> Stage:
         say("smoothed cabinet temperature")
-        values = found.estimate.values
-        driven = early.replace_series(smoothed_temperature(found.base, found.run, values, early, humidity))
-        return driven, identify_stage(driven, base, starts, profiles, say)
+        warm = smoothed_temperature(found.base, found.run, found.estimate.values, humidity)
+        return identify_stage(early.replace_series(warm), base, starts, profiles, say)
 
-    jobs: list[Callable[[], tuple[Record, Stage]]] = [own]
+    jobs: list[Callable[[], Stage]] = [own]
     if second is not None and second.humidity is not None:
         # the hygric stage needs the thermal estimate, not its bounds
         jobs.append(partial(moist, second, second.humidity))
-    driven, stages = zip(*mapped(lambda job: job(), jobs), strict=True)
-    return Basis(kind, tuple(stages), tuple(driven), regression)
+    return Basis(kind, tuple(mapped(lambda job: job(), jobs)), regression)
 
 
 def _expect_model(model: Fit, criterion: str, prior: object, early: Record) -> None:
@@ -237,8 +231,7 @@ def _identify_model(early: Record, model: Fit, starts: int, profiles: bool, say:
     )  # fmt: skip
     base = read_as(made, early)
     found = estimate_design(early, base, starts, say, model.values)
-    stage = assess_stage(early, found, profiles, say)
-    return Basis(JOINT, (stage,), (early,), heat_release_regression(early))
+    return Basis(JOINT, (assess_stage(found, profiles, say),), heat_release_regression(early))
 
 
 def expect_readings(early: Record) -> None:
@@ -299,20 +292,20 @@ def assemble_fit(
     moist = next((e for stage in stages if (e := hygric_entry(stage, simulated))), None)
     if criterion == "simulation":
         thermal, moist = by_simulation(thermal), by_simulation(moist)
-    table = scores(run, predicted, record.until_s)
-    doubts = all_doubts(record)
+    table = scores(run, predicted)
+    doubts = all_doubts(run.record)
     scored = FitResults(
         rmse=table,
-        baselines=baselines(run, record.until_s),
-        readings_sd=readings_sd(run, record.until_s),
-        sensor_share=sensor_share(record, run, table),
-        bands=bands(whole, values, run, predicted, record.until_s, tolerance),
+        baselines=baselines(run),
+        readings_sd=readings_sd(run),
+        sensor_share=sensor_share(run, table),
+        bands=bands(whole, values, run, predicted, tolerance),
         heat_release=basis.regression.thinned(),
-        actuators=actuator_effects(whole, values, errors, run, record),
+        actuators=actuator_effects(whole, values, errors, run),
     )
     say("innovations")
-    series = _series(whole, values, run, predicted, record, tolerance)
-    likelihood = likelihood_on(whole, record, IDENTIFICATION)
+    series = _series(whole, values, run, predicted, tolerance)
+    likelihood = likelihood_on(whole, stages[0].run.record, IDENTIFICATION)
     results = replace(
         _searched(scored, stages, likelihood.trace(values).loglik, likelihood.timeline.n_readings),
         name=record.name,
@@ -335,8 +328,8 @@ def assemble_fit(
         ),
         covariance=Covariance(*spread),
         time_constants={n: e for n, e in (("thermal", thermal), ("hygric", moist)) if e is not None},
-        innovations=_diagnosis(run, series, record),
-        identified_on=_identified_on(whole, run, record),
+        innovations=_diagnosis(run, series),
+        identified_on=_identified_on(whole, run),
     )
     return Fit(record.name, whole, values, with_verdicts(results), series)
 
@@ -517,7 +510,6 @@ def _series(
     values: Mapping[str, float],
     run: Run,
     predicted: Prediction,
-    record: Record,
     tolerance: float,
 ) -> dict[str, np.ndarray]:
     """The arrays of `series.npz`: readings, free run, standardised innovations, inputs."""
@@ -555,15 +547,15 @@ def _series(
         "operating": run.operating.astype(float),
         "preheating": given("preheating") if "preheating" in t.varying else np.zeros(len(t)),
         "scored": run.scored.astype(float),
-        "until_s": np.array(math.nan if record.until_s is None else record.until_s),
-        "start_s": np.array(record.start_s),
+        "until_s": np.array(math.nan if run.record.until_s is None else run.record.until_s),
+        "start_s": np.array(run.record.start_s),
     }
 
 
-def _identified_on(design: Design, run: Run, record: Record) -> dict[str, tuple[float, float]]:
+def _identified_on(design: Design, run: Run) -> dict[str, tuple[float, float]]:
     """0.1 and 99.9 % quantiles of the inputs over the instants used for the identification."""
     t = run.timeline
-    chosen = period_masks(run, record.until_s)["identification"] & run.scored
+    chosen = period_masks(run)["identification"] & run.scored
     if not chosen.any():
         return {}
     return {
@@ -573,11 +565,11 @@ def _identified_on(design: Design, run: Run, record: Record) -> dict[str, tuple[
     }
 
 
-def _diagnosis(run: Run, series: Mapping[str, np.ndarray], record: Record) -> Diagnosis:
+def _diagnosis(run: Run, series: Mapping[str, np.ndarray]) -> Diagnosis:
     """Whiteness of the innovations on the identification period."""
     from hygrokf.evaluation.innovation_tests import diagnose
 
-    chosen = period_masks(run, record.until_s)["identification"]
+    chosen = period_masks(run)["identification"]
     standard = {
         name: series[key][chosen]
         for name, key in (("temperature", "temperature_innovation"), ("humidity", "humidity_innovation"))

@@ -34,7 +34,7 @@ from hygrokf.live.condition import (
 from hygrokf.live.plan import Plan
 from hygrokf.live.scenarios import OPERATION, Scenarios
 from hygrokf.live.tracker import SAME_S, Point
-from hygrokf.modelling.inputs import Run, model_inputs
+from hygrokf.modelling.inputs import model_inputs
 from hygrokf.physics.holds import LINEAR, MEAN
 from hygrokf.physics.model import Model
 from hygrokf.texts.live import AdviceCode, StateCode
@@ -134,9 +134,7 @@ def moments_by_member(
             raise NoForecast(f"the model needs inputs that are unknown in the future: {fault}") from fault
         made = whole.timeline
         first = int(np.searchsorted(made.seconds, state.time + 1e-3, side="right"))
-        future = made.window(first, len(made))
-        unread = future.with_readings(np.full_like(future.y, np.nan))
-        later = Run(unread, whole.operating[first:], whole.scored[first:])
+        later = whole.window(first, len(made)).unread()
         part = self_switched(plan.design, plan.values, [later], [state.state])[0].timeline
         trace = plan.likelihood(part).trace(plan.values, start=state.state)
         mean = np.concatenate([state.state.mean[None], trace.mean])

@@ -10,7 +10,7 @@ from operator import itemgetter
 
 import numpy as np
 
-from hygrokf.data.ambient import ambient_absolute_humidity
+from hygrokf.data.prepared import prepare
 from hygrokf.data.record import Record, Series
 from hygrokf.data.structured import plain
 from hygrokf.data.timestamps import DAY_S, HOUR_S
@@ -111,7 +111,7 @@ def _stored_weather(store: Store, name: str, now_s: float) -> Mapping[str, Serie
     record = Record(name, tuple(Series(signal, *one) for signal, one in courses.items() if len(one[0]) > 1))
     if "ambient_temperature" not in record:
         return {}
-    vapour = ambient_absolute_humidity(record)
+    vapour = prepare(record).ambient_vapour
     return {} if vapour is None else {"temperature": record["ambient_temperature"], "vapour": vapour}
 
 

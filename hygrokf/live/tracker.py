@@ -396,10 +396,9 @@ class Tracker:
         end = int(np.searchsorted(t.seconds, self.newest + SAME_S, side="right"))
         if first >= end:
             return None
-        part = t.window(first, end)
-        piece = Run(part, made.operating[first:end], made.scored[first:end])
+        part = made.window(first, end)
         read = {signal: times for signal, (times, _) in self._accepted.items()}
-        return TrackedCourse(piece, self._filter(part, start), after - SAME_S, read)
+        return TrackedCourse(part, self._filter(part.timeline, start), after - SAME_S, read)
 
     def _state_at(self, course: TrackedCourse, place: int) -> Gaussian:
         """The state from which the filter continues after an instant; the accumulator of a mean that begins

@@ -12,13 +12,12 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Iterable, Mapping, Sequence
-from functools import lru_cache
 from typing import Any
 
 import numpy as np
 
-from hygrokf.data.ambient import AMBIENT_BRIDGE_H, ambient_absolute_humidity, at_times, bridge_h
-from hygrokf.data.input_paths import Same, input_path
+from hygrokf.data.ambient import AMBIENT_BRIDGE_H, at_times, bridge_h
+from hygrokf.data.prepared import VAPOUR, PreparedRecord
 from hygrokf.data.record import Record, Series, Site
 from hygrokf.data.timestamps import DAY_S
 from hygrokf.physics.holds import LINEAR, MEAN
@@ -54,12 +53,12 @@ def door_open(record: Record, time: np.ndarray, spans: Sequence[Sequence[float]]
     return inside
 
 
-def wind_tenth(record: Record, time: np.ndarray) -> np.ndarray:
+def wind_tenth(record: PreparedRecord, time: np.ndarray) -> np.ndarray:
     """Wind speed in units of 10 m/s; gaps take the record's mean."""
     return _signal(record, "wind_speed", time) / 10.0
 
 
-def sunshine(record: Record, time: np.ndarray) -> np.ndarray:
+def sunshine(record: PreparedRecord, time: np.ndarray) -> np.ndarray:
     """Irradiance on a horizontal plane [kW/m²]: measured, else that of a clear sky at the site."""
     if "global_horizontal_irradiance" in record:
         return _signal(record, "global_horizontal_irradiance", time) / 1e3
@@ -71,7 +70,7 @@ def sunshine(record: Record, time: np.ndarray) -> np.ndarray:
     return clear_sky(time, record.site) / 1e3
 
 
-def sunlit_wall(record: Record, time: np.ndarray, azimuth_deg: float) -> np.ndarray:
+def sunlit_wall(record: PreparedRecord, time: np.ndarray, azimuth_deg: float) -> np.ndarray:
     """Irradiance [kW/m²] on a vertical wall facing `azimuth_deg` (clockwise from north).
 
     Beam and diffuse radiation are split by the clearness index (Erbs, Klein and Duffie 1982); the sky is
@@ -88,7 +87,7 @@ def sunlit_wall(record: Record, time: np.ndarray, azimuth_deg: float) -> np.ndar
     return 1e-3 * (beam * np.maximum(facing, 0.0) + (0.5 * share + 0.1) * horizontal)
 
 
-def night_sky(record: Record, time: np.ndarray) -> np.ndarray:
+def night_sky(record: PreparedRecord, time: np.ndarray) -> np.ndarray:
     """Radiative cooling by the night sky, 0 to 1: 0 by day, by night the clearness of the last 24 h.
 
     Clearness is measured irradiance divided by that of a clear sky; 1 where irradiance is not measured.
@@ -107,7 +106,7 @@ def night_sky(record: Record, time: np.ndarray) -> np.ndarray:
     return dark * np.interp(time, hours, clearness)
 
 
-def wind_square(record: Record, time: np.ndarray) -> np.ndarray:
+def wind_square(record: PreparedRecord, time: np.ndarray) -> np.ndarray:
     """Square of the wind speed in units of (10 m/s)²; gaps take the record's mean speed."""
     return wind_tenth(record, time) ** 2
 
@@ -123,31 +122,31 @@ def scheduled(
     return (inside & (~np.array(workdays) | ((day + 3) % 7 < 5))).astype(float)
 
 
-def ambient_temperature_rate(record: Record, time: np.ndarray) -> np.ndarray:
+def ambient_temperature_rate(record: PreparedRecord, time: np.ndarray) -> np.ndarray:
     """Rate of the ambient temperature [K/h]; see `rate`."""
-    return rate(record["ambient_temperature"], time)
+    return rate(record["ambient_temperature"], record.path("ambient_temperature"), time)
 
 
-def ambient_vapour_rate(record: Record, time: np.ndarray) -> np.ndarray:
+def ambient_vapour_rate(record: PreparedRecord, time: np.ndarray) -> np.ndarray:
     """Rate of the ambient absolute humidity [g/(m³ h)]; see `rate`."""
-    vapour = ambient_absolute_humidity(record)
+    vapour = record.ambient_vapour
     if vapour is None:
         raise ValueError(
             "the model needs an ambient humidity (relative, absolute or dew point), which the record "
             "does not have; add the signal"
         )
-    return 1e3 * rate(vapour, time)
+    return 1e3 * rate(vapour, record.path(VAPOUR), time)
 
 
-def rate(series: Series, time: np.ndarray) -> np.ndarray:
-    """Rate of a series [1/h] at `time` (T,) [s]: slope of a straight line fitted over 1.5 h; 0 in longer
-    gaps.
+def rate(series: Series, path: Series, time: np.ndarray) -> np.ndarray:
+    """Rate of a series [1/h] at `time` (T,) [s]: slope of a straight line fitted to its path over 1.5 h; 0 in
+    longer gaps.
 
     A difference of neighbouring readings would be mostly noise.
     """
     step = RATE_WINDOW_S / 10.0
     lag = step * np.arange(-5, 6)
-    value = at_times(input_path(series), time[:, None] + lag[None, :], bridge_h(series, AMBIENT_BRIDGE_H))
+    value = at_times(path, time[:, None] + lag[None, :], bridge_h(series, AMBIENT_BRIDGE_H))
     return np.nan_to_num(value @ (lag / float(lag @ lag)) * 3600.0)
 
 
@@ -157,7 +156,7 @@ def standstill(record: Record, time: np.ndarray) -> np.ndarray:
 
 
 def throttled(
-    record: Record, time: np.ndarray, reads: str, start: float, full: float, idle: bool = False
+    record: PreparedRecord, time: np.ndarray, reads: str, start: float, full: float, idle: bool = False
 ) -> np.ndarray:
     """Position (T,) of a proportional controller that follows the signal `reads`, as `physics.switches` says;
     0 in a run without any cabinet reading.
@@ -169,9 +168,8 @@ def throttled(
         return np.zeros(len(time))
     if reads not in record:
         raise ValueError(f"the model switches by {reads}, which the record does not have; add the signal")
-    power = Same(record["active_power"]) if "active_power" in record else None
-    value, still = _followed(Same(record[reads]), power, time.tobytes())
-    return Throttle(reads, start, full, idle).course(value, still)
+    value = at_times(record.path(reads), time, READING_BRIDGE_H)
+    return Throttle(reads, start, full, idle).course(value, ~operating(record, time))
 
 
 FEATURES: dict[str, Feature] = {
@@ -193,7 +191,7 @@ FEATURES: dict[str, Feature] = {
 """Features, with their holds, by the name of the input that they provide."""
 
 
-def feature(record: Record, name: str, settings: Mapping[str, Any], time: np.ndarray) -> np.ndarray:
+def feature(record: PreparedRecord, name: str, settings: Mapping[str, Any], time: np.ndarray) -> np.ndarray:
     """Values (T,) of a feature at the instants `time` (T,) [s] of a run.
 
     Raises ValueError where its function returns something else, or a value that is not finite.
@@ -234,11 +232,7 @@ def operating(record: Record, time: np.ndarray) -> np.ndarray:
     """True (T,) where the turbine feeds power at `time` [s]; False where the power is unknown or absent."""
     if "active_power" not in record:
         return np.zeros(len(time), bool)
-    return _feeds(record["active_power"], time)
-
-
-def _feeds(power: Series, time: np.ndarray) -> np.ndarray:
-    return np.nan_to_num(at_times(power, time, 1.0), nan=0.0) > 0.0
+    return np.nan_to_num(at_times(record["active_power"], time, 1.0), nan=0.0) > 0.0
 
 
 def sun_place(time: np.ndarray, site: Site) -> tuple[np.ndarray, np.ndarray]:
@@ -284,19 +278,10 @@ def _site(record: Record) -> Site:
     return record.site
 
 
-def _signal(record: Record, name: str, time: np.ndarray) -> np.ndarray:
+def _signal(record: PreparedRecord, name: str, time: np.ndarray) -> np.ndarray:
     """A signal at instants; unknown values take the record's mean."""
     if name not in record:
         raise ValueError(f"the model reads {name}, which the record does not have; add the signal")
     series = record[name]
-    value = at_times(input_path(series), time, bridge_h(series, AMBIENT_BRIDGE_H))
+    value = at_times(record.path(name), time, bridge_h(series, AMBIENT_BRIDGE_H))
     return np.where(np.isnan(value), np.nanmean(series.value), value)
-
-
-@lru_cache(maxsize=8)
-def _followed(reads: Same, power: Same | None, time: bytes) -> tuple[np.ndarray, np.ndarray]:
-    """The reading (T,) that a controller follows at `time` (T,) [s], and True (T,) at standstill; cached,
-    since searches repeat it often."""
-    at = np.frombuffer(time)
-    idle = np.ones(len(at), bool) if power is None else ~_feeds(power.series, at)
-    return at_times(input_path(reads.series), at, READING_BRIDGE_H), idle

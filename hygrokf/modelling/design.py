@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import astuple, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 from weakref import WeakValueDictionary
@@ -17,8 +17,8 @@ from weakref import WeakValueDictionary
 import numpy as np
 
 from hygrokf.data.actuators import Chosen, actuators
-from hygrokf.data.ambient import ambient_absolute_humidity, bridge_h, reading_noise
-from hygrokf.data.gate import scale_of
+from hygrokf.data.ambient import bridge_h
+from hygrokf.data.prepared import PreparedRecord, prepare
 from hygrokf.data.record import Record, Series
 from hygrokf.data.signals import SIGNALS, signal_named
 from hygrokf.modelling.derived_inputs import FEATURES, without_settings
@@ -159,9 +159,9 @@ def accuracy_of(series: Series) -> float:
     return signal_named(series.signal).default_accuracy or 0.0
 
 
-def observed_humidity(record: Record) -> str | None:
+def observed_humidity(record: PreparedRecord) -> str | None:
     """The cabinet humidity used in the likelihood: the logger's relative humidity where there is one."""
-    vapour = ambient_absolute_humidity(record)
+    vapour = record.ambient_vapour
     if vapour is None or np.isfinite(vapour.value).sum() < FEWEST_READINGS:
         return None
     for name in HUMIDITIES:
@@ -195,6 +195,7 @@ def design(
     `kind`: "joint" (thermal and hygric state in one filter), "thermal" (temperature alone), or "cascade" (the
     hygric model on the measured temperature).  `coloured=False` omits the coloured disturbances.
     """
+    record = prepare(record)
     statements: list[str] = []
     chosen: list[Chosen] = []
     averaged: dict[str, float] = {}
@@ -243,27 +244,11 @@ def design(
         power_order=power_order,
         power_mean=mean,
         humidity=humidity,
-        ambient_noise=ambient_noise(record),
+        ambient_noise=record.noise,
         statements=tuple(statements),
         actuator_means={a.signal: float(np.nanmean(record[a.signal].value)) for a in acting},
-        scales=scales(record),
+        scales=record.scales,
     )
-
-
-def scales(record: Record) -> dict[str, tuple[float, float, float, float]]:
-    """The numbers of the gate's scale of every series that has one."""
-    found = {one.signal: scale_of(one.signal, *one.known, one.resolution) for one in record.series}
-    return {signal: astuple(scale) for signal, scale in found.items() if scale is not None}
-
-
-def ambient_noise(record: Record) -> dict[str, tuple[float, float]]:
-    """Noise of the ambient readings used by a model; for humidity, that of the absolute humidity computed
-    from them."""
-    found = {"ambient_temperature": reading_noise(record["ambient_temperature"])}
-    vapour = ambient_absolute_humidity(record)
-    if vapour is not None:
-        found["ambient_absolute_humidity"] = reading_noise(vapour)
-    return {name: pair for name, pair in found.items() if pair is not None}
 
 
 def _sensor(series: Series, scale: float = 1.0) -> dict[str, float]:

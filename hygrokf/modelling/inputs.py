@@ -3,12 +3,12 @@ gaps."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hygrokf.data.ambient import AMBIENT_BRIDGE_H, ambient_absolute_humidity, at_times, bridge_h, smoothed
-from hygrokf.data.input_paths import input_path, without_response
+from hygrokf.data.ambient import AMBIENT_BRIDGE_H, at_times, bridge_h
+from hygrokf.data.prepared import VAPOUR, PreparedRecord, prepare
 from hygrokf.data.record import Record, Series, expect_record
 from hygrokf.engine.timeline import Timeline, timeline
 from hygrokf.modelling.derived_inputs import feature
@@ -26,16 +26,29 @@ IDENTIFIED_ON = {
 
 @dataclass(frozen=True)
 class Run:
-    """A timeline with flags for its instants.
+    """A record on the instants of a model: its timeline, with flags for them.
 
-    `operating` (T,) is True where the turbine feeds power (a record without power counts as standstill);
-    `scored` (T,) is False where an input is unknown, after `evaluation.simulation.settled` also until
-    the free run has forgotten it.
+    `record` is the one whose inputs and readings the timeline holds; `operating` (T,) is True where the
+    turbine feeds power (a record without power counts as standstill); `scored` (T,) is False where an input
+    is unknown, after `evaluation.simulation.settled` also until the free run has forgotten it.
     """
 
+    record: PreparedRecord
     timeline: Timeline
     operating: np.ndarray
     scored: np.ndarray
+
+    def window(self, first: int, last: int) -> Run:
+        """Instants first … last−1, as `Timeline.window`."""
+        part = self.timeline.window(first, last)
+        return replace(
+            self, timeline=part, operating=self.operating[first:last], scored=self.scored[first:last]
+        )
+
+    def unread(self) -> Run:
+        """The run without any reading, for simulations and forecasts."""
+        t = self.timeline
+        return replace(self, timeline=t.with_readings(np.full_like(t.y, np.nan)))
 
     def __repr__(self) -> str:
         """The timeline, and how many of its instants are flagged."""
@@ -74,36 +87,38 @@ def model_inputs(design: Design, record: Record, *, beyond: bool = False) -> Run
     Raises KeyError where the record lacks an input; ValueError where nothing is left, and where the record's
     averaging intervals differ from the design's (`read_as` makes a design that fits).
     """
-    model, record = design.model, expect_record(record, "model_inputs")
+    model, record = design.model, prepare(expect_record(record, "model_inputs"))
     outputs = [name for name in model.outputs if name in record]
     _same_intervals(design, record, outputs)
     inputs_of = set(model.inputs)
-    ambient = _courses(design, record)
-    first, last = _common_span(record, ambient, beyond)
+    ambient = courses(design, record)
+    first, last = common_span(record, ambient, beyond)
     switched = [
         record[name]
         for name in ("active_power", "preheating")
         if name in record and (name != "active_power" or design.power_order or "operating" in inputs_of)
     ]
     others = [record[name] for name in sorted(inputs_of & set(record.signals) - {*ambient, "preheating"})]
-    further = [input_path(s) if s.hold == PREVIOUS and model.holds[s.signal] == LINEAR else s for s in others]
+    further = [
+        record.path(s.signal) if s.hold == PREVIOUS and model.holds[s.signal] == LINEAR else s for s in others
+    ]
     times = [_changes(s, first, last) for s in (*ambient.values(), *switched, *further)]
     times += [_changes(record[name], first, last) for name in outputs]
     time = np.sort(np.concatenate([(first, last), *times]))
     time = time[np.append(True, time[1:] > time[:-1])]
-    values, unknown_ambient = _ambient_inputs(ambient, time, inputs_of)
+    values, unknown_ambient = ambient_inputs(ambient, time, inputs_of)
     if "preheating" in inputs_of:
-        values["preheating"] = np.nan_to_num(_bridged(record, "preheating", time))
-    power, operating, unknown_power = _power_inputs(design, record, time)
+        values["preheating"] = np.nan_to_num(bridged(record, "preheating", time))
+    power, operating, unknown_power = power_inputs(design, record, time)
     values |= power
     for name in sorted(inputs_of & set(design.features)):
         values[name] = feature(record, name, design.features[name], time)
     for name in sorted(inputs_of - set(values)):  # further signals that an added mechanism reads
-        values[name] = _further(record, name, time, model.holds[name], design.actuator_means.get(name))
+        values[name] = further_input(record, name, time, model.holds[name], design.actuator_means.get(name))
     readings, resets = _readings(design, record, outputs, time, unknown_ambient)
     ends = gap_ends(~unknown_ambient)
-    run = timeline(model, (time - first) / 3600.0, values, readings, resets, first, ends)
-    return Run(run, operating, ~unknown_ambient & ~unknown_power)
+    made = timeline(model, (time - first) / 3600.0, values, readings, resets, first, ends)
+    return Run(record, made, operating, ~unknown_ambient & ~unknown_power)
 
 
 def gap_ends(known: np.ndarray) -> np.ndarray:
@@ -113,22 +128,16 @@ def gap_ends(known: np.ndarray) -> np.ndarray:
     return ends if ends.any() else ends[:0]
 
 
-def _courses(design: Design, record: Record) -> dict[str, Series]:
-    """The paths of the ambient, and of the cabinet's own temperature where it drives the model, by input."""
-    inputs_of = set(design.model.inputs)
-    vapour = ambient_absolute_humidity(record) if "ambient_absolute_humidity" in inputs_of else None
-    ambient = {"ambient_temperature": without_response(record["ambient_temperature"])}
-    if vapour is not None:
-        ambient["ambient_absolute_humidity"] = vapour
-    for name, series in ambient.items():
-        noise = design.ambient_noise.get(name)
-        ambient[name] = input_path(smoothed(series, noise), noise)
-    if TEMPERATURE in inputs_of:
-        ambient[TEMPERATURE] = input_path(without_response(record[TEMPERATURE]))
-    return ambient
+def courses(design: Design, record: PreparedRecord) -> dict[str, Series]:
+    """The courses of the ambient, and of the cabinet's own temperature where it drives a model, by input."""
+    read = design.model.inputs
+    names = ["ambient_temperature"]
+    names += [VAPOUR] if VAPOUR in read and record.ambient_vapour is not None else []
+    names += [TEMPERATURE] if TEMPERATURE in read else []
+    return {name: record.course(name, design.ambient_noise.get(name)) for name in names}
 
 
-def _common_span(record: Record, ambient: dict[str, Series], beyond: bool) -> tuple[float, float]:
+def common_span(record: Record, ambient: dict[str, Series], beyond: bool) -> tuple[float, float]:
     """First and last instant [s] of the cabinet's readings as far as the ambient series reach; `beyond`: the
     last one is that of the ambient series."""
     observed = [record[name] for name in (TEMPERATURE, *HUMIDITIES) if name in record]
@@ -212,7 +221,7 @@ def _beginnings(series: Series, first: float) -> np.ndarray:
     return start
 
 
-def _ambient_inputs(
+def ambient_inputs(
     ambient: dict[str, Series], time: np.ndarray, wanted: set[str]
 ) -> tuple[dict[str, np.ndarray], np.ndarray]:
     values: dict[str, np.ndarray] = {}
@@ -244,7 +253,7 @@ def _ambient_inputs(
     return values, unknown
 
 
-def _power_inputs(
+def power_inputs(
     design: Design, record: Record, time: np.ndarray
 ) -> tuple[dict[str, np.ndarray], np.ndarray, np.ndarray]:
     """Power features, True where the turbine operates, and True where its power is unknown."""
@@ -258,7 +267,7 @@ def _power_inputs(
                 ~nothing,
             )
         return {}, nothing, nothing
-    relative = _bridged(record, "active_power", time) / design.power_scale_W
+    relative = bridged(record, "active_power", time) / design.power_scale_W
     unknown = np.isnan(relative)
     features = power_features(np.where(unknown, 0.0, relative), design.power_order)
     features[unknown] = np.array(design.power_mean) if design.power_mean else 0.0
@@ -274,7 +283,7 @@ def _feature_names(design: Design) -> list[str]:
     return ["operating", *(f"power_{k}" for k in range(1, design.power_order + 1))]
 
 
-def _bridged(record: Record, name: str, time: np.ndarray) -> np.ndarray:
+def bridged(record: Record, name: str, time: np.ndarray) -> np.ndarray:
     """A signal over the steps, its short gaps bridged; NaN in longer gaps, 0 where the record lacks it."""
     if name not in record:
         return np.zeros(len(time))
@@ -292,7 +301,9 @@ def _over_steps(series: Series, time: np.ndarray, longest_h: float) -> np.ndarra
     return at_times(series, time, longest_h)
 
 
-def _further(record: Record, name: str, time: np.ndarray, hold: str, mean: float | None = None) -> np.ndarray:
+def further_input(
+    record: PreparedRecord, name: str, time: np.ndarray, hold: str, mean: float | None = None
+) -> np.ndarray:
     """Any other signal as an input; unknown values are replaced by a `mean`, by default the record's."""
     if name not in record:
         wanted = name
@@ -304,8 +315,8 @@ def _further(record: Record, name: str, time: np.ndarray, hold: str, mean: float
         )
     series = record[name]
     longest = bridge_h(series, AMBIENT_BRIDGE_H)
-    path = input_path(without_response(series))
-    value = at_times(path, time, longest) if hold == LINEAR else _over_steps(series, time, longest)
+    linear = hold == LINEAR
+    value = at_times(record.course(name), time, longest) if linear else _over_steps(series, time, longest)
     if hold == PREVIOUS:  # over the step that begins at each instant
         value = np.append(value[1:], value[-1:])
     return np.where(np.isnan(value), np.nanmean(series.value) if mean is None else mean, value)

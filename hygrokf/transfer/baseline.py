@@ -206,15 +206,14 @@ class Origin:
 
 @dataclass(frozen=True)
 class Baseline:
-    """The origin, the record, its identification period and the model, which all sets of values share.
+    """The origin, the model, and its runs on the record and on its identification period, which all sets of
+    values share.
 
     `until_s` [s since 1970] the end of the period; `held`: values of parameters that the record does not
     determine; `groups`: group of every parameter.
     """
 
     origin: Origin
-    record: Record
-    early: Record
     until_s: float
     base: Design
     run: Run
@@ -270,7 +269,7 @@ def baseline_of(origin: Origin, record: Record) -> tuple[Baseline, list[str]]:
     statements += rated_power_mismatch(origin.design, record)
     values = {p.name: origin.values.get(p.name, p.start) for p in base.model.parameters}
     run = settled(base, values, model_inputs(base, record))
-    return Baseline(origin, record, early, until_s, base, run, early_run, held, groups), statements
+    return Baseline(origin, until_s, base, run, early_run, held, groups), statements
 
 
 def _unknowable(origin: Origin, base: Design, early_run: Run) -> dict[str, float]:

@@ -192,8 +192,8 @@ def comparison_column(fit: Fit, record: Record, label: str, own: bool = False) -
     Raises KeyError where the record lacks an input that the model reads.
     """
     _, run, prediction = simulate_fit(fit, record)
-    course = RecordCourse.of(run, record.until_s, {"simulated": prediction})
-    guessed = guesses(run, record.until_s)
+    course = RecordCourse.of(run, {"simulated": prediction})
+    guessed = guesses(run)
     errors, rules = {}, {}
     for quantity, simulated in course.simulated["simulated"].items():
         reading = np.where(run.scored, course.measured[quantity], np.nan)
@@ -202,7 +202,7 @@ def comparison_column(fit: Fit, record: Record, label: str, own: bool = False) -
             rules[quantity] = {
                 name: reading - guess[quantity] for name, guess in guessed.items() if quantity in guess
             }
-    masks = {**period_masks(run, record.until_s), "whole": np.ones(len(run.timeline), bool)}
+    masks = {**period_masks(run), "whole": np.ones(len(run.timeline), bool)}
     statements = (*mismatches(fit, record), *(() if errors else (UNSCORED,)))
     weeks = {quantity: rmse_by_week(course, error) for quantity, error in errors.items()}
     names = ComparedColumn(label, fit.name, record.name, own, statements, weeks, inherited(fit.results))

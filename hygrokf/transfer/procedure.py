@@ -91,7 +91,7 @@ def _transferred(source: Fit | TurbineType, record: Record, say: Progress, fits:
     say("held-out errors")
     predicted = {n: free_run(baseline.base, one, baseline.run) for n, one in found.values(baseline).items()}
     results = with_verdict(_results(baseline, found, predicted, statements))
-    course = RecordCourse.of(baseline.run, baseline.until_s, predicted)
+    course = RecordCourse.of(baseline.run, predicted)
     if not fits:
         return Transfer(results, course)
     say("its own fit")
@@ -156,14 +156,14 @@ def _estimates(baseline: Baseline, say: Progress) -> _Estimates:
 def _results(
     baseline: Baseline, found: _Estimates, predicted: Mapping[str, Prediction], statements: Sequence[str]
 ) -> TransferResult:
-    masks = period_masks(baseline.run, baseline.record.until_s)
+    masks = period_masks(baseline.run)
     held_out = (masks["validation"] & baseline.run.scored).any()
     period: Literal["identification", "validation"] = "validation" if held_out else "identification"
     table, gains = _scored(baseline, predicted, masks[period])
     origin, estimates = baseline.origin, (found.logger, found.adapted, found.own)
     return TransferResult(
-        name=baseline.record.name,
-        synthetic="synthetic" in baseline.record.name.lower(),
+        name=baseline.run.record.name,
+        synthetic="synthetic" in baseline.run.record.name.lower(),
         until=iso_time(baseline.until_s),
         n_readings=baseline.early_run.timeline.n_readings,
         verdict=OPEN,
@@ -219,7 +219,7 @@ def _errors(baseline: Baseline, predicted: Mapping[str, Prediction], quantity: s
     columns = {n: pair[0] for n, made in predicted.items() if (pair := made.of(quantity)) is not None}
     columns |= {
         n: guess[quantity]
-        for n, guess in guesses(baseline.run, baseline.record.until_s).items()
+        for n, guess in guesses(baseline.run).items()
         if quantity in guess
     }
     return {n: np.where(baseline.run.scored, reading - value, np.nan) for n, value in columns.items()}
@@ -268,7 +268,7 @@ def _gains(drawn: Resampled, names: Sequence[str]) -> dict[str, dict[str, Reduct
 def _structure(baseline: Baseline, predicted: Prediction) -> dict[str, Structure]:
     """Free-run error of the record's own model in the identification period, beside that of the fit on its
     own record."""
-    masks = period_masks(baseline.run, baseline.record.until_s)
+    masks = period_masks(baseline.run)
     found = {}
     for quantity in SCORED:
         errors = _errors(baseline, {"all_own": predicted}, quantity).get("all_own")
@@ -303,8 +303,8 @@ def _fit(baseline: Baseline, estimate: Estimate, spread: Uncertainty) -> Fit:
             method = "taken over" if name in kept else "wald"
             bounds[name] = Bounds(value, *ends, 0.95, method, "", np.empty((0, 2)))
     stage = Stage(baseline.base, baseline.early_run, estimate, wider, bounds)
-    basis = Basis(JOINT, (stage,), (baseline.early,), heat_release_regression(baseline.early))
-    made = assemble_fit(baseline.record, basis, {})
+    basis = Basis(JOINT, (stage,), heat_release_regression(baseline.early_run.record))
+    made = assemble_fit(baseline.run.record, basis, {})
     origin = f"design and values that are marked as fixed come from {baseline.origin.name}"
     results = replace(made.results, statements=(origin, *made.results.statements))
     for part, name in zip(PARTS, TIME_CONSTANTS, strict=True):

@@ -47,9 +47,9 @@ class RecordCourse:
     simulated: Mapping[str, Mapping[str, np.ndarray]]
 
     @classmethod
-    def of(cls, run: Run, until_s: float | None, simulated: Mapping[str, Prediction]) -> RecordCourse:
+    def of(cls, run: Run, simulated: Mapping[str, Prediction]) -> RecordCourse:
         """The readings of a run, and simulations of it by name."""
-        t, known = run.timeline, measured(run)
+        t, known, until_s = run.timeline, measured(run), run.record.until_s
         courses = {
             name: {q: pair[0] for q in SCORED if (pair := prediction.of(q)) is not None}
             for name, prediction in simulated.items()

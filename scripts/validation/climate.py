@@ -19,7 +19,7 @@ from other_make.moist_air import saturation_pressure
 from hygrokf import identify
 from hygrokf.climate.bounds import bounded
 from hygrokf.climate.chamber import Acceleration
-from hygrokf.climate.ensemble import draw_members, shots_of, simulate_years
+from hygrokf.climate.ensemble import course, draw_members, shots_of, simulate_years
 from hygrokf.climate.procedure import SHARES as LEVELS
 from hygrokf.climate.procedure import reduced
 from hygrokf.climate.region import driven
@@ -51,8 +51,8 @@ def one(variant: str, seed: int, *, members: int = 50) -> dict:
     early, later, power, truth = _attic(variant) if variant in ATTICS else _plant(variant, seed)
     fit = identify(early, starts=1, profiles=False)
     whole, _ = driven(fit, later, power)
-    drawn, surface = draw_members(fit, members, seed), Surface()
-    (year,) = simulate_years(fit, whole, drawn, seed, surface, rare=shots_of(fit, whole))
+    drawn, surface, made = draw_members(fit, members, seed), Surface(), course(fit, whole)
+    (year,) = simulate_years(fit, *made, drawn, seed, surface, rare=shots_of(fit, *made))
     known, air, pressure, outside = truth(year)
     year = replace(year, known=year.known & known)
     true = replace(

@@ -14,7 +14,7 @@ from builders.faults import faults_of
 from hygrokf.cases.case_file import read_case
 from hygrokf.cases.summary import describe
 from hygrokf.commands.main import main
-from hygrokf.data.ambient import ambient_absolute_humidity
+from hygrokf.data.prepared import prepare
 from hygrokf.physics.psychrometrics import saturation_pressure_water
 from hygrokf.report.record_text import describe_text
 
@@ -60,7 +60,7 @@ def test_a_weather_file_brings_its_signals(folder: Path) -> None:
     assert record["ambient_temperature"].value == pytest.approx(made.truth("t2m"), rel=1e-6)
     assert record["global_horizontal_irradiance"].interval_s == 3600.0
     assert dict(record.provenance).keys() == {"cabinet.csv", "era5.nc"} and record.compared == ()
-    humidity = ambient_absolute_humidity(record)
+    humidity = prepare(record).ambient_vapour
     expected = saturation_pressure_water(made.truth("d2m")) / (461.5 * made.truth("t2m"))
     assert humidity.value == pytest.approx(expected, rel=1e-5)
 

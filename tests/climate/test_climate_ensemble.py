@@ -64,8 +64,8 @@ def test_an_ensemble_of_one_model_has_the_moments_of_the_filter_s_free_run() -> 
     fit = known_fit()
     record, _ = driven(fit, short(20), None)
     members = [dict(fit.values)] * 600
-    (year,) = simulate_years(fit, record, members, 11, Surface())
-    run = course(fit, record)
+    (year,) = simulate_years(fit, *course(fit, record), members, 11, Surface())
+    _, run = course(fit, record)
     t = run.timeline.with_readings(np.full_like(run.timeline.y, np.nan))
     trace = Likelihood(fit.design.model, t).trace(fit.values)
     kept = kept_instants(t.time)
@@ -98,7 +98,7 @@ def test_the_disturbance_keeps_its_memory_from_hour_to_hour() -> None:
     )
     fit = known_fit(thermal_diffusion=1e-5)
     record, _ = driven(fit, flat, None)
-    (year,) = simulate_years(fit, record, [dict(fit.values)] * 200, 5, Surface())
+    (year,) = simulate_years(fit, *course(fit, record), [dict(fit.values)] * 200, 5, Surface())
     error = year.temperature_K - year.temperature_K.mean()
     tau, theta, sd = 1.5, 8.0, 1.2
     variance = sd**2 * theta / (theta + tau)
@@ -125,24 +125,25 @@ def test_every_member_drives_its_own_heater(reads: str) -> None:
     fit = Fit("heated", heated, dict(plain.values) | {"heater_heat": 20.0}, plain.results)
     record, _ = driven(fit, short(20), None)
     calm = record.replace_series(replace(record["active_power"], value=np.zeros(len(record["active_power"]))))
-    (year,) = simulate_years(fit, calm, [dict(fit.values)] * 3, 1, Surface(), process=False)
-    made = course(fit, calm)
+    (year,) = simulate_years(fit, *course(fit, calm), [dict(fit.values)] * 3, 1, Surface(), process=False)
+    _, made = course(fit, calm)
     expected = free_run(fit.design, fit.values, made).temperature[0][kept_instants(made.timeline.time)]
     late = slice(48, None)
     assert np.ptp(year.temperature_K, axis=0).max() < 1e-9
     apart = (year.temperature_K[0] - expected)[late]
     assert abs(apart.mean()) < 0.05 and apart.std() < 0.2
-    (bare,) = simulate_years(plain, calm, [dict(plain.values)] * 3, 1, Surface(), process=False)
+    unheated = course(plain, calm)
+    (bare,) = simulate_years(plain, *unheated, [dict(plain.values)] * 3, 1, Surface(), process=False)
     assert (
         bare.temperature_K[0][late].min() < 280.0
         and (year.temperature_K[0] - bare.temperature_K[0]).max() > 2.0
     )
-    (noisy,) = simulate_years(fit, calm, [dict(fit.values)] * 8, 1, Surface())
+    (noisy,) = simulate_years(fit, *course(fit, calm), [dict(fit.values)] * 8, 1, Surface())
     assert np.ptp(noisy.temperature_K, axis=0)[late].min() > 0.0
     if reads == "cabinet_temperature":
         assert noisy.temperature_K[:, late].min() > full - 1.5
     else:
-        (damp,) = simulate_years(plain, calm, [dict(plain.values)] * 8, 1, Surface())
+        (damp,) = simulate_years(plain, *unheated, [dict(plain.values)] * 8, 1, Surface())
         hours = [np.mean(one.relative_humidity[:, late] > 0.8) for one in (noisy, damp)]
         assert hours[0] < 0.5 * hours[1]
 
@@ -153,7 +154,7 @@ def test_seeds_decide_and_process_can_be_left_out() -> None:
     members = draw_members(fit, 5, 1)
 
     def run(seed: int, process: bool = True) -> np.ndarray:
-        (year,) = simulate_years(fit, record, members, seed, Surface(), process)
+        (year,) = simulate_years(fit, *course(fit, record), members, seed, Surface(), process)
         return year.temperature_K
 
     assert np.array_equal(run(1), run(1)) and not np.array_equal(run(1), run(2))
@@ -197,7 +198,7 @@ def test_amounts_are_never_below_nothing() -> None:
         "sorbed_skin",
     ]
     record, _ = driven(fit, short(15), None)
-    (year,) = simulate_years(fit, record, [fit.values] * 20, 3, Surface())
+    (year,) = simulate_years(fit, *course(fit, record), [fit.values] * 20, 3, Surface())
     assert np.isfinite(year.relative_humidity).all() and year.relative_humidity.min() >= 0.0
     assert year.absolute_humidity_g_m3.max() < 60.0
 
@@ -227,7 +228,7 @@ def test_gaps_of_the_weather_are_left_out() -> None:
     gap = weather.replace_series(replace(weather["ambient_temperature"], value=holed))
     fit = known_fit()
     record, _ = driven(fit, gap, None)
-    (year,) = simulate_years(fit, record, draw_members(fit, 3, 1), 1, Surface())
+    (year,) = simulate_years(fit, *course(fit, record), draw_members(fit, 3, 1), 1, Surface())
     unknown = ~year.known
     hours = (year.time_s - weather.start_s) / HOUR_S
     assert 60 <= unknown.sum() <= 80 and hours[unknown].min() >= 199 and hours[unknown].max() <= 275

@@ -10,7 +10,7 @@ import pytest
 from builders.climate_case import BEGIN_S, known_fit
 from scipy.signal import lfilter
 
-from hygrokf.climate.ensemble import FEWEST_JUMPS, Shots, shot_words, shots_of, simulate_years
+from hygrokf.climate.ensemble import FEWEST_JUMPS, Shots, course, shot_words, shots_of, simulate_years
 from hygrokf.climate.region import driven
 from hygrokf.data.record import Record, Series
 from hygrokf.estimation.likelihood import Likelihood
@@ -87,7 +87,8 @@ def test_the_distance_of_shots_is_found_in_the_innovations(
     """Two years: of 900 jumps the fourth moment is known to some 12 %; Gaussian noise shows as less than an
     hour."""
     record = flat_record(730, heat_h, vapour_h, 3)
-    heat, vapour = shots_of(judged(record), record)
+    fit = judged(record)
+    heat, vapour = shots_of(fit, *course(fit, record))
     assert (heat.name, vapour.name) == ("heat", "vapour")
     for found, truth in ((heat, heat_h), (vapour, vapour_h)):
         if truth is None:
@@ -105,7 +106,7 @@ def test_shots_are_not_rarer_than_the_fit_can_know() -> None:
     diagnosis = replace(fit.results.innovations, outputs={**outputs, **wild})
     fit = replace(fit, results=replace(fit.results, innovations=diagnosis))
     record = flat_record(5, None, None, 6)
-    heat, _ = shots_of(fit, record)
+    heat, _ = shots_of(fit, *course(fit, record))
     found = fit.results.innovations.outputs["temperature"]
     span_h = found.n * found.step_h
     assert heat.every_h == pytest.approx(span_h / FEWEST_JUMPS)
@@ -113,10 +114,12 @@ def test_shots_are_not_rarer_than_the_fit_can_know() -> None:
 
 def test_without_a_diagnosis_disturbances_are_gaussian() -> None:
     record = flat_record(5, None, None, 6)
-    assert shots_of(known_fit(), record) == () and shot_words(()) == []
+    fit = known_fit()
+    assert shots_of(fit, *course(fit, record)) == () and shot_words(()) == []
     short = judged(record)
     few = Diagnosis(outputs={"temperature": OutputDiagnosis(n=3)})
-    assert shots_of(replace(short, results=FitResults(innovations=few)), record) == ()
+    short = replace(short, results=FitResults(innovations=few))
+    assert shots_of(short, *course(short, record)) == ()
 
 
 def test_factors_have_the_moments_of_shots() -> None:
@@ -138,16 +141,17 @@ def test_shots_keep_the_spread_and_make_the_largest_changes_larger() -> None:
     fit = known_fit(**QUIET)
     both = (Shots("heat", np.array([n != "vapour" for n in fit.design.model.states]), 20.0),)
     members = [dict(fit.values)] * 100
+    driver = course(fit, record)
     made = [
-        next(iter(simulate_years(fit, record, members, 4, Surface(), rare=rare))).temperature_K
+        next(iter(simulate_years(fit, *driver, members, 4, Surface(), rare=rare))).temperature_K
         for rare in ((), both)
     ]
     assert made[1].var() == pytest.approx(made[0].var(), rel=0.1)
     largest = [np.quantile(np.abs(np.diff(one, axis=1)), 0.99) for one in made]
     expected = []
     for every_h in (None, 20.0):
-        course = lagged(jumps(np.random.default_rng(9), 4_000_000, 8.0, 1.2, every_h), TAU_H)
-        expected.append(np.quantile(np.abs(np.diff(course[:: round(1 / STEP_H)])), 0.99))
+        true = lagged(jumps(np.random.default_rng(9), 4_000_000, 8.0, 1.2, every_h), TAU_H)
+        expected.append(np.quantile(np.abs(np.diff(true[:: round(1 / STEP_H)])), 0.99))
     assert largest[1] > 1.3 * largest[0]
     for found, truth in zip(largest, expected, strict=True):
         assert found == pytest.approx(truth, rel=0.1)

@@ -11,15 +11,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
-from hygrokf.data.ambient import (
-    FEWEST_FOR_NOISE,
-    ambient_absolute_humidity,
-    at_times,
-    bridge_h,
-    reading_noise,
-    smoothed,
-)
+from hygrokf.data.ambient import FEWEST_FOR_NOISE, at_times, bridge_h, reading_noise, smoothed
 from hygrokf.data.input_paths import centred
+from hygrokf.data.prepared import prepare
 from hygrokf.data.record import Record, Series
 from hygrokf.physics.psychrometrics import absolute_humidity, absolute_humidity_from_dew_point
 
@@ -157,7 +151,7 @@ def test_nothing_to_smooth():
 
 
 def outside(moist: Series, warm: Series) -> Series | None:
-    return ambient_absolute_humidity(Record("made", (warm, moist)))
+    return prepare(Record("made", (warm, moist))).ambient_vapour
 
 
 def test_absolute_humidity_comes_from_what_there_is():
@@ -175,8 +169,8 @@ def test_absolute_humidity_comes_from_what_there_is():
     given_ = Series("ambient_absolute_humidity", late, np.full(23, 7e-3))
     assert outside(given_, warm) is given_
     both = Record("made", (warm, dew, relative))
-    assert_allclose(ambient_absolute_humidity(both).value, found.value)  # the reading before what is derived
-    assert ambient_absolute_humidity(Record("made", (warm,))) is None
+    assert_allclose(prepare(both).ambient_vapour.value, found.value)  # the reading before what is derived
+    assert prepare(Record("made", (warm,))).ambient_vapour is None
 
 
 def test_a_mean_humidity_meets_the_temperature_of_the_middle_of_its_interval():

@@ -17,6 +17,7 @@ from scipy.stats import norm
 from statsmodels.stats.sandwich_covariance import S_hac_simple
 
 from hygrokf.cases.case_file import read_case
+from hygrokf.data.prepared import prepare
 from hygrokf.estimation.confidence import (
     Bounds,
     Uncertainty,
@@ -395,10 +396,10 @@ def test_a_measured_house_ends_on_no_cliff(tmp_path: Path, monkeypatch: pytest.M
     case.write_text(ROOM_9.format(file=file.resolve()), encoding="utf-8")
     record = read_case(case)
     record = replace(record, until_s=record.start_s + 2.0 / 3.0 * (record.end_s - record.start_s))
-    early, quiet = record.identification(), lambda text: None
-    driven = identify_stages(early, "cascade", 4, False, quiet).records[1]
+    early, quiet = prepare(record.identification()), lambda text: None
+    driven = identify_stages(early, "cascade", 4, False, quiet).stages[1].run.record
     twice = extended(design(driven, kind="cascade"), [("second_vapour_disturbance", {})])
-    stage = assess_stage(driven, estimate_design(driven, twice, 4, quiet), True, quiet)
+    stage = assess_stage(estimate_design(driven, twice, 4, quiet), True, quiet)
     bounds = stage.bounds["hygric_k"]
     larger = max(("vapour_disturbance_sd", "second_vapour_disturbance_sd"), key=stage.estimate.values.get)
     assert stage.estimate.converged and 10.0 < stage.estimate.values[larger] < 20.0

@@ -20,7 +20,7 @@ from scipy.linalg import expm
 
 from hygrokf.cases.case_file import read_case
 from hygrokf.cases.synthetic import synthetic_turbine, write_case
-from hygrokf.climate.ensemble import simulate_years
+from hygrokf.climate.ensemble import course, simulate_years
 from hygrokf.climate.region import driven
 from hygrokf.data.record import Record
 from hygrokf.engine.timeline import Timeline, timeline
@@ -290,7 +290,7 @@ def test_a_climate_crosses_the_time_between_its_files() -> None:
     fit = known_fit()
     record, _ = driven(fit, apart(made_up_weather(42), 182.0), None)
     begun = time.process_time()
-    years = list(simulate_years(fit, record, [dict(fit.values)] * 2, 3, Surface()))
+    years = list(simulate_years(fit, *course(fit, record), [dict(fit.values)] * 2, 3, Surface()))
     assert time.process_time() - begun < 10.0
     for year in years:
         assert np.isfinite(year.temperature_K).all() and np.isfinite(year.relative_humidity).all()

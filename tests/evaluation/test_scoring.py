@@ -62,6 +62,11 @@ def true_values(made) -> dict[str, float]:
     }
 
 
+def parted(run, until_s):
+    """The run whose record's identification period ends at a time [s]; None: nowhere."""
+    return replace(run, record=replace(run.record, until_s=until_s))
+
+
 def true_model(seed: int, days: float = 30.0):
     made = plant(seed, days=days)
     record = to_record(made)
@@ -71,14 +76,16 @@ def true_model(seed: int, days: float = 30.0):
 @pytest.fixture(scope="module")
 def one():
     record, base, values = true_model(51, 20.0)
-    driven = model_inputs(base, record)
+    until_s = record.start_s + 14 * DAY_S
+    driven = parted(model_inputs(base, record), until_s)
     return SimpleNamespace(
         record=record,
         base=base,
         values=values,
         run=driven,
         predicted=free_run(base, values, driven),
-        until=record.start_s + 14 * DAY_S,
+        until=until_s,
+        whole=parted(driven, None),
         seconds=driven.timeline.seconds,
         known=measured(driven),
     )
@@ -103,16 +110,16 @@ def test_root_mean_squared_errors_by_hand():
 
 
 def test_periods_part_at_until(one):
-    masks = period_masks(one.run, one.until)
+    masks = period_masks(one.run)
     assert_array_equal(masks["identification"], one.seconds <= one.until)
     assert_array_equal(masks["validation"], one.seconds > one.until)
-    whole = period_masks(one.run, None)
+    whole = period_masks(one.whole)
     assert whole["identification"].all()
     assert not whole["validation"].any()
 
 
 def test_scores_by_hand(one):
-    found = scores(one.run, one.predicted, one.until)
+    found = scores(one.run, one.predicted)
     early = one.seconds <= one.until
     on = one.run.operating
     for quantity in ("temperature_K", "absolute_humidity_g_m3"):
@@ -127,7 +134,7 @@ def test_scores_by_hand(one):
 
 def test_unknown_stretches_are_not_scored(one):
     scored = one.seconds < one.until - DAY_S
-    found = scores(replace(one.run, scored=scored), one.predicted, one.until)
+    found = scores(replace(one.run, scored=scored), one.predicted)
     assert plain(found["validation"]["temperature_K"]) == plain(Errors())
     assert found["identification"]["temperature_K"].n.total == np.sum(
         np.isfinite(one.known["temperature_K"]) & scored
@@ -136,7 +143,7 @@ def test_unknown_stretches_are_not_scored(one):
 
 def test_a_quantity_that_the_model_lacks_has_no_score(one):
     thermal = Prediction(one.predicted.temperature, None, None)
-    found = scores(one.run, thermal, None)
+    found = scores(one.whole, thermal)
     assert math.isnan(found["identification"]["absolute_humidity_g_m3"].total)
     assert found["identification"]["temperature_K"].total > 0
 
@@ -145,7 +152,7 @@ def test_a_quantity_that_the_model_lacks_has_no_score(one):
 
 
 def test_humidity_baselines_by_hand(one):
-    found = baselines(one.run, one.until)
+    found = baselines(one.run)
     t = one.run.timeline
     inside, outside = one.known["absolute_humidity_g_m3"], t.input("ambient_absolute_humidity")
     balance = outside * t.input("ambient_temperature") / one.known["temperature_K"]
@@ -166,7 +173,7 @@ def test_heat_release_without_storage_by_hand(one):
     x = np.column_stack([np.ones(len(t)), dT, on, on * dT, t.input("power_1"), t.input("power_2")])
     early = (one.seconds <= one.until) & np.isfinite(warm)
     beta = np.linalg.inv(x[early].T @ x[early]) @ (x[early].T @ (warm - outside)[early])
-    found = baselines(one.run, one.until)
+    found = baselines(one.run)
     for period, chosen in (
         ("identification", early),
         ("validation", (one.seconds > one.until) & np.isfinite(warm)),
@@ -176,15 +183,15 @@ def test_heat_release_without_storage_by_hand(one):
     # validation readings do not touch the fit
     y = t.y.copy()
     y[one.seconds > one.until] += 5.0
-    spoilt = baselines(replace(one.run, timeline=t.with_readings(y)), one.until)
+    spoilt = baselines(replace(one.run, timeline=t.with_readings(y)))
     assert spoilt["identification"]["no_dynamics"] == found["identification"]["no_dynamics"]
 
 
 def test_a_model_with_its_true_parameters_beats_every_baseline(one):
     """Temperature by far. Of the humidity a sceptic's c_amb leaves little to win at a time constant below an
     hour."""
-    found = scores(one.run, one.predicted, None)["identification"]
-    guesses = baselines(one.run, None)["identification"]
+    found = scores(one.whole, one.predicted)["identification"]
+    guesses = baselines(one.whole)["identification"]
     assert found["temperature_K"].total < 0.8 * guesses["no_dynamics"]["temperature_K"].total
     for name in ("ambient", "ambient_pressure_balance"):
         assert found["absolute_humidity_g_m3"].total < guesses[name]["absolute_humidity_g_m3"].total
@@ -192,12 +199,12 @@ def test_a_model_with_its_true_parameters_beats_every_baseline(one):
 
 def test_baselines_of_a_thermal_model_and_of_few_readings(one):
     thermal = design(one.record, kind="thermal")
-    found = baselines(model_inputs(thermal, one.record), None)
+    found = baselines(parted(model_inputs(thermal, one.record), None))
     assert set(found["identification"]) == {"no_dynamics"}
     y = np.full_like(one.run.timeline.y, np.nan)
     y[:20] = one.run.timeline.y[:20]
-    few = replace(one.run, timeline=one.run.timeline.with_readings(y))
-    assert "no_dynamics" not in baselines(few, None)["identification"]
+    few = replace(one.whole, timeline=one.run.timeline.with_readings(y))
+    assert "no_dynamics" not in baselines(few)["identification"]
 
 
 # --- sensors --------------------------------------------------------------------------------
@@ -210,26 +217,27 @@ def errors_of(kelvin: float, grams: float) -> dict[str, dict[str, Errors]]:
 
 
 def sensor_case(record, humidity: float, celsius: float):
-    """The record with constant readings, and its run."""
+    """The run of the record with constant readings."""
     warm, moist = record["cabinet_temperature"], record["cabinet_relative_humidity"]
     constant = record.replace_series(
         replace(warm, value=np.full(len(warm), celsius + 273.15)),
         replace(moist, value=np.full(len(moist), humidity)),
     )
-    return constant, model_inputs(design(record), constant)
+    return model_inputs(design(record), constant)
 
 
 def test_two_percent_of_humidity_are_a_quarter_of_a_gram(one):
     """2 % RH is 0.26 g/m³ at 15 °C; as a 95 % bound it is 0.13 g/m³ of standard deviation."""
     grams = 1e3 * absolute_humidity(0.02, 288.15)
     assert grams == pytest.approx(0.256, abs=0.002)
-    record, driven = sensor_case(one.record, 0.5, 15.0)
+    driven = sensor_case(one.record, 0.5, 15.0)
+    record = driven.record
     exact = record.replace_series(replace(record["cabinet_temperature"], accuracy=0.0))
-    found = sensor_share(exact, driven, errors_of(1.5, 0.4))["identification"]
+    found = sensor_share(replace(driven, record=exact), errors_of(1.5, 0.4))["identification"]
     assert found["absolute_humidity_g_m3"] == pytest.approx((grams / 1.96) ** 2 / 0.4**2, rel=1e-3)
     assert "temperature_K" not in found  # stated as exact: nothing to explain
     # a temperature sensor that is 0.3 K off moves e_s by 2 %: in quadrature
-    both = sensor_share(record, driven, errors_of(1.5, 0.4))["identification"]
+    both = sensor_share(driven, errors_of(1.5, 0.4))["identification"]
     slope = (absolute_humidity(0.5, 288.45) - absolute_humidity(0.5, 287.85)) / 0.6 * 1e3
     expected = ((grams / 1.96) ** 2 + (slope * 0.3 / 1.96) ** 2) / 0.4**2
     assert both["absolute_humidity_g_m3"] == pytest.approx(expected, rel=1e-3)
@@ -237,15 +245,15 @@ def test_two_percent_of_humidity_are_a_quarter_of_a_gram(one):
 
 
 def test_sensor_share_is_a_share(one):
-    record, driven = sensor_case(one.record, 0.5, 15.0)
-    found = sensor_share(record, driven, errors_of(0.01, math.nan))
+    driven = sensor_case(one.record, 0.5, 15.0)
+    found = sensor_share(driven, errors_of(0.01, math.nan))
     assert found["identification"]["temperature_K"] == 1.0
     assert math.isnan(found["identification"]["absolute_humidity_g_m3"])
 
 
 def test_a_bone_dry_cabinet_divides_by_nothing(one):
-    record, driven = sensor_case(one.record, 0.0, 15.0)
-    found = sensor_share(record, driven, errors_of(1.5, 0.4))["identification"]["absolute_humidity_g_m3"]
+    driven = sensor_case(one.record, 0.0, 15.0)
+    found = sensor_share(driven, errors_of(1.5, 0.4))["identification"]["absolute_humidity_g_m3"]
     assert found == pytest.approx((0.256 / 1.96) ** 2 / 0.16, rel=0.01)
 
 
@@ -279,8 +287,8 @@ def test_forecast_bands_hold_on_plants_with_their_true_parameters():
     inside, total, scales = {}, {}, {}
     for seed in (71, 72, 73):
         record, base, values = true_model(seed)
-        driven = model_inputs(base, record)
-        found = bands(base, values, driven, free_run(base, values, driven), record.start_s + 5 * DAY_S)
+        driven = parted(model_inputs(base, record), record.start_s + 5 * DAY_S)
+        found = bands(base, values, driven, free_run(base, values, driven))
         assert list(found) == ["1h", "6h", "24h", "free_run"]
         for lead, by_quantity in found.items():
             assert set(by_quantity) == {"temperature_K", "relative_humidity", "absolute_humidity_g_m3"}
@@ -299,15 +307,13 @@ def test_forecast_bands_hold_on_plants_with_their_true_parameters():
 
 def test_bands_are_those_of_the_validation_period(one):
     """Readings before `until` are not counted, and a record without validation period is counted whole."""
-    late = bands(one.base, one.values, one.run, one.predicted, one.until)
+    late = bands(one.base, one.values, one.run, one.predicted)
     there = np.isfinite(one.known["temperature_K"]) & (one.seconds > one.until)
     assert late["free_run"]["temperature_K"].n == there.sum()
-    whole = bands(one.base, one.values, one.run, one.predicted, None)
+    whole = bands(one.base, one.values, one.whole, one.predicted)
     assert whole["free_run"]["temperature_K"].n == np.isfinite(one.known["temperature_K"]).sum()
     y = one.run.timeline.y.copy()
     y[one.seconds > one.until] += 50.0
     spoilt = replace(one.run, timeline=one.run.timeline.with_readings(y))
-    assert (
-        bands(one.base, one.values, spoilt, one.predicted, one.until)["free_run"]["temperature_K"].coverage
-        == 0.0
-    )
+    found = bands(one.base, one.values, spoilt, one.predicted)["free_run"]["temperature_K"]
+    assert found.coverage == 0.0

@@ -23,7 +23,7 @@ from hygrokf.evaluation.simulation import (
     project,
 )
 from hygrokf.modelling.design import Design, design
-from hygrokf.modelling.inputs import Run, model_inputs
+from hygrokf.modelling.inputs import model_inputs
 from hygrokf.physics.psychrometrics import absolute_humidity
 
 EXACT = {"sensor_errors": "none", "missing": 0.0, "ambient_humidity": "absolute", "disturbance": "none"}
@@ -317,8 +317,8 @@ def test_predictions_start_from_any_state(noisy):
     """A prediction from a given Gaussian begins there: the checkpoint of a filter."""
     _, base, driven, values = noisy
     trace = Likelihood(base.model, driven.timeline).trace(values)
-    part = driven.timeline.window(501, 700)
-    ahead = Likelihood(base.model, part).trace(values, start=Gaussian(trace.mean[500], trace.covariance[500]))
-    piece = Run(part, driven.operating[501:700], driven.scored[501:700])
+    piece = driven.window(501, 700)
+    start = Gaussian(trace.mean[500], trace.covariance[500])
+    ahead = Likelihood(base.model, piece.timeline).trace(values, start=start)
     found = predicted_readings(base, values, piece, ahead)
     assert_allclose(found.temperature[0], trace.prediction[501:700, 0], rtol=1e-12)

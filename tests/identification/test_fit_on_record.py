@@ -18,6 +18,7 @@ from builders.record_edits import changed, without
 
 from hygrokf.cases.case_file import read_case
 from hygrokf.cases.synthetic import synthetic_turbine, write_case
+from hygrokf.data.prepared import prepare
 from hygrokf.data.record import Record, Series
 from hygrokf.data.result_file import result_text
 from hygrokf.data.structured import plain, structured
@@ -174,7 +175,7 @@ def test_every_cell_of_a_small_file():
         (np.array([7.0, 7.12344, 7.12346]), np.array([0.1, 0.2, 0.3])),
     )
     flags = np.array([True, False, True])
-    run = Run(line, flags, flags)
+    run = Run(prepare(Record("none", ())), line, flags, flags)
     lines = [
         "time,cabinet_temperature_degC,cabinet_temperature_degC_sd,"
         "cabinet_absolute_humidity_g_m3,cabinet_absolute_humidity_g_m3_sd,inputs_known",

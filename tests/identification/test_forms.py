@@ -215,21 +215,33 @@ def test_no_form_that_a_design_has_already_is_a_candidate():
     made = model_inputs(base, record)
     values = {p.name: p.start for p in base.model.parameters}
     left = [CONVECTION, SECOND_MASS, SECOND["heat_disturbance"]]
+    read = base.model.inputs, base.model.outputs
     for name in left.copy():
-        tried = candidates(base, record, made, values)
+        tried = candidates(base, made, values)
         assert [one.name for one in tried] == left
         base = next(one.design for one in tried if one.name == name)
         values = {p.name: p.start for p in base.model.parameters} | values
         left.remove(name)
-    assert candidates(base, record, made, values) == []
+        assert (base.model.inputs, base.model.outputs) == read  # the run is theirs, too
+    assert candidates(base, made, values) == []
+
+
+def test_the_forms_of_the_hygric_part_read_its_inputs_alone():
+    record, _ = plant_record("lag_unstated", 31001, days=12.0)
+    base = design(record, kind="cascade")
+    values = {p.name: p.start for p in base.model.parameters}
+    tried = candidates(base, model_inputs(base, record), values)
+    assert [one.name for one in tried] == [RESPONSE, SECOND["vapour_disturbance"]]
+    for one in tried:
+        assert one.design.model.inputs == base.model.inputs
+        assert one.design.model.outputs == base.model.outputs
 
 
 def test_the_smoothed_temperature_is_better_between_readings_than_a_straight_line(thermal_part):
     """Ambient and power between the cabinet's readings tell its temperature better than the chord does."""
     record, found = thermal_part
-    smoothed = smoothed_temperature(
-        found.base, found.run, found.estimate.values, record, "cabinet_relative_humidity"
-    )
+    values = found.estimate.values
+    smoothed = smoothed_temperature(found.base, found.run, values, "cabinet_relative_humidity")
     made = make_plant(seed=31004, scenario=ROWS["instants"], days=45.0)
     read = record["cabinet_temperature"].known[0]
     middle = 0.5 * (read[1:] + read[:-1])[10:-10]
@@ -253,7 +265,7 @@ def test_an_offset_of_a_source_and_its_effect_are_found(thermal_part):
     """Stamps of the power made 90 s late: the offset moves by 90 s, and the estimate moves as foreseen to
     first order."""
     record, found = thermal_part
-    right = offsets(record, found)
+    right = offsets(found)
     late = record.replace_series(
         *(replace(s, time=s.time + 90.0) for s in record.series if s.source.startswith("scada"))
     )
@@ -270,7 +282,7 @@ def test_an_offset_of_a_source_and_its_effect_are_found(thermal_part):
             objective=moved.objective,
         ),
     )
-    wrong = offsets(late, there)
+    wrong = offsets(there)
     before, after = (
         next(one for one in each.sources if one.source.startswith("scada")) for each in (right, wrong)
     )
@@ -284,19 +296,17 @@ def test_an_offset_of_a_source_and_its_effect_are_found(thermal_part):
     assert foreseen == pytest.approx(real, abs=0.3 * abs(real) + 0.004)
 
 
-def offsets(record, found):
+def offsets(found):
     objective = Objective(found.likelihood, found.estimate.coordinates)
-    return clock_offsets(
-        record, found.base, found.run, found.estimate, uncertainty(objective, found.estimate)
-    )
+    return clock_offsets(found.base, found.run, found.estimate, uncertainty(objective, found.estimate))
 
 
 def test_clocks_of_an_estimate_whose_parameters_are_all_open_move_none_of_them(thermal_part):
-    record, found = thermal_part
+    found = thermal_part[1]
     nothing = np.empty((0, 0))
     open_ = Uncertainty((), nothing, nothing, np.empty(0), (), (), nothing)
-    free = clock_offsets(record, found.base, found.run, found.estimate, open_)
-    assert len(free.sources) == len(offsets(record, found).sources) and free.shift == {}
+    free = clock_offsets(found.base, found.run, found.estimate, open_)
+    assert len(free.sources) == len(offsets(found).sources) and free.shift == {}
 
 
 @pytest.mark.parametrize("seed", range(8))
@@ -329,9 +339,10 @@ def test_offsets_are_the_posterior_of_one_linear_model_and_no_wider_than_their_p
 
 
 def test_a_source_whose_clock_is_known_exactly_has_no_offset(thermal_part):
-    record, found = thermal_part
+    found = thermal_part[1]
+    record = found.run.record
     exact = record.replace_series(*(replace(s, clock_uncertainty_s=0.0) for s in record.series))
-    assert offsets(exact, found).sources == ()
+    assert offsets(replace(found, run=replace(found.run, record=exact))).sources == ()
 
 
 @pytest.mark.parametrize(

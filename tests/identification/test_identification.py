@@ -134,7 +134,7 @@ def test_an_estimate_below_its_own_profile_is_climbed_on(record):
     objective = Objective(whole.likelihood, coordinates).value(z)
     assert objective < whole.estimate.objective - BETTER
     short = replace(whole, estimate=replace(whole.estimate, z=z, values=off, objective=objective))
-    stage = assess_stage(early, short, True, print)
+    stage = assess_stage(short, True, print)
     assert stage.estimate.objective == pytest.approx(whole.estimate.objective, abs=1e-3)
     assert stage.bounds["thermal_time_constant"].better is None
     assert stage.bounds["thermal_time_constant"].value == stage.estimate.values["thermal_time_constant"]

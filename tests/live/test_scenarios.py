@@ -10,7 +10,8 @@ import pytest
 from builders.forecast_case import DAY_S, RATED_W, START_S, cabinet_record
 from builders.record_edits import changed, without
 
-from hygrokf.data.ambient import ambient_absolute_humidity, at_times
+from hygrokf.data.ambient import at_times
+from hygrokf.data.prepared import prepare
 from hygrokf.data.record import Record, Series
 from hygrokf.live.scenarios import (
     ERROR_H,
@@ -59,7 +60,7 @@ def test_members_are_the_readings_up_to_now_and_go_on_from_them(record: Record) 
     assert found.now_s == NOW_S and np.array_equal(found.time_s, grid(NOW_S))
     assert len(found.members) == DAYS - 2  # the oldest day's beginning lies three hours before it
     past = found.time_s <= NOW_S
-    sources = (record["ambient_temperature"], ambient_absolute_humidity(record))
+    sources = (record["ambient_temperature"], prepare(record).ambient_vapour)
     for signal, series in zip(AMBIENT, sources, strict=True):
         read = at_times(series, found.time_s[past], 6.0)
         values = courses(found, signal)

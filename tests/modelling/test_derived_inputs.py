@@ -10,6 +10,7 @@ import pytest
 from plants import plant
 from plants.as_record import to_record
 
+from hygrokf.data.prepared import PreparedRecord, prepare
 from hygrokf.data.record import Record, Series, Site
 from hygrokf.modelling.derived_inputs import FEATURES, clear_sky, feature, feature_faults
 from hygrokf.modelling.design import Design, design, extended
@@ -30,7 +31,7 @@ def record() -> Record:
 
 
 def test_dates_windows_and_the_calendar() -> None:
-    nothing = Record("none", ())
+    nothing = prepare(Record("none", ()))
     time = START + HOUR * np.arange(6.0)
     middle = START + HOUR * np.array([0.0, 0.5, 1.5, 2.5, 3.5, 4.5])
     after = feature(nothing, "after_step", {"date_s": START + 2 * HOUR}, time)
@@ -55,7 +56,7 @@ def test_a_heater_runs_at_standstill_alone(
     reads: str, value: list[float], start: float, full: float, expected: list[float]
 ) -> None:
     power = series("active_power", np.array([0.0] * 5 + [1e6] * 3), hold="mean", interval_s=600.0)
-    made = Record("made", (series(reads, np.array(value)), power))
+    made = prepare(Record("made", (series(reads, np.array(value)), power)))
     time = np.concatenate([[START], made[reads].time + 300.0])  # steps whose middles are the readings
     settings = {"reads": reads, "start": start, "full": full, "idle": True}
     assert feature(made, "throttled_heating", settings, time)[1:].tolist() == expected
@@ -145,9 +146,9 @@ def test_a_sunlit_wall_is_that_of_other_code() -> None:
         assert own.mean() == pytest.approx(known.mean(), rel=0.05)
 
 
-def record_with_sun(drivers) -> Record:
+def record_with_sun(drivers) -> PreparedRecord:
     sun = Series("global_horizontal_irradiance", drivers.time[::10], drivers.irradiance_W_m2[::10])
-    return Record("sun", (sun,), site=Site(drivers.latitude_deg, drivers.longitude_deg, None))
+    return prepare(Record("sun", (sun,), site=Site(drivers.latitude_deg, drivers.longitude_deg, None)))
 
 
 def test_the_night_sky_draws_at_night_and_most_after_clear_days() -> None:
@@ -176,7 +177,7 @@ def test_the_night_sky_draws_at_night_and_most_after_clear_days() -> None:
 def test_effects_that_fade_and_that_settle_sum_to_the_step() -> None:
     time = np.arange(0.0, 40 * 86400.0, 3600.0)
     settings = {"date_s": 10 * 86400.0, "days": 5.0}
-    nothing = Record("none", (Series("cabinet_temperature", time, 0.0 * time + 290.0),))
+    nothing = prepare(Record("none", (Series("cabinet_temperature", time, 0.0 * time + 290.0),)))
     since, fading = (feature(nothing, name, settings, time) for name in ("since", "fading"))
     assert (since[time < settings["date_s"]] == 0).all() and since[-1] == pytest.approx(1.0, abs=5e-3)
     assert (fading[time < settings["date_s"]] == 0).all() and 0.99 < fading.max() <= 1.0

@@ -9,13 +9,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from hygrokf.data.prepared import prepare
 from hygrokf.data.record import Record, Series
 from hygrokf.data.result_file import result_text
 from hygrokf.modelling.design import (
     BRIDGE_H,
     Design,
     accuracy_of,
-    ambient_noise,
     design,
     extended,
     merged,
@@ -101,7 +101,7 @@ def test_one_humidity_signal_is_chosen():
     """The logger's own reading first; absolute humidity where it is all there is; fewer than 50 readings are
     none."""
     both = record(series("cabinet_absolute_humidity", 7e-3, accuracy=2e-4, resolution=1e-5))
-    assert observed_humidity(both) == "cabinet_relative_humidity"
+    assert observed_humidity(prepare(both)) == "cabinet_relative_humidity"
     few = np.full(HOURS * 4, np.nan)
     few[:49] = 0.5
     base = design(both.replace_series(series("cabinet_relative_humidity", few)))
@@ -110,7 +110,8 @@ def test_one_humidity_signal_is_chosen():
         {"accuracy": 0.2, "resolution": 0.01}
     )
     few[49] = 0.5
-    assert observed_humidity(both.replace_series(series("cabinet_relative_humidity", few))) is not None
+    enough = prepare(both.replace_series(series("cabinet_relative_humidity", few)))
+    assert observed_humidity(enough) is not None
 
 
 def test_sensors_get_stated_accuracy_and_resolution():
@@ -267,7 +268,7 @@ def test_noise_of_the_ambient_belongs_to_the_design():
     random = np.random.default_rng(6)
     walk = 283.0 + np.cumsum(0.05 * random.normal(size=HOURS * 6))
     noisy = series("ambient_temperature", walk + 0.05 * random.normal(size=HOURS * 6), 1 / 6)
-    found = ambient_noise(record(noisy))
+    found = prepare(record(noisy)).noise
     assert found.keys() >= {"ambient_temperature"}
     assert found["ambient_temperature"][1] == pytest.approx(0.05**2, rel=0.2)
     base = design(record(noisy))

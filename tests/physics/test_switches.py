@@ -15,7 +15,7 @@ from hygrokf.estimation.likelihood import Gaussian, Likelihood
 from hygrokf.evaluation.self_switching import self_switched, switches_of
 from hygrokf.evaluation.simulation import forecasts, free_run
 from hygrokf.modelling.design import Design, design, extended, merged
-from hygrokf.modelling.inputs import Run, model_inputs
+from hygrokf.modelling.inputs import model_inputs
 from hygrokf.physics.switches import Throttle
 
 
@@ -119,8 +119,7 @@ def test_runs_side_by_side_are_each_their_own() -> None:
     trace = Likelihood(base.model, t).trace(values)
     pieces, states = [], []
     for first, last in ((50, 90), (200, 260), (580, 700)):
-        part = t.window(first + 1, last)
-        pieces.append(Run(part, made.operating[first + 1 : last], made.scored[first + 1 : last]))
+        pieces.append(made.window(first + 1, last))
         states.append(Gaussian(trace.mean[first], trace.covariance[first]))
     together = self_switched(base, values, pieces, states)
     for one, state, found in zip(pieces, states, together, strict=True):

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
+from hygrokf.data.prepared import prepare
 from hygrokf.data.record import Record
 from hygrokf.data.structured import plain
 from hygrokf.evaluation.scoring import scores
@@ -46,7 +47,7 @@ def _quiet(text: str) -> None:
 
 def identify_both(record: Record, starts: int) -> Identified:
     """Identify a record on its identification period by both criteria."""
-    early = record.identification()
+    early = prepare(record.identification())
     basis = identify_stages(early, CASCADE, starts, True, _quiet)
     simulated = output_errors(early, basis.whole, basis.values)
     fit = assemble_fit(record, basis, simulated, "likelihood", _quiet)
@@ -68,8 +69,9 @@ def simulate(design: Design, values: Mapping[str, float], record: Record) -> Sim
     """Run a model on a record's drivers and score it."""
     base = read_as(design, record)
     made = model_inputs(base, record)
+    undivided = replace(made, record=replace(made.record, until_s=None))
     predicted = free_run(base, values, made, None)
     return Simulation(
-        whole=plain(scores(made, predicted, None)["identification"]),
-        periods=plain(scores(made, predicted, record.until_s)),
+        whole=plain(scores(undivided, predicted)["identification"]),
+        periods=plain(scores(made, predicted)),
     )
