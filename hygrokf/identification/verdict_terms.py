@@ -7,7 +7,8 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 
 from hygrokf.modelling.design import PARTS
-from hygrokf.texts.verdict import BELIEVE, PLAIN_MARKS, REJECT, WORDS, Kind, Reason
+from hygrokf.texts.statement import Statement
+from hygrokf.texts.verdict import BELIEVE, PLAIN_MARKS, REJECT, WORDS, Kind, Reason, VerdictCode
 from hygrokf.texts.wording import UNBOUNDED, WIDE, ends, percent, plain_number
 
 PERIODS = ("validation", "identification")
@@ -107,16 +108,13 @@ def verdict_lines(inherited: Mapping[str, Inherited]) -> list[str]:
     ]
 
 
-def rests_on(inherited: Mapping[str, Inherited], parts: Collection[str] = PARTS) -> str:
-    """A sentence for a result that rests on rejected time constants; empty where it does not.
+def rests_on(inherited: Mapping[str, Inherited], parts: Collection[str] = PARTS) -> list[Statement]:
+    """A statement for a result that rests on rejected time constants; none where it does not.
 
     parts: those that the result rests on.
     """
     rejected = [part for part, one in inherited.items() if one.verdict == REJECT and part in parts]
-    if not rejected:
-        return ""
-    several = len(rejected) > 1
-    return (
-        f"the model's {' and '.join(rejected)} time constant{'s' if several else ''}, on which this rests, "
-        f"{'are' if several else 'is'} {WORDS[REJECT]}"
-    )
+    words = WORDS[REJECT]
+    if len(rejected) > 1:
+        return [VerdictCode.RESTS_ON_ALL_REJECTED(parts=tuple(rejected), verdict=words)]
+    return [VerdictCode.RESTS_ON_REJECTED(part=part, verdict=words) for part in rejected]

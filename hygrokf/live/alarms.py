@@ -384,7 +384,9 @@ def with_doubts(levels: Iterable[Level], verdicts: Mapping[str, Inherited]) -> l
         for level in levels
     ]
     return [
-        replace(level, statement=f"{level.statement}; {doubt}") if level.statement and doubt else level
+        replace(level, statement="; ".join([level.statement, *map(str, doubt)]))
+        if level.statement and doubt
+        else level
         for level, doubt in doubts
     ]
 

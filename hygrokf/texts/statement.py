@@ -13,6 +13,7 @@ from string import Formatter
 from typing import Any, Self, TypeAlias
 
 from hygrokf.texts.wording import (
+    day_text,
     duration_text,
     fixed,
     minus,
@@ -22,18 +23,19 @@ from hygrokf.texts.wording import (
     stamp_text,
 )
 
-Value: TypeAlias = "float | str | Statement | Sequence[str]"
-"""What fills a template: a number, a name, a statement, or names in a list."""
+Value: TypeAlias = "float | str | Statement | Sequence[str | Statement]"
+"""What fills a template: a number, a name, a statement, or names or statements in a list."""
 
 
 class Code(Enum):
     """What a statement can say: a member's name is the code in files, its value the template of its sentence.
 
-    Fields of a template: `{x}` a name or a statement, `{x:3}` a number with three significant digits,
+    Fields of a template: `{x}` a name or a statement, `{x:words}` a name without underscores, `{x:unit}` a
+    unit after its number, `{x:3}` a number with three significant digits, `{x:3g}` without closing zeros,
     `{x:.2}` with two decimals, `{x:+.2}` with its sign, `{x:%}` a share in per cent, `{x:.1%}` with one
-    decimal, `{x:g}` as short as it is, `{x:stamp}` an instant [s since 1970], `{x:duration}` a duration [s],
-    `{x:reading|readings}` the word for one or for another number, `{x}` names parted by commas, `{x:and}`
-    the last two by "and".
+    decimal, `{x:g}` as short as it is, `{x:,}` a whole number in groups of three digits, `{x:stamp}` an
+    instant [s since 1970], `{x:day}` its date, `{x:duration}` a duration [s], `{x:reading|readings}` the word
+    for one or for another number, `{x}` names parted by commas, `{x:and}` the last two by "and".
     """
 
     def __init__(self, template: str) -> None:
@@ -97,7 +99,7 @@ def _value(data: Any) -> Value:
     if isinstance(data, Mapping):
         return Statement.from_json(data)
     if isinstance(data, list):
-        return tuple(data)
+        return tuple(Statement.from_json(one) if isinstance(one, Mapping) else one for one in data)
     return math.nan if data is None else data
 
 
@@ -108,9 +110,9 @@ class _Fields(Formatter):
         if isinstance(value, Statement):
             return value.text
         if isinstance(value, str):
-            return value
+            return _name(value, spec)
         if isinstance(value, Sequence):
-            return listed(value, spec)
+            return listed([*map(str, value)], spec)
         if "|" in spec:
             return spec.split("|")[0 if value == 1 else 1]
         return _number(float(value), spec)
@@ -123,14 +125,25 @@ def listed(names: Sequence[str], last: str = "") -> str:
     return ", ".join(names)
 
 
+def _name(text: str, spec: str) -> str:
+    """A name as the field of a template asks for it."""
+    if spec == "unit":
+        return "" if text in ("", "1") else f" {text}"
+    return text.replace("_", " ") if spec == "words" else text
+
+
 def _number(value: float, spec: str) -> str:
     """A number as the field of a template asks for it."""
+    if spec == "day":
+        return day_text(value)
+    if spec == ",":
+        return f"{value:,.0f}"
     if spec == "stamp":
         return stamp_text(value)
     if spec == "duration":
         return duration_text(value)
-    if spec == "g":
-        return minus(f"{value:g}")
+    if spec.endswith("g"):
+        return minus(f"{value:.{spec[:-1] or 6}g}")
     if spec.endswith("%"):
         return minus(percent(value, int(spec[1:-1] or 0)))
     if spec.startswith("+"):

@@ -152,6 +152,13 @@ class ReasonCode(Code):
         return Reason(self, values, verdict or self.usual)
 
 
+class VerdictCode(Code):
+    """What a result says that uses a number with a verdict."""
+
+    RESTS_ON_REJECTED = "the model's {part} time constant, on which this rests, is {verdict}"
+    RESTS_ON_ALL_REJECTED = "the model's {parts:and} time constants, on which this rests, are {verdict}"
+
+
 @dataclass(frozen=True)
 class Reason(Statement):
     """Evidence for or against a number, the `verdict` that it alone would give, and the fit it was taken over

@@ -128,6 +128,11 @@ def stamp_text(seconds: float) -> str:
     return moment.strftime("%Y-%m-%dT%H:%M:%SZ" if moment.second else "%Y-%m-%dT%H:%MZ")
 
 
+def day_text(seconds: float) -> str:
+    """The date of a time [s since 1970], UTC, such as "2020-12-01"; "-" for NaN."""
+    return stamp_text(seconds)[:10]
+
+
 def period_text(start_s: float, end_s: float) -> str:
     """A period such as "2020-01-01T00:00Z to 2020-01-02T00:00Z"; one stamp if it has no length.
 

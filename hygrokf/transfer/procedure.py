@@ -36,6 +36,8 @@ from hygrokf.identification.turbine_type import TurbineType
 from hygrokf.identification.verdict import inherited, with_reasons
 from hygrokf.modelling.design import JOINT, PARTS
 from hygrokf.physics.parameters import within_limits
+from hygrokf.texts.statement import Statement
+from hygrokf.texts.transfer import TransferVerdict
 from hygrokf.texts.wording import iso_time
 from hygrokf.transfer.baseline import (
     OFFSETS,
@@ -49,7 +51,6 @@ from hygrokf.transfer.baseline import (
     selection,
 )
 from hygrokf.transfer.results import (
-    OPEN,
     RecordCourse,
     Reduction,
     SetError,
@@ -154,7 +155,10 @@ def _estimates(baseline: Baseline, say: Progress) -> _Estimates:
 
 
 def _results(
-    baseline: Baseline, found: _Estimates, predicted: Mapping[str, Prediction], statements: Sequence[str]
+    baseline: Baseline,
+    found: _Estimates,
+    predicted: Mapping[str, Prediction],
+    statements: Sequence[Statement],
 ) -> TransferResult:
     masks = period_masks(baseline.run, baseline.record.until_s)
     held_out = (masks["validation"] & baseline.run.scored).any()
@@ -166,8 +170,7 @@ def _results(
         synthetic="synthetic" in baseline.record.name.lower(),
         until=iso_time(baseline.until_s),
         n_readings=baseline.early_run.timeline.n_readings,
-        verdict=OPEN,
-        sentence=OPEN,
+        verdict=TransferVerdict.CANNOT_BE_JUDGED,
         reasons=(),
         re_estimate=found.differing,
         statements=tuple(statements),

@@ -41,7 +41,7 @@ from hygrokf.identification.fit_on_record import evaluate
 from hygrokf.identification.verdict import inherited
 from hygrokf.identification.verdict_terms import rests_on
 from hygrokf.physics.psychrometrics import absolute_humidity
-from hygrokf.texts.verdict import REJECT
+from hygrokf.texts.verdict import REJECT, VerdictCode
 
 STEP = (named("exchange_step"),)
 SUN = (named("solar_gain"), named("condensation"))
@@ -135,7 +135,7 @@ def test_the_same_record_gives_the_same_file_also_with_threads_of_linear_algebra
 
 def test_every_number_of_a_cause_is_told(sunny: Discovery) -> None:
     (cause,) = sunny.results.causes
-    assert 0.0 < cause.confidence < 1.0 and cause.remedy and cause.separate_by
+    assert 0.0 < cause.confidence < 1.0 and cause.own is None
     evidence = cause.evidence
     assert evidence.gains["temperature"] > evidence.evidence >= evidence.in_days > 10.0
     # three lags on the roof and on five walls; heat and lag
@@ -166,7 +166,8 @@ def test_nothing_rests_on_an_error_of_the_humidity_sensor_that_may_be_water(
 ) -> None:
     fit = fit_of(humid, likeliest, against=(WET_SENSOR,))
     assert fit.results.time_constants["hygric"].verdict == REJECT
-    assert "hygric time constant, on which this rests, is not reliable" in rests_on(inherited(fit.results))
+    (statement,) = rests_on(inherited(fit.results))
+    assert statement == VerdictCode.RESTS_ON_REJECTED(part="hygric", verdict="not reliable")
 
 
 def test_the_extended_model_is_a_fit_that_simulates_as_is_told(sunny: Discovery, in_the_sun: Record) -> None:
