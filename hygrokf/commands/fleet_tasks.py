@@ -172,7 +172,7 @@ def _evaluate(job: Job) -> Row:
         columns[column.replace("rmse", "rmse_operation")] = errors.operation
         columns[column.replace("rmse", "rmse_standstill")] = errors.standstill
         columns[f"{column.partition('_rmse')[0]}_coverage"] = found.band("free_run", quantity).coverage
-    columns["statements"] = BETWEEN.join(found.statements)
+    columns["statements"] = BETWEEN.join(map(str, found.statements))
     return columns
 
 

@@ -6,34 +6,41 @@ A result holds codes and numbers; whoever shows it asks for the `text`.  Nothing
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
 from string import Formatter
-from typing import Any, Self, TypeAlias
+from typing import Any, Self, TypeAlias, TypeVar
 
 from hygrokf.texts.wording import (
     duration_text,
     fixed,
+    lag_text,
     minus,
+    p_equation,
     percent,
     plain_number,
+    shift_text,
     signed,
+    signed_shift,
     stamp_text,
 )
 
-Value: TypeAlias = "float | str | Statement | Sequence[str]"
-"""What fills a template: a number, a name, a statement, or names in a list."""
+S = TypeVar("S", bound="Statement")
+Value: TypeAlias = "float | str | Statement | Sequence[str | Statement]"
+"""What fills a template: a number, a name, a statement, or names or statements in a list."""
 
 
 class Code(Enum):
     """What a statement can say: a member's name is the code in files, its value the template of its sentence.
 
-    Fields of a template: `{x}` a name or a statement, `{x:3}` a number with three significant digits,
+    Fields of a template: `{x}` a name or a statement, `{x:words}` a name without underscores, `{x:unit}` a
+    unit after its number, `{x:3}` a number with three significant digits, `{x:3g}` without closing zeros,
     `{x:.2}` with two decimals, `{x:+.2}` with its sign, `{x:%}` a share in per cent, `{x:.1%}` with one
-    decimal, `{x:g}` as short as it is, `{x:stamp}` an instant [s since 1970], `{x:duration}` a duration [s],
-    `{x:reading|readings}` the word for one or for another number, `{x}` names parted by commas, `{x:and}`
-    the last two by "and".
+    decimal, `{x:g}` as short as it is, `{x:p}` a probability with its name, `{x:lag}` a lag [h], `{x:stamp}`
+    an instant [s since 1970], `{x:duration}` a duration [s], `{x:shift}` the shift of a clock [s],
+    `{x:+shift}` with its sign, `{x:reading|readings}` the word for one or for another number, `{x}` names
+    parted by commas, `{x:and}` the last two by "and", `{x:;}` statements parted by semicolons.
     """
 
     def __init__(self, template: str) -> None:
@@ -93,11 +100,12 @@ class Statement:
 
 
 def _value(data: Any) -> Value:
-    """A value from a file: an object is a statement, a list names, null no number."""
+    """A value from a file: an object is a statement, a list names or statements, null no
+    number."""
     if isinstance(data, Mapping):
         return Statement.from_json(data)
     if isinstance(data, list):
-        return tuple(data)
+        return tuple(Statement.from_json(one) if isinstance(one, Mapping) else one for one in data)
     return math.nan if data is None else data
 
 
@@ -108,9 +116,9 @@ class _Fields(Formatter):
         if isinstance(value, Statement):
             return value.text
         if isinstance(value, str):
-            return value
+            return _name(value, spec)
         if isinstance(value, Sequence):
-            return listed(value, spec)
+            return "; ".join(map(str, value)) if spec == ";" else listed([*map(str, value)], spec)
         if "|" in spec:
             return spec.split("|")[0 if value == 1 else 1]
         return _number(float(value), spec)
@@ -123,16 +131,39 @@ def listed(names: Sequence[str], last: str = "") -> str:
     return ", ".join(names)
 
 
+def _name(text: str, spec: str) -> str:
+    """A name as the field of a template asks for it."""
+    if spec == "unit":
+        return "" if text in ("", "1") else f" {text}"
+    return text.replace("_", " ") if spec == "words" else text
+
+
+def unique(statements: Iterable[S]) -> tuple[S, ...]:
+    """Statements without those that an earlier one says already."""
+    return tuple({one.text: one for one in statements}.values())
+
+
 def _number(value: float, spec: str) -> str:
     """A number as the field of a template asks for it."""
-    if spec == "stamp":
-        return stamp_text(value)
-    if spec == "duration":
-        return duration_text(value)
+    if spec in _FORMATS:
+        return _FORMATS[spec](value)
     if spec == "g":
         return minus(f"{value:g}")
+    if spec.endswith("g"):
+        return f"{value:.{spec}}"
     if spec.endswith("%"):
         return minus(percent(value, int(spec[1:-1] or 0)))
     if spec.startswith("+"):
         return signed(value, int(spec[2:]))
     return fixed(value, int(spec[1:])) if spec.startswith(".") else plain_number(value, int(spec))
+
+
+_FORMATS: Mapping[str, Callable[[float], str]] = {
+    "stamp": stamp_text,
+    "duration": duration_text,
+    "shift": shift_text,
+    "+shift": signed_shift,
+    "lag": lag_text,
+    "p": p_equation,
+}
+"""Fields of a template that are no count of digits."""

@@ -267,7 +267,7 @@ def baseline_of(origin: Origin, record: Record) -> tuple[Baseline, list[str]]:
     held = _unknowable(origin, base, early_run)
     if held:
         statements.append(f"this record holds no information about {', '.join(held)}: kept unchanged")
-    statements += rated_power_mismatch(origin.design, record)
+    statements += map(str, rated_power_mismatch(origin.design, record))
     values = {p.name: origin.values.get(p.name, p.start) for p in base.model.parameters}
     run = settled(base, values, model_inputs(base, record))
     return Baseline(origin, record, early, until_s, base, run, early_run, held, groups), statements

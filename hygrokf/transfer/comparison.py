@@ -203,7 +203,7 @@ def comparison_column(fit: Fit, record: Record, label: str, own: bool = False) -
                 name: reading - guess[quantity] for name, guess in guessed.items() if quantity in guess
             }
     masks = {**period_masks(run, record.until_s), "whole": np.ones(len(run.timeline), bool)}
-    statements = (*mismatches(fit, record), *(() if errors else (UNSCORED,)))
+    statements = (*map(str, mismatches(fit, record)), *(() if errors else (UNSCORED,)))
     weeks = {quantity: rmse_by_week(course, error) for quantity, error in errors.items()}
     names = ComparedColumn(label, fit.name, record.name, own, statements, weeks, inherited(fit.results))
     synthetic = fit.results.synthetic or "synthetic" in record.name.lower()

@@ -45,6 +45,7 @@ from hygrokf.report.summary.contents import (
     summary_of_fit,
 )
 from hygrokf.report.summary.writing import SummaryFault, planned, written, written_pdf
+from hygrokf.texts.fit import FitCode
 from hygrokf.texts.verdict import ReasonCode
 
 LONG = "Windpark Nordfriesland Süd – Umrichterschrank WEA-17/B (Nachrüstung, Prüfstand) " + "x" * 90
@@ -62,7 +63,7 @@ def fitted(**changes: object) -> Summary:
 @cache
 def rejected() -> Summary:
     """An estimation that did not converge, of a record with a long name."""
-    return fitted(converged=False, message="the search stopped after 200 steps", name=LONG)
+    return fitted(converged=False, messages=plain((FitCode.PASSES_SPENT(passes=200),)), name=LONG)
 
 
 @cache
