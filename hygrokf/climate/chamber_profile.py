@@ -347,8 +347,8 @@ def closeness(
     ]
     cycles = (cycles_from(site[0]) * (YEAR_H / len(site[0])), cycles_from(test[0]))
     for least, a_year, before, after in zip(CYCLE_RANGES_K, service_cycles, *cycles, strict=True):
-        numbers.append((ClimateCode.CYCLES_BEFORE_WARMING(range_K=least), a_year, before))
-        numbers.append((ClimateCode.CYCLES_IN_SERVICE(range_K=least), service * a_year, after))
+        numbers.append((ClimateCode.CYCLES_BEFORE_WARMING(range_K=float(least)), a_year, before))
+        numbers.append((ClimateCode.CYCLES_IN_SERVICE(range_K=float(least)), service * a_year, after))
     return Closeness(
         Ageing(aged, service * ageing.value, *years),
         _distance(shares(site), shares(days)),

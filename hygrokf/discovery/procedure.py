@@ -44,7 +44,9 @@ from hygrokf.discovery.starting_model import base_estimate
 from hygrokf.identification.fit import Fit
 from hygrokf.identification.fit_results import ParameterRow
 from hygrokf.identification.procedure import expect_readings
+from hygrokf.modelling.design import PARTS
 from hygrokf.physics.switches import CONTROLLED
+from hygrokf.texts.statement import unique
 from hygrokf.texts.verdict import ReasonCode
 from hygrokf.version import __version__
 
@@ -147,7 +149,7 @@ def _discovered(record: Record, library: Sequence[Cause], say: Progress, budget:
         saturated=saturated,
         findings=tuple(findings(before)),
         left=() if extended is None else tuple(findings(after)),
-        doubts=tuple(dict.fromkeys(line for said in base.results.doubted.values() for line in said)),
+        doubts=unique(one for part in PARTS for one in base.results.doubts_about(part)),
     )
     return Discovery(results, before, after if extended else None, base=base, extended=extended)
 

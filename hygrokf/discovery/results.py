@@ -29,7 +29,7 @@ from hygrokf.identification.fit_results import FitResults, ParameterRow, TimeCon
 from hygrokf.physics.model import fields_alone
 from hygrokf.texts.discovery import DiscoveryCode
 from hygrokf.texts.statement import Statement, Value
-from hygrokf.texts.terms import Meaning, Name, ReaderText, Version
+from hygrokf.texts.terms import Meaning, Name, Version
 from hygrokf.texts.wording import QUANTITIES as QUANTITY_WORDS
 
 if TYPE_CHECKING:
@@ -283,7 +283,7 @@ class DiscoveryResults:
     saturated: float = math.nan
     findings: tuple[Finding, ...] = field(kw_only=True)
     left: tuple[Finding, ...] = ()
-    doubts: tuple[ReaderText, ...] = ()
+    doubts: tuple[Statement, ...] = ()
 
     @property
     def named(self) -> tuple[str, ...]:

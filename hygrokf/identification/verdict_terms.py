@@ -7,9 +7,10 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 
 from hygrokf.modelling.design import PARTS
+from hygrokf.texts.fit import FitCode
 from hygrokf.texts.statement import Statement
 from hygrokf.texts.verdict import BELIEVE, PLAIN_MARKS, REJECT, WORDS, Kind, Reason, VerdictCode
-from hygrokf.texts.wording import UNBOUNDED, WIDE, ends, percent, plain_number
+from hygrokf.texts.wording import UNBOUNDED, WIDE, ends, plain_number
 
 PERIODS = ("validation", "identification")
 
@@ -51,11 +52,12 @@ class Interval:
         return 0.5 * (self.upper_h - self.lower_h) / self.value_h if self.value_h > 0 else math.inf
 
     @property
-    def spread(self) -> str:
-        """The size of a closed interval in words: "±3.5 %", or "a factor of 4.2" for a wide one."""
+    def spread(self) -> Statement:
+        """The size of a closed interval: "±3.5 %", or "a factor of 4.2" for a wide one."""
         if self.upper_h > WIDE * self.lower_h:
-            return f"a factor of {plain_number(math.sqrt(self.upper_h / self.lower_h), 2)}"
-        return f"±{percent(self.half_width, 1 if self.half_width < 0.095 else 0)}"
+            return FitCode.WITHIN_FACTOR(factor=math.sqrt(self.upper_h / self.lower_h))
+        code = FitCode.WITHIN_SMALL_SHARE if self.half_width < 0.095 else FitCode.WITHIN_SHARE
+        return code(share=self.half_width)
 
     @property
     def span(self) -> str:

@@ -228,7 +228,7 @@ def _sentence(row: ErrorRow) -> str:
         bounds = TransferCode.BOUNDS_LACKING()
     elif row.sure:
         lower, upper = sorted((abs(row.lower), abs(row.upper)))
-        bounds = TransferCode.BOUNDS_95(lower=lower, upper=upper)
+        bounds = TransferCode.BOUNDS_STATED(lower=lower, upper=upper)
     else:
         bounds = TransferCode.BOUNDS_INCLUDE_ZERO()
     terms = quantity(row.quantity)

@@ -65,13 +65,12 @@ from hygrokf.report.quantities import (
     QuantityTerms,
     capital,
     interval,
-    p_value,
     parameter_cells,
     quantity,
     signed_percent,
     versions,
 )
-from hygrokf.texts.wording import NONE, fixed, one_line, percent, plain_number, sentence, stamp_text
+from hygrokf.texts.wording import NONE, fixed, one_line, p_value, percent, plain_number, sentence, stamp_text
 
 
 def findings_table(found: Sequence[Finding], when: str = "in the identification period") -> Table:

@@ -17,9 +17,12 @@ from hygrokf.discovery.results import (
     CauseWords,
     DiscoveryResults,
     ErrorGain,
+    Exclusion,
     HeldOutTest,
+    Reason,
     Rejected,
     SpectralLine,
+    Verdict,
 )
 from hygrokf.identification.verdict import inherited
 from hygrokf.report.quantities import capital, listed, quantity, spoken
@@ -28,7 +31,7 @@ from hygrokf.texts.statement import Statement
 from hygrokf.texts.verdict import REJECT
 from hygrokf.texts.wording import sentence
 
-ANSWERS = {
+ANSWERS: Mapping[Verdict, DiscoveryCode] = {
     "ambiguous": DiscoveryCode.ANSWER_CAUSES,
     "named": DiscoveryCode.ANSWER_CAUSES,
     "none": DiscoveryCode.ANSWER_NONE,
@@ -50,12 +53,21 @@ ACTIONS = {
 }
 """What to do after an answer that does not name the whole cause."""
 WARNINGS = (DiscoveryCode.ANSWER_BESIDE, DiscoveryCode.ANSWER_UNKNOWN, DiscoveryCode.ANSWER_WRONG)
-REFUTATIONS = {
+REFUTATIONS: Mapping[Reason, DiscoveryCode] = {
     "no_effect": DiscoveryCode.REFUTED_NO_EFFECT,
     "no_gain": DiscoveryCode.REFUTED_NO_GAIN,
     "unproven": DiscoveryCode.REFUTED_UNPROVEN,
     "worse": DiscoveryCode.REFUTED_WORSE,
     "": DiscoveryCode.REFUTED_WORSE,
+}
+EXCLUSIONS: Mapping[Exclusion, DiscoveryCode] = {
+    "refuted": DiscoveryCode.EXCLUDED_REFUTED,
+    "no_effect": DiscoveryCode.EXCLUDED_NO_EFFECT,
+    "weak": DiscoveryCode.EXCLUDED_WEAK,
+    "weak_by_days": DiscoveryCode.EXCLUDED_WEAK_BY_DAYS,
+    "later_gone": DiscoveryCode.EXCLUDED_LATER_GONE,
+    "left_to_budget": DiscoveryCode.EXCLUDED_LEFT_TO_BUDGET,
+    "no_form": DiscoveryCode.EXCLUDED_NO_FORM,
 }
 CRITERIA = {
     "likelihood": DiscoveryCode.BY_LIKELIHOOD,
@@ -337,7 +349,7 @@ def outcome(found: DiscoveryResults, one: CauseFound | Rejected) -> str:
         known = math.isfinite(one.evidence.lead)
         code = DiscoveryCode.ACCEPTED_AHEAD if known else DiscoveryCode.ACCEPTED
         return code(lead=one.evidence.lead).text
-    why = DiscoveryCode[f"EXCLUDED_{one.reason.upper()}"]()
+    why = EXCLUSIONS[one.reason]()
     hidden = one.cause == "condensation" and found.saturated > MOST_SATURATED
     return DiscoveryCode.MAYBE_HIDDEN(why=why).text if hidden else why.text
 

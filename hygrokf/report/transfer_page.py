@@ -36,9 +36,9 @@ from hygrokf.report.blocks import (
 from hygrokf.report.figures.comparison import SETS, figure_course, figure_parameters, figure_sets, figure_type
 from hygrokf.report.fit_page import write_report
 from hygrokf.report.page import page_html
-from hygrokf.report.quantities import interval, p_value, quantity, versions
+from hygrokf.report.quantities import interval, quantity, versions
 from hygrokf.texts.transfer import TransferVerdict
-from hygrokf.texts.wording import NONE, fixed, percent, plain_number, sentence
+from hygrokf.texts.wording import NONE, fixed, p_value, percent, plain_number, sentence
 from hygrokf.transfer.results import (
     RecordCourse,
     Transfer,

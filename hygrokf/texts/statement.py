@@ -6,23 +6,28 @@ A result holds codes and numbers; whoever shows it asks for the `text`.  Nothing
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
 from string import Formatter
-from typing import Any, Self, TypeAlias
+from typing import Any, Self, TypeAlias, TypeVar
 
 from hygrokf.texts.wording import (
     day_text,
     duration_text,
     fixed,
+    lag_text,
     minus,
+    p_equation,
     percent,
     plain_number,
+    shift_text,
     signed,
+    signed_shift,
     stamp_text,
 )
 
+S = TypeVar("S", bound="Statement")
 Value: TypeAlias = "float | str | Statement | Sequence[str | Statement]"
 """What fills a template: a number, a name, a statement, or names or statements in a list."""
 
@@ -33,9 +38,11 @@ class Code(Enum):
     Fields of a template: `{x}` a name or a statement, `{x:words}` a name without underscores, `{x:unit}` a
     unit after its number, `{x:3}` a number with three significant digits, `{x:3g}` without closing zeros,
     `{x:.2}` with two decimals, `{x:+.2}` with its sign, `{x:%}` a share in per cent, `{x:.1%}` with one
-    decimal, `{x:g}` as short as it is, `{x:,}` a whole number in groups of three digits, `{x:stamp}` an
-    instant [s since 1970], `{x:day}` its date, `{x:duration}` a duration [s], `{x:reading|readings}` the word
-    for one or for another number, `{x}` names parted by commas, `{x:and}` the last two by "and".
+    decimal, `{x:g}` as short as it is, `{x:,}` a whole number with its thousands parted, `{x:p}` a
+    probability with its name, `{x:lag}` a lag [h], `{x:stamp}` an instant [s since 1970], `{x:day}` its date,
+    `{x:duration}` a duration [s], `{x:shift}` the shift of a clock [s], `{x:+shift}` with its sign,
+    `{x:reading|readings}` the word for one or for another number, `{x}` names parted by commas, `{x:and}`
+    the last two by "and", `{x:;}` statements parted by semicolons.
     """
 
     def __init__(self, template: str) -> None:
@@ -95,7 +102,8 @@ class Statement:
 
 
 def _value(data: Any) -> Value:
-    """A value from a file: an object is a statement, a list names, null no number."""
+    """A value from a file: an object is a statement, a list names or statements, null no
+    number."""
     if isinstance(data, Mapping):
         return Statement.from_json(data)
     if isinstance(data, list):
@@ -112,7 +120,7 @@ class _Fields(Formatter):
         if isinstance(value, str):
             return _name(value, spec)
         if isinstance(value, Sequence):
-            return listed([*map(str, value)], spec)
+            return "; ".join(map(str, value)) if spec == ";" else listed([*map(str, value)], spec)
         if "|" in spec:
             return spec.split("|")[0 if value == 1 else 1]
         return _number(float(value), spec)
@@ -132,20 +140,34 @@ def _name(text: str, spec: str) -> str:
     return text.replace("_", " ") if spec == "words" else text
 
 
+def unique(statements: Iterable[S]) -> tuple[S, ...]:
+    """Statements without those that an earlier one says already."""
+    return tuple({one.text: one for one in statements}.values())
+
+
 def _number(value: float, spec: str) -> str:
     """A number as the field of a template asks for it."""
-    if spec == "day":
-        return day_text(value)
-    if spec == ",":
-        return f"{value:,.0f}"
-    if spec == "stamp":
-        return stamp_text(value)
-    if spec == "duration":
-        return duration_text(value)
+    if spec in _FORMATS:
+        return _FORMATS[spec](value)
+    if spec == "g":
+        return minus(f"{value:g}")
     if spec.endswith("g"):
-        return minus(f"{value:.{spec[:-1] or 6}g}")
+        return f"{value:.{spec}}"
     if spec.endswith("%"):
         return minus(percent(value, int(spec[1:-1] or 0)))
     if spec.startswith("+"):
         return signed(value, int(spec[2:]))
     return fixed(value, int(spec[1:])) if spec.startswith(".") else plain_number(value, int(spec))
+
+
+_FORMATS: Mapping[str, Callable[[float], str]] = {
+    ",": "{:,.0f}".format,
+    "stamp": stamp_text,
+    "day": day_text,
+    "duration": duration_text,
+    "shift": shift_text,
+    "+shift": signed_shift,
+    "lag": lag_text,
+    "p": p_equation,
+}
+"""Fields of a template that are no count of digits."""

@@ -19,9 +19,11 @@ Digest: TypeAlias = Annotated[str, "digest"]
 """SHA-256 of a file."""
 Version: TypeAlias = Annotated[str, "version"]
 """Of the package."""
+Meaning: TypeAlias = Annotated[str, "meaning"]
+"""The one-line meaning of a registry's entry, where a user's own mechanism may have brought it: a page drawn
+from a file has no registry of those."""
 ReaderText: TypeAlias = Annotated[str, "sentence of a reader"]
 """What a reader of tables masked or repaired, which nothing but pages and terminals reads."""
-Meaning: TypeAlias = Annotated[str, "meaning"]
-"""One line of a registry of parameters, mechanisms or causes that a user may extend."""
 FaultText: TypeAlias = Annotated[str, "text of an exception"]
-TERMS = (FaultText, Name, Unit, Instant, Source, Digest, Version, ReaderText, Meaning)
+"""Why a turbine of a fleet has no result."""
+TERMS = (FaultText, Name, Unit, Instant, Source, Digest, Version, Meaning, ReaderText)

@@ -88,4 +88,4 @@ class TransferCode(Code):
     OVER_WHOLE_RECORD = "over the whole record"
     BOUNDS_LACKING = "; not enough data for bounds"
     BOUNDS_INCLUDE_ZERO = "; the bounds include zero"
-    BOUNDS_95 = " (95 % {lower:.2} … {upper:.2})"
+    BOUNDS_STATED = " (95 % {lower:.2} … {upper:.2})"

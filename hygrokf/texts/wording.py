@@ -55,6 +55,18 @@ def percent(share: float, decimals: int = 0) -> str:
     return f"{100.0 * share:.{decimals}f} %" if math.isfinite(share) else NONE
 
 
+def p_value(p: float) -> str:
+    """A probability as printed."""
+    return NONE if math.isnan(p) else f"< {LEAST_P}" if p < LEAST_P else f"{p:.3f}"
+
+
+def p_equation(p: float) -> str:
+    """A probability with its name: "p < 0.001", "p = 0.034"."""
+    return f"p {'' if p < LEAST_P else '= '}{p_value(p)}"
+
+
+LEAST_P = 0.001
+"""[1] below it a probability is told as less than it."""
 MOST_DECIMALS = 8
 """A number that would need as many is better told by its significant digits."""
 
@@ -115,6 +127,22 @@ def duration_text(seconds: float) -> str:
         if seconds >= 2.0 * size or (seconds >= size and seconds % size == 0.0):
             return f"{float(f'{seconds / size:.3g}'):g} {unit}"
     return f"{seconds:.3g} s"
+
+
+def shift_text(seconds: float) -> str:
+    """The shift of a clock [s] without its sign, such as "1.5 h" or "40 min"."""
+    size = abs(seconds)
+    return f"{size / 3600.0:g} h" if size >= 3600.0 and size % 1800.0 == 0.0 else f"{size / 60.0:.0f} min"
+
+
+def signed_shift(seconds: float) -> str:
+    """The shift of a clock [s] with its sign in ASCII, as case files have it: "+2 h"."""
+    return f"{'+' if seconds >= 0 else '-'}{shift_text(seconds)}"
+
+
+def lag_text(hours: float) -> str:
+    """A lag [h]: "−0.25 h", "0"."""
+    return minus(f"{hours:.3g} h") if hours else "0"
 
 
 def stamp_text(seconds: float) -> str:

@@ -36,6 +36,7 @@ from hygrokf.identification.turbine_type import TurbineType
 from hygrokf.identification.verdict import inherited, with_reasons
 from hygrokf.modelling.design import JOINT, PARTS
 from hygrokf.physics.parameters import within_limits
+from hygrokf.texts.fit import FitCode
 from hygrokf.texts.statement import Statement
 from hygrokf.texts.transfer import TransferVerdict
 from hygrokf.texts.wording import iso_time
@@ -304,11 +305,11 @@ def _fit(baseline: Baseline, estimate: Estimate, spread: Uncertainty) -> Fit:
             value = estimate.values[name]
             ends = (value * math.exp(-reach), value * math.exp(reach))
             method = "taken over" if name in kept else "wald"
-            bounds[name] = Bounds(value, *ends, 0.95, method, "", np.empty((0, 2)))
+            bounds[name] = Bounds(value, *ends, 0.95, method)
     stage = Stage(baseline.base, baseline.early_run, estimate, wider, bounds)
     basis = Basis(JOINT, (stage,), (baseline.early,), heat_release_regression(baseline.early))
     made = assemble_fit(baseline.record, basis, {})
-    origin = f"design and values that are marked as fixed come from {baseline.origin.name}"
+    origin = FitCode.MODEL_TAKEN_OVER(fit=baseline.origin.name)
     results = replace(made.results, statements=(origin, *made.results.statements))
     for part, name in zip(PARTS, TIME_CONSTANTS, strict=True):
         if name in kept:

@@ -509,5 +509,6 @@ class PayloadStatistics:
     def rejected(self) -> str:
         """Text about the rejected items, and doubts about quality; empty if there are none."""
         counted = [f"{n} {kind} ({self.reasons[kind]})" for kind, n in self.counts.most_common()]
-        beside = [unstated(*names, list(marks)) for names, marks in self._beside.items()]
-        return ", ".join(filter(None, (*counted, misfit(self._noting.of, list(self._noting.seen)), *beside)))
+        doubts = [misfit(self._noting.of, list(self._noting.seen))]
+        doubts += [unstated(*names, list(marks)) for names, marks in self._beside.items()]
+        return ", ".join((*counted, *(one.text for one in doubts if one is not None)))
