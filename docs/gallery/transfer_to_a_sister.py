@@ -28,7 +28,7 @@ fit = hygrokf.identify(record_of(41), starts=1, profiles=False)
 others = {"the sister": record_of(42), "the other cabinet": record_of(43, longer)}
 found = {name: hygrokf.transfer_fit(fit, record, fits=False).results for name, record in others.items()}
 for name, one in found.items():
-    print(f"{name}: {one.sentence}")
+    print(f"{name}: {one.statement}")
 
 # %%
 # Each parameter's own estimate beside the one that was carried over; red: the groups that must be

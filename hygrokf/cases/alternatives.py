@@ -37,7 +37,9 @@ from hygrokf.estimation.lag_model import (
     shift_logliks,
 )
 from hygrokf.physics.psychrometrics import ZERO_CELSIUS_K
-from hygrokf.weather.clocks import TOLERANCE_S, correction_key, pace, rounded, season_remedy
+from hygrokf.texts.record import DoubtCode, RecordCode
+from hygrokf.texts.statement import Statement, Value
+from hygrokf.weather.clocks import TOLERANCE_S, pace, rounded, season_remedy, state_correction
 
 LEAST_S = 2700.0
 """[s] smaller shifts are no clock's: response times, or the sun on a sensor."""
@@ -64,12 +66,12 @@ NAMED, WALL, EITHER = "named", "clock_or_wall", "either_clock"
 class Alternative:
     """Another reading of a record's files.
 
-    name: what would be wrong, in words. line: what corrects it in the case file. signals: those that it
-    changes. reading: the record read so. shifts: of the stamps, for a clock.
+    mistake: what would be wrong. line: what corrects it in the case file. signals: those that it changes.
+    reading: the record read so. shifts: of the stamps, for a clock.
     """
 
-    name: str
-    line: str
+    mistake: Statement
+    line: Statement
     signals: tuple[str, ...]
     reading: Callable[[Record], Record]
     shifts: tuple[Shift, ...] = ()
@@ -89,24 +91,24 @@ class PreferredAlternative:
     verdict: str = NAMED
     rival: Alternative | None = None
 
-    def sentence(self) -> str:
-        """The finding in words, with the line that corrects it."""
+    def doubt(self) -> Statement:
+        """The finding, with the line that corrects it."""
         one, other = self.alternative, self.rival
-        shown = f" ({' and '.join(self.witnesses)}; {self.gain:.0f} in ln L)" if self.witnesses else ""
-        text = f"{one.name}{shown}: if so, {one.line}"
-        if self.verdict == WALL:
-            return (
-                f"clock, or a heavy wall: {text}; a second witness is missing (power, humidity, or the sun)"
-            )
-        return text if other is None else f"{text}; or {other.name}: then {other.line}"
+        code = DoubtCode.CLOCK_OR_WALL if self.verdict == WALL else DoubtCode.READ_OTHERWISE
+        values: dict[str, Value] = {"what": one.mistake, "line": one.line, "witnesses": ()}
+        if self.witnesses:
+            values["witnesses"] = (RecordCode.WITNESSED(witnesses=self.witnesses, gain=self.gain),)
+        if self.verdict != WALL and other is not None:
+            return DoubtCode.EITHER_CLOCK(**values, other=other.mistake, other_line=other.line)
+        return code(**values)
 
 
 @dataclass(frozen=True)
 class Readings:
-    """What a record says of its alternative readings, and what it cannot tell, in sentences."""
+    """What a record says of its alternative readings, and what it cannot tell."""
 
     findings: tuple[PreferredAlternative, ...] = ()
-    untold: tuple[str, ...] = ()
+    untold: tuple[Statement, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -175,7 +177,7 @@ def alternative_readings(record: Record) -> Readings:
     record = prepare(record)
     found = relations(record)
     if not found:
-        return Readings(_values(record), ("clocks: fewer than 14 days in common to tell whether they agree",))
+        return Readings(_values(record), (RecordCode.CLOCKS_TOO_SHORT(),))
     scans = [_scanned(one, record) for one in found]
     clocks, untold = _clocks(record, scans, solar_lag(record))
     return Readings((*clocks, *_values(record)), untold)
@@ -199,7 +201,7 @@ _POWER = frozenset({"active_power"})
 
 def _clocks(
     record: Record, scans: Sequence[_Scan], sun_s: float | None
-) -> tuple[tuple[PreferredAlternative, ...], tuple[str, ...]]:
+) -> tuple[tuple[PreferredAlternative, ...], tuple[Statement, ...]]:
     """The clock that is wrong, if one is, and the sources whose clock the record cannot tell."""
     names = [name for name in sources(record) if any(scan.move(name)[0] for scan in scans)]
     lit = record[_LIGHT].file if sun_s is not None else None
@@ -214,7 +216,7 @@ def _clocks(
         steady, _, _ = (_highest(profiles[row], *row) for row in rows)
         near = np.abs(np.arange(-REACH, REACH + 1) - steady.quarters) < APART
         if profiles[name, 0][~near].max() > steady.gain - WITNESS:
-            untold.append(f"the record cannot tell whether the clock of {name} is right within an hour")
+            untold.append(RecordCode.CLOCK_UNTOLD(source=name))
         if name != lit or sun_s is None or abs(sun_s) > TOLERANCE_S:  # the sun knows better
             best += [_highest(profiles[row], *row) for row in rows]
     for shift in sorted(best, key=lambda one: (-round(one.gain, 3), one.source != lit))[:3]:
@@ -306,13 +308,15 @@ def _clock(record: Record, shift: _Shift) -> Alternative:
     steps = [Shift(shift.source, winter)] * (winter != 0.0)
     steps += [Shift(shift.source, summer - winter, summer=True)] * (shift.more != 0)
     if shift.more:
-        name = f"the clock of {shift.source} seems {pace(winter)} in winter and {pace(summer)} in summer"
-        line = f"its stamps need {season_remedy(winter, summer, south)}"
+        mistake = RecordCode.CLOCK_SEEMS_BY_SEASON(
+            source=shift.source, winter=pace(winter), summer=pace(summer)
+        )
+        line = RecordCode.STAMPS_NEED(remedy=season_remedy(winter, summer, south))
     else:
-        name = f"the clock of {shift.source} seems {pace(winter)}"
-        line = f"state {correction_key(winter)}"
+        mistake = RecordCode.CLOCK_SEEMS(source=shift.source, pace=pace(winter))
+        line = state_correction(winter)
     signals = sources(record).get(shift.source, ())
-    return Alternative(name, line, signals, lambda record: shifted(record, *steps), tuple(steps))
+    return Alternative(mistake, line, signals, lambda record: shifted(record, *steps), tuple(steps))
 
 
 # -- units, columns, decimal marks ---------------------------------------------------------------------------
@@ -348,21 +352,30 @@ def _information(record: Record) -> np.ndarray:
     return found
 
 
+_DEGREES = {"degF": "°F", "degC": "°C", "K": "K"}
 _SCALES = (
-    ("in °F, called °C", 'unit = "degF"', "temperature", "degC", "degF", 1.0),
-    ("in °C, called °F", 'unit = "degC"', "temperature", "degF", "degC", 1.0),
-    ("in K, called °C", 'unit = "K"', "temperature", "degC", "K", 1.0),
-    ("in °C, called K", 'unit = "degC"', "temperature", "K", "degC", 1.0),
-    ("fractions, called per cent", 'unit = "1"', "relative_humidity", "%", "1", 1.0),
-    ("per cent, called fractions", 'unit = "%"', "relative_humidity", "1", "%", 1.0),
     *(
-        ("read with the wrong decimal mark", 'decimal = "," or "."', *shown, 0.1**digits)
+        (
+            RecordCode.IN_OTHER_UNIT(unit=_DEGREES[unit], called=_DEGREES[called]),
+            RecordCode.STATE_UNIT(unit=unit), "temperature", called, unit, 1.0,
+        )
+        for unit, called in (("degF", "degC"), ("degC", "degF"), ("K", "degC"), ("degC", "K"))
+    ),
+    *(
+        (mistake(), RecordCode.STATE_UNIT(unit=unit), "relative_humidity", called, unit, 1.0)
+        for mistake, called, unit in (
+            (RecordCode.FRACTIONS_CALLED_PER_CENT, "%", "1"),
+            (RecordCode.PER_CENT_CALLED_FRACTIONS, "1", "%"),
+        )
+    ),
+    *(
+        (RecordCode.WRONG_DECIMAL_MARK(), RecordCode.STATE_DECIMAL_MARK(), *shown, 0.1**digits)
         for shown in (("temperature", "degC", "degC"), ("relative_humidity", "%", "%"))
         for digits in (1, 2)
     ),
 )
-"""A mistake in words, the key that corrects it; a quantity, the unit that its readings are declared in, the
-one that they are in, and how many times as many they are."""
+"""A mistake, the key that corrects it; a quantity, the unit that its readings are declared in, the one that
+they are in, and how many times as many they are."""
 _PLACES = (("cabinet",), ("ambient",), ("cabinet", "ambient"))
 _AIR = ("cabinet_temperature", "ambient_temperature")
 _MOIST = ("cabinet_relative_humidity", "ambient_relative_humidity")
@@ -375,12 +388,14 @@ def _value_alternatives(record: Record) -> tuple[Alternative, ...]:
     for mistake, line, quantity, called, unit, factor in _SCALES:
         for places in _PLACES:
             signals = tuple(f"{place}_{quantity}" for place in places)
-            words = f"{' and '.join(signals)} {'seem' if len(signals) > 1 else 'seems'} {mistake}"
-            made.append(Alternative(words, line, signals, partial(_scaled, signals, called, unit, factor)))
+            what = RecordCode.SEEM(signals=signals, count=len(signals), mistake=mistake)
+            made.append(Alternative(what, line, signals, partial(_scaled, signals, called, unit, factor)))
     for pairs in _EXCHANGES:
-        words = f"{' and '.join(f'{a} and {b}' for a, b in pairs)} seem exchanged"
+        what = RecordCode.SEEM_EXCHANGED(pairs=tuple(RecordCode.PAIR(first=a, second=b) for a, b in pairs))
         signals = tuple(name for pair in pairs for name in pair)
-        made.append(Alternative(words, "exchange their columns", signals, partial(_exchanged, pairs)))
+        made.append(
+            Alternative(what, RecordCode.EXCHANGE_COLUMNS(), signals, partial(_exchanged, pairs))
+        )
     return tuple(one for one in made if all(name in record for name in one.signals))
 
 

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from hygrokf.cases.doubts import IDENTIFIABLE, Doubt, no_overlap, power_beside_rated, told_by
+from hygrokf.cases.doubts import IDENTIFIABLE, no_overlap, power_beside_rated
 from hygrokf.cases.form import StatedCase, StatedSource, StatedWeather, stated_case
 from hygrokf.data.columns import FileColumns, TableFault
 from hygrokf.data.files import DRAFT_DOUBT
@@ -27,6 +27,8 @@ from hygrokf.data.table_readers import read_table
 from hygrokf.data.timestamps import modal_step, summer_time_holes
 from hygrokf.data.toml_form import FormFault, Place, lines_of, read_toml
 from hygrokf.physics.holds import LINEAR, MEAN, PREVIOUS
+from hygrokf.texts.record import DoubtCode, RecordCode
+from hygrokf.texts.statement import Statement
 from hygrokf.texts.wording import duration_text, period_text, stamp_text
 from hygrokf.weather.joining import follows, joined
 from hygrokf.weather.reading import read_weather_file
@@ -109,7 +111,7 @@ def record_of(
     warnings: list[str] = []
     provenance: dict[str, str] = {}
     headers: dict[str, tuple[str, ...]] = {}
-    doubts: list[Doubt] = []
+    doubts: list[Statement] = []
     whole = True
     for source in case.sources:
         try:
@@ -123,9 +125,7 @@ def record_of(
             provenance[source.file] = read.sha256
         found, said, wrong = _source_series(source, read, case.form.rated_power_W)
         warnings += [f"{source.file}: {one}" for one in said]
-        for one in source.columns:
-            if one.column in read.judged and (doubt := read.judged[one.column].doubt):
-                doubts.append(Doubt(f"{source.file}: {doubt}", *told_by(one.signal.name)))
+        doubts += _quality_doubts(source, read)
         faults += [f"{source.file}: {one}" for one in wrong]
         (compared if source.compare else series).extend(found)
         whole = whole and not wrong
@@ -142,10 +142,11 @@ def record_of(
         compared += [one for one in brought.series if stated.compare or one.signal in used]
     unique = {one.signal: one for one in series}
     second = {one.signal: one for one in reversed(compared)}
-    faults += [*no_overlap(tuple(unique.values())), *(words for _, words in copies(tuple(unique.values())))]
+    merged = tuple(unique.values())
+    faults += [one.text for one in (*no_overlap(merged), *copies(merged))]
     record = Record(
         case.form.name or "record",
-        tuple(unique.values()),
+        merged,
         case.form.site,
         case.form.rated_power_W,
         warnings=tuple(warnings),
@@ -159,14 +160,21 @@ def record_of(
     record = dataclasses.replace(record, until_s=period.until_s, provenance=tuple(provenance.items()))
     if period.start_s is not None:
         record = record.window(period.start_s, math.inf)
-    record = mask(record)
-    faults = _emptied(record, cabinet, ambient)
+    raw, record = record, mask(record)
+    faults = _emptied(raw, record, cabinet, ambient)
     if faults:
         raise CaseFault(head, faults)
     return record
 
 
-def _split_probes(case: StatedCase, headers: Mapping[str, tuple[str, ...]]) -> Iterator[Doubt]:
+def _quality_doubts(source: StatedSource, read: FileColumns) -> Iterator[Statement]:
+    """Doubts about the marks of quality beside a source's readings."""
+    for one in source.columns:
+        if one.column in read.judged and (doubt := read.judged[one.column].doubt):
+            yield DoubtCode.QUALITY_DOUBTED(signal=one.signal.name, file=source.file, doubt=doubt)
+
+
+def _split_probes(case: StatedCase, headers: Mapping[str, tuple[str, ...]]) -> Iterator[Statement]:
     """Doubts of places whose humidity is of one probe and whose temperature of another one."""
     used = {
         column.signal.name: (source.file, column.column)
@@ -181,12 +189,11 @@ def _split_probes(case: StatedCase, headers: Mapping[str, tuple[str, ...]]) -> I
         file = moist[0]
         own = temperatures_of(moist[1], headers.get(file, ()))
         if len(own) == 1 and warm != (file, own[0]):
-            yield Doubt(
-                f'{place}_temperature ({warm[0]}, column "{warm[1]}") is not of the probe of '
-                f'{place}_relative_humidity ({file}, column "{moist[1]}"), whose own temperature is there '
-                f'("{own[0]}"): relative humidity holds at the temperature of its own probe',
-                "hygric",
-            )
+            yield DoubtCode.OTHER_PROBE(
+                temperature=f"{place}_temperature", temperature_file=warm[0], temperature_column=warm[1],
+                humidity=f"{place}_relative_humidity", humidity_file=file, humidity_column=moist[1],
+                own=own[0],
+            )  # fmt: skip
 
 
 def _undeclared(case: StatedCase, cabinet: bool, ambient: bool) -> list[str]:
@@ -279,7 +286,7 @@ def _source_series(
     """Series of a source; warnings; faults."""
     warnings = list(table.warnings)
     time, values, said = order_readings(table.time, table.values)
-    if not any("summer-time" in one for one in warnings):
+    if not table.summer_time:
         warnings += summer_time_holes(np.sort(table.time))
     warnings += said
     faults: list[str] = []
@@ -296,11 +303,11 @@ def _source_series(
         wrong = unit_mistaken(raw, one.unit, one.signal)
         if wrong is None and one.signal.name == "active_power" and rated_W is not None:
             power_W = to_si(raw[np.isfinite(raw)], one.unit, one.signal)
-            times, words = power_beside_rated(power_W, rated_W)
+            times, beside = power_beside_rated(power_W, rated_W)
             if times > 10.0:
-                wrong = f"active_power is called {one.unit} and {words}: correct its unit or rated_power_kW"
+                wrong = RecordCode.POWER_IN_OTHER_UNIT(unit=one.unit, beside=beside)
         if wrong is not None:
-            faults.append(f'column "{one.column}": {wrong}')
+            faults.append(f'column "{one.column}": {wrong.text}')
             continue
         hold = source.hold or (one.signal.hold_of_instants if source.stamp == "instant" else MEAN)
         length = source.interval_s
@@ -364,15 +371,17 @@ def _period_faults(record: Record, case: StatedCase) -> list[str]:
     return faults
 
 
-def _emptied(record: Record, cabinet: bool, ambient: bool) -> list[str]:
-    """Faults of a record that has no readings left of signals a model needs."""
+def _emptied(raw: Record, record: Record, cabinet: bool, ambient: bool) -> list[str]:
+    """Faults of a record that has no readings left, of the `raw` ones, of signals a model needs."""
     faults = []
     needed = [("ambient_temperature",)] * ambient + [IDENTIFIABLE] * cabinet
     for signals in needed:
         there = [signal for signal in signals if signal in record]
         if not any(np.isfinite(record[signal].value).any() for signal in there):
             named = ", ".join(there if signals is IDENTIFIABLE else signals) or "the cabinet"
-            said = [one for one in record.warnings if one.startswith(tuple(there or signals))]
+            series = tuple(raw[one] for one in there)
+            alone = dataclasses.replace(raw, series=series, compared=(), warnings=())
+            said = mask(alone).warnings
             why = f": {'; '.join(said)}" if said else "; the columns hold no number"
             faults.append(f"no reading of {named} can be used{why}")
     return faults

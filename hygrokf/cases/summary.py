@@ -16,6 +16,8 @@ from hygrokf.data.record import Record, Series, Site
 from hygrokf.data.result_file import units_by_name, with_units
 from hygrokf.data.signals import difference_from_si, from_si, signal_named
 from hygrokf.data.timestamps import DAY_S, modal_step
+from hygrokf.texts.statement import Statement
+from hygrokf.texts.terms import Digest, Instant, Name, ReaderText, Source, Unit
 from hygrokf.texts.wording import stamp_text
 from hygrokf.weather.clocks import ClockError, alignments, clock_errors
 
@@ -29,8 +31,8 @@ _GAP_STEPS = 3.0
 class Span:
     """First and last stamp (UTC) and length [d]; no stamps where there is no reading."""
 
-    start: str | None
-    end: str | None
+    start: Instant | None
+    end: Instant | None
     days: float
 
 
@@ -43,10 +45,10 @@ class SignalSummary:
     steps; `minimum`, `mean`, `maximum`, `resolution` and `accuracy` in `unit`.  Unknown numbers are NaN.
     """
 
-    signal: str
-    source: str
-    start: str | None
-    end: str | None
+    signal: Name
+    source: Source
+    start: Instant | None
+    end: Instant | None
     days: float
     readings: int
     missing_share: float
@@ -54,9 +56,9 @@ class SignalSummary:
     clock_uncertainty_s: float
     gaps: int
     longest_gap_s: float
-    hold: str
+    hold: Name
     interval_s: float
-    unit: str
+    unit: Unit
     resolution: float
     accuracy: float
     minimum: float
@@ -74,21 +76,21 @@ class RecordSummary:
     `files`: that it was read from, with their SHA-256.
     """
 
-    name: str
-    start: str | None
-    end: str | None
+    name: Name
+    start: Instant | None
+    end: Instant | None
     days: float
     site: Site | None
     rated_power_kW: float
     identification: Span | None
     validation: Span | None
     signals: tuple[SignalSummary, ...]
-    actuators: tuple[str, ...]
+    actuators: tuple[Statement, ...]
     comparisons: tuple[ClockError, ...]
-    warnings: tuple[str, ...]
-    doubts: tuple[str, ...]
-    untold: tuple[str, ...]
-    files: tuple[tuple[str, str], ...]
+    warnings: tuple[ReaderText, ...]
+    doubts: tuple[Statement, ...]
+    untold: tuple[Statement, ...]
+    files: tuple[tuple[Source, Digest], ...]
 
     def to_frame(self) -> pandas.DataFrame:
         """One row a signal, stamps as times in UTC; `unit` is that of the readings, further units are in
@@ -119,7 +121,7 @@ def describe(record: Record) -> RecordSummary:
         tuple(one.statement for one in actuators(record.identification())),
         clocks,
         record.warnings,
-        tuple(map(str, all_doubts(record, clocks, read))),
+        all_doubts(record, clocks, read),
         read.untold,
         record.provenance,
     )

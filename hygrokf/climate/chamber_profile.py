@@ -25,6 +25,8 @@ from hygrokf.climate.chamber import BOLTZMANN_EV, Acceleration, Chamber, Profile
 from hygrokf.climate.ensemble import YEAR_H, Year
 from hygrokf.climate.statistics import CYCLE_RANGES_K, WET_PERCENT, cycles_from
 from hygrokf.physics.psychrometrics import ZERO_CELSIUS_K
+from hygrokf.texts.climate import ClimateCode
+from hygrokf.texts.statement import Statement
 
 DAY_H = 24
 MOST_DAYS = 3000
@@ -180,17 +182,6 @@ def _length(jump: np.ndarray, days: Sequence[int]) -> float:
 
 CUT_MOST = 0.5
 """Share of the hours that may stand at the chamber's highest temperature."""
-NOT_REPRODUCED = (
-    "temperatures and absolute humidities themselves: the test is warmer than the site",
-    "the number of temperature cycles in service: the test has only the cycles of its own length, each "
-    "wider by (T*/T)²",
-    "the order of the seasons, and stretches longer than a day",
-    "rates of change: an hour's change of temperature is wider by (T*/T)² too, as far as the chamber's ramps "
-    "allow",
-    "condensation: the chamber's air is held below saturation, and no part in it is colder than the air",
-    "ageing that does not follow the stated law: vibration, voltage, salt, dust, drying between wet "
-    "stretches",
-)
 
 
 @dataclass(frozen=True)
@@ -207,9 +198,9 @@ class Ageing:
 
 @dataclass(frozen=True)
 class Reproduced:
-    """A number in words, of the site beside that of the test."""
+    """A number of the site beside that of the test."""
 
-    words: str
+    name: Statement
     site: float
     test: float
 
@@ -346,24 +337,23 @@ def closeness(
     ]
     wet, test_wet = (percent > WET_PERCENT for _, percent in (days, test))
     numbers = [
-        ("hours above 80 %, %", 100.0 * wet.mean(), 100.0 * test_wet.mean()),
+        (ClimateCode.WET_HOURS(percent=WET_PERCENT), 100.0 * wet.mean(), 100.0 * test_wet.mean()),
         (
-            "ageing above 80 %, %",
+            ClimateCode.WET_AGEING(percent=WET_PERCENT),
             100.0 * all_rate[wet].sum() / all_rate.sum(),
             100.0 * own_rate[test_wet].sum() / own_rate.sum(),
         ),
-        ("mean relative humidity, %", days[1].mean(), test[1].mean()),
+        (ClimateCode.MEAN_HUMIDITY(), days[1].mean(), test[1].mean()),
     ]
     cycles = (cycles_from(site[0]) * (YEAR_H / len(site[0])), cycles_from(test[0]))
     for least, a_year, before, after in zip(CYCLE_RANGES_K, service_cycles, *cycles, strict=True):
-        words = f"temperature cycles of {least:g} K and more"
-        numbers.append((f"{words}, a year, before warming", a_year, before))
-        numbers.append((f"{words}, in service", service * a_year, after))
+        numbers.append((ClimateCode.CYCLES_BEFORE_WARMING(range_K=float(least)), a_year, before))
+        numbers.append((ClimateCode.CYCLES_IN_SERVICE(range_K=float(least)), service * a_year, after))
     return Closeness(
         Ageing(aged, service * ageing.value, *years),
         _distance(shares(site), shares(days)),
         _distance(shares(site, own_rate), shares(days, all_rate)),
-        tuple(Reproduced(words, float(a), float(b)) for words, a, b in numbers),
+        tuple(Reproduced(name, float(a), float(b)) for name, a, b in numbers),
     )
 
 

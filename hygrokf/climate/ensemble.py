@@ -45,6 +45,8 @@ from hygrokf.physics.psychrometrics import (
     condenses,
     saturation_pressure_water,
 )
+from hygrokf.texts.climate import ClimateCode
+from hygrokf.texts.statement import Statement
 
 FEWEST_JUMPS = 30
 """Shots that the fit's period must have seen, which limits their distance: a fourth moment of fewer events is
@@ -110,15 +112,14 @@ def shots_from_innovations(
     return tuple(found)
 
 
-def shot_words(found: tuple[Shots, ...]) -> list[str]:
+def shot_statements(found: tuple[Shots, ...]) -> list[Statement]:
     """A statement on shots that are on average more than an hour apart."""
-    rare = [f"{one.name} every {one.every_h:.0f} h" for one in found if one.every_h >= 1.0]
-    if not rare:
-        return []
-    return [
-        f"disturbances are simulated as shots, on average of {' and '.join(rare)}, because the fit's "
-        "innovations have heavier tails than a normal distribution"
+    rare = [
+        ClimateCode.SHOTS_OF_BALANCE(balance=one.name, hours=one.every_h)
+        for one in found
+        if one.every_h >= 1.0
     ]
+    return [ClimateCode.SHOTS(shots=tuple(rare))] if rare else []
 
 
 def _seen(fit: Fit, model: Model) -> dict[str, tuple[int, float, float, float]]:

@@ -19,6 +19,9 @@ from hygrokf.climate.ensemble import YEAR_H, Year
 from hygrokf.climate.statistics import SCOPES, courses, excursions, scope_of, steepness
 from hygrokf.data.toml_form import across, read_toml_form, setting
 from hygrokf.errors import HygrokfError
+from hygrokf.texts.climate import ClimateCode
+from hygrokf.texts.statement import Statement
+from hygrokf.texts.terms import Name
 
 QUANTITIES = {
     "temperature_degC": "°C",
@@ -39,12 +42,12 @@ class ClimateLimit:
     """A limit, and a [[limit]] of a file: at most `hours_a_year` of `quantity` `above` or `below` a level,
     `during` a scope of the year."""
 
-    quantity: str = setting(help="what is limited", choices=tuple(QUANTITIES))
+    quantity: Name = setting(help="what is limited", choices=tuple(QUANTITIES))
     above: float | None = setting(None, "the level that should not be exceeded")
     below: float | None = setting(None, "the level that the quantity should not fall below")
     hours_a_year: float = setting(0.0, "hours allowed beyond the level", least=0.0, most=YEAR_H)
-    during: str = setting("all", "the hours that count", choices=SCOPES)
-    name: str = setting("", "by default quantity and level in words")
+    during: Name = setting("all", "the hours that count", choices=SCOPES)
+    name: Name = setting("", "by default quantity and level in words")
 
     @property
     def side(self) -> str:
@@ -103,14 +106,14 @@ class Exceedance(ClimateLimit):
     """A limit and how a climate keeps to it.
 
     `hours` [h] and `number` of exceedances in a year, `longest_h` the longest.  `why` says what prevents a
-    verdict, or is empty.
+    verdict.
     """
 
     hours: BoundedMean
     number: BoundedMean
     longest_h: BoundedMean
     verdict: Literal["pass", "undecided", "fail"]
-    why: str = ""
+    why: Statement | None = None
 
 
 class ClassFault(HygrokfError):
@@ -190,18 +193,21 @@ def exceeded(year: Year, limit: ClimateLimit) -> np.ndarray | None:
     return np.column_stack([found.sum(axis=1) * per_year, number * per_year / year.step_h, longest])
 
 
-def judge_limit(limit: ClimateLimit, years: np.ndarray, part: str = "") -> Exceedance:
+def judge_limit(limit: ClimateLimit, years: np.ndarray, part: Statement | None = None) -> Exceedance:
     """The verdict on a limit from the members' numbers (years, N, 3), those of `exceeded`.
 
     "pass" where the upper bound of the hours in a year is within what is allowed, "fail" where the lower
     bound is beyond it, "undecided" between them, and also where nothing more than a `part` of a year is known
-    (in words, such as "80 days") that keeps to the limit: the rest may not.
+    (its length, such as 80 days) that keeps to the limit: the rest may not.
     """
     hours, number, longest = (bounded(years[:, :, i]) for i in range(3))
     verdict: Literal["pass", "undecided", "fail"] = "undecided"
-    why = ""
+    why = None
     if hours.upper <= limit.hours_a_year:
-        verdict, why = ("undecided", f"of {part}, not a year") if part else ("pass", "")
+        if part is None:
+            verdict = "pass"
+        else:
+            why = ClimateCode.OF_A_PART(part=part)
     elif hours.lower > limit.hours_a_year:
         verdict = "fail"
     return Exceedance(**vars(limit), hours=hours, number=number, longest_h=longest, verdict=verdict, why=why)

@@ -22,12 +22,12 @@ from hygrokf.climate.ensemble import (
     Year,
     course,
     draw_members,
-    shot_words,
+    shot_statements,
     shots_of,
     simulate_years,
 )
 from hygrokf.climate.limits import ClimateLimit, doubled, exceeded, judge_limit
-from hygrokf.climate.region import PowerCurve, Region, driven
+from hygrokf.climate.region import PowerCurve, Region, driven, in_years
 from hygrokf.climate.statistics import CYCLE_RANGES_K, SCOPES, courses, outside, rates, scalars, wetness_class
 from hygrokf.climate.study import DurationCurve, JointDistribution, RegionClimate, Study, YearSpan
 from hygrokf.data.ambient import middle
@@ -39,6 +39,8 @@ from hygrokf.identification.verdict_terms import rests_on
 from hygrokf.modelling.design import Design
 from hygrokf.modelling.inputs import IDENTIFIED_ON, Run
 from hygrokf.physics.psychrometrics import ZERO_CELSIUS_K, Surface
+from hygrokf.texts.climate import ClimateCode
+from hygrokf.texts.statement import Statement
 from hygrokf.texts.wording import stamp_text
 from hygrokf.version import __version__
 
@@ -105,13 +107,13 @@ class Gathered:
         return {name: np.mean([year[kind, name][0] for year in self.weather], axis=0) for name in names}
 
     @property
-    def part(self) -> str:
-        """The known part of the fullest year, such as "80 days"; "" where it can stand for a year."""
+    def part(self) -> Statement | None:
+        """The known part of the fullest year, such as 80 days; None where it can stand for a year."""
         fullest = max(self.spans, key=lambda span: span.hours_known)
         if fullest.hours_known >= WHOLE * YEAR_H:
-            return ""
+            return None
         covered = fullest.hours_covered
-        return _length_text(covered if covered < WHOLE * YEAR_H else fullest.hours_known)
+        return _length(covered if covered < WHOLE * YEAR_H else fullest.hours_known)
 
     def has(self, scope: str) -> bool:
         """Whether any hour of any year belongs to a scope."""
@@ -165,13 +167,14 @@ class Gathered:
         return build_profile(days, plan, bounded(numbers["ageing_h"]), means)
 
 
-def _length_text(hours: float) -> str:
-    return f"{hours / 24.0:.0f} days" if hours >= 48.0 else f"{hours:.0f} hours"
+def _length(hours: float) -> Statement:
+    if hours >= 48.0:
+        return ClimateCode.LENGTH_IN_DAYS(days=hours / 24.0)
+    return ClimateCode.LENGTH_IN_HOURS(hours=hours)
 
 
 MEMBERS = 50
 STANDSTILL_YEAR = "standstill_all_year"
-NO_PROFILE = "there is no test profile: it needs humidity, and weather known hour by hour for whole days"
 
 
 def climate_profile(
@@ -251,7 +254,7 @@ def _region(
     record, statements = driven(fit, region.weather, power)
     design, run = course(fit, record)
     rare = shots_of(fit, design, run)
-    statements += shot_words(rare)
+    statements += shot_statements(rare)
     years = simulate(design, run, rare, lambda text: say(f"{region.name}: {text}"))
     gathered, count = _gathered(years, limits, plan.law, members)
     if not gathered.spans:
@@ -261,12 +264,12 @@ def _region(
     operates = power is not None and fit.design.power_scale_W is not None
     scopes = {scope: _bounded(gathered.of(scope)) for scope in SCOPES if gathered.has(scope)}
     if operates:
-        statements.append(operating_text(gathered, isinstance(power, PowerCurve)))
+        statements.append(operating_statement(gathered, isinstance(power, PowerCurve)))
     statements += [
-        *filter(None, [rests_on(inherited(fit.results))]),
-        *extrapolation_words(fit, run),
-        *region.weather.warnings,
-        *weather_words(region.weather, gathered, count, members, limits),
+        *rests_on(inherited(fit.results)),
+        *extrapolation_statements(fit, run),
+        *region.statements,
+        *weather_statements(region.weather, gathered, count, members, limits),
     ]
     if operates:
         still, _ = driven(fit, region.weather, None)
@@ -275,13 +278,14 @@ def _region(
     say(f"{region.name}: test profile")
     profile = gathered.test_profile(plan)
     if profile is None:
-        statements.append(NO_PROFILE)
+        statements.append(ClimateCode.NO_PROFILE())
     wet, beyond = scopes["all"].get("wetness_h"), gathered.of("limit")
     return RegionClimate(
         name=region.name,
         files=tuple(region.files),
         synthetic=any("synthetic" in s.source for s in region.weather.series),
         statements=tuple(statements),
+        warnings=region.weather.warnings,
         part_of_year=gathered.part,
         bounds_hold=held(members * len(gathered.spans)),
         mean_bounds_hold=held(members),
@@ -332,83 +336,82 @@ SAID_FROM = 0.01
 """Share of the time outside the identified range from which a statement says so."""
 
 
-def weather_words(
+def weather_statements(
     weather: Record, gathered: Gathered, found: int, members: int, limits: Sequence[ClimateLimit]
-) -> list[str]:
+) -> list[Statement]:
     """Statements on the weather, on the years used out of `found` years, on too few members for the stated
     bounds, on limits that cannot be judged, and on air above saturation."""
     hours, count = sum(one.hours_known for one in gathered.spans), len(gathered.spans)
     length, part = sum(one.hours_covered for one in gathered.spans), gathered.part
-    share, days = held(members * count), "these days" if part else "these years"
+    share = held(members * count)
     rare = [
         (middle(s.steps_s) / 3600.0, s.signal)
         for s in weather.series
         if s.signal.startswith("ambient_") and len(s.steps_s)
     ]
     step_h, name = max(rare, default=(0.0, ""))
-    numbers, judged = gathered.of("all"), gathered.of("limit")
+    numbers = gathered.of("all")
     dripping_h = float(numbers["saturation_h"].mean()) if "saturation_h" in numbers else 0.0
-    said = {
-        f"{name} comes every {step_h:g} h and is interpolated linearly: extremes, rates, cycles and short "
-        f"excursions are underestimated{'; the course of a day is lost' if step_h >= 12.0 else ''}": (
-            step_h > 1.01
-        ),
-        f"{found - count} of {found} years are left out: less than {100.0 * WHOLE:.0f} % of their "
-        "weather and power is known": count < found,
-        f"the bounds rest on {part} of weather and say nothing about the rest of the year or "
-        "other years": bool(part) and count == 1,
-        "the bounds rest on one year of weather and say nothing about how years differ": (
-            not part and count == 1
-        ),
-        f"the weather covers {_length_text(length)}, not {'a year' if count == 1 else f'{count} years'}: "
-        "hours per year are scaled up as if the rest were alike": length < 0.95 * YEAR_H * count,
-        f"on {part} no limit passes, because the rest of the year may exceed it: a limit that "
-        "is kept here is undecided, one that is exceeded fails": bool(part),
-        f"weather or power is unknown for {100.0 * (1.0 - hours / length):.1f} % of the time, which is "
-        "left out": hours < 0.98 * length,
-        f"{members} members are too few: the bounds are the smallest and the largest member, which hold a "
-        f"single year in {100.0 * share:.0f} % of cases, not in {100.0 * LEVEL:.0f} %; use "
-        f"{FEWEST_MEMBERS} or more (--members)": share < LEVEL,
-    }
-    for one in limits:
-        where = f"{'at' if one.during == 'standstill' else 'in'} {one.during}"
-        said |= {
-            f'limit "{one.name}" is not judged: the model has no {one.quantity_words}, only a temperature': (
-                one.name not in judged
-            ),
-            f'limit "{one.name}" {"is not exceeded" if part else "passes"} only because {days} have no hours '
-            f"{where}": one.name in judged and not gathered.has(one.during),
-        }
-    said |= {
-        f"the cabinet's air is above 100 % for {dripping_h:.0f} h a year: the model lacks a process that "
-        "limits the humidity (condensation, moisture storage), and the bounds do not include this error; "
-        "hours of wetness and condensation are unreliable": dripping_h >= DRIPPING_H
-    }
-    return [text for text, holds in said.items() if holds]
+    statements = []
+    if step_h > 1.01:
+        code = ClimateCode.WEATHER_WITHOUT_DAYS if step_h >= 12.0 else ClimateCode.WEATHER_RARE
+        statements.append(code(signal=name, step_h=step_h))
+    if count < found:
+        statements.append(ClimateCode.YEARS_LEFT_OUT(left_out=found - count, years=found, share=WHOLE))
+    if count == 1:
+        alone = ClimateCode.BOUNDS_OF_ONE_YEAR() if part is None else ClimateCode.BOUNDS_OF_A_PART(part=part)
+        statements.append(alone)
+    if length < 0.95 * YEAR_H * count:
+        statements.append(ClimateCode.SCALED_UP(length=_length(length), years=in_years(count)))
+    if part is not None:
+        statements.append(ClimateCode.NO_LIMIT_PASSES(part=part))
+    if hours < 0.98 * length:
+        statements.append(ClimateCode.INPUTS_UNKNOWN(share=1.0 - hours / length))
+    if share < LEVEL:
+        few = ClimateCode.FEW_MEMBERS(members=members, share=share, level=LEVEL, fewest=FEWEST_MEMBERS)
+        statements.append(few)
+    statements += [text for limit in limits for text in _limit_statements(limit, gathered)]
+    if dripping_h >= DRIPPING_H:
+        statements.append(ClimateCode.AIR_ABOVE_SATURATION(hours=dripping_h))
+    return statements
 
 
-def operating_text(gathered: Gathered, by_curve: bool) -> str:
+def _limit_statements(limit: ClimateLimit, gathered: Gathered) -> list[Statement]:
+    """That a limit cannot be judged, or is kept for want of hours."""
+    if limit.name not in gathered.of("limit"):
+        return [ClimateCode.LIMIT_NOT_JUDGED(limit=limit.name, quantity=limit.quantity_words)]
+    if gathered.has(limit.during):
+        return []
+    standing = limit.during == "standstill"
+    regime = ClimateCode.AT_STANDSTILL() if standing else ClimateCode.IN_OPERATION()
+    whole = gathered.part is None
+    code = ClimateCode.PASSES_WITHOUT_HOURS if whole else ClimateCode.KEPT_WITHOUT_HOURS
+    return [code(limit=limit.name, regime=regime)]
+
+
+def operating_statement(gathered: Gathered, by_curve: bool) -> Statement:
     """The share of time in operation, with a doubt where it is low."""
     shares, hours = zip(*((one.operating_share, one.hours_known) for one in gathered.spans), strict=True)
     share = float(np.average(shares, weights=hours))
-    said = f"the turbine operates {100.0 * share:.0f} % of the time"
     if share >= LEAST_OPERATION:
-        return said
-    return f"{said}: check {'units and height of the wind' if by_curve else 'unit and sign of the power'}"
+        return ClimateCode.OPERATES(share=share)
+    code = ClimateCode.OPERATES_LITTLE_BY_CURVE if by_curve else ClimateCode.OPERATES_LITTLE
+    return code(share=share)
 
 
-def extrapolation_words(fit: Fit, run: Run) -> list[str]:
+def extrapolation_statements(fit: Fit, run: Run) -> list[Statement]:
     """Statements on the hours of weather and power outside the range on which a fit was identified; none for
     a fit without a stated range."""
     ranges = fit.results.identified_on
     if not ranges:
         return []
-    units = {  # with meaning; factor and offset from the model's unit; decimals
-        "ambient_temperature": ("°C of ambient air", 1.0, -ZERO_CELSIUS_K, 1),
-        "ambient_absolute_humidity": ("g/m³ of ambient air", 1.0, 0.0, 1),
-        "power_1": ("kW of power", (fit.design.power_scale_W or 0.0) / 1e3, 0.0, 0),
+    power_kW = (fit.design.power_scale_W or 0.0) / 1e3
+    units = {  # factor and offset from the model's unit
+        "ambient_temperature": (ClimateCode.EXTRAPOLATED_TEMPERATURE, 1.0, -ZERO_CELSIUS_K),
+        "ambient_absolute_humidity": (ClimateCode.EXTRAPOLATED_HUMIDITY, 1.0, 0.0),
+        "power_1": (ClimateCode.EXTRAPOLATED_POWER, power_kW, 0.0),
     }
-    said = []
+    statements = []
     for name, key in IDENTIFIED_ON.items():
         if key not in ranges or name not in fit.design.model.inputs:
             continue
@@ -418,11 +421,8 @@ def extrapolation_words(fit: Fit, run: Run) -> list[str]:
         outside = (value < low - beyond) | (value > high + beyond)
         share = float(outside.mean()) if len(value) else 0.0
         if share > SAID_FROM:
-            words, factor, offset, digits = units[name]
-            ends = (factor * one + offset for one in (low, high, float(np.min(value)), float(np.max(value))))
-            a, b, least, most = (f"{one:.{digits}f}" for one in ends)
-            said.append(
-                f"{share * YEAR_H:.0f} h/a are outside the {a} … {b} {words} on which the model was "
-                f"identified (here {least} … {most}): the model is extrapolated"
-            )
-    return said
+            code, factor, offset = units[name]
+            ends = {"lower": low, "upper": high, "least": float(np.min(value)), "most": float(np.max(value))}
+            values = {key: factor * end + offset for key, end in ends.items()}
+            statements.append(code(hours=share * YEAR_H, **values))
+    return statements

@@ -21,7 +21,8 @@ from hygrokf.data.timestamps import DAY_S, HOUR_S
 from hygrokf.data.toml_form import across, setting
 from hygrokf.errors import HygrokfError
 from hygrokf.identification.fit import Fit
-from hygrokf.texts.wording import stamp_text
+from hygrokf.texts.climate import ClimateCode
+from hygrokf.texts.statement import Statement
 from hygrokf.weather.reading import TYPICAL, form_of, read_weather
 
 YEAR_S = 365.25 * DAY_S
@@ -133,18 +134,15 @@ class PowerCurve:
         found = np.interp(hub, self.wind_speed_m_s, 1e3 * np.array(self.power_kW), left=0.0, right=0.0)
         return np.where(np.isnan(hub), np.nan, found)
 
-    def words(self) -> str:
+    @property
+    def statement(self) -> Statement:
         """How the curve turns the weather's wind into power."""
-        how = (
-            f"power law, exponent {self.shear.number:g}"
-            if self.shear.law == "power"
-            else f"log law, roughness {self.shear.number:g} m"
-        )
-        return (
-            f"power follows the power curve from the weather's wind at {self.wind_height_m:g} m, brought to "
-            f"{self.hub_height_m:g} m by the {how} (factor {self.factor:.3f}); it has no faults, curtailment "
-            "or wakes"
-        )
+        if self.shear.law == "power":
+            law = ClimateCode.POWER_LAW(exponent=self.shear.number)
+        else:
+            law = ClimateCode.LOGARITHMIC_LAW(roughness_m=self.shear.number)
+        heights = {"wind_height_m": self.wind_height_m, "hub_height_m": self.hub_height_m}
+        return ClimateCode.POWER_BY_CURVE(**heights, law=law, factor=self.factor)
 
 
 def power_from_wind(curve: PowerCurve, record: Record) -> Series:
@@ -180,7 +178,7 @@ def covers(series: Series, record: Record) -> bool:
     return first <= record.start_s + 2 * DAY_S and last >= record.end_s - 2 * DAY_S
 
 
-def power_by_season(power: Series, record: Record) -> tuple[Series, str]:
+def power_by_season(power: Series, record: Record) -> tuple[Series, Statement]:
     """Power [W], hour by hour, for a weather record, and a statement on how it was taken.
 
     A record that covers the weather's time is taken as it is.  From a record of other years each hour takes
@@ -189,7 +187,7 @@ def power_by_season(power: Series, record: Record) -> tuple[Series, str]:
     """
     first, last = power.time[0] - power.interval_s, power.time[-1]
     if covers(power, record):
-        return power, "power follows its record, hour by hour"
+        return power, ClimateCode.POWER_BY_RECORD()
     if last - first < 0.95 * YEAR_S:
         raise PowerFault(
             f"{power.source}: expected power over the weather's time or over a whole year, found "
@@ -204,31 +202,29 @@ def power_by_season(power: Series, record: Record) -> tuple[Series, str]:
     at += DAY_S * (at <= first)
     at -= DAY_S * ((at > last) & (at <= last + DAY_S))
     value = np.where(at > last, np.nan, at_times(power, at, 1.0))
-    span = "a year" if whole == 1 else f"{whole} years"
-    return _hourly_power(ends, value, power.source), (
-        "power is from another time than the weather, assigned by the time of the year from a record of "
-        f"{span}: "
-        f"it does not match this weather's wind; {_used_words(at[np.isfinite(value)], first, last)}"
-    )
+    used = _used(at[np.isfinite(value)], float(first), float(last))
+    statement = ClimateCode.POWER_BY_SEASON(length=in_years(whole), used=used)
+    return _hourly_power(ends, value, power.source), statement
 
 
-def _used_words(at: np.ndarray, first: float, last: float) -> str:
+def in_years(count: int) -> Statement:
+    """The length of some years."""
+    return ClimateCode.ONE_YEAR() if count == 1 else ClimateCode.MANY_YEARS(years=count)
+
+
+def _used(at: np.ndarray, first: float, last: float) -> Statement:
     """Which part of a record of power from `first` to `last` [s] was used, given the hours [s] taken."""
     hours = np.unique(at)
     if not len(hours):
-        return "none of it is known"
+        return ClimateCode.POWER_UNKNOWN()
     turns = np.flatnonzero(np.diff(hours) > UNUSED_S)
     begins, ends = hours[np.append(0, turns + 1)] - HOUR_S, hours[np.append(turns, len(hours) - 1)]
     spans = list(zip(begins, ends, strict=True))
     told = [span for span in spans if span[1] - span[0] > UNUSED_S] or spans
-    listed = " and ".join(f"{stamp_text(a)[:10]} … {stamp_text(b)[:10]}" for a, b in told)
+    stated = tuple(ClimateCode.POWER_SPAN(first=float(a), last=float(b)) for a, b in told)
     if (last - first) - float(np.sum(ends - begins)) <= UNUSED_S:
-        return f"all of it, {listed}, is used"
-    return (
-        f"the part {listed} is used, the rest of the record from {stamp_text(first)[:10]} to "
-        f"{stamp_text(last)[:10]} is not; the choice matters, because years differ in their hours of "
-        "standstill"
-    )
+        return ClimateCode.POWER_ALL_USED(spans=stated)
+    return ClimateCode.POWER_PARTLY_USED(spans=stated, first=first, last=last)
 
 
 def standstill(record: Record) -> Series:
@@ -256,11 +252,13 @@ February."""
 
 @dataclass(frozen=True)
 class Region:
-    """Weather of one place under its name, as a record; `files` that it was read from."""
+    """Weather of one place under its name, as a record; `files` that it was read from, and `statements` on
+    how."""
 
     name: str
     weather: Record
     files: tuple[str, ...] = ()
+    statements: tuple[Statement, ...] = ()
 
 
 def read_region(
@@ -279,6 +277,7 @@ def read_region(
             f"{name}: expected weather files, or one case file (.toml) alone, found "
             f"{', '.join(one.name for one in paths)}"
         )
+    statements: tuple[Statement, ...] = ()
     if cases:
         weather = read_case(paths[0], cabinet=False)
     else:
@@ -286,12 +285,8 @@ def read_region(
         years = years_of_power(power["active_power"]) if typical and isinstance(power, Record) else 1
         weather = read_weather(paths, year=TYPICAL_YEAR if typical else None, years=years)
         if years > 1:
-            said = (
-                f"the typical year is repeated {years} times, once for each year of power: between_years and "
-                "the bounds describe years that differ in their power, not in their weather"
-            )
-            weather = replace(weather, warnings=(*weather.warnings, said))
-    return Region(name, weather, tuple(one.name for one in paths))
+            statements = (ClimateCode.TYPICAL_YEAR_REPEATED(years=years),)
+    return Region(name, weather, tuple(one.name for one in paths), statements)
 
 
 def read_power(path: str | os.PathLike[str]) -> Record:
@@ -308,59 +303,53 @@ def read_power(path: str | os.PathLike[str]) -> Record:
     return replace(record, series=tuple(record[name] for name in ("active_power", *DUTIES) if name in record))
 
 
-def driven(fit: Fit, weather: Record, power: Record | PowerCurve | None) -> tuple[Record, list[str]]:
+def driven(fit: Fit, weather: Record, power: Record | PowerCurve | None) -> tuple[Record, list[Statement]]:
     """Weather and power as a record for a fit's model, and statements on how they were combined.
 
     `power`: a record of it, a power curve, or None for standstill all year.  The record's pre-heating and
     actuators are used where its power is taken hour by hour; else they are off.  Power, cabinet and
     actuators in the weather's own record are ignored.  Raises PowerFault where there is no usable power.
     """
-    said = []
+    statements: list[Statement] = []
     kept = [s for s in weather.series if not s.signal.startswith(("cabinet_", "active_power", *DUTIES))]
     series: list[Series] = []
     if fit.design.power_scale_W is None:
-        said.append("the model has no power input: the whole year counts as standstill")
+        statements.append(ClimateCode.NO_POWER_INPUT())
     elif power is None:
         series.append(standstill(weather))
-        said.append("the turbine stands still all year: there is no power at any time")
+        statements.append(ClimateCode.NO_POWER_ALL_YEAR())
     else:
         if isinstance(power, PowerCurve):
-            taken, words = power_from_wind(power, weather), power.words()
+            taken, statement = power_from_wind(power, weather), power.statement
         else:
-            taken, words = power_by_season(power["active_power"], weather)
+            taken, statement = power_by_season(power["active_power"], weather)
         series.append(taken)
-        said += [words, *_scale_words(fit, power.rated_power_W)]
+        statements += [statement, *_rated_differently(fit, power.rated_power_W)]
     for name in DUTIES:
         if name in fit.design.model.inputs:
-            duty, words = _duty(name, weather, power if isinstance(power, Record) else None)
+            duty, statement = _duty(name, weather, power if isinstance(power, Record) else None)
             series.append(duty)
-            said.append(words)
-    return replace(weather, series=(*map(_hourly, kept), *series), until_s=None), said
+            statements.append(statement)
+    return replace(weather, series=(*map(_hourly, kept), *series), until_s=None), statements
 
 
-def _duty(name: str, weather: Record, power: Record | None) -> tuple[Series, str]:
+def _duty(name: str, weather: Record, power: Record | None) -> tuple[Series, Statement]:
     """The course of pre-heating or of an actuator over a weather record, and a statement on its source."""
     words = name.replace("preheating", "pre-heating")
     if power is not None and name in power and covers(power["active_power"], weather):
         if covers(power[name], weather):
-            return power[name], f"{words} follows the record of the power, hour by hour"
-    why = (
-        "no record shows when it is on"
-        if power is None or name not in power
-        else ("the record of the power does not cover the weather's time")
-    )
+            return power[name], ClimateCode.ACTUATOR_BY_RECORD(actuator=words)
+    recorded = power is not None and name in power
+    code = ClimateCode.ACTUATOR_NOT_COVERED if recorded else ClimateCode.ACTUATOR_NOT_RECORDED
     off = replace(standstill(weather), signal=name, source="off")
-    return off, f"{words} is off all year: {why}"
+    return off, code(actuator=words)
 
 
-def _scale_words(fit: Fit, rated_W: float | None) -> list[str]:
+def _rated_differently(fit: Fit, rated_W: float | None) -> list[Statement]:
     scale = fit.design.power_scale_W
     if rated_W is None or scale is None or abs(rated_W / scale - 1.0) < 0.1:
         return []
-    return [
-        f"the turbine of the power is rated {rated_W / 1e3:.0f} kW, that of the fit {scale / 1e3:.0f} kW: "
-        "the heat release is that of the same power in kW"
-    ]
+    return [ClimateCode.RATED_DIFFERENTLY(rated_kW=rated_W / 1e3, scale_kW=scale / 1e3)]
 
 
 def _hourly(series: Series) -> Series:

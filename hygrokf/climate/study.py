@@ -21,6 +21,8 @@ from hygrokf.data.files import CLIMATE, SUMMARIES, write_text_whole
 from hygrokf.data.result_file import drawn, read_result, result_text, with_units
 from hygrokf.identification.verdict_terms import Inherited
 from hygrokf.physics.psychrometrics import Surface
+from hygrokf.texts.statement import Statement
+from hygrokf.texts.terms import Instant, Name, ReaderText, Source, Version
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -40,8 +42,8 @@ class YearSpan:
 
     hours_known: float
     operating_share: float
-    start: str
-    end: str
+    start: Instant
+    end: Instant
 
     @property
     def hours_covered(self) -> float:
@@ -88,28 +90,30 @@ class JointDistribution:
 class RegionClimate:
     """The climate in a cabinet under the weather of one region.
 
-    `files` of the weather; `synthetic` where a computer made it.  `statements` on weather, power and bounds.
-    `part_of_year`: such as "80 days" where no year is known well enough to stand for one, else empty.
+    `files` of the weather; `synthetic` where a computer made it.  `statements` on weather, power and bounds;
+    `warnings` of the weather's readers.
+    `part_of_year`: its length where no year is known well enough to stand for one.
     `bounds_hold`, `mean_bounds_hold`: shares [1] of single years, and of means, that the bounds hold.
     `scopes`: numbers (`climate.statistics.STATISTICS`) by scope and name; `outside`: those of the weather.
     `duration`, `rates`: duration curves by quantity.  Without humidity there is no class of wetness, no joint
     distribution and no test profile.
     """
 
-    name: str
-    files: tuple[str, ...]
+    name: Name
+    files: tuple[Source, ...]
     synthetic: bool
-    statements: tuple[str, ...]
-    part_of_year: str
+    statements: tuple[Statement, ...]
+    warnings: tuple[ReaderText, ...]
+    part_of_year: Statement | None
     bounds_hold: float
     mean_bounds_hold: float
     years: tuple[YearSpan, ...]
-    wetness_class: str | None
-    wetness_class_bounds: tuple[str, str] | None
-    scopes: Mapping[str, Mapping[str, BoundedMean]]
-    outside: Mapping[str, float]
-    duration: Mapping[str, DurationCurve]
-    rates: Mapping[str, DurationCurve]
+    wetness_class: Name | None
+    wetness_class_bounds: tuple[Name, Name] | None
+    scopes: Mapping[Name, Mapping[Name, BoundedMean]]
+    outside: Mapping[Name, float]
+    duration: Mapping[Name, DurationCurve]
+    rates: Mapping[Name, DurationCurve]
     joint: JointDistribution | None
     limits: tuple[Exceedance, ...]
     test_profile: ChamberProfile | None
@@ -139,12 +143,12 @@ class Study:
     from computed data.
     """
 
-    name: str
-    version: str
+    name: Name
+    version: Version
     members: int
     seed: int
     level: float
-    verdicts: Mapping[str, Inherited]
+    verdicts: Mapping[Name, Inherited]
     surface: Surface
     plan: ProfilePlan
     synthetic: bool

@@ -89,7 +89,7 @@ def _run(options: argparse.Namespace) -> int:
     expect_own_directory(options.out, CLIMATE)
     fit, regions, power, limits, plan = _inputs(options)
     for region in regions:
-        for warning in region.weather.warnings:
+        for warning in (*region.weather.warnings, *region.statements):
             activity().note(f"warning: {region.name}: {warning}")
     with Progress(4 * len(regions) + 1) as progress:
         with faults_of(options.fit):

@@ -20,12 +20,14 @@ from hygrokf.fleet.job import Job, Row, Work
 from hygrokf.fleet.plan import FleetPlan
 from hygrokf.fleet.results import FleetResults
 from hygrokf.fleet.running import run_jobs
-from hygrokf.fleet.tasks import BETWEEN, CLIMATE_COLUMNS
+from hygrokf.fleet.tasks import CLIMATE_COLUMNS
 from hygrokf.identification.fit import write_fit
 from hygrokf.modelling.design import PARTS
 from hygrokf.report.fit_page import write_report
 from hygrokf.report.fleet_page import write_fleet_report
 from hygrokf.report.transfer_page import write_transfer
+from hygrokf.texts.fleet import FleetCode
+from hygrokf.texts.statement import Statement
 from hygrokf.texts.wording import stamp_text
 
 if TYPE_CHECKING:
@@ -92,7 +94,7 @@ def _fit(job: Job) -> Row:
         **_of_time_constants(found.time_constants),
         **_of_scores(found),
         "loglik": found.loglik,
-        "at_bounds": " ".join(found.at_bounds),
+        "at_bounds": found.at_bounds,
     }
 
 
@@ -112,8 +114,17 @@ def _of_time_constants(constants: Mapping[str, TimeConstant]) -> dict[str, Cell]
         constant = constants.get(name)
         for end in ("value_h", "lower_h", "upper_h"):
             found[f"{name}_{end}"] = getattr(constant, end, math.nan)
-        found[f"{name}_statement"] = "" if constant is None or constant.closed else constant.texts[0]
+        found[f"{name}_statement"] = "" if constant is None or constant.closed else _open(constant)
     return found | _of_verdicts(constants)
+
+
+def _open(constant: TimeConstant) -> Statement:
+    """What is known of a time constant without both bounds."""
+    if 0 < constant.upper_h < math.inf:
+        return FleetCode.NOT_ABOVE(bound=constant.upper_h)
+    if 0 < constant.lower_h < math.inf:
+        return FleetCode.NOT_BELOW(bound=constant.lower_h)
+    return FleetCode.NO_BOUNDS()
 
 
 def _of_verdicts(known: Mapping[str, TimeConstant | Inherited]) -> dict[str, Cell]:
@@ -145,9 +156,9 @@ def _discover(job: Job) -> Row:
     columns: dict[str, Cell] = {
         **_of_record(record),
         "verdict": found.verdict,
-        "causes": " ".join("/".join((one.cause, *one.ambiguous_with)) for one in named),
+        "causes": tuple("/".join((one.cause, *one.ambiguous_with)) for one in named),
         "confidence": min((one.confidence for one in named), default=math.nan),
-        "not_judged": " ".join(found.work.not_judged),
+        "not_judged": found.work.not_judged,
         **_of_time_constants((found.extended or found.baseline).time_constants),
         **_of_scores((found.extended or found.baseline).fit),
     }
@@ -172,7 +183,7 @@ def _evaluate(job: Job) -> Row:
         columns[column.replace("rmse", "rmse_operation")] = errors.operation
         columns[column.replace("rmse", "rmse_standstill")] = errors.standstill
         columns[f"{column.partition('_rmse')[0]}_coverage"] = found.band("free_run", quantity).coverage
-    columns["statements"] = BETWEEN.join(found.statements)
+    columns["statements"] = found.statements
     return columns
 
 
@@ -191,9 +202,9 @@ def _transfer(job: Job) -> Row:
     columns: dict[str, Cell] = {
         **_of_record(record),
         "model": results.source.name,
-        "transfer": results.verdict,
-        "re_estimate": " ".join(results.re_estimate),
-        "sentence": results.sentence,
+        "transfer": results.verdict(),
+        "re_estimate": results.re_estimate,
+        "sentence": results.statement,
         **_of_verdicts(results.verdicts),
         "scored_period": results.period,
     }
@@ -237,7 +248,7 @@ def _climate(job: Job) -> Row:
             columns[f"{name}{suffix}"] = getattr(region.year.get(name), part, math.nan)
     columns["limits"] = region.verdict
     columns["wetness_class"] = region.wetness_class or ""
-    columns["statements"] = BETWEEN.join(region.statements)
+    columns["statements"] = (*region.statements, *region.warnings)
     return columns
 
 

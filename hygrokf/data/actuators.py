@@ -10,12 +10,15 @@ from typing import Any
 import numpy as np
 
 from hygrokf.data.record import Record, Series
+from hygrokf.texts.fit import FitCode
+from hygrokf.texts.statement import Statement
+from hygrokf.texts.terms import Name
 
 FEWEST_EACH_SIDE = 10
 """Readings needed on either side of half of an actuator's span for its effect to be identifiable."""
 TOP = 0.999
 """Quantile of a power that counts as full power."""
-Chosen = tuple[str, Mapping[str, Any]]
+Chosen = tuple[Name, Mapping[str, Any]]
 """A mechanism of the library: its name and the settings that make it."""
 
 
@@ -25,26 +28,26 @@ class Actuator:
 
     `thermal` and `hygric`: mechanisms (name, settings) by which it acts on each network, or None.  `half`:
     middle of its span [SI unit], above which it counts as on.  `reason`: why a model does not use it, else
-    empty.
+    None.
     """
 
     signal: str
     thermal: Chosen | None
     hygric: Chosen | None
     half: float = 0.5
-    reason: str = ""
+    reason: Statement | None = None
 
     @property
     def used(self) -> bool:
-        return not self.reason
+        return self.reason is None
 
     @property
-    def statement(self) -> str:
-        """How a model uses the actuator, in words."""
-        if self.reason:
-            return f"{self.signal} is not used: {self.reason}"
-        networks = [name for name, one in (("thermal", self.thermal), ("hygric", self.hygric)) if one]
-        return f"{self.signal} is a known input of the {' and the '.join(networks)} network"
+    def statement(self) -> Statement:
+        """How a model uses the actuator, or why it does not."""
+        if self.reason is not None:
+            return FitCode.ACTUATOR_UNUSED(signal=self.signal, why=self.reason)
+        networks = tuple(n for n, one in (("thermal", self.thermal), ("hygric", self.hygric)) if one)
+        return FitCode.ACTUATOR_USED(signal=self.signal, networks=networks)
 
 
 ACTUATORS: Mapping[str, tuple[str | None, str | None]] = {
@@ -70,7 +73,7 @@ def actuators(record: Record) -> tuple[Actuator, ...]:
     found = [_actuator(record[signal]) for signal in ACTUATORS if signal in record]
     if any(one.signal == "heater_power" and one.used for one in found):
         found = [
-            replace(one, reason="heater_power says what the heater does")
+            replace(one, reason=FitCode.HEATER_POWER_LOGGED())
             if one.signal == "heater_duty"
             else one
             for one in found
@@ -97,16 +100,13 @@ def _actuator(series: Series) -> Actuator:
     )
 
 
-def _why_not(value: np.ndarray) -> str:
-    """Why the readings (n,) of an actuator cannot show its effect; empty where they can."""
+def _why_not(value: np.ndarray) -> Statement | None:
+    """Why the readings (n,) of an actuator cannot show its effect; None where they can."""
     if not len(value):
-        return "it has no reading"
+        return FitCode.ACTUATOR_UNREAD()
     if value.min() == value.max():
-        return "it never changes, so its effect is part of the model's constants"
+        return FitCode.ACTUATOR_CONSTANT()
     above = int((value > 0.5 * (value.min() + value.max())).sum())
     if min(above, len(value) - above) >= FEWEST_EACH_SIDE:
-        return ""
-    return (
-        f"{above} readings above half of its span and {len(value) - above} below; at least "
-        f"{FEWEST_EACH_SIDE} of each are needed"
-    )
+        return None
+    return FitCode.ACTUATOR_RARE(above=above, below=len(value) - above, fewest=FEWEST_EACH_SIDE)

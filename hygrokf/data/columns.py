@@ -62,6 +62,7 @@ class FileColumns:
     sha256: of the file.
     header: names of all its columns, also of those that were not read.
     judged: column name -> what the quality beside it says.
+    summer_time: whether warnings are about the hours of summer-time changes.
     """
 
     time: np.ndarray
@@ -70,6 +71,7 @@ class FileColumns:
     sha256: str
     header: tuple[str, ...] = ()
     judged: Mapping[str, MarkedReadings] = field(default_factory=dict)
+    summer_time: bool = False
 
 
 @dataclass(frozen=True)
@@ -163,14 +165,14 @@ def table_of(
                 told.append(_two_readings(name, frame[name], places))
         if wrong.any():
             faults.append(_text_fault(name, frame[name], wrong, places, reasons, stated))
-    time = np.full(len(frame), np.nan)
+    time, summer_time = np.full(len(frame), np.nan), False
     if stamps is not None:
         if stamps.dtype == object:  # databases export a time without bounds as a word
             stamps = stamps.mask(stamps.isin(("infinity", "-infinity")))
         rows = np.array([*values.values()]).reshape(len(values), len(frame))
         same = (rows[:, 1:] == rows[:, :-1]) | (np.isnan(rows[:, 1:]) & np.isnan(rows[:, :-1]))
         repeated = np.append(False, np.all(same, axis=0))[: len(frame)]
-        time, said, amiss = _stamps_read(stamps, stamps_named, places, zone, notation, repeated)
+        time, said, amiss, summer_time = _stamps_read(stamps, stamps_named, places, zone, notation, repeated)
         warnings += said
         faults += amiss
         given = stamps.notna().to_numpy()
@@ -185,7 +187,8 @@ def table_of(
     if not keep.any():
         raise TableFault("expected readings, found no row with a stamp that can be used")
     kept = {name: array[keep] for name, array in values.items()}
-    return FileColumns(time[keep], kept, tuple(warnings), sha256, tuple(frame.attrs.get(HEADER, ())), judged)
+    header = tuple(frame.attrs.get(HEADER, ()))
+    return FileColumns(time[keep], kept, tuple(warnings), sha256, header, judged, summer_time)
 
 
 def _two_readings(name: str, column: pandas.Series, places: Places) -> str:
@@ -204,13 +207,13 @@ def _stamps_read(
     zone: tzinfo | None,
     notation: Notation,
     repeated: np.ndarray,
-) -> tuple[np.ndarray, list[str], list[str]]:
-    """Times (N,) [s] of stamps, NaN where there is none; warnings; faults.  Arguments as for `table_of` and
-    `read_stamps`."""
+) -> tuple[np.ndarray, list[str], list[str], bool]:
+    """Times (N,) [s] of stamps, NaN where there is none; warnings; faults; whether warnings are about summer
+    time.  Arguments as for `table_of` and `read_stamps`."""
     time_format, ignore_offset = notation.time_format, notation.ignore_offset
     options: dict[str, Any] = dict(time_format=time_format, ignore_offset=ignore_offset, repeated=repeated)
     if fault := time_format_fault(time_format or ""):
-        return np.full(len(stamps), np.nan), [], [f"{stamps_named}: {fault}"]
+        return np.full(len(stamps), np.nan), [], [f"{stamps_named}: {fault}"], False
     warnings: list[str] = []
     faults: list[str] = []
     found = read_stamps(stamps, zone, **options)
@@ -248,7 +251,7 @@ def _stamps_read(
         else:
             remedy = "correct or remove these rows"
             faults.append(f"{stamps_named}: expected stamps of our time, found {odd}; {remedy}")
-    return time, warnings, faults
+    return time, warnings, faults, bool(found.warnings)
 
 
 def column_fault(name: str, found: Sequence[str], holder: str) -> str:

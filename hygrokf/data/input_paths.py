@@ -41,12 +41,6 @@ SLOPE_REACH_S = 6 * 3600.0
 """[s] no slope is taken between readings further apart than this."""
 
 
-ON_CHANGE = (
-    "comes only when it changes (no two successive values are equal), and is joined by lines: state "
-    'hold = "previous" if each value holds until the next'
-)
-
-
 def on_change(time: np.ndarray, value: np.ndarray, resolution: float = 0.0) -> bool:
     """Whether readings come only when the value changes: irregular times [s], no successive (N,) equal ones.
 

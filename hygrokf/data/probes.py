@@ -14,6 +14,8 @@ import numpy as np
 from hygrokf.data.record import Series
 from hygrokf.data.signals import HUMIDITIES
 from hygrokf.physics.psychrometrics import absolute_humidity, absolute_humidity_from_dew_point
+from hygrokf.texts.record import DoubtCode
+from hygrokf.texts.statement import Statement
 
 FEWEST_IN_COMMON = 20
 """Readings at common times from which two series are compared."""
@@ -45,31 +47,24 @@ def temperatures_of(probe: str, columns: Iterable[str]) -> list[str]:
     return [one for one in columns if probe_of(one) == (probe_of(probe)[0], "temperature")]
 
 
-def copies(series: Sequence[Series]) -> Iterator[tuple[Series, str]]:
-    """Series of the ambient that are the cabinet's own, and a sentence that names the columns."""
+def copies(series: Sequence[Series]) -> Iterator[Statement]:
+    """Doubts about series of the ambient that are the cabinet's own."""
     of = {one.signal: one for one in series}
     for kind in ("temperature", *HUMIDITIES):
         inside, outside = of.get(f"cabinet_{kind}"), of.get(f"ambient_{kind}")
         if inside is not None and outside is not None and _same_readings(inside, outside):
-            yield (
-                outside,
-                (
-                    f"{inside.signal} and {outside.signal} are the same readings ({inside.source}; "
-                    f"{outside.source}): one of the two columns is wrong"
-                ),
-            )
+            yield DoubtCode.SAME_READINGS(
+                inside=inside.signal, inside_source=inside.source,
+                signal=outside.signal, source=outside.source,
+            )  # fmt: skip
     warm, moist = of.get("cabinet_temperature"), of.get("cabinet_relative_humidity")
     for kind in ("absolute_humidity", "dew_point_temperature"):
         outside = of.get(f"ambient_{kind}")
         if warm is not None and moist is not None and outside is not None and _derived(warm, moist, outside):
-            yield (
-                outside,
-                (
-                    f"{outside.signal} ({outside.source}) is computed from the cabinet's own readings "
-                    f"({warm.source}; {moist.source}): name the source of the air outside, or call it "
-                    f"cabinet_{kind}"
-                ),
-            )
+            yield DoubtCode.COMPUTED_FROM_CABINET(
+                signal=outside.signal, source=outside.source, temperature_source=warm.source,
+                humidity_source=moist.source, instead=f"cabinet_{kind}",
+            )  # fmt: skip
 
 
 def _same_readings(one: Series, other: Series) -> bool:

@@ -11,6 +11,9 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from hygrokf.texts.record import RecordCode
+from hygrokf.texts.statement import Statement
+
 if TYPE_CHECKING:
     import pandas
 
@@ -112,22 +115,23 @@ def fitting(marks: Iterable[object]) -> tuple[str, ...]:
     return tuple(name for name, one in fits.items() if GOOD in map(one.judge, numbers))
 
 
-def advice(marks: Iterable[object]) -> str:
-    """What to state for a column of marks, as a phrase."""
+def advice(marks: Iterable[object]) -> Statement:
+    """What to state for a column of marks."""
     seen = sorted({_key(one) for one in marks} - {None}, key=lambda one: (isinstance(one, str), one))
-    shown = ", ".join(map(str, seen[:8])) + (" …" if len(seen) > 8 else "")
-    if fits := " or ".join(f'"{one}"' for one in fitting(seen)):
-        return f"state vocabulary = {fits}, which fits {shown}"
-    return f"no known vocabulary fits {shown}: list the good marks, such as vocabulary = [1]"
+    shown = tuple(map(str, seen[:8]))
+    more = (RecordCode.AND_MORE(),) if len(seen) > 8 else ()
+    if fits := tuple(f'"{one}"' for one in fitting(seen)):
+        return RecordCode.VOCABULARY_FITS(fits=fits, marks=shown, more=more)
+    return RecordCode.NO_VOCABULARY_FITS(marks=shown, more=more)
 
 
-def misfit(stated: QualityVocabulary, marks: Sequence[object]) -> str:
-    """A doubt about a vocabulary that does not tell what all marks of a column mean, or ""."""
+def misfit(stated: QualityVocabulary, marks: Sequence[object]) -> Statement | None:
+    """A doubt about a vocabulary that does not tell what all marks of a column mean."""
     fits = fitting(marks)
     wrong = bool(fits) and stated.name in VOCABULARIES and stated.name not in fits
     if not wrong and AMBIGUOUS not in map(stated.judge, marks):
-        return ""
-    return f"the vocabulary does not tell what all marks of quality mean: {advice(marks)}"
+        return None
+    return RecordCode.QUALITY_MISFIT(advice=advice(marks))
 
 
 # -- columns -------------------------------------------------------------------------------------------------
@@ -160,20 +164,18 @@ def seems_quality(name: str, marks: Sequence[object]) -> bool:
     return len(marks) > 0 and (known or any(word in _bare(name) for word in _NAMES))
 
 
-def unstated(column: str, name: str, marks: Sequence[object]) -> str:
-    """The doubt about a quality that nobody stated; "" where all marks are good, or where it is none."""
+def unstated(column: str, name: str, marks: Sequence[object]) -> Statement | None:
+    """The doubt about a quality that nobody stated; None where all marks are good, or where it is none."""
     outcomes = set(map(UNSTATED.judge, marks))
     if outcomes == {GOOD} or not seems_quality(name, marks):
-        return ""
-    said = (
-        f'column "{column}": "{name}" beside it seems to hold its quality, which is not used: state quality'
-    )
-    return f'{said} = "{name}", or "" if it is none' + f"; {advice(marks)}" * (AMBIGUOUS in outcomes)
+        return None
+    further = (RecordCode.FURTHER_ADVICE(advice=advice(marks)),) if AMBIGUOUS in outcomes else ()
+    return RecordCode.QUALITY_UNSTATED(column=column, name=name, advice=further)
 
 
 def drafted(
     marks: Mapping[str, Sequence[object]], columns: Iterable[str]
-) -> tuple[dict[str, str], QualityVocabulary, tuple[str, ...]]:
+) -> tuple[dict[str, str], QualityVocabulary, tuple[Statement, ...]]:
     """Column of readings -> column of its quality, by names and marks; the vocabulary that fits; doubts.
 
     marks: different cells of every column of a table.
@@ -189,16 +191,16 @@ def drafted(
     seen = [mark for of in dict.fromkeys(found.values()) for mark in marks[of]]
     fits = fitting(seen)
     if len(fits) > 1 or (fits and {*map(UNSTATED.judge, seen)} == {AMBIGUOUS}):
-        doubts.append(f"what the marks of quality mean: {advice(seen)}")
+        doubts.append(RecordCode.QUALITY_MEANING(advice=advice(seen)))
     return found, VOCABULARIES[fits[0]] if fits else UNSTATED, tuple(filter(None, doubts))
 
 
 class MarkedReadings(NamedTuple):
-    """Readings by their quality: usable (N,), warnings with counts, and a doubt or ""."""
+    """Readings by their quality: usable (N,), warnings with counts, and a doubt or None."""
 
     usable: np.ndarray
     warnings: tuple[str, ...]
-    doubt: str
+    doubt: Statement | None
 
 
 @dataclass(frozen=True)
@@ -237,9 +239,9 @@ class StatedQuality:
         ]
         warnings = (f'column "{column}": by "{name}" {", ".join(said)}',) if said else ()
         doubt = misfit(self.vocabulary, list(seen))
-        return MarkedReadings(
-            np.isin(outcome, used), warnings, doubt and f'column "{column}", "{name}": {doubt}'
-        )
+        if doubt is not None:
+            doubt = RecordCode.QUALITY_OF_COLUMN(column=column, name=name, doubt=doubt)
+        return MarkedReadings(np.isin(outcome, used), warnings, doubt)
 
 
 NOTHING_STATED = StatedQuality()

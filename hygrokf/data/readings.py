@@ -10,6 +10,8 @@ from hygrokf.data.gate import DEPARTED, FEWEST, FROZEN, REACH_S, judge, resting,
 from hygrokf.data.record import Record, Series
 from hygrokf.data.signals import in_words, signal_named
 from hygrokf.data.timestamps import modal_step
+from hygrokf.texts.record import RecordCode
+from hygrokf.texts.statement import Code, Statement
 from hygrokf.texts.wording import duration_text, period_text, stamp_text
 
 SATURATED = 0.995
@@ -141,21 +143,24 @@ def mask_out_of_range(series: Series) -> tuple[Series, tuple[str, ...]]:
     outside = out_of_range(series)
     if not outside.any():
         return series, ()
-    return _masked(series, outside), (range_sentence(series, outside, " masked"),)
+    said = range_statement(RecordCode.OUT_OF_RANGE_MASKED, series, outside)
+    return _masked(series, outside), (said.text,)
 
 
-def range_sentence(series: Series, outside: np.ndarray, done: str = "") -> str:
-    """A sentence on readings outside of the physical range.
-
-    outside: (T,) True for some of them. done: a phrase for what was done to them, such as " masked".
-    """
-    row = signal_named(series.signal)
-    found = np.unique(series.value[outside])
-    shown = [found[0], found[-1]] if len(found) > 1 else [found[0]]
-    return (
-        f"{_label(series)}: {_readings(outside)} outside of {in_words(row.low, row)} … "
-        f"{in_words(row.high, row)}{done}, such as {' and '.join(in_words(one, row) for one in shown)} "
-        f"({_period(series, outside)})"
+def range_statement(code: Code, series: Series, outside: np.ndarray) -> Statement:
+    """A statement of some readings outside of the physical range; outside: (T,) True for these."""
+    row, found = signal_named(series.signal), np.unique(series.value[outside])
+    moments = [float(one) for one in series.time[outside]]
+    return code(
+        signal=series.signal,
+        label=_label(series),
+        n=len(moments),
+        low=in_words(row.low, row),
+        high=in_words(row.high, row),
+        examples=tuple(in_words(one, row) for one in dict.fromkeys((found[0], found[-1]))),
+        when=RecordCode.AT_TIMES(times=tuple(map(stamp_text, moments)))
+        if len(moments) <= 3
+        else RecordCode.BETWEEN(start=moments[0], end=moments[-1]),
     )
 
 

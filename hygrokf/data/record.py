@@ -20,6 +20,8 @@ from hygrokf.data.timestamps import EARLIEST_S, LATEST_S
 from hygrokf.data.toml_form import setting
 from hygrokf.errors import suggestion
 from hygrokf.physics.holds import LINEAR, MEAN, PREVIOUS, hold_named
+from hygrokf.texts.statement import Statement
+from hygrokf.texts.terms import Digest, ReaderText, Source
 from hygrokf.texts.wording import duration_text, stamp_text
 
 if TYPE_CHECKING:
@@ -344,7 +346,7 @@ class Record:
     provenance: (file name, SHA-256) of every file read.
     compared: series of a second source, one for each signal, which no fit uses: `check` compares them with
         those of the record, which reveals wrong clocks.
-    doubts: sentences about how it was put together, which `check` adds to its own.
+    doubts: about how it was put together, which `check` adds to its own.
 
     Raises ValueError for a signal that occurs twice among the series, or twice among those compared.
     """
@@ -354,10 +356,10 @@ class Record:
     site: Site | None = None
     rated_power_W: float | None = None
     until_s: float | None = None
-    warnings: tuple[str, ...] = ()
-    provenance: tuple[tuple[str, str], ...] = ()
+    warnings: tuple[ReaderText, ...] = ()
+    provenance: tuple[tuple[Source, Digest], ...] = ()
     compared: tuple[Series, ...] = ()
-    doubts: tuple[str, ...] = ()
+    doubts: tuple[Statement, ...] = ()
 
     def __post_init__(self) -> None:
         for name in ("series", "compared", "warnings", "provenance", "doubts"):

@@ -11,6 +11,8 @@ import numpy as np
 from hygrokf.errors import suggestion
 from hygrokf.physics.holds import LINEAR, PREVIOUS
 from hygrokf.physics.psychrometrics import ZERO_CELSIUS_K
+from hygrokf.texts.record import DoubtCode, RecordCode
+from hygrokf.texts.statement import Statement
 
 
 @dataclass(frozen=True)
@@ -319,8 +321,8 @@ def better_units(values: np.ndarray, unit: str, signal: str | Signal) -> list[st
     return [other for other in others if share_in_range(values, other, row) > 0.5]
 
 
-def unit_mistaken(values: np.ndarray, unit: str, signal: str | Signal) -> str | None:
-    """Why readings cannot be in the stated unit, in one sentence; None where they can.
+def unit_mistaken(values: np.ndarray, unit: str, signal: str | Signal) -> Statement | None:
+    """Why readings cannot be in the stated unit; None where they can.
 
     values: [unit] (N,); NaN = missing. unit, signal: as for `to_si`, and the same errors.
 
@@ -335,33 +337,22 @@ def unit_mistaken(values: np.ndarray, unit: str, signal: str | Signal) -> str | 
         plausible = finite[(finite >= 0.0) & (finite <= 110.0)]
         high = float(np.quantile(plausible, 0.995)) if len(plausible) else math.nan
         if unit == "%" and 0.0 < high <= LARGEST_FRACTION:
-            return (
-                f"{row.name} is called %, but its readings reach only {high:.3g}: they look like "
-                'fractions; state unit = "1"'
-            )
+            return DoubtCode.CALLED_PER_CENT(signal=row.name, high=high)
         if unit == "1" and high > LARGEST_FRACTION:
-            return (
-                f"{row.name} is called a fraction (unit 1), but its readings reach {high:.3g}: "
-                'they look like per cent; state unit = "%"'
-            )
+            return DoubtCode.CALLED_FRACTION(signal=row.name, high=high)
     fits = share_in_range(finite, unit, row)
     middle = float(np.median(finite))
     if row.name == "ambient_temperature" and unit == "degC" and fits > 0.5 and middle > 45.0:
-        return (
-            f"ambient_temperature is called degC, but half of its readings exceed {middle:.4g}, "
-            "hotter than any climate; they would fit as degF: correct the unit or the column"
-        )
+        return DoubtCode.HOTTER_THAN_CLIMATES(signal=row.name, median=middle)
     if fits >= 0.5:
         return None
     better = better_units(finite, unit, row)
     if fits > 0.0 and not better:
         return None
-    limits = f"{in_words(row.low, row)} … {in_words(row.high, row)}"
-    hint = f"; they would fit as {' or '.join(better)}" if better else ""
-    return (
-        f"{row.name} is called {unit}, but its readings (median {middle:.4g}) do not lie within "
-        f"{limits}{hint}: correct the unit or the column"
-    )
+    return DoubtCode.WRONG_UNIT(
+        signal=row.name, unit=unit, median=middle, low=in_words(row.low, row), high=in_words(row.high, row),
+        hint=(RecordCode.WOULD_FIT(units=tuple(better)),) if better else (),
+    )  # fmt: skip
 
 
 def in_words(value: float, signal: str | Signal) -> str:

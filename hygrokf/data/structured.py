@@ -17,6 +17,8 @@ from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar
 import numpy as np
 
 from hygrokf.errors import HygrokfError
+from hygrokf.texts.statement import Statement
+from hygrokf.texts.terms import FaultText, Name
 
 if TYPE_CHECKING:
     from cattrs import Converter
@@ -25,8 +27,10 @@ T = TypeVar("T")
 Json: TypeAlias = "bool | int | float | str | Sequence[Json] | Mapping[str, Json] | None"
 """What a JSON text holds."""
 JsonObject: TypeAlias = dict[str, Json]
-Cell: TypeAlias = bool | int | float | str | None
-"""What a cell of a table holds."""
+Cell: TypeAlias = (
+    bool | int | float | Name | FaultText | Statement | tuple[Name | Statement, ...] | None
+)
+"""What a cell of a table holds; several names or statements where a turbine has several."""
 OPTIONAL = "optional"
 
 
@@ -178,8 +182,12 @@ def _write(kind: type, converter: Converter) -> Callable[[Any], Any]:
 
 
 def _cell(data: Any, kind: Any) -> Cell:
-    if data is None or isinstance(data, bool | int | float | str):
+    if data is None or isinstance(data, bool | int | float | str | Statement):
         return data
+    if isinstance(data, Mapping):
+        return Statement.from_json(data)
+    if isinstance(data, list):
+        return tuple(Statement.from_json(one) if isinstance(one, Mapping) else one for one in data)
     raise TypeError(f"expected a number, a text or null, found {data!r}")
 
 

@@ -15,7 +15,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hygrokf.discovery.residuals import Residuals, displayed, run_lengths, words
-from hygrokf.texts.wording import plain_number, stamp_text
+from hygrokf.texts.discovery import ConditionCode
+from hygrokf.texts.statement import Statement
 
 LAGS_H = (1.0, 2.0, 3.0, 4.0, 6.0, 9.0, 12.0, 18.0, 24.0)
 LAG_TOLERANCE = 0.1
@@ -24,6 +25,7 @@ RATE_H = 3.0
 """[h] over which a rate is taken: shorter ones are noise of the readings."""
 STANDSTILL_H = 6.0
 LONG_STANDSTILL_H = 24.0
+LONG_STOPS = ConditionCode.STOPS_LONGER_THAN_A_DAY()
 AFTERWARDS_H = 6.0
 """[h] after an episode that count as its end."""
 SATURATED = 0.97
@@ -48,7 +50,7 @@ GROUPS = {
 }  # fmt: skip
 """Kind -> group; each group may make an equal share of the false discoveries."""
 
-Phrase = Callable[[int, int], str]
+Phrase = Callable[[int, int], Statement]
 
 
 @dataclass(frozen=True)
@@ -57,7 +59,7 @@ class Stratum:
 
     kind: one of `GROUPS`.  driver: the signal, or "".  basis: (n, k), NaN = unknown.
     bins: (n,) number of the bin 0 … m − 1, −1 = none.
-    phrase: first and last bin -> words.  flag: bin 0 is the condition, bin 1 the rest.
+    phrase: first and last bin -> the condition.  flag: bin 0 is the condition, bin 1 the rest.
     circular: the bins close a circle.
     """
 
@@ -113,7 +115,7 @@ def conditions(hours: Residuals) -> list[Stratum]:
     humidity = hours.drivers.get("cabinet_relative_humidity")
     if humidity is not None:
         saturated = np.nan_to_num(humidity) >= SATURATED
-        made.append(_flag("saturation", saturated, "while the simulated relative humidity is 97 % or more"))
+        made.append(_flag("saturation", saturated, ConditionCode.SATURATED_AIR(share=SATURATED)))
     for name, value in hours.drivers.items():
         if name != "preheating":
             made += _driver(hours, name, value)
@@ -125,10 +127,12 @@ def _held(one: Stratum, step_h: float) -> bool:
     return SHORTEST_H <= inside <= len(one.bins) * step_h - SHORTEST_H
 
 
-def _flag(kind: str, flag: np.ndarray, words: str, share: np.ndarray | None = None) -> Stratum:
+def _flag(
+    kind: str, flag: np.ndarray, condition: Statement, share: np.ndarray | None = None
+) -> Stratum:
     """A condition that holds or not; share: (n,) of each bin for which it holds, where that is known."""
     column = flag.astype(float) if share is None else share
-    return Stratum(kind, "", column[:, None], np.where(flag, 0, 1), lambda a, b: words, flag=True)
+    return Stratum(kind, "", column[:, None], np.where(flag, 0, 1), lambda a, b: condition, flag=True)
 
 
 def dummies(bins: np.ndarray) -> np.ndarray:
@@ -154,28 +158,34 @@ def _regimes(hours: Residuals) -> list[Stratum]:
     count, step, running = len(hours.time_h), hours.step_h, hours.operating
     if running.all() or not running.any():
         return []
-    made = [_flag("regime", ~running, "at standstill")]
+    made = [_flag("regime", ~running, ConditionCode.STANDING())]
     stops = run_lengths(~running)
     after = round(AFTERWARDS_H / step)
-    for least, long in ((STANDSTILL_H, "longer than 6 h"), (LONG_STANDSTILL_H, "longer than a day")):
+    longer = ConditionCode.STOPS_LONGER_THAN(hours=STANDSTILL_H)
+    for least, long in ((STANDSTILL_H, longer), (LONG_STANDSTILL_H, LONG_STOPS)):
         chosen = [(a, b) for a, b in stops if step * (b - a) >= least]
         if not chosen:
             continue
-        made.append(_flag("episode", _filled(chosen, count), f"at standstills {long}"))
+        made.append(_flag("episode", _filled(chosen, count), ConditionCode.IN_STOPS(stops=long)))
         started = _filled([(b, b + after) for _, b in chosen], count) & running
-        words = f"after standstills {long}, in the first 6 h of operation"
-        made.append(_flag("episode", started, words))
+        after_stops = ConditionCode.STARTED_AFTER_STOPS(stops=long, hours=AFTERWARDS_H)
+        made.append(_flag("episode", started, after_stops))
     edges = (0.0, *SINCE_H, math.inf)
-    for flag, where, change in ((~running, "at standstill", "stop"), (running, "in operation", "start")):
+    for flag, within, beyond in (
+        (~running, ConditionCode.SINCE_STOP, ConditionCode.LONG_SINCE_STOP),
+        (running, ConditionCode.SINCE_START, ConditionCode.LONG_SINCE_START),
+    ):
         since = np.full(count, np.nan)
         for first, last in run_lengths(flag):
             since[first:last] = step * np.arange(last - first)
         bins = np.where(flag, np.digitize(since, SINCE_H), -1)
 
-        def phrase(a: int, b: int, ending: str = f"h after the {change}, {where}") -> str:
+        def phrase(
+            a: int, b: int, within: ConditionCode = within, beyond: ConditionCode = beyond
+        ) -> Statement:
             if b == len(SINCE_H):
-                return f"more than {edges[a]:g} {ending}"
-            return f"{edges[a]:g} to {edges[b + 1]:g} {ending}"
+                return beyond(first=edges[a])
+            return within(first=edges[a], last=edges[b + 1])
 
         basis = (bins[:, None] == np.arange(len(SINCE_H) + 1)).astype(float)
         made.append(Stratum("since", "", basis, bins, phrase))
@@ -195,15 +205,15 @@ def _preheating(hours: Residuals) -> list[Stratum]:
         max((step * (b - a) for a, b in stops if a <= first < b + near), default=0.0) for first, _ in heated
     ]
     long = [span for span, length in zip(heated, stood, strict=True) if length >= LONG_STANDSTILL_H]
-    stood_long = "after standstills longer than a day, during pre-heating"
-    every = stood_long if len(long) == len(heated) else "during pre-heating"
+    stood_long = ConditionCode.PREHEATED_AFTER_STOPS(stops=LONG_STOPS)
+    every = stood_long if len(long) == len(heated) else ConditionCode.PREHEATING()
     made = [_flag("episode", heating, every, hours.preheating)]
     if 0 < len(long) < len(heated):
         around = _filled([(a - 1, b + 1) for a, b in long], count)
         share = np.where(around, hours.preheating, 0.0)
         made.append(_flag("episode", _filled(long, count), stood_long, share))
     after = _filled([(last, last + near) for _, last in heated], count) & ~heating
-    made.append(_flag("episode", after, "in the first 6 h after pre-heating"))
+    made.append(_flag("episode", after, ConditionCode.PREHEATED(hours=AFTERWARDS_H)))
     return made
 
 
@@ -215,9 +225,11 @@ def _hour(hours: Residuals) -> Stratum:
     angle = 2.0 * math.pi * hour / 24.0
     basis = np.column_stack([wave(k * angle) for k in (1, 2, 3) for wave in (np.cos, np.sin)])
     bins = np.floor(hour).astype(int)
-    return Stratum(
-        "hour", "", basis, bins, lambda a, b: f"from {a % 24} to {(b + 1) % 24} h UTC", circular=True
-    )
+
+    def hours_of(a: int, b: int) -> Statement:
+        return ConditionCode.HOURS_OF_THE_DAY(first=a % 24, last=(b + 1) % 24)
+
+    return Stratum("hour", "", basis, bins, hours_of, circular=True)
 
 
 def _calendar(hours: Residuals) -> list[Stratum]:
@@ -227,27 +239,32 @@ def _calendar(hours: Residuals) -> list[Stratum]:
     bins = month - month[0]
     names = [f"{np.datetime64(int(one), 'M').item():%B %Y}" for one in range(month[0], month[-1] + 1)]
 
-    def months(a: int, b: int) -> str:
-        return f"in {names[a]}" if a == b else f"from {names[a]} to {names[b]}"
-
-    def thirds(a: int, b: int) -> str:
-        one = ("first third", "middle", "last third")[a]
-        return f"in the {one if a == b else f'{one[:5].strip()} two thirds'} of the record"
+    def months(a: int, b: int) -> Statement:
+        if a == b:
+            return ConditionCode.MONTH(month=names[a])
+        return ConditionCode.MONTHS(first=names[a], last=names[b])
 
     made = []
     if (np.bincount(bins) * step >= MONTH_H).sum() >= 3:
         made.append(Stratum("season", "", dummies(bins), bins, months))
     third = np.minimum(3 * np.arange(count) // count, 2)
     trend = np.linspace(-1.0, 1.0, count)[:, None]
-    made.append(Stratum("drift", "", trend, third, thirds))
+    made.append(Stratum("drift", "", trend, third, lambda a, b: THIRDS[a, b]()))
     return made
+
+
+THIRDS = {
+    (0, 0): ConditionCode.FIRST_THIRD, (1, 1): ConditionCode.MIDDLE_THIRD, (2, 2): ConditionCode.LAST_THIRD,
+    (0, 1): ConditionCode.FIRST_TWO_THIRDS, (1, 2): ConditionCode.LAST_TWO_THIRDS,
+}  # fmt: skip
+"""First and last third of a stretch -> its code."""
 
 
 def step_at(hours: Residuals, first: int, sharp: bool) -> Stratum:
     """What lasts from a bin on, against before; sharp: its date is sure to the hour."""
     date = hours.time_s[first] - 1800.0 * hours.step_h
-    words = f"since {stamp_text(date)}" if sharp else f"since about {stamp_text(date)[:10]}"
-    return _flag("step", np.arange(len(hours.time_h)) >= first, words)
+    code = ConditionCode.SINCE_DATE if sharp else ConditionCode.SINCE_ABOUT_DATE
+    return _flag("step", np.arange(len(hours.time_h)) >= first, code(date=float(date)))
 
 
 # --- drivers ---------------------------------------------------------------------------------
@@ -257,7 +274,7 @@ def _driver(hours: Residuals, name: str, value: np.ndarray) -> list[Stratum]:
     """Level (straight, and any curve), rate (rising and falling apart) and lag of one driver."""
     if name.endswith("_direction"):
         return [_direction(name, value)]
-    level = _binned("level", name, value, LEVELS, f"while the {words(name)} is")
+    level = _binned("level", name, value, LEVELS, ConditionCode.LEVEL_OF_DRIVER)
     if level is None:
         return []
     made = [level]
@@ -266,7 +283,7 @@ def _driver(hours: Residuals, name: str, value: np.ndarray) -> list[Stratum]:
     count, reach = len(value), max(1, round(RATE_H / hours.step_h))
     rate = np.full(count, np.nan)
     rate[reach:] = (value[reach:] - value[:-reach]) / (reach * hours.step_h)
-    changing = _binned("rate", name, rate, RATES, f"while the change of the {words(name)} is")
+    changing = _binned("rate", name, rate, RATES, ConditionCode.RATE_OF_DRIVER)
     if changing is not None:
         made.append(replace(changing, basis=np.column_stack([np.maximum(rate, 0.0), np.minimum(rate, 0.0)])))
     for lag in LAGS_H:
@@ -275,7 +292,7 @@ def _driver(hours: Residuals, name: str, value: np.ndarray) -> list[Stratum]:
             continue
         before = np.full(count, np.nan)
         before[shift:] = value[:-shift]
-        one = _binned("lag", name, before, LEVELS, f"{lag:g} h after the {words(name)} was")
+        one = _binned("lag", name, before, LEVELS, ConditionCode.EARLIER_DRIVER, hours=lag)
         if one is not None:
             made.append(one)
     return made
@@ -287,15 +304,20 @@ def _direction(name: str, value: np.ndarray) -> Stratum:
     width = 360.0 / SECTORS
     bins = np.where(np.isfinite(value), np.nan_to_num(degrees // width).astype(int) % SECTORS, -1)
 
-    def phrase(a: int, b: int) -> str:
-        low, high = width * (a % SECTORS), width * (b % SECTORS + 1)
-        return f"while the {words(name)} is between {low:.0f} and {high:.0f}°"
+    def phrase(a: int, b: int) -> Statement:
+        lower, upper = width * (a % SECTORS), width * (b % SECTORS + 1)
+        return ConditionCode.DIRECTION_OF_DRIVER(driver=words(name), lower=lower, upper=upper)
 
     return Stratum("level", name, basis, bins, phrase, circular=True)
 
 
 def _binned(
-    kind: str, name: str, value: np.ndarray, quantiles: tuple[float, ...], opening: str
+    kind: str,
+    name: str,
+    value: np.ndarray,
+    quantiles: tuple[float, ...],
+    code: ConditionCode,
+    **values: float,
 ) -> Stratum | None:
     """A condition by bins between quantiles of a value; its basis is the standardised value itself."""
     known = value[np.isfinite(value)]
@@ -307,15 +329,14 @@ def _binned(
         return None
     bins = np.where(np.isfinite(value), np.digitize(value, edges), -1)
     marks, unit = displayed(name, edges, rate)
-    told = [plain_number(float(mark), 2) for mark in marks]
-    unit = f" {unit}/h" if rate else f" {unit}" if unit else ""
+    unit = f"{unit}/h" if rate else unit
 
-    def phrase(a: int, b: int) -> str:
-        if a == 0:
-            return f"{opening} below {told[b]}{unit}"
-        if b == len(edges):
-            return f"{opening} above {told[a - 1]}{unit}"
-        return f"{opening} between {told[a - 1]} and {told[b]}{unit}"
+    def phrase(a: int, b: int) -> Statement:
+        lower = {} if a == 0 else {"lower": float(marks[a - 1])}
+        upper = {} if b == len(edges) else {"upper": float(marks[b])}
+        between = ConditionCode.DRIVER_BETWEEN if lower and upper else ConditionCode.DRIVER_ABOVE
+        within = between if lower else ConditionCode.DRIVER_BELOW
+        return code(driver=words(name), range=within(**lower, **upper, unit=unit), **values)
 
     scaled = (value - known.mean()) / known.std()
     return Stratum(kind, name, scaled[:, None], bins, phrase)

@@ -50,6 +50,7 @@ from hygrokf.identification.verdict import with_reasons, with_verdicts
 from hygrokf.modelling.design import CASCADE, TEMPERATURE, Design
 from hygrokf.modelling.inputs import model_inputs
 from hygrokf.physics.parameters import Coordinates
+from hygrokf.texts.fit import FitCode
 from hygrokf.texts.verdict import Reason
 
 Estimator = Literal["likelihood", "output-error"]
@@ -197,7 +198,7 @@ def fit_of(
     except (RatesFault, DigitsFault) as fault:
         raise ValueError(f"the model that the search ends with cannot be filtered: {fault}") from fault
     # offsets of clocks follow to first order from a maximum of the filter's likelihood, which this is not
-    said = (*fit.results.statements, "the bounds do not count what the clocks' errors may add")
+    said = (*fit.results.statements, FitCode.CLOCKS_NOT_COUNTED())
     results = with_verdicts(replace(fit.results, criterion=final.estimator, statements=said))
     return replace(fit, results=with_reasons(results, "hygric", against))
 
@@ -230,7 +231,7 @@ def _stage(early: PreparedRecord, base: Design, final: FinalSet, say: Progress) 
     coordinates = Coordinates(base.model.parameters, {n: values[n] for n in noise.names})
     estimate = Estimate(
         coordinates, coordinates.start(values), values, likelihood.value(values), found.objective,
-        found.converged, found.message, tuple(n for n in final.at_bounds if n in held),
+        found.converged, found.end, tuple(n for n in final.at_bounds if n in held),
     )  # fmt: skip
     spread = _uncertainty(final, coordinates)
     bounds = {
@@ -260,7 +261,7 @@ def without_input(one: Calibration, name: str) -> WithoutInput:
     free, found = acting(one, [q]), []
     own = fitted(one, free)
     required = float(chdtri(len(free), CHANCE))
-    for words, moved, fixed in alternatives(name, inputs, time, scene.drive, vapour):
+    for code, moved, fixed in alternatives(name, inputs, time, scene.drive, vapour):
         still = scene.with_inputs([(n, simulator.owner(n), value) for n, value in moved.items()])
         other = replace(simulator, scene=still, _cells={})
         theta = other.vector({**own.values, **fixed})
@@ -271,7 +272,7 @@ def without_input(one: Calibration, name: str) -> WithoutInput:
         ):
             begun = estimate_at(other, errors, theta, own.linear, variances)
             end = fitted(begun, [n for n in free if n not in fixed])
-            found.append(WithoutInput(words, float(end.deviances[q] - own.deviances[q]), required))
+            found.append(WithoutInput(code(), float(end.deviances[q] - own.deviances[q]), required))
     return min(found, key=lambda other: other.gain)
 
 

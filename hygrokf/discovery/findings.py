@@ -1,4 +1,4 @@
-"""The errors of a simulation: where, when and by how much, in words; worst first."""
+"""The errors of a simulation: where, when and by how much; worst first."""
 
 from __future__ import annotations
 
@@ -11,7 +11,6 @@ import numpy as np
 from hygrokf.discovery.conditions import Stratum, conditions, dummies, step_at
 from hygrokf.discovery.residuals import (
     QUANTITIES,
-    UNITS,
     Quantity,
     Residuals,
     binned,
@@ -22,7 +21,6 @@ from hygrokf.discovery.residuals import (
 )
 from hygrokf.discovery.results import Finding
 from hygrokf.discovery.significance import Whitened, benjamini_hochberg
-from hygrokf.texts.wording import plain_number
 
 LEVEL = 0.05
 BIN_H = 0.25
@@ -41,7 +39,6 @@ BATCH = 8
 """Conditions whose columns are whitened together."""
 SEEN = 0.5
 """[1] share of its size by which a finding counts as seen in an episode."""
-NAMES = {"temperature": "temperature", "humidity": "absolute humidity"}
 
 
 @dataclass
@@ -157,7 +154,7 @@ def _take_out(state: _QuantityErrors, number: int) -> None:
 
 
 def _described(hours: Residuals, state: _QuantityErrors, number: int, q: float) -> Finding | None:
-    """The finding in numbers and words; None where it is immaterial, or where the free run does not show it.
+    """The finding; None where it is immaterial, or where the free run does not show it.
 
     Innovations see what is fast.  An effect whose removal would not lower the squared error of the free run
     is none of it: the model makes up for it in the mean.
@@ -182,12 +179,10 @@ def _described(hours: Residuals, state: _QuantityErrors, number: int, q: float) 
     episodes = [(a, b) for a, b in run_lengths(closed(inside, hours.step_h)) if under[a:b].any()]
     means = np.array([float(beside[a:b][under[a:b]].mean()) for a, b in episodes])
     duration = duration_h(beside, episodes, hours.step_h) if condition.kind == "episode" else math.nan
-    lasting = f" for {duration:.0f} h" if duration > 0 else ""
     half = 1800.0 * hours.step_h
     return Finding(
-        state.quantity, condition.kind, condition.driver,
-        f"{condition.phrase(first, last)}, simulated {NAMES[state.quantity]} is {plain_number(abs(size), 2)} "
-        f"{UNITS[state.quantity]} too {'low' if size > 0 else 'high'}{lasting}",
+        state.quantity, condition.kind, condition.driver, condition.phrase(first, last),
+        "low" if size > 0 else "high", duration if duration > 0 else math.nan,
         abs(size), int((means >= SEEN * abs(size)).sum()), len(episodes), share, q,
         tuple(
             (float(hours.time_s[a] - half), float(hours.time_s[b - 1] + half))

@@ -20,13 +20,14 @@ from hygrokf.discovery.estimate import Calibration
 from hygrokf.discovery.final_set import FinalSet, fit_of
 from hygrokf.discovery.findings import findings
 from hygrokf.discovery.forms import Form, Setting, ground_of, possible
-from hygrokf.discovery.library import LIBRARY, Cause, named
+from hygrokf.discovery.library import LIBRARY, Cause
 from hygrokf.discovery.own_causes import adopt
 from hygrokf.discovery.repeats import without_repeats
 from hygrokf.discovery.residuals import NORMAL_95, QUANTITIES, Residuals, residuals, root_mean_square
 from hygrokf.discovery.results import (
     CauseEvidence,
     CauseFound,
+    CauseWords,
     Discovery,
     DiscoveryResults,
     ErrorGain,
@@ -43,7 +44,9 @@ from hygrokf.discovery.starting_model import base_estimate
 from hygrokf.identification.fit import Fit
 from hygrokf.identification.fit_results import ParameterRow
 from hygrokf.identification.procedure import expect_readings
+from hygrokf.modelling.design import PARTS
 from hygrokf.physics.switches import CONTROLLED
+from hygrokf.texts.statement import unique
 from hygrokf.texts.verdict import ReasonCode
 from hygrokf.version import __version__
 
@@ -146,7 +149,7 @@ def _discovered(record: Record, library: Sequence[Cause], say: Progress, budget:
         saturated=saturated,
         findings=tuple(findings(before)),
         left=() if extended is None else tuple(findings(after)),
-        doubts=tuple(dict.fromkeys(line for said in base.results.doubted.values() for line in said)),
+        doubts=unique(one for part in PARTS for one in base.results.doubts_about(part)),
     )
     return Discovery(results, before, after if extended else None, base=base, extended=extended)
 
@@ -200,29 +203,26 @@ def _saturated(record: Record) -> float:
 CONFIDENCE = (-1.26, 0.531, 0.00118)
 """Constant, weight of ln of the evidence in days, and weight of its lead in days: of the logistic
 confidence."""
-SECOND_SENSOR = "compare the humidity sensor with a second one, before anything rests on either"
 
 
 def cause_found(one: Candidate, ended: Conclusion, library: Sequence[Cause]) -> CauseFound:
-    """A named cause: its evidence and parameters, how sure its name is, and what to check."""
-    cause = named(one.cause, library)
+    """A named cause: its evidence and parameters, and how sure its name is."""
+    entry = next((cause for cause in library if cause.name == one.cause and cause not in LIBRARY), None)
     rivals = tuple(dict.fromkeys(rival.cause for rival in one.rivals))
     settings = _settings(one, ended.base.estimate.simulator.scene.record)
     assert ended.extended is not None
     return CauseFound(
-        cause=cause.name,
+        cause=one.cause,
         form=one.form.code,
         forms_alike=one.alike,
         confidence=confidence(one.in_days, one.lead),
-        statement=cause.meaning,
         parameters=_parameters(one, ended.base, ended.extended),
         settings=settings,
         chosen=tuple(chosen(one.form, one.setting)),
         evidence=evidence_of(one),
         held_out=one.judged,
         ambiguous_with=rivals,
-        separate_by=SECOND_SENSOR if one.wet else cause.separate_by,
-        remedy=SECOND_SENSOR if one.wet else _remedy(cause, one),
+        own=None if entry is None else CauseWords(entry.meaning, entry.remedy, entry.separate_by),
     )
 
 
@@ -259,15 +259,6 @@ def chosen(form: Form, setting: Setting) -> Iterator[str]:
                 yield key
     if form.clock:
         yield "shift_s"
-
-
-def _remedy(cause: Cause, one: Candidate) -> str:
-    """What to check, and for an error of a clock the line that corrects it until then."""
-    if not one.form.clock or one.form.summer:
-        return cause.remedy
-    line = f'clock_correction = "{one.setting.shift_s / 60.0:+.4g}min"'
-    place = f"in each [[source]] of {one.form.clock} in the case file"
-    return f"{cause.remedy}; until then write {line} {place}, added to a correction that already stands there"
 
 
 def _parameters(one: Candidate, base: FinalSet, extended: FinalSet) -> dict[str, ParameterRow]:

@@ -11,7 +11,9 @@ import numpy as np
 from hygrokf.data.record import Record, Series
 from hygrokf.data.timestamps import DAY_S
 from hygrokf.discovery.residuals import run_lengths
-from hygrokf.texts.wording import stamp_text
+from hygrokf.texts.discovery import DiscoveryCode
+from hygrokf.texts.statement import Statement, Value
+from hygrokf.texts.wording import day_text
 
 SHORTEST_S = 3600.0
 """[s] shortest stretch."""
@@ -98,14 +100,12 @@ def joined(spans: Iterable[Sequence[float]], pause_s: float = 0.0) -> list[tuple
     return found
 
 
-def repeated_text(spans: Mapping[str, Sequence[tuple[float, float]]]) -> str:
-    """The repeats in one sentence."""
-    name, found = max(spans.items(), key=lambda pair: len(pair[1]))
-    days = list(dict.fromkeys(stamp_text(first)[:10] for first, _ in found))
-    rest = len(days) - 3
-    more = f" and {rest} more day{'s' if rest > 1 else ''}" if rest > 0 else ""
-    hours = sum(last - first for first, last in found) / 3600.0
-    return (
-        f"readings of {name.replace('_', ' ')} repeat those of the day before, {hours:.0f} h in all: "
-        f"{', '.join(days[:3])}{more}; they were set aside"
-    )
+def repeated_statement(spans: Mapping[str, Sequence[tuple[float, float]]]) -> Statement:
+    """The repeats of the signal that has most of them."""
+    name, stretches = max(spans.items(), key=lambda pair: len(pair[1]))
+    days = tuple(dict.fromkeys(day_text(first) for first, _ in stretches))
+    values: dict[str, Value] = {"signal": name, "days": days[:3]}
+    values["hours"] = sum(last - first for first, last in stretches) / 3600.0
+    if len(days) > 3:
+        return DiscoveryCode.READINGS_REPEATED_OFTEN(**values, more=len(days) - 3)
+    return DiscoveryCode.READINGS_REPEATED(**values)

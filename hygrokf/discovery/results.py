@@ -25,11 +25,20 @@ from hygrokf.evaluation.scoring import RuleScores, Scores
 from hygrokf.identification.fit import Fit, write_fit
 from hygrokf.identification.fit_results import FitResults, ParameterRow, TimeConstant
 from hygrokf.physics.model import fields_alone
+from hygrokf.texts.discovery import DiscoveryCode
+from hygrokf.texts.statement import Statement, Value
+from hygrokf.texts.terms import Meaning, Name, Version
+from hygrokf.texts.wording import QUANTITIES as QUANTITY_WORDS
 
 if TYPE_CHECKING:
     import pandas
     from matplotlib.axes import Axes
 
+SCORED_AS: Mapping[Quantity, str] = {
+    "temperature": "temperature_K",
+    "humidity": "absolute_humidity_g_m3",
+}
+"""Quantity of a finding -> scored quantity."""
 LASTING_KINDS = ("step", "drift", "season")
 """Kinds of a condition that begins once and lasts, so that it need not recur."""
 Verdict: TypeAlias = Literal["none", "named", "ambiguous", "unexplained", "refuted"]
@@ -43,7 +52,7 @@ Exclusion: TypeAlias = Literal[
 ]
 """Why a cause was left out: held-out readings refute it; screening found nothing; too little evidence, or
 evidence in days; it lost its place to later ones; the budget ended the search; the record cannot show it."""
-Settings: TypeAlias = Mapping[str, Any]
+Settings: TypeAlias = Mapping[Name, Any]
 """Settings of a mechanism, a feature or a search: numbers, names, and spans of time [s]."""
 CLASS_LIMIT = 3
 """Causes that a class may hold; a longer one names nothing."""
@@ -54,6 +63,8 @@ class Finding:
     """An error of the free run in the identification period.
 
     kind: of the condition; driver: signal that it goes with, or "".
+    side: of the readings on which the simulation lies under the condition; lasting_h: for how long an episode
+        leaves the error, else NaN.
     size: [K], [g/m³] mean effect under the condition less that elsewhere, by generalised least squares under
         the error model.
     n_episodes: in which it is seen, of n_possible.
@@ -63,9 +74,11 @@ class Finding:
     """
 
     quantity: Quantity
-    kind: str
-    driver: str
-    statement: str
+    kind: Name
+    driver: Name
+    condition: Statement
+    side: Literal["low", "high"]
+    lasting_h: float = math.nan
     size: float = math.nan
     n_episodes: int = 0
     n_possible: int = 0
@@ -73,16 +86,28 @@ class Finding:
     p_adjusted: float = math.nan
     spans: tuple[tuple[float, float], ...] = ()
 
+    @property
+    def statement(self) -> Statement:
+        """Condition, quantity, size and side of the error."""
+        name, unit = QUANTITY_WORDS[SCORED_AS[self.quantity]]
+        low, high = DiscoveryCode.SIMULATED_TOO_LOW, DiscoveryCode.SIMULATED_TOO_HIGH
+        lasting: dict[str, Value] = {}
+        if math.isfinite(self.lasting_h):
+            low, high = DiscoveryCode.SIMULATED_TOO_LOW_FOR, DiscoveryCode.SIMULATED_TOO_HIGH_FOR
+            lasting = {"hours": self.lasting_h}
+        code = low if self.side == "low" else high
+        return code(condition=self.condition, quantity=name, size=self.size, unit=unit, **lasting)
+
 
 @dataclass(frozen=True)
 class SpectralLine:
     """A line that is left in a spectrum: its quantity, its period [h], and the chance [1] of one without an
     effect; cause: the named one in whose daily scores it stands, "" in the errors themselves."""
 
-    quantity: str
+    quantity: Name
     period_h: float
     p: float
-    cause: str = ""
+    cause: Name = ""
 
 
 @dataclass(frozen=True)
@@ -95,8 +120,8 @@ class ErrorGain:
     are those of `hygrokf.simulate`, on the simulated one.
     """
 
-    quantity: str
-    period: str
+    quantity: Name
+    period: Name
     rmse_before: float = math.nan
     rmse_after: float = math.nan
     lower: float = math.nan
@@ -115,7 +140,7 @@ class CauseEvidence:
     independent its days are.  lead: by how much the best rival of another cause stays behind, in days.
     """
 
-    gains: Mapping[str, float] = field(default_factory=dict)
+    gains: Mapping[Name, float] = field(default_factory=dict)
     constants: int = 0
     searched: int = 0
     evidence: float = math.nan
@@ -132,10 +157,10 @@ class HeldOutTest:
     levels at their least squares; gain: [1] in 2 ln L of these readings; days: with readings.
     """
 
-    z: Mapping[str, float] = field(default_factory=dict)
-    growth: Mapping[str, float] = field(default_factory=dict)
-    before: Mapping[str, float] = field(default_factory=dict)
-    after: Mapping[str, float] = field(default_factory=dict)
+    z: Mapping[Name, float] = field(default_factory=dict)
+    growth: Mapping[Name, float] = field(default_factory=dict)
+    before: Mapping[Name, float] = field(default_factory=dict)
+    after: Mapping[Name, float] = field(default_factory=dict)
     gain: float = 0.0
     days: int = 0
     reason: Reason = ""
@@ -148,6 +173,16 @@ class HeldOutTest:
 
 
 @dataclass(frozen=True)
+class CauseWords:
+    """The entry of a cause in a library of the user's own: what it is, what to check in the turbine, and the
+    measurement that tells it from its rivals."""
+
+    meaning: Meaning
+    remedy: Meaning
+    separate_by: Meaning
+
+
+@dataclass(frozen=True)
 class CauseFound:
     """An accepted cause.
 
@@ -155,22 +190,20 @@ class CauseFound:
     confidence: [1] how often a name with such evidence is right.
     settings: those of its features; chosen: the names of those that the search chose.
     ambiguous_with: causes that the record cannot tell from it; more than two: it names nothing.
-    separate_by: the measurement that tells it from its rivals; remedy: what to check in the turbine.
+    own: its entry where it is none of the package's library, which holds the others under their names.
     """
 
-    cause: str
-    form: str = ""
-    forms_alike: tuple[str, ...] = ()
+    cause: Name
+    form: Name = ""
+    forms_alike: tuple[Name, ...] = ()
     confidence: float = math.nan
-    statement: str = ""
-    parameters: Mapping[str, ParameterRow] = field(default_factory=dict)
+    parameters: Mapping[Name, ParameterRow] = field(default_factory=dict)
     settings: Settings = field(default_factory=dict)
-    chosen: tuple[str, ...] = ()
+    chosen: tuple[Name, ...] = ()
     evidence: CauseEvidence = field(default_factory=CauseEvidence)
     held_out: HeldOutTest = field(default_factory=HeldOutTest)
-    ambiguous_with: tuple[str, ...] = ()
-    separate_by: str = ""
-    remedy: str = ""
+    ambiguous_with: tuple[Name, ...] = ()
+    own: CauseWords | None = optional()
 
     @property
     def told_apart(self) -> bool:
@@ -183,8 +216,8 @@ class Rejected:
     """A cause that was left out: its best form, its evidence, the reason, and the held-out test where there
     was one."""
 
-    cause: str
-    form: str = ""
+    cause: Name
+    form: Name = ""
     evidence: CauseEvidence = field(default_factory=CauseEvidence)
     reason: Exclusion = "no_effect"
     held_out: HeldOutTest = optional(HeldOutTest())
@@ -197,7 +230,7 @@ class SearchCost:
 
     simulations: int = 0
     budget: int = 0
-    not_judged: tuple[str, ...] = ()
+    not_judged: tuple[Name, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -206,7 +239,7 @@ class ModelScores:
 
     rmse: Scores = field(default_factory=dict)
     baselines: RuleScores = field(default_factory=dict)
-    time_constants: Mapping[str, TimeConstant] = field(default_factory=dict)
+    time_constants: Mapping[Name, TimeConstant] = field(default_factory=dict)
 
     @cached_property
     def fit(self) -> FitResults:
@@ -230,13 +263,13 @@ class DiscoveryResults:
     doubts: those about the record that concern a time constant.
     """
 
-    name: str
-    version: str
+    name: Name
+    version: Version
     verdict: Verdict
     baseline: ModelScores
     synthetic: bool = False
     extended: ModelScores | None = None
-    estimator: str = ""
+    estimator: Literal["", "likelihood", "output-error"] = ""
     gains: tuple[ErrorGain, ...] = ()
     held_out_days: int = 0
     causes: tuple[CauseFound, ...] = ()
@@ -244,11 +277,11 @@ class DiscoveryResults:
     refuted: tuple[Rejected, ...] = ()
     lines: tuple[SpectralLine, ...] = ()
     work: SearchCost = field(default_factory=SearchCost)
-    repeated: Mapping[str, tuple[tuple[float, float], ...]] = field(default_factory=dict)
+    repeated: Mapping[Name, tuple[tuple[float, float], ...]] = field(default_factory=dict)
     saturated: float = math.nan
     findings: tuple[Finding, ...] = field(kw_only=True)
     left: tuple[Finding, ...] = ()
-    doubts: tuple[str, ...] = ()
+    doubts: tuple[Statement, ...] = ()
 
     @property
     def named(self) -> tuple[str, ...]:

@@ -19,7 +19,7 @@ import numpy as np
 
 from hygrokf.data.columns import TableFault
 from hygrokf.data.files import DRAFT_DOUBT, write_text_whole
-from hygrokf.data.input_paths import ON_CHANGE, on_change
+from hygrokf.data.input_paths import on_change
 from hygrokf.data.quality import quality_columns
 from hygrokf.data.readings import detect_resolution
 from hygrokf.data.signals import SIGNALS, to_si
@@ -30,6 +30,7 @@ from hygrokf.drafting.stamps import as_text, sun_remark, time_columns, time_of_d
 from hygrokf.drafting.vocabulary import name_says, words_of
 from hygrokf.errors import HygrokfError, suggestion
 from hygrokf.physics.holds import LINEAR
+from hygrokf.texts.record import DoubtCode
 from hygrokf.texts.wording import duration_text, stamp_text
 from hygrokf.weather.archive import contents
 from hygrokf.weather.reading import form_of
@@ -511,7 +512,7 @@ def _signal(source: Source, one: DraftedSignal) -> Iterator[str]:
     resolution = detect_resolution(values)
     lines = source.clock.stamp == "instant" and SIGNALS[one.signal].hold_of_instants == LINEAR
     if lines and resolution and on_change(source.clock.time, values, resolution):
-        yield from _doubt(f"{one.signal} {ON_CHANGE}")
+        yield from _doubt(DoubtCode.ONLY_ON_CHANGE(signal=one.signal).text)
     note = one.why + (f"; readings in steps of {resolution:g}" if resolution else "")
     quality = f", quality = {_text(source.quality.get(one.column, ''))}" * (one.column in source.quality)
     entry = f"signals.{one.signal} = {{ column = {_text(one.column)}, unit = {_text(one.unit)}{quality} }}"

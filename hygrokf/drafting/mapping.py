@@ -275,7 +275,8 @@ def source_of(export: Export, path: str) -> Source:
         if np.isfinite(numbers).sum() > 0.5 * given[name]:
             values[name] = numbers
     marks = {name: list(cells[name].dropna().unique()) for name in cells}
-    quality, vocabulary, doubts = drafted(marks, values)
+    quality, vocabulary, statements = drafted(marks, values)
+    doubts = tuple(one.text for one in statements)
     values = {name: one for name, one in values.items() if name not in quality.values()}
     for name, of in quality.items():
         bad = cells[of].map(vocabulary.judge) == BAD
@@ -464,7 +465,8 @@ def _of_their_own(sources: Mapping[str, Source], candidates: list[DraftedSignal]
     from them; their sources say so."""
     while True:
         taken = [one for one in _chosen(candidates).values() if one.signal in COPIED]
-        wrong = {one.signal: words for one, words in copies([_series(sources[c.file], c) for c in taken])}
+        series = [_series(sources[c.file], c) for c in taken]
+        wrong = {str(one.values["signal"]): one.text for one in copies(series)}
         if not wrong:
             return candidates
         keys = {one.key: wrong[one.signal] for one in taken if one.signal in wrong}

@@ -19,6 +19,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Literal, TypeAlias
 
 import numpy as np
 
@@ -27,6 +28,9 @@ from hygrokf.estimation.likelihood import Sensitivities
 from hygrokf.estimation.optimiser import Estimate, Objective, natural_units
 from hygrokf.estimation.serial_dependence import long_run_covariance
 from hygrokf.physics.parameters import Coordinates, Parameter
+from hygrokf.texts.fit import FitCode
+from hygrokf.texts.statement import Statement, Value
+from hygrokf.texts.terms import Name, Unit
 
 STEP_OF_SE = 0.02
 """Central differences of the score move a coordinate by this share of its standard error."""
@@ -72,6 +76,10 @@ class Uncertainty:
         return self.names.index(name) if name in self.names else None
 
 
+Side: TypeAlias = Literal["lower", "upper"]
+Effect: TypeAlias = Literal["held", "lifted", "open"]
+
+
 @dataclass(frozen=True)
 class Limit:
     """Another parameter that reached a limit of its search at one end of a profile.
@@ -82,12 +90,17 @@ class Limit:
     which leaves the end open.
     """
 
-    end: str
-    parameter: str
-    unit: str
+    end: Side
+    parameter: Name
+    unit: Unit
     value: float
     limit: float
-    effect: str
+    effect: Effect
+
+    @property
+    def values(self) -> Mapping[str, Value]:
+        """What statements about the limit are filled with."""
+        return {key: value for key, value in vars(self).items() if key != "effect"}
 
 
 @dataclass(frozen=True)
@@ -95,9 +108,9 @@ class Bounds:
     """Confidence bounds of one value in its unit; infinite or zero where the data do not bound it.
 
     `curve` (P, 2): values and twice the drop of the profile log-likelihood; `method`: profile, wald, sandwich
-    or none; `limited_by`: limits of other parameters met at its ends; `better`: values of all parameters at
-    the most likely point of the profile where it exceeds the estimate by `BETTER`: the estimate is then no
-    maximum and must be refitted from there.
+    or none; `statements`: why a side is open; `limited_by`: limits of other parameters met at its ends;
+    `better`: values of all parameters at the most likely point of the profile where it exceeds the estimate
+    by `BETTER`: the estimate is then no maximum and must be refitted from there.
     """
 
     value: float
@@ -105,7 +118,7 @@ class Bounds:
     upper: float
     level: float
     method: str
-    statement: str = ""
+    statements: tuple[Statement, ...] = ()
     curve: np.ndarray = field(default_factory=lambda: np.empty((0, 2)))
     limited_by: tuple[Limit, ...] = ()
     better: Mapping[str, float] | None = None
@@ -294,10 +307,10 @@ def wald_bounds(
     value = estimate.values[name]
     place = found.place(name)
     if place is None:
-        return Bounds(value, -math.inf, math.inf, level, "none", "at a bound or fixed")
+        return Bounds(value, -math.inf, math.inf, level, "none", (FitCode.AT_BOUND_OR_FIXED(),))
     p = estimate.coordinates.parameter(name)
     if covariance == "sandwich" and name in found.needed:
-        return Bounds(value, *in_unit(p, (None, None)), level, "none", too_short(found, name))
+        return Bounds(value, *in_unit(p, (None, None)), level, "none", (too_short(found, name),))
     variances = {"wald": found.wald[place, place], "sandwich": found.sandwich[place, place]}
     variances["wider"] = max(variances.values())
     se, method = math.sqrt(variances[covariance]), "wald" if covariance == "wider" else covariance
@@ -312,12 +325,9 @@ def wald_bounds(
     return Bounds(value, lower, upper, level, method, describe(p.unit, lower, upper, ends))
 
 
-def too_short(found: Uncertainty, name: str) -> str:
+def too_short(found: Uncertainty, name: str) -> Statement:
     """Why a parameter has no sandwich, and what it takes."""
-    return (
-        f"no sandwich: the scores of {name} depend on each other over too large a part of the record; it "
-        f"takes one {max(found.needed[name], 1.1):.2g} times as long"
-    )
+    return FitCode.NO_SANDWICH(parameter=name, length=max(found.needed[name], 1.1))
 
 
 def in_unit(p: Parameter, ends: Sequence[float | None]) -> tuple[float, float]:
@@ -345,24 +355,18 @@ def standard_error(estimate: Estimate, found: Uncertainty, name: str) -> float:
 
 def describe(
     unit: str, lower: float, upper: float, ends: Sequence[float | None], limits: Sequence[Limit] = ()
-) -> str:
-    """Words for bounds that are open on one or both sides, with the limit of another parameter that left them
-    open."""
-    open_ = [limit for limit in limits if limit.effect == "open"]
-    because = "".join(
-        f"; the {limit.end} end stays open: there {limit.parameter} is "
-        f"{with_unit(limit.value, limit.unit)}, far beyond its limit {with_unit(limit.limit, limit.unit)}"
-        for limit in open_
-    )
+) -> tuple[Statement, ...]:
+    """Statements of bounds that are open on one or both sides, with the limits of other parameters that left
+    them open."""
     if ends[0] is None and ends[1] is None:
-        return "not identifiable from this record" + because
-    if ends[0] is None:
-        return f"≤ {with_unit(upper, unit)}{because}"
-    return f"≥ {with_unit(lower, unit)}{because}" if ends[1] is None else ""
-
-
-def with_unit(value: float, unit: str) -> str:
-    return f"{value:.3g}" + ("" if unit == "1" else f" {unit}")
+        open_ = FitCode.OPEN_ON_BOTH_SIDES()
+    elif ends[0] is None:
+        open_ = FitCode.AT_MOST(bound=upper, unit=unit)
+    elif ends[1] is None:
+        open_ = FitCode.AT_LEAST(bound=lower, unit=unit)
+    else:
+        return ()
+    return (open_, *(FitCode.END_STAYS_OPEN(**one.values) for one in limits if one.effect == "open"))
 
 
 def expect_level(level: float) -> None:

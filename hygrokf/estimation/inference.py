@@ -75,7 +75,7 @@ def confidence_intervals(
     progress: called with a sentence about each end of a profile, which takes at most `WALK_PASSES` scores.
 
     Returns `lower` and `upper` by name, in the parameters' units.  Where an end is open they are 0 and
-    infinity, or the limits of the search of a parameter that is not positive, and `statement` says why.
+    infinity, or the limits of the search of a parameter that is not positive, and `statements` say why.
     Raises ValueError for an unknown method or level, and for names that are not free parameters, and for
     anything else, with the call that makes what is missing.
     """

@@ -28,6 +28,8 @@ from hygrokf.data.record import kind_of
 from hygrokf.estimation.joint_likelihood import AnyLikelihood
 from hygrokf.estimation.likelihood import Sensitivities
 from hygrokf.physics.parameters import Coordinates, Parameter, expect_starts
+from hygrokf.texts.fit import FitCode
+from hygrokf.texts.statement import Statement
 
 TOLERANCE = 1e-9
 """A climb has converged when the next full step promises less than this much log-likelihood: the estimate is
@@ -63,13 +65,13 @@ OTHER_SPREAD = 3.0
 
 @dataclass(frozen=True)
 class Optimum:
-    """End of one climb: coordinates z (d,), penalised log-likelihood, whether it converged, and why it
-    stopped."""
+    """End of one climb: coordinates z (d,), penalised log-likelihood, whether it converged, and how it
+    ended."""
 
     z: np.ndarray
     objective: float
     converged: bool
-    message: str
+    end: Statement
 
 
 @dataclass(frozen=True, repr=False)
@@ -87,7 +89,7 @@ class Estimate:
     loglik: float
     objective: float
     converged: bool
-    message: str
+    message: Statement
     at_bounds: tuple[str, ...]
     others: tuple[tuple[float, dict[str, float]], ...] = ()
     discretisation_error: float = 0.0
@@ -109,7 +111,11 @@ def shortened(lines: list[str], most: int = 30) -> list[str]:
 
 
 class _BudgetSpent(Exception):
-    """A climb has used up its budget of filter steps."""
+    """A climb has used up its budget of filter steps, which `end` states."""
+
+    def __init__(self, end: Statement) -> None:
+        super().__init__(end.text)
+        self.end = end
 
 
 class Objective:
@@ -196,11 +202,7 @@ class _Metered:
             steps = 1.0
         self._left -= steps
         if self._left < 0.0:
-            raise _BudgetSpent(
-                f"stopped after its budget of {self._budget:.0f} filter steps per instant; one pass takes "
-                f"{steps:.0f} here, which points to a time constant far shorter than the interval between "
-                "the readings: narrow its bounds"
-            )
+            raise _BudgetSpent(FitCode.BUDGET_SPENT(budget=self._budget, steps=steps))
 
     def _keep(self, z: np.ndarray, value: float) -> None:
         if value > self.best[0]:
@@ -225,7 +227,7 @@ def climb(
         return _climb(metered, start, passes, tolerance)
     except _BudgetSpent as spent:
         value, z = metered.best
-        return Optimum(z if z.size else start, value, False, str(spent))
+        return Optimum(z if z.size else start, value, False, spent.end)
 
 
 def _climb(objective: _Metered, start: np.ndarray, passes: int, tolerance: float) -> Optimum:
@@ -233,22 +235,22 @@ def _climb(objective: _Metered, start: np.ndarray, passes: int, tolerance: float
     z = np.clip(start, lower, upper)
     at = objective.information(z)
     if not math.isfinite(at.loglik):
-        return Optimum(z, -math.inf, False, "the likelihood is not finite at the start")
+        return Optimum(z, -math.inf, False, FitCode.START_NOT_FINITE())
     value, gradient, curvature = at.loglik, at.score, at.information
     damping, settled, fresh = 1e-3, False, True
     for count in range(passes + 1):
         free = ~(((z <= lower) & (gradient <= 0)) | ((z >= upper) & (gradient >= 0)))
         if not free.any():
-            return Optimum(z, value, True, "converged: every free parameter is at a bound")
+            return Optimum(z, value, True, FitCode.CONVERGED_AT_BOUNDS())
         reach = reach_of(objective.coordinates, z)
         promised = bounded_step(curvature, gradient, free, z, lower, upper, 1e-9, reach)[1]
         if promised < tolerance and settled and objective.renewed(z):
             value, gradient = objective.score(z)
             if not math.isfinite(value):
-                return Optimum(z, value, False, "no sub-steps resolve the rates at the end point")
+                return Optimum(z, value, False, FitCode.NO_SUB_STEPS())
             promised = bounded_step(curvature, gradient, free, z, lower, upper, 1e-9, reach)[1]
         if promised < tolerance and settled:
-            return Optimum(z, value, True, "converged")
+            return Optimum(z, value, True, FitCode.CONVERGED())
         if count == passes:
             break
         settled = promised < tolerance
@@ -270,14 +272,14 @@ def _climb(objective: _Metered, start: np.ndarray, passes: int, tolerance: float
             damping = max(damping, 1e-6) * 6.0
         else:
             if fresh:
-                return Optimum(z, value, False, "no step improves the likelihood, yet its score is not zero")
+                return Optimum(z, value, False, FitCode.NO_STEP_IMPROVES())
             curvature, fresh, damping = objective.information(z).information, True, 1e-3
             continue
         z, value, gradient, fresh = z + step, new, slope, far
         if far:
             at = objective.information(z)
             value, gradient, curvature = at.loglik, at.score, at.information
-    return Optimum(z, value, False, f"stopped after {passes} passes")
+    return Optimum(z, value, False, FitCode.PASSES_SPENT(passes=passes))
 
 
 def secant_update(curvature: np.ndarray, s: np.ndarray, y: np.ndarray) -> np.ndarray:
@@ -474,7 +476,7 @@ def fit_mle(
         short.append(
             climb(scout, z, passes=15 if several else 25, tolerance=1e-2, budget=budget)
             if several or search
-            else Optimum(z, 0.0, False, "")
+            else Optimum(z, 0.0, False, FitCode.PASSES_SPENT(passes=0))
         )
     short.sort(key=lambda o: -o.objective)
     optima: list[Optimum] = []
@@ -521,11 +523,7 @@ def reject_below(least: float, found: Estimate) -> Estimate:
     short = least - found.objective
     if not short > BETTER:
         return found
-    message = (
-        f"not converged: a nested model has a higher likelihood, by {short:.2f} in ln L; give start "
-        "values nearer to that model, more starts or wider bounds"
-    )
-    return replace(found, converged=False, message=message)
+    return replace(found, converged=False, message=FitCode.NESTED_MODEL_HIGHER(gain=short))
 
 
 def refine(likelihood: AnyLikelihood, values: Mapping[str, float]) -> Estimate:
@@ -542,18 +540,11 @@ def estimate_of(likelihood: AnyLikelihood, coordinates: Coordinates, optima: lis
     values = coordinates.values(best.z)
     near = AT_LIMIT * natural_units(coordinates)
     ends = (best.z <= coordinates.lower + near) | (best.z >= coordinates.upper - near)
-    message = (
-        best.message
-        if best.converged
-        else f"not converged: {best.message}; try more starts or other start values"
-    )
+    message = best.end if best.converged else FitCode.SEARCH_UNFINISHED(end=best.end)
     loglik, error = likelihood.value(values), likelihood.discretisation_error(values)
     if error > INEXACT:
         finer = 0.1 * likelihood.tolerance * INEXACT / error
-        message += (
-            f"; not exact: sub-steps of half the length change ln L by {error:.2g}; give the likelihood "
-            f"tolerance={finer:.0e}"
-        )
+        message = FitCode.STEPS_TOO_LONG(end=message, change=error, tolerance=finer)
     return Estimate(
         coordinates=coordinates,
         z=best.z,

@@ -17,7 +17,9 @@ import numpy as np
 
 from hygrokf.estimation.confidence import (
     Bounds,
+    Effect,
     Limit,
+    Side,
     Uncertainty,
     describe,
     in_unit,
@@ -25,7 +27,6 @@ from hygrokf.estimation.confidence import (
     positive,
     positive_inverse,
     too_short,
-    with_unit,
 )
 from hygrokf.estimation.optimiser import (
     AT_LIMIT,
@@ -38,6 +39,8 @@ from hygrokf.estimation.optimiser import (
     secant_update,
 )
 from hygrokf.physics.parameters import Parameter
+from hygrokf.texts.fit import FitCode
+from hygrokf.texts.statement import Statement
 
 WALK_STEPS = 40
 WALK_PASSES = 400
@@ -64,7 +67,7 @@ def profile(
     bounds are the values at which
         2 (l(θ̂) − max over the others of l) = c χ²₁,    c = max(1, V_S/V_H) of the parameter if `robust`,
         else 1, at the confidence `level`.
-    Where the record is too short for a sandwich, c = 1, and the statement says so.
+    Where the record is too short for a sandwich, c = 1, and a statement says so.
     An end that the data do not close is returned as 0 or infinity (positive parameters: "≤ x", "≥ x" or not
     identifiable; others: the parameter's own bound).
 
@@ -86,8 +89,9 @@ def profile(
     points = [(p.from_coordinate(estimate.z[index]), 0.0)]
     ends: list[float | None] = []
     limits: list[Limit] = []
-    cut: list[str] = []
-    for side, direction in (("lower", -1.0), ("upper", 1.0)):
+    cut: list[Statement] = []
+    sides: tuple[tuple[Side, float], ...] = (("lower", -1.0), ("upper", 1.0))
+    for side, direction in sides:
         if progress is not None:
             progress(f"profile of {name}, {side} end")
         first = min(max(se, 1e-4 * width), 1.5 * width) * math.sqrt(threshold)
@@ -95,7 +99,7 @@ def profile(
         end, more = _end(walk, p, index, direction, threshold, first)
         if walk.left < 0:
             end = None
-            cut.append(f"the {side} end was not found in {WALK_PASSES} passes")
+            cut.append(FitCode.END_NOT_FOUND(end=side, passes=WALK_PASSES))
         points.extend(more)
         if end is not None:
             reached = walk.limits(side, end - estimate.z[index], threshold)
@@ -104,24 +108,23 @@ def profile(
         ends.append(end)
     curve = np.array(sorted(points))
     lower, upper = in_unit(p, ends)
-    said = [describe(p.unit, lower, upper, ends, limits), *cut]
+    statements = [*describe(p.unit, lower, upper, ends, limits), *cut]
     if robust and name in found.needed and name not in found.flat:
-        said.append(f"as if the model were right ({too_short(found, name)})")
-    statement, method = "; ".join(filter(None, said)), "profile" if robust else "likelihood-ratio"
+        statements.append(FitCode.AS_IF_MODEL_RIGHT(why=too_short(found, name)))
     return Bounds(
-        estimate.values[name], lower, upper, level, method, statement, curve, tuple(limits), walk.better()
-    )
+        estimate.values[name], lower, upper, level, "profile" if robust else "likelihood-ratio",
+        tuple(statements), curve, tuple(limits), walk.better(),
+    )  # fmt: skip
 
 
-def limit_remarks(name: str, bounds: Bounds) -> list[str]:
-    """One sentence for each limit of another parameter that closed ends of a profile met; `name` is the
+def limit_statements(name: str, bounds: Bounds) -> list[Statement]:
+    """One statement for each limit of another parameter that closed ends of a profile met; `name` is the
     profiled parameter."""
-    remarks = {"lifted": "beyond the limit {limit} of its search", "held": "its physical limit"}
+    codes = {"lifted": FitCode.BOUND_BEYOND_GUARD, "held": FitCode.BOUND_AT_PHYSICAL_LIMIT}
     return [
-        f"the {limit.end} bound of {name} has {limit.parameter} = {with_unit(limit.value, limit.unit)}, "
-        + remarks[limit.effect].format(limit=with_unit(limit.limit, limit.unit))
+        codes[limit.effect](bounded=name, **limit.values)
         for limit in bounds.limited_by
-        if limit.effect in remarks
+        if limit.effect in codes
     ]
 
 
@@ -202,7 +205,7 @@ class _Walk:
         drop, z = self.best
         return None if drop >= -BETTER else self.objective.coordinates.values(z)
 
-    def limits(self, side: str, offset: float, threshold: float) -> list[Limit]:
+    def limits(self, side: Side, offset: float, threshold: float) -> list[Limit]:
         """Limits of other coordinates that matter at this offset, except those that the estimate is already
         at."""
         z, gradient = self.last[min(self.last, key=lambda known: abs(known - offset))]
@@ -221,7 +224,7 @@ class _Walk:
             end = p.from_coordinate(lifted)
             physical = abs(end - p.physical[int(above)]) <= near * p.slope(end)
             if at_the_end:
-                effect = "held" if physical else "open"
+                effect: Effect = "held" if physical else "open"
             elif abs(z[i] - at) > near:
                 effect = "lifted"
             else:

@@ -16,6 +16,8 @@ from hygrokf.evaluation.simulation import QUANTITIES, free_run
 from hygrokf.modelling.design import Design
 from hygrokf.modelling.inputs import Run
 from hygrokf.physics.parameters import Parameter
+from hygrokf.texts.statement import Statement
+from hygrokf.texts.terms import Name
 
 LEVEL = 0.95
 
@@ -37,9 +39,9 @@ class ActuatorEffect:
     the time that it is on [1]; `changes`: by quantity, None where the model does not have it.
     """
 
-    signal: str
+    signal: Name
     used: bool = False
-    statement: str = ""
+    statement: Statement | None = None
     on_share: float = optional(math.nan)
     changes: Mapping[str, EstimatedChange] | None = optional()
 

@@ -8,8 +8,12 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Literal, TypeAlias
 
 from hygrokf.data.structured import optional
+from hygrokf.texts.fit import FitCode
+from hygrokf.texts.statement import Statement
+from hygrokf.texts.terms import Name
 
 
 @dataclass(frozen=True)
@@ -75,7 +79,14 @@ class OutputDiagnosis:
     cumulative_periodogram: CumulativePeriodogram | None = optional()
     periodogram: Periodogram | None = optional()
     cross_correlation: Mapping[str, CrossCorrelation] = field(default_factory=dict)
-    remark: str = optional("")
+    remark: Statement | None = optional()
+
+
+TestName: TypeAlias = Literal[
+    "mean", "variance", "normality", "autocorrelation", "cumulative periodogram", "daily cycle", "correlation"
+]
+WHITENESS: tuple[TestName, ...] = ("autocorrelation", "cumulative periodogram")
+"""Tests of one property."""
 
 
 @dataclass(frozen=True)
@@ -86,14 +97,14 @@ class InnovationTest:
     what was found, where it rejects.
     """
 
-    output: str
-    test: str
-    input: str = optional("")
+    output: Name
+    test: TestName
+    input: Name = optional("")
     lag_h: float = optional(math.nan)
     p: float = math.nan
     p_adjusted: float = math.nan
     rejected: bool = False
-    statement: str = optional("")
+    statement: Statement | None = optional()
 
 
 @dataclass(frozen=True)
@@ -104,19 +115,16 @@ class Diagnosis:
     tests: tuple[InnovationTest, ...] = ()
 
     @property
-    def statements(self) -> tuple[str, ...]:
+    def statements(self) -> tuple[Statement, ...]:
         """What the tests of each output found; of those of whiteness, only the first that rejects is told."""
-        lines: list[str] = []
-        for name, one in self.outputs.items():
+        statements: list[Statement] = []
+        for name, output in self.outputs.items():
             tests = [test for test in self.tests if test.output == name]
-            told: dict[str, str] = {}
+            rejections: dict[tuple[str, str], Statement] = {}
             for test in tests:
-                if test.rejected:
-                    told.setdefault("" if test.test in WHITENESS else test.test + test.input, test.statement)
-            white = f"{name} innovations: none of {len(tests)} tests rejects white noise"
-            lines += [one.remark] if one.remark else told.values() or [white] * bool(tests)
-        return tuple(lines)
-
-
-WHITENESS = ("autocorrelation", "cumulative periodogram")
-"""Tests of one property."""
+                if test.rejected and test.statement is not None:
+                    kind = "whiteness" if test.test in WHITENESS else test.test
+                    rejections.setdefault((kind, test.input), test.statement)
+            white = [FitCode.WHITE(output=name, tests=len(tests))] if tests else []
+            statements += [output.remark] if output.remark else rejections.values() or white
+        return tuple(statements)

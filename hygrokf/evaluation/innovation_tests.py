@@ -26,7 +26,10 @@ from hygrokf.evaluation.diagnosis import (
     InnovationTest,
     OutputDiagnosis,
     Periodogram,
+    TestName,
 )
+from hygrokf.texts.fit import FitCode
+from hygrokf.texts.statement import Statement
 
 SMALL = 0.1
 """[1] correlations below this explain less than 1 % of the variance and are called small."""
@@ -83,7 +86,7 @@ def diagnose(
         tests += found
     adjusted = _holm([one.p for one in tests])
     rows = tuple(
-        replace(one, p_adjusted=p, rejected=p < LEVEL, statement=one.statement if p < LEVEL else "")
+        replace(one, p_adjusted=p, rejected=p < LEVEL, statement=one.statement if p < LEVEL else None)
         for one, p in zip(tests, adjusted, strict=True)
     )
     return Diagnosis(outputs, rows)
@@ -94,11 +97,10 @@ def _output(
 ) -> tuple[OutputDiagnosis, list[InnovationTest]]:
     n = len(e)
     if n < FEWEST_READINGS:
-        readings = "reading" if n == 1 else "readings"
-        words = f"{name} innovations: {n} {readings}, too few for a diagnosis ({FEWEST_READINGS})"
-        return OutputDiagnosis(n, remark=words), []
+        remark = FitCode.TOO_FEW_INNOVATIONS(output=name, n=n, fewest=FEWEST_READINGS)
+        return OutputDiagnosis(n, remark=remark), []
     if float(np.ptp(e)) <= 1e-12 * max(1.0, float(np.max(np.abs(e)))):
-        return OutputDiagnosis(n, remark=f"{name} innovations do not vary: nothing to diagnose"), []
+        return OutputDiagnosis(n, remark=FitCode.CONSTANT_INNOVATIONS(output=name)), []
     step = float(np.median(np.diff(time)))
     lags = int(min(max(round(longest_h / step), 1), n // 10))
     moments, tests = _moments(name, e)
@@ -128,29 +130,28 @@ def _moments(name: str, e: np.ndarray) -> tuple[tuple[float, float, float, float
     beyond = float(np.mean(np.abs(e) > BEYOND))
     # the variance of a sample variance depends on the kurtosis found: heavy tails alone cause no rejection
     spread = math.sqrt(max(kurtosis + 2.0, 1e-12) / n) * variance
-    wide, band = ("wider", "narrow") if variance > 1 else ("narrower", "wide")
-    tails = "heavier" if kurtosis > 0 else "lighter"
-    shape = f"tails {tails} than normal" if abs(kurtosis) >= abs(skewness) else "skewed"
-    found = {
-        "mean": (
-            _two_sided(mean * math.sqrt(n / variance)),
-            f"have a mean of {_signed(mean)} standard deviations instead of 0"
-            f"{' (small)' if abs(mean) < SMALL else ': the prediction is biased'}",
-        ),
-        "variance": (
+    biased = FitCode.MEAN_SMALL if abs(mean) < SMALL else FitCode.MEAN_BIASED
+    scaled = FitCode.WIDER_THAN_PREDICTED if variance > 1 else FitCode.NARROWER_THAN_PREDICTED
+    tails = FitCode.TAILS_HEAVY if kurtosis > 0 else FitCode.TAILS_LIGHT
+    shape = tails() if abs(kurtosis) >= abs(skewness) else FitCode.SKEWED()
+    found: tuple[tuple[TestName, float, Statement], ...] = (
+        ("mean", _two_sided(mean * math.sqrt(n / variance)), biased(output=name, mean=mean)),
+        (
+            "variance",
             _two_sided((variance - 1.0) / spread),
-            f"are {100 * abs(math.sqrt(variance) - 1):.0f} % {wide} than the filter predicts (variance "
-            f"{variance:.2f} instead of 1): its one-step band is too {band}",
+            scaled(output=name, excess=abs(math.sqrt(variance) - 1.0), variance=variance),
         ),
-        "normality": (
+        (
+            "normality",
             float(jarque_bera(e).pvalue),
-            f"are not normal ({shape}: excess kurtosis {_signed(kurtosis)}, skewness {_signed(skewness)}): "
-            f"{100 * beyond:.2f} % lie beyond ±3, where {100 * _two_sided(BEYOND):.2f} % are expected",
+            FitCode.NOT_NORMAL(
+                output=name, shape=shape, kurtosis=kurtosis, skewness=skewness, beyond=beyond,
+                expected=_two_sided(BEYOND),
+            ),
         ),
-    }
+    )  # fmt: skip
     return (mean, variance, kurtosis, beyond), [
-        InnovationTest(name, test, p=p, statement=f"{name} innovations {words}")
-        for test, (p, words) in found.items()
+        InnovationTest(name, test, p=p, statement=statement) for test, p, statement in found
     ]
 
 
@@ -170,13 +171,13 @@ def _autocorrelation(
     tests = []
     for k in dict.fromkeys((lags, hour)):
         worst = int(np.argmax(np.abs(values[:k])))
-        words = (
-            f"{name} innovations are autocorrelated over lags up to {k * step:.3g} h (Ljung–Box "
-            f"{_p(float(p[k - 1]))}), most at lag {(worst + 1) * step:.3g} h "
-            f"({_against(values[worst], limit_all)}){_size(values[worst])}"
-        )
+        chance, value = float(p[k - 1]), float(values[worst])
+        statement = FitCode.AUTOCORRELATED(
+            output=name, longest_h=k * step, p=chance, lag_h=(worst + 1) * step,
+            size=_against(value, limit_all), remarks=_small(value),
+        )  # fmt: skip
         tests.append(
-            InnovationTest(name, "autocorrelation", lag_h=k * step, p=float(p[k - 1]), statement=words)
+            InnovationTest(name, "autocorrelation", lag_h=k * step, p=chance, statement=statement)
         )
     return found, tests
 
@@ -209,13 +210,9 @@ def _spectrum(
         _rounded(chi2.ppf(LEVEL / 2.0, 2 * count) / (2 * count)),
         _rounded(chi2.isf(LEVEL / 2.0, 2 * count) / (2 * count)),
     )
-    side = "too much" if offset[worst] > 0 else "too little"
-    words = (
-        f"{name} innovations are not white: their cumulative periodogram leaves its band (distance "
-        f"{distance:.3f}, limit {limit:.3f}), with {side} power at periods longer than "
-        f"{1.0 / frequency[worst]:.2g} h"
-    )
-    return summed, banded, InnovationTest(name, "cumulative periodogram", p=p, statement=words)
+    code = FitCode.SPECTRUM_TOO_HIGH if offset[worst] > 0 else FitCode.SPECTRUM_TOO_LOW
+    statement = code(output=name, distance=distance, limit=limit, period_h=float(1.0 / frequency[worst]))
+    return summed, banded, InnovationTest(name, "cumulative periodogram", p=p, statement=statement)
 
 
 def _daily_cycle(name: str, time: np.ndarray, e: np.ndarray) -> list[InnovationTest]:
@@ -232,11 +229,8 @@ def _daily_cycle(name: str, time: np.ndarray, e: np.ndarray) -> list[InnovationT
     amplitude = float(math.hypot(found[1], found[2]))
     # the ratio F with (2, n−3) degrees of freedom has the closed form of a power
     p = float((1.0 - min(max(explained, 0.0), 1.0)) ** ((n - 3) / 2.0))
-    words = (
-        f"{name} innovations keep a daily cycle of {amplitude:.2f} standard deviations ({_p(p)}), "
-        f"{100 * explained:.1f} % of their variance: sun, ventilation or people may follow a daily cycle"
-    )
-    return [InnovationTest(name, "daily cycle", p=p, statement=words)]
+    statement = FitCode.DAILY_CYCLE(output=name, amplitude=amplitude, p=p, explained=explained)
+    return [InnovationTest(name, "daily cycle", p=p, statement=statement)]
 
 
 # --- against the inputs ----------------------------------------------------------------------
@@ -267,7 +261,6 @@ def _cross_correlation(
 ) -> tuple[CrossCorrelation, InnovationTest] | None:
     """The correlation with one input; None where it hardly varies, or its own past predicts it without
     error."""
-    words = source.replace("_", " ")
     known = values[np.isfinite(values)]
     if len(known) < FEWEST_READINGS or float(np.ptp(known)) <= 1e-9 * max(1.0, float(np.max(np.abs(known)))):
         return None
@@ -292,14 +285,9 @@ def _cross_correlation(
     kept = _extremes(r)
     at = float(lag[worst] * step)
     value = float(r[worst])
-    lead = (
-        f": the readings move before the {words} does, so check the clocks and the hold first"
-        if at < 0
-        else ""
-    )
-    sentence = (
-        f"{name} innovations are correlated with the {words} at lag {_lag(at)} "
-        f"({_against(value, limit_all)}){_size(value) or lead}"
+    lead = (FitCode.READINGS_LEAD(input=source),) if at < 0 else ()
+    statement = FitCode.CORRELATED_WITH_INPUT(
+        output=name, input=source, lag_h=at, size=_against(value, limit_all), remarks=_small(value) or lead
     )
     found = CrossCorrelation(
         _rounded(lag[kept] * step),
@@ -308,7 +296,7 @@ def _cross_correlation(
         limit_all,
         p,
     )
-    return found, InnovationTest(name, "correlation", source, p=p, statement=sentence)
+    return found, InnovationTest(name, "correlation", source, p=p, statement=statement)
 
 
 def _lagged_products(a: np.ndarray, b: np.ndarray, lags: int) -> np.ndarray:
@@ -356,23 +344,12 @@ def _rounded(values: np.ndarray) -> tuple[float, ...]:
     return tuple(float(f"{value:.6g}") for value in np.asarray(values, dtype=float))
 
 
-def _p(p: float) -> str:
-    return "p < 0.001" if p < 0.001 else f"p = {p:.3f}"
-
-
-def _lag(hours: float) -> str:
-    return "0" if hours == 0 else f"{hours:.3g} h".replace("-", "−")
-
-
-def _signed(value: float) -> str:
-    return f"{value:.2f}".replace("-", "−")
-
-
-def _against(r: float, limit: float) -> str:
+def _against(r: float, limit: float) -> Statement:
     """A correlation and its limit, with enough digits to distinguish them."""
-    digits = 2 if round(abs(r), 2) != round(limit, 2) else 3
-    return f"r = {r:.{digits}f}, limit {limit:.{digits}f}".replace("-", "−")
+    near = round(abs(r), 2) == round(limit, 2)
+    return (FitCode.CORRELATION_NEAR_LIMIT if near else FitCode.CORRELATION)(r=r, limit=limit)
 
 
-def _size(r: float) -> str:
-    return f", small: {100 * r * r:.1f} % of the variance" if abs(r) < SMALL else ""
+def _small(r: float) -> tuple[Statement, ...]:
+    """The remark on a correlation that explains little."""
+    return (FitCode.SMALL_SHARE(share=r * r),) if abs(r) < SMALL else ()

@@ -25,11 +25,12 @@ from hygrokf.data.files import (
     write_text_whole,
 )
 from hygrokf.data.result_file import result_text
-from hygrokf.data.structured import Cell
+from hygrokf.data.structured import Cell, StructureFault, plain, structured
 from hygrokf.data.toml_form import FormFault, read_toml
 from hygrokf.errors import HygrokfError
 from hygrokf.estimation.likelihood import RatesFault
 from hygrokf.estimation.moments import DigitsFault
+from hygrokf.texts.statement import Statement
 from hygrokf.texts.wording import one_line
 from hygrokf.version import __version__
 
@@ -57,9 +58,23 @@ def number(row: Row, column: str) -> float:
     return float(value) if isinstance(value, int | float) and not isinstance(value, bool) else math.nan
 
 
+BETWEEN = " | "
+"""Between the statements of a cell: sentences have semicolons of their own."""
+
+
+def flat(cell: Cell) -> bool | int | float | str | None:
+    """What a table of plain values holds: the text of statements, several names in one text."""
+    if isinstance(cell, Statement):
+        return cell.text
+    if isinstance(cell, tuple):
+        between = BETWEEN if any(isinstance(one, Statement) for one in cell) else " "
+        return between.join(map(str, cell))
+    return cell
+
+
 def text_of(row: Row, column: str) -> str:
     """The text in a column; empty where there is none."""
-    value = row.get(column)
+    value = flat(row.get(column))
     return "" if value is None else one_line(str(value))
 
 
@@ -97,12 +112,16 @@ an exception is the turbine's failure.  Processes and Dask workers import it by 
 of a module."""
 
 
-def row_of(job: Job, status: str, columns: Row | None = None, reason: str = "") -> Row:
+def _row(data: Any) -> Row:
+    """A row from the data of its file.  Raises StructureFault."""
+    return structured(Mapping[str, Cell], data)  # type: ignore[type-abstract]
+
+
+def row_of(job: Job, status: str, columns: Row | None = None, reason: str | Statement = "") -> Row:
     """The row of a job: the columns that every row has, followed by those of its task; numbers that are not
     finite become None."""
     shared = {"turbine": job.turbine, "status": status, "reason": reason, "task": job.task, "key": job.key}
-    found: Row = json.loads(result_text({**shared, **(columns or {})}))
-    return found
+    return _row(plain({**shared, **(columns or {})}))
 
 
 def content_key(job: Job, files: Sequence[Path] = ()) -> str:
@@ -150,9 +169,9 @@ def _source_files(case: Path) -> list[str]:
 def finished(job: Job) -> Row | None:
     """The row on disk where the same work has been done; None where it failed or differs."""
     try:
-        found: Row = json.loads((job.folder / ROW).read_text(encoding="utf-8"))
+        found = _row(json.loads((job.folder / ROW).read_text(encoding="utf-8")))
         same = (found["key"], found["turbine"], found["status"]) == (job.key, job.turbine, DONE)
-    except (OSError, ValueError, KeyError, TypeError, RecursionError):
+    except (OSError, ValueError, KeyError, TypeError, RecursionError, StructureFault):
         return None
     return found if same else None
 

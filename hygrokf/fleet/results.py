@@ -11,9 +11,10 @@ from typing import TYPE_CHECKING, Any
 
 from hygrokf.data.result_file import units_by_name, with_units
 from hygrokf.data.structured import optional
-from hygrokf.fleet.job import DONE, Row
+from hygrokf.fleet.job import DONE, Row, flat
 from hygrokf.fleet.tasks import SHARED, TASKS
 from hygrokf.identification.turbine_type import TurbineType
+from hygrokf.texts.terms import Instant, Name, Version
 
 if TYPE_CHECKING:
     import pandas
@@ -29,14 +30,14 @@ class FleetResults:
     the turbines of `type_without`.  Columns and their units are those of `tasks.TASKS[task]`.
     """
 
-    task: str
+    task: Name
     rows: tuple[Row, ...]
-    name: str = ""
-    version: str = ""
-    created: str = ""
+    name: Name = ""
+    version: Version = ""
+    created: Instant = ""
     options: Mapping[str, Any] = field(default_factory=dict)
     type: TurbineType | None = None
-    type_without: tuple[str, ...] = optional(())
+    type_without: tuple[Name, ...] = optional(())
 
     @property
     def done(self) -> list[Row]:
@@ -52,7 +53,8 @@ class FleetResults:
         """The table, by turbine, stamps as times in UTC; `attrs["units"]` has the units of its columns."""
         import pandas
 
-        frame = pandas.DataFrame(list(self.rows)).set_index("turbine")
+        rows = [{name: flat(cell) for name, cell in row.items()} for row in self.rows]
+        frame = pandas.DataFrame(rows).set_index("turbine")
         stamps = [name for name in ("start", "end") if name in frame.columns]
         return with_units(frame, units_by_name(list(frame.columns)), stamps)
 
@@ -77,7 +79,7 @@ def table_csv(task: str, rows: Sequence[Row]) -> str:
     names = list(columns_of(task))
     writer.writerow(names)
     for row in rows:
-        cells = (row.get(name) for name in names)
+        cells = (flat(row.get(name)) for name in names)
         writer.writerow([str(one).lower() if isinstance(one, bool) else one for one in cells])
     return buffer.getvalue()
 
@@ -90,7 +92,7 @@ def table_parquet(task: str, rows: Sequence[Row]) -> bytes | None:
     except ImportError:
         return None
     names = columns_of(task)
-    table = pyarrow.Table.from_pylist([{name: row.get(name) for name in names} for row in rows])
+    table = pyarrow.Table.from_pylist([{name: flat(row.get(name)) for name in names} for row in rows])
     sink = pyarrow.BufferOutputStream()
     parquet.write_table(table, sink)
     return sink.getvalue().to_pybytes()

@@ -42,6 +42,8 @@ from hygrokf.fleet.results import CSV, PARQUET, FleetResults, table_csv, table_p
 from hygrokf.fleet.tasks import TASKS
 from hygrokf.identification.fit import read_fit
 from hygrokf.identification.turbine_type import TurbineType, TypeFault, pool_types, write_type
+from hygrokf.texts.fleet import FleetCode
+from hygrokf.texts.statement import Statement
 from hygrokf.version import __version__
 
 FEWEST_OF_A_TYPE = 3
@@ -200,7 +202,7 @@ def on_cluster(jobs: Sequence[Job], work: Work, address: str) -> Iterator[Row]:
                 coming.update([send([job]) for job in batch])
             else:
                 reason = " ".join(str(future.exception()).split())
-                yield row_of(batch[0], LOST, reason=f"no worker of the cluster could run it: {reason}")
+                yield row_of(batch[0], LOST, reason=FleetCode.NO_WORKER(fault=reason))
 
 
 @contextmanager
@@ -314,7 +316,7 @@ class _Crew:
 
     def do(self, job: Job) -> Row:
         """The row of a job; it is lost where the process died over it every time."""
-        reason = ""
+        reason: str | Statement = ""
         for _ in range(ATTEMPTS):
             if (process := self._process()) is None:
                 break
@@ -342,7 +344,7 @@ class _Crew:
                 self._said[process] = said
             return process
 
-    def _buried(self, process: subprocess.Popen[bytes]) -> str:
+    def _buried(self, process: subprocess.Popen[bytes]) -> Statement:
         """Wait for a process to end, and close what belongs to it; returns why it died."""
         status, self._own.process = process.wait(), None
         for pipe in (process.stdin, process.stdout):
@@ -368,10 +370,13 @@ class _Crew:
             self._buried(process)
 
 
-def _epitaph(status: int, last_words: str) -> str:
+def _epitaph(status: int, last_words: str) -> Statement:
+    """Why a process ended, and the last line that it wrote."""
     names = {-one.value: one.name for one in signal.Signals}
-    end = f"ended with status {status}" if status >= 0 else f"was killed by {names.get(status, status)}"
-    reason = f"its process {end}, {ATTEMPTS} times in a row"
+    if status >= 0:
+        end = FleetCode.PROCESS_ENDED(status=status, attempts=ATTEMPTS)
+    else:
+        end = FleetCode.PROCESS_KILLED(signal=names.get(status, str(status)), attempts=ATTEMPTS)
     if names.get(status) == "SIGKILL":
-        reason += "; the system kills processes when memory is short: run it again with fewer --workers"
-    return f"{reason}; its last output: {last_words}" if last_words else reason
+        end = FleetCode.MEMORY_SHORT(end=end)
+    return FleetCode.LAST_OUTPUT(end=end, output=last_words) if last_words else end

@@ -15,9 +15,6 @@ from hygrokf.fleet.job import Row
 from hygrokf.modelling.design import PARTS
 from hygrokf.texts.verdict import REJECT
 
-BETWEEN = " | "
-"""Between the statements of a column: sentences have semicolons of their own."""
-
 
 @dataclass(frozen=True)
 class Compared:
@@ -87,11 +84,10 @@ class ClimateOptions(LibraryOptions):
 
 @dataclass(frozen=True)
 class Tally:
-    """A column whose values are counted on the page; `between` separates several of them in one cell."""
+    """A column whose values are counted on the page."""
 
     column: str
     title: str
-    between: str = ""
 
 
 @dataclass(frozen=True)
@@ -206,8 +202,8 @@ TASKS: Mapping[str, Task] = {
         _CONSTANTS_AND_ERRORS,
         (
             Tally("verdict", "verdict"),
-            Tally("causes", "named cause", " "),
-            Tally("not_judged", "not judged: the budget of simulations ended", " "),
+            Tally("causes", "named cause"),
+            Tally("not_judged", "not judged: the budget of simulations ended"),
             *_RELIABLE,
         ),
         (Compared("verdict", "verdict", ""), Compared("causes", "causes", "")),
@@ -287,7 +283,7 @@ TASKS: Mapping[str, Task] = {
             Tally("limits", "limits, the worst verdict"),
             Tally("wetness_class", "class of wetness, ISO 9223:1992"),
             *_RELIABLE,
-            Tally("statements", "remark", BETWEEN),
+            Tally("statements", "remark"),
         ),
         (
             Compared("limits", "limits", ""),

@@ -29,6 +29,7 @@ from hygrokf.estimation.likelihood import Likelihood
 from hygrokf.estimation.optimiser import Estimate, Objective
 from hygrokf.modelling.design import HUMIDITIES, TEMPERATURE, Design
 from hygrokf.modelling.inputs import Run, model_inputs
+from hygrokf.texts.terms import Source
 
 ONE_SYSTEM_S = 30.0
 """[s] prior standard deviation of an offset between signals of one source, whose stamps are often full
@@ -55,7 +56,7 @@ class ClockOffset:
     readings and prior.
     """
 
-    source: str
+    source: Source
     prior_s: float
     offset_s: float
     sd_s: float

@@ -26,6 +26,7 @@ from dataclasses import dataclass
 
 from hygrokf.data.structured import optional
 from hygrokf.estimation.confidence import normal_quantile
+from hygrokf.texts.terms import Name
 
 
 @dataclass(frozen=True)
@@ -45,7 +46,7 @@ class CompositionStep:
     open.
     """
 
-    source: str
+    source: Name
     lower_h: float = math.nan
     upper_h: float = math.nan
     sd_ln: float = optional(math.nan)

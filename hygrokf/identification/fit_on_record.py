@@ -18,6 +18,9 @@ from hygrokf.identification.verdict_terms import Inherited
 from hygrokf.modelling.design import HUMIDITIES, Design
 from hygrokf.modelling.inputs import Run
 from hygrokf.physics.psychrometrics import ZERO_CELSIUS_K
+from hygrokf.texts.fit import FitCode
+from hygrokf.texts.statement import Statement
+from hygrokf.texts.terms import Instant, Name
 from hygrokf.texts.wording import iso_time
 
 COLUMNS = {
@@ -36,15 +39,15 @@ class SimulationSummary:
     g/m³]; `verdicts` on the time constants it rests on; `statements`: what fit and record do not share.
     """
 
-    fit: str
-    record: str
-    start: str
-    end: str
+    fit: Name
+    record: Name
+    start: Instant
+    end: Instant
     n: int
     share_with_known_inputs: float = math.nan
     means: Mapping[str, float] = field(default_factory=dict)
     verdicts: Mapping[str, Inherited] = field(default_factory=dict)
-    statements: tuple[str, ...] = ()
+    statements: tuple[Statement, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -54,10 +57,10 @@ class Evaluation(Scored):
     `statements`: what fit and record do not share.
     """
 
-    fit: str = ""
-    record: str = ""
+    fit: Name = ""
+    record: Name = ""
     verdicts: Mapping[str, Inherited] = field(default_factory=dict)
-    statements: tuple[str, ...] = ()
+    statements: tuple[Statement, ...] = ()
 
 
 def simulate_fit(fit: Fit, record: Record) -> tuple[Design, Run, Prediction]:
@@ -114,16 +117,14 @@ def simulation_summary(fit: Fit, record: Record, run: Run, predicted: Prediction
     )
 
 
-def _unknown_throughout(fit: Fit, record: Record, run: Run) -> list[str]:
-    """A sentence with the missing input where all inputs are known at no instant of a run."""
+def _unknown_throughout(fit: Fit, record: Record, run: Run) -> list[Statement]:
+    """A statement of the missing input where all inputs are known at no instant of a run."""
     if run.scored.any():
         return []
     inputs = fit.design.model.inputs
     powered = "operating" in inputs or any(name.startswith("power_") for name in inputs)
-    lacking = "throughout, an input is unknown or was until shortly before; see the gaps in `hygrokf check`"
-    if powered and "active_power" not in record:
-        lacking = "the fit uses the power, but the record has no active_power: all of it counts as standstill"
-    return [f"no row has all inputs known (inputs_known is 0 throughout): {lacking}"]
+    unpowered = powered and "active_power" not in record
+    return [(FitCode.POWER_UNKNOWN_THROUGHOUT if unpowered else FitCode.INPUT_UNKNOWN_THROUGHOUT)()]
 
 
 def evaluate(fit: Fit, record: Record) -> Evaluation:
@@ -150,32 +151,27 @@ def evaluate(fit: Fit, record: Record) -> Evaluation:
     )
 
 
-def rated_power_mismatch(design: Design, record: Record) -> list[str]:
-    """A sentence where the rated power of a record differs from the power scale of a design."""
+def rated_power_mismatch(design: Design, record: Record) -> list[Statement]:
+    """A statement where the rated power of a record differs from the power scale of a design."""
     scale = design.power_scale_W
     ratio = record.rated_power_W / scale if record.rated_power_W and scale else 1.0
     if abs(ratio - 1.0) <= 0.02:
         return []
-    return [
-        f"this turbine's rated power is {ratio:.2f} times that of the fit: another type? The heat release "
-        "counts power in the fit's scale"
-    ]
+    return [FitCode.OTHER_RATED_POWER(ratio=ratio)]
 
 
-def mismatches(fit: Fit, record: Record) -> list[str]:
-    """Sentences about another rated power, and signals that only the fitted model or only the record has."""
+def mismatches(fit: Fit, record: Record) -> list[Statement]:
+    """Statements about another rated power, and signals that only the fitted model or only the record has."""
     found = rated_power_mismatch(fit.design, record)
     inputs, outputs = fit.design.model.inputs, fit.design.model.outputs
     if "preheating" in inputs and "preheating" not in record:
-        found.append(
-            "the fit's model has pre-heating, but the record has no such signal: pre-heating counts as off"
-        )
+        found.append(FitCode.PREHEATING_NOT_LOGGED())
     if "preheating" not in inputs and "preheating" in record and np.nanmax(record["preheating"].value) > 0:
-        found.append("the record has pre-heating, which the fit's model does not use")
+        found.append(FitCode.PREHEATING_NOT_MODELLED())
     predicted = [name for name in HUMIDITIES if name in outputs]
     if predicted and not any(name in record for name in predicted):
         found += [
-            f"the fit predicts {predicted[0]}, the record has {name}: the humidity is not scored"
+            FitCode.OTHER_HUMIDITY(predicted=predicted[0], recorded=name)
             for name in HUMIDITIES
             if name in record
         ]

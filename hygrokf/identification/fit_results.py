@@ -25,6 +25,9 @@ from hygrokf.identification.needed_inputs import WithoutInput
 from hygrokf.identification.steady_state import HeatRelease
 from hygrokf.identification.verdict_terms import Interval
 from hygrokf.modelling.design import Design
+from hygrokf.texts.record import touched
+from hygrokf.texts.statement import Statement
+from hygrokf.texts.terms import Digest, Instant, Meaning, Name, ReaderText, Source, Unit, Version
 from hygrokf.texts.verdict import Kind, Reason
 
 if TYPE_CHECKING:
@@ -35,7 +38,7 @@ if TYPE_CHECKING:
 class FormEstimate(Interval):
     """The time constant by one form of the model: `weight`, its share of the evidence, and `gain` in ln L."""
 
-    form: str = ""
+    form: Name = ""
     weight: float = math.nan
     gain: float = math.nan
 
@@ -85,7 +88,7 @@ class TimeConstant(Interval):
     """
 
     level: float = math.nan
-    method: str = ""
+    method: Name = ""
     composition: tuple[CompositionStep, ...] = ()
     forms: tuple[FormEstimate, ...] = ()
     parts_scatter: float = math.nan
@@ -138,23 +141,23 @@ class ParameterRow:
     """
 
     value: float = math.nan
-    unit: str = ""
+    unit: Unit = ""
     se: float = math.nan
     lower: float = math.nan
     upper: float = math.nan
-    meaning: str = ""
+    meaning: Meaning = ""
     prior: PriorTerms | None = None
     fixed: bool = False
     at_bound: bool = False
     at_guard: bool = False
-    parts: tuple[str, ...] = ()
+    parts: tuple[Name, ...] = ()
 
 
 @dataclass(frozen=True)
 class Covariance:
     """Covariance `matrix` (r, r) of the parameters `names`, in their own units."""
 
-    names: tuple[str, ...] = ()
+    names: tuple[Name, ...] = ()
     matrix: np.ndarray = field(default_factory=lambda: np.empty((0, 0)))
 
 
@@ -162,9 +165,9 @@ class Covariance:
 class Period:
     """Start, end of the identification (`until`) and end of a record (ISO 8601), and what of it is used."""
 
-    start: str | None = None
-    until: str | None = None
-    end: str | None = None
+    start: Instant | None = None
+    until: Instant | None = None
+    end: Instant | None = None
     n_readings: int = 0
 
 
@@ -181,30 +184,29 @@ class LocalOptimum:
 class FitResults(Scored):
     """All that `fit.json` says.
 
-    `criterion`: "likelihood" or "simulation"; `kind`: "joint" or "cascade"; `doubts` about the record, by
-    time constant in `doubted`; `provenance`: files read, with their digests; `converged`: None where not
-    stated; `loglik` of the whole model at the reported values on the identification period, and `aic`, `bic`
-    of it; `flat`: parameters that the record does not determine; `trade_offs`: pairs of parameters with
-    their correlation; `readings_sd`: standard deviation of the readings by period and quantity;
-    `identified_on`: 0.1 and 99.9 % quantiles of the inputs; `discretisation_error`: change of ln L with
-    sub-steps of half the length.
+    `criterion`: "likelihood" or "simulation"; `kind`: "joint" or "cascade"; `doubts` about the record;
+    `provenance`: files read, with their digests; `converged`: None where not stated, and how each search
+    ended in `messages`; `loglik` of the whole model at the reported values on the identification period, and
+    `aic`, `bic` of it; `flat`: parameters that the record does not determine; `trade_offs`: pairs of
+    parameters with their correlation; `readings_sd`: standard deviation of the readings by period and
+    quantity; `identified_on`: 0.1 and 99.9 % quantiles of the inputs; `discretisation_error`: change of ln L
+    with sub-steps of half the length.
     """
 
-    name: str = ""
-    version: str = ""
-    created: str = ""
+    name: Name = ""
+    version: Version = ""
+    created: Instant = ""
     synthetic: bool = False
-    criterion: str = "likelihood"
-    kind: str = ""
+    criterion: Name = "likelihood"
+    kind: Name = ""
     rated_power_kW: float = math.nan
     site: Site | None = None
     period: Period = Period()
     design: Design | None = None
-    statements: tuple[str, ...] = ()
-    warnings: tuple[str, ...] = ()
-    doubts: tuple[str, ...] = ()
-    doubted: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
-    provenance: tuple[tuple[str, str], ...] = ()
+    statements: tuple[Statement, ...] = ()
+    warnings: tuple[ReaderText, ...] = ()
+    doubts: tuple[Statement, ...] = ()
+    provenance: tuple[tuple[Source, Digest], ...] = ()
     parameters: Mapping[str, ParameterRow] = field(default_factory=dict)
     covariance: Covariance = field(default_factory=Covariance)
     time_constants: Mapping[str, TimeConstant] = field(default_factory=dict)
@@ -213,17 +215,21 @@ class FitResults(Scored):
     bic: float = math.nan
     n_obs: int = 0
     converged: bool | None = None
-    message: str = ""
+    messages: tuple[Statement, ...] = ()
     other_optima: tuple[LocalOptimum, ...] = ()
-    at_bounds: tuple[str, ...] = ()
-    flat: tuple[str, ...] = ()
-    trade_offs: tuple[tuple[str, str, float], ...] = ()
+    at_bounds: tuple[Name, ...] = ()
+    flat: tuple[Name, ...] = ()
+    trade_offs: tuple[tuple[Name, Name, float], ...] = ()
     readings_sd: Shares = field(default_factory=dict)
     heat_release: HeatRelease | None = None
     actuators: tuple[ActuatorEffect, ...] = ()
     innovations: Diagnosis = field(default_factory=Diagnosis)
     identified_on: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     discretisation_error: float = 0.0
+
+    def doubts_about(self, part: str) -> tuple[Statement, ...]:
+        """The doubts about the record that concern a time constant."""
+        return tuple(one for one in self.doubts if part in touched(one))
 
     def to_frame(self) -> DataFrame:
         """The table of parameters, one row each, as a pandas data frame."""

@@ -27,6 +27,8 @@ from hygrokf.modelling.inputs import Run
 from hygrokf.physics.model import Model
 from hygrokf.physics.parameters import Coordinates
 from hygrokf.physics.psychrometrics import absolute_humidity
+from hygrokf.texts.fit import FitCode
+from hygrokf.texts.statement import Statement
 
 CHANCE = 1e-3
 """[1] probability with which chance alone gives the gain that is required."""
@@ -42,10 +44,10 @@ STEP_TOLERANCE = 1e-4
 
 @dataclass(frozen=True)
 class WithoutInput:
-    """The best model in which an input does not act, in `words`: twice the `gain` in ln L by which the fit
-    exceeds it, and the gain `required`."""
+    """The best `model` in which an input does not act: twice the `gain` in ln L by which the fit exceeds it,
+    and the gain `required`."""
 
-    words: str = ""
+    model: Statement
     gain: float = math.nan
     required: float = math.nan
 
@@ -74,12 +76,12 @@ def without_input(name: str, model: Model, run: Run, estimate: Estimate) -> With
             estimate.z
         )
         found = []
-        for words, inputs, fixed in others:
+        for code, inputs, fixed in others:
             timeline = part.with_inputs({name: value[:count] for name, value in inputs.items()})
             coordinates = Coordinates(model.parameters, fixed)
             objective = Objective(Likelihood(model, timeline, tolerance=STEP_TOLERANCE), coordinates)
             end = climb(objective, coordinates.start(estimate.values), PASSES, TOLERANCE)
-            found.append(WithoutInput(words, 2.0 * (own - end.objective), required))
+            found.append(WithoutInput(code(), 2.0 * (own - end.objective), required))
         return min(found, key=lambda one: one.gain)
 
     tried = best(int(np.searchsorted(whole.time, whole.time[0] + 24.0 * TRIED_DAYS)))
@@ -88,29 +90,28 @@ def without_input(name: str, model: Model, run: Run, estimate: Estimate) -> With
 
 def alternatives(
     name: str, inputs: Mapping[str, np.ndarray], time_h: np.ndarray, warm: np.ndarray, vapour: np.ndarray
-) -> Iterator[tuple[str, dict[str, np.ndarray], dict[str, float]]]:
-    """The models in which the input of a time constant does not act: words, inputs (T,), fixed parameters.
+) -> Iterator[tuple[FitCode, dict[str, np.ndarray], dict[str, float]]]:
+    """The models in which the input of a time constant does not act: code, inputs (T,), fixed parameters.
 
     inputs (T,) by name at times (T,) [h]; warm, vapour: (T,) the cabinet's readings [K], [g/m³], or NaN.
     """
     if name == "hygric_k":
         outside = inputs["ambient_absolute_humidity"]
-        yield "a constant vapour outside", {"ambient_absolute_humidity": _mean(outside)}, {}
+        yield FitCode.CONSTANT_VAPOUR, {"ambient_absolute_humidity": _mean(outside)}, {}
         there, read = np.isfinite(warm), np.isfinite(vapour)
         if read.any():
             warm = np.interp(time_h, time_h[there], warm[there])
             saturated = 1e3 * absolute_humidity(1.0, warm)
             held = saturated * np.nanmean(vapour / saturated) * warm / inputs["ambient_temperature"]
             step = float(np.median(np.diff(time_h[read])))
-            words = "a relative humidity held in the cabinet"
-            yield words, {"ambient_absolute_humidity": held}, {name: 0.5 * step}
+            yield FitCode.HELD_HUMIDITY, {"ambient_absolute_humidity": held}, {name: 0.5 * step}
         return
     still = {one: _mean(value) for one, value in inputs.items()}
     if "exchange_factor" in inputs:  # a joint model: the vapour outside stays what it is
         vapour = inputs["ambient_absolute_humidity"] * inputs["ambient_temperature"]
         still["ambient_absolute_humidity"] = vapour / still["ambient_temperature"]
         still["exchange_factor"] = inputs["exchange_factor"]
-    yield "a constant temperature outside with constant power", still, {}
+    yield FitCode.CONSTANT_INPUTS, still, {}
 
 
 def _mean(value: np.ndarray) -> np.ndarray:

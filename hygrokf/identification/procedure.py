@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hygrokf.cases.doubts import all_doubts, doubted
+from hygrokf.cases.doubts import all_doubts
 from hygrokf.data.prepared import PreparedRecord, prepare
 from hygrokf.data.progress import Progress, reporting
 from hygrokf.data.readings import mask
@@ -21,7 +21,7 @@ from hygrokf.engine.schedule import TOLERANCE
 from hygrokf.estimation.confidence import normal_quantile, standard_error, wald_bounds
 from hygrokf.estimation.likelihood import Likelihood
 from hygrokf.estimation.output_error import OutputError
-from hygrokf.estimation.profile_likelihood import limit_remarks
+from hygrokf.estimation.profile_likelihood import limit_statements
 from hygrokf.estimation.subject import IDENTIFICATION
 from hygrokf.evaluation.actuator_effects import actuator_effects
 from hygrokf.evaluation.diagnosis import Diagnosis
@@ -63,6 +63,8 @@ from hygrokf.modelling.design import (
 )
 from hygrokf.modelling.inputs import IDENTIFIED_ON, Run, model_inputs
 from hygrokf.physics.parameters import Parameter, Prior
+from hygrokf.texts.fit import FitCode
+from hygrokf.texts.statement import Statement, Value, unique
 from hygrokf.texts.wording import iso_time
 from hygrokf.version import __version__
 
@@ -219,7 +221,7 @@ def _identify_model(early: Record, model: Fit, starts: int, profiles: bool, say:
     given = model.design
     own = design(early, kind=JOINT, power_order=given.power_order)
     loggers = {n: s for n, s in own.mechanisms if n.endswith("_sensor")}
-    words = f"the model and its first start are those of the fit {model.name} by {model.results.criterion}"
+    origin = FitCode.MODEL_OF_FIT(fit=model.name, criterion=model.results.criterion)
     made = replace(
         own,
         mechanisms=tuple(
@@ -227,7 +229,7 @@ def _identify_model(early: Record, model: Fit, starts: int, profiles: bool, say:
             for n, s in given.mechanisms
         ),
         averaged={}, humidity=given.humidity, holds=given.holds, features=given.features, priors=given.priors,
-        statements=(*own.statements, words, "other forms of the model were not compared"),
+        statements=(*own.statements, origin, FitCode.FORMS_NOT_COMPARED()),
     )  # fmt: skip
     base = read_as(made, early)
     found = estimate_design(early, base, starts, say, model.values)
@@ -293,7 +295,6 @@ def assemble_fit(
     if criterion == "simulation":
         thermal, moist = by_simulation(thermal), by_simulation(moist)
     table = scores(run, predicted)
-    doubts = all_doubts(run.record)
     scored = FitResults(
         rmse=table,
         baselines=baselines(run),
@@ -318,10 +319,9 @@ def assemble_fit(
         site=record.site,
         period=_period(record, stages[0]),
         design=whole,
-        statements=tuple(_statements(stages, any(f.unseen for f in by_free_run.values()))),
+        statements=_statements(stages, any(f.unseen for f in by_free_run.values())),
         warnings=tuple(record.warnings),
-        doubts=tuple(doubts),
-        doubted={part: tuple(lines) for part, lines in doubted(doubts).items()},
+        doubts=all_doubts(run.record),
         provenance=tuple(record.provenance),
         parameters=_rows(
             stages, values, errors, by_free_run, {"thermal_time_constant": thermal, "hygric_k": moist}
@@ -334,15 +334,11 @@ def assemble_fit(
     return Fit(record.name, whole, values, with_verdicts(results), series)
 
 
-def _statements(stages: Sequence[Stage], unseen: bool) -> list[str]:
+def _statements(stages: Sequence[Stage], unseen: bool) -> tuple[Statement, ...]:
     """The statements of a fit; `unseen`: the criterion sets constant sensor errors to 0."""
-    lines = list(dict.fromkeys(line for stage in stages for line in stage.base.statements))
-    if unseen:
-        lines.append(
-            "the criterion is the smallest free-run error: it sets constant errors of the cabinet's "
-            "sensors to 0, so that the other parameters absorb them"
-        )
-    return lines + [line for stage in stages for line in remarks(stage)]
+    zero = [FitCode.SENSOR_ERRORS_ZERO()] if unseen else []
+    of_designs = unique(one for stage in stages for one in stage.base.statements)
+    return (*of_designs, *zero, *(one for stage in stages for one in undetermined(stage)))
 
 
 def _searched(results: FitResults, stages: Sequence[Stage], loglik: float, n: int) -> FitResults:
@@ -356,7 +352,7 @@ def _searched(results: FitResults, stages: Sequence[Stage], loglik: float, n: in
         bic=d * math.log(max(n, 1)) - 2.0 * loglik,
         n_obs=n,
         converged=all(stage.estimate.converged for stage in stages),
-        message="; ".join(dict.fromkeys(stage.estimate.message for stage in stages)),
+        messages=unique(stage.estimate.message for stage in stages),
         discretisation_error=sum(stage.estimate.discretisation_error for stage in stages),
         other_optima=tuple(
             LocalOptimum(loglik + o - stage.estimate.objective, **{k: v[k] for k in TIME_CONSTANTS if k in v})
@@ -377,52 +373,44 @@ def _period(record: Record, stage: Stage) -> Period:
 
 def shared_error(
     pair: Sequence[Parameter], values: Sequence[float], errors: Sequence[float], correlation: float
-) -> str:
-    """What a high correlation of two estimates means, in words; `errors` are their standard errors.
+) -> Statement:
+    """What a high correlation of two estimates means; `errors` are their standard errors.
 
     Where both are well known, the correlation does no harm; otherwise only a combination is identified.
     Their difference (for positive parameters their ratio) is known better than either where their errors are
     of similar size.
     """
-    a, b = (p.name for p in pair)
+    about: dict[str, Value] = {"first": pair[0].name, "second": pair[1].name, "correlation": correlation}
     if not all(se < WELL_KNOWN * abs(value) for se, value in zip(errors, values, strict=True)):
-        return f"{a} and {b} are strongly correlated ({correlation:.2f}): only a combination is identified"
+        return FitCode.ONLY_COMBINATION(**about)
     # positive parameters are estimated as logarithms, to which the correlation applies
     sizes = [se / value if p.positive else se for p, se, value in zip(pair, errors, values, strict=True)]
-    better = "a combination"
     if pair[0].positive == pair[1].positive and max(sizes) < 2.0 * abs(correlation) * min(sizes):
-        ratio, sum_ = ("ratio", "product") if pair[0].positive else ("difference", "sum")
-        better = f"their {ratio if correlation > 0 else sum_}"
-    return (
-        f"{a} and {b} are strongly correlated ({correlation:.2f}): {better} is known better than either "
-        "of them"
-    )
+        apart, together = ("ratio", "product") if pair[0].positive else ("difference", "sum")
+        return FitCode.OPERATION_KNOWN_BETTER(operation=apart if correlation > 0 else together, **about)
+    return FitCode.COMBINATION_KNOWN_BETTER(**about)
 
 
-def remarks(stage: Stage) -> list[str]:
-    """Sentences about directions that the data do not determine."""
-    lines = []
+def undetermined(stage: Stage) -> list[Statement]:
+    """Statements about directions that the data do not determine."""
+    statements: list[Statement] = []
     estimate, found = stage.estimate, stage.uncertainty
     if "resistance_ratio" in estimate.at_bounds and estimate.values["resistance_ratio"] > 0.99:
-        lines.append(
-            "resistance_ratio is at its limit 1: the readings show no fast feed-through of the ambient "
-            "temperature, so R_IC cannot be distinguished from 0"
-        )
-    others = [name for name in estimate.at_bounds if name != "resistance_ratio"]
+        statements.append(FitCode.NO_FEED_THROUGH())
+    others = tuple(name for name in estimate.at_bounds if name != "resistance_ratio")
     if others:
-        lines.append(f"at a limit, so without standard error: {', '.join(others)}")
+        statements.append(FitCode.AT_LIMITS(names=others))
     for name, bounds in stage.bounds.items():
-        lines += [
-            *([f"{name}: {bounds.statement}"] if bounds.statement else []),
-            *limit_remarks(name, bounds),
-        ]
+        if bounds.statements:
+            statements.append(FitCode.BOUNDS_OF(parameter=name, bounds=bounds.statements))
+        statements += limit_statements(name, bounds)
     if found.flat:
-        lines.append(f"not determined by this record: {', '.join(found.flat)}")
+        statements.append(FitCode.NOT_DETERMINED(names=found.flat))
     for a, b, r in found.trade_offs:
         pair = [p for name in (a, b) for p in stage.base.model.parameters if p.name == name]
         errors = [standard_error(estimate, found, p.name) for p in pair]
-        lines.append(shared_error(pair, [estimate.values[p.name] for p in pair], errors, r))
-    return lines
+        statements.append(shared_error(pair, [estimate.values[p.name] for p in pair], errors, r))
+    return statements
 
 
 def _covariance(

@@ -28,6 +28,8 @@ from hygrokf.identification.periods import (
 from hygrokf.modelling.design import TEMPERATURE, power_scale, reading_step_h
 from hygrokf.physics.mechanisms.thermal import heat_release
 from hygrokf.physics.parameters import Parameter
+from hygrokf.texts.fit import FitCode
+from hygrokf.texts.statement import Statement
 
 TIME_CONSTANTS = 3.0
 """[1] length of periods in thermal time constants, where enough periods are that long."""
@@ -94,13 +96,13 @@ class Regression:
 
 @dataclass(frozen=True)
 class HeatRelease:
-    """Heat release of both regimes; a regime is None where it cannot be fitted, and `statement` gives the
-    reason.  `reference_K` [K] ambient temperature at which the slopes are zero."""
+    """Heat release of both regimes; a regime is None where it cannot be fitted, and `statements` give the
+    reasons.  `reference_K` [K] ambient temperature at which the slopes are zero."""
 
     operation: Regression | None = None
     standstill: Regression | None = None
     reference_K: float | None = None
-    statement: str = ""
+    statements: tuple[Statement, ...] = ()
 
     @property
     def regimes(self) -> dict[str, Regression]:
@@ -143,22 +145,21 @@ def heat_release_regression(record: Record, *, reference_K: float | None = None)
     unlike in the paper, where cross-validation does not contradict it. Times at which a logged heater is on
     are left out. Between the powers of the periods the form is an interpolation.
 
-    A regime with too few periods is None, and the statement gives the reason. Source: equation (1), Fig. 3
+    A regime with too few periods is None, and a statement gives the reason. Source: equation (1), Fig. 3
     and Fig. 4 of the paper.
     """
     early = record.identification()
-    missing = [name for name in (TEMPERATURE, AMBIENT) if not has_readings(early, name)]
+    missing = tuple(name for name in (TEMPERATURE, AMBIENT) if not has_readings(early, name))
     if missing:
-        text = f"no readings of {' and '.join(missing)}: no heat release from stationary periods"
-        return HeatRelease(None, None, reference_K, text)
+        return HeatRelease(None, None, reference_K, (FitCode.NO_READINGS_FOR_PERIODS(signals=missing),))
     if reference_K is None:
         reference_K = float(np.nanmean(early[AMBIENT].value))
-    statements = []
+    statements: list[Statement] = []
     scale_W = power_scale(early) if has_readings(early, POWER) else None
     if not has_readings(early, POWER):
-        statements.append("no power in the record: all of it counts as standstill")
+        statements.append(FitCode.NO_POWER())
     elif scale_W is None:
-        statements.append("the power never rises above zero: all of the record counts as standstill")
+        statements.append(FitCode.POWER_NEVER_POSITIVE())
     used = [early[name] for name in (TEMPERATURE, AMBIENT, *((POWER,) if scale_W else ()))]
     slowest_h = max(max(reading_step_h(one), one.interval_s / 3600.0) for one in used)
     first, last = max(one.time[0] - one.interval_s for one in used), min(one.time[-1] for one in used)
@@ -177,18 +178,18 @@ def heat_release_regression(record: Record, *, reference_K: float | None = None)
         else:
             regressions[regime] = _regression(regime, choice.periods, reference_K, time_constant_h)
     pair = (regressions.get(OPERATION), regressions.get(STANDSTILL))
-    return HeatRelease(*pair, reference_K, "; ".join(statements))
+    return HeatRelease(*pair, reference_K, tuple(statements))
 
 
-def _too_few(cells: Cells, regime: str, choice: Choice) -> str:
+def _too_few(cells: Cells, regime: str, choice: Choice) -> Statement:
     hours = float((cells.end - cells.start)[cells.regime == (regime == OPERATION)].sum()) / 3600.0
     if hours <= 0.0:
-        return f"{regime}: none in the record"
-    return (
-        f"{regime}: {len(choice.periods)} quasi-stationary periods of {choice.window_h:.3g} h in "
-        f"{choice.periods.n_episodes} episodes within {hours:.0f} h are too few for a regression, which "
-        f"needs {FEWEST_PERIODS[0]} in {FEWEST_PERIODS[1]}: the likelihood alone determines the heat release"
-    )
+        return FitCode.REGIME_ABSENT(regime=regime)
+    return FitCode.TOO_FEW_PERIODS(
+        regime=regime, periods=len(choice.periods), window_h=choice.window_h,
+        episodes=choice.periods.n_episodes, hours=hours, fewest_periods=FEWEST_PERIODS[0],
+        fewest_episodes=FEWEST_PERIODS[1],
+    )  # fmt: skip
 
 
 def _parameters(regime: str, order: int, ambient: bool) -> tuple[Parameter, ...]:

@@ -34,6 +34,7 @@ from hygrokf.identification.verdict import inherited
 from hygrokf.identification.verdict_terms import PARAMETER_OF
 from hygrokf.modelling.design import Design
 from hygrokf.physics.parameters import Parameter, Prior
+from hygrokf.texts.terms import Name, Unit, Version
 from hygrokf.texts.verdict import REJECT
 from hygrokf.version import __version__
 
@@ -62,7 +63,7 @@ class Pooled:
     turbine.
     """
 
-    unit: str
+    unit: Unit
     logarithmic: bool
     mean: float
     se: float
@@ -95,11 +96,11 @@ class Pooled:
 class TurbineType:
     """Parameters of a type of turbine with their spread from turbine to turbine, and their design."""
 
-    name: str
+    name: Name
     design: Design
-    turbines: tuple[str, ...]
-    parameters: Mapping[str, Pooled]
-    version: str = __version__
+    turbines: tuple[Name, ...]
+    parameters: Mapping[Name, Pooled]
+    version: Version = __version__
 
     def prior(self, design: Design | None = None) -> dict[str, Prior]:
         """Priors of the next turbine's parameters for its design (by default this type's own).

@@ -27,8 +27,10 @@ from hygrokf.evaluation.innovation_tests import SMALL
 from hygrokf.identification.fit_results import FitResults, ParameterRow, Sampling, TimeConstant
 from hygrokf.identification.verdict_terms import PARAMETER_OF, PERIODS, QUANTITY_OF, Inherited, Interval
 from hygrokf.modelling.design import PARTS
+from hygrokf.texts.fit import FitCode
+from hygrokf.texts.statement import Statement
 from hygrokf.texts.verdict import CAUTION, REJECT, VERDICTS, Reason, ReasonCode, verdict_of, worst_first
-from hygrokf.texts.wording import BASELINES, QUANTITIES, plain_number
+from hygrokf.texts.wording import BASELINES, QUANTITIES
 
 TIGHT = 0.25
 """[1] largest relative half-width of the interval of a well-determined time constant."""
@@ -114,7 +116,7 @@ def _convergence(fit: FitResults, part: str) -> Iterator[Reason]:
     if fit.converged is None:
         yield ReasonCode.CONVERGENCE_UNKNOWN()
     elif not fit.converged:
-        yield ReasonCode.NOT_CONVERGED(why=f" ({fit.message})" if fit.message else "")
+        yield ReasonCode.NOT_CONVERGED(why=(FitCode.BECAUSE(why=fit.messages),) if fit.messages else ())
     if fit.discretisation_error > INEXACT:
         yield ReasonCode.NOT_EXACT(change=fit.discretisation_error)
 
@@ -126,9 +128,10 @@ def _interval(fit: FitResults, part: str) -> Iterator[Reason]:
     if PARAMETER_OF[part] in fit.at_bounds:
         yield ReasonCode.AT_LIMIT(value_h=data.value_h)
     if without is not None and not without.enough:
-        how = "better, by" if without.gain < 0 else "as well up to chance, worse by"
-        by, required = abs(without.gain), without.required
-        yield ReasonCode.INPUT_NOT_NEEDED(model=without.words, how=how, by=by, required=required)
+        how = FitCode.EXPLAINS_BETTER if without.gain < 0 else FitCode.EXPLAINS_AS_WELL
+        yield ReasonCode.INPUT_NOT_NEEDED(
+            model=without.model, how=how(by=abs(without.gain)), required=without.required
+        )
     elif not math.isfinite(data.value_h) or not (low > 0 or math.isfinite(high)):
         yield ReasonCode.NOT_IDENTIFIABLE()
     elif not low > 0:
@@ -143,9 +146,10 @@ def _interval(fit: FitResults, part: str) -> Iterator[Reason]:
 
 def _guards(fit: FitResults, part: str) -> Iterator[Reason]:
     """Other parameters that ended at a guard of their search."""
-    names = [name for name, row in _rows(fit, part) if row.at_guard and name != PARAMETER_OF[part]]
+    rows = _rows(fit, part)
+    names = tuple(name for name, row in rows if row.at_guard and name != PARAMETER_OF[part])
     if names:
-        yield ReasonCode.GUARD_REACHED(names=", ".join(names))
+        yield ReasonCode.GUARD_REACHED(names=names)
 
 
 def _sensors(fit: FitResults, part: str) -> Iterator[Reason]:
@@ -154,8 +158,9 @@ def _sensors(fit: FitResults, part: str) -> Iterator[Reason]:
         if name.endswith(("_bias", "_offset")) and row.prior is not None and row.prior.sd > 0:
             apart = abs(row.value - row.prior.mean) / row.prior.sd
             if apart > STRETCHED:
-                said = {"name": name, "unit": "" if row.unit == "1" else f" {row.unit}"}
-                yield ReasonCode.SENSOR_STRETCHED(error=row.value, standard_deviations=apart, **said)
+                yield ReasonCode.SENSOR_STRETCHED(
+                    name=name, error=row.value, unit=row.unit, standard_deviations=apart
+                )
 
 
 def _rows(fit: FitResults, part: str) -> list[tuple[str, ParameterRow]]:
@@ -182,7 +187,8 @@ def _criteria(fit: FitResults, part: str) -> Iterator[Reason]:
         )
     elif not free_run_informs(data) and data.likelihood is None:
         closed = low > 0 and math.isfinite(high)
-        bounds = f"{plain_number(low)} … {plain_number(high)} h" if closed else "without bounds"
+        within = FitCode.WITHIN_BOUNDS(lower_h=low, upper_h=high)
+        bounds = within if closed else FitCode.WITHOUT_BOUNDS()
         yield ReasonCode.FREE_RUN_SILENT(simulation_h=other, bounds=bounds)
 
 
@@ -216,8 +222,7 @@ def _free_run(fit: FitResults, part: str) -> Iterator[Reason]:
         yield replace(beyond[0], verdict=REJECT if len(beyond) == len(scored) else CAUTION)
     asked = data.simulation is not None
     alone = asked and (not free_run_informs(data) or data.criteria_disagree)
-    but = ", though its own best constant agrees with the number" if asked else ""
-    but = ", and its own best constant does not confirm the number" if alone else but
+    but = () if not asked else ((FitCode.OWN_BEST_DIFFERS if alone else FitCode.OWN_BEST_AGREES)(),)
     worse = [one for p in scored for one in _worse_than_rule(fit, quantity, p, but)]
     if worse:
         yield replace(worse[0], verdict=REJECT if alone and len(worse) == len(scored) else CAUTION)
@@ -253,11 +258,13 @@ def _worse_than_mean(fit: FitResults, quantity: str, period: str) -> Iterator[Re
         yield ReasonCode.WORSE_THAN_MEAN(error=error, readings_sd=spread, **said)
 
 
-def _worse_than_rule(fit: FitResults, quantity: str, period: str, but: str = "") -> Iterator[Reason]:
+def _worse_than_rule(
+    fit: FitResults, quantity: str, period: str, but: tuple[Statement, ...] = ()
+) -> Iterator[Reason]:
     rule, (name, unit) = best_rule(fit, quantity, period), QUANTITIES[quantity]
     if rule is not None and rule.gain < -MATERIAL:
-        said = {"quantity": name, "unit": unit, "period": period, "rule": rule.words, "but": but}
-        yield ReasonCode.WORSE_THAN_RULE(error=rule.error, rule_error=rule.rule, **said)
+        said = {"quantity": name, "unit": unit, "period": period, "rule": rule.words}
+        yield ReasonCode.WORSE_THAN_RULE(error=rule.error, rule_error=rule.rule, but=but, **said)
 
 
 def _failed_band(fit: FitResults, quantity: str) -> Iterator[Reason]:
@@ -298,7 +305,7 @@ def best_rule(fit: FitResults, quantity: str, period: str) -> SimpleRule | None:
 def _innovations(fit: FitResults, part: str) -> Iterator[Reason]:
     """Correlated one-step predictions, and scores that vary more than the model explains."""
     size, beside = largest_correlation(fit, _OUTPUTS[part])
-    if size >= SMALL:
+    if size >= SMALL and beside is not None:
         quantity = QUANTITIES[QUANTITY_OF[part]][0]
         yield ReasonCode.INNOVATIONS_CORRELATED(correlation=size, beside=beside, quantity=quantity)
     factor = fit.time_constants[part].factor
@@ -306,9 +313,9 @@ def _innovations(fit: FitResults, part: str) -> Iterator[Reason]:
         yield ReasonCode.NOISE_NOT_AS_MODELLED(factor=factor)
 
 
-def largest_correlation(fit: FitResults, output: str) -> tuple[float, str]:
+def largest_correlation(fit: FitResults, output: str) -> tuple[float, Statement | None]:
     """The largest correlation [1] of an output's innovations that a test rejects, and its other variable; (0,
-    "") without one."""
+    None) without one."""
     data = fit.innovations.outputs.get(output, OutputDiagnosis())
     rejected = {
         (row.test, row.input) for row in fit.innovations.tests if row.output == output and row.rejected
@@ -316,13 +323,16 @@ def largest_correlation(fit: FitResults, output: str) -> tuple[float, str]:
     found = [("autocorrelation", "", data.autocorrelation)]
     found += [("correlation", name, one) for name, one in data.cross_correlation.items()]
     sizes = [
-        (size, f"the {name.replace('_', ' ')}" if name else "earlier innovations")
+        (size, name)
         for test, name, one in found
         if one is not None and (test, name) in rejected
         for size in (float(np.max(np.abs(one.value), initial=0.0)),)
         if size > np.nan_to_num(one.limit_all)
     ]
-    return max(sizes, default=(0.0, ""))
+    if not sizes:
+        return 0.0, None
+    size, name = max(sizes)
+    return size, FitCode.THE_INPUT(input=name) if name else FitCode.EARLIER_INNOVATIONS()
 
 
 def _data(fit: FitResults, part: str) -> Iterator[Reason]:
@@ -345,7 +355,7 @@ def _data(fit: FitResults, part: str) -> Iterator[Reason]:
     length = _hours(fit.period.start, fit.period.until or fit.period.end)
     if length < CONSTANTS * value:
         yield ReasonCode.RECORD_SHORT(time_constants=length / value)
-    for doubt in fit.doubted.get(part, ()):
+    for doubt in fit.doubts_about(part):
         yield ReasonCode.RECORD_DOUBTED(doubt=doubt)
 
 

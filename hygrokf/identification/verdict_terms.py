@@ -7,8 +7,10 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 
 from hygrokf.modelling.design import PARTS
-from hygrokf.texts.verdict import BELIEVE, PLAIN_MARKS, REJECT, WORDS, Kind, Reason
-from hygrokf.texts.wording import UNBOUNDED, WIDE, ends, percent, plain_number
+from hygrokf.texts.fit import FitCode
+from hygrokf.texts.statement import Statement
+from hygrokf.texts.verdict import BELIEVE, PLAIN_MARKS, REJECT, WORDS, Kind, Reason, VerdictCode
+from hygrokf.texts.wording import UNBOUNDED, WIDE, ends, plain_number
 
 PERIODS = ("validation", "identification")
 
@@ -50,11 +52,12 @@ class Interval:
         return 0.5 * (self.upper_h - self.lower_h) / self.value_h if self.value_h > 0 else math.inf
 
     @property
-    def spread(self) -> str:
-        """The size of a closed interval in words: "±3.5 %", or "a factor of 4.2" for a wide one."""
+    def spread(self) -> Statement:
+        """The size of a closed interval: "±3.5 %", or "a factor of 4.2" for a wide one."""
         if self.upper_h > WIDE * self.lower_h:
-            return f"a factor of {plain_number(math.sqrt(self.upper_h / self.lower_h), 2)}"
-        return f"±{percent(self.half_width, 1 if self.half_width < 0.095 else 0)}"
+            return FitCode.WITHIN_FACTOR(factor=math.sqrt(self.upper_h / self.lower_h))
+        code = FitCode.WITHIN_SMALL_SHARE if self.half_width < 0.095 else FitCode.WITHIN_SHARE
+        return code(share=self.half_width)
 
     @property
     def span(self) -> str:
@@ -107,16 +110,13 @@ def verdict_lines(inherited: Mapping[str, Inherited]) -> list[str]:
     ]
 
 
-def rests_on(inherited: Mapping[str, Inherited], parts: Collection[str] = PARTS) -> str:
-    """A sentence for a result that rests on rejected time constants; empty where it does not.
+def rests_on(inherited: Mapping[str, Inherited], parts: Collection[str] = PARTS) -> list[Statement]:
+    """A statement for a result that rests on rejected time constants; none where it does not.
 
     parts: those that the result rests on.
     """
     rejected = [part for part, one in inherited.items() if one.verdict == REJECT and part in parts]
-    if not rejected:
-        return ""
-    several = len(rejected) > 1
-    return (
-        f"the model's {' and '.join(rejected)} time constant{'s' if several else ''}, on which this rests, "
-        f"{'are' if several else 'is'} {WORDS[REJECT]}"
-    )
+    words = WORDS[REJECT]
+    if len(rejected) > 1:
+        return [VerdictCode.RESTS_ON_ALL_REJECTED(parts=tuple(rejected), verdict=words)]
+    return [VerdictCode.RESTS_ON_REJECTED(part=part, verdict=words) for part in rejected]

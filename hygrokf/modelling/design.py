@@ -28,6 +28,9 @@ from hygrokf.physics.mechanisms import LIBRARY, Factory
 from hygrokf.physics.mechanisms.hygric import SHORTEST_H
 from hygrokf.physics.model import Mechanism, Model, compose, fields_alone
 from hygrokf.physics.parameters import Prior
+from hygrokf.texts.fit import FitCode
+from hygrokf.texts.statement import Statement, unique
+from hygrokf.texts.terms import Name
 
 HOLDS = {
     **{one.name: MEAN if one.hold == PREVIOUS else LINEAR for one in SIGNALS.values()},
@@ -76,10 +79,10 @@ class Design:
     power_scale_W: float | None = None
     power_order: int = 0
     power_mean: tuple[float, ...] = ()
-    humidity: str | None = None
+    humidity: Name | None = None
     ambient_noise: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    statements: tuple[str, ...] = ()
-    holds: Mapping[str, str] = field(default_factory=dict)
+    statements: tuple[Statement, ...] = ()
+    holds: Mapping[str, Name] = field(default_factory=dict)
     features: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     priors: Mapping[str, tuple[float, float, bool]] = field(default_factory=dict)
     actuator_means: Mapping[str, float] = field(default_factory=dict)
@@ -125,8 +128,8 @@ class Design:
         if wrong:
             raise ValueError(f"expected names of mechanisms, found {wrong}")
         mechanisms = tuple((name, dict(settings)) for name, settings in known.pop("mechanisms", ()))
-        for name in ("power_mean", "statements"):
-            known[name] = tuple(known.get(name, ()))
+        known["power_mean"] = tuple(known.get("power_mean", ()))
+        known["statements"] = tuple(map(Statement.from_json, known.get("statements", ())))
         for name in ("ambient_noise", "priors", "scales"):
             known[name] = {key: tuple(numbers) for key, numbers in known.get(name, {}).items()}
         return cls(mechanisms, **known)
@@ -196,7 +199,7 @@ def design(
     hygric model on the measured temperature).  `coloured=False` omits the coloured disturbances.
     """
     record = prepare(record)
-    statements: list[str] = []
+    statements: list[Statement] = []
     chosen: list[Chosen] = []
     averaged: dict[str, float] = {}
     observed = observed_humidity(record)
@@ -236,7 +239,7 @@ def design(
         if series.interval_s > 0:
             averaged[humidity] = series.interval_s / 3600.0
     elif observed is None:
-        statements.append("no humidity readings of both inside and outside: the hygric model is left out")
+        statements.append(FitCode.NO_HUMIDITY())
     return Design(
         mechanisms=tuple(chosen),
         averaged=averaged,
@@ -274,31 +277,29 @@ def _release(
     order: int,
     reference: float,
     start: Mapping[str, float],
-) -> tuple[dict[str, Any], tuple[float, ...], list[str]]:
+) -> tuple[dict[str, Any], tuple[float, ...], list[Statement]]:
     """Settings of the heat release, the means of its features, and statements about it."""
-    statements = []
+    statements: list[Statement] = []
     settings: dict[str, Any] = {"reference_K": reference, "start": dict(start), "standstill_ambient": True}
     if "preheating" in record and np.nanmax(record["preheating"].value, initial=0.0) > 0:
         settings["preheating"] = True
     idle = {"operation": False, "standstill": True, "order": 0}
     if scale is None:
-        statements.append("no power in the record: all of it counts as standstill")
+        statements.append(FitCode.NO_POWER())
         return settings | idle, (), statements
     series = record["active_power"]
     value = series.value[~series.missing] / scale
     running = value > 0
     operation, standstill = bool(running.mean() > 0.01), bool((~running).mean() > 0.01)
     if not standstill:
-        statements.append(
-            "hardly any standstill in the record: the heat release at standstill is that of operation"
-        )
+        statements.append(FitCode.HARDLY_ANY_STANDSTILL())
     if not operation:
-        statements.append("hardly any operation in the record: its heat release cannot be identified")
+        statements.append(FitCode.HARDLY_ANY_OPERATION())
         return settings | idle, (), statements
     distinct = float(np.ptp(np.quantile(value[running], [0.02, 0.98])))
     if distinct < 0.05 and order > 0:
         order = 0
-        statements.append("the power hardly varies: the heat release has no slope over it")
+        statements.append(FitCode.POWER_CONSTANT())
     features = power_features(value, order)
     settings |= {"order": order, "ambient": True, "operation": True, "standstill": standstill}
     if _longest_gap_h(series, record) > bridge_h(series, BRIDGE_H):
@@ -381,7 +382,7 @@ def merged(parts: Sequence[Design]) -> Design:
             mechanisms=(*first.mechanisms, *(m for m in part.mechanisms if m[0] != "measured_air")),
             averaged={**first.averaged, **part.averaged},
             humidity=first.humidity or part.humidity,
-            statements=tuple(dict.fromkeys((*first.statements, *part.statements))),
+            statements=unique((*first.statements, *part.statements)),
             holds={**first.holds, **part.holds},
             features={**first.features, **part.features},
             priors={**first.priors, **part.priors},

@@ -45,9 +45,10 @@ from hygrokf.report.figures.climate import figure_profile
 from hygrokf.report.figures.drawing import png
 from hygrokf.report.figures.lead import duration_figure, lead_of_climate, year_figure
 from hygrokf.report.page import page_html
-from hygrokf.report.quantities import interval, versions
+from hygrokf.report.quantities import versions
+from hygrokf.texts.climate import ClimateCode
 from hygrokf.texts.verdict import REJECT
-from hygrokf.texts.wording import moment, percent, plain_number, sentence
+from hygrokf.texts.wording import moment, sentence
 
 PICTURE = "test_profile.png"
 TONES: dict[str, Literal["open", "plain", "reject"]] = {
@@ -112,8 +113,7 @@ def climate_blocks(study: Study) -> Page:
 
 def doubt_text(study: Study) -> str:
     """A sentence where the climate rests on numbers of the fit that are not reliable; else empty."""
-    doubt = rests_on(study.verdicts)
-    return sentence(doubt) if doubt else ""
+    return "".join(sentence(one.text) for one in rests_on(study.verdicts))
 
 
 # --- the answer ------------------------------------------------------------------------------
@@ -183,7 +183,7 @@ def _region(region: RegionClimate, place: int, several: bool) -> tuple[Block, ..
         *section(
             title.format("Weather and power"),
             Prose(weather_text(region)),
-            Items(tuple(map(sentence, region.statements))),
+            Items(tuple(sentence(str(one)) for one in (*region.statements, *region.warnings))),
         ),
         *(section(title.format("Limits"), limits) if not several or region.limits else ()),
         *section(
@@ -203,7 +203,7 @@ def weather_text(region: RegionClimate) -> str:
     spans = region.years
     many = f"{len(spans)} {'year' if len(spans) == 1 else 'years'}"
     if part := region.part_of_year:
-        many = part if len(spans) == 1 else f"parts of {many}, the fullest of {part}"
+        many = part.text if len(spans) == 1 else f"parts of {many}, the fullest of {part}"
     files = ", ".join(region.files) or "a record"
     return f"Weather from {moment(spans[0].start)} to {moment(spans[-1].end)} UTC ({many}), from {files}."
 
@@ -224,24 +224,21 @@ def _profile(region: RegionClimate, place: int) -> tuple[Block, ...]:
 
 def _profile_text(profile: ChamberProfile) -> str:
     aged = profile.closeness.ageing
-    bounds = interval(aged.years_lower, aged.years_upper, plain_number)
-    said = (
-        f"{len(profile.temperature_degC)} hours in the chamber cause the same ageing as "
-        f"{plain_number(aged.years)} years at the site ({bounds}). The acceleration factor is "
-        f"{plain_number(profile.acceleration)} before the chamber's limits apply; "
-        f"{percent(profile.share_at_chamber_limit)} of the hours are at a limit of the chamber's temperature."
-    )
-    if profile.reached:
-        return said
-    remedy = (
-        "a longer test, fewer years, or a hotter chamber"
-        if aged.test_h < aged.service_h
-        else "a shorter test, more years, or a colder chamber"
-    )
-    return (
-        f"{said} The chamber cannot reach the ageing of the stated years of service within these limits and "
-        f"this length: state {remedy}."
-    )
+    statements = [
+        ClimateCode.SAME_AGEING(
+            hours=len(profile.temperature_degC),
+            years=aged.years,
+            lower=aged.years_lower,
+            upper=aged.years_upper,
+            acceleration=profile.acceleration,
+            share=profile.share_at_chamber_limit,
+        )
+    ]
+    if not profile.reached:
+        short = aged.test_h < aged.service_h
+        code = ClimateCode.AGEING_TOO_LITTLE if short else ClimateCode.AGEING_TOO_MUCH
+        statements.append(code())
+    return " ".join(sentence(one.text) for one in statements)
 
 
 def _method(study: Study) -> tuple[Block, ...]:

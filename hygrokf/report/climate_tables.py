@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 from hygrokf.climate.bounds import BoundedMean
-from hygrokf.climate.chamber_profile import NOT_REPRODUCED
 from hygrokf.climate.limits import QUANTITIES, Exceedance
 from hygrokf.climate.statistics import STATISTICS, YearNumber
 from hygrokf.climate.study import RegionClimate
@@ -19,6 +18,18 @@ SCOPE_WORDS = {
     "standstill": "at standstill",
     "standstill_all_year": "at standstill all year",
 }
+
+NOT_REPRODUCED = (
+    "temperatures and absolute humidities themselves: the test is warmer than the site",
+    "the number of temperature cycles in service: the test has only the cycles of its own length, each "
+    "wider by (T*/T)²",
+    "the order of the seasons, and stretches longer than a day",
+    "rates of change: an hour's change of temperature is wider by (T*/T)² too, as far as the chamber's ramps "
+    "allow",
+    "condensation: the chamber's air is held below saturation, and no part in it is colder than the air",
+    "ageing that does not follow the stated law: vibration, voltage, salt, dust, drying between wet "
+    "stretches",
+)
 
 
 def hours_text(value: float) -> str:
@@ -65,7 +76,7 @@ def class_text(region: RegionClimate) -> str:
 
 def verdict_text(limit: Exceedance) -> str:
     """A verdict, and why there is none."""
-    return f"{limit.verdict} ({limit.why})" if limit.why else limit.verdict
+    return f"{limit.verdict} ({limit.why.text})" if limit.why else limit.verdict
 
 
 def year_table(region: RegionClimate) -> Table:
@@ -148,7 +159,7 @@ def profile_table(region: RegionClimate) -> Table | None:
         return None
     close = region.test_profile.closeness
     numbers = (("ageing by the stated law, h at the reference", close.ageing.service_h, close.ageing.test_h),)
-    rows = (*numbers, *((one.words, one.site, one.test) for one in close.numbers))
+    rows = (*numbers, *((one.name.text, one.site, one.test) for one in close.numbers))
     return Table(
         "What the test profile reproduces",
         ("", "site", "test"),

@@ -36,6 +36,8 @@ from hygrokf.report.figures.comparison import (
 )
 from hygrokf.report.page import page_html
 from hygrokf.report.quantities import interval, quantity, share_text, versions
+from hygrokf.texts.statement import Value
+from hygrokf.texts.transfer import TransferCode
 from hygrokf.texts.wording import RULES, fixed, sentence, signed
 from hygrokf.transfer.comparison import (
     ComparisonColumn,
@@ -46,6 +48,8 @@ from hygrokf.transfer.results import RecordCourse, read_courses, write_courses
 
 PERIODS = ("whole", "validation", "identification")
 COMMAND = "hygrokf compare"
+LEAST_DIFFERENCE = 0.005
+"""Difference of two errors [K], [g/m³] that two decimals do not show."""
 MOST_PAIRS = 3
 """Pairs whose differences are not folded."""
 METHOD = (
@@ -111,7 +115,9 @@ def comparison_blocks(found: ComparisonResults, courses: Sequence[RecordCourse] 
     skill = skill_table(found)
     verdicts = [inherited_verdicts(one.verdicts, f"{one.label}: the fit {one.fit}") for one in found.columns]
     notes = tuple(
-        Prose(f"{one.label}: {sentence(line)}", "note") for one in found.columns for line in one.statements
+        Prose(f"{one.label}: {sentence(line.text)}", "note")
+        for one in found.columns
+        for line in one.statements
     )
     errors = (
         Figure(f"errors-{period}", f"Errors, {period}", caption, partial(figure_errors, found, period))
@@ -197,7 +203,10 @@ def _card(found: ComparisonResults, name: str) -> Card:
     return Card(label, value, lines=tuple(lines[:2]), words=True, tone="plain")
 
 
-_WHERE = {"validation": "in validation", "whole": "over the whole record"}
+_WHERE = {
+    "validation": TransferCode.OVER_VALIDATION(),
+    "whole": TransferCode.OVER_WHOLE_RECORD(),
+}
 
 
 def summary(found: ComparisonResults, name: str, best: str) -> list[str]:
@@ -210,23 +219,30 @@ def summary(found: ComparisonResults, name: str, best: str) -> list[str]:
         last = next((i for i, row in enumerate(rows) if math.isfinite(row.lower)), 0)
         said += [_sentence(row) for row in rows[: last + 1]]
     if not said and len(found.columns) > 1:
-        return ["The columns have no common instants: compare the bounds of their errors."]
+        return [sentence(TransferCode.NO_COMMON_INSTANTS().text)]
     return said
 
 
 def _sentence(row: ErrorRow) -> str:
-    less, more = (row.column, row.against) if row.value < 0 else (row.against, row.column)
     if math.isnan(row.lower):
-        sure = "; not enough data for bounds"
+        bounds = TransferCode.BOUNDS_LACKING()
     elif row.sure:
-        low, high = sorted((abs(row.lower), abs(row.upper)))
-        sure = f" (95 % {interval(low, high)})"
+        lower, upper = sorted((abs(row.lower), abs(row.upper)))
+        bounds = TransferCode.BOUNDS_STATED(lower=lower, upper=upper)
     else:
-        sure = "; the bounds include zero"
-    terms, where = quantity(row.quantity), _WHERE[row.period]
-    if abs(row.value) < 0.005:
-        return f"{row.column} and {row.against} differ by less than {terms.with_unit(0.01)} {where}{sure}."
-    return f"{less} errs by {terms.with_unit(abs(row.value))} less than {more} {where}{sure}."
+        bounds = TransferCode.BOUNDS_INCLUDE_ZERO()
+    terms = quantity(row.quantity)
+    values: dict[str, Value] = {"unit": terms.unit, "period": _WHERE[row.period], "bounds": bounds}
+    if abs(row.value) < LEAST_DIFFERENCE:
+        least = 2.0 * LEAST_DIFFERENCE
+        statement = TransferCode.DIFFERS_LITTLE(
+            first=row.column, second=row.against, least=least, **values
+        )
+    else:
+        better, worse = (row.column, row.against) if row.value < 0 else (row.against, row.column)
+        difference = abs(row.value)
+        statement = TransferCode.ERRS_LESS(better=better, worse=worse, difference=difference, **values)
+    return f"{statement}."
 
 
 # --- tables ----------------------------------------------------------------------------------

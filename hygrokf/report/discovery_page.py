@@ -45,13 +45,12 @@ from hygrokf.report.blocks import (
     table_or,
 )
 from hygrokf.report.discovery_text import (
-    EXCLUSIONS,
-    MOST_SATURATED,
     chosen_words,
     formed,
-    held_out_sentence,
     held_out_sentences,
-    line_sentence,
+    held_out_text,
+    line_statement,
+    outcome,
     place_of,
     tried,
     unchanged,
@@ -66,20 +65,19 @@ from hygrokf.report.quantities import (
     QuantityTerms,
     capital,
     interval,
-    p_value,
     parameter_cells,
     quantity,
     signed_percent,
     versions,
 )
-from hygrokf.texts.wording import NONE, fixed, one_line, percent, plain_number, sentence, stamp_text
+from hygrokf.texts.wording import NONE, fixed, one_line, p_value, percent, plain_number, sentence, stamp_text
 
 
 def findings_table(found: Sequence[Finding], when: str = "in the identification period") -> Table:
     """Significant and material errors of a simulation, worst first."""
     rows = tuple(
         (
-            capital(one.statement),
+            capital(one.statement.text),
             f"{plain_number(one.size, 2)} {quantity(one.quantity).unit}",
             f"{one.n_episodes} of {one.n_possible}",
             percent(one.sensor_share),
@@ -184,24 +182,21 @@ def _change(before: float, after: float) -> str:
 
 def evidence_table(found: DiscoveryResults) -> Table:
     """Every cause that was judged, in order of its evidence; accepted ones are set off."""
-    judged: list[tuple[CauseFound | Rejected, str]] = [
-        *((one, _accepted(one)) for one in found.causes),
-        *((one, _reason(found, one)) for one in (*found.refuted, *found.rejected)),
-    ]
-    judged.sort(key=lambda row: -worth if math.isfinite(worth := row[0].evidence.evidence) else math.inf)
+    judged: list[CauseFound | Rejected] = [*found.causes, *found.refuted, *found.rejected]
+    judged.sort(key=lambda one: -worth if math.isfinite(worth := one.evidence.evidence) else math.inf)
     rows = []
-    for one, outcome in judged:
+    for one in judged:
         known = one.evidence
         paid = (str(known.constants), str(known.searched)) if known.gains else (NONE, NONE)
         gains = (fixed(known.gains.get(q, math.nan), 1) for q in ("temperature", "vapour"))
         worths = (fixed(known.evidence, 1), fixed(known.in_days, 1))
-        rows.append((capital(formed(one)), *gains, *paid, *worths, outcome))
+        rows.append((capital(formed(one)), *gains, *paid, *worths, outcome(found, one)))
     return Table(
         "In order of their evidence",
         ("cause (best form)", "temp.", "hum.", "constants", "settings", "net", "in days", "outcome"),
         tuple(rows),
         left=(0, 7),
-        marked=tuple(i for i, (one, _) in enumerate(judged) if isinstance(one, CauseFound)),
+        marked=tuple(i for i, one in enumerate(judged) if isinstance(one, CauseFound)),
         groups=(("", 1), ("2 ln L", 2), ("paid for", 2), ("evidence", 2), ("", 1)),
         note=(
             "2 ln L: gain in twice the log-likelihood, a difference of maxima. Evidence: this gain less ln N "
@@ -210,18 +205,6 @@ def evidence_table(found: DiscoveryResults) -> Table:
         ),
         brief=(0, 5, 6, 7),
     )
-
-
-def _accepted(one: CauseFound) -> str:
-    """That a cause was accepted, and how far it leads in days."""
-    lead = one.evidence.lead
-    return f"accepted, {fixed(lead, 0)} ahead of the best rival" if math.isfinite(lead) else "accepted"
-
-
-def _reason(found: DiscoveryResults, one: Rejected) -> str:
-    """Why a cause was left out; a saturated sensor hides condensation."""
-    hidden = one.cause == "condensation" and found.saturated > MOST_SATURATED
-    return f"{EXCLUSIONS[one.reason]}{', but saturated readings may hide it' if hidden else ''}"
 
 
 ERRORS = "Errors before and after"
@@ -335,7 +318,7 @@ def _judged(found: DiscoveryResults, one: CauseFound | Rejected) -> tuple[Block,
             table_or(parameters_table(one), without),
         ]
     return present(
-        *blocks, Prose(sentence(held_out_sentence(found, one.held_out))), held_out_table(one.held_out)
+        *blocks, Prose(sentence(held_out_text(found, one.held_out))), held_out_table(one.held_out)
     )
 
 
@@ -368,7 +351,7 @@ def _constants(found: DiscoveryResults) -> tuple[Block, ...]:
 
 def _left(found: DiscoveryResults) -> tuple[Block, ...]:
     """Lines in the spectra, and the errors of the extended model where there is one."""
-    lines = Items(tuple(sentence(line_sentence(one)) for one in found.lines)) if found.lines else None
+    lines = Items(tuple(sentence(line_statement(one).text) for one in found.lines)) if found.lines else None
     errors = None
     if found.extended is not None:
         errors = table_or(

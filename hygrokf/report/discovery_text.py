@@ -3,74 +3,77 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
+from hygrokf.discovery.candidates import SENSOR, WATER
 from hygrokf.discovery.judgement import LEAST_IMPROVEMENT, WORSE_GROWTH
-from hygrokf.discovery.repeats import repeated_text
+from hygrokf.discovery.library import LIBRARY, Cause
+from hygrokf.discovery.repeats import repeated_statement
 from hygrokf.discovery.results import (
     CauseFound,
+    CauseWords,
     DiscoveryResults,
     ErrorGain,
+    Exclusion,
     HeldOutTest,
+    Reason,
     Rejected,
     SpectralLine,
+    Verdict,
 )
 from hygrokf.identification.verdict import inherited
 from hygrokf.report.quantities import capital, listed, quantity, spoken
+from hygrokf.texts.discovery import DiscoveryCode
+from hygrokf.texts.statement import Statement
 from hygrokf.texts.verdict import REJECT
-from hygrokf.texts.wording import fixed, percent, plain_number, sentence, stamp_text
+from hygrokf.texts.wording import sentence
 
-EXCLUSIONS = {
-    "refuted": "held-out readings refute it",
-    "no_effect": "the screening finds no effect",
-    "weak": "too little evidence",
-    "weak_by_days": "too little evidence in independent days",
-    "later_gone": "it lost its place to a cause that was accepted later",
-    "left_to_budget": "not judged: the budget ended the search",
-    "no_form": "this record cannot show it",
+ANSWERS: Mapping[Verdict, DiscoveryCode] = {
+    "ambiguous": DiscoveryCode.ANSWER_CAUSES,
+    "named": DiscoveryCode.ANSWER_CAUSES,
+    "none": DiscoveryCode.ANSWER_NONE,
+    "refuted": DiscoveryCode.ANSWER_REFUTED,
+    "unexplained": DiscoveryCode.ANSWER_BESIDE,
 }
-"""Why a cause was left out."""
-REFUTATIONS = {
-    "no_effect": "in the final set of parameters it has no effect",
-    "no_gain": "held-out readings speak against it more strongly than the others speak for it",
-    "unproven": "its evidence is small, and it lowers no held-out free-run error by {least}",
-    "worse": "with it the errors of the {names} on held-out readings grow",
-}
-"""Why held-out readings refute a cause."""
-ESTIMATORS = {
-    "likelihood": "maximise the likelihood of the search",
-    "output-error": "minimise the error of the free run (output error)",
-}
-ANSWERS = {
-    "named": "{names}",
-    "ambiguous": "{names}",
-    "unexplained": "something is missing beside {names}",
-    "unexplained, no name": "something is missing; the cause is unknown",
-    "refuted": "held-out readings refute {refuted}",
-    "unproven": "held-out readings do not bear out {refuted}",
-    "none": "this record shows no missing cause",
-    "wrong": "no cause was found, but the model is not right",
-}
-"""The verdict in a few words."""
 MEANINGS = {
-    "none": "has enough evidence; the errors look like the ordinary disturbances of a cabinet",
-    "wrong": "has enough evidence, yet the base model is wrong",
-    "unexplained, no name": "explains it, so no cause is named",
+    DiscoveryCode.ANSWER_NONE: DiscoveryCode.NONE_HAS_EVIDENCE,
+    DiscoveryCode.ANSWER_WRONG: DiscoveryCode.NONE_BUT_WRONG,
+    DiscoveryCode.ANSWER_UNKNOWN: DiscoveryCode.NONE_EXPLAINS,
 }
-"""What follows from it of the causes that were judged."""
-RHYTHM = "look for influences with this period that are not logged: tides, routines, duty cycles"
-KEEP = "keep the base model; a cause may be missing that this record does not show"
+"""What follows from an answer of the causes that were judged."""
 ACTIONS = {
-    "unexplained": RHYTHM, "unexplained, no name": RHYTHM, "refuted": KEEP, "unproven": KEEP, "none": KEEP,
-}  # fmt: skip
-"""What to do after a verdict that does not name the whole cause."""
-WARNINGS = ("unexplained", "unexplained, no name", "wrong")
+    DiscoveryCode.ANSWER_BESIDE: DiscoveryCode.LOOK_FOR_RHYTHM,
+    DiscoveryCode.ANSWER_UNKNOWN: DiscoveryCode.LOOK_FOR_RHYTHM,
+    DiscoveryCode.ANSWER_REFUTED: DiscoveryCode.KEEP_BASE_MODEL,
+    DiscoveryCode.ANSWER_UNPROVEN: DiscoveryCode.KEEP_BASE_MODEL,
+    DiscoveryCode.ANSWER_NONE: DiscoveryCode.KEEP_BASE_MODEL,
+}
+"""What to do after an answer that does not name the whole cause."""
+WARNINGS = (DiscoveryCode.ANSWER_BESIDE, DiscoveryCode.ANSWER_UNKNOWN, DiscoveryCode.ANSWER_WRONG)
+REFUTATIONS: Mapping[Reason, DiscoveryCode] = {
+    "no_effect": DiscoveryCode.REFUTED_NO_EFFECT,
+    "no_gain": DiscoveryCode.REFUTED_NO_GAIN,
+    "unproven": DiscoveryCode.REFUTED_UNPROVEN,
+    "worse": DiscoveryCode.REFUTED_WORSE,
+    "": DiscoveryCode.REFUTED_WORSE,
+}
+EXCLUSIONS: Mapping[Exclusion, DiscoveryCode] = {
+    "refuted": DiscoveryCode.EXCLUDED_REFUTED,
+    "no_effect": DiscoveryCode.EXCLUDED_NO_EFFECT,
+    "weak": DiscoveryCode.EXCLUDED_WEAK,
+    "weak_by_days": DiscoveryCode.EXCLUDED_WEAK_BY_DAYS,
+    "later_gone": DiscoveryCode.EXCLUDED_LATER_GONE,
+    "left_to_budget": DiscoveryCode.EXCLUDED_LEFT_TO_BUDGET,
+    "no_form": DiscoveryCode.EXCLUDED_NO_FORM,
+}
+CRITERIA = {
+    "likelihood": DiscoveryCode.BY_LIKELIHOOD,
+    "output-error": DiscoveryCode.BY_OUTPUT_ERROR,
+}
 PERIOD = {"validation": "held-out readings", "identification": "identification readings"}
-NOT_BETTER = "it does not improve the prediction of held-out readings"
-NOT_SEEN = "held-out readings show nothing of it, and can neither refute it nor bear it out"
 SHORT_DAYS = 14
 """Held-out days below which little can be refuted."""
 MOST_SATURATED = 0.01
@@ -122,59 +125,65 @@ class DiscoveryVerdict:
 
 def verdict_of(found: DiscoveryResults) -> DiscoveryVerdict:
     """The verdict of a discovery in words."""
-    names, refuted = " + ".join(map(class_of, found.causes)), listed(map(formed, found.refuted))
-    constants = inherited(found.baseline.fit).items()
-    wrong = [f"its {n} time constant is {c.words}: {c.why}" for n, c in constants if c.verdict == REJECT]
-    code = _code(found, bool(wrong))
-    headline = answer = capital(ANSWERS[code].format(names=names or "a cause", refuted=refuted))
-    reasons = [f"settle this first, for a wrong reading looks like a cause: {one}" for one in found.doubts]
+    refuted = tuple(map(formed, found.refuted))
+    wrong = [
+        DiscoveryCode.CONSTANT_WRONG(part=part, verdict=one.words, why=one.why)
+        for part, one in inherited(found.baseline.fit).items()
+        if one.verdict == REJECT
+    ]
+    code = _answer(found, bool(wrong))
+    answer = code(causes=" + ".join(map(class_of, found.causes)) or "a cause", refuted=refuted)
+    budget, ended = found.work.budget, bool(found.work.not_judged)
+    reasons: list[Statement] = []
     actions = [text for one in found.causes for text in _checks(one)]
-    ended = bool(found.work.not_judged)
     if ended:
-        budget = f"{found.work.budget:,} simulation{'' if found.work.budget == 1 else 's'}"
-        left = listed(map(spoken, found.work.not_judged))
-        headline = f"The budget of {budget} ended the search; not judged: {left}"
-        so_far = "no cause is named" if code == "none" else answer
-        reasons.insert(0, f"so far: {so_far[:1].lower()}{so_far[1:]}")
-    reasons += [line_sentence(one) for one in found.lines]
-    if code in MEANINGS and not (ended and code == "none"):
-        reasons.append(f"none of the {tried(found)} causes that were judged {MEANINGS[code]}")
-    if code == "wrong":
+        none = code is DiscoveryCode.ANSWER_NONE
+        reasons.append(DiscoveryCode.SO_FAR_NONE() if none else DiscoveryCode.SO_FAR(answer=answer))
+        left = tuple(map(spoken, found.work.not_judged))
+        answer = DiscoveryCode.ANSWER_ENDED(budget=budget, causes=left)
+    reasons += [DiscoveryCode.SETTLE_DOUBT(doubt=one) for one in found.doubts]
+    reasons += map(line_statement, found.lines)
+    if code in MEANINGS and not (ended and code is DiscoveryCode.ANSWER_NONE):
+        reasons.append(MEANINGS[code](tried=tried(found)))
+    if code is DiscoveryCode.ANSWER_WRONG:
         reasons += wrong
+    texts = [one.text for one in reasons]
     if found.refuted:
-        beside = "" if found.verdict == "refuted" else f"held-out readings refute {refuted}; "
-        why = (f"{spoken(one.cause)}: {refutation(one.held_out)}" for one in found.refuted)
-        reasons.append(beside + "; ".join(why))
+        beside = [] if found.verdict == "refuted" else [DiscoveryCode.ANSWER_REFUTED(refuted=refuted)]
+        texts.append(joined(*beside, *map(refutation, found.refuted)))
     alone = len(found.causes) == 1 and not ended
-    reasons += [_cause(found, one, alone) for one in found.causes]
-    reasons += [f"the extended model still errs: {one.statement}" for one in found.left[:1]]
+    texts += [_cause(found, one, alone) for one in found.causes]
+    texts += [DiscoveryCode.EXTENDED_STILL_ERRS(finding=one.statement).text for one in found.left[:1]]
     if found.saturated > MOST_SATURATED:
-        share = percent(found.saturated, 1)
-        ceiling = f"{share} of the humidity readings are at the sensor’s ceiling"
-        reasons.append(f"{ceiling}, so condensation cannot be excluded")
+        texts.append(DiscoveryCode.READINGS_SATURATED(share=found.saturated).text)
     if ended:
-        actions.append(f"allow more than {budget} with --budget")
+        actions.append(DiscoveryCode.ALLOW_MORE_SIMULATIONS(budget=budget).text)
     elif code in ACTIONS:
-        actions.append(ACTIONS[code])
+        actions.append(ACTIONS[code]().text)
     repeated = {
         name: [s for s in spans if all(map(math.isfinite, s))] for name, spans in found.repeated.items()
     }
     if any(repeated.values()):
-        reasons.append(repeated_text(repeated))
-        actions.append("find out why the logger repeats readings")
+        texts.append(repeated_statement(repeated).text)
+        actions.append(DiscoveryCode.FIND_OUT_REPEATS().text)
     sure = sure_of(found.causes[0]) if alone and found.verdict in ("named", "ambiguous") else ""
     return DiscoveryVerdict(
-        headline, sure, tuple(filter(None, reasons)), tuple(actions), ended or code in WARNINGS
+        capital(answer.text), sure, tuple(filter(None, texts)), tuple(actions), ended or code in WARNINGS
     )
 
 
-def _code(found: DiscoveryResults, wrong: bool) -> str:
-    """The row of `ANSWERS` that a discovery has; wrong: whether a time constant of its base is rejected."""
+def _answer(found: DiscoveryResults, wrong: bool) -> DiscoveryCode:
+    """The answer of a discovery; wrong: whether a time constant of its base is rejected."""
     if found.verdict == "unexplained" and not found.causes:
-        return "unexplained, no name"
+        return DiscoveryCode.ANSWER_UNKNOWN
     if found.verdict == "refuted" and all(one.held_out.reason == "unproven" for one in found.refuted):
-        return "unproven"
-    return "wrong" if found.verdict == "none" and wrong else found.verdict
+        return DiscoveryCode.ANSWER_UNPROVEN
+    return DiscoveryCode.ANSWER_WRONG if found.verdict == "none" and wrong else ANSWERS[found.verdict]
+
+
+def joined(*parts: Statement | str) -> str:
+    """Statements parted by semicolons, without empty ones."""
+    return "; ".join(filter(None, map(str, parts)))
 
 
 def tried(found: DiscoveryResults) -> int:
@@ -187,33 +196,67 @@ def class_of(one: CauseFound) -> str:
     """A cause with those that the record cannot tell from it; a long class names nothing."""
     rest = [spoken(rival) for rival in one.ambiguous_with]
     if not one.told_apart:
-        return f"not told apart: {', '.join([spoken(one.cause), *rest])}"
+        return DiscoveryCode.NOT_TOLD_APART(causes=(spoken(one.cause), *rest)).text
     return listed([formed(one), *rest], "or")
 
 
 def _cause(found: DiscoveryResults, one: CauseFound, alone: bool) -> str:
     """A cause: its name where the headline does not state it alone, meaning, mark and rivals."""
     name = "" if alone else ", ".join(filter(None, (class_of(one), sure_of(one))))
-    meaning = ": ".join(filter(None, (name, "" if one.ambiguous_with else one.statement)))
-    return "; ".join(filter(None, (meaning, marked(found, one.held_out), alike_sentence(one))))
+    meaning = ": ".join(filter(None, (name, "" if one.ambiguous_with else _meaning(one))))
+    return joined(meaning, marked(found, one.held_out), alike_text(one))
 
 
-def _checks(one: CauseFound) -> Iterable[str]:
-    if one.told_apart and one.remedy not in ("", one.separate_by):
-        yield f"check in the turbine for {spoken(one.cause)}: {one.remedy}"
-    if one.ambiguous_with and one.separate_by:
-        yield f"to tell {spoken(one.cause)} from its rivals: {one.separate_by}"
+# --- entries of the library ------------------------------------------------------------------
 
 
-def line_sentence(one: SpectralLine) -> str:
+def _entry(one: CauseFound) -> Cause | CauseWords | None:
+    """The entry of a cause in the package's library, or its own."""
+    return one.own or next((cause for cause in LIBRARY if cause.name == one.cause), None)
+
+
+def _meaning(one: CauseFound) -> str:
+    entry = _entry(one)
+    return "" if entry is None else entry.meaning
+
+
+def what_it_is(one: CauseFound) -> str:
+    """What a cause is; its name where no library has it."""
+    return _meaning(one) or spoken(one.cause)
+
+
+def _checks(one: CauseFound) -> Iterator[str]:
+    """What to check in the turbine, and the measurement that tells a cause from its rivals."""
+    if (entry := _entry(one)) is None:
+        return
+    remedy, measurement = _remedy(one, entry.remedy), entry.separate_by
+    if one.cause == SENSOR and not set(WATER).isdisjoint(one.ambiguous_with):
+        remedy = measurement = DiscoveryCode.COMPARE_SENSORS().text
+    if one.told_apart and remedy not in ("", measurement):
+        yield DiscoveryCode.CHECK_TURBINE(cause=one.cause, remedy=remedy).text
+    if one.ambiguous_with and measurement:
+        yield DiscoveryCode.TELL_FROM_RIVALS(cause=one.cause, measurement=measurement).text
+
+
+def _remedy(one: CauseFound, remedy: str) -> str:
+    """What to check; for a clock's error also the line that corrects it until then."""
+    shift_s, source = one.settings.get("shift_s"), one.settings.get("source")
+    if isinstance(shift_s, int | float) and isinstance(source, str) and not one.settings.get("summer"):
+        correction = f"{shift_s / 60.0:+.4g}min"
+        return DiscoveryCode.CORRECT_CLOCK(remedy=remedy, correction=correction, source=source).text
+    return remedy
+
+
+def line_statement(one: SpectralLine) -> Statement:
     """A line that is left in a spectrum."""
     name = quantity(one.quantity).words
-    long = one.period_h >= 48.0
-    period = f"{plain_number(one.period_h / 24.0)} days" if long else f"{plain_number(one.period_h)} h"
+    if one.period_h >= 48.0:
+        period = DiscoveryCode.PERIOD_IN_DAYS(days=one.period_h / 24.0)
+    else:
+        period = DiscoveryCode.PERIOD_IN_HOURS(hours=one.period_h)
     if one.cause:
-        where = f"the daily scores of {spoken(one.cause)} in the {name} have a period of {period}"
-        return f"{where}: the effect changes with it, which this cause does not describe"
-    return f"the errors of the {name} have a period of {period} that no cause explains"
+        return DiscoveryCode.PERIOD_IN_SCORES(cause=one.cause, quantity=name, period=period)
+    return DiscoveryCode.PERIOD_IN_ERRORS(quantity=name, period=period)
 
 
 # --- errors ----------------------------------------------------------------------------------
@@ -232,23 +275,19 @@ def place_of(found: DiscoveryResults, gain: ErrorGain) -> str:
 
 def held_out_sentences(found: DiscoveryResults) -> list[str]:
     """How both models were estimated, and what the held-out part can show."""
-    said = []
+    statements = []
     if found.estimator:
-        which = "parameters of both models" if found.extended is not None else "model’s parameters"
-        said.append(f"the {which} {ESTIMATORS.get(found.estimator, found.estimator)}")
+        both = found.extended is not None
+        code = DiscoveryCode.BOTH_MODELS_ESTIMATED if both else DiscoveryCode.ONE_MODEL_ESTIMATED
+        statements.append(code(criterion=CRITERIA[found.estimator]()))
     days = found.held_out_days
     if not days:
-        said.append("no readings were held out, so nothing could be refuted and errors are those of the fit")
+        statements.append(DiscoveryCode.NOTHING_REFUTED())
     elif days < SHORT_DAYS:
-        said.append(
-            f"readings of {days} day{'s' if days > 1 else ''} were held out: too short a part to refute much"
-        )
+        statements.append(DiscoveryCode.FEW_DAYS_HELD_OUT(days=days))
     if selected(found):
-        said.append(
-            "after selection: held-out readings can refute a cause, so their errors are those of models that "
-            "passed; in another season they may be larger"
-        )
-    return [sentence(one) for one in said]
+        statements.append(DiscoveryCode.AFTER_SELECTION())
+    return [sentence(one.text) for one in statements]
 
 
 # --- a cause ---------------------------------------------------------------------------------
@@ -258,9 +297,11 @@ def sure_of(one: CauseFound) -> str:
     """The confidence behind a name; empty for a class that names nothing."""
     if not one.told_apart:
         return ""
-    share = one.confidence
-    known = "> 99 %" if share >= 0.995 else percent(share) if math.isfinite(share) else "not stated"
-    return f"confidence {known}"
+    if not math.isfinite(one.confidence):
+        return DiscoveryCode.CONFIDENCE_NOT_STATED().text
+    near = one.confidence >= 0.995
+    code = DiscoveryCode.CONFIDENCE_NEAR_ONE if near else DiscoveryCode.CONFIDENCE
+    return code(share=one.confidence).text
 
 
 def marked(found: DiscoveryResults, one: HeldOutTest) -> str:
@@ -268,57 +309,74 @@ def marked(found: DiscoveryResults, one: HeldOutTest) -> str:
     if not found.held_out_days:
         return ""
     if not one.days:
-        return NOT_SEEN
-    return NOT_BETTER if one.improvement < LEAST_IMPROVEMENT else ""
+        return DiscoveryCode.NOT_SEEN().text
+    return DiscoveryCode.NOT_BETTER().text if one.improvement < LEAST_IMPROVEMENT else ""
 
 
-def refutation(one: HeldOutTest) -> str:
+def refutation(one: Rejected) -> Statement:
     """Why held-out readings refute a cause."""
-    grown = [q for q in one.z if one.growth.get(q, math.nan) > WORSE_GROWTH]
-    names = listed(dict.fromkeys(quantity(q).words for q in grown)) or "cabinet"
-    return REFUTATIONS[one.reason or "worse"].format(names=names, least=percent(LEAST_IMPROVEMENT))
+    test = one.held_out
+    grown = [q for q in test.z if test.growth.get(q, math.nan) > WORSE_GROWTH]
+    names = tuple(dict.fromkeys(quantity(q).words for q in grown)) or ("cabinet",)
+    return REFUTATIONS[test.reason](cause=one.cause, quantities=names, least=LEAST_IMPROVEMENT)
 
 
-def held_out_sentence(found: DiscoveryResults, one: HeldOutTest) -> str:
+def held_out_text(found: DiscoveryResults, one: HeldOutTest) -> str:
     """What held-out readings say of a cause beside the errors of its table."""
     if not one.days:
-        return NOT_SEEN if found.held_out_days else "no readings were held out"
-    said = [f"a levelled free-run error falls by {percent(one.improvement)}"]
+        code = DiscoveryCode.NOT_SEEN if found.held_out_days else DiscoveryCode.NO_READINGS_HELD_OUT
+        return code().text
+    statements = [DiscoveryCode.ERROR_FALLS(share=one.improvement)]
     if math.isfinite(one.gain):
-        said.append(f"2 ln L {'grows' if one.gain >= 0 else 'falls'} by {abs(one.gain):.0f}")
-    return "; ".join([*said, f"{one.days} days with readings"])
+        code = DiscoveryCode.LIKELIHOOD_GROWS if one.gain >= 0 else DiscoveryCode.LIKELIHOOD_FALLS
+        statements.append(code(change=abs(one.gain)))
+    return joined(*statements, DiscoveryCode.DAYS_WITH_READINGS(days=one.days))
 
 
-def alike_sentence(cause: CauseFound) -> str:
+def alike_text(cause: CauseFound) -> str:
     """The forms and causes that this record cannot tell apart; empty where there are none."""
-    said = []
+    statements = []
     if cause.forms_alike:
-        forms = listed(map(form_words, cause.forms_alike), "or")
-        said.append(f"in this form or {forms}: this record cannot tell these apart")
+        statements.append(DiscoveryCode.ALIKE_FORMS(forms=tuple(map(form_words, cause.forms_alike))))
     if cause.ambiguous_with and cause.told_apart:
-        said.append(f"this record cannot tell it from {listed(map(spoken, cause.ambiguous_with))}")
-    return "; ".join(said)
+        statements.append(DiscoveryCode.ALIKE_CAUSES(causes=tuple(map(spoken, cause.ambiguous_with))))
+    return joined(*statements)
 
 
-CHOSEN: Mapping[str, Callable[[Any], str]] = {
-    "date_s": lambda date_s: f"date {stamp_text(date_s)}",
-    "spans": lambda spans: ", ".join(f"{stamp_text(a)} to {stamp_text(b)}" for a, b in spans),
-    "azimuth_deg": "azimuth {:.0f}°".format,
-    "days": "over {:.3g} days".format,
-    "start_h": "from {:g} h UTC".format,
-    "hours": "for {:g} h".format,
-    "shift_s": lambda shift_s: f"stamps moved by {fixed(shift_s / 60.0, 1)} min",
+def outcome(found: DiscoveryResults, one: CauseFound | Rejected) -> str:
+    """That a cause was accepted, with its lead [1] in days, or why it was left out."""
+    if isinstance(one, CauseFound):
+        known = math.isfinite(one.evidence.lead)
+        code = DiscoveryCode.ACCEPTED_AHEAD if known else DiscoveryCode.ACCEPTED
+        return code(lead=one.evidence.lead).text
+    why = EXCLUSIONS[one.reason]()
+    hidden = one.cause == "condensation" and found.saturated > MOST_SATURATED
+    return DiscoveryCode.MAYBE_HIDDEN(why=why).text if hidden else why.text
+
+
+CHOSEN: Mapping[str, Callable[[Any], Statement]] = {
+    "date_s": lambda date_s: DiscoveryCode.CHOSEN_DATE(date=float(date_s)),
+    "spans": lambda spans: DiscoveryCode.CHOSEN_SPANS(
+        spans=tuple(DiscoveryCode.CHOSEN_SPAN(first=float(a), last=float(b)) for a, b in spans)
+    ),
+    "azimuth_deg": lambda azimuth: DiscoveryCode.CHOSEN_AZIMUTH(azimuth=float(azimuth)),
+    "days": lambda days: DiscoveryCode.CHOSEN_DAYS(days=float(days)),
+    "start_h": lambda hour: DiscoveryCode.CHOSEN_START(hour=float(hour)),
+    "hours": lambda hours: DiscoveryCode.CHOSEN_LENGTH(hours=float(hours)),
+    "shift_s": lambda shift_s: DiscoveryCode.CHOSEN_SHIFT(minutes=float(shift_s) / 60.0),
 }
-"""Setting that a search chose → words."""
+"""Setting that a search chose → statement."""
 
 
 def chosen_words(cause: CauseFound) -> Iterator[str]:
     """What the search chose of a cause's form, in words."""
     for name in (one for one in cause.chosen if one in cause.settings):
         value = cause.settings[name]
-        against = cause.settings.get("relative_to") if name == "shift_s" else None
-        words = f"{name} = {value}"
+        statement = DiscoveryCode.CHOSEN_OTHER(name=name, value=str(value))
         if name in CHOSEN:
             with suppress(TypeError, ValueError):  # a user's own feature may mean something else by it
-                words = CHOSEN[name](value)
-        yield f"{words} against {against}" if against else words
+                statement = CHOSEN[name](value)
+        against = cause.settings.get("relative_to") if name == "shift_s" else None
+        if against:
+            statement = DiscoveryCode.AGAINST_SOURCE(shift=statement, source=str(against))
+        yield statement.text

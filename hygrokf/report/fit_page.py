@@ -184,7 +184,8 @@ def _banners(fit: FitResults) -> tuple[Banner, ...]:
     if fit.converged:
         return found
     word = "CONVERGENCE UNKNOWN" if fit.converged is None else "NOT CONVERGED"
-    said = f"{fit.message} None of the numbers below is final.".strip()
+    ended = "; ".join(map(str, fit.messages))
+    said = f"{ended} None of the numbers below is final.".strip()
     return (*found, Banner(word, said, severe=True))
 
 
@@ -193,7 +194,7 @@ def _card(fit: FitResults, name: str) -> Card:
     label, symbol = f"{name} time constant", PRODUCT[name]
     found = fit.time_constants.get(name)
     if found is None:
-        said = () if fit.design is None else fit.design.statements
+        said = () if fit.design is None else tuple(map(str, fit.design.statements))
         return Card(label, "not identified", symbol=symbol, lines=said or (f"The model has no {name} part.",))
     known = inherited(fit)[name]
     value, bounds = known.texts
@@ -211,18 +212,18 @@ def _judgements(fit: FitResults) -> Verdicts:
     """Doubts about the record, the time constants with their reasons, then the rest, the worst first."""
     order = {REJECT: 0, BELIEVE: 1, CAUTION: 2}
     found = sorted(judgements(fit), key=lambda one: 0 if one.about in PARTS else 1 + order[one.verdict])
-    lines = [Line(CAUTION, sentence(f"doubt about the record: {doubt}")) for doubt in fit.doubts if doubt]
+    lines = [Line(CAUTION, sentence(f"doubt about the record: {doubt}")) for doubt in fit.doubts]
     for one in found:
         text = f"{one.head}{':' if one.reasons else '.'}"
         lines.append(Line(one.verdict, text, head=one.about in PARTS))
         lines += [Line(why.verdict, sentence(why.text), within=True) for why in one.reasons]
-    lines += [Line(CAUTION, sentence(line)) for line in fit.statements]
+    lines += [Line(CAUTION, sentence(one.text)) for one in fit.statements]
     return Verdicts(tuple(lines))
 
 
 def _innovations(fit: FitResults) -> tuple[Block, ...]:
     table = innovations_table(fit)
-    said = tuple(sentence(line) for line in fit.innovations.statements)
+    said = tuple(sentence(one.text) for one in fit.innovations.statements)
     if not (table or said):
         return (Prose("The fit holds no tests of its innovations.", "missing"),)
     return (
@@ -255,7 +256,7 @@ def _method(fit: FitResults) -> tuple[Block, ...]:
     kind = f" ({fit.kind} model)" if fit.kind else ""
     estimated = f"The parameters were estimated by {how}{kind}, on the identification period alone. "
     lines = [METHOD[0], estimated + METHOD[1], *METHOD[2:]]
-    lines += [sentence(line) for line in (() if fit.design is None else fit.design.statements)]
+    lines += [sentence(one.text) for one in (() if fit.design is None else fit.design.statements)]
     values = [
         f"{label} {fixed(value)}"
         for label, value in (("log-likelihood", fit.loglik), ("AIC", fit.aic), ("BIC", fit.bic))

@@ -15,7 +15,7 @@ from hygrokf.physics.psychrometrics import ZERO_CELSIUS_K
 from hygrokf.report.blocks import FREE_RUN, Block, Heading, Items, Prose, Table, inherited_verdicts, present
 from hygrokf.report.figures.fit import PRODUCT
 from hygrokf.report.fit_text import lead_words, level_and_method, range_text
-from hygrokf.report.quantities import interval, p_value, parameter_cells, quantity
+from hygrokf.report.quantities import interval, parameter_cells, quantity
 from hygrokf.report.terminal import blocks_text
 from hygrokf.texts.wording import (
     NONE,
@@ -23,6 +23,7 @@ from hygrokf.texts.wording import (
     RULES,
     decimals_for,
     fixed,
+    p_value,
     percent,
     plain_number,
     sentence,
@@ -181,7 +182,7 @@ def actuators_table(fit: FitResults) -> Table:
     rows, left_out = [], []
     for one in fit.actuators:
         if not one.used:
-            left_out.append(sentence(one.statement))
+            left_out.append(sentence(str(one.statement)))
             rows.append((one.signal, *[NONE] * 4))
             continue
         cells = []

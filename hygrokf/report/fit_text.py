@@ -114,8 +114,7 @@ def _time_constant(fit: FitResults, part: str) -> SubjectVerdict:
     size = f", known to {known.spread}" if known.closed else ""
     head = f"The {part} time constant, {known.texts[0]}{size}{ENDS[known.verdict]}"
     # doubts about the record stand before everything else
-    told = {ReasonCode.RECORD_DOUBTED(doubt=doubt).text for doubt in fit.doubts}
-    reasons = [one for one in known.reasons if one.text not in told]
+    reasons = [one for one in known.reasons if one.source or one.values.get("doubt") not in fit.doubts]
     if known.verdict == BELIEVE and free_run_informs(found):
         reasons.append(ReasonCode.CRITERIA_AGREE(free=free_run_text(found)))
     return SubjectVerdict(part, known.verdict, head, tuple(reasons))
@@ -148,7 +147,7 @@ def _bands(fit: FitResults) -> Iterator[SubjectVerdict]:
             ReasonCode.BANDS_WIDE: [words for words, share in shares.items() if share > high],
         }
         span = f"{100.0 * min(shares.values()):.0f} to {percent(max(shares.values()))}"
-        reasons = (code(bands=", ".join(words)) for code, words in outside.items() if words)
+        reasons = (code(bands=tuple(words)) for code, words in outside.items() if words)
         yield _judged("bands", f"The 95 % band, which holds {span} of the readings", reasons)
 
 
@@ -162,7 +161,7 @@ def _innovations(fit: FitResults) -> Iterator[SubjectVerdict]:
     small, reasons = 0 < largest < SMALL, []
     if against:
         kinds = dict.fromkeys(f"{row.test}{' with inputs' * bool(row.input)}" for row in against)
-        reasons.append(ReasonCode.NOT_WHITE(BELIEVE if small else CAUTION, kinds=", ".join(kinds)))
+        reasons.append(ReasonCode.NOT_WHITE(BELIEVE if small else CAUTION, kinds=tuple(kinds)))
     if largest > 0:
         code = ReasonCode.CORRELATED_LITTLE if small else ReasonCode.CORRELATED
         reasons.append(code(correlation=largest))

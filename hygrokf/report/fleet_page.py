@@ -205,9 +205,9 @@ def _tallies(tallies: Sequence[Tally], done: Sequence[Row]) -> Table:
     for one in tallies:
         having: dict[str, list[str]] = {}
         for row in done:
-            text = text_of(row, one.column)
-            for value in text.split(one.between) if one.between else [text]:
-                if value:
+            cell = row.get(one.column)
+            for part in cell if isinstance(cell, tuple) else (cell,):
+                if value := "" if part is None else one_line(str(part)):
                     having.setdefault(value, []).append(text_of(row, "turbine"))
         kinds = sorted(having.items(), key=lambda pair: -len(pair[1]))
         rows += [(one.title, _in_words(v), str(len(who)), _some(who)) for v, who in kinds[:TALLIED]]

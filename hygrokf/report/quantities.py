@@ -82,8 +82,6 @@ NAMES = {
     "absolute_humidity": "absolute_humidity_g_m3",
 }
 """Quantity of series, of residuals or of a search → scored quantity."""
-LEAST_P = 0.001
-"""[1] below it a probability is told as less than it."""
 COLDEST_K = 150.0
 """[K] above it a parameter is a temperature, below it a difference."""
 
@@ -143,16 +141,6 @@ def interval(low: float, high: float, text: Callable[[float], str] = fixed, symb
     if not (math.isfinite(low) or math.isfinite(high)):
         return NONE
     return f"{text(low)} … {text(high)}{f' {symbol}' if symbol else ''}"
-
-
-def p_value(p: float) -> str:
-    """A probability as printed."""
-    return NONE if math.isnan(p) else f"< {LEAST_P}" if p < LEAST_P else f"{p:.3f}"
-
-
-def p_equation(p: float) -> str:
-    """A probability with its name: "p < 0.001", "p = 0.034"."""
-    return f"p {'' if p < LEAST_P else '= '}{p_value(p)}"
 
 
 def share_text(share: float) -> str:

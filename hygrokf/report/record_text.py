@@ -47,14 +47,14 @@ def record_blocks(found: RecordSummary) -> Iterator[Block]:
         yield Table("", head, rows, left=(0, 1, 2, 4, 5))
     if found.actuators:
         yield Heading("logged actuators", 3)
-        yield Items(found.actuators)
+        yield Items(tuple(map(str, found.actuators)))
     for title, said in (("warnings", found.warnings), ("doubts", found.doubts)):
         yield Heading(f"{title}: {len(said) or 'none'}", 3)
         if said:
-            yield Items(said)
+            yield Items(tuple(map(str, said)))
     if found.untold:
         yield Heading("what the record cannot tell", 3)
-        yield Items(found.untold)
+        yield Items(tuple(map(str, found.untold)))
 
 
 def _heading(found: RecordSummary) -> str:

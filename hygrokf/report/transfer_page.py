@@ -36,14 +36,10 @@ from hygrokf.report.blocks import (
 from hygrokf.report.figures.comparison import SETS, figure_course, figure_parameters, figure_sets, figure_type
 from hygrokf.report.fit_page import write_report
 from hygrokf.report.page import page_html
-from hygrokf.report.quantities import interval, p_value, quantity, versions
-from hygrokf.texts.wording import NONE, fixed, percent, plain_number, sentence
+from hygrokf.report.quantities import interval, quantity, versions
+from hygrokf.texts.transfer import TransferVerdict
+from hygrokf.texts.wording import NONE, fixed, p_value, percent, plain_number, sentence
 from hygrokf.transfer.results import (
-    NOT,
-    OPEN,
-    PARTLY,
-    TRANSFERS,
-    Decision,
     RecordCourse,
     Transfer,
     TransferResult,
@@ -71,11 +67,11 @@ METHOD = (
     "bound, if the record's own estimate errs by far more than the fit did on its own record, or if the "
     "re-estimated model is worse than a rule without a model, or than the fit as it is.",
 )
-TONES: dict[Decision, Literal["plain", "open", "reject"]] = {
-    TRANSFERS: "plain",
-    PARTLY: "open",
-    OPEN: "open",
-    NOT: "reject",
+TONES: dict[TransferVerdict, Literal["plain", "open", "reject"]] = {
+    TransferVerdict.TRANSFERS: "plain",
+    TransferVerdict.PARTLY: "open",
+    TransferVerdict.CANNOT_BE_JUDGED: "open",
+    TransferVerdict.DOES_NOT_TRANSFER: "reject",
 }
 
 
@@ -168,11 +164,11 @@ def transfer_blocks(found: TransferResults, courses: Sequence[RecordCourse] = ()
 
 def _card(found: TransferResults, one: TransferResult) -> Card:
     """The verdict on one record with its reasons; of several records, with the first reason."""
-    reasons = tuple(sentence(line) for line in one.reasons)
+    reasons = tuple(sentence(reason.text) for reason in one.reasons)
     alone = len(found.records) == 1
     return Card(
         one.name,
-        sentence(one.sentence),
+        sentence(one.statement.text),
         lines=reasons if alone else reasons[:1],
         wide=alone,
         words=True,
@@ -183,13 +179,13 @@ def _card(found: TransferResults, one: TransferResult) -> Card:
 def _record(found: TransferResults, place: int, course: Figure | None) -> tuple[Block, ...]:
     one = found.records[place]
     several = len(found.records) > 1
-    reasons = [Prose(sentence(line)) for line in one.reasons] if several else []
+    reasons = [Prose(sentence(reason.text)) for reason in one.reasons] if several else []
     own = inherited_verdicts(one.verdicts, "The time constants of the model to use here")
     return section(
         f"{one.name}: which parameters transfer" if several else "What transfers",
         *reasons,
         table_or(groups_table(one), "No group of parameters could be judged."),
-        Prose(" ".join(map(sentence, one.statements)), "note") if one.statements else None,
+        Prose(" ".join(sentence(line.text) for line in one.statements), "note") if one.statements else None,
         Figure(
             f"parameters-{place}",
             "Parameters, own against the fit's",
@@ -232,7 +228,7 @@ def groups_table(one: TransferResult) -> Table:
             cells = (fixed(row.statistic, 1), str(row.df), p_value(row.p_adjusted), *changes)
         if row.outcome == "differs":
             marked.append(len(rows))
-        rows.append((row.group, *cells, row.statement))
+        rows.append((row.group, *cells, row.statement.text))
     return Table(
         "Groups of parameters",
         ("", "χ²", "df", "p", "[K]", "[g/m³]", "outcome"),
@@ -294,7 +290,7 @@ def ratios_table(one: TransferResult) -> Table:
         "Likelihood ratios on this record alone",
         ("", "2 ln L", "df", "factor", "p"),
         tuple(
-            (r.of, fixed(r.likelihood_ratio, 1), str(r.df), fixed(r.factor), p_value(r.p))
+            (r.of.text, fixed(r.likelihood_ratio, 1), str(r.df), fixed(r.factor), p_value(r.p))
             for r in one.likelihood_ratios
         ),
         note="The original values count as exact here, so a small p of the rest need not mean that it "

@@ -6,25 +6,31 @@ A result holds codes and numbers; whoever shows it asks for the `text`.  Nothing
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
 from string import Formatter
-from typing import Any, Self, TypeAlias
+from typing import Any, Self, TypeAlias, TypeVar
 
 from hygrokf.texts.wording import (
     bytes_text,
     chance_text,
+    day_text,
     duration_text,
     fixed,
+    lag_text,
     minus,
+    p_equation,
     percent,
     plain_number,
     several,
+    shift_text,
     signed,
+    signed_shift,
     stamp_text,
 )
 
+S = TypeVar("S", bound="Statement")
 Value: TypeAlias = "float | str | Statement | Sequence[str | Statement]"
 """What fills a template: a number, a name, a statement, or several names or statements in a list."""
 
@@ -33,13 +39,15 @@ class Code(Enum):
     """What a statement can say: a member's name is the code in files, its value the template of its sentence
     or, with what to do about it, the pair of both templates.
 
-    Fields of a template: `{x}` a name or a statement, `{x:words}` a name with blanks for its underscores,
-    `{x:3}` a number with three significant digits, `{x:.2}` with two decimals, `{x:+.2}` with its sign,
-    `{x:%}` a share in per cent, `{x:.1%}` with one decimal, `{x:chance}` a probability that is never certain,
-    `{x:g}` a number as short as it is, `{x:4g}` with at most four significant digits, `{x:bytes}` a size,
-    `{x:stamp}` an instant [s since 1970], `{x:duration}` a duration [s], `{x:reading|readings}` the word for
-    one or for another number, `{x}` names or statements parted by commas, `{x:and}` the last two by "and",
-    `{x:several}` the first ones of many.
+    Fields of a template: `{x}` a name or a statement, `{x:words}` a name without underscores, `{x:unit}` a
+    unit after its number; `{x:3}` a number with three significant digits, `{x:3g}` without closing zeros,
+    `{x:g}` as short as it is, `{x:.2}` with two decimals, `{x:+.2}` with its sign, `{x:,}` a whole number
+    with its thousands parted, `{x:%}` a share in per cent, `{x:.1%}` with one decimal, `{x:chance}` a
+    probability that is never certain, `{x:p}` one with its name, `{x:bytes}` a size; `{x:stamp}` an instant
+    [s since 1970], `{x:day}` its date, `{x:duration}` a duration [s], `{x:lag}` a lag [h], `{x:shift}` the
+    shift of a clock [s], `{x:+shift}` with its sign; `{x:reading|readings}` the word for one or for another
+    number; `{x}` names or statements parted by commas, `{x:and}` the last two by "and", `{x:several}` the
+    first ones of many, `{x:;}` statements parted by semicolons.
     """
 
     def __init__(self, template: str, remedy: str = "") -> None:
@@ -138,16 +146,30 @@ def _joined(pieces: Iterable[str | float]) -> str:
     return "".join(one if isinstance(one, str) else stamp_text(one) for one in pieces)
 
 
-def _filled(value: Value, spec: str) -> str:
+def _filled(value: float | str | Sequence[str | Statement], spec: str) -> str:
+    """A value as the field of a template asks for it."""
     if isinstance(value, str):
-        return value.replace("_", " ") if spec.startswith("words") else value
+        return _name(value, spec)
     if isinstance(value, Sequence):
-        names = [_filled(str(one), spec) for one in value]
+        names = [_name(str(item), spec.split()[0] if spec else "") for item in value]
+        if spec == ";":
+            return "; ".join(names)
         return several(names) if spec == "several" else listed(names, spec.removeprefix("words").strip())
-    assert not isinstance(value, Statement), "its pieces are taken"
     if "|" in spec:
         return spec.split("|")[0 if value == 1 else 1]
     return _number(float(value), spec)
+
+
+def _name(text: str, spec: str) -> str:
+    """A name as the field of a template asks for it."""
+    if spec == "unit":
+        return "" if text in ("", "1") else f" {text}"
+    return text.replace("_", " ") if spec == "words" else text
+
+
+def unique(statements: Iterable[S]) -> tuple[S, ...]:
+    """Statements without those that an earlier one says already."""
+    return tuple({statement.text: statement for statement in statements}.values())
 
 
 def listed(names: Sequence[str], last: str = "") -> str:
@@ -159,12 +181,8 @@ def listed(names: Sequence[str], last: str = "") -> str:
 
 def _number(value: float, spec: str) -> str:
     """A number as the field of a template asks for it."""
-    if spec == "duration":
-        return duration_text(value)
-    if spec == "chance":
-        return chance_text(value)
-    if spec == "bytes":
-        return bytes_text(value)
+    if spec in _FORMATS:
+        return _FORMATS[spec](value)
     if spec.endswith("g"):
         return minus(f"{value:.{spec[:-1] or 6}g}")
     if spec.endswith("%"):
@@ -172,3 +190,18 @@ def _number(value: float, spec: str) -> str:
     if spec.startswith("+"):
         return signed(value, int(spec[2:]))
     return fixed(value, int(spec[1:])) if spec.startswith(".") else plain_number(value, int(spec))
+
+
+_FORMATS: Mapping[str, Callable[[float], str]] = {
+    ",": "{:,.0f}".format,
+    "stamp": stamp_text,
+    "day": day_text,
+    "duration": duration_text,
+    "shift": shift_text,
+    "+shift": signed_shift,
+    "lag": lag_text,
+    "p": p_equation,
+    "chance": chance_text,
+    "bytes": bytes_text,
+}
+"""Fields of a template that are no count of digits."""

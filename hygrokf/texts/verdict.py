@@ -25,7 +25,7 @@ class ReasonCode(Code):
 
     # against a time constant
     CONVERGENCE_UNKNOWN = (CAUTION, "whether the estimation converged is not stated")
-    NOT_CONVERGED = (REJECT, "the estimation did not converge{why}")
+    NOT_CONVERGED = (REJECT, "the estimation did not converge{why:;}")
     NOT_EXACT = (
         REJECT,
         "the filter's steps are not exact: sub-steps of half the length change ln L by {change:2}",
@@ -36,7 +36,7 @@ class ReasonCode(Code):
     )
     INPUT_NOT_NEEDED = (
         REJECT,
-        "the readings do not need the input through which it acts: {model} explains them {how} {by:.0} in "
+        "the readings do not need the input through which it acts: {model} explains them {how} in "
         "2 ln L (the fit would have to gain {required:.0})",
     )
     NOT_IDENTIFIABLE = (REJECT, "the record bounds it on neither side")
@@ -52,7 +52,7 @@ class ReasonCode(Code):
     )
     SENSOR_STRETCHED = (
         CAUTION,
-        "the fit needs a constant error {name} of {error:3}{unit}, {standard_deviations:.1} standard "
+        "the fit needs a constant error {name} of {error:3}{unit:unit}, {standard_deviations:.1} standard "
         "deviations of the sensor's accuracy: the error absorbs a defect of the model",
     )
     CRITERIA_DISAGREE = (
@@ -74,7 +74,7 @@ class ReasonCode(Code):
     WORSE_THAN_RULE = (
         REJECT,
         "the free run's {quantity} errs by {error:.2} {unit} in {period}, the rule “{rule}” by "
-        "{rule_error:.2} {unit}{but}",
+        "{rule_error:.2} {unit}{but:;}",
     )
     BAND_FAILED = (
         CAUTION,
@@ -150,6 +150,13 @@ class ReasonCode(Code):
     def __call__(self, verdict: Kind | None = None, /, **values: Value) -> Reason:
         """The reason with these values; `verdict`: where it is not the usual one."""
         return Reason(self, values, verdict or self.usual)
+
+
+class VerdictCode(Code):
+    """What a result says that uses a number with a verdict."""
+
+    RESTS_ON_REJECTED = "the model's {part} time constant, on which this rests, is {verdict}"
+    RESTS_ON_ALL_REJECTED = "the model's {parts:and} time constants, on which this rests, are {verdict}"
 
 
 @dataclass(frozen=True)

@@ -63,6 +63,18 @@ def percent(share: float, decimals: int = 0) -> str:
     return f"{100.0 * share:.{decimals}f} %" if math.isfinite(share) else NONE
 
 
+def p_value(p: float) -> str:
+    """A probability as printed."""
+    return NONE if math.isnan(p) else f"< {LEAST_P}" if p < LEAST_P else f"{p:.3f}"
+
+
+def p_equation(p: float) -> str:
+    """A probability with its name: "p < 0.001", "p = 0.034"."""
+    return f"p {'' if p < LEAST_P else '= '}{p_value(p)}"
+
+
+LEAST_P = 0.001
+"""[1] below it a probability is told as less than it."""
 MOST_DECIMALS = 8
 """A number that would need as many is better told by its significant digits."""
 
@@ -144,6 +156,22 @@ def duration_text(seconds: float) -> str:
     return f"{seconds:.3g} s"
 
 
+def shift_text(seconds: float) -> str:
+    """The shift of a clock [s] without its sign, such as "1.5 h" or "40 min"."""
+    size = abs(seconds)
+    return f"{size / 3600.0:g} h" if size >= 3600.0 and size % 1800.0 == 0.0 else f"{size / 60.0:.0f} min"
+
+
+def signed_shift(seconds: float) -> str:
+    """The shift of a clock [s] with its sign in ASCII, as case files have it: "+2 h"."""
+    return f"{'+' if seconds >= 0 else '-'}{shift_text(seconds)}"
+
+
+def lag_text(hours: float) -> str:
+    """A lag [h]: "−0.25 h", "0"."""
+    return minus(f"{hours:.3g} h") if hours else "0"
+
+
 def stamp_text(seconds: float) -> str:
     """A time in ISO 8601, UTC, such as "2020-12-01T00:00Z".
 
@@ -153,6 +181,11 @@ def stamp_text(seconds: float) -> str:
         return "-"
     moment = datetime(1970, 1, 1, tzinfo=UTC) + timedelta(seconds=round(float(seconds)))
     return moment.strftime("%Y-%m-%dT%H:%M:%SZ" if moment.second else "%Y-%m-%dT%H:%MZ")
+
+
+def day_text(seconds: float) -> str:
+    """The date of a time [s since 1970], UTC, such as "2020-12-01"; "-" for NaN."""
+    return stamp_text(seconds)[:10]
 
 
 def period_text(start_s: float, end_s: float) -> str:

@@ -39,6 +39,8 @@ from hygrokf.modelling.design import HUMIDITIES, Design, read_as
 from hygrokf.modelling.inputs import Run, model_inputs
 from hygrokf.physics.model import Model
 from hygrokf.physics.parameters import Coordinates
+from hygrokf.texts.statement import Statement
+from hygrokf.texts.transfer import TransferCode
 from hygrokf.texts.verdict import Reason
 from hygrokf.texts.wording import iso_time
 
@@ -231,20 +233,18 @@ class Baseline:
         return tuple(n for n, g in self.groups.items() if g not in OF_THE_RECORD and n not in self.held)
 
 
-def baseline_of(origin: Origin, record: Record) -> tuple[Baseline, list[str]]:
+def baseline_of(origin: Origin, record: Record) -> tuple[Baseline, list[Statement]]:
     """The baseline of a transfer, and statements about it.
 
     Raises ValueError for a record on which no model can be judged.
     """
-    statements = []
+    statements: list[Statement] = []
     if (until_s := record.until_s) is None:
         cabinet = [record[n] for n in ("cabinet_temperature", *HUMIDITIES) if n in record]
         first, last = min(s.time[0] for s in cabinet), max(s.time[-1] for s in cabinet)
         until_s = float(first + EARLY_SHARE * (last - first))
         record = replace(record, until_s=until_s)
-        statements.append(
-            f"no `until` is stated: estimated on the first three quarters, up to {iso_time(until_s)}"
-        )
+        statements.append(TransferCode.NO_UNTIL(until=iso_time(until_s)))
     statements += _kinship(origin, record)
     base = replace(read_as(origin.design, record), priors={})
     groups = group_of(base.model)
@@ -260,12 +260,10 @@ def baseline_of(origin: Origin, record: Record) -> tuple[Baseline, list[str]]:
     unknown = [n for n, g in groups.items() if g not in OF_THE_RECORD and n not in origin.names]
     if origin.kind == "type" and unknown:
         groups |= dict.fromkeys(unknown, UNKNOWN)
-        statements.append(
-            f"the type has no value of {', '.join(unknown)}: estimated on this record, not judged"
-        )
+        statements.append(TransferCode.UNKNOWN_TO_THE_TYPE(names=tuple(unknown)))
     held = _unknowable(origin, base, early_run)
     if held:
-        statements.append(f"this record holds no information about {', '.join(held)}: kept unchanged")
+        statements.append(TransferCode.NO_INFORMATION(names=tuple(held)))
     statements += rated_power_mismatch(origin.design, record)
     values = {p.name: origin.values.get(p.name, p.start) for p in base.model.parameters}
     run = settled(base, values, model_inputs(base, record))
@@ -285,16 +283,13 @@ def _unknowable(origin: Origin, base: Design, early_run: Run) -> dict[str, float
     return held
 
 
-def _kinship(origin: Origin, record: Record) -> list[str]:
+def _kinship(origin: Origin, record: Record) -> list[Statement]:
     """A statement where the model was, or seems to be, made from this very record."""
     files = frozenset(digest for _, digest in record.provenance)
     if files and files == origin.files:
-        return [
-            "this record was read from the files of the fit: if the columns are also the same, both "
-            "estimates come from the same readings, which does not test the fit"
-        ]
+        return [TransferCode.SAME_FILES()]
     if record.name in origin.turbines:
-        return [f"{record.name} is one of the turbines of the type: its record hardly tests the type"]
+        return [TransferCode.ONE_OF_THE_TYPE(record=record.name)]
     return []
 
 

@@ -29,6 +29,9 @@ from hygrokf.identification.fit import Fit
 from hygrokf.identification.fit_on_record import mismatches, simulate_fit
 from hygrokf.identification.verdict import inherited
 from hygrokf.identification.verdict_terms import Inherited
+from hygrokf.texts.statement import Statement
+from hygrokf.texts.terms import Instant, Name, Version
+from hygrokf.texts.transfer import TransferCode
 from hygrokf.transfer.results import RecordCourse
 from hygrokf.version import __version__
 
@@ -38,10 +41,7 @@ if TYPE_CHECKING:
 ALL_PERIODS = (*PERIODS, "whole")
 SAME = 1e-6
 """Readings of one instant that differ by less [K], [g/m³] are the same reading."""
-UNSCORED = (
-    "nothing to score: no temperature or absolute humidity of the cabinet at a time when all inputs are "
-    "known (a fit that knows the power needs the power); see `hygrokf check`"
-)
+UNSCORED = TransferCode.NOTHING_TO_SCORE()
 UNITS = {"temperature_K": "K", "absolute_humidity_g_m3": "g/m3"}
 
 
@@ -59,11 +59,11 @@ class ErrorRow:
     """
 
     kind: Literal["rmse", "rule", "skill", "difference"]
-    column: str
-    against: str
-    quantity: str
-    period: str
-    regime: str
+    column: Name
+    against: Name
+    quantity: Name
+    period: Name
+    regime: Name
     n: int = 0
     value: float = math.nan
     lower: float = math.nan
@@ -84,21 +84,21 @@ class ComparedColumn:
     1970] and RMSE of each week; `verdicts` on the fit's time constants.
     """
 
-    label: str
-    fit: str
-    case: str
+    label: Name
+    fit: Name
+    case: Name
     identified_here: bool
-    statements: tuple[str, ...]
-    weeks: Mapping[str, tuple[np.ndarray, np.ndarray]]
-    verdicts: Mapping[str, Inherited] = field(default_factory=dict)
+    statements: tuple[Statement, ...]
+    weeks: Mapping[Name, tuple[np.ndarray, np.ndarray]]
+    verdicts: Mapping[Name, Inherited] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
 class ComparisonResults:
     """The content of compare.json.  `synthetic`: whether any record was made by a computer."""
 
-    version: str
-    created: str
+    version: Version
+    created: Instant
     synthetic: bool
     columns: tuple[ComparedColumn, ...]
     rows: tuple[ErrorRow, ...]

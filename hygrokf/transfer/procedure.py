@@ -36,6 +36,9 @@ from hygrokf.identification.turbine_type import TurbineType
 from hygrokf.identification.verdict import inherited, with_reasons
 from hygrokf.modelling.design import JOINT, PARTS
 from hygrokf.physics.parameters import within_limits
+from hygrokf.texts.fit import FitCode
+from hygrokf.texts.statement import Statement
+from hygrokf.texts.transfer import TransferVerdict
 from hygrokf.texts.wording import iso_time
 from hygrokf.transfer.baseline import (
     OFFSETS,
@@ -49,7 +52,6 @@ from hygrokf.transfer.baseline import (
     selection,
 )
 from hygrokf.transfer.results import (
-    OPEN,
     RecordCourse,
     Reduction,
     SetError,
@@ -154,7 +156,10 @@ def _estimates(baseline: Baseline, say: Progress) -> _Estimates:
 
 
 def _results(
-    baseline: Baseline, found: _Estimates, predicted: Mapping[str, Prediction], statements: Sequence[str]
+    baseline: Baseline,
+    found: _Estimates,
+    predicted: Mapping[str, Prediction],
+    statements: Sequence[Statement],
 ) -> TransferResult:
     masks = period_masks(baseline.run)
     held_out = (masks["validation"] & baseline.run.scored).any()
@@ -166,8 +171,7 @@ def _results(
         synthetic="synthetic" in baseline.run.record.name.lower(),
         until=iso_time(baseline.until_s),
         n_readings=baseline.early_run.timeline.n_readings,
-        verdict=OPEN,
-        sentence=OPEN,
+        verdict=TransferVerdict.CANNOT_BE_JUDGED,
         reasons=(),
         re_estimate=found.differing,
         statements=tuple(statements),
@@ -301,11 +305,11 @@ def _fit(baseline: Baseline, estimate: Estimate, spread: Uncertainty) -> Fit:
             value = estimate.values[name]
             ends = (value * math.exp(-reach), value * math.exp(reach))
             method = "taken over" if name in kept else "wald"
-            bounds[name] = Bounds(value, *ends, 0.95, method, "", np.empty((0, 2)))
+            bounds[name] = Bounds(value, *ends, 0.95, method)
     stage = Stage(baseline.base, baseline.early_run, estimate, wider, bounds)
     basis = Basis(JOINT, (stage,), heat_release_regression(baseline.early_run.record))
     made = assemble_fit(baseline.run.record, basis, {})
-    origin = f"design and values that are marked as fixed come from {baseline.origin.name}"
+    origin = FitCode.MODEL_TAKEN_OVER(fit=baseline.origin.name)
     results = replace(made.results, statements=(origin, *made.results.statements))
     for part, name in zip(PARTS, TIME_CONSTANTS, strict=True):
         if name in kept:

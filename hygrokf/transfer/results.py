@@ -10,7 +10,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, Literal
+from typing import TYPE_CHECKING, Any, Literal
 from zipfile import BadZipFile
 
 import numpy as np
@@ -24,6 +24,9 @@ from hygrokf.identification.fit import Fit
 from hygrokf.identification.turbine_type import TurbineType
 from hygrokf.identification.verdict_terms import Inherited
 from hygrokf.modelling.inputs import Run
+from hygrokf.texts.statement import Statement
+from hygrokf.texts.terms import Instant, Meaning, Name, Unit, Version
+from hygrokf.texts.transfer import TransferCode, TransferVerdict
 from hygrokf.version import __version__
 
 if TYPE_CHECKING:
@@ -108,11 +111,6 @@ def read_courses(path: Path, count: int, command: str) -> tuple[RecordCourse, ..
     raise ResultFault(f"{path}: expected the courses of `{command}`, found: {reason}; run it again")
 
 
-TRANSFERS: Final = "transfers"
-PARTLY: Final = "transfers after re-estimating"
-NOT: Final = "does not transfer"
-OPEN: Final = "cannot be judged"
-Decision = Literal["transfers", "transfers after re-estimating", "does not transfer", "cannot be judged"]
 Outcome = Literal["travels", "differs", "own", "not judged"]
 
 
@@ -120,9 +118,9 @@ Outcome = Literal["travels", "differs", "own", "not judged"]
 class TransferSource:
     """The fit or type that is tried elsewhere, with the verdicts on its time constants."""
 
-    name: str
+    name: Name
     kind: Literal["fit", "type"]
-    verdicts: Mapping[str, Inherited] = field(default_factory=dict)
+    verdicts: Mapping[Name, Inherited] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -147,9 +145,9 @@ class ParameterChange:
     is not compared, and `difference_is` how it is to be read; `kept`: this record says nothing about it.
     """
 
-    group: str
-    unit: str
-    meaning: str
+    group: Name
+    unit: Unit
+    meaning: Meaning
     original: float
     original_se: float
     own: float
@@ -169,23 +167,23 @@ class GroupChange:
     [g/m³]; all None where the group is not judged.
     """
 
-    group: str
-    parameters: tuple[str, ...]
+    group: Name
+    parameters: tuple[Name, ...]
     outcome: Outcome
-    statement: str
+    statement: Statement
     statistic: float | None = optional()
     df: int | None = optional()
     p: float | None = optional()
     p_adjusted: float | None = optional()
-    effect: Mapping[str, float] | None = optional()
+    effect: Mapping[Name, float] | None = optional()
 
 
 @dataclass(frozen=True)
 class LikelihoodRatio:
     """An exact likelihood ratio on this record alone; it is divided by `factor` before `p` is taken."""
 
-    of: str
-    parameters: tuple[str, ...]
+    of: Statement
+    parameters: tuple[Name, ...]
     likelihood_ratio: float
     factor: float
     df: int
@@ -204,7 +202,7 @@ class SetError(Errors):
 class Reduction:
     """By how much the error is smaller than that of the set or rule `against` [K], [g/m³], 95 % bounds."""
 
-    against: str
+    against: Name
     gain: float
     lower: float = math.nan
     upper: float = math.nan
@@ -232,29 +230,35 @@ class TransferResult:
     set of values; `verdicts` on the time constants of the model to use here, empty where no fit was made.
     """
 
-    name: str
+    name: Name
     synthetic: bool
-    until: str
+    until: Instant
     n_readings: int
-    verdict: Decision
-    sentence: str
-    reasons: tuple[str, ...]
-    re_estimate: tuple[str, ...]
-    statements: tuple[str, ...]
-    parameters: Mapping[str, ParameterChange]
+    verdict: TransferVerdict
+    reasons: tuple[Statement, ...]
+    re_estimate: tuple[Name, ...]
+    statements: tuple[Statement, ...]
+    parameters: Mapping[Name, ParameterChange]
     groups: tuple[GroupChange, ...]
     likelihood_ratios: tuple[LikelihoodRatio, ...]
     period: Literal["identification", "validation"]
-    rmse: Mapping[str, Mapping[str, SetError]]
-    gains: Mapping[str, Mapping[str, Mapping[str, Reduction]]]
-    structure: Mapping[str, Structure]
-    at_bounds: tuple[str, ...]
-    converged: Mapping[str, bool]
+    rmse: Mapping[Name, Mapping[Name, SetError]]
+    gains: Mapping[Name, Mapping[Name, Mapping[Name, Reduction]]]
+    structure: Mapping[Name, Structure]
+    at_bounds: tuple[Name, ...]
+    converged: Mapping[Name, bool]
     source: TransferSource
-    verdicts: Mapping[str, Inherited] = field(default_factory=dict)
+    verdicts: Mapping[Name, Inherited] = field(default_factory=dict)
+
+    @property
+    def statement(self) -> Statement:
+        """The verdict, with the groups that differ."""
+        if self.verdict is TransferVerdict.PARTLY:
+            return TransferCode.PARTLY_BY_GROUPS(groups=self.re_estimate)
+        return self.verdict()
 
     def __str__(self) -> str:
-        return f"{self.source.name} on {self.name}: {self.sentence}"
+        return f"{self.source.name} on {self.name}: {self.statement}"
 
     def to_frame(self) -> pandas.DataFrame:
         """One row a parameter: its group and unit, its values, and the difference with 95 % bounds."""
@@ -284,7 +288,7 @@ class Transfer:
     own: Fit | None = None
 
     @property
-    def verdict(self) -> Decision:
+    def verdict(self) -> TransferVerdict:
         return self.results.verdict
 
     def __str__(self) -> str:
@@ -296,8 +300,8 @@ class TransferResults:
     """The content of transfer.json: one source on one or more records, and the type of all turbines where it
     was made."""
 
-    version: str
-    created: str
+    version: Version
+    created: Instant
     records: tuple[TransferResult, ...]
     type: TurbineType | None
 

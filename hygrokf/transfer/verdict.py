@@ -12,6 +12,8 @@ import numpy as np
 from hygrokf.estimation.confidence import Uncertainty
 from hygrokf.estimation.optimiser import Estimate
 from hygrokf.evaluation.scoring import SCORED
+from hygrokf.texts.statement import Statement, Value
+from hygrokf.texts.transfer import TransferCode, TransferVerdict
 from hygrokf.texts.wording import QUANTITIES, RULES
 from hygrokf.transfer.baseline import (
     HYGRIC,
@@ -23,12 +25,7 @@ from hygrokf.transfer.baseline import (
     members,
 )
 from hygrokf.transfer.results import (
-    NOT,
-    OPEN,
-    PARTLY,
-    TRANSFERS,
     Contrast,
-    Decision,
     GroupChange,
     LikelihoodRatio,
     Outcome,
@@ -116,23 +113,22 @@ def groups_of(
     for group in dict.fromkeys(baseline.groups.values()):
         names = members(baseline.groups, group)
         if group in OF_THE_RECORD:
-            rows.append(GroupChange(group, names, "own", "always estimated on the record itself"))
+            rows.append(GroupChange(group, names, "own", TransferCode.GROUP_OF_THE_RECORD()))
             continue
         if group not in effects:
-            rows.append(GroupChange(group, names, "not judged", "this record cannot show"))
+            rows.append(GroupChange(group, names, "not judged", TransferCode.GROUP_NOT_SHOWN()))
             continue
         test, alone = tests[group], apart.of(names)
         outcome: Outcome = "differs" if group in differing else "travels"
-        statement = "no difference beyond both uncertainties"
+        code = TransferCode.GROUP_ALIKE
         if group in differing:
-            statement = "differs by more than both uncertainties explain, and enough to matter"
+            code = TransferCode.GROUP_DIFFERS
         elif test.significant:
-            statement = "differs measurably, but too little to matter"
+            code = TransferCode.GROUP_IMMATERIAL
         elif _could_matter(group, alone, effects[group]):
-            statement += ", but this record cannot exclude a difference that would matter"
-        rows.append(
-            GroupChange(group, alone.names, outcome, statement, **vars(test), effect=dict(effects[group]))
-        )
+            code = TransferCode.GROUP_OPEN
+        effect = dict(effects[group])
+        rows.append(GroupChange(group, alone.names, outcome, code(), **vars(test), effect=effect))
     return tuple(rows)
 
 
@@ -164,8 +160,8 @@ def ratios_of(
 
     rows = []
     for first, second, differ, label in (
-        (logger, adapted, True, "re-estimating the groups that differ"),
-        (adapted, own, False, "re-estimating the rest"),
+        (logger, adapted, True, TransferCode.RATIO_OF_DIFFERING()),
+        (adapted, own, False, TransferCode.RATIO_OF_REST()),
     ):
         names = tuple(n for n in baseline.cabinet if (baseline.groups[n] in differing) is differ)
         if not names:
@@ -182,95 +178,84 @@ def ratios_of(
 
 
 def with_verdict(found: TransferResult) -> TransferResult:
-    """The result with its verdict, the sentence of the verdict, and the reasons, objections first."""
+    """The result with its verdict and the reasons, objections first."""
     worse_than_rules, doubts = _against_the_rules(found)
     against = [*_of_the_model(found), *worse_than_rules, *_worse_than_before(found)]
-    differing = found.re_estimate
-    verdict: Decision = NOT if against else OPEN if doubts else PARTLY if differing else TRANSFERS
-    return replace(
-        found,
-        verdict=verdict,
-        sentence=f"{verdict} {_list(differing)}" if verdict == PARTLY else verdict,
-        reasons=(*against, *(() if against else doubts), *_errors_before_and_after(found)),
-    )
+    if against:
+        verdict = TransferVerdict.DOES_NOT_TRANSFER
+    elif doubts:
+        verdict = TransferVerdict.CANNOT_BE_JUDGED
+    else:
+        verdict = TransferVerdict.PARTLY if found.re_estimate else TransferVerdict.TRANSFERS
+    reasons = (*(against or doubts), *_errors_before_and_after(found))
+    return replace(found, verdict=verdict, reasons=reasons)
 
 
-def _of_the_model(found: TransferResult) -> list[str]:
+def _of_the_model(found: TransferResult) -> list[Statement]:
     """Objections to the model: no group in common, parameters at bounds, errors of the structure."""
     against = []
     differing = found.re_estimate
     tried = {row.group for row in found.groups if row.outcome in ("travels", "differs")}
     if len(tried) > 1 and tried == set(differing):
-        against.append(
-            f"all groups of the cabinet differ ({_list(differing)}): identify this turbine on its own"
-        )
+        against.append(TransferCode.ALL_GROUPS_DIFFER(groups=differing))
     if found.at_bounds:
-        against.append(f"at a limit of its range after re-estimating: {', '.join(found.at_bounds)}")
-    for quantity, row in found.structure.items():
-        if row.lower > STRUCTURE:
-            name, unit = QUANTITIES[quantity]
-            against.append(
-                f"even with all parameters estimated here the simulated {name} errs by {row.rmse:.2f} "
-                f"{unit}, {row.ratio:.1f} times as much as the fit did on its own record: the model lacks "
-                "something here; `hygrokf discover` may name it"
-            )
+        against.append(TransferCode.ENDED_AT_LIMIT(names=found.at_bounds))
+    against += [
+        TransferCode.STRUCTURE_LACKS(**_terms(quantity), error=row.rmse, ratio=row.ratio)
+        for quantity, row in found.structure.items()
+        if row.lower > STRUCTURE
+    ]
     return against
 
 
-def _against_the_rules(found: TransferResult) -> tuple[list[str], list[str]]:
+def _against_the_rules(found: TransferResult) -> tuple[list[Statement], list[Statement]]:
     """Objections and doubts where a rule without a model errs less than the re-estimated model."""
     against, doubts = [], []
-    for _, (name, unit), over in _gains(found, "over_rule"):
-        rule = f"“{RULES.get(over.against, over.against)}”"
-        size = f"{-over.gain:.2f} {unit}"
+    for quantity, over in _gains(found, "over_rule"):
+        values = {**_terms(quantity), "excess": -over.gain, "rule": RULES.get(over.against, over.against)}
         if math.isnan(over.upper) and over.gain < 0.0:
-            doubts.append(
-                f"the simulated {name} errs by {size} more than the rule {rule}, and {found.n_readings} "
-                "readings are too few for bounds: use a longer record"
-            )
+            doubts.append(TransferCode.RULE_BETTER_UNBOUNDED(**values, readings=found.n_readings))
         if over.upper < 0.0:
-            against.append(
-                f"no gain over a rule without a model: the simulated {name} errs by {size} more than {rule}"
-            )
+            against.append(TransferCode.RULE_BETTER(**values))
     return against, doubts
 
 
-def _worse_than_before(found: TransferResult) -> list[str]:
+def _worse_than_before(found: TransferResult) -> list[Statement]:
     """Objections where re-estimating enlarges the error beyond its bounds."""
     return [
-        f"re-estimating {_list(found.re_estimate)} makes the error of the simulated {name} larger by "
-        f"{-gain.gain:.2f} {unit}, beyond its bounds: the estimates of the identification period do not "
-        "hold afterwards; use a longer period"
-        for _, (name, unit), gain in _gains(found, "over_as_is")
+        TransferCode.WORSE_RE_ESTIMATED(groups=found.re_estimate, **_terms(quantity), excess=-gain.gain)
+        for quantity, gain in _gains(found, "over_as_is")
         if found.re_estimate and gain.upper < 0.0
     ]
 
 
-def _errors_before_and_after(found: TransferResult) -> list[str]:
+def _errors_before_and_after(found: TransferResult) -> list[Statement]:
     reasons = []
-    where = "held-out error" if found.period == "validation" else "error"
-    what = "re-estimating" if found.re_estimate else "own offsets"
-    for quantity, (name, unit), gain in _gains(found, "over_as_is"):
+    held_out = found.period == "validation"
+    error = TransferCode.ERROR_HELD_OUT if held_out else TransferCode.ERROR_IDENTIFIED
+    change = TransferCode.BY_RE_ESTIMATING if found.re_estimate else TransferCode.BY_OWN_OFFSETS
+    for quantity, gain in _gains(found, "over_as_is"):
         table = found.rmse[quantity]
-        bounds = ""
-        if not math.isnan(gain.lower):
-            bounds = f", a gain of {gain.gain:.2f} {unit} ({gain.lower:.2f} … {gain.upper:.2f}, 95 %)"
-        reasons.append(
-            f"{where} of the {name}: {table['as_is'].total:.2f} {unit} as it is, "
-            f"{table['re_estimated'].total:.2f} {unit} after {what}{bounds.replace('-', '−')}"
-        )
+        values: dict[str, Value] = {**_terms(quantity), "error": error(), "change": change()}
+        values |= {"before": table["as_is"].total, "after": table["re_estimated"].total}
+        if math.isnan(gain.lower):
+            reasons.append(TransferCode.ERROR_BEFORE_AND_AFTER(**values))
+        else:
+            bounds = {"gain": gain.gain, "lower": gain.lower, "upper": gain.upper}
+            reasons.append(TransferCode.ERROR_GAINED(**values, **bounds))
     return reasons
+
+
+def _terms(quantity: str) -> dict[str, Value]:
+    """The name and the unit of a scored quantity, for a statement."""
+    name, unit = QUANTITIES[quantity]
+    return {"quantity": name, "unit": unit}
 
 
 def _gains(
     found: TransferResult, over: Literal["over_as_is", "over_rule"]
-) -> Iterator[tuple[str, tuple[str, str], Reduction]]:
+) -> Iterator[tuple[str, Reduction]]:
     for quantity, rows in found.gains.items():
         gain = rows.get("re_estimated", {}).get(over)
         if gain is not None:
-            yield quantity, QUANTITIES[quantity], gain
-
-
-def _list(names: Sequence[str]) -> str:
-    names = list(names)
-    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
+            yield quantity, gain

@@ -17,6 +17,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
@@ -25,6 +26,10 @@ from hygrokf.data.clocks import in_america
 from hygrokf.data.input_paths import centred
 from hygrokf.data.record import Record, Series
 from hygrokf.data.timestamps import DAY_S, MINUTE_S, modal_step, summer_time
+from hygrokf.texts.record import DoubtCode, RecordCode
+from hygrokf.texts.statement import Statement
+from hygrokf.texts.terms import Name, Source
+from hygrokf.texts.wording import signed_shift
 
 GRID_S = 600.0
 """[s] grid on which both series are compared; a parabola gives lags between its points."""
@@ -79,9 +84,9 @@ class Alignment:
     change, mean_day_change: [s] lag in summer minus lag in winter, from the weather and from the mean day.
     """
 
-    signal: str
-    one: str
-    other: str
+    signal: Name
+    one: Source
+    other: Source
     offset: Bounded
     amplitude: float
     other_amplitude: float
@@ -301,9 +306,9 @@ class ClockError:
     alignments: the comparisons behind it, which have the lags from the mean day too.
     """
 
-    one: str
-    other: str
-    kind: str
+    one: Source
+    other: Source
+    kind: Literal["right", "constant", "seasonal", "unclear"]
     winter: Bounded
     summer: Bounded
     alignments: tuple[Alignment, ...]
@@ -382,8 +387,11 @@ def _clock_error(one: str, other: str, found: tuple[Alignment, ...]) -> ClockErr
     if seasonal and any(_off(weather[name], day[name]) for name in ("winter", "summer")):
         return ClockError(one, other, "seasonal", weather["winter"], weather["summer"], found)
     constant = not seasonal and _off(weather["whole"], day["whole"])
-    kind = "constant" if constant else "unclear" if _beyond(weather["whole"]) or seasonal else "right"
-    return ClockError(one, other, kind, weather["whole"], weather["whole"], found)
+    unclear = _beyond(weather["whole"]) or seasonal
+    return ClockError(
+        one, other, "constant" if constant else "unclear" if unclear else "right",
+        weather["whole"], weather["whole"], found,
+    )  # fmt: skip
 
 
 def _combined(estimates: Sequence[Bounded]) -> Bounded:
@@ -417,90 +425,80 @@ def _off(weather: Bounded, day: Bounded) -> bool:
     return _beyond(weather) and same_side and abs(weather.value - value) <= APART_S
 
 
-def clock_sentences(errors: Sequence[ClockError], south: bool = False) -> list[str]:
-    """Clock errors and their remedies, one sentence for each pair of sources; none for clocks that are right.
+def clock_doubts(errors: Sequence[ClockError], south: bool = False) -> list[Statement]:
+    """Clock errors and their remedies, one doubt for each pair of sources; none for clocks that are right.
 
     south: whether the site lies in the southern hemisphere, where the seasons are exchanged.
     """
-    early, late = SEASONS[south]
-    said = []
+    early, late = seasons(south)
+    doubts = []
     for error in errors:
         first, second = error.corrections_s
-        against = f"against {error.other}: by their stamps the weather comes {_late(error.winter)}"
         if error.kind == "constant":
-            said.append(
-                f"the clock of {error.one} runs {pace(first)} {against}; its stamps need {signed(first)}. If "
-                f"{error.other} is right, state {correction_key(first)}"
-            )
+            doubts.append(
+                DoubtCode.CLOCK_RUNS(
+                    source=error.one, other=error.other, pace=pace(first), lag=_lag_of(error.winter),
+                    needed=first, remedy=state_correction(first),
+                )
+            )  # fmt: skip
         elif error.kind == "seasonal":
-            said.append(
-                f"the clock of {error.one} runs {pace(first)} {early} and {pace(second)} {late} {against} "
-                f"{early} and {_late(error.summer)} {late}; its stamps need "
-                f"{season_remedy(first, second, south)}"
-            )
-    return said
+            doubts.append(
+                DoubtCode.CLOCK_RUNS_BY_SEASON(
+                    source=error.one, other=error.other, early=early, late=late,
+                    first_pace=pace(first), second_pace=pace(second),
+                    first_lag=_lag_of(error.winter), second_lag=_lag_of(error.summer),
+                    remedy=season_remedy(first, second, south),
+                )
+            )  # fmt: skip
+    return doubts
 
 
-def correction_key(correction_s: float) -> str:
+def state_correction(correction_s: float) -> Statement:
     """The key of a case file that corrects a clock."""
-    return f'clock_correction = "{signed(correction_s).replace(" ", "")}" in that source'
+    return RecordCode.STATE_CORRECTION(correction=signed_shift(correction_s).replace(" ", ""))
 
 
-SEASONS = (("in winter", "in summer"), ("from November to March", "from April to October"))
-"""Winter and summer of the north, in words, in the northern and in the southern hemisphere."""
+def seasons(south: bool) -> tuple[Statement, Statement]:
+    """The months of winter time and of summer time in the north, as either hemisphere calls them."""
+    if south:
+        return RecordCode.NOVEMBER_TO_MARCH(), RecordCode.APRIL_TO_OCTOBER()
+    return RecordCode.IN_WINTER(), RecordCode.IN_SUMMER()
 
 
-def season_remedy(winter_s: float, summer_s: float, south: bool = False) -> str:
+def season_remedy(winter_s: float, summer_s: float, south: bool = False) -> Statement:
     """What corrects a clock that needs one correction [s] in winter and another one in summer."""
-    early, late = SEASONS[south]
-    needed = f"{signed(winter_s)} {early} and {signed(summer_s)} {late}"
+    early, late = seasons(south)
+    needed = RecordCode.BY_SEASON(first=winter_s, early=early, second=summer_s, late=late)
     # the clock's summer time is the other season in the south
     change = winter_s - summer_s if south else summer_s - winter_s
     if abs(change - 3600.0) < 1.0:
-        zone = "" if south else f": timezone = {_zone(winter_s)}"
-        return (
-            f"{needed}: it has no summer time although its stamps are read with it. Read them at the clock's "
-            f"own fixed offset{zone}, with ignore_offset = true where the stamps carry offsets"
-        )
+        zone = () if south else (_zone(winter_s),)
+        return RecordCode.CLOCK_WITHOUT_SUMMER_TIME(needed=needed, zone=zone)
     if abs(change + 3600.0) < 1.0:
         example = "Australia/Sydney" if south else "Europe/Berlin"
-        return (
-            f"{needed}: it follows summer time although its stamps are read at a fixed offset. State its "
-            f'zone by name, such as timezone = "{example}"'
-        )
+        return RecordCode.CLOCK_WITH_SUMMER_TIME(needed=needed, zone=example)
     return needed
 
 
-def _zone(winter_s: float) -> str:
-    """The fixed offset of the clock in words, from the offset at which its stamps are read in winter."""
+def _zone(winter_s: float) -> Statement:
+    """The fixed offset of the clock, from the offset at which its stamps are read in winter."""
     if winter_s == 0.0:
-        return "the offset of winter"
+        return RecordCode.OFFSET_OF_WINTER()
     sign, minutes = "+" if winter_s > 0 else "-", round(abs(winter_s) / MINUTE_S)
-    return f'"UTC" if they are read at {sign}{minutes // 60:02d}:{minutes % 60:02d} in winter'
+    return RecordCode.OFFSET_OF_UTC(offset=f"{sign}{minutes // 60:02d}:{minutes % 60:02d}")
 
 
-def pace(correction_s: float) -> str:
-    """How a clock runs whose stamps need a correction [s], in words."""
+def pace(correction_s: float) -> Statement:
+    """How a clock runs whose stamps need a correction [s]."""
     if correction_s == 0.0:
-        return "right"
-    return f"{_length(abs(correction_s))} {'slow' if correction_s > 0 else 'fast'}"
+        return RecordCode.CLOCK_RIGHT()
+    return (RecordCode.CLOCK_SLOW if correction_s > 0 else RecordCode.CLOCK_FAST)(by=abs(correction_s))
 
 
-def signed(correction_s: float) -> str:
-    """A correction [s] with its sign, such as "+2 h"."""
-    return f"{'+' if correction_s >= 0 else '-'}{_length(abs(correction_s))}"
-
-
-def _length(seconds: float) -> str:
-    if seconds >= 3600.0 and seconds % 1800.0 == 0.0:
-        return f"{seconds / 3600.0:g} h"
-    return f"{seconds / 60.0:.0f} min"
-
-
-def _late(lag: Bounded) -> str:
-    """A lag in words: "54 min early (48 … 60)"."""
+def _lag_of(lag: Bounded) -> Statement:
+    """A lag with its bounds: "54 min early (48 … 60)"."""
     ends = sorted(
         abs(end) / MINUTE_S if lag.low * lag.high > 0 else end / MINUTE_S for end in (lag.low, lag.high)
     )
-    way = "late" if lag.value > 0 else "early"
-    return f"{abs(lag.value) / MINUTE_S:.0f} min {way} ({ends[0]:.0f} … {ends[1]:.0f})"
+    code = RecordCode.COMES_LATE if lag.value > 0 else RecordCode.COMES_EARLY
+    return code(minutes=abs(lag.value) / MINUTE_S, low=ends[0], high=ends[1])

@@ -80,6 +80,6 @@ def transfer(directory: Path) -> None:
         for seed, p in ((51, None), (52, other))
     ]
     found = transfer_fit(identify(records[0], starts=1, profiles=False), records[1], fits=False)
-    print(found.results.sentence, flush=True)
+    print(found.results.statement, flush=True)
     save(figure_parameters(found.results).figure(), "transfer_parameters", "synthetic turbines")
     save(figure_course(found.course, True).figure(), "transfer_course", "synthetic turbines")

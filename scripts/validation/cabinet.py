@@ -48,7 +48,7 @@ def one(variant: str, seed: int) -> dict:
     ]
     return {
         **_identified(results["baseline"]), **told, "rejected": left_out, "verdict": results["verdict"],
-        "lines": results["lines"], "findings": [one["statement"] for one in results["findings"]],
+        "lines": results["lines"], "findings": [one.statement.text for one in found.results.findings],
         "gains": results["gains"], "courses": courses(found.before),
     }  # fmt: skip
 

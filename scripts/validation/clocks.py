@@ -20,6 +20,7 @@ from hygrokf.data.clocks import Shift, shifted
 from hygrokf.data.record import Record
 from hygrokf.data.timestamps import DAY_S, HOUR_S, summer_time
 from hygrokf.physics.psychrometrics import ZERO_CELSIUS_K
+from hygrokf.texts.record import RecordCode
 from validation.counts import markdown
 from validation.frame import Claim
 
@@ -50,17 +51,20 @@ def _exchanged(record: Record, one: str, other: str, factor: float = 1.0, offset
 
 
 INSIDE, OUTSIDE, HUMIDITY = "cabinet_temperature", "ambient_temperature", "cabinet_relative_humidity"
-VALUES: dict[str, tuple[str, Callable[[Record], Record]]] = {
-    "°F inside": ("unit =", lambda record: _fahrenheit(record, INSIDE)),
-    "°F outside": ("unit =", lambda record: _fahrenheit(record, OUTSIDE)),
-    "°F everywhere": ("unit =", lambda record: _fahrenheit(record, INSIDE, OUTSIDE)),
-    "temperatures exchanged": ("exchange", lambda record: _exchanged(record, INSIDE, OUTSIDE)),
+VALUES: dict[str, tuple[RecordCode, Callable[[Record], Record]]] = {
+    "°F inside": (RecordCode.STATE_UNIT, lambda record: _fahrenheit(record, INSIDE)),
+    "°F outside": (RecordCode.STATE_UNIT, lambda record: _fahrenheit(record, OUTSIDE)),
+    "°F everywhere": (RecordCode.STATE_UNIT, lambda record: _fahrenheit(record, INSIDE, OUTSIDE)),
+    "temperatures exchanged": (
+        RecordCode.EXCHANGE_COLUMNS,
+        lambda record: _exchanged(record, INSIDE, OUTSIDE),
+    ),
     "temperature and humidity exchanged": (
-        "exchange",
+        RecordCode.EXCHANGE_COLUMNS,
         lambda record: _exchanged(record, INSIDE, HUMIDITY, 0.01, -0.01 * ZERO_CELSIUS_K),
     ),
 }
-"""Fault -> beginning of the line that corrects it, and the record with the fault."""
+"""Fault -> code of the line that corrects it, and the record with the fault."""
 
 
 def turning(record: Record, seed: int) -> Record:
@@ -109,13 +113,13 @@ def wrong(seed: int) -> dict:
             except ValueError:
                 line[f"{kind}, {name}"] = True, ["refused as a series"]
                 continue
-            corrected = any(wanted in finding.alternative.line for finding in found.findings)
+            corrected = wanted in [finding.alternative.line.code for finding in found.findings]
             line[f"{kind}, {name}"] = corrected, _said(found)
     return line
 
 
 def _said(found: Readings) -> list[str]:
-    return [f"{one.verdict}: {one.alternative.name}" for one in found.findings]
+    return [f"{one.verdict}: {one.alternative.mistake}" for one in found.findings]
 
 
 def _corrects(found: Readings, fault: Shift) -> bool:

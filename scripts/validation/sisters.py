@@ -74,7 +74,7 @@ def one(variant: str, seed: int) -> dict:
         "other": other,
         "constant": own.to_json()["time_constants"]["thermal"],
         "verdict": str(found.verdict),
-        "sentence": found.sentence,
+        "sentence": found.statement.text,
     }
 
 

@@ -38,10 +38,10 @@ def _judged(made) -> dict:
     word, names = made.right
     return {
         "differ": list(made.differ),
-        "verdict": found.sentence,
+        "verdict": found.statement.text,
         "re_estimate": list(found.re_estimate),
         # in their own order on both sides
-        "right": found.verdict == word and sorted(found.re_estimate) == sorted(names),
+        "right": str(found.verdict) == word and sorted(found.re_estimate) == sorted(names),
     }
 
 

@@ -125,7 +125,6 @@ def cause(name: str = "solar_gain", form: str = "on_the_roof", **changes: object
         "form": form,
         "forms_alike": ["on_a_wall"],
         "confidence": 0.87,
-        "statement": "the sun heats the cabinet or the tower around it",
         "parameters": {
             "solar_heat": {
                 "value": 6.13, "unit": "K/(kW/m2)", "lower": 5.47, "upper": 6.88, "se": 0.36,
@@ -139,8 +138,6 @@ def cause(name: str = "solar_gain", form: str = "on_the_roof", **changes: object
         "evidence": _evidence(296.4, 0.2, 2, 274.6, 81.5) | {"lead": 33.3},
         "held_out": _held_out(1.79, 1.57),
         "ambiguous_with": [],
-        "separate_by": "irradiance measured at the tower",
-        "remedy": "shade or paint the wall",
     } | changes  # fmt: skip
 
 
@@ -155,7 +152,8 @@ def _misfit() -> dict:
     start = ORIGIN_S + 10 * 3600.0
     return {
         "quantity": "temperature", "kind": "hour", "driver": "global_horizontal_irradiance",
-        "statement": "from 10 to 15 h UTC, simulated temperature is 1.4 K too low",
+        "condition": {"code": "hours_of_the_day", "values": {"first": 10.0, "last": 15.0}},
+        "side": "low",
         "size": 1.4, "n_episodes": 27, "n_possible": 30, "sensor_share": 0.02, "p_adjusted": 1e-7,
         "spans": [[start + 86400.0 * day, start + 86400.0 * day + 18000.0] for day in (12, 5, 20, 1, 2)],
     }  # fmt: skip
@@ -204,20 +202,17 @@ def discovery_case() -> dict:
 def two_causes_case() -> dict:
     """The plain data of a discovery that names two causes, the second without use on held-out readings."""
     second = cause(
-        "exchange_step", "from_a_date_on", statement="the exchange of air changed at a date", forms_alike=[],
-        remedy="ask what was done on that date", held_out=_held_out(1.57, 1.56), confidence=0.61,
+        "exchange_step", "from_a_date_on", forms_alike=[], held_out=_held_out(1.57, 1.56), confidence=0.61,
     )  # fmt: skip
     return discovery_case() | {"causes": [cause(), second]}
 
 
 def ambiguous_case() -> dict:
     """The plain data of a discovery that cannot tell an error of the humidity sensor from water."""
-    check = "compare the humidity sensor with a second one, before anything rests on either"
     wet = cause(
         "humidity_sensor_drift", "an_offset_that_grows", forms_alike=["a_scale_that_goes_off"],
-        statement="the humidity sensor drifts, or its scale is off",
-        ambiguous_with=["internal_moisture_source", "moisture_sorption"],
-        separate_by=check, remedy=check, confidence=0.48, settings={}, chosen=[],
+        ambiguous_with=["internal_moisture_source", "moisture_sorption"], confidence=0.48, settings={},
+        chosen=[],
         evidence=_evidence(0.0, 88.0, 1, 79.5, 40.1) | {"lead": 20.0},
     )  # fmt: skip
     return discovery_case() | {

@@ -17,6 +17,7 @@ from hygrokf.cases.synthetic import synthetic_turbine
 from hygrokf.data.structured import plain, structured
 from hygrokf.evaluation.innovation_tests import diagnose
 from hygrokf.identification.fit_results import FitResults
+from hygrokf.texts.fit import FitCode
 
 DAYS = 40.0
 TAU_H, RATIO, HYGRIC_H = 1.45, 0.84, 0.31
@@ -252,7 +253,7 @@ def _results(name: str, series: dict[str, np.ndarray]) -> dict:
         "created": "2024-05-01T12:00:00+00:00",
         "criterion": "likelihood",
         "kind": "joint",
-        "statements": ["resistance_ratio is at its bound 1: R_IC cannot be told from 0"],
+        "statements": plain((FitCode.NO_FEED_THROUGH(),)),
         "warnings": ["cabinet_temperature (cabinet.csv, T_cab_degC): 3 readings of −273 °C masked"],
         "rated_power_kW": 2050.0,
         "site": {"latitude_deg": 52.4, "longitude_deg": -0.95, "altitude_m": None},
@@ -275,7 +276,7 @@ def _results(name: str, series: dict[str, np.ndarray]) -> dict:
         "bic": -24500.0,
         "n_obs": 7000,
         "converged": True,
-        "message": "converged",
+        "messages": plain((FitCode.CONVERGED(),)),
         "other_optima": [{"objective": 12001.2, "thermal_time_constant": 8.4, "hygric_k": 2.1}],
         "at_bounds": ["resistance_ratio"],
         "flat": ["hygric_diffusion"],
@@ -288,7 +289,7 @@ def _results(name: str, series: dict[str, np.ndarray]) -> dict:
             "operation": _points(series, early & (running > 0), "operation"),
             "standstill": _points(series, early & (running == 0), "standstill"),
             "reference_K": REFERENCE_K,
-            "statement": "made for the fixture",
+            "statements": [],
         },
         "innovations": plain(diagnose((time[early] - time[0]) / 3600.0, standard, inputs)),
         "provenance": [["cabinet.csv", "0f" * 32], ["ambient.csv", "1e" * 32], ["scada.csv", "2d" * 32]],

@@ -12,7 +12,7 @@ from other_make import ROWS, make_plant
 from other_make.as_record import to_record
 
 from hygrokf.cases.alternatives import EITHER, NAMED, WALL, Readings, alternative_readings, solar_lag
-from hygrokf.cases.doubts import all_doubts, doubted
+from hygrokf.cases.doubts import all_doubts
 from hygrokf.cases.summary import describe
 from hygrokf.data.clocks import Shift, shifted
 from hygrokf.data.record import Record, Series, Site
@@ -27,6 +27,7 @@ from hygrokf.estimation.lag_model import (
 )
 from hygrokf.physics.psychrometrics import ZERO_CELSIUS_K
 from hygrokf.report.record_text import describe_text
+from hygrokf.texts.record import DoubtCode, RecordCode, touched
 
 
 @cache
@@ -44,12 +45,12 @@ def of(record: Record, *signals: str) -> Record:
 
 def only(found: Readings) -> tuple[str, str, str]:
     (one,) = found.findings
-    return one.verdict, one.alternative.name, one.alternative.line
+    return one.verdict, one.alternative.mistake.text, one.alternative.line.text
 
 
 def test_a_right_record_has_no_better_reading() -> None:
     assert alternative_readings(right()) == Readings()
-    assert not [one for one in all_doubts(right()) if "clock" in one]
+    assert not [one for one in all_doubts(right()) if "clock" in one.text]
 
 
 @pytest.mark.parametrize(
@@ -83,9 +84,10 @@ def test_the_named_reading_is_the_right_record() -> None:
 
 
 def test_a_doubt_about_a_clock_touches_every_time_constant() -> None:
-    said = all_doubts(shifted(right(), Shift("cabinet.csv", 7200.0)))
-    for lines in doubted(said).values():
-        assert any('clock_correction = "-2h"' in one for one in lines)
+    doubts = all_doubts(shifted(right(), Shift("cabinet.csv", 7200.0)))
+    (doubt,) = (one for one in doubts if one.code is DoubtCode.READ_OTHERWISE)
+    assert doubt.values["line"] == RecordCode.STATE_CORRECTION(correction="-2h")
+    assert touched(doubt) == ("thermal", "hygric")
 
 
 def test_a_cabinet_that_only_seems_late_needs_a_second_witness() -> None:
@@ -93,7 +95,7 @@ def test_a_cabinet_that_only_seems_late_needs_a_second_witness() -> None:
     late = shifted(alone, Shift("cabinet.csv", 7200.0))
     (found,) = alternative_readings(late).findings
     assert found.verdict == WALL
-    assert found.sentence().startswith("clock, or a heavy wall: ")
+    assert found.doubt().code is DoubtCode.CLOCK_OR_WALL
     (found,) = alternative_readings(shifted(alone, Shift("cabinet.csv", -7200.0))).findings
     assert found.verdict == EITHER and found.rival is not None  # two sources: either may be wrong
     assert {one.signals[0] for one in (found.alternative, found.rival)} == {
@@ -172,18 +174,17 @@ def with_humidity_as_temperature(record: Record) -> Record:
 )
 def test_another_unit_or_column_is_named(spoilt: Callable[[Record], Record], words: str, line: str) -> None:
     found = alternative_readings(spoilt(right()))
-    assert (words, line) in [(one.alternative.name, one.alternative.line) for one in found.findings]
+    rows = [one.alternative for one in found.findings]
+    assert (words, line) in [(one.mistake.text, one.line.text) for one in rows]
 
 
 def test_what_cannot_be_told_is_said() -> None:
     short = right().window(right().start_s, right().start_s + 10.0 * DAY_S)
-    assert alternative_readings(short).untold == (
-        "clocks: fewer than 14 days in common to tell whether they agree",
-    )
+    assert alternative_readings(short).untold == (RecordCode.CLOCKS_TOO_SHORT(),)
     still = right()["ambient_temperature"]
     constant = right().replace_series(replace(still, value=np.full(len(still), 283.15)))
     found = describe(of(constant, "cabinet_temperature", "ambient_temperature"))
-    assert found.untold and found.untold[0] in describe_text(found)
+    assert found.untold and found.untold[0].text in describe_text(found)
 
 
 def relation() -> Relation:

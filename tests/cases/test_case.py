@@ -24,6 +24,7 @@ from hygrokf.data.input_paths import on_change
 from hygrokf.data.record import Record, Series
 from hygrokf.modelling.design import design, extended
 from hygrokf.modelling.inputs import model_inputs
+from hygrokf.texts.record import DoubtCode
 from hygrokf.texts.wording import stamp_text
 
 START = datetime(2020, 6, 1, tzinfo=UTC)
@@ -224,9 +225,9 @@ def test_a_signal_that_comes_on_change_and_is_joined_by_lines_is_said(folder):
     assert not on_change(time[:12], value[:12], 0.1)  # few enough for chance
     assert not on_change(time, random.normal(size=300), 1e-6)  # noise on a fine grid never repeats
     made = Record("x", (Series("cabinet_temperature", time, value + 273.15, resolution=0.1),))
-    assert any("comes only when it changes" in one for one in all_doubts(made))
+    assert DoubtCode.ONLY_ON_CHANGE(signal="cabinet_temperature") in all_doubts(made)
     held = Record("x", (dataclasses.replace(made.series[0], hold="zoh"),))
-    assert not any("comes only when it changes" in one for one in all_doubts(held))
+    assert DoubtCode.ONLY_ON_CHANGE(signal="cabinet_temperature") not in all_doubts(held)
 
 
 def test_a_stated_interval_counts_instead_of_the_step(folder):
@@ -363,7 +364,7 @@ def test_humidity_with_sentinels_is_still_seen_to_be_a_fraction(folder):
 @pytest.mark.parametrize("factor", [1e-3, 2.0])
 def test_doubtful_power_is_a_doubt(folder, factor):
     change(folder, "scada", P=columns(2)["P"] * factor)
-    assert any("are its unit and the rated power right?" in one for one in all_doubts(read(folder)))
+    assert DoubtCode.POWER_BESIDE_RATED in [one.code for one in all_doubts(read(folder))]
 
 
 def test_sources_that_share_no_time_show_both_spans(folder):

@@ -9,12 +9,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hygrokf.cases.doubts import all_doubts, doubted
+from hygrokf.cases.doubts import all_doubts
 from hygrokf.cases.summary import RecordSummary, describe
 from hygrokf.data.readings import mask
 from hygrokf.data.record import Record, Series, Site
 from hygrokf.data.structured import plain, structured
 from hygrokf.report.record_text import describe_text
+from hygrokf.texts.record import DoubtCode, touched
+from hygrokf.texts.statement import Statement
 
 DAY = 86400.0
 START = 1577836800.0  # 2020-01-01T00:00Z
@@ -160,13 +162,13 @@ def test_a_good_record_raises_neither_warning_nor_doubt():
     ],
 )
 def test_doubts(record, words):
-    said = all_doubts(record)
+    said = [one.text for one in all_doubts(record)]
     for word in words:
         assert any(word in one for one in said), said
 
 
 @pytest.mark.parametrize(
-    ("record", "touched"),
+    ("record", "parts"),
     [
         (good(), ()),
         (without(good(), "active_power"), ()),  # a cabinet without power has time constants too
@@ -176,11 +178,11 @@ def test_doubts(record, words):
         (changed(good(), "cabinet_temperature", np.full(8640, 20.0)), ("thermal", "hygric")),
     ],
 )
-def test_doubts_name_the_time_constants_that_they_put_in_question(record, touched):
-    found = doubted(all_doubts(record))
-    assert {part for part, said in found.items() if said} == set(touched)
-    assert all(one in all_doubts(record) for said in found.values() for one in said)
-    assert json.loads(json.dumps(all_doubts(record))) == [str(one) for one in all_doubts(record)]
+def test_doubts_name_the_time_constants_that_they_put_in_question(record, parts):
+    doubts = all_doubts(record)
+    assert {part for one in doubts for part in touched(one)} == set(parts)
+    again = structured(tuple[Statement, ...], json.loads(json.dumps(plain(doubts))))
+    assert again == doubts
 
 
 def test_the_factor_of_absolute_humidity_is_that_of_its_definition():
@@ -197,7 +199,8 @@ def test_the_factor_of_absolute_humidity_is_that_of_its_definition():
     )
     record = changed(record, "cabinet_relative_humidity", np.full(count, 0.80))
     record = changed(record, "ambient_relative_humidity", np.full(count, 0.50))
-    assert any("is 1.60 times that outside" in one for one in all_doubts(record))
+    (doubt,) = (one for one in all_doubts(record) if one.code is DoubtCode.OTHER_VAPOUR)
+    assert doubt.values["factor"] == pytest.approx(1.6, abs=0.005)
 
 
 def test_hourly_ambient_and_irregular_steps_are_doubted():
@@ -208,8 +211,8 @@ def test_hourly_ambient_and_irregular_steps_are_doubted():
     uneven = Series("wind_speed", time, random.uniform(2, 9, 5000), source='a.csv, column "v"')
     other = without(record, "ambient_temperature")
     said = all_doubts(Record("x", (*other.series, hourly, uneven), None, 2.05e6, record.until_s))
-    assert any("ambient temperature every 1 h only" in one for one in said)
-    assert any("irregular steps in a.csv" in one for one in said)
+    assert DoubtCode.AMBIENT_TOO_COARSE(step_s=3600.0) in said
+    assert any(one.code is DoubtCode.IRREGULAR_STEPS and one.values["file"] == "a.csv" for one in said)
 
 
 def sun(longitude_deg: float, shift_s: float, days: int = 60) -> Series:
@@ -227,14 +230,14 @@ def sun(longitude_deg: float, shift_s: float, days: int = 60) -> Series:
 @pytest.mark.parametrize(("shift_min", "direction"), [(0, None), (60, "after"), (-60, "before")])
 def test_the_sun_tells_the_clock(longitude, shift_min, direction):
     record = Record("x", (sun(longitude, 60.0 * shift_min),), Site(50.0, longitude))
-    said = [one for one in all_doubts(record) if "solar noon" in one]
+    codes = {"after": DoubtCode.RADIATION_LATE, "before": DoubtCode.RADIATION_EARLY}
+    said = [one for one in all_doubts(record) if one.code in codes.values()]
     if direction is None:
         assert said == []
     else:
-        (sentence,) = said
-        minutes = float(sentence.split("centred ")[1].split(" min")[0])
-        assert minutes == pytest.approx(60.0, abs=3.0)
-        assert f"min {direction} solar noon" in sentence
+        (doubt,) = said
+        assert doubt.code is codes[direction]
+        assert doubt.values["minutes"] == pytest.approx(60.0, abs=3.0)
 
 
 def test_description_counts_what_is_there():
@@ -312,8 +315,10 @@ def test_readings_lost_in_gaps_of_the_ambient_are_counted():
         replace(one, value=np.where((at > 9 * 3600.0) & (at < 21 * 3600.0), one.value, np.nan))
         for one, at in zip(record.series[2:4], day, strict=True)
     ]
-    said = [one for one in all_doubts(record.replace_series(*series)) if "are not used" in one]
-    assert len(said) == 2 and not [one for one in all_doubts(record) if "are not used" in one]
-    lost = [int(one.split()[0]) for one in said]
-    assert all(0.48 < one / len(record["cabinet_temperature"]) < 0.52 for one in lost)
-    assert all("ambient temperature and humidity" in one for one in said)
+    said = [
+        one.values for one in all_doubts(record.replace_series(*series)) if one.code is DoubtCode.GAPS_OUTSIDE
+    ]
+    assert len(said) == 2
+    assert not [one for one in all_doubts(record) if one.code is DoubtCode.GAPS_OUTSIDE]
+    assert all(0.48 < one["lost"] / len(record["cabinet_temperature"]) < 0.52 for one in said)
+    assert all(one["unknown"] == ("temperature", "humidity") for one in said)

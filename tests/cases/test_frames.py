@@ -15,6 +15,7 @@ from hygrokf.cases.case_file import CaseFault, read_case
 from hygrokf.cases.doubts import all_doubts
 from hygrokf.cases.frames import read_frames
 from hygrokf.data.record import Record, Site
+from hygrokf.texts.record import DoubtCode, touched
 
 COUNT = 6 * 24 * 30
 INDEX = pd.date_range("2020-10-05", periods=COUNT, freq="10min", tz="UTC")
@@ -479,6 +480,7 @@ def test_a_humidity_beside_another_probe_s_temperature_is_doubted():
     units = {"RH": "%", "Tc": "degC", "ambient_temperature": "degC", "P": "kW"}
     frames = {"cabinet": logger, "controller": controller, "scada": scada()}
     record = made(frames, signals=signals, units=units)
-    (said,) = [one for one in all_doubts(record) if "own temperature is there" in one]
-    assert all(f'"{one}"' in said for one in ("Tc", "RH", "T")) and said.touches == ("hygric",)
-    assert not [one for one in all_doubts(made()) if "own temperature" in one]
+    (doubt,) = [one for one in all_doubts(record) if one.code is DoubtCode.OTHER_PROBE]
+    columns = [doubt.values[name] for name in ("temperature_column", "humidity_column", "own")]
+    assert columns == ["Tc", "RH", "T"] and touched(doubt) == ("hygric",)
+    assert not [one for one in all_doubts(made()) if one.code is DoubtCode.OTHER_PROBE]

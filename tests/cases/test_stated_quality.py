@@ -12,11 +12,11 @@ import pytest
 from builders.faults import faults_of
 
 from hygrokf.cases.case_file import read_case
-from hygrokf.cases.doubts import doubted
 from hygrokf.cases.frames import read_frames
 from hygrokf.cases.summary import describe
 from hygrokf.commands.main import main
 from hygrokf.data.record import Record
+from hygrokf.texts.record import DoubtCode, RecordCode, touched
 
 COUNT = 900
 BAD, UNSURE = [0, 90, 450], [7]
@@ -81,19 +81,22 @@ def test_readings_of_bad_quality_are_left_out_and_counted(
     assert not record["ambient_temperature"].missing.any()
     shown = describe(record)
     assert [one for one in shown.warnings if one.endswith(said)]
-    assert (doubt in " ".join(shown.doubts)) and ("vocabulary" in " ".join(shown.doubts)) is bool(doubt)
+    doubts = " ".join(map(str, shown.doubts))
+    assert doubt in doubts and ("vocabulary" in doubts) is bool(doubt)
 
 
 def test_a_quality_that_nobody_stated_is_a_doubt(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
     record = read_frames(table(), units=UNITS)
     (doubt,) = record.doubts
-    assert 'state quality = "cabinet_temperature_quality"' in doubt and '"opc-da"' in doubt
-    assert doubted([doubt]) == {"thermal": [doubt], "hygric": [doubt]}
+    assert doubt.code is DoubtCode.QUALITY_DOUBTED and touched(doubt) == ("thermal", "hygric")
+    unstated = doubt.values["doubt"]
+    assert unstated.code is RecordCode.QUALITY_UNSTATED
+    assert unstated.values["name"] == "cabinet_temperature_quality" and '"opc-da"' in doubt.text
     main(["check", str(write(tmp_path, "parquet", "", ""))])
     said = capsys.readouterr().out
     assert said.index("doubts:") < said.index("seems to hold its quality")
     denied = of_file(tmp_path, "parquet", "", ', quality = ""')
-    assert "seems to hold" not in " ".join(describe(denied).doubts)
+    assert DoubtCode.QUALITY_DOUBTED not in [one.code for one in describe(denied).doubts]
     clean = table().assign(cabinet_temperature_quality=192)
     # where all is good nothing is ignored
     assert not read_frames(clean, units=UNITS).doubts
@@ -102,7 +105,7 @@ def test_a_quality_that_nobody_stated_is_a_doubt(tmp_path: Path, capsys: pytest.
 def test_a_vocabulary_that_does_not_fit_is_doubted(tmp_path: Path) -> None:
     of_signal = ', quality = "cabinet_temperature_quality"'
     record = of_file(tmp_path, "parquet", 'vocabulary = "opc-ua"', of_signal)
-    assert 'state vocabulary = "opc-da"' in " ".join(describe(record).doubts)
+    assert 'state vocabulary = "opc-da"' in " ".join(map(str, describe(record).doubts))
 
 
 def test_wrong_statements_are_told_together(tmp_path: Path) -> None:

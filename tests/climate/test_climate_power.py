@@ -23,6 +23,9 @@ from hygrokf.climate.region import (
 )
 from hygrokf.data.record import Record, Series
 from hygrokf.data.toml_form import FormFault, read_toml_form
+from hygrokf.texts.climate import ClimateCode
+from hygrokf.texts.statement import Statement
+from hygrokf.texts.wording import day_text
 
 CURVE = """\
 rated_power_kW = 2000
@@ -43,7 +46,11 @@ def curve_file(folder: Path, text: str = CURVE) -> Path:
 def test_wind_is_brought_to_hub_height(tmp_path: Path) -> None:
     """ln(80/0.03)/ln(10/0.03) = 1.35797; (80/10)^0.2 = 1.51572."""
     curve = read_toml_form(PowerCurve, curve_file(tmp_path))
-    assert curve.factor == pytest.approx(1.35797, rel=1e-5) and "log law" in curve.words()
+    assert curve.factor == pytest.approx(1.35797, rel=1e-5)
+    law = ClimateCode.LOGARITHMIC_LAW(roughness_m=0.03)
+    assert curve.statement == ClimateCode.POWER_BY_CURVE(
+        wind_height_m=10.0, hub_height_m=80.0, law=law, factor=curve.factor
+    )
     hub = np.array([7.5, 26.0]) / curve.factor
     assert curve.power(hub) == pytest.approx([1e6, 0.0])
     assert np.isnan(curve.power(np.array([np.nan]))).all()
@@ -119,14 +126,14 @@ def hourly_power(first: str, days: int, value: np.ndarray | None = None) -> Seri
 
 def test_power_of_the_same_time_is_taken_as_it_is() -> None:
     power = hourly_power("2020-12-30T00:00:00", 400)
-    found, words = power_by_season(power, made_up_weather())
-    assert found is power and "hour by hour" in words
+    found, statement = power_by_season(power, made_up_weather())
+    assert found is power and statement == ClimateCode.POWER_BY_RECORD()
 
 
 def test_power_of_another_year_is_taken_by_day_and_hour_of_the_year() -> None:
     power = hourly_power("2018-01-01T00:00:00", 365)
-    found, words = power_by_season(power, made_up_weather())
-    assert "by the time of the year" in words
+    found, statement = power_by_season(power, made_up_weather())
+    assert statement.code is ClimateCode.POWER_BY_SEASON
     # 1 July 2021, 12 … 13 o'clock: the 182nd day, give or take the leap day that lies between
     at = float(np.datetime64("2021-07-01T13:00:00", "s").astype(int))
     value = found.value[np.searchsorted(found.time, at)]
@@ -137,17 +144,19 @@ def test_power_of_another_year_is_taken_by_day_and_hour_of_the_year() -> None:
 
 def test_which_part_of_the_power_was_used_is_said() -> None:
     """731 days of power for one year of weather: the arithmetic of whole years takes the second."""
-    _, words = power_by_season(hourly_power("2018-01-01T00:00:00", 731), made_up_weather())
-    assert (
-        "the part 2019-01-01 … 2020-01-01 is used, the rest" in words
-        and "from 2018-01-01 to 2020-01-02 is not; the choice matters" in words
-    )
-    _, words = power_by_season(hourly_power("2018-01-01T00:00:00", 365), made_up_weather())
-    assert "all of it" in words
+
+    def used(first: str, days: int) -> Statement:
+        return power_by_season(hourly_power(first, days), made_up_weather())[1].values["used"]
+
+    one = used("2018-01-01T00:00:00", 731)
+    assert one.code is ClimateCode.POWER_PARTLY_USED
+    assert [span.text for span in one.values["spans"]] == ["2019-01-01 … 2020-01-01"]
+    assert [day_text(one.values[end]) for end in ("first", "last")] == ["2018-01-01", "2020-01-02"]
+    assert used("2018-01-01T00:00:00", 365).code is ClimateCode.POWER_ALL_USED
     # begun in summer: the first half of the weather's year has the power of one year, the second that of
     # another
-    _, words = power_by_season(hourly_power("2017-07-01T00:00:00", 731), made_up_weather())
-    assert words.count(" … ") == 2 and "the choice matters" in words
+    two = used("2017-07-01T00:00:00", 731)
+    assert two.code is ClimateCode.POWER_PARTLY_USED and len(two.values["spans"]) == 2
 
 
 @pytest.mark.parametrize("year", [1981, 2001, 2018, 2041])
@@ -173,14 +182,15 @@ def test_days_that_a_power_lacks_are_unknown() -> None:
 def test_what_drives_a_cabinet_is_said() -> None:
     weather, fit = made_up_weather(), known_fit()
     record, said = driven(fit, weather, None)
-    assert (record["active_power"].value == 0).all() and "stands still" in said[0]
+    assert (record["active_power"].value == 0).all() and said == [ClimateCode.NO_POWER_ALL_YEAR()]
     assert np.array_equal(record["active_power"].value, standstill(weather).value)
     power = Record("p", (hourly_power("2020-12-30T00:00:00", 400),), rated_power_W=3e6)
     record, said = driven(fit, weather, power)
-    assert "hour by hour" in said[0] and "rated 3000 kW" in said[1]
+    assert said[0] == ClimateCode.POWER_BY_RECORD()
+    assert said[1] == ClimateCode.RATED_DIFFERENTLY(rated_kW=3000.0, scale_kW=2000.0)
     blind = replace(fit, design=replace(fit.design, power_scale_W=None))
     record, said = driven(blind, weather, power)
-    assert "active_power" not in record and "has no power input" in said[0]
+    assert "active_power" not in record and said[0] == ClimateCode.NO_POWER_INPUT()
 
 
 def test_pre_heating_goes_with_its_power() -> None:
@@ -199,16 +209,16 @@ def test_pre_heating_goes_with_its_power() -> None:
 
     record, said = driven(fit, weather, power("2020-12-30T00:00:00"))
     assert record["preheating"].value.sum() == 800 and any(
-        "pre-heating follows the record" in s for s in said
+        one == ClimateCode.ACTUATOR_BY_RECORD(actuator="pre-heating") for one in said
     )
-    for other, words in (
-        (power("2016-12-30T00:00:00"), "does not cover the weather's time"),
-        (power("2020-12-30T00:00:00", heated=False), "no record shows when"),
-        (None, "no record shows when"),
+    for other, code in (
+        (power("2016-12-30T00:00:00"), ClimateCode.ACTUATOR_NOT_COVERED),
+        (power("2020-12-30T00:00:00", heated=False), ClimateCode.ACTUATOR_NOT_RECORDED),
+        (None, ClimateCode.ACTUATOR_NOT_RECORDED),
     ):
         record, said = driven(fit, weather, other)
         assert not record["preheating"].value.any()
-        assert any(one.startswith("pre-heating is off all year") and words in one for one in said)
+        assert any(one == code(actuator="pre-heating") for one in said)
 
 
 def test_weather_every_three_hours_becomes_hourly() -> None:

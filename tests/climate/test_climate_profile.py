@@ -114,7 +114,7 @@ def test_closeness_tells_what_the_test_has() -> None:
     found = profile_of(480, 5, years).closeness
     assert found.ageing.years_lower < 5.0 < found.ageing.years_upper
     assert found.joint_distance < 0.15 and found.ageing_distance < 0.2
-    numbers = {one.words: one.site for one in found.numbers}
+    numbers = {one.name.text: one.site for one in found.numbers}
     assert numbers["temperature cycles of 10 K and more, in service"] == 500.0
     all_of_them = DAYS.reshape(2, -1)
     whole = closeness(DAYS, all_of_them, all_of_them, ProfilePlan(), bounded(years), np.zeros(3))

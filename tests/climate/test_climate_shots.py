@@ -10,7 +10,7 @@ import pytest
 from builders.climate_case import BEGIN_S, known_fit
 from scipy.signal import lfilter
 
-from hygrokf.climate.ensemble import FEWEST_JUMPS, Shots, course, shot_words, shots_of, simulate_years
+from hygrokf.climate.ensemble import FEWEST_JUMPS, Shots, course, shot_statements, shots_of, simulate_years
 from hygrokf.climate.region import driven
 from hygrokf.data.record import Record, Series
 from hygrokf.estimation.likelihood import Likelihood
@@ -95,8 +95,12 @@ def test_the_distance_of_shots_is_found_in_the_innovations(
             assert found.every_h < 1.0
         else:
             assert found.every_h == pytest.approx(truth, rel=0.3)
-    said = shot_words((heat, vapour))
-    assert len(said) == 1 and ("heat every" in said[0]) == (heat_h is not None)
+    said = shot_statements((heat, vapour))
+    rare = [(heat, heat_h), (vapour, vapour_h)]
+    shots = [(one.name, one.every_h) for one, truth in rare if truth is not None]
+    assert len(said) == 1 and [
+        (one.values["balance"], one.values["hours"]) for one in said[0].values["shots"]
+    ] == shots
 
 
 def test_shots_are_not_rarer_than_the_fit_can_know() -> None:
@@ -115,7 +119,7 @@ def test_shots_are_not_rarer_than_the_fit_can_know() -> None:
 def test_without_a_diagnosis_disturbances_are_gaussian() -> None:
     record = flat_record(5, None, None, 6)
     fit = known_fit()
-    assert shots_of(fit, *course(fit, record)) == () and shot_words(()) == []
+    assert shots_of(fit, *course(fit, record)) == () and shot_statements(()) == []
     short = judged(record)
     few = Diagnosis(outputs={"temperature": OutputDiagnosis(n=3)})
     short = replace(short, results=FitResults(innovations=few))

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,11 +13,17 @@ from builders.climate_case import climate_of, hourly_power, known_fit, made_up_w
 from builders.weather_case import epw_text
 
 from hygrokf.climate.chamber import Chamber, ProfileLength, ProfilePlan
-from hygrokf.climate.ensemble import years_of
+from hygrokf.climate.ensemble import WHOLE, years_of
 from hygrokf.climate.limits import ClimateLimit
 from hygrokf.climate.region import read_region
-from hygrokf.climate.study import profile_files
+from hygrokf.climate.study import RegionClimate, profile_files
 from hygrokf.data.record import Record, Series
+from hygrokf.texts.climate import ClimateCode
+from hygrokf.texts.statement import Code
+
+
+def codes(region: RegionClimate) -> set[Code]:
+    return {one.code for one in region.statements}
 
 
 def moved(weather: Record, days: float) -> Record:
@@ -47,9 +55,12 @@ def test_a_typical_year_is_repeated_for_each_year_of_power(tmp_path: Path) -> No
     assert sorted(round(year.operating_share) for year in found.years) == [0, 1]
     hours = found.scopes["operation"]["hours"]
     assert hours.value == pytest.approx(4383.0, abs=60.0) and hours.between_years > 6000.0
-    said = "\n".join(found.statements)
-    assert "repeated 2 times, once for each year of power" in said and "all of it" in said
-    assert "one year of weather" not in said and len(read_region("one", [file]).weather["wind_speed"]) == 8760
+    said = {one.code: one.values for one in found.statements}
+    assert said[ClimateCode.POWER_BY_SEASON]["used"].code is ClimateCode.POWER_ALL_USED
+    assert ClimateCode.BOUNDS_OF_ONE_YEAR not in said
+    repeated = read_region("typical", [file], power).statements
+    assert repeated == (ClimateCode.TYPICAL_YEAR_REPEATED(years=2),)
+    assert len(read_region("one", [file]).weather["wind_speed"]) == 8760
 
 
 def test_a_model_of_temperature_alone_has_a_climate() -> None:
@@ -63,8 +74,8 @@ def test_a_model_of_temperature_alone_has_a_climate() -> None:
     (region,) = study.regions
     assert region.joint is None and region.test_profile is None and region.wetness_class is None
     assert "mean_temperature_degC" in region.year and "wetness_h" not in region.year
-    assert any("not a year" in one for one in region.statements)
-    assert region.limits == () and any('"damp" is not judged' in one for one in region.statements)
+    assert ClimateCode.SCALED_UP in codes(region) and region.limits == ()
+    assert ClimateCode.LIMIT_NOT_JUDGED(limit="damp", quantity="relative humidity") in region.statements
     assert profile_files(study) == {}
 
 
@@ -73,7 +84,7 @@ def test_years_far_apart_are_taken_and_those_between_told() -> None:
     weather = made_up_weather()
     region = climate_of(after(weather, moved(weather, 5 * 365.25)))
     assert [year.start[:4] for year in region.years] == ["2021", "2026"]
-    assert any("4 of 6 years are left out" in one for one in region.statements)
+    assert ClimateCode.YEARS_LEFT_OUT(left_out=4, years=6, share=WHOLE) in region.statements
     assert len(years_of(np.concatenate([np.arange(8766.0), np.arange(52600.0, 61300.0)]))) == 2
     unknown = replace(
         weather, series=tuple(replace(s, value=np.full(len(s.value), np.nan)) for s in weather.series)
@@ -113,19 +124,20 @@ def test_limits_on_a_part_of_a_year() -> None:
     ]
     region = climate_of(limits=limits)
     assert [one.verdict for one in region.limits] == ["undecided", "undecided", "fail"]
-    assert [one.why for one in region.limits] == [*["of 40 days, not a year"] * 2, ""]
-    assert region.part_of_year == "40 days" and region.verdict == "fail"
-    said = "\n".join(region.statements)
-    assert 'limit "idle" is not exceeded only because these days have no hours in operation' in said
-    assert "never" not in said and "on 40 days no limit passes" in said
-    assert "the bounds rest on 40 days of weather" in said and "one year of weather" not in said
+    part = region.part_of_year
+    assert part is not None and part.text == "40 days" and region.verdict == "fail"
+    assert [one.why for one in region.limits] == [*[ClimateCode.OF_A_PART(part=part)] * 2, None]
+    idle = ClimateCode.KEPT_WITHOUT_HOURS(limit="idle", regime=ClimateCode.IN_OPERATION())
+    kept = [one for one in region.statements if "limit" in one.values]
+    assert kept == [idle]
+    assert {ClimateCode.NO_LIMIT_PASSES, ClimateCode.BOUNDS_OF_A_PART} <= codes(region)
+    assert ClimateCode.BOUNDS_OF_ONE_YEAR not in codes(region)
 
 
 @pytest.mark.parametrize(("members", "few"), [(3, True), (39, False)])
 def test_few_members_are_told(members: int, few: bool) -> None:
-    said = "\n".join(climate_of(members=members).statements)
-    assert ("members are too few" in said) == few
-    assert ("hold a single year in 50 % of cases" in said) == few
+    told = [one for one in climate_of(members=members).statements if one.code is ClimateCode.FEW_MEMBERS]
+    assert [round(one.values["share"], 3) for one in told] == [0.5] * few
 
 
 def test_weather_that_comes_rarely_is_told() -> None:
@@ -133,7 +145,8 @@ def test_weather_that_comes_rarely_is_told() -> None:
     rare = replace(
         rare, series=tuple(replace(s, time=s.time[::6], value=s.value[::6]) for s in rare.series[:2])
     )
-    assert any("comes every 6 h" in one for one in climate_of(rare).statements)
+    (told,) = (one for one in climate_of(rare).statements if one.code is ClimateCode.WEATHER_RARE)
+    assert told.values["step_h"] == 6.0
 
 
 def test_the_class_of_wetness_has_those_of_its_bounds() -> None:
@@ -143,12 +156,15 @@ def test_the_class_of_wetness_has_those_of_its_bounds() -> None:
     assert low <= region.wetness_class <= high and wet.lower <= wet.value <= wet.upper
 
 
-@pytest.mark.parametrize(("share", "doubt"), [(0.2, ": check unit and sign of the power"), (0.6, "")])
-def test_little_operation_is_doubted(share: float, doubt: str) -> None:
+@pytest.mark.parametrize(
+    ("share", "code"), [(0.2, ClimateCode.OPERATES_LITTLE), (0.6, ClimateCode.OPERATES)]
+)
+def test_little_operation_is_doubted(share: float, code: ClimateCode) -> None:
     weather = made_up_weather(40)
     value = np.where(np.arange(len(weather["wind_speed"].time)) % 10 < 10 * share, 2e6, 0.0)
     found = climate_of(weather, hourly_power(weather, value))
-    assert f"the turbine operates {100 * share:.0f} % of the time{doubt}" in found.statements
+    (told,) = (one for one in found.statements if one.code is code)
+    assert told.values["share"] == pytest.approx(share, abs=0.005)
 
 
 def test_hours_beyond_what_the_model_was_identified_on_are_told() -> None:
@@ -157,31 +173,39 @@ def test_hours_beyond_what_the_model_was_identified_on_are_told() -> None:
     power = hourly_power(weather, np.full(len(weather["wind_speed"].time), 5e6))
     power = replace(power, rated_power_W=None)
 
-    def said(**ranges: list[float]) -> str:
+    def said(**ranges: list[float]) -> dict[Code, Mapping[str, Any]]:
         found = climate_of(weather, power, fit=known_fit(found={"identified_on": ranges}), members=2)
-        return "\n".join(one for one in found.statements if "extrapolated" in one)
+        return {one.code: one.values for one in found.statements if one.code in EXTRAPOLATED}
 
-    assert said() == "" and said(ambient_temperature_K=[250.0, 300.0], power_share=[0.0, 2.4]) == ""
+    assert not said() and not said(ambient_temperature_K=[250.0, 300.0], power_share=[0.0, 2.4])
     told = said(ambient_temperature_K=[285.15, 305.15], power_share=[0.0, 1.0])
-    assert (
-        "h/a are outside the 12.0 … 32.0 °C of ambient air on which the model was identified (here " in told
-    )
-    assert "8766 h/a are outside the 0 … 2000 kW of power" in told and "(here 5000 … 5000)" in told
+    warmth, power_of = (told[code] for code in (EXTRAPOLATED[0], EXTRAPOLATED[2]))
+    assert (warmth["lower"], warmth["upper"]) == pytest.approx((12.0, 32.0))
+    assert power_of["hours"] == pytest.approx(8766.0)
+    assert [power_of[end] for end in ("lower", "upper", "least", "most")] == [0.0, 2000.0, 5000.0, 5000.0]
     celsius = weather["ambient_temperature"].value - 273.15
-    hours = float(told.split(" h/a")[0])
-    assert hours == pytest.approx(8766.0 * np.mean(celsius < 10.0), rel=0.03)
-    assert "g/m³" in said(ambient_absolute_humidity_g_m3=[10.0, 20.0])
+    assert warmth["hours"] == pytest.approx(8766.0 * np.mean(celsius < 10.0), rel=0.03)
+    assert EXTRAPOLATED[1] in said(ambient_absolute_humidity_g_m3=[10.0, 20.0])
+
+
+EXTRAPOLATED = (
+    ClimateCode.EXTRAPOLATED_TEMPERATURE,
+    ClimateCode.EXTRAPOLATED_HUMIDITY,
+    ClimateCode.EXTRAPOLATED_POWER,
+)
 
 
 def test_what_the_model_lacks_and_what_its_noise_is_like_are_said() -> None:
     """Hours above saturation that nothing holds back, and innovations with the tails of shots."""
-    assert not any("100 %" in one or "shots" in one for one in climate_of().statements)
+    lacking = {ClimateCode.AIR_ABOVE_SATURATION, ClimateCode.SHOTS}
+    assert not lacking & codes(climate_of())
     seen = {"n": 17000, "step_h": 0.25, "excess_kurtosis": 60.0}
     damp = known_fit(found={"innovations": {"outputs": {"humidity": seen}}}, vapour_disturbance_sd=4.0)
     found = climate_of(fit=damp)
     assert found.year["saturation_h"].value > 24.0
-    assert any("above 100 % for" in one for one in found.statements)
-    assert any("as shots, on average of vapour every" in one for one in found.statements)
+    assert lacking <= codes(found)
+    (shots,) = (one.values["shots"] for one in found.statements if one.code is ClimateCode.SHOTS)
+    assert [one.values["balance"] for one in shots] == ["vapour"]
 
 
 @pytest.mark.slow

@@ -127,12 +127,13 @@ def test_fit_json_has_the_keys_that_others_rely_on(fitted):
         penalty = (found[key] + 2 * found["loglik"]) / (2.0 if key == "aic" else math.log(found["n_obs"]))
         assert penalty == pytest.approx(round(penalty))
         assert count <= round(penalty) <= len(found["parameters"])
-    assert found["doubts"] == ["short validation period: 3.0 days"]
+    (doubt,) = found["doubts"]
+    assert doubt["code"] == "short_period" and doubt["values"]["days"] == pytest.approx(3.0, abs=0.05)
     for period in ("identification", "validation"):
         assert found["readings_sd"][period]["temperature_K"] > found["rmse"][period]["temperature_K"]["total"]
     assert found["n_obs"] > 2500
     assert found["converged"] is True
-    assert found["message"]
+    assert [one["code"] for one in found["messages"]] == ["converged"]
     assert found["version"] == __version__
 
 

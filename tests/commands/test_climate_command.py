@@ -128,9 +128,10 @@ def test_a_typical_year_of_an_epw_file(folder: Path) -> None:
     assert (year["start"], year["end"]) == ("2001-01-01T00:00Z", "2001-12-31T23:00Z")
     assert 8740.0 < year["hours_known"] < 8760.0  # what follows a gap is not counted before it has settled
     assert region["outside"]["mean_temperature_degC"] == pytest.approx(10.0, abs=0.02)
-    said = " ".join(region["statements"])
-    for words in ("at 10 m, brought to 80 m", f"{100.0 * year['operating_share']:.0f} % of the time"):
-        assert words in said
+    said = {one["code"]: one["values"] for one in region["statements"]}
+    curve_of = said["power_by_curve"]
+    assert (curve_of["wind_height_m"], curve_of["hub_height_m"]) == (10.0, 80.0)
+    assert said["operates"]["share"] == pytest.approx(year["operating_share"])
     assert "not the weather of 2001" in (folder / "typical" / "report.html").read_text("utf-8")
 
 

@@ -38,6 +38,7 @@ from hygrokf.report.fit_page import fit_blocks
 from hygrokf.report.page import page_html
 from hygrokf.report.record_text import describe_text
 from hygrokf.report.terminal import page_text
+from hygrokf.texts.fit import FitCode
 
 
 @pytest.fixture(scope="module")
@@ -110,7 +111,8 @@ def test_every_actuator_of_the_table_is_an_input(signal: str) -> None:
     value = 500.0 * SQUARE if signal == "heater_power" else SQUARE
     record = _record(**{signal: value})
     (one,) = actuators(record)
-    assert one.used and signal in one.statement
+    assert one.used and one.statement.code is FitCode.ACTUATOR_USED
+    assert one.statement.values["signal"] == signal
     assert signal in design(record, kind="thermal").model.inputs
     for chosen in (one.thermal, one.hygric):
         if chosen is not None:
@@ -133,7 +135,8 @@ def test_every_actuator_of_the_table_is_an_input(signal: str) -> None:
 def test_what_cannot_be_seen_is_not_used_and_said(value: np.ndarray, word: str) -> None:
     record = _record(fan_duty=value)
     (one,) = actuators(record)
-    assert not one.used and word in one.statement
+    assert not one.used and one.statement.code is FitCode.ACTUATOR_UNUSED
+    assert word in one.statement.text
     assert "fan_duty" not in design(record, kind="thermal").model.inputs
     assert word in describe_text(describe(record))
 
@@ -150,8 +153,9 @@ def test_of_power_and_duty_of_a_heater_the_power_is_used() -> None:
 def test_check_says_what_will_be_used() -> None:
     record = _record(fan_duty=SQUARE, pump_duty=np.ones(400))
     said = describe(record).actuators
-    assert [one.split(" is ")[0] for one in said] == ["fan_duty", "pump_duty"]
-    assert "not used" in said[1] and all(one in describe_text(describe(record)) for one in said)
+    assert [one.values["signal"] for one in said] == ["fan_duty", "pump_duty"]
+    assert [one.code for one in said] == [FitCode.ACTUATOR_USED, FitCode.ACTUATOR_UNUSED]
+    assert all(one.text in describe_text(describe(record)) for one in said)
 
 
 # --- physics ------------------------------------------------------------------------------------------------

@@ -7,6 +7,7 @@ import pytest
 
 from hygrokf.data.probes import copies, probe_of
 from hygrokf.data.record import Series
+from hygrokf.texts.record import DoubtCode
 
 TIME = 1.6e9 + 600.0 * np.arange(600.0)
 DRAW = np.random.default_rng(4)
@@ -48,8 +49,10 @@ def test_a_dew_point_of_the_cabinet_s_own_readings_is_found():
     own = Series(
         "ambient_dew_point_temperature", TIME, dew_point(WARM, MOIST).round(1) + 273.15, source="log.csv, DP"
     )
-    ((outside, words),) = copies([*of_logger(), own])
-    assert outside is own and all(f"log.csv, {one}" in words for one in ("T", "RH", "DP"))
+    (doubt,) = copies([*of_logger(), own])
+    assert doubt.code is DoubtCode.COMPUTED_FROM_CABINET and doubt.values["signal"] == own.signal
+    sources = [doubt.values[name] for name in ("temperature_source", "humidity_source", "source")]
+    assert sources == [f"log.csv, {one}" for one in ("T", "RH", "DP")]
 
 
 def test_a_dew_point_of_the_air_outside_is_none():

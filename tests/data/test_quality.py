@@ -59,10 +59,11 @@ def test_a_column_s_whole_evidence_tells_its_vocabulary() -> None:
     assert fitting([0, 0x80340000]) == fitting([0]) == ("opc-ua",)
     assert fitting([0, 1]) == fitting([1, "Good"]) == ("words",)
     assert fitting([0, 100]) == fitting(["Good", "Bad"]) == fitting([24]) == ()
-    assert misfit(UNSTATED, [192, 24]) == misfit(DA, [0, 192]) == misfit(UNSTATED, ["Good", "Bad"]) == ""
-    assert 'state vocabulary = "opc-da", which fits 0, 24, 192' in misfit(UNSTATED, [192, 0, 24])
-    assert '"opc-da"' in misfit(UA, [0, 192]) and "[1]" in misfit(UNSTATED, [0, 100])
-    assert misfit(stated_vocabulary([100]), [0, 100]) == ""
+    for stated, marks in ((UNSTATED, [192, 24]), (DA, [0, 192]), (UNSTATED, ["Good", "Bad"])):
+        assert misfit(stated, marks) is None
+    assert 'state vocabulary = "opc-da", which fits 0, 24, 192' in misfit(UNSTATED, [192, 0, 24]).text
+    assert '"opc-da"' in misfit(UA, [0, 192]).text and "[1]" in misfit(UNSTATED, [0, 100]).text
+    assert misfit(stated_vocabulary([100]), [0, 100]) is None
 
 
 @pytest.mark.parametrize("wrong", ["opc", "", 192, [], None, True])
@@ -92,13 +93,13 @@ def test_columns_of_quality_by_their_names(names: str, found: dict[str, str]) ->
 
 
 def test_what_nobody_stated_is_a_doubt_unless_it_is_no_quality() -> None:
-    assert 'quality = "T q"' in unstated("T", "T q", [192, 24])
-    assert "vocabulary" not in unstated("T", "q", [24])
-    assert 'vocabulary = "opc-da"' in unstated("T", "T q", [192, 0])
-    assert "list the good marks" in unstated("T", "T quality", [1, 2, 3])
+    assert 'quality = "T q"' in unstated("T", "T q", [192, 24]).text
+    assert "vocabulary" not in unstated("T", "q", [24]).text
+    assert 'vocabulary = "opc-da"' in unstated("T", "T q", [192, 0]).text
+    assert "list the good marks" in unstated("T", "T quality", [1, 2, 3]).text
     # nothing to leave out; the state of a machine; specific humidity; an empty column
     for marks in ([192, "Good"], ["run", "stop"], [0.0031, 0.0042], []):
-        assert unstated("T", "T q", marks) == ""
+        assert unstated("T", "T q", marks) is None
 
 
 def test_readings_are_judged_and_counted() -> None:

@@ -17,7 +17,7 @@ from plants.saturation import saturation_pressure
 import hygrokf
 from hygrokf.data.record import Record
 from hygrokf.data.structured import plain
-from hygrokf.discovery.conditions import conditions
+from hygrokf.discovery.conditions import LONG_STOPS, conditions
 from hygrokf.discovery.findings import MATERIAL, findings
 from hygrokf.discovery.residuals import Residuals, binned, closed, duration_h, residuals, run_lengths
 from hygrokf.discovery.results import Finding
@@ -25,6 +25,7 @@ from hygrokf.identification.fit import Fit
 from hygrokf.report.figures.drawing import NothingToShow, inline_svg, png
 from hygrokf.report.figures.findings import figure_episodes
 from hygrokf.report.figures.residual_structure import figure_day_hour, figure_drivers
+from hygrokf.texts.discovery import ConditionCode, DiscoveryCode
 
 STEP_H = 0.25
 ORIGIN_S = 1594771200.0
@@ -176,11 +177,11 @@ def test_a_peak_at_pre_heating_is_told_in_full() -> None:
     base = made(10)
     one = single(findings(with_effect(base, "humidity", 1.1 * base.preheating)))
     assert one.quantity == "humidity" and one.size == pytest.approx(1.1, abs=0.35)
-    start, _, hours = one.statement.removesuffix(" h").partition(f" is {one.size:.1f} g/m³ too low for ")
-    assert (
-        start == "after standstills longer than a day, during pre-heating, simulated absolute humidity"
+    assert one.condition == ConditionCode.PREHEATED_AFTER_STOPS(stops=LONG_STOPS)
+    assert one.side == "low" and one.lasting_h == pytest.approx(6.0, abs=2.0)
+    assert one.statement == DiscoveryCode.SIMULATED_TOO_LOW_FOR(
+        condition=one.condition, quantity="absolute humidity", size=one.size, unit="g/m³", hours=one.lasting_h
     )
-    assert float(hours) == pytest.approx(6.0, abs=2.0)
     assert (one.n_episodes, one.n_possible) == (3, 3)
     assert one.sensor_share == pytest.approx((0.15 / one.size) ** 2)
     assert one.p_adjusted < 0.01
@@ -191,9 +192,9 @@ def test_a_bump_of_the_day_is_told_by_its_hours_once() -> None:
     base = made(2)
     bump = 1.0 * np.exp(-0.5 * ((base.time_h % 24.0 - 14.5) / 2.0) ** 2)
     one = single(findings(with_effect(base, "temperature", bump)))
-    assert (one.kind, one.quantity) == ("hour", "temperature") and one.statement.endswith("too low")
-    hours = one.statement.partition(" h UTC")[0].removeprefix("from ")
-    first, last = map(int, hours.split(" to "))
+    assert (one.kind, one.quantity, one.side) == ("hour", "temperature", "low")
+    assert one.condition.code is ConditionCode.HOURS_OF_THE_DAY and math.isnan(one.lasting_h)
+    first, last = one.condition.values["first"], one.condition.values["last"]
     assert 11 <= first <= 14 < last <= 18
     assert one.n_possible == pytest.approx(60, abs=1)
 
@@ -202,9 +203,10 @@ def test_a_step_of_the_readings_is_dated_to_the_reading() -> None:
     base = made(3)
     at = 2400
     one = single(findings(with_effect(base, "temperature", -0.6 * (np.arange(len(base.time_h)) >= at))))
-    assert one.kind == "step" and one.statement.endswith("too high")
+    assert one.kind == "step" and one.side == "high"
     assert one.size == pytest.approx(0.6, abs=0.25)
-    assert one.statement.startswith("since 2020-08-09T00:00Z, simulated temperature is")
+    assert one.condition == ConditionCode.SINCE_DATE(date=one.spans[0][0])
+    assert one.statement.text.startswith("since 2020-08-09T00:00Z, simulated temperature is")
     assert one.spans[0][0] == pytest.approx(base.time_s[at], abs=3600.0)
 
 
@@ -216,7 +218,8 @@ def test_an_error_that_follows_the_wind_is_told_by_the_wind(lag_h: float) -> Non
     one = single(findings(with_effect(base, "temperature", effect)))
     assert (one.driver, one.quantity) == ("wind_speed", "temperature")
     assert one.kind in (("level",) if lag_h == 0 else ("lag",))
-    assert one.statement.endswith("too high" if "below" in one.statement else "too low")
+    below = one.condition.values["range"].code is ConditionCode.DRIVER_BELOW
+    assert one.side == ("high" if below else "low")
 
 
 def test_a_large_lasting_change_is_not_hidden_by_the_memory_that_it_feigns() -> None:
@@ -312,8 +315,8 @@ def test_wind_from_north_belongs_to_both_ends_of_the_scale() -> None:
     north = np.cos(direction) > math.cos(math.radians(40.0))
     one = findings(with_effect(blown, "temperature", 2.0 * north))[0]
     assert one.driver == "wind_direction"
-    low, high = map(float, one.statement.partition("°")[0].split("between ")[1].split(" and "))
-    assert low > 180.0 > high
+    assert one.condition.code is ConditionCode.DIRECTION_OF_DRIVER
+    assert one.condition.values["lower"] > 180.0 > one.condition.values["upper"]
 
 
 # --- fitted plants ---------------------------------------------------------------------------
@@ -400,7 +403,8 @@ def test_residuals_of_a_fit_without_series_are_refused() -> None:
 def test_a_peak_at_pre_heating_survives_the_fit() -> None:
     one = findings(peaked()[1])[0]
     assert one.quantity == "humidity"
-    assert "during pre-heating, simulated" in one.statement and "too low" in one.statement
+    assert one.side == "low"
+    assert one.condition.code in (ConditionCode.PREHEATING, ConditionCode.PREHEATED_AFTER_STOPS)
     assert one.size == pytest.approx(1.0, abs=0.4)
 
 
@@ -409,7 +413,7 @@ def test_a_bump_of_the_day_survives_the_fit() -> None:
     hour = (record["cabinet_temperature"].time / 3600.0) % 24.0
     _, found = fitted(heated(record, 0.8 * np.exp(-0.5 * ((hour - 14.5) / 2.2) ** 2)))
     one = findings(found)[0]
-    assert (one.kind, one.quantity) == ("hour", "temperature") and one.statement.endswith("too low")
+    assert (one.kind, one.quantity, one.side) == ("hour", "temperature", "low")
 
 
 def test_a_step_of_a_sensor_survives_the_fit() -> None:
@@ -462,7 +466,7 @@ def test_every_figure_is_drawn_with_and_without_an_extended_model(overlaid: bool
     after = base if overlaid else None
     one = single(findings(hidden))
     text = drawn(figure_episodes(hidden, one, after).figure(), "episodes")
-    assert "under the condition" in text and "during pre-heating" in one.statement.lower()
+    assert "under the condition" in text and one.condition.code is ConditionCode.PREHEATED_AFTER_STOPS
     assert ("before" in text) == overlaid
     assert len(figure_episodes(hidden, one, after).figure().axes) == 6
     panels = figure_drivers(hidden, ("wind_speed", "power"), after).figure()

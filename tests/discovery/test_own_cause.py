@@ -626,7 +626,7 @@ def test_the_whole_way_from_a_case_to_a_simulation(
     data = json.loads((out / "discovery.json").read_text())
     assert [one["cause"] for one in data["causes"]] == ["transformer_heat"]
     (cause,) = data["causes"]
-    assert cause["remedy"].startswith("ventilate the transformer's room")
+    assert cause["own"]["remedy"].startswith("ventilate the transformer's room")
     assert 3.5 < cause["parameters"]["transformer_gain"]["value"] < 6.5
     gain = data["gains"][0]
     assert (gain["quantity"], gain["period"]) == ("temperature", "validation")

@@ -41,7 +41,8 @@ from hygrokf.identification.fit_on_record import evaluate
 from hygrokf.identification.verdict import inherited
 from hygrokf.identification.verdict_terms import rests_on
 from hygrokf.physics.psychrometrics import absolute_humidity
-from hygrokf.texts.verdict import REJECT
+from hygrokf.texts.fit import FitCode
+from hygrokf.texts.verdict import REJECT, VerdictCode
 
 STEP = (named("exchange_step"),)
 SUN = (named("solar_gain"), named("condensation"))
@@ -135,7 +136,7 @@ def test_the_same_record_gives_the_same_file_also_with_threads_of_linear_algebra
 
 def test_every_number_of_a_cause_is_told(sunny: Discovery) -> None:
     (cause,) = sunny.results.causes
-    assert 0.0 < cause.confidence < 1.0 and cause.remedy and cause.separate_by
+    assert 0.0 < cause.confidence < 1.0 and cause.own is None
     evidence = cause.evidence
     assert evidence.gains["temperature"] > evidence.evidence >= evidence.in_days > 10.0
     # three lags on the roof and on five walls; heat and lag
@@ -166,7 +167,8 @@ def test_nothing_rests_on_an_error_of_the_humidity_sensor_that_may_be_water(
 ) -> None:
     fit = fit_of(humid, likeliest, against=(WET_SENSOR,))
     assert fit.results.time_constants["hygric"].verdict == REJECT
-    assert "hygric time constant, on which this rests, is not reliable" in rests_on(inherited(fit.results))
+    (statement,) = rests_on(inherited(fit.results))
+    assert statement == VerdictCode.RESTS_ON_REJECTED(part="hygric", verdict="not reliable")
 
 
 def test_the_extended_model_is_a_fit_that_simulates_as_is_told(sunny: Discovery, in_the_sun: Record) -> None:
@@ -253,9 +255,9 @@ def test_an_ambient_that_the_humidity_does_not_follow_is_not_needed(humid: Recor
     elsewhere = humid.replace_series(replace(humidity, value=np.clip(other, 0.0, 1.0)))
     noise = np.random.default_rng(4).normal(0.0, 0.005, len(cabinet.value))
     held = humid.replace_series(replace(cabinet, value=np.clip(0.5 + noise, 0.0, 1.0)))
-    for record, words in ((elsewhere, "a constant vapour outside"), (held, "a relative humidity held")):
+    for record, code in ((elsewhere, FitCode.CONSTANT_VAPOUR), (held, FitCode.HELD_HUMIDITY)):
         found = without_input(base_estimate(record), "hygric_k")
-        assert not found.enough and found.words.startswith(words)
+        assert not found.enough and found.model.code is code
 
 
 # -- the held-out part ---------------------------------------------------------------------------------------

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from hygrokf.data.record import Record, Series
-from hygrokf.discovery.repeats import repeated_text, repeats, without_repeats
+from hygrokf.discovery.repeats import repeated_statement, repeats, without_repeats
+from hygrokf.texts.discovery import DiscoveryCode
 
 START = 1_596_499_200.0  # 4 August 2020, 00:00 UTC
 STEP_S = 900.0
@@ -63,8 +64,9 @@ def test_repeated_readings_of_the_cabinet_are_set_aside() -> None:
     assert list(spans) == ["cabinet_temperature"]
     assert np.isnan(record["cabinet_temperature"].value).sum() == pytest.approx(40, abs=2)
     assert np.isfinite(record["ambient_temperature"].value).all()
-    text = repeated_text(spans)
-    assert "cabinet temperature" in text and "2020-08-24" in text
+    (first, last), *rest = spans["cabinet_temperature"]
+    values = {"signal": "cabinet_temperature", "days": ("2020-08-24",), "hours": (last - first) / 3600.0}
+    assert not rest and repeated_statement(spans) == DiscoveryCode.READINGS_REPEATED(**values)
 
 
 def test_a_logger_repeats_all_that_it_logs() -> None:

@@ -29,13 +29,14 @@ from hygrokf.estimation.confidence import (
 from hygrokf.estimation.likelihood import Likelihood
 from hygrokf.estimation.optimiser import Estimate, Objective, fit_mle
 from hygrokf.estimation.output_error import long_run_variance
-from hygrokf.estimation.profile_likelihood import limit_remarks, profile
+from hygrokf.estimation.profile_likelihood import limit_statements, profile
 from hygrokf.identification.estimation import assess_stage, estimate_design
 from hygrokf.identification.procedure import identify_stages
 from hygrokf.modelling.design import design, extended
 from hygrokf.modelling.inputs import model_inputs
 from hygrokf.physics.model import compose
 from hygrokf.physics.parameters import Parameter, Prior
+from hygrokf.texts.fit import FitCode
 
 LEVEL = 0.95
 CHI_SQUARED = norm.ppf(0.975) ** 2
@@ -190,7 +191,7 @@ def test_a_parameter_without_effect_is_flat() -> None:
     assert one.known.flat == ("idle",)
     bounds = one.profile("idle")
     assert (bounds.lower, bounds.upper) == (0.0, math.inf)
-    assert bounds.statement == "not identifiable from this record"
+    assert bounds.statements == (FitCode.OPEN_ON_BOTH_SIDES(),)
 
 
 def test_the_inverse_never_promises_a_negative_variance() -> None:
@@ -221,7 +222,7 @@ def test_profile_bounds_of_a_mean_are_in_closed_form(short: Fitted, level: float
     tolerance = 0.012 / math.sqrt(threshold) * half
     assert bounds.lower == pytest.approx(read.mean() - half, abs=tolerance)
     assert bounds.upper == pytest.approx(read.mean() + half, abs=tolerance)
-    assert (bounds.method, bounds.level, bounds.statement) == ("profile", level, "")
+    assert (bounds.method, bounds.level, bounds.statements) == ("profile", level, ())
     for value, drop in bounds.curve:
         expected = 40 * math.log1p(((value - read.mean()) / read.std()) ** 2)
         assert drop == pytest.approx(expected, abs=5e-3)  # re-estimation stops within 2e-3 of its optimum
@@ -258,7 +259,7 @@ def test_a_positive_parameter_at_its_lower_bound_is_at_most_x() -> None:
 
     assert bounds.lower == 0.0
     assert bounds.upper == pytest.approx(brentq(excess, 0.01, 5.0), rel=0.01)
-    assert bounds.statement == f"≤ {bounds.upper:.3g} K"
+    assert bounds.statements == (FitCode.AT_MOST(bound=bounds.upper, unit="K"),)
     assert math.isnan(standard_error(one.estimate, one.known, "spread"))
     wald = wald_bounds(one.estimate, one.known, "spread")
     assert (wald.lower, wald.upper, wald.method) == (-math.inf, math.inf, "none")
@@ -289,7 +290,7 @@ def test_a_guard_of_another_parameter_is_lifted_not_a_cliff() -> None:
     half = math.sqrt(CHI_SQUARED * (0.49 / 40 + 1.0))
     assert bounds.lower == pytest.approx(centre - half, abs=0.01 * half)
     assert bounds.upper == pytest.approx(centre + half, abs=0.01 * half)
-    assert bounds.statement == "" and bounds.better is None
+    assert bounds.statements == () and bounds.better is None
     reached = {limit.end: limit for limit in bounds.limited_by}
     share = half / (
         1.0 + 0.49 / 40
@@ -298,8 +299,13 @@ def test_a_guard_of_another_parameter_is_lifted_not_a_cliff() -> None:
         assert reached[end].parameter == "bias" and reached[end].effect == "lifted"
         assert reached[end].limit == sign * 0.5
         assert reached[end].value == pytest.approx(sign * share, rel=0.02)
-    remark = limit_remarks("mean", bounds)[0]
-    assert "bias" in remark and "0.5 K" in remark and f"{reached['lower'].value:.3g} K" in remark
+    first = limit_statements("mean", bounds)[0]
+    assert first.code is FitCode.BOUND_BEYOND_GUARD
+    lower = reached["lower"]
+    assert first.values == {
+        "bounded": "mean", "end": "lower", "parameter": "bias", "unit": "K", "value": lower.value,
+        "limit": -0.5,
+    }  # fmt: skip
     far = summed(5.0).profile("mean")
     assert far.limited_by == ()
     assert (far.lower, far.upper) == pytest.approx((bounds.lower, bounds.upper), abs=0.01 * half)
@@ -315,9 +321,10 @@ def test_a_physical_limit_of_another_parameter_holds() -> None:
         ("lower", "bias", "held"),
         ("upper", "bias", "held"),
     }
-    assert bounds.statement == ""
-    remark = limit_remarks("mean", bounds)[1]
-    assert "bias = -0.5 K" in remark and "physical" in remark
+    assert bounds.statements == ()
+    second = limit_statements("mean", bounds)[1]
+    assert second.code is FitCode.BOUND_AT_PHYSICAL_LIMIT
+    assert (second.values["parameter"], second.values["value"]) == ("bias", -0.5)
 
 
 def test_a_profile_that_outruns_a_lifted_guard_is_open_and_names_it() -> None:
@@ -325,9 +332,14 @@ def test_a_profile_that_outruns_a_lifted_guard_is_open_and_names_it() -> None:
     go."""
     bounds = summed(0.5, prior=None).profile("mean")
     assert (bounds.lower, bounds.upper) == (-50.0, 50.0)
-    assert all(word in bounds.statement for word in ("not identifiable", "bias", " 10 K", " -10 K", "-0.5 K"))
+    first, *ends = bounds.statements
+    assert first == FitCode.OPEN_ON_BOTH_SIDES()
+    assert {one.code for one in ends} == {FitCode.END_STAYS_OPEN}
+    assert {(one.values["parameter"], one.values["value"], one.values["limit"]) for one in ends} == {
+        ("bias", 10.0, 0.5), ("bias", -10.0, -0.5),
+    }  # fmt: skip
     assert {limit.effect for limit in bounds.limited_by} == {"open"}
-    assert limit_remarks("mean", bounds) == []
+    assert limit_statements("mean", bounds) == []
 
 
 def test_what_wants_back_from_its_limit_is_let_go() -> None:
@@ -438,7 +450,7 @@ def test_without_inner_resistance_the_ratio_is_bounded_on_one_side() -> None:
     one, truth = cabinet(rho=1.0)
     bounds = one.profile("resistance_ratio")
     assert bounds.upper == 1.0 and 0.9 < bounds.lower < 1.0
-    assert bounds.statement == f"≥ {bounds.lower:.3g}"
+    assert bounds.statements == (FitCode.AT_LEAST(bound=bounds.lower, unit="1"),)
     assert holds(one.profile("thermal_time_constant"), truth.tau_h)
 
 
@@ -446,7 +458,7 @@ def test_a_cabinet_faster_than_its_logger_is_at_most_x() -> None:
     one, truth = cabinet(tau_h=0.03, logger_step_min=60.0)
     bounds = one.profile("thermal_time_constant")
     assert bounds.lower == 0.0 and truth.tau_h < bounds.upper < 0.2
-    assert bounds.statement == f"≤ {bounds.upper:.3g} h"
+    assert bounds.statements == (FitCode.AT_MOST(bound=bounds.upper, unit="h"),)
     # with a reading an hour, white noise of the air and of the sensor act alike: one of them is open
     alike = {"thermal_diffusion", "cabinet_temperature_noise"}
     assert alike & {*one.known.flat, *one.estimate.at_bounds}
@@ -461,6 +473,7 @@ def test_a_record_that_tells_little_says_so_by_name() -> None:
     )
     ratio = one.profile("resistance_ratio")
     assert ratio.upper == 1.0 and ratio.lower < truth.rho
-    assert ratio.statement in ("not identifiable from this record", f"≥ {ratio.lower:.3g}")
+    at_least = FitCode.AT_LEAST(bound=ratio.lower, unit="1")
+    assert ratio.statements in ((FitCode.OPEN_ON_BOTH_SIDES(),), (at_least,))
     named = {*one.known.flat, *one.estimate.at_bounds}
     assert "thermal_diffusion" in named

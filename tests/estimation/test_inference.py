@@ -25,6 +25,7 @@ from hygrokf.estimation.optimiser import Estimate, Objective, fit_mle
 from hygrokf.physics.mechanisms import linear_network
 from hygrokf.physics.model import compose
 from hygrokf.physics.parameters import Parameter, Prior
+from hygrokf.texts.fit import FitCode
 
 
 @pytest.fixture(scope="module")
@@ -225,7 +226,7 @@ def test_what_acts_only_as_a_product_is_open_by_each_method(product: tuple, meth
     found = confidence_intervals(*product, ["a", "b", "tau"], method)
     for name in ("a", "b"):
         assert (found[name].lower, found[name].upper) == (0.0, math.inf)
-        assert found[name].statement == "not identifiable from this record"
+        assert found[name].statements == (FitCode.OPEN_ON_BOTH_SIDES(),)
     assert 1.0 < found["tau"].lower < found["tau"].value < found["tau"].upper < 10.0
     assert found["tau"].method == method
 
@@ -328,7 +329,8 @@ def test_profiles_tell_their_progress_and_have_bounded_work(
 
     monkeypatch.setattr(Likelihood, "score", counted)
     cut = confidence_intervals(*product, ["tau"])["tau"]
-    assert (cut.lower, cut.upper) == (0.0, math.inf) and "not found in 3 passes" in cut.statement
+    assert (cut.lower, cut.upper) == (0.0, math.inf)
+    assert FitCode.END_NOT_FOUND(end="upper", passes=3) in cut.statements
     # ten for the observed information; a walk ends a few passes after its share
     assert len(passes) <= 10 + 2 * (3 + 12)
 

@@ -43,6 +43,7 @@ from hygrokf.modelling.design import design
 from hygrokf.modelling.inputs import Run, model_inputs
 from hygrokf.report.blocks import Table
 from hygrokf.report.fit_tables import evaluation_blocks, evaluation_text
+from hygrokf.texts.fit import FitCode
 from hygrokf.texts.wording import NONE, QUANTITIES, RULES
 
 HOUR = 3600.0
@@ -290,11 +291,10 @@ def test_the_summary_is_that_of_the_file(fit, record, text):
 
 def test_mismatches_of_fit_and_record_are_reported(fit, record):
     idle = without(record, "preheating")
-    (sentence,) = summary_of(fit, idle).statements
-    assert "pre-heating" in sentence and "counts as off" in sentence
-    assert f"note: {sentence}" in " ".join(evaluation_text(evaluate(fit, idle)).split())
-    (sentence,) = summary_of(unfitted(idle), record).statements
-    assert "pre-heating" in sentence and "does not use" in sentence
+    (statement,) = summary_of(fit, idle).statements
+    assert statement == FitCode.PREHEATING_NOT_LOGGED()
+    assert f"note: {statement}" in " ".join(evaluation_text(evaluate(fit, idle)).split())
+    assert summary_of(unfitted(idle), record).statements == (FitCode.PREHEATING_NOT_MODELLED(),)
 
 
 # --- the evaluation --------------------------------------------------------------------------

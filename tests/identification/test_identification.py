@@ -21,10 +21,11 @@ from hygrokf.estimation.likelihood import Likelihood
 from hygrokf.estimation.optimiser import BETTER, Objective
 from hygrokf.identification.estimation import assess_stage, estimate_design, identify_stage
 from hygrokf.identification.fit import Fit, read_fit, write_fit
-from hygrokf.identification.procedure import identify, remarks, shared_error
+from hygrokf.identification.procedure import identify, shared_error, undetermined
 from hygrokf.identification.time_constants import hygric_entry
 from hygrokf.modelling.design import Design, design, extended
 from hygrokf.physics.parameters import Parameter
+from hygrokf.texts.fit import FitCode
 
 DAYS = 45
 
@@ -82,7 +83,7 @@ def test_the_model_of_a_fit_is_estimated_from_its_values(record, fit):
     other = identify(record, model=wider, starts=1, profiles=False)
     assert "wall_thermal_mass" in dict(other.design.mechanisms)
     assert other.results.converged and other.results.loglik > joint.results.loglik - 0.5
-    assert any(fit.name in line for line in other.results.statements)
+    assert FitCode.MODEL_OF_FIT(fit=fit.name, criterion="likelihood") in other.results.statements
     # estimated in one filter, the same model has the constants of the cascade
     for part in ("thermal", "hygric"):
         entry = fit.results.time_constants[part]
@@ -102,7 +103,7 @@ def test_a_model_is_estimated_with_the_loggers_of_its_record(record, fit):
     other = identify(coarse, model=fit, starts=1, profiles=False)
     settings = dict(other.design.mechanisms)["temperature_sensor"]
     assert (settings["accuracy"], settings["resolution"]) == (2.0, 1.0)
-    assert "other forms of the model were not compared" in other.results.statements
+    assert FitCode.FORMS_NOT_COMPARED() in other.results.statements
 
 
 def test_validation_readings_touch_nothing(record, fit):
@@ -148,12 +149,13 @@ def test_an_open_end_names_the_parameter_that_leaves_it_open(record):
     limit = Limit("upper", "vapour_disturbance_sd", "g/m3", 400.0, 20.0, "open")
     bounds = stage.bounds["hygric_k"]
     said = describe("h", bounds.lower, math.inf, [0.0, None], [limit])
-    open_ = replace(bounds, upper=math.inf, statement=said, limited_by=(limit,))
+    open_ = replace(bounds, upper=math.inf, statements=said, limited_by=(limit,))
     stage = replace(stage, bounds={"hygric_k": open_})
     entry = hygric_entry(stage, {})
     assert math.isnan(entry.upper_h) and entry.limited_by[0].parameter == "vapour_disturbance_sd"
-    (told,) = (line for line in remarks(stage) if line.startswith(f"hygric_k: ≥ {bounds.lower:.3g} h;"))
-    assert all(word in told for word in ("vapour_disturbance_sd", "400 g/m3", "20 g/m3"))
+    assert FitCode.BOUNDS_OF(parameter="hygric_k", bounds=said) in undetermined(stage)
+    assert said[0] == FitCode.AT_LEAST(bound=bounds.lower, unit="h")
+    assert (said[1].values["parameter"], said[1].values["limit"]) == ("vapour_disturbance_sd", 20.0)
 
 
 def test_joint_and_cascade_agree(record, fit):
@@ -182,7 +184,7 @@ def test_record_without_humidity_or_power_is_legal(record):
     assert list(dry.results.time_constants) == ["thermal"]
     assert math.isnan(dry.results.errors("identification", "absolute_humidity_g_m3").total)
     idle = identify(without(short, "active_power"), starts=1, profiles=False)
-    assert any("standstill" in line for line in idle.results.statements)
+    assert FitCode.NO_POWER() in idle.results.statements
     assert math.isnan(idle.results.errors("identification", "temperature_K").operation)
     assert idle.results.errors("identification", "temperature_K").standstill > 0
 
@@ -221,7 +223,7 @@ def test_simulation_criterion_knows_no_errors_of_the_sensors():
         row = other.results.parameters[name]
         assert other.values[name] == row.value == 0.0 and row.fixed and math.isnan(row.se)
         assert name not in other.results.covariance.names
-    assert any("sensors to 0" in line for line in other.results.statements)
+    assert FitCode.SENSOR_ERRORS_ZERO() in other.results.statements
     least, ours = (f.results.rmse["identification"]["temperature_K"].total for f in (other, by_likelihood))
     assert least <= ours * 1.002
 
@@ -246,7 +248,7 @@ def test_poor_records_give_honest_bounds(options, part):
         entry = found.time_constants[name]
         upper = math.inf if math.isnan(entry.upper_h) else entry.upper_h
         assert entry.lower_h / 1.15 < truth < upper * 1.15
-    assert any(part in line for line in found.statements) or not part
+    assert any(part in one.text for one in found.statements) or not part
 
 
 def test_clock_uncertainty_widens_the_hygric_bounds(record, fit):
@@ -316,5 +318,5 @@ def test_a_fit_keeps_the_ranges_of_its_inputs(fit, record):
 def test_two_well_known_parameters_do_not_trade_off(positive, values, errors, correlation, words):
     ends = (1e-3, 1e3) if positive else (-1e3, 1e3)
     pair = [Parameter(name, "K", 1.0, *ends, positive) for name in "ab"]
-    text = shared_error(pair, values, errors, correlation)
+    text = shared_error(pair, values, errors, correlation).text
     assert all(word in text for word in words)

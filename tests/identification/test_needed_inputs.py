@@ -19,6 +19,7 @@ from hygrokf.data.record import Record
 from hygrokf.errors import HygrokfError
 from hygrokf.identification.clock_offsets import _solved
 from hygrokf.identification.composition import Resolved
+from hygrokf.texts.fit import FitCode
 
 UNITS = {
     "cabinet_temperature": "degC",
@@ -67,7 +68,8 @@ def test_a_held_humidity_has_no_constant():
     fit = identify(a_cabinet(0, "held"), starts=1)
     hygric, thermal = (fit.results.time_constants[part] for part in ("hygric", "thermal"))
     assert hygric.verdict == "reject" and hygric.reasons[0].code.key == "input_not_needed"
-    assert "held" in hygric.without_input.words and hygric.without_input.gain < -100.0
+    assert hygric.without_input.model == FitCode.HELD_HUMIDITY()
+    assert hygric.without_input.gain < -100.0
     assert hygric.lower_h == 0.0 and math.isnan(hygric.upper_h) and hygric.range_h is None
     assert "not identifiable" in str(fit)
     row = fit.results.parameters["hygric_k"]

@@ -24,6 +24,7 @@ from hygrokf.identification.periods import Choice, choose_length
 from hygrokf.identification.steady_state import HeatRelease, Regression, _left_out, heat_release_regression
 from hygrokf.modelling.design import design
 from hygrokf.physics.mechanisms.thermal import heat_release
+from hygrokf.texts.fit import FitCode
 
 SHARED = Path(__file__).resolve().parents[2] / "../shared/data"
 RATED_W = 2.0e6
@@ -284,7 +285,7 @@ def test_too_few_periods_give_no_regression(made: Plant) -> None:
     found = heat_release_regression(short)
     assert found.operation is None and found.standstill is None
     assert found.start() == {}
-    assert "too few" in found.statement
+    assert FitCode.TOO_FEW_PERIODS in [one.code for one in found.statements]
     assert plain(found)["operation"] is None
 
 
@@ -292,7 +293,7 @@ def test_constant_power() -> None:
     one = plant(6, days=120.0, power="constant")
     found = heat_release_regression(to_record(one), reference_K=REFERENCE_K)
     assert found.operation.order == 0
-    assert found.standstill is None and "standstill: none in the record" in found.statement
+    assert found.standstill is None and FitCode.REGIME_ABSENT(regime="standstill") in found.statements
     a = one.truth.operation_K
     warm = found.operation.points.ambient_K.mean() - REFERENCE_K
     right = (
@@ -305,7 +306,7 @@ def test_no_standstill() -> None:
     found = heat_release_regression(to_record(plant(7, days=120.0, standstill=False)))
     assert found.operation.order >= 1
     assert found.standstill is None
-    assert "standstill: none in the record" in found.statement
+    assert FitCode.REGIME_ABSENT(regime="standstill") in found.statements
     assert not any("standstill" in name for name in found.start())
 
 
@@ -315,7 +316,7 @@ def test_no_power_is_standstill(made: Plant) -> None:
         found = heat_release_regression(one)
         assert found.operation is None
         assert found.standstill.n_points > 100
-        assert "no power" in found.statement
+        assert FitCode.NO_POWER() in found.statements
         assert "heat_release_standstill" in found.start()
 
 
@@ -323,17 +324,17 @@ def test_power_that_never_rises_above_zero(made: Plant) -> None:
     idle = changed(to_record(made), "active_power", -3e3)
     rated = heat_release_regression(idle)
     assert rated.operation is None and rated.standstill.n_points > 100
-    assert "operation: none in the record" in rated.statement
+    assert FitCode.REGIME_ABSENT(regime="operation") in rated.statements
     unrated = heat_release_regression(replace(idle, rated_power_W=None))
     assert unrated.standstill.n_points > 100
-    assert "never rises above zero" in unrated.statement
+    assert FitCode.POWER_NEVER_POSITIVE() in unrated.statements
 
 
 def test_no_cabinet_or_no_time_in_common(made: Plant) -> None:
     record = to_record(made)
     found = heat_release_regression(without(record, "cabinet_temperature"))
     assert found.operation is None and found.standstill is None
-    assert "cabinet_temperature" in found.statement
+    assert found.statements == (FitCode.NO_READINGS_FOR_PERIODS(signals=("cabinet_temperature",)),)
     cabinet = record["cabinet_temperature"]
     later = record.replace_series(replace(cabinet, time=cabinet.time + 1e9))
     assert heat_release_regression(later).start() == {}
@@ -407,13 +408,13 @@ def test_starts_stay_within_the_mechanisms_bounds(scattered: HeatRelease) -> Non
 
 def test_plain_data(scattered: HeatRelease, monkeypatch: pytest.MonkeyPatch) -> None:
     data = json.loads(json.dumps(plain(scattered), allow_nan=False))
-    assert set(data) == {"operation", "standstill", "reference_K", "statement"}
+    assert set(data) == {"operation", "standstill", "reference_K", "statements"}
     regime, fit = data["operation"], scattered.operation
     assert regime["coefficients"] == pytest.approx(dict(fit.coefficients))
     assert regime["n_points"] == len(regime["points"]["power"]) == fit.n_points
     assert len({len(column) for column in regime["points"].values()}) == 1
     assert regime["points"]["power"] == fit.points.power.tolist()
-    assert data["statement"] == ""
+    assert data["statements"] == []
     monkeypatch.setattr("hygrokf.identification.steady_state.MOST_POINTS", 50)
     thinned = scattered.thinned().operation.points
     assert 25 <= len(thinned) <= 50

@@ -24,6 +24,8 @@ from hygrokf.report.blocks import Cards
 from hygrokf.report.fit_page import fit_blocks
 from hygrokf.report.fit_text import judgements
 from hygrokf.report.terminal import page_text
+from hygrokf.texts.fit import FitCode
+from hygrokf.texts.record import DoubtCode
 from hygrokf.texts.verdict import BELIEVE, CAUTION, REJECT, VERDICTS, WORDS, Reason, ReasonCode, verdict_of
 
 PAGE = document("verdict.md")
@@ -131,7 +133,7 @@ CASES = {
     "input_not_needed": (
         _put(
             "time_constants/thermal/without_input",
-            {"words": "a constant temperature outside with constant power", "gain": -3.0, "required": 28.0},
+            {"model": plain(FitCode.CONSTANT_INPUTS()), "gain": -3.0, "required": 28.0},
         ),
         REJECT,
         "explains them better, by 3",
@@ -173,8 +175,8 @@ CASES = {
         "−1.20 K, 8.0 standard"),
     "guard_reached": (_put("parameters/cabinet_temperature_bias/at_guard", True), CAUTION,
         "bias ended at a limit"),
-    "record_doubted": (_put("doubted", {"thermal": ["the clock of a runs slow"]}), CAUTION,
-        "the clock of a runs slow"),
+    "record_doubted": (_put("doubts", [plain(DoubtCode.POWER_NEGATIVE(share=0.9))]), CAUTION,
+        "is negative for 90 % of its readings"),
     "forms_differ": (
         _put(f"{THERMAL}/forms", [{"form": "two masses", "weight": 0.3, "value_h": 2.0}]), CAUTION,
         "two masses, weight 30 %",

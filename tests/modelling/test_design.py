@@ -12,6 +12,7 @@ import pytest
 from hygrokf.data.prepared import prepare
 from hygrokf.data.record import Record, Series
 from hygrokf.data.result_file import result_text
+from hygrokf.data.structured import plain
 from hygrokf.modelling.design import (
     BRIDGE_H,
     Design,
@@ -24,6 +25,7 @@ from hygrokf.modelling.design import (
     read_as,
     reading_step_h,
 )
+from hygrokf.texts.fit import FitCode
 
 START_S = 1.6e9
 HOURS = 40 * 24
@@ -93,7 +95,7 @@ def test_without_humidity_on_either_side_there_is_no_hygric_part():
             base = design(one, kind=kind)
             assert names(base) == THERMAL
             assert base.humidity is None
-            assert len(base.statements) == 1 and "humidity" in base.statements[0]
+            assert base.statements == (FitCode.NO_HUMIDITY(),)
     assert design(record(), kind="thermal").statements == ()
 
 
@@ -174,7 +176,7 @@ def test_mean_features_stand_for_an_unknown_power():
 def test_without_power_all_of_it_is_standstill():
     for poor in (record(without=("active_power",)), replace(record(power(0.0)), rated_power_W=None)):
         base = design(poor)
-        assert len(base.statements) == 1 and "no power" in base.statements[0]
+        assert base.statements == (FitCode.NO_POWER(),)
         assert base.power_scale_W is None
         assert not settings_of(base, "heat_release")["operation"]
         assert "operating" not in base.model.inputs
@@ -182,13 +184,13 @@ def test_without_power_all_of_it_is_standstill():
 
 def test_power_that_is_never_or_always_there_or_never_varies_is_said():
     never = design(record(power(-3e3)))
-    assert any("hardly any operation" in line for line in never.statements)
+    assert FitCode.HARDLY_ANY_OPERATION() in never.statements
     assert not settings_of(never, "heat_release")["operation"]
     always = design(record(power(np.maximum(windy(), 0.01 * RATED_W))))
-    assert any("hardly any standstill" in line for line in always.statements)
+    assert FitCode.HARDLY_ANY_STANDSTILL() in always.statements
     assert not settings_of(always, "heat_release")["standstill"]
     constant = design(record(power(0.6 * RATED_W)))
-    assert any("hardly varies" in line for line in constant.statements)
+    assert FitCode.POWER_CONSTANT() in constant.statements
     assert constant.power_order == 0
 
 
@@ -311,7 +313,8 @@ def test_designs_that_call_for_one_model_share_it() -> None:
     """A fleet of fits: other constants, the same equations; compiled once."""
     one = Design((("thermal_network", {}), ("thermal_diffusion", {}), ("temperature_sensor", {})))
     same = Design.from_json(
-        json.loads(json.dumps(one.to_json())) | {"power_scale_W": 2e6, "statements": ["x"]}
+        json.loads(json.dumps(one.to_json()))
+        | {"power_scale_W": 2e6, "statements": plain((FitCode.NO_POWER(),))}
     )
     averaged = replace(one, averaged={"cabinet_temperature": 0.5})
     other = replace(one, mechanisms=(*one.mechanisms[:2], ("temperature_sensor", {"accuracy": 0.5})))

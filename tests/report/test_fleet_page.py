@@ -10,6 +10,8 @@ from hygrokf.fleet.results import FleetResults
 from hygrokf.report.fleet_page import fleet_blocks
 from hygrokf.report.page import page_html
 from hygrokf.report.terminal import page_text
+from hygrokf.texts.climate import ClimateCode
+from hygrokf.texts.fleet import FleetCode
 
 
 def table(task: str, rows: list[dict], name: str = "park") -> FleetResults:
@@ -20,7 +22,8 @@ def test_the_page_of_climates_shows_limits_and_numbers_that_are_zero() -> None:
     rows = []
     for place in range(7):
         row: dict = {"turbine": f"W{place}", "status": "done", "limits": "fail" if place == 2 else "pass"}
-        row |= {"wetness_class": "τ2", "statements": "one; more | the other" if place else "one; more"}
+        statements = (ClimateCode.NO_POWER_INPUT(), ClimateCode.NO_PROFILE())[: 2 if place else 1]
+        row |= {"wetness_class": "τ2", "statements": statements}
         row |= {"ageing_h": 12.0 + place, "ageing_h_lower": 11.0 + place, "ageing_h_upper": 13.0 + place}
         row |= {f"wetness_h{end}": v for end, v in (("", 43.5397), ("_lower", 0.0), ("_upper", 116.1))}
         rows.append(row)
@@ -28,7 +31,8 @@ def test_the_page_of_climates_shows_limits_and_numbers_that_are_zero() -> None:
     text = page_html(fleet_blocks(table("climate", rows)))
     cells = Page(text).text
     assert "pass 6 W0, W1, W3, W4, W5, W6" in cells and "fail 1 W2" in cells
-    assert "one; more 7 W0, W1" in cells and "the other 6 W1, W2" in cells
+    assert f"{ClimateCode.NO_POWER_INPUT()} 7 W0, W1" in cells
+    assert f"{ClimateCode.NO_PROFILE()} 6 W1, W2" in cells
     ranking = text.split("<h2>Ranking</h2>")[1]
     assert ranking.count("43.5 (0 … 116)") == 6 and "43.5397" not in text
     assert "above zero on both sides, so not compared: time of wetness of W0, W1" in text
@@ -46,26 +50,26 @@ def test_the_page_shows_failures_outliers_and_ranking() -> None:
             )
             row |= {f"{name}_{k}_h": value * f for k, f in (("lower", 0.9), ("value", 1.0), ("upper", 1.1))}
         rows.append(row | {"temperature_rmse_K": 1.0 + 0.01 * place, "humidity_rmse_g_m3": 0.4})
-    rows[7] |= {"thermal_upper_h": None, "thermal_statement": "at least 1.2 h"}
+    rows[7] |= {"thermal_upper_h": None, "thermal_statement": FleetCode.NOT_BELOW(bound=1.2)}
     rows.append({"turbine": "W9", "status": "failed", "reason": "no <file>", "task": "fit"})
     text = page_html(fleet_blocks(table("fit", rows, "P & Q")))
     assert "<script" not in text and "W<4>" not in text and "P &amp; Q" in text and "no &lt;file&gt;" in text
     outliers = text.split("<h2>Outliers</h2>")[1].split("<h2>")[0]
     assert "W&lt;4&gt;" in outliers and outliers.count("<tr") == 2
     ranking = text.split("<h2>Ranking</h2>")[1]
-    assert ranking.index("W&lt;8&gt;") < ranking.index("W&lt;1&gt;") and "at least 1.2 h" in ranking
+    assert ranking.index("W&lt;8&gt;") < ranking.index("W&lt;1&gt;") and "≥ 1.20 h" in ranking
     assert "9 of 10" in text and text.count("<svg") == 2 and "SYNTHETIC" in text
     assert "<h2>Outliers<" not in page_html(fleet_blocks(table("fit", rows[-1:])))
 
 
 def test_the_page_of_discoveries_counts_verdicts_and_names_classes() -> None:
-    found = (("named", "solar_gain"), ("ambiguous", "condensation/moisture_sorption"), ("refuted", ""),
-             ("named", "solar_gain exchange_step"))  # fmt: skip
+    found = (("named", ("solar_gain",)), ("ambiguous", ("condensation/moisture_sorption",)), ("refuted", ()),
+             ("named", ("solar_gain", "exchange_step")))  # fmt: skip
     rows = [
-        {"turbine": f"W{place}", "status": "done", "verdict": verdict, "causes": causes, "not_judged": ""}
+        {"turbine": f"W{place}", "status": "done", "verdict": verdict, "causes": causes, "not_judged": ()}
         for place, (verdict, causes) in enumerate(found)
     ]
-    rows[2]["not_judged"] = "clock_shift"
+    rows[2]["not_judged"] = ("clock_shift",)
     text = page_html(fleet_blocks(table("discover", rows)))
     cells = Page(text).text
     assert "verdict named 2 W0, W3 verdict ambiguous 1 W1 verdict refuted 1 W2" in cells

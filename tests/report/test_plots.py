@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from builders.report_case import REFERENCE_K, RELEASE, TAU_H, report_case, results
 
+from hygrokf.data.structured import plain
 from hygrokf.report.figures.course import (
     figure_excerpts,
     figure_humidity,
@@ -21,6 +22,7 @@ from hygrokf.report.figures.course import (
 from hygrokf.report.figures.drawing import NothingToShow, inline_svg, svg
 from hygrokf.report.figures.fit import FIGURES, figure_heat_release, figure_of, figure_profiles
 from hygrokf.report.figures.innovations import figure_innovations
+from hygrokf.texts.fit import FitCode
 
 LIMIT = 300_000
 
@@ -134,8 +136,12 @@ def test_one_regime_is_enough_for_a_heat_release_figure() -> None:
     fit["heat_release"]["operation"] = None
     assert "operation: " not in _words(figure_heat_release(results(fit), series).figure())
     fit["heat_release"]["standstill"] = None
-    fit["heat_release"]["statement"] = "operation: 3 periods are too few"
-    with pytest.raises(NothingToShow, match="3 periods are too few"):
+    too_few = FitCode.TOO_FEW_PERIODS(
+        regime="operation", periods=3, window_h=2.0, episodes=2, hours=40.0, fewest_periods=8,
+        fewest_episodes=5,
+    )  # fmt: skip
+    fit["heat_release"]["statements"] = plain((too_few,))
+    with pytest.raises(NothingToShow, match="operation: 3 quasi-stationary periods"):
         figure_heat_release(results(fit), series).figure()
 
 

@@ -23,6 +23,8 @@ from hygrokf.report.fit_tables import rmse_table
 from hygrokf.report.fit_text import judgements
 from hygrokf.report.page import page_html
 from hygrokf.report.terminal import KEY, cells, page_text, shortened
+from hygrokf.texts.fit import FitCode
+from hygrokf.texts.record import DoubtCode
 from hygrokf.texts.wording import decimals_for, percent, plain_number
 
 
@@ -76,10 +78,10 @@ def test_headline_tables_and_footer_carry_the_numbers(quick) -> None:
 
 def test_a_fit_that_did_not_converge_is_red_on_top(quick) -> None:
     fit, series = report_case()
-    fit |= {"converged": False, "message": "no further progress after 60 passes: start elsewhere"}
+    fit |= {"converged": False, "messages": plain((FitCode.NO_STEP_IMPROVES(),))}
     text = page_html(fit_blocks(results(fit), series))
-    assert '<p class="banner severe"><b>NOT CONVERGED</b> no further progress' in text
-    assert "NOT CONVERGED: no further progress" in page_text(fit_blocks(results(fit), {}))
+    assert '<p class="banner severe"><b>NOT CONVERGED</b> no step improves' in text
+    assert "NOT CONVERGED: no step improves" in page_text(fit_blocks(results(fit), {}))
     first = judgements(results(fit))[0]
     assert (first.verdict, first.reasons[0].code.key) == ("reject", "not_converged")
 
@@ -101,7 +103,8 @@ def test_a_disagreement_of_the_criteria_stands_under_its_number(quick) -> None:
 def test_every_text_of_the_files_is_escaped() -> None:
     fit, series = report_case()
     for path in list(nodes(fit)):
-        if isinstance(at(fit, path), str) and path[-2:] != ("response", "kind"):
+        coded = path[-1] in ("code", "test", "end", "effect") or path[-2:] == ("response", "kind")
+        if isinstance(at(fit, path), str) and not coded:
             put(fit, path, EVIL)
     for place in ("parameters", "bands", "warnings"):
         if isinstance(fit[place], dict):
@@ -109,7 +112,8 @@ def test_every_text_of_the_files_is_escaped() -> None:
     outputs = fit["innovations"]["outputs"]
     for one in outputs.values():
         one["cross_correlation"] = {f"{EVIL}{i}": v for i, v in enumerate(one["cross_correlation"].values())}
-    fit["innovations"]["outputs"] = {**outputs, EVIL: {"n": 3, "remark": EVIL}}
+    remark = plain(FitCode.CONSTANT_INNOVATIONS(output=EVIL))
+    fit["innovations"]["outputs"] = {**outputs, EVIL: {"n": 3, "remark": remark}}
     expect_escaped(page_html(fit_blocks(results(fit), series)), page_text(fit_blocks(results(fit), {})))
 
 
@@ -196,12 +200,12 @@ def test_an_empty_fit_gives_a_page_that_says_so() -> None:
 def test_without_humidity_the_reason_is_given(quick) -> None:
     fit, series = report_case()
     del fit["time_constants"]["hygric"]
-    fit["design"]["statements"] = ["no humidity inside and outside"]
+    fit["design"]["statements"] = plain((FitCode.NO_HUMIDITY(),))
     for period in ("identification", "validation"):
         del fit["rmse"][period]["absolute_humidity_g_m3"]
         fit["baselines"][period] = {"no_dynamics": fit["baselines"][period]["no_dynamics"]}
     text = _page(fit, series).text
-    assert "not identified no humidity inside and outside" in text
+    assert "not identified no humidity readings of both inside and outside" in text
     assert "c = c_amb " not in text.split("How this was computed")[0]
 
 
@@ -220,8 +224,9 @@ def test_one_reading() -> None:
     m = len(series["time_s"])
     k = int(np.flatnonzero(np.isfinite(series["temperature_innovation"]))[0])
     one = {name: value[k : k + 1] if value.shape == (m,) else value for name, value in series.items()}
+    few = FitCode.TOO_FEW_INNOVATIONS(output="temperature", n=1, fewest=30)
     fit["innovations"] = {
-        "outputs": {"temperature": {"n": 1, "remark": "1 reading, too few"}},
+        "outputs": {"temperature": {"n": 1, "remark": plain(few)}},
         "tests": [],
     }
     page = _page(fit, one)
@@ -319,11 +324,12 @@ def test_doubts_come_first_and_old_results_have_none(quick) -> None:
     fit, _ = report_case()
     old = fit_blocks(results(fit), {})
     assert "Doubt about the record" not in page_text(old) + page_html(old)
-    fit["doubts"] = ["the wrong <column>", "right unit?"]
+    doubts = DoubtCode.MANY_MISSING(signal="the wrong <column>", share=0.5), DoubtCode.NO_RATED_POWER()
+    fit["doubts"] = plain(doubts)
     text, page = page_text(fit_blocks(results(fit), {})), page_html(fit_blocks(results(fit), {}))
     first, second = text.partition(f"{KEY}\n")[2].splitlines()[:2]
     assert first.startswith("! ") and "the wrong <column>" in first
-    assert second.startswith("! ") and "right unit?" in second
+    assert second.startswith("! ") and "no rated power" in second
     first = page.partition('<ul class="judgements">')[2].partition("</li>")[0]
     assert first.startswith('<li class="caution">') and "the wrong &lt;column&gt;" in first
 

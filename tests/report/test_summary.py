@@ -45,6 +45,7 @@ from hygrokf.report.summary.contents import (
     summary_of_fit,
 )
 from hygrokf.report.summary.writing import SummaryFault, planned, written, written_pdf
+from hygrokf.texts.fit import FitCode
 from hygrokf.texts.verdict import ReasonCode
 
 LONG = "Windpark Nordfriesland Süd – Umrichterschrank WEA-17/B (Nachrüstung, Prüfstand) " + "x" * 90
@@ -62,7 +63,7 @@ def fitted(**changes: object) -> Summary:
 @cache
 def rejected() -> Summary:
     """An estimation that did not converge, of a record with a long name."""
-    return fitted(converged=False, message="the search stopped after 200 steps", name=LONG)
+    return fitted(converged=False, messages=plain((FitCode.PASSES_SPENT(passes=200),)), name=LONG)
 
 
 @cache
@@ -148,7 +149,9 @@ def test_a_named_cause_stands_with_its_confidence_errors_and_check() -> None:
     assert made.answer == "Solar gain (on the roof), confidence 87 %." and made.verdict == ""
     assert made.tone == "plain" and made.bounds.columns[0].endswith("after selection")
     assert made.bounds.rows[0][:5] == ("temperature", "1.85 K", "1.57 K", "−15 %", "0.13 … 0.31 K")
-    assert [action.partition(": ")[2] for action in made.actions] == ["shade or paint the wall."]
+    assert [action.partition(": ")[2] for action in made.actions] == [
+        "shade or paint the wall; check the ventilation of the tower base."
+    ]
     assert unexplained().tone == "open" and len(nothing_found().bounds.rows) == 3
     assert "12.4 h" in unexplained().reasons[0]
 

@@ -43,7 +43,7 @@ from hygrokf.report.page import page_html
 from hygrokf.report.terminal import page_text
 from hygrokf.report.transfer_page import transfer_blocks
 from hygrokf.texts.live import AlarmCode, CauseCode, StateCode
-from hygrokf.texts.verdict import BELIEVE, CAUTION, REJECT, ReasonCode
+from hygrokf.texts.verdict import BELIEVE, CAUTION, REJECT, ReasonCode, VerdictCode
 from hygrokf.texts.wording import sentence
 from hygrokf.transfer.comparison import compare, comparison_column
 from hygrokf.transfer.procedure import transfer_fit
@@ -166,11 +166,12 @@ def test_climate() -> None:
     study = study_of(fit=known_fit(found={"time_constants": constants}), members=3)
     assert study.verdicts["thermal"].verdict == REJECT
     (region,) = study.regions
-    rests = "the model's thermal time constant, on which this rests, is not reliable"
+    rests = VerdictCode.RESTS_ON_REJECTED(part="thermal", verdict="not reliable")
     assert rests in region.statements
     page = climate_blocks(study)
     (cards,) = (block.cards for block in page.lead if isinstance(block, Cards))
-    assert {card.kind for card in cards} == {REJECT} and {card.reason for card in cards} == {sentence(rests)}
+    assert {card.kind for card in cards} == {REJECT}
+    assert {card.reason for card in cards} == {sentence(rests.text)}
     (numbers,) = (block for block in page.body if isinstance(block, Verdicts))
     assert numbers.lines[0].struck == "1.50 h (1.40 … 1.60)" and WHY in numbers.lines[0].text
     believed = replace(study, verdicts={**study.verdicts, "thermal": study.verdicts["hygric"]})

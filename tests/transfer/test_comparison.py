@@ -33,6 +33,7 @@ from hygrokf.report.comparison_page import (
 from hygrokf.report.figures.comparison import short_labels
 from hygrokf.report.page import page_html
 from hygrokf.report.terminal import page_text
+from hygrokf.texts.transfer import TransferCode
 from hygrokf.transfer.comparison import (
     ComparisonResults,
     ErrorRow,
@@ -198,7 +199,7 @@ def test_a_column_without_a_score_says_why(turbines: tuple[Path, Path, Fit]) -> 
     idle = without(record, "active_power")
     columns = [comparison_column(turbines[2], one, name) for one, name in ((record, "a"), (idle, "b"))]
     found = compare(columns)
-    assert any("nothing to score" in said for said in found.columns[1].statements)
+    assert TransferCode.NOTHING_TO_SCORE() in found.columns[1].statements
     assert list(found.errors("whole", "temperature_K")) == ["a"]
     assert "b: Nothing to score" in page_text(comparison_blocks(found))
 

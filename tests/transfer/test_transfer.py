@@ -35,6 +35,7 @@ from hygrokf.report.transfer_page import (
     transfer_blocks,
     write_transfer,
 )
+from hygrokf.texts.transfer import TransferCode, TransferVerdict
 from hygrokf.transfer.baseline import HEAT, HYGRIC, THERMAL
 from hygrokf.transfer.procedure import transfer_fit
 from hygrokf.transfer.results import Reduction, Structure, Transfer, TransferResult, transfer_results
@@ -67,14 +68,15 @@ def test_the_verdict_is_right(origin: Fit, differ: tuple[str, ...]) -> None:
     record = sister(differ)
     found = transfer_fit(origin, record, fits=False)
     verdict, names = Pair(record, record, differ).right
-    assert found.verdict == verdict and sorted(found.results.re_estimate) == sorted(names)
+    assert str(found.verdict) == verdict and sorted(found.results.re_estimate) == sorted(names)
     outcomes = {row.group: row.outcome for row in found.results.groups}
     assert {g for g, said in outcomes.items() if said == "differs"} == set(differ)
     assert outcomes["sensor offsets"] == outcomes["disturbances"] == "own"
 
 
 def test_re_estimating_gains_where_something_differs(other: Transfer) -> None:
-    assert other.results.sentence == "transfers after re-estimating heat release"
+    assert other.results.verdict is TransferVerdict.PARTLY
+    assert other.results.statement == TransferCode.PARTLY_BY_GROUPS(groups=(HEAT,))
     rows = other.results.rmse["temperature_K"]
     assert rows["re_estimated"].total < 0.7 * rows["as_is"].total
     gain = other.results.gains["temperature_K"]["re_estimated"]["over_as_is"]
@@ -117,7 +119,7 @@ def test_a_type_takes_the_place_of_a_fit(origin: Fit, other: Transfer) -> None:
     third = identify(sister((), SEED + 2), starts=1, profiles=False)
     made = pool_types([origin, third, other.own])
     found = transfer_fit(made, sister((), SEED + 3), fits=False)
-    assert found.results.source.kind == "type" and found.verdict == "transfers"
+    assert found.results.source.kind == "type" and found.verdict is TransferVerdict.TRANSFERS
     assert found.results.structure == {}  # a type has no record of its own to be compared with
     helped = identify(
         sister((), SEED + 3).window(0.0, sister((), SEED + 3).start_s + 6 * 86400.0),
@@ -134,8 +136,9 @@ def test_a_type_takes_the_place_of_a_fit(origin: Fit, other: Transfer) -> None:
 def test_without_until_a_quarter_is_held_out_and_another_rated_power_is_reported(origin: Fit) -> None:
     record = replace(sister(()), until_s=None, rated_power_W=3e6)
     found = transfer_fit(origin, record, fits=False).results
-    assert any("first three quarters" in line for line in found.statements)
-    assert any("times that of the fit" in line for line in found.statements)
+    codes = [one.code for one in found.statements]
+    assert TransferCode.NO_UNTIL in codes and len(codes) == 2
+    assert any("times that of the fit" in str(one) for one in found.statements)
     assert found.period == "validation"
 
 
@@ -144,10 +147,11 @@ def test_parameters_that_a_record_does_not_determine_are_kept(origin: Fit) -> No
     record = sister(())
     dry = without(record, "cabinet_relative_humidity")
     found = transfer_fit(origin, dry, fits=False).results
-    assert any("holds no information about" in line and "hygric_k" in line for line in found.statements)
+    (names,) = (one.values["names"] for one in found.statements if one.code is TransferCode.NO_INFORMATION)
+    assert "hygric_k" in names
     assert {row.group: row.outcome for row in found.groups}[HYGRIC] == "not judged"
     assert found.parameters["hygric_k"].kept and "absolute_humidity_g_m3" not in found.rmse
-    assert found.verdict == "transfers"
+    assert found.verdict is TransferVerdict.TRANSFERS
 
 
 def with_gain(found: TransferResult, **gains: Reduction) -> TransferResult:
@@ -158,22 +162,27 @@ def with_gain(found: TransferResult, **gains: Reduction) -> TransferResult:
 
 
 @pytest.mark.parametrize(
-    ("spoil", "word"),
+    ("spoil", "code", "values"),
     [
-        (lambda one: replace(one, at_bounds=("hygric_k",)), "limit of its range"),
-        (lambda one: with_gain(one, over_rule=Reduction("no_dynamics", -1.0, -1.5, -0.4)), "no gain over"),
+        (lambda one: replace(one, at_bounds=("hygric_k",)), TransferCode.ENDED_AT_LIMIT,
+         {"names": ("hygric_k",)}),
+        (lambda one: with_gain(one, over_rule=Reduction("no_dynamics", -1.0, -1.5, -0.4)),
+         TransferCode.RULE_BETTER, {"excess": 1.0}),
         (lambda one: replace(one, structure={"temperature_K": Structure(4.0, 1.5, 2.7, 2.2)}),
-         "hygrokf discover"),
-        (lambda one: with_gain(one, over_as_is=Reduction("as_is", -3.0, -5.0, -1.0)), "larger by 3.00 K"),
-        (lambda one: replace(one, re_estimate=(THERMAL, HEAT, HYGRIC)), "all groups of the cabinet"),
+         TransferCode.STRUCTURE_LACKS, {"error": 4.0, "ratio": 2.7}),
+        (lambda one: with_gain(one, over_as_is=Reduction("as_is", -3.0, -5.0, -1.0)),
+         TransferCode.WORSE_RE_ESTIMATED, {"excess": 3.0, "unit": "K"}),
+        (lambda one: replace(one, re_estimate=(THERMAL, HEAT, HYGRIC)), TransferCode.ALL_GROUPS_DIFFER,
+         {"groups": (THERMAL, HEAT, HYGRIC)}),
     ],
 )  # fmt: skip
 def test_objections_to_a_transfer_are_named(
-    other: Transfer, spoil: Callable[[TransferResult], TransferResult], word: str
+    other: Transfer, spoil: Callable[[TransferResult], TransferResult], code: TransferCode, values: dict
 ) -> None:
     assert with_verdict(other.results) == other.results
     found = with_verdict(spoil(other.results))
-    assert found.verdict == "does not transfer" and word in found.reasons[0]
+    assert found.verdict is TransferVerdict.DOES_NOT_TRANSFER and found.reasons[0].code is code
+    assert values.items() <= found.reasons[0].values.items()
 
 
 def test_a_record_that_can_judge_nothing_is_refused(origin: Fit) -> None:
@@ -192,21 +201,21 @@ def test_a_short_record_excludes_little_of_the_heat_release(origin: Fit) -> None
     rows = transfer_fit(origin, replace(record, until_s=None), fits=False).results.groups
     row = next(row for row in rows if row.group == HEAT)
     assert row.outcome == "travels" and row.effect["temperature_K"] > 0.3
-    assert "cannot exclude" in row.statement
+    assert row.statement == TransferCode.GROUP_OPEN()
 
 
 def test_the_fits_own_record_and_a_types_own_turbine_are_reported(origin: Fit) -> None:
     record = replace(sister(()), provenance=(("cabinet.csv", "a" * 64),))
     made = with_parts(origin, provenance=[["elsewhere/cabinet.csv", "a" * 64]])
     statements = transfer_fit(made, record, fits=False).results.statements
-    assert any("does not test the fit" in line for line in statements)
+    assert TransferCode.SAME_FILES() in statements
     kind = pool_types([replace(origin, name="one"), replace(origin, name=record.name)])
     known = {name: row for name, row in kind.parameters.items() if name != "hygric_k"}
     found = transfer_fit(replace(kind, parameters=known), record, fits=False).results
-    assert any(f"{record.name} is one of the turbines" in line for line in found.statements)
+    assert TransferCode.ONE_OF_THE_TYPE(record=record.name) in found.statements
     # a start value is no knowledge of the type
-    assert any("no value of hygric_k" in line for line in found.statements)
-    assert found.parameters["hygric_k"].difference is None and found.verdict == "transfers"
+    assert TransferCode.UNKNOWN_TO_THE_TYPE(names=("hygric_k",)) in found.statements
+    assert found.parameters["hygric_k"].difference is None and found.verdict is TransferVerdict.TRANSFERS
 
 
 def test_a_plant_that_the_model_cannot_describe_does_not_transfer(origin: Fit) -> None:
@@ -217,8 +226,8 @@ def test_a_plant_that_the_model_cannot_describe_does_not_transfer(origin: Fit) -
     drift = np.cumsum(random.standard_normal(len(warm.value)))
     drift = 5.0 * (drift - drift.mean()) / drift.std()
     found = transfer_fit(origin, record.replace_series(replace(warm, value=warm.value + drift)), fits=False)
-    assert found.verdict == "does not transfer"
-    assert any("the model lacks something here" in line for line in found.results.reasons)
+    assert found.verdict is TransferVerdict.DOES_NOT_TRANSFER
+    assert any(one.code is TransferCode.STRUCTURE_LACKS for one in found.results.reasons)
 
 
 def test_results_page_and_text(other: Transfer, origin: Fit, tmp_path: Path) -> None:
@@ -231,7 +240,7 @@ def test_results_page_and_text(other: Transfer, origin: Fit, tmp_path: Path) -> 
     assert cards.cards[0].value in text and "The type of turbine" in text
     assert text.count("<svg") == 4 and "nan" not in text.lower().replace("finance", "")
     data = json.loads((tmp_path / "transfer.json").read_text(encoding="utf-8"))
-    assert data["records"][0]["verdict"] == other.verdict and data["type"]["turbines"] == [
+    assert data["records"][0]["verdict"] == "partly" and data["type"]["turbines"] == [
         origin.name,
         "other",
     ]
@@ -275,10 +284,11 @@ def test_a_record_too_short_to_judge_has_no_verdict(origin: Fit) -> None:
         assert math.isnan(rows["re_estimated"]["over_rule"].upper)
     found = replace(found, re_estimate=())
     worse = with_verdict(with_gain(found, over_rule=Reduction("no_dynamics", -0.5)))
-    assert worse.verdict == "cannot be judged" and "use a longer record" in worse.reasons[0]
+    assert worse.verdict is TransferVerdict.CANNOT_BE_JUDGED
+    assert worse.reasons[0].code is TransferCode.RULE_BETTER_UNBOUNDED
     better = with_gain(found, over_rule=Reduction("no_dynamics", 0.5))
     all_better = all(rows["re_estimated"]["over_rule"].gain > 0 for rows in better.gains.values())
-    assert (with_verdict(better).verdict == "transfers") == all_better
+    assert (with_verdict(better).verdict is TransferVerdict.TRANSFERS) == all_better
 
 
 @pytest.mark.slow
@@ -289,5 +299,5 @@ def test_right_verdicts_on_many_pairs() -> None:
         made = pair(seed)
         found = transfer_fit(identify(made.first, starts=1, profiles=False), made.second, fits=False).results
         word, names = made.right
-        right += found.verdict == word and sorted(found.re_estimate) == sorted(names)
+        right += str(found.verdict) == word and sorted(found.re_estimate) == sorted(names)
     assert right >= 22

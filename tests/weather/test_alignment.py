@@ -13,14 +13,15 @@ from builders.measured import DATA, measured
 
 from hygrokf.data.record import Record, Series, Site
 from hygrokf.data.timestamps import summer_time
+from hygrokf.texts.record import DoubtCode, RecordCode
 from hygrokf.weather.clocks import (
     UNKNOWN,
     Bounded,
     ClockError,
     align,
     alignments,
+    clock_doubts,
     clock_errors,
-    clock_sentences,
     rounded,
 )
 
@@ -69,7 +70,7 @@ def test_the_sun_on_a_housing_is_no_clock_error() -> None:
     """It moves the mean day by more than an hour, the weather hardly."""
     found = error(*made.weather_pair(5300, 120, sun=1.5, start_s=SPRING + 86400 * 60))
     assert found.kind == "right" and found.alignments[0].whole.mean_day.value > 2400.0
-    assert clock_sentences([found]) == []
+    assert clock_doubts([found]) == []
 
 
 def test_a_distant_station_is_no_clock_error() -> None:
@@ -80,7 +81,7 @@ def test_a_distant_station_is_no_clock_error() -> None:
     )
     found = error(replace(one, value=one.value + wave), replace(other, value=other.value))
     assert found.winter.value == pytest.approx(7200.0, abs=600.0)
-    assert found.kind == "unclear" and clock_sentences([found]) == []
+    assert found.kind == "unclear" and clock_doubts([found]) == []
 
 
 def test_unrelated_weather_tells_nothing() -> None:
@@ -188,11 +189,11 @@ def test_the_longer_step_is_what_is_held_against() -> None:
         record = Record("x", (used,), Site(48.0, 5.0), compared=(second,))
         (found,) = alignments(record)
         assert (found.one, found.other) == ("scada.csv", "era5.nc")
-    (sentence,) = clock_sentences(clock_errors([found]))
-    assert (
-        "the clock of scada.csv runs 1 h slow against era5.nc" in sentence
-        and 'clock_correction = "+1h"' in sentence
-    )
+    (doubt,) = clock_doubts(clock_errors([found]))
+    assert doubt.code is DoubtCode.CLOCK_RUNS
+    assert (doubt.values["source"], doubt.values["other"]) == ("scada.csv", "era5.nc")
+    assert doubt.values["pace"] == RecordCode.CLOCK_SLOW(by=3600.0)
+    assert doubt.values["remedy"] == RecordCode.STATE_CORRECTION(correction="+1h")
     (error,) = clock_errors([found])
     assert error.corrections_s == (3600.0, 3600.0) and error.kind == "constant"
 
@@ -208,7 +209,7 @@ def test_the_seasons_of_the_south_are_named_by_months() -> None:
     def told(first: float, second: float) -> str:
         lags = [Bounded(value, value - 300.0, value + 300.0) for value in (first, second)]
         found = ClockError("logger.csv", "era5.nc", "seasonal", *lags, ())
-        return clock_sentences([found], south=True)[0]
+        return clock_doubts([found], south=True)[0].text
 
     zone = told(39600.0, 36000.0)  # UTC+11 in the southern summer, UTC+10 in its winter, both read as UTC
     assert "11 h fast from November to March and 10 h fast from April to October" in zone
@@ -218,14 +219,16 @@ def test_the_seasons_of_the_south_are_named_by_months() -> None:
 
 def test_sentences_of_seasonal_errors() -> None:
     one, other = made.weather_pair(5970, 300, -3600.0, -3600.0, 0.0, 0.0, summer_time)
-    (sentence,) = clock_sentences([error(one, other)])
+    (doubt,) = clock_doubts([error(one, other)])
+    sentence = doubt.text
     assert "runs 1 h slow in winter and 2 h slow in summer against era5.nc" in sentence
     assert (
         "need +1 h in winter and +2 h in summer: it has no summer time" in sentence
         and "ignore_offset" in sentence
     )
     one, other = made.weather_pair(5970, 300, 0.0, 3600.0, 0.0, 0.0, summer_time)
-    (sentence,) = clock_sentences([error(one, other)])
+    (doubt,) = clock_doubts([error(one, other)])
+    sentence = doubt.text
     assert "runs right in winter and 1 h fast in summer" in sentence and "it follows summer time" in sentence
 
 

@@ -508,7 +508,7 @@ class PayloadStatistics:
                     self._beside.setdefault(names, {})[str(payload[names[1]])] = None
 
     @property
-    def rejected(self) -> tuple[Statement | str, ...]:
+    def rejected(self) -> tuple[Statement, ...]:
         """The rejected items by kind, and doubts about quality."""
         kinds = self.counts.most_common()
         counted = (ExaminedCode.REFUSED(count=n, kind=kind, why=self.reasons[kind]) for kind, n in kinds)

@@ -6,14 +6,14 @@ The residuals of an extended model, given as `after`, are laid over those of the
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import TypeAlias
 
 import numpy as np
 
 from hygrokf.data.timestamps import DAY_S
-from hygrokf.discovery.residuals import HUMIDITY, TEMPERATURE, Residuals, binned
-from hygrokf.discovery.results import LASTING_KINDS, DiscoveryResults, Finding
+from hygrokf.discovery.residuals import HUMIDITY, TEMPERATURE, Quantity, Residuals, binned
+from hygrokf.discovery.results import LASTING_KINDS, CauseFound, DiscoveryResults, Finding
 from hygrokf.report.figures.drawing import AMBIENT, INK, MEASURED, SIMULATED, NothingToShow
 from hygrokf.report.figures.panels import (
     Axis,
@@ -50,24 +50,34 @@ def drawable(found: DiscoveryResults) -> list[Finding]:
     return [one for one in found.findings if one.spans]
 
 
-def events(found: DiscoveryResults) -> list[Finding]:
-    """Accepted causes that were found in stretches of time, each as a finding of the quantity that gained
-    most there."""
+@dataclass(frozen=True)
+class Event:
+    """The stretches of time in which a cause was found, and the quantity that gained most there."""
+
+    cause: CauseFound
+    quantity: Quantity
+    spans: tuple[Span, ...]
+    kind: str = "episode"
+
+
+def events(found: DiscoveryResults) -> list[Event]:
+    """Accepted causes that were found in stretches of time."""
     result = []
     for cause in found.causes:
         spans = tuple((float(a), float(b)) for a, b in cause.settings.get("spans", ()) if a < b)
-        gains, statement = cause.evidence.gains, cause.statement.split(";")[0]
-        if spans and gains and statement:
+        gains = cause.evidence.gains
+        if spans and gains:
             most = max(gains, key=lambda name: gains[name])
-            gained = TEMPERATURE if most == TEMPERATURE else HUMIDITY
-            result.append(Finding(gained, "episode", "", statement, spans=spans))
+            result.append(Event(cause, TEMPERATURE if most == TEMPERATURE else HUMIDITY, spans))
     return result
 
 
 # --- episodes --------------------------------------------------------------------------------
 
 
-def figure_episodes(residuals: Residuals, finding: Finding, after: Residuals | None = None) -> Picture:
+def figure_episodes(
+    residuals: Residuals, finding: Finding | Event, after: Residuals | None = None
+) -> Picture:
     """The episodes in which a finding is largest, with the free run's 95 % band and below it the error; of a
     lasting finding the daily means over the whole record."""
     name, terms = finding.quantity, quantity(finding.quantity)
@@ -111,7 +121,7 @@ def _before_after(residuals: Residuals, after: Residuals | None) -> list[tuple[R
     return [(residuals, SIMULATED, ", before"), (after, AFTER, ", after")]
 
 
-def _windows(finding: Finding, residuals: Residuals) -> list[tuple[Span, list[Span]]]:
+def _windows(finding: Finding | Event, residuals: Residuals) -> list[tuple[Span, list[Span]]]:
     """Up to three windows ((start, end), episodes in it) [s] in order of time around the worst episodes."""
     low, high = float(residuals.time_s[0]), float(residuals.time_s[-1])
     chosen: list[tuple[float, float]] = []
@@ -148,7 +158,7 @@ def _course(
     return (*marks, *extended), limits
 
 
-def _lasting(residuals: Residuals, finding: Finding, after: Residuals | None) -> Panel:
+def _lasting(residuals: Residuals, finding: Finding | Event, after: Residuals | None) -> Panel:
     hours = binned(residuals)
     marks: list[Mark] = [CrossLine(0.0, "y")]
     for one, colour, end in _before_after(residuals, after):

@@ -85,7 +85,9 @@ def figure_heat_release(fit: FitResults, series: Mapping[str, np.ndarray]) -> Pi
     found = [_Points(name, one, reference) for name, one in regimes.items()]
     shown = [one for one in found if len(one.power)]
     if not shown:
-        why = f" ({release.statement})" if release is not None and release.statement else ""
+        why = ""
+        if release is not None and release.statements:
+            why = f" ({'; '.join(map(str, release.statements))})"
         raise NothingToShow(f"There are too few quasi-stationary periods for a regression{why}.")
     edges = _round_edges(*np.quantile(np.concatenate([one.ambient for one in shown]), [0.02, 0.98]))
     highest = max(float(np.nanmax(one.difference)) for one in shown)

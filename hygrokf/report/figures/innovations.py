@@ -31,8 +31,8 @@ from hygrokf.report.figures.panels import (
     course,
     strokes,
 )
-from hygrokf.report.quantities import p_equation, spoken
-from hygrokf.texts.wording import one_line
+from hygrokf.report.quantities import spoken
+from hygrokf.texts.wording import one_line, p_equation
 
 QUANTILES = 160
 """Points of the quantile plot, evenly spread over the normal distribution's quantiles."""

@@ -9,13 +9,14 @@ import numpy as np
 
 from hygrokf.climate.study import RegionClimate, Study
 from hygrokf.discovery.residuals import Residuals
-from hygrokf.discovery.results import DiscoveryResults
+from hygrokf.discovery.results import DiscoveryResults, Finding
 from hygrokf.identification.fit_results import FitResults
 from hygrokf.report.blocks import Figure
 from hygrokf.report.climate_tables import share_held
+from hygrokf.report.discovery_text import what_it_is
 from hygrokf.report.figures.climate import figure_duration, figure_joint, figure_regions
 from hygrokf.report.figures.drawing import NothingToShow
-from hygrokf.report.figures.findings import drawable, events, figure_episodes
+from hygrokf.report.figures.findings import Event, drawable, events, figure_episodes
 from hygrokf.report.figures.fit import figure_of
 from hygrokf.report.figures.residual_structure import figure_drivers, telling_drivers
 from hygrokf.texts.wording import percent, sentence
@@ -56,14 +57,15 @@ def episodes(found: DiscoveryResults, before: Residuals, after: Residuals | None
     time."""
     compare = "." if after is None else ": compare the base model (red) with the extended one (green)."
     caption = f"Where the background is shaded the simulation should stay with the blue readings{compare}"
+    shown: list[Finding | Event] = [*drawable(found)[:EPISODE_FIGURES], *events(found)]
     return [
         Figure(
             f"episodes-{place}",
-            sentence(one.statement),
+            sentence(what_it_is(one.cause) if isinstance(one, Event) else one.statement.text),
             caption if place == 1 else "",
             partial(figure_episodes, before, one, after),
         )
-        for place, one in enumerate((*drawable(found)[:EPISODE_FIGURES], *events(found)), start=1)
+        for place, one in enumerate(shown, start=1)
     ]
 
 

@@ -440,7 +440,7 @@ def _limits_text(limits: tuple[Exceedance, ...]) -> str:
 
 def _conditions(study: Study) -> tuple[str, ...]:
     """On what the answer rests: the share of years that the bounds hold, and how much weather there was."""
-    parts = {one.part_of_year for one in study.regions if one.part_of_year}
+    parts = {one.part_of_year.text for one in study.regions if one.part_of_year}
     said = f"The bounds hold {share_held(study.regions)} of single years."
     return (said, *(f"Judged on {part} of weather, not on a year." for part in sorted(parts)))
 

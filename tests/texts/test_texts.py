@@ -1,0 +1,78 @@
+"""The text of every code by its values; and that the package uses every code."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from functools import cache
+from pathlib import Path
+from typing import Any, get_args
+
+import pytest
+
+import hygrokf
+from hygrokf.data.structured import plain, structured
+from hygrokf.discovery.results import Exclusion, Reason, Verdict
+from hygrokf.report.discovery_text import ANSWERS, EXCLUSIONS, REFUTATIONS
+from hygrokf.texts.climate import ClimateCode
+from hygrokf.texts.discovery import ConditionCode, DiscoveryCode
+from hygrokf.texts.fit import FitCode
+from hygrokf.texts.fleet import FleetCode
+from hygrokf.texts.record import DoubtCode, RecordCode, touched
+from hygrokf.texts.statement import Code, Statement
+from hygrokf.texts.transfer import TransferCode, TransferVerdict
+from hygrokf.texts.verdict import ReasonCode, VerdictCode
+
+TABLES = {
+    "fit": FitCode, "record": RecordCode, "doubt": DoubtCode, "condition": ConditionCode,
+    "discovery": DiscoveryCode, "transfer_verdict": TransferVerdict, "transfer": TransferCode,
+    "climate": ClimateCode, "fleet": FleetCode, "verdict": VerdictCode,
+}  # fmt: skip
+ENUMERATIONS = (*TABLES.values(), ReasonCode)
+PACKAGE = Path(hygrokf.__file__).parent
+
+
+@cache
+def rows(table: str) -> dict[str, dict[str, Any]]:
+    """Code -> its text, and the values that fill it."""
+    return tomllib.loads((Path(__file__).parent / f"{table}.toml").read_text(encoding="utf-8"))
+
+
+@pytest.mark.parametrize("table", TABLES)
+def test_every_code_has_its_text(table: str) -> None:
+    assert list(rows(table)) == [code.key for code in TABLES[table]]
+    for key, row in rows(table).items():
+        statement = structured(Statement, {"code": key, "values": row.get("values", {})})
+        assert statement.text == row["text"]
+        assert structured(Statement, plain(statement)) == statement
+
+
+def test_every_doubt_touches_the_constants_that_it_names_or_that_its_signal_tells() -> None:
+    for key, row in rows("doubt").items():
+        doubt = structured(Statement, {"code": key, "values": row.get("values", {})})
+        assert set(touched(doubt)) <= {"thermal", "hygric"}
+    assert touched(DoubtCode.WRONG_UNIT(signal="active_power")) == ("thermal",)
+    assert touched(DoubtCode.WRONG_UNIT(signal="ambient_dew_point_temperature")) == ("hygric",)
+    assert touched(DoubtCode.WRONG_UNIT(signal="cabinet_temperature")) == ("thermal", "hygric")
+    assert touched(DoubtCode.WRONG_UNIT(signal="wind_speed")) == ()
+    assert touched(FitCode.NO_POWER()) == ()
+
+
+def test_every_verdict_of_a_discovery_and_every_reason_has_its_code() -> None:
+    for kind, codes in ((Verdict, ANSWERS), (Reason, REFUTATIONS), (Exclusion, EXCLUSIONS)):
+        assert set(get_args(kind)) == set(codes)
+    assert [str(one) for one in TransferVerdict] == [one().text for one in TransferVerdict]
+
+
+@cache
+def sources() -> str:
+    """All of the package outside of the enumerations."""
+    texts = PACKAGE / "texts"
+    files = (path for path in sorted(PACKAGE.rglob("*.py")) if path.parent != texts or path.stem == "record")
+    return "\n".join(path.read_text(encoding="utf-8") for path in files)
+
+
+@pytest.mark.parametrize("kind", ENUMERATIONS)
+def test_the_package_uses_every_code(kind: type[Code]) -> None:
+    used = set(re.findall(rf"\b{kind.__name__}\.([A-Z_]+)\b", sources()))
+    assert set(kind.__members__) - used == set()
