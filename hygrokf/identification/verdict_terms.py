@@ -115,8 +115,5 @@ def rests_on(inherited: Mapping[str, Inherited], parts: Collection[str] = PARTS)
 
     parts: those that the result rests on.
     """
-    rejected = [part for part, one in inherited.items() if one.verdict == REJECT and part in parts]
-    words = WORDS[REJECT]
-    if len(rejected) > 1:
-        return [VerdictCode.RESTS_ON_ALL_REJECTED(parts=tuple(rejected), verdict=words)]
-    return [VerdictCode.RESTS_ON_REJECTED(part=part, verdict=words) for part in rejected]
+    rejected = tuple(name for name, entry in inherited.items() if entry.verdict == REJECT and name in parts)
+    return [VerdictCode.RESTS_ON_REJECTED(parts=rejected, count=len(rejected))] if rejected else []

@@ -18,7 +18,7 @@ import numpy as np
 from hygrokf.data.readings import SATURATED
 from hygrokf.data.signals import from_si, signal_named
 from hygrokf.data.timestamps import HOUR_S, MINUTE_S
-from hygrokf.identification.verdict_terms import Inherited
+from hygrokf.identification.verdict_terms import Inherited, rests_on
 from hygrokf.live.batch import Alarm, content_of, text_of
 from hygrokf.live.condition import Z95, Condition
 from hygrokf.live.fault_isolation import PAIRS, SENSORS, CauseFinding, ShiftStep
@@ -31,7 +31,6 @@ from hygrokf.live.tracker import SAME_S, TrackedCourse
 from hygrokf.modelling.design import PARTS
 from hygrokf.texts.live import AlarmCode, CauseCode
 from hygrokf.texts.statement import Statement
-from hygrokf.texts.verdict import REJECT
 
 ESTIMATES, SHIFTS, INNOVATIONS = "estimates", "shifts", "innovations"
 SILENCE, CLOCKS, REACH = "silence", "clocks", "reach"
@@ -215,11 +214,9 @@ def with_doubts(levels: Iterable[Level], verdicts: Mapping[str, Inherited]) -> l
     `verdicts` are the fit's."""
     doubted = []
     for level in levels:
-        rests_on = RESTS_ON.get(level.subject, RULES[level.kind].rests_on)
-        parts = tuple(part for part, one in verdicts.items() if one.verdict == REJECT and part in rests_on)
-        if parts and level.statements:
-            doubt = AlarmCode.RESTS_ON_REJECTED(parts=parts, count=len(parts))
-            level = replace(level, statements=(*level.statements, doubt))
+        doubts = rests_on(verdicts, RESTS_ON.get(level.subject, RULES[level.kind].rests_on))
+        if doubts and level.statements:
+            level = replace(level, statements=(*level.statements, *doubts))
         doubted.append(level)
     return doubted
 

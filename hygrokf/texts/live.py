@@ -140,10 +140,6 @@ class AlarmCode(Code):
         _CLOCKS,
     )
     # beside others
-    RESTS_ON_REJECTED = (
-        "the model's {parts:and} time {count:constant|constants}, on which this rests, {count:is|are} not "
-        "reliable"
-    )
     OR_OTHERS = " (or {causes})"
     OR_AMBIENT = ", or the ambient's too {side}"
     YEARS = "{count:.1} years"
@@ -197,7 +193,7 @@ class BasisCode(Code):
     PERSISTENCE = "persistence of the weather, drawn from {days:.0} days; {operation}"
     WEATHER_FORECAST = "a weather forecast; {operation}"
     NO_FORECAST = "{fault}"
-    POWER_UNKNOWN = "no power is known"
+    NO_POWER_KNOWN = "no power is known"
     PRESENT_POWER_UNKNOWN = "the present power is unknown: operation as on other days"
     OPERATION_AS_NOW = "operation as now"
     OPERATION_OF_ALIKE_DAYS = "operation as on days that began similarly"

@@ -155,8 +155,10 @@ class ReasonCode(Code):
 class VerdictCode(Code):
     """What a result says that uses a number with a verdict."""
 
-    RESTS_ON_REJECTED = "the model's {part} time constant, on which this rests, is {verdict}"
-    RESTS_ON_ALL_REJECTED = "the model's {parts:and} time constants, on which this rests, are {verdict}"
+    RESTS_ON_REJECTED = (
+        "the model's {parts:and} time {count:constant|constants}, on which this rests, {count:is|are} not "
+        "reliable"
+    )
 
 
 @dataclass(frozen=True)

@@ -168,7 +168,7 @@ def test_nothing_rests_on_an_error_of_the_humidity_sensor_that_may_be_water(
     fit = fit_of(humid, likeliest, against=(WET_SENSOR,))
     assert fit.results.time_constants["hygric"].verdict == REJECT
     (statement,) = rests_on(inherited(fit.results))
-    assert statement == VerdictCode.RESTS_ON_REJECTED(part="hygric", verdict="not reliable")
+    assert statement == VerdictCode.RESTS_ON_REJECTED(parts=("hygric",), count=1)
 
 
 def test_the_extended_model_is_a_fit_that_simulates_as_is_told(sunny: Discovery, in_the_sun: Record) -> None:

@@ -42,7 +42,7 @@ from hygrokf.report.fleet_page import fleet_blocks
 from hygrokf.report.page import page_html
 from hygrokf.report.terminal import page_text
 from hygrokf.report.transfer_page import transfer_blocks
-from hygrokf.texts.live import AlarmCode, CauseCode, StateCode
+from hygrokf.texts.live import CauseCode, StateCode
 from hygrokf.texts.verdict import BELIEVE, CAUTION, REJECT, ReasonCode, VerdictCode
 from hygrokf.texts.wording import sentence
 from hygrokf.transfer.comparison import compare, comparison_column
@@ -166,7 +166,7 @@ def test_climate() -> None:
     study = study_of(fit=known_fit(found={"time_constants": constants}), members=3)
     assert study.verdicts["thermal"].verdict == REJECT
     (region,) = study.regions
-    rests = VerdictCode.RESTS_ON_REJECTED(part="thermal", verdict="not reliable")
+    rests = VerdictCode.RESTS_ON_REJECTED(parts=("thermal",), count=1)
     assert rests in region.statements
     page = climate_blocks(study)
     (cards,) = (block.cards for block in page.lead if isinstance(block, Cards))
@@ -258,7 +258,7 @@ def test_an_alarm_that_rests_on_a_rejected_number_says_so(fit: Fit) -> None:
         Level("cabinet changed", 1.0, (CauseCode.CHANGED_AIR_EXCHANGE(),), "hygric_k"),
     ]
     first, calm, heat, air = with_doubts(levels, known)
-    doubt = AlarmCode.RESTS_ON_REJECTED(parts=("thermal",), count=1)
+    doubt = VerdictCode.RESTS_ON_REJECTED(parts=("thermal",), count=1)
     assert [one.statements[1:] for one in (first, heat, air)] == [(doubt,), (doubt,), ()]
     assert calm.statements == ()
     assert (

@@ -119,9 +119,6 @@ TEXTS = {
         "its readings are stamped 2 h ahead of this machine's clock: its sender's clock is fast, or this "
         "machine's clock is slow. They are stored and held back until this machine's clock reaches them"
     ),
-    AlarmCode.RESTS_ON_REJECTED: (
-        "the model's thermal and hygric time constants, on which this rests, are not reliable"
-    ),
     AlarmCode.OR_OTHERS: " (or a changed heat loss)",
     AlarmCode.OR_AMBIENT: ", or the ambient's too high",
     AlarmCode.YEARS: "3.0 years",
