@@ -12,7 +12,7 @@ import math
 import re
 from collections.abc import Callable, Mapping, Sequence
 from functools import cache
-from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar, get_args
 
 import numpy as np
 
@@ -208,7 +208,8 @@ def _converter() -> Converter:
         float | np.ndarray,
         lambda v, _: _array(v) if isinstance(v, list | tuple | np.ndarray) else _plain(v, float),
     )
-    made.register_structure_hook(Cell, _cell)
+    # with or without what its texts are declared as
+    made.register_structure_hook_func(lambda kind: {bool, Statement} <= set(get_args(kind)), _cell)
     made.register_unstructure_hook(float, _finite)
     made.register_unstructure_hook(np.ndarray, _listed)
     made.register_unstructure_hook(np.floating, lambda value: _finite(float(value)))

@@ -25,9 +25,9 @@ from hygrokf.discovery.results import (
     Verdict,
 )
 from hygrokf.identification.verdict import inherited
-from hygrokf.report.quantities import capital, listed, quantity, spoken
+from hygrokf.report.quantities import capital, quantity, spoken
 from hygrokf.texts.discovery import DiscoveryCode
-from hygrokf.texts.statement import Statement
+from hygrokf.texts.statement import Statement, listed
 from hygrokf.texts.verdict import REJECT
 from hygrokf.texts.wording import sentence
 

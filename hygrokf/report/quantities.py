@@ -7,7 +7,7 @@ Pages, texts, tables and figures take these from here, so that a quantity reads 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 
@@ -105,12 +105,6 @@ def spoken(name: str) -> str:
 def capital(text: str) -> str:
     """A text with a capital letter."""
     return text[:1].upper() + text[1:]
-
-
-def listed(words: Iterable[str], last: str = "and") -> str:
-    """ "a", "a and b", "a, b and c"."""
-    words = list(words)
-    return f" {last} ".join([", ".join(words[:-1]), words[-1]]) if len(words) > 1 else "".join(words)
 
 
 def unit(text: str) -> str:

@@ -50,7 +50,8 @@ from hygrokf.report.figures.drawing import WIDTH_IN, NothingToShow
 from hygrokf.report.figures.lead import lead_of_climate, lead_of_discovery, lead_of_fit
 from hygrokf.report.fit_page import period_text
 from hygrokf.report.fit_text import judgements
-from hygrokf.report.quantities import listed, quantity, versions
+from hygrokf.report.quantities import quantity, versions
+from hygrokf.texts.statement import listed
 from hygrokf.texts.verdict import BELIEVE, CAUTION, REJECT, VERDICTS, WORDS, Kind, Reason, ReasonCode
 from hygrokf.texts.wording import NONE, one_line, sentence
 
@@ -413,9 +414,9 @@ def _answer_of_regions(regions: Sequence[RegionClimate]) -> str:
         for verdict, words in VERDICTS_IN_WORDS.items():
             there = [one.name for one in regions if one.verdict == verdict]
             if there:
-                place = listed(there) if len(there) <= MOST_NAMES else f"{len(there)} regions"
+                place = listed(there, "and") if len(there) <= MOST_NAMES else f"{len(there)} regions"
                 parts.append(f"{words} in {place}")
-        return f"The limits are {listed(parts)}."
+        return f"The limits are {listed(parts, 'and')}."
     name, words, unit = ("wetness_h", "Wet for", "h a year")
     if not all(name in one.year for one in regions):
         name, words, unit = ("mean_temperature_degC", "On average", "°C")
@@ -435,7 +436,7 @@ def _limits_text(limits: tuple[Exceedance, ...]) -> str:
     """How many limits are kept: "Limits: 2 kept and 1 exceeded." """
     found = [one.verdict for one in limits]
     parts = [f"{found.count(kind)} {words}" for kind, words in VERDICTS_IN_WORDS.items() if kind in found]
-    return f"Limits: {listed(parts)}."
+    return f"Limits: {listed(parts, 'and')}."
 
 
 def _conditions(study: Study) -> tuple[str, ...]:
@@ -479,7 +480,7 @@ def _actions(study: Study, doubt: str) -> list[str]:
     said = ["Do not use this climate before the model is reliable."] if doubt else []
     said += [text for one in study.regions for text in _limit_actions(one, several)]
     if profiles:
-        name = listed(profiles) if len(profiles) <= MOST_NAMES else "the files test_profile_….csv"
+        name = listed(profiles, "and") if len(profiles) <= MOST_NAMES else "the files test_profile_….csv"
         said.append(f"For a test in a chamber use {name}.")
     return said or ["No limits were given (--limits FILE): nothing was judged."]
 
