@@ -50,7 +50,7 @@ from hygrokf.report.fit_tables import (
 from hygrokf.report.fit_text import free_run_text, judgements, level_and_method, range_text
 from hygrokf.report.page import page_html
 from hygrokf.report.quantities import place, versions
-from hygrokf.texts.verdict import BELIEVE, CAUTION, REJECT
+from hygrokf.texts.verdict import BELIEVE, CAUTION, REJECT, ReasonCode
 from hygrokf.texts.wording import UNBOUNDED, fixed, moment, one_line, sentence
 
 
@@ -212,7 +212,7 @@ def _judgements(fit: FitResults) -> Verdicts:
     """Doubts about the record, the time constants with their reasons, then the rest, the worst first."""
     order = {REJECT: 0, BELIEVE: 1, CAUTION: 2}
     found = sorted(judgements(fit), key=lambda one: 0 if one.about in PARTS else 1 + order[one.verdict])
-    lines = [Line(CAUTION, sentence(f"doubt about the record: {doubt}")) for doubt in fit.doubts]
+    lines = [Line(CAUTION, sentence(ReasonCode.RECORD_DOUBTED(doubt=one).text)) for one in fit.doubts]
     for one in found:
         text = f"{one.head}{':' if one.reasons else '.'}"
         lines.append(Line(one.verdict, text, head=one.about in PARTS))

@@ -304,7 +304,7 @@ def test_a_guard_of_another_parameter_is_lifted_not_a_cliff() -> None:
     lower = reached["lower"]
     assert first.values == {
         "bounded": "mean", "end": "lower", "parameter": "bias", "unit": "K", "value": lower.value,
-        "limit": -0.5,
+        "limit": 0.5,
     }  # fmt: skip
     far = summed(5.0).profile("mean")
     assert far.limited_by == ()

@@ -308,7 +308,7 @@ def test_a_fit_keeps_the_ranges_of_its_inputs(fit, record):
     ("positive", "values", "errors", "correlation", "words"),
     [
         (False, (8.0, -9.0), (0.2, 0.25), 0.97, ("0.97", "their difference")),
-        (False, (8.0, 9.0), (0.2, 0.25), -0.97, ("-0.97", "their sum")),
+        (False, (8.0, 9.0), (0.2, 0.25), -0.97, ("−0.97", "their sum")),
         (True, (8.0, 1.0), (0.2, 0.03), 0.97, ("their ratio",)),
         (False, (8.0, 90.0), (0.2, 2.5), 0.97, ("a combination is known better",)),
         (False, (8.0, 9.0), (0.2, 0.95), 0.97, ("a and b are strongly correlated", "0.97")),
