@@ -350,7 +350,7 @@ def possible_operation(
         past = {n: past[n] if n != "preheating" else np.zeros(len(time)) for n in names}
         given = [{n: v for n, v in one.items() if n not in SWITCHED} for one in given]
         coming = [{n: one.get(n, np.full(len(time), steady[n])) for n in names} for one in given]
-        basis = BasisCode.POWER_UNKNOWN()
+        basis = BasisCode.OPERATION_UNKNOWN()
     elif np.isnan(level):
         coming, basis = _as_on(known, given, names), BasisCode.PRESENT_POWER_UNKNOWN()
     elif level <= 0.0:

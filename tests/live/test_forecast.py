@@ -310,7 +310,7 @@ def test_an_unknown_power_makes_it_less_sure_not_impossible(record: Record) -> N
     known = forecast(one, state, persistence(gap, NOW_S), SURFACE).condition
     lost = persistence(without(gap, "active_power"), NOW_S)
     found = forecast(one, state, lost, SURFACE).condition
-    assert lost.basis.values["operation"] == BasisCode.POWER_UNKNOWN()
+    assert lost.basis.values["operation"] == BasisCode.OPERATION_UNKNOWN()
     assert np.all(found.temperature_K.sd[6:] > 0.3) and np.isfinite(found.margin_K.value).all()
     # half an hour ahead the power of now is worth something
     assert found.temperature_K.sd[1] > known.temperature_K.sd[1]
