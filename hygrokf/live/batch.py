@@ -60,7 +60,10 @@ def text_of(statements: Sequence[Statement]) -> str:
 
 def pieces_of(statements: Sequence[Statement]) -> list[str | float]:
     """The same in pieces, of which the numbers are instants [s]: the page writes them in its own zone."""
-    return [piece for i, one in enumerate(statements) for piece in ("; "[: 2 * i], *one.pieces)]
+    pieces: list[str | float] = []
+    for one in statements:
+        pieces += ["; ", *one.pieces] if pieces else one.pieces
+    return pieces
 
 
 @dataclass(frozen=True)

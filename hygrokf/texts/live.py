@@ -193,7 +193,7 @@ class BasisCode(Code):
     PERSISTENCE = "persistence of the weather, drawn from {days:.0} days; {operation}"
     WEATHER_FORECAST = "a weather forecast; {operation}"
     NO_FORECAST = "{fault}"
-    NO_POWER_KNOWN = "no power is known"
+    OPERATION_UNKNOWN = "no power is known"
     PRESENT_POWER_UNKNOWN = "the present power is unknown: operation as on other days"
     OPERATION_AS_NOW = "operation as now"
     OPERATION_OF_ALIKE_DAYS = "operation as on days that began similarly"

@@ -241,7 +241,7 @@ def test_a_weather_forecast_feeds_the_forecast(tmp_path: Path) -> None:
     done = run(f"track {tmp_path}/track.toml --store sqlite:{tmp_path}/live.db --no-page --until-ended")
     assert done.status == 0, done.err
     said = read(tmp_path, lambda store: store.memory("T07", "forecast"))
-    assert "weather forecast" in said["weather"], (said, done.err)
+    assert said["basis"]["code"] == "weather_forecast", (said, done.err)
     rows_of = read(tmp_path, lambda store: store.rows("SELECT COUNT(*), MIN(time) FROM forecast"))
     assert rows_of[0][0] > 90 and abs(rows_of[0][1] - now) < 86400.0
     assert read(tmp_path, lambda store: store.rows("SELECT COUNT(*) FROM weather"))[0][0] > 100

@@ -11,8 +11,7 @@ from builders.forecast_case import DAY_S, STANDING, START_S, STEP_S, cabinet_rec
 from builders.live_case import live_fit, live_plan
 from builders.record_edits import changed, without
 
-from hygrokf.data.ambient import at_times
-from hygrokf.data.prepared import prepare
+from hygrokf.data.ambient import ambient_absolute_humidity, at_times
 from hygrokf.data.record import Record, Series
 from hygrokf.estimation.likelihood import Gaussian
 from hygrokf.identification.fit import Fit
@@ -74,7 +73,7 @@ def future(record: Record, time_s: np.ndarray) -> dict[str, np.ndarray]:
     """What truly came, as a member: of power and pre-heating the means over the steps."""
     member = {
         "ambient_temperature": at_times(record["ambient_temperature"], time_s, 6.0),
-        "ambient_absolute_humidity": at_times(prepare(record).ambient_vapour, time_s, 6.0),
+        "ambient_absolute_humidity": at_times(ambient_absolute_humidity(record), time_s, 6.0),
     }
     step = time_s[1] - time_s[0]
     parts = np.arange(0.0, step - 1.0, STEP_S)
@@ -311,7 +310,7 @@ def test_an_unknown_power_makes_it_less_sure_not_impossible(record: Record) -> N
     known = forecast(one, state, persistence(gap, NOW_S), SURFACE).condition
     lost = persistence(without(gap, "active_power"), NOW_S)
     found = forecast(one, state, lost, SURFACE).condition
-    assert lost.basis.values["operation"] == BasisCode.NO_POWER_KNOWN()
+    assert lost.basis.values["operation"] == BasisCode.OPERATION_UNKNOWN()
     assert np.all(found.temperature_K.sd[6:] > 0.3) and np.isfinite(found.margin_K.value).all()
     # half an hour ahead the power of now is worth something
     assert found.temperature_K.sd[1] > known.temperature_K.sd[1]

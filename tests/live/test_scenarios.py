@@ -190,7 +190,7 @@ def test_means_of_the_ambient_stand_in_the_middle_of_their_interval() -> None:
     expected = 283.0 + 3.0 * np.sin(2.0 * np.pi * found.time_s / DAY_S)
     # the last mean is half an hour old
     assert courses(found, AMBIENT[0]) == pytest.approx(np.tile(expected, (len(found.members), 1)), abs=0.5)
-    assert found.basis.values["operation"] == BasisCode.POWER_UNKNOWN()
+    assert found.basis.values["operation"] == BasisCode.OPERATION_UNKNOWN()
 
 
 # -- operation -----------------------------------------------------------------------------------------------
@@ -285,7 +285,7 @@ def test_an_unknown_power_is_no_standstill(record: Record) -> None:
     assert np.all(courses(lost, "active_power") == 0.5 * RATED_W)
     for never in (changed(record, "active_power", np.nan), without(record, "active_power")):
         found = persistence(never, NOW_S)
-        assert found.basis.values["operation"] == BasisCode.POWER_UNKNOWN()
+        assert found.basis.values["operation"] == BasisCode.OPERATION_UNKNOWN()
         assert all(set(member) == {*AMBIENT, "preheating"} for member in found.members)
 
 
