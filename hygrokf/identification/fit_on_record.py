@@ -93,9 +93,9 @@ def simulation_csv(run: Run, predicted: Prediction) -> str:
     return "\n".join(lines) + "\n"
 
 
-def simulation_summary(fit: Fit, record: Record, run: Run, predicted: Prediction) -> SimulationSummary:
+def simulation_summary(fit: Fit, run: Run, predicted: Prediction) -> SimulationSummary:
     """Span and means of a free run of `simulate_fit`."""
-    t = run.timeline
+    t, record = run.timeline, run.record
     means = {
         quantity: float(np.mean(pair[0]))
         for quantity in COLUMNS.values()
@@ -110,18 +110,18 @@ def simulation_summary(fit: Fit, record: Record, run: Run, predicted: Prediction
         float(run.scored.mean()),
         means,
         inherited(fit.results),
-        (*mismatches(fit, record), *_unknown_throughout(fit, record, run)),
+        (*mismatches(fit, record), *_unknown_throughout(fit, run)),
     )
 
 
-def _unknown_throughout(fit: Fit, record: Record, run: Run) -> list[str]:
+def _unknown_throughout(fit: Fit, run: Run) -> list[str]:
     """A sentence with the missing input where all inputs are known at no instant of a run."""
     if run.scored.any():
         return []
     inputs = fit.design.model.inputs
     powered = "operating" in inputs or any(name.startswith("power_") for name in inputs)
     lacking = "throughout, an input is unknown or was until shortly before; see the gaps in `hygrokf check`"
-    if powered and "active_power" not in record:
+    if powered and "active_power" not in run.record:
         lacking = "the fit uses the power, but the record has no active_power: all of it counts as standstill"
     return [f"no row has all inputs known (inputs_known is 0 throughout): {lacking}"]
 
