@@ -156,7 +156,7 @@ def _simulate(options: Namespace) -> int:
     expect_other(options.out, options.fit, options.fit / files.FIT, options.case, *sources)
     with faults_of(options.case):
         _, run, predicted = simulate_fit(fit, record)
-        summary = simulation_summary(fit, record, run, predicted)
+        summary = simulation_summary(fit, run, predicted)
     write_text_whole(options.out, simulation_csv(run, predicted))
     for sentence in summary.statements:
         activity().note(f"note: {sentence}")

@@ -28,10 +28,7 @@ class PreparedRecord(Record):
     A record made from this one (`replace_series`, `window`) computes its own.
     """
 
-    _paths: dict[str, Series] = field(default_factory=dict, init=False, repr=False, compare=False)
-    _courses: dict[tuple[str, Noise | None], Series] = field(
-        default_factory=dict, init=False, repr=False, compare=False
-    )
+    _paths: dict[tuple[object, ...], Series] = field(default_factory=dict, init=False, compare=False)
 
     @cached_property
     def ambient_vapour(self) -> Series | None:
@@ -60,17 +57,17 @@ class PreparedRecord(Record):
 
     def path(self, name: str) -> Series:
         """The path of a signal's readings as they are, or of the ambient's vapour."""
-        if name not in self._paths:
-            self._paths[name] = input_path(self._vapour_or(name))
-        return self._paths[name]
+        if (name,) not in self._paths:
+            self._paths[name,] = input_path(self._vapour_or(name))
+        return self._paths[name,]
 
     def course(self, name: str, noise: Noise | None = None) -> Series:
         """The path of a signal or of the ambient's vapour as it drives a model: without the sensor's response
         and, where a design states their `noise`, without that of the readings."""
-        if (name, noise) not in self._courses:
+        if (name, noise) not in self._paths:
             series = smoothed(without_response(self._vapour_or(name)), noise)
-            self._courses[name, noise] = input_path(series, noise)
-        return self._courses[name, noise]
+            self._paths[name, noise] = input_path(series, noise)
+        return self._paths[name, noise]
 
     def _vapour_or(self, name: str) -> Series:
         vapour = self.ambient_vapour if name == VAPOUR else None

@@ -9,6 +9,7 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 
 from hygrokf.data.clocks import shifted, sources
+from hygrokf.data.prepared import prepare
 from hygrokf.data.progress import Progress, reporting
 from hygrokf.data.readings import mask
 from hygrokf.data.record import Record
@@ -84,7 +85,7 @@ def discover(
     from threadpoolctl import threadpool_limits
 
     adopt(library)
-    record = mask(record)
+    record = prepare(mask(record))
     expect_readings(record.identification())
     expect_movement(record.identification())
     # sums of several threads differ in their last bits

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from hygrokf.data.prepared import prepare
 from hygrokf.data.record import Record
 from hygrokf.discovery.error_model import Instants, filtered
 from hygrokf.discovery.estimate import (
@@ -43,12 +44,9 @@ def base_designs(record: Record) -> tuple[Design, Design | None]:
     a gain of the ambient's vapour, an offset of its relative humidity, a scale and a response time of the
     humidity sensor.
     """
-    early = record.identification()
+    early = prepare(record.identification())
     regression = heat_release_regression(early)
-    order = 2
-    if regression.operation is not None and regression.operation.coefficients:
-        order = max(2, regression.operation.order)
-    heat = design(early, kind="thermal", power_order=order, heat_start=regression.start())
+    heat = design(early, kind="thermal", power_order=regression.power_order, heat_start=regression.start())
     moist = design(early, kind=CASCADE)
     if moist.humidity is None:
         return heat, None

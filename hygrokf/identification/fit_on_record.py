@@ -96,9 +96,9 @@ def simulation_csv(run: Run, predicted: Prediction) -> str:
     return "\n".join(lines) + "\n"
 
 
-def simulation_summary(fit: Fit, record: Record, run: Run, predicted: Prediction) -> SimulationSummary:
+def simulation_summary(fit: Fit, run: Run, predicted: Prediction) -> SimulationSummary:
     """Span and means of a free run of `simulate_fit`."""
-    t = run.timeline
+    t, record = run.timeline, run.record
     means = {
         quantity: float(np.mean(pair[0]))
         for quantity in COLUMNS.values()
@@ -113,17 +113,17 @@ def simulation_summary(fit: Fit, record: Record, run: Run, predicted: Prediction
         float(run.scored.mean()),
         means,
         inherited(fit.results),
-        (*mismatches(fit, record), *_unknown_throughout(fit, record, run)),
+        (*mismatches(fit, record), *_unknown_throughout(fit, run)),
     )
 
 
-def _unknown_throughout(fit: Fit, record: Record, run: Run) -> list[Statement]:
+def _unknown_throughout(fit: Fit, run: Run) -> list[Statement]:
     """A statement of the missing input where all inputs are known at no instant of a run."""
     if run.scored.any():
         return []
     inputs = fit.design.model.inputs
     powered = "operating" in inputs or any(name.startswith("power_") for name in inputs)
-    unpowered = powered and "active_power" not in record
+    unpowered = powered and "active_power" not in run.record
     return [(FitCode.POWER_UNKNOWN_THROUGHOUT if unpowered else FitCode.INPUT_UNKNOWN_THROUGHOUT)()]
 
 

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -163,10 +163,9 @@ def identify_stages(
     expect_readings(early)
     say("heat-release regression")
     regression = heat_release_regression(early)
-    orders = _orders(regression)
 
     def base_of(part: str) -> Design:
-        base = design(early, kind=part, **orders)
+        base = design(early, kind=part, power_order=regression.power_order, heat_start=regression.start())
         if prior is None:
             return base
         known = {name: (p.mean, p.sd, p.logarithmic) for name, p in prior(base).items()}
@@ -251,20 +250,6 @@ def expect_readings(early: Record) -> None:
             "; ".join(missing)
             + ": both temperatures are needed, also for the humidity; check the case with `hygrokf check`"
         )
-
-
-def _orders(regression: HeatRelease) -> dict[str, Any]:
-    """Design settings from the regression: start values, and an order of at least two.
-
-    Cross-validation drops terms that do not help to predict a few dozen stationary periods.  If the
-    likelihood omitted these terms, they would act as a disturbance that follows the power and bias the time
-    constant (by 6 % on simulated plants).  The likelihood therefore keeps the quadratic term and both ambient
-    slopes; where they are not needed their estimates are near 0.
-    """
-    settings: dict[str, Any] = {"heat_start": regression.start()}
-    if regression.operation is not None and regression.operation.coefficients:
-        settings["power_order"] = max(2, regression.operation.order)
-    return settings
 
 
 def assemble_fit(

@@ -182,7 +182,7 @@ def test_simulate_writes_the_free_run(folder):
     np.testing.assert_allclose(cells[:, 4], predicted.absolute_humidity[0], atol=6e-5)
     np.testing.assert_array_equal(cells[:, 6], made.scored)
     again = run(f"{SIMULATE} --json")
-    assert json.loads(again.out) == plain(simulation_summary(fit, record, made, predicted))
+    assert json.loads(again.out) == plain(simulation_summary(fit, made, predicted))
 
 
 def test_simulate_needs_no_cabinet(folder):

@@ -76,7 +76,7 @@ def csv_of(fit: Fit, record: Record) -> str:
 
 def summary_of(fit: Fit, record: Record) -> SimulationSummary:
     """The summary of that file."""
-    return simulation_summary(fit, record, *simulate_fit(fit, record)[1:])
+    return simulation_summary(fit, *simulate_fit(fit, record)[1:])
 
 
 def parsed(text: str) -> tuple[list[str], np.ndarray, np.ndarray]:

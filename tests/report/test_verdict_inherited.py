@@ -101,7 +101,7 @@ def test_simulate_and_evaluate(case: Path, record: Record, fit: Fit, tmp_path, c
     assert SAID in capsys.readouterr().out
     assert (tmp_path / "run.csv").read_text().startswith("time,")  # the file stays a plain table
     _, free, predicted = simulate_fit(doubtful, record)
-    for made in (simulation_summary(doubtful, record, free, predicted), evaluate(doubtful, record)):
+    for made in (simulation_summary(doubtful, free, predicted), evaluate(doubtful, record)):
         found = plain(made)
         assert found["verdicts"] == plain(inherited(doubtful.results))
         assert found["verdicts"]["thermal"]["reasons"] == [
