@@ -41,8 +41,9 @@ from hygrokf.live.notification.channel import Channel, ChannelFault, NoticeMessa
 from hygrokf.live.plan import AMBIENT_HUMIDITIES, Plan
 from hygrokf.live.sources.stream import Stream, several
 from hygrokf.live.storage.database import StoreUnready, one_line
-from hygrokf.live.storage.schema import VERSION
+from hygrokf.live.storage.schema import VERSION, observation
 from hygrokf.live.storage.sqlite import path_of
+from hygrokf.live.storage.statements import newest, selecting
 from hygrokf.live.storage.store import Store, StoreFault, open_store
 from hygrokf.live.tracker import Reading, Tracker, record_of
 from hygrokf.live.turbines import Turbine, digest
@@ -335,16 +336,12 @@ def _read_contents(
     store: Store, turbines: Mapping[str, Turbine], contents: StoreContents
 ) -> dict[str, float]:
     """Note the signals of each turbine in `contents`; returns turbine → time span of its readings [s]."""
-    spans = {}
+    spans, first = {}, selecting(observation, "time", "turbine", "time").limit(1)
     for name in turbines:
         contents.signals[name] = set(store.signals(name))
-        rows = store.rows(
-            "SELECT time, received FROM observation WHERE turbine = ? ORDER BY time DESC LIMIT 1", (name,)
-        )
-        for newest, received in rows:
+        for last, received in store.rows(newest(observation, "time received", "turbine"), turbine=name):
             contents.received_s = max(contents.received_s, received)
-            oldest = store.rows("SELECT MIN(time) FROM observation WHERE turbine = ?", (name,))[0][0]
-            spans[name] = newest - oldest
+            spans[name] = last - store.rows(first, turbine=name)[0][0]
     return spans
 
 
@@ -378,14 +375,14 @@ def _claims(store: Store, turbines: Mapping[str, Turbine]) -> Iterator[Check]:
 
 def _turbines(store: Store, turbines: Mapping[str, Turbine]) -> Iterator[Check]:
     """Turbines that only the store or only the tracker's file has, or that had another model."""
-    known = {name: model for name, model in store.rows("SELECT name, model FROM turbine")}
+    known = store.models()
     claimed = {name for kind, name in store.database.claims() if kind == "turbine"}
     left = sorted(set(known) - set(turbines) - claimed)
     new = [name for name in turbines if name not in known]
     changed = [
         name for name, one in turbines.items() if known.get(name, digest(one.plan)) != digest(one.plan)
     ]
-    was_read = new and store.rows("SELECT url FROM source")
+    was_read = new and store.size()["source"]
     yield from of_names(
         "store",
         (
@@ -406,21 +403,16 @@ def _turbines(store: Store, turbines: Mapping[str, Turbine]) -> Iterator[Check]:
 
 
 def _estimates(store: Store, turbines: Mapping[str, Turbine], played_back: bool) -> Iterator[Check]:
-    newest = {
-        name: at
-        for name in turbines
-        for (at,) in store.rows("SELECT MAX(time) FROM estimate WHERE turbine = ?", (name,))
-        if at is not None
-    }
-    if not newest:
+    estimated = {name: one[0] for name in turbines if (one := store.newest_estimate(name)) is not None}
+    if not estimated:
         yield doubt("store", "it has no estimate yet", "start the tracker; read its log if none appears")
         return
     if played_back:
-        yield ok("store", f"it has estimates of {several(newest)}")
+        yield ok("store", f"it has estimates of {several(estimated)}")
         return
     old: list[str] = []
     fresh: list[str] = []
-    for name, at in sorted(newest.items(), key=lambda one: one[1]):
+    for name, at in sorted(estimated.items(), key=lambda one: one[1]):
         age = time.time() - at
         (old if age > turbines[name].stale_s else fresh).append(f"{name} {lasting(age)} ago")
     check = "check whether the tracker runs and readings arrive"
