@@ -118,16 +118,15 @@ class TurbineState(Kept):
         )
         made = cls(turbine=turbine, tracker=tracker, **vars(kept))
         made.assessment = next(
-            iter(store.found(Assessment, selecting(assessment, "", "turbine"), turbine=name)), None
+            iter(store.found(Assessment, selecting(assessment, same="turbine"), turbine=name)), None
         )
         made.newest = store.newest_estimate(name) or made.newest
         if outlook := store.outlook(name):
             made.outlook = Outlook(*np.array(outlook, dtype=float).T)
         if "forecast" in memories:
             made.forecast_made_s = structured(ForecastMade, memories["forecast"]).made
-        newest_property = store.rows(newest(property_, "time", "turbine"), turbine=name)
-        if point is not None and newest_property:
-            made.slot = newest_property[0][0] // PROPERTY_S
+        last = store.first(newest(property_, "time", "turbine"), turbine=name)
+        made.slot = -math.inf if point is None or last is None else last[0] // PROPERTY_S
         return made
 
     def known(self, now: float, catching_up: bool) -> Known:

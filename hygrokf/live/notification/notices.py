@@ -253,7 +253,7 @@ def forget(store: Store, before: float) -> None:
 
 def alarm_of(store: Store, alarm: str) -> Alarm | None:
     """An alarm by its id; None if there is none."""
-    return next(iter(store.found(Alarm, selecting(schema.alarm, "", "id"), id=alarm)), None)
+    return next(iter(store.found(Alarm, selecting(schema.alarm, same="id"), id=alarm)), None)
 
 
 def _change(store: Store, statement: ClauseElement, changes: Sequence[Mapping[str, object]]) -> None:

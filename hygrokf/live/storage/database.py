@@ -36,7 +36,6 @@ REPLACED = (
 AGAIN_S = 0.1
 """[s] between two attempts to claim."""
 
-SqlValue: TypeAlias = str | float | None
 Row = tuple[Any, ...]
 """A row of a query or the parameters of a statement: text, numbers and None, as the driver returns them."""
 
@@ -138,12 +137,16 @@ class Database:
             cursor.execute(expanded.statement, expanded.positional_parameters)
             yield cursor
 
-    def rows(self, statement: ClauseElement, **values: Any) -> list[Row]:
+    def rows(self, statement: ClauseElement, /, **values: Any) -> list[Row]:
         """The rows that a query returns; `values`: of its parameters, by their names."""
         with self._executed(statement, values) as cursor:
             return cursor.fetchall()
 
-    def execute(self, statement: ClauseElement, **values: Any) -> int:
+    def first(self, statement: ClauseElement, /, **values: Any) -> Row | None:
+        """The first row that a query returns; None without any."""
+        return next(iter(self.rows(statement, **values)), None)
+
+    def execute(self, statement: ClauseElement, /, **values: Any) -> int:
         """Execute a statement; returns the number of rows that it changes."""
         with self._executed(statement, values) as cursor:
             return max(cursor.rowcount, 0)

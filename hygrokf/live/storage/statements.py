@@ -47,7 +47,7 @@ def selecting(
 
 
 @cache
-def newest(rows: Table, names: str, same: str) -> Select[Any]:
+def newest(rows: Table, names: str, same: str = "") -> Select[Any]:
     """Select columns of the newest row that has the values of the parameters `same`."""
     return selecting(rows, names, same).order_by(rows.c.time.desc()).limit(1)
 
@@ -55,7 +55,7 @@ def newest(rows: Table, names: str, same: str) -> Select[Any]:
 @cache
 def counting(rows: sa.FromClause, same: str = "", since: bool = False) -> Select[Any]:
     """Count the rows that `selecting` would select."""
-    return selecting(rows, "", same, since=since).with_only_columns(func.count(), maintain_column_froms=True)
+    return selecting(rows, same=same, since=since).with_only_columns(func.count(), maintain_column_froms=True)
 
 
 @cache
@@ -154,9 +154,9 @@ BEFORE_TIME = (
     .order_by(observation.c.time.desc())
     .limit(bindparam("most"))
 )
-READINGS = selecting(
-    observation, "signal time value mark contradicted", "turbine signal", "time", since=True
-).where(observation.c.late == 0)
+READINGS = selecting(observation, "time value mark contradicted", "turbine signal", "time", since=True).where(
+    observation.c.late == 0
+)
 AT_TIMES = selecting(observation, "signal time value mark", "turbine").where(
     observation.c.time.in_(bindparam("times", expanding=True))
 )
@@ -195,13 +195,13 @@ CHANGE_MODEL = (
 FORGET_MEMORIES = deleting(schema.memory, "turbine").where(
     schema.memory.c.name.not_in(bindparam("kept", expanding=True))
 )
-BEGUN_ALARMS = selecting(schema.alarm, "", "turbine").where(schema.alarm.c.began >= bindparam("since"))
+BEGUN_ALARMS = selecting(schema.alarm, same="turbine").where(schema.alarm.c.began >= bindparam("since"))
 
 # -- the page ------------------------------------------------------------------------------------------------
 _t, _e, _f, _a, _p = (
     rows.c for rows in (schema.turbine, schema.estimate, schema.forecast, schema.alarm, schema.property_now)
 )
-_RECEIVED = newest(observation, "received", "").where(observation.c.turbine == _t.name)
+_RECEIVED = newest(observation, "received").where(observation.c.turbine == _t.name)
 FLEET = select(
     _t.name, _RECEIVED.scalar_subquery(), _e.time, _e.temperature_K, _e.temperature_sd, _e.relative_humidity,
     _e.relative_humidity_sd, _e.margin_K, _e.margin_sd, _e.condensation,
@@ -239,7 +239,7 @@ PAST_MARGINS, FORECAST_MARGINS = (
 _n = schema.outbox.c
 _WAITS = _n.sent.is_(None)
 DUE = (
-    selecting(schema.outbox, "", "channel", "due id")
+    selecting(schema.outbox, same="channel", order="due id")
     .where(_WAITS, _n.due <= bindparam("now"))
     .limit(bindparam("most"))
 )
@@ -250,7 +250,7 @@ CHANNEL_STATES = select(
     func.max(sa.case((_WAITS, _n.failure), else_="")),
     func.max(sa.case((_n.failure == "", _n.sent))),
 ).group_by(_n.channel)
-NOTICES_ABOUT = selecting(schema.outbox, "", "channel", "made id").where(
+NOTICES_ABOUT = selecting(schema.outbox, same="channel", order="made id").where(
     func.substr(_n.id, 1, bindparam("length")) == bindparam("prefix")
 )
 _NOTICE = sa.update(schema.outbox).where(_n.id == bindparam("notice"))

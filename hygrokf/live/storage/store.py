@@ -13,6 +13,7 @@ import math
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import astuple
+from itertools import chain
 from typing import Any, TypeVar
 
 import numpy as np
@@ -57,8 +58,9 @@ class Store:
 
     def __init__(self, database: Database) -> None:
         self.database, self.url = database, database.url
-        self.rows, self.execute, self.execute_many = database.rows, database.execute, database.execute_many
-        self.transaction, self.claim, self.close = database.transaction, database.claim, database.close
+        self.rows, self.first, self.transaction = database.rows, database.first, database.transaction
+        self.execute, self.execute_many = database.execute, database.execute_many
+        self.claim, self.close = database.claim, database.close
 
     def found(self, kind: type[T], query: Select[Any], **values: Any) -> list[T]:
         """The rows of a table whose columns are the fields of a kind."""
@@ -148,8 +150,8 @@ class Store:
 
     # -- reading ---------------------------------------------------------------------------------------------
     def point(self, turbine: str) -> Point | None:
-        found = self.rows(selecting(schema.point, "time state", "turbine"), turbine=turbine)
-        return Point(found[0][0], state_of(found[0][1])) if found else None
+        found = self.first(selecting(schema.point, "time state", "turbine"), turbine=turbine)
+        return Point(found[0], state_of(found[1])) if found else None
 
     def models(self) -> dict[str, str]:
         """Turbine -> digest of the model that tracks it."""
@@ -161,16 +163,12 @@ class Store:
 
         The value is NaN where two readings contradict each other.
         """
-        return [
-            _reading(name, at, math.nan if wrong else value, mark)
-            for signal in self.signals(turbine)
-            for name, at, value, mark, wrong in self.rows(
-                statements.READINGS,
-                turbine=turbine,
-                signal=signal,
-                since=self.first_needed(turbine, signal, since),
-            )
-        ]
+        found: list[Reading] = []
+        for signal in self.signals(turbine):
+            begin = self.first_needed(turbine, signal, since)
+            rows = self.rows(statements.READINGS, turbine=turbine, signal=signal, since=begin)
+            found += [_reading(signal, at, math.nan if bad else value, mark) for at, value, mark, bad in rows]
+        return found
 
     def first_needed(self, turbine: str, signal: str, since: float) -> float:
         """Time [s] of the first of the last `BEFORE` readings of a signal before `since` [s]; `since`
@@ -226,9 +224,8 @@ class Store:
 
     def newest_estimate(self, turbine: str) -> tuple[float, float | None] | None:
         """Time [s] and probability of condensation [1] of a turbine's newest estimate; None without any."""
-        return next(
-            iter(self.rows(newest(schema.estimate, "time condensation", "turbine"), turbine=turbine)), None
-        )
+        found = self.first(newest(schema.estimate, "time condensation", "turbine"), turbine=turbine)
+        return None if found is None else (found[0], found[1])
 
     def outlook(self, turbine: str) -> list[tuple[float, float]]:
         """Times [s] and probabilities of condensation [1] of a turbine's forecast."""
@@ -248,7 +245,7 @@ class Store:
 
     def events(self, turbine: str) -> list[Event]:
         """Events at a turbine, by time."""
-        return self.found(Event, selecting(schema.event, "", "turbine", "time id"), turbine=turbine)
+        return self.found(Event, selecting(schema.event, same="turbine", order="time id"), turbine=turbine)
 
     def course(
         self, turbine: str, signals: Sequence[str], since: float, until: float
@@ -266,8 +263,8 @@ class Store:
 
     def memory(self, turbine: str, name: str) -> Json:
         """JSON data that a turbine's tracker resumes from; None if there is none of that name."""
-        found = self.rows(selecting(schema.memory, "content", "turbine name"), turbine=turbine, name=name)
-        return json.loads(found[0][0]) if found else None
+        found = self.first(selecting(schema.memory, "content", "turbine name"), turbine=turbine, name=name)
+        return json.loads(found[0]) if found else None
 
     def memories(self, turbine: str) -> JsonObject:
         """All JSON data that a turbine's tracker resumes from, by name."""
@@ -280,8 +277,8 @@ class Store:
 
     def place(self, url: str) -> str | None:
         """Position at which a source resumes; None if it was never read."""
-        found = self.rows(selecting(schema.source, "place", "url"), url=url)
-        return found[0][0] if found else None
+        found = self.first(selecting(schema.source, "place", "url"), url=url)
+        return found[0] if found else None
 
     def counters(self) -> dict[tuple[str, str], int]:
         return {(turbine, name): int(n) for turbine, name, n in self.rows(selecting(schema.counter))}
@@ -300,8 +297,8 @@ def _changes(batch: Batch) -> Iterator[tuple[ClauseElement, Iterable[Row]]]:
     yield replacing(schema.point), points
     # estimates take the place of the provisional ones
     yield statements.PROVISIONAL, [(turbine, one.since) for turbine, one in batch.estimates.items()]
-    for turbine, one in batch.estimates.items():
-        yield replacing(schema.estimate), estimate_rows(turbine, one.condition, one.final)
+    estimates = (estimate_rows(name, one.condition, one.final) for name, one in batch.estimates.items())
+    yield replacing(schema.estimate), chain.from_iterable(estimates)
     properties = [
         (turbine, at, p.name, p.unit, p.value, p.lower, p.upper, p.reference, int(p.observable))
         for turbine, at, properties in batch.properties
@@ -402,8 +399,8 @@ def _bite(store: Store, time: Column[Any], until: float, most: int, same: Mappin
     """Delete at most `most` of the oldest rows with the `same` values from before a time [s]; returns the
     number deleted."""
     names = " ".join(same)
-    kept = store.rows(statements.first_kept(time, names), **same, until=until, first=max(most, 0))
-    end = kept[0][0] if kept else until
+    kept = store.first(statements.first_kept(time, names), **same, until=until, first=max(most, 0))
+    end = kept[0] if kept else until
     return store.execute(statements.deleting_before(time, names), **same, until=end)
 
 

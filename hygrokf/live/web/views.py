@@ -356,8 +356,8 @@ def signal_rows(
     missing = [one.signals[0] for one in needs if not set(one.signals) & set(there)]
     for signal in sorted({*missing, *there}):
         row, own = SIGNALS.get(signal), {"turbine": name, "signal": signal}
-        rows = store.rows(newest(schema.observation, "value time received", "turbine signal"), **own)
-        value, last, received = rows[0] if rows else (None, None, None)
+        reading = store.first(newest(schema.observation, "value time received", "turbine signal"), **own)
+        value, last, received = reading or (None, None, None)
         in_a_day = counting(schema.observation, "turbine signal", since=True)
         ((count,),) = store.rows(in_a_day, **own, since=now - DAY_S)
         found.append(
