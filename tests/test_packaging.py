@@ -44,6 +44,7 @@ LATE = {
     "dask",
     "distributed",
     "psycopg",
+    "sqlalchemy",
     "asyncua",
     "cryptography",
     "xarray",

@@ -12,7 +12,8 @@ from hygrokf.data.timestamps import DAY_S
 from hygrokf.live.alarms import DELIVERY, kinds_of
 from hygrokf.live.batch import Alarm, Batch
 from hygrokf.live.forecast_job import isolation_steps
-from hygrokf.live.storage.database import Cursor, SqlValue
+from hygrokf.live.storage import schema, statements
+from hygrokf.live.storage.statements import deleting
 from hygrokf.live.storage.store import Store
 from hygrokf.live.tracker import Tracker
 from hygrokf.live.turbines import Fleet, Turbine, digest
@@ -45,34 +46,29 @@ def refilter(
     """
     chosen = turbines if names is None else names
     store.claim("turbine", chosen)
-    with store.transaction() as cursor:
-        return [_refiltered(store, cursor, name, turbines) for name in chosen]
+    with store.transaction():
+        return [_refiltered(store, name, turbines) for name in chosen]
 
 
-def _refiltered(store: Store, cursor: Cursor, name: str, turbines: Mapping[str, Turbine]) -> Refiltered:
-    def changed(statement: str, *values: SqlValue) -> None:
-        cursor.execute(store.database.text(statement), values)
-
-    late = 0
-    for table, where in (("observation", ""), ("revision", "AND number > 0")):
-        counted = f"SELECT COUNT(*) FROM {table} WHERE turbine = ? AND late = 1 {where}"
-        late += int(store.rows(counted, (name,))[0][0])
-        changed(f"UPDATE {table} SET late = 0 WHERE turbine = ? AND late = 1", name)
+def _refiltered(store: Store, name: str, turbines: Mapping[str, Turbine]) -> Refiltered:
+    ((late,),) = store.rows(statements.LATE_VERSIONS, turbine=name)
+    store.execute(statements.USE_LATE_VERSIONS, turbine=name)
+    late += store.execute(statements.USE_LATE, turbine=name)
     for versions in store.revised(name).values():
-        store.use(cursor, name, versions)
-    changed("UPDATE turbine SET model = ? WHERE name = ?", digest(turbines[name].plan), name)
-    marks = ", ".join("?" * len(KEPT))
-    changed(f"DELETE FROM memory WHERE turbine = ? AND name NOT IN ({marks})", name, *KEPT)
+        store.use(name, versions)
+    store.execute(statements.CHANGE_MODEL, name=name, digest=digest(turbines[name].plan))
+    store.execute(statements.FORGET_MEMORIES, turbine=name, kept=KEPT)
     begin, after = math.inf, {}
     for batch in _batches(store, name, turbines):
         if name in batch.estimates and not math.isfinite(begin):
             begin = batch.estimates[name].since
-            for table in ("estimate", "property"):
-                changed(f"DELETE FROM {table} WHERE turbine = ? AND time >= ?", name, begin)
+            for table in (schema.estimate, schema.property_):
+                store.execute(deleting(table, "turbine", since=True), turbine=name, since=begin)
         after.update({alarm.id: alarm for alarm in batch.alarms})
         batch.memories.pop((name, "alarms"), None)
-        store.write(cursor, replace(batch, alarms=[]))
-    before = {one.id: one for one in store.found(Alarm, "WHERE turbine = ? AND began >= ?", (name, begin))}
+        store.write(replace(batch, alarms=[]))
+    told = store.found(Alarm, statements.BEGUN_ALARMS, turbine=name, since=begin)
+    before = {alarm.id: alarm for alarm in told}
     return Refiltered(name, late, tuple(_differences(before, after)))
 
 

@@ -16,8 +16,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hygrokf.data.actuators import ACTUATORS
-from hygrokf.data.ambient import AMBIENT_BRIDGE_H, ambient_absolute_humidity, at_times, bridge_h
+from hygrokf.data.ambient import AMBIENT_BRIDGE_H, at_times, bridge_h
 from hygrokf.data.input_paths import input_path
+from hygrokf.data.prepared import VAPOUR, PreparedRecord, prepare
 from hygrokf.data.record import Record, Series
 from hygrokf.data.timestamps import DAY_S, HOUR_S
 from hygrokf.physics.psychrometrics import absolute_humidity, relative_humidity
@@ -106,7 +107,7 @@ def persistence(history: Record, now_s: float, further: Sequence[str] = ()) -> S
     `history`: readings of up to the last `DAYS` days, of which those after `now_s` [s] are ignored;
     `further`: other signals that the model uses.  Raises NoScenarios with fewer than `LEAST` complete days.
     """
-    time, history = grid(now_s), history.window(-np.inf, now_s)
+    time, history = grid(now_s), prepare(history.window(-np.inf, now_s))
     paths = _days(history, time, further)
     if len(paths) < LEAST:
         raise NoScenarios(
@@ -133,7 +134,7 @@ def weather_forecast(
     ahead.  The forecast's error at the last reading is corrected, fading within hours.  Raises NoScenarios if
     the forecast does not cover a day.
     """
-    time, history = grid(now_s), history.window(-np.inf, now_s)
+    time, history = grid(now_s), prepare(history.window(-np.inf, now_s))
     absent = sorted({"temperature", "vapour"} - set(coming))
     if absent:
         raise NoScenarios(f"the weather forecast has no {' and no '.join(absent)}")
@@ -198,15 +199,14 @@ def _random_course(random: np.random.Generator, count: int) -> np.ndarray:
     return course
 
 
-def _ambient(history: Record) -> dict[str, Series]:
-    vapour = ambient_absolute_humidity(history) if "ambient_temperature" in history else None
-    if vapour is None:
+def _ambient(history: PreparedRecord) -> dict[str, Series]:
+    if "ambient_temperature" not in history or history.ambient_vapour is None:
         raise NoScenarios("no readings of the ambient's temperature and humidity")
-    return {"temperature": input_path(history["ambient_temperature"]), "vapour": input_path(vapour)}
+    return {"temperature": history.path("ambient_temperature"), "vapour": history.path(VAPOUR)}
 
 
 def _days(
-    history: Record, time: np.ndarray, further: Sequence[str]
+    history: PreparedRecord, time: np.ndarray, further: Sequence[str]
 ) -> list[tuple[int, dict[str, np.ndarray]]]:
     """(days ago, courses of all non-ambient signals) of days on which ambient and `further` signals are
     complete."""
@@ -233,7 +233,7 @@ def _days(
 
 
 def _ambients(
-    history: Record, now_s: float, time: np.ndarray, days: Sequence[int]
+    history: PreparedRecord, now_s: float, time: np.ndarray, days: Sequence[int]
 ) -> list[dict[str, np.ndarray]]:
     """Possible courses of the ambient, one for each of the given days ago.
 

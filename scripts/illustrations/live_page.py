@@ -110,6 +110,7 @@ def _stated(service: Service) -> None:
     """What is not a tracker's own: forecasts by hand, with the states that follow, and what people state."""
     import numpy as np
     from builders.page_case import add_forecast, opened
+    from builders.store_case import queried
 
     from hygrokf.data.timestamps import DAY_S
     from hygrokf.live.assessment import Outlook
@@ -130,7 +131,7 @@ def _stated(service: Service) -> None:
             risk = Assessment(name, "at risk", text_of(said), now, content_of(said))
             store.commit(Batch(assessments=[risk]))
     # a detail of the last alarm of the fleet, as the control room would have left it
-    ended = store.rows("SELECT id FROM alarm WHERE ended IS NOT NULL ORDER BY began DESC")
+    ended = queried(store, "SELECT id FROM alarm WHERE ended IS NOT NULL ORDER BY began DESC")
     for (alarm,), cause in zip(ended, 3 * ("defect", "defect", "false alarm"), strict=False):
         acknowledge(store, alarm, "K. Maier", now - DAY_S / 2.0, cause)
     store.shelve(

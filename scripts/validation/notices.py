@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 from builders.receivers import FAILURES, MailServer, WebhookServer
+from builders.store_case import queried
 from builders.waiting import eventually
 
 from hygrokf.live.batch import Alarm, Batch
@@ -85,8 +86,8 @@ def _outages(kind: str, count: int, seed: int, folder: Path, random: np.random.G
         sender.stop()
         server.stop()
     accepted = server.accepted
-    rows = store.rows("SELECT COUNT(*) FROM outbox WHERE sent IS NOT NULL AND failure = ''")
-    wrong = store.rows("SELECT id, attempts, failure FROM outbox WHERE sent IS NULL OR failure <> ''")
+    rows = queried(store, "SELECT COUNT(*) FROM outbox WHERE sent IS NOT NULL AND failure = ''")
+    wrong = queried(store, "SELECT id, attempts, failure FROM outbox WHERE sent IS NULL OR failure <> ''")
     assert rows == [(number,)], wrong
     store.close()
     lost, doubled = number - len(accepted.keys), len(accepted.doubled)

@@ -27,8 +27,8 @@ FLOORS = (
 other."""
 OUTSIDE = {"", "version", "errors", "__main__"}
 """Modules that stand in no folder: the face, and what everybody may import."""
-ONLY_IN = {"llvmlite": "engine.jit"}
-"""Third parties that are imported with a module, and the module that may."""
+ONLY_IN = {"llvmlite": "engine.jit", "sqlalchemy": "live.storage"}
+"""Third parties that are imported with a module, and the module or folder that may."""
 SHELVES = ("hygrokf", "scripts", "tests/plants", "tests/other_make")
 """Folders whose modules and functions have a readable length."""
 PLACE = {name: floor for floor, names in enumerate(FLOORS) for name in names.split()}

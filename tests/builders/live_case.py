@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from builders.store_case import queried
 from hygrokf.cases.case_file import read_case
 from hygrokf.cases.synthetic import synthetic_turbine, write_case
 from hygrokf.data.record import Record
@@ -68,12 +69,13 @@ def expect_offline(url: str, record: Record, turbine: Turbine, name: str = "T1")
     """Every reading is in the store once, and the state is the offline filter's, bit for bit."""
     store = open_store(url)
     offline = offline_course(turbine.plan, record)
-    assert store.rows("SELECT COUNT(*) FROM observation WHERE turbine = ?", (name,)) == [(count_of(record),)]
-    assert store.rows("SELECT COUNT(*) FROM observation WHERE late = 1 OR contradicted = 1") == [(0,)]
+    own = "SELECT COUNT(*) FROM observation WHERE turbine = ?"
+    assert queried(store, own, (name,)) == [(count_of(record),)]
+    assert queried(store, "SELECT COUNT(*) FROM observation WHERE late = 1 OR contradicted = 1") == [(0,)]
     point = store.point(name)
     expect_state(point, offline)
-    rows = store.rows(
-        "SELECT time, temperature_K, final FROM estimate WHERE turbine = ? ORDER BY time", (name,)
+    rows = queried(
+        store, "SELECT time, temperature_K, final FROM estimate WHERE turbine = ? ORDER BY time", (name,)
     )
     times, kelvin, final = (np.array(column, dtype=float) for column in zip(*rows, strict=True))
     wrong = (times <= point.time) != (final == 1)

@@ -22,6 +22,7 @@ from cryptography.x509.oid import NameOID
 
 from builders.live_case import live_record, live_turbine
 from builders.record_edits import without
+from builders.store_case import queried
 from hygrokf.data.record import Record
 from hygrokf.data.structured import plain
 from hygrokf.live.condition import Surface
@@ -30,6 +31,8 @@ from hygrokf.live.service import Service
 from hygrokf.live.sources.local import Playback, record_mapping, record_messages
 from hygrokf.live.sources.payload import PayloadMapping
 from hygrokf.live.sources.stream import Delivery, Stream
+from hygrokf.live.storage.schema import forecast
+from hygrokf.live.storage.statements import inserting
 from hygrokf.live.storage.store import Store, open_store
 from hygrokf.live.web.application import PageEndpoints
 from hygrokf.live.web.page_settings import PageSettings
@@ -107,7 +110,8 @@ def add_forecast(
 
     drift: of the margin [K/h].
     """
-    (start,) = store.rows(
+    (start,) = queried(
+        store,
         "SELECT time, temperature_K, relative_humidity, absolute_humidity_g_m3, dew_point_K, margin_K FROM "
         "estimate WHERE turbine = ? ORDER BY time DESC LIMIT 1",
         (name,),
@@ -129,10 +133,11 @@ def add_forecast(
                 density, 0.3 * width, dew, width, None, None, expected, width, chance, above,
             )
         )  # fmt: skip
-    with store.transaction() as cursor:
-        cursor.execute("DELETE FROM forecast WHERE turbine = ?", (name,))
-        cursor.executemany(f"INSERT INTO forecast VALUES ({', '.join('?' * 17)})", rows)
-        cursor.execute(
+    with store.transaction():
+        queried(store, "DELETE FROM forecast WHERE turbine = ?", (name,))
+        store.execute_many(inserting(forecast), rows)
+        queried(
+            store,
             "INSERT INTO memory (turbine, name, content) VALUES (?, 'forecast', ?) "
             "ON CONFLICT (turbine, name) DO UPDATE SET content = excluded.content",
             (name, json.dumps(plain(ForecastMade(made, told, LIMIT, told)))),

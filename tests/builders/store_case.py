@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from contextlib import closing
+
 import numpy as np
 import pytest
 
@@ -9,7 +12,7 @@ from hygrokf.estimation.likelihood import Gaussian
 from hygrokf.live.batch import Alarm, Batch, Estimates, Observation
 from hygrokf.live.condition import Condition, Quantity
 from hygrokf.live.properties import Property
-from hygrokf.live.storage.store import StoreFault, open_store
+from hygrokf.live.storage.store import Store, StoreFault, open_store
 from hygrokf.live.tracker import Point, Reading
 
 T0 = 1.7e9
@@ -45,6 +48,16 @@ def everything() -> Batch:
         counters={("T1", "late"): 2, ("", "malformed"): 1},
         place={"file:live.csv": "1200"},
     )
+
+
+def queried(store: Store, statement: str, parameters: Sequence[object] = ()) -> list[tuple]:
+    """What the database itself answers to a statement, whose parameters are question marks."""
+    with closing(store.database.cursor()) as cursor:
+        if store.url.startswith("sqlite:"):
+            cursor.execute(statement, parameters)
+        else:
+            cursor.execute(statement.replace("?", "%s"), parameters or None)
+        return cursor.fetchall() if cursor.description else []
 
 
 def refused(url: str) -> str:

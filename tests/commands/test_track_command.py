@@ -23,6 +23,7 @@ from builders.command_line import environment, run
 from builders.fit_case import bare_fit
 from builders.live_case import live_fit
 from builders.page_case import recent_record
+from builders.store_case import queried
 from builders.track_case import MODEL
 
 from hygrokf.identification.fit import Fit, write_fit
@@ -117,7 +118,7 @@ def tracker(folder: Path, *arguments: str, **more: object) -> Iterator[Started]:
 def observations(folder: Path, name: str = "live.db") -> int:
     """How many readings a store has; none before its tables are made."""
     try:
-        return read(folder, lambda store: store.rows("SELECT COUNT(*) FROM observation")[0][0], name)
+        return read(folder, lambda store: queried(store, "SELECT COUNT(*) FROM observation")[0][0], name)
     except StoreUnready:
         return 0
 
@@ -169,7 +170,7 @@ def test_a_growing_file_the_page_and_a_restart(folder: Path) -> None:
         assert two.ended() == 0, two.said()
     assert "done: 2 deliveries" in two.said() and "page:" not in two.said()
     assert read(folder, Store.counters) == {}
-    newest = read(folder, lambda store: store.rows("SELECT MAX(time), COUNT(*) FROM estimate"))
+    newest = read(folder, lambda store: queried(store, "SELECT MAX(time), COUNT(*) FROM estimate"))
     assert newest == [(START_S + 600.0 * 19, 20)]
 
 
@@ -187,7 +188,8 @@ def test_a_model_and_a_source_without_a_file(folder: Path) -> None:
         piped.process.stdin.close()
         assert piped.ended() == 0, piped.said()
     every = "SELECT signal, time, value FROM observation ORDER BY signal, time"
-    assert len({str(read(folder, lambda s: s.rows(every), f"{name}.db")) for name in ("own", "piped")}) == 1
+    stored = {str(read(folder, lambda s: queried(s, every), f"{name}.db")) for name in ("own", "piped")}
+    assert len(stored) == 1
 
 
 def test_logs_as_json_are_one_object_a_line(folder: Path) -> None:
@@ -242,9 +244,9 @@ def test_a_weather_forecast_feeds_the_forecast(tmp_path: Path) -> None:
     assert done.status == 0, done.err
     said = read(tmp_path, lambda store: store.memory("T07", "forecast"))
     assert said["basis"]["code"] == "weather_forecast", (said, done.err)
-    rows_of = read(tmp_path, lambda store: store.rows("SELECT COUNT(*), MIN(time) FROM forecast"))
+    rows_of = read(tmp_path, lambda store: queried(store, "SELECT COUNT(*), MIN(time) FROM forecast"))
     assert rows_of[0][0] > 90 and abs(rows_of[0][1] - now) < 86400.0
-    assert read(tmp_path, lambda store: store.rows("SELECT COUNT(*) FROM weather"))[0][0] > 100
+    assert read(tmp_path, lambda store: queried(store, "SELECT COUNT(*) FROM weather"))[0][0] > 100
     assert read(tmp_path, Store.counters) == {}
 
 
@@ -306,8 +308,21 @@ MISTAKES: dict[str, tuple[str, Callable[[Path], None], tuple[str, ...]]] = {
     "no TOML": ("track.toml", lambda folder: (folder / "track.toml").write_text("[[turbine"),
         ("not valid TOML",)),
 }  # fmt: skip
+
+
 def contents(folder: Path) -> dict[str, bytes]:
     return {str(f.relative_to(folder)): f.read_bytes() for f in folder.rglob("*") if f.is_file()}
+
+
+@pytest.mark.parametrize("line", ["track --demo", "doctor a.toml", "export --store sqlite:a.db --out out"])
+def test_without_sqlalchemy_the_extra_is_named(line: str, tmp_path: Path) -> None:
+    text = "import sys; sys.modules['sqlalchemy'] = None; from hygrokf.commands.main import main; "
+    text += f"sys.exit(main({line.split()}))"
+    ended = subprocess.run(
+        [sys.executable, "-c", text], cwd=tmp_path, env=environment(), capture_output=True, text=True
+    )
+    assert (ended.returncode, ended.stdout) == (2, "") and not list(tmp_path.iterdir())
+    assert "pip install 'hygrokf[live]'" in ended.stderr and "Traceback" not in ended.stderr
 
 
 @pytest.mark.parametrize("name", MISTAKES)
@@ -346,9 +361,10 @@ def test_the_demo_finds_and_names_what_changed(tmp_path: Path, monkeypatch: pyte
     Service(turbines, [defaults.demo_stream(record, live_s, 0.0)], url).run(until_ended=True)
     store = open_store(url, read_only=True)
     try:
-        alarms = store.rows("SELECT turbine, kind, statement, remedy, began FROM alarm WHERE ended IS NULL")
-        forecasts = dict(store.rows("SELECT turbine, COUNT(*) FROM forecast GROUP BY turbine"))
-        seen = store.rows("SELECT DISTINCT turbine, signal FROM observation WHERE signal LIKE 'cabinet%'")
+        still_open = "SELECT turbine, kind, statement, remedy, began FROM alarm WHERE ended IS NULL"
+        alarms = queried(store, still_open)
+        forecasts = dict(queried(store, "SELECT turbine, COUNT(*) FROM forecast GROUP BY turbine"))
+        seen = queried(store, "SELECT DISTINCT turbine, signal FROM observation WHERE signal LIKE 'cabinet%'")
     finally:
         store.close()
     assert {(turbine, kind) for turbine, kind, *_ in alarms} == {

@@ -23,6 +23,7 @@ from typing import Any
 
 import numpy as np
 from builders.documents import document
+from builders.store_case import queried
 
 from hygrokf.cases.synthetic import synthetic_turbine, write_case
 from hygrokf.commands.main import main
@@ -270,7 +271,7 @@ def playback(folder: Path) -> str:
         if made is not None:
             fleet.keep_forecast("T1", *made)
             store.commit(made[1])
-    last = float(store.rows("SELECT MAX(time) FROM observation")[0][0])
+    last = float(queried(store, "SELECT MAX(time) FROM observation")[0][0])
     view = turbine_view(store, "T1", last - 86400.0, last)
     store.close()
     return json.dumps({**view, "alarms": [asdict(one) for one in view["alarms"]]}, indent=1, sort_keys=True)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from builders.live_case import expect_state, live_record, live_turbine
 from builders.service_case import Acknowledging, in_small_rounds, running
+from builders.store_case import queried
 from builders.tracker_case import arriving, planned, readings_of
 from builders.waiting import eventually
 
@@ -148,7 +149,7 @@ def test_a_running_tracker_takes_what_people_state(
         page.commit(Batch(alarms=[alarm]))
         assert acknowledge(page, "a1", "me", stated, "look again", look_again_s=1.0) == "T1"
         eventually(lambda: page.memory("T1", "changes"))
-        eventually(lambda: page.rows("SELECT acknowledged FROM alarm WHERE id = 'a1'") == [(None,)])
+        eventually(lambda: queried(page, "SELECT acknowledged FROM alarm WHERE id = 'a1'") == [(None,)])
         assert [one.id for batch in told for one in batch.reopened] == ["a1"]
         stream.go_on()
     (change,) = page.memory("T1", "changes")

@@ -12,6 +12,7 @@ from zlib import crc32
 import numpy as np
 import pytest
 from builders.live_case import SIGNALS, count_of, live_record, live_turbine
+from builders.store_case import queried
 
 from hygrokf.data.record import Record
 from hygrokf.data.timestamps import DAY_S
@@ -101,11 +102,11 @@ def told(store: Store) -> dict[str, object]:
     delivery = kinds_of(*DELIVERY)
     alarms = "SELECT id, kind, severity, began, ended, statement, remedy FROM alarm ORDER BY id"
     return {
-        "alarms": [row for row in store.rows(alarms) if row[1] not in delivery],
+        "alarms": [row for row in queried(store, alarms) if row[1] not in delivery],
         "finding": store.memory("T1", "finding"),
         "shifts": store.memory("T1", "parameter_shifts"),
-        "properties": store.rows("SELECT * FROM property ORDER BY turbine, time, name"),
-        "estimates": store.rows("SELECT * FROM estimate WHERE final = 1 ORDER BY turbine, time"),
+        "properties": queried(store, "SELECT * FROM property ORDER BY turbine, time, name"),
+        "estimates": queried(store, "SELECT * FROM estimate WHERE final = 1 ORDER BY turbine, time"),
     }
 
 
@@ -215,7 +216,7 @@ def test_a_replay_gives_the_same_at_any_speed(
     store = open_store(url)
     assert service.health.failures == 0
     assert departures(told(store), expected[0]) == []
-    assert store.rows("SELECT COUNT(*) FROM alarm") == [(len(expected[0]["alarms"]),)]
+    assert queried(store, "SELECT COUNT(*) FROM alarm") == [(len(expected[0]["alarms"]),)]
     store.close()
 
 
@@ -296,6 +297,7 @@ def test_every_estimate_up_to_the_point_is_final(
         fleet = Fleet.from_store({"T1": cold}, store)
         for part in np.split(order, cuts[cuts < len(order)]):
             store.commit(fleet.round([single[place] for place in part], mapping, "replay:"))
-        point, rows = store.point("T1"), store.rows("SELECT time, final FROM estimate WHERE turbine = 'T1'")
+        point = store.point("T1")
+        rows = queried(store, "SELECT time, final FROM estimate WHERE turbine = 'T1'")
     assert point is not None and len(rows) > 80
     assert [final for at, final in rows] == [int(at <= point.time) for at, _ in rows]

@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from builders.command_line import run
-from builders.store_case import T0, a_condition, observed
+from builders.store_case import T0, a_condition, observed, queried
 
 from hygrokf.live.batch import Alarm, Batch, Estimates, Observation
 from hygrokf.live.properties import Property
@@ -161,10 +161,10 @@ def test_a_store_that_fails_on_the_way_leaves_the_old_files(
     before = {one.name: one.read_bytes() for one in tmp_path.iterdir() if one.suffix == ".csv"}
     assert len(before) == 5
     store = open_store(filled)
-    with store.transaction() as cursor:
-        cursor.execute("DELETE FROM observation")
-        cursor.execute("DROP VIEW turbine_now")
-        cursor.execute("DROP VIEW estimate_readable")
+    with store.transaction():
+        queried(store, "DELETE FROM observation")
+        queried(store, "DROP VIEW turbine_now")
+        queried(store, "DROP VIEW estimate_readable")
     with pytest.raises(store.database.errors, match="estimate_readable"):
         export(store, tmp_path, "csv")
     store.close()

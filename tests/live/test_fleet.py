@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from builders.live_case import expect_offline, expect_state
+from builders.store_case import queried
 
 from hygrokf.data.record import Record
 from hygrokf.data.signals import from_si
@@ -69,7 +70,7 @@ def test_a_crash_anywhere_loses_nothing_and_counts_nothing_twice(
     assert crashes >= 5
     expect_offline(store.url, record, turbine)
     assert set(store.counters()) == {("T1", "repeated")}
-    hours = len(store.rows("SELECT DISTINCT time FROM property"))
+    hours = len(queried(store, "SELECT DISTINCT time FROM property"))
     assert 28 <= hours <= 49  # one an hour over two days at most; the point moves in steps of up to two
     store.close()
 
@@ -223,7 +224,7 @@ def test_data_that_stop_and_a_source_that_is_lost_raise_alarms(
     assert ("T2", "data stale", True) in ticked(end + 2.8 * hour, lost) + ticked(end + 2.9 * hour, lost)
     again = Fleet.from_store({"T1": turbine, "T2": turbine}, store)
     assert sorted(a.kind for a in again.open_alarms()) == ["data stale", "data stale", "source lost"]
-    (stale,) = store.rows("SELECT statement, remedy FROM alarm WHERE turbine = 'T1'")
+    (stale,) = queried(store, "SELECT statement, remedy FROM alarm WHERE turbine = 'T1'")
     assert stale[0].startswith("no signal has arrived for 2.") and "logger" in stale[1]
     fresh = {"turbine": "T1", "time": end + 3.0 * hour, "cabinet_temperature": 300.0}
     store.commit(fleet.round([Delivery(json.dumps(fresh), end + 3.0 * hour)], mapping))

@@ -11,7 +11,8 @@ from builders.forecast_case import DAY_S, STANDING, START_S, STEP_S, cabinet_rec
 from builders.live_case import live_fit, live_plan
 from builders.record_edits import changed, without
 
-from hygrokf.data.ambient import ambient_absolute_humidity, at_times
+from hygrokf.data.ambient import at_times
+from hygrokf.data.prepared import prepare
 from hygrokf.data.record import Record, Series
 from hygrokf.estimation.likelihood import Gaussian
 from hygrokf.identification.fit import Fit
@@ -73,7 +74,7 @@ def future(record: Record, time_s: np.ndarray) -> dict[str, np.ndarray]:
     """What truly came, as a member: of power and pre-heating the means over the steps."""
     member = {
         "ambient_temperature": at_times(record["ambient_temperature"], time_s, 6.0),
-        "ambient_absolute_humidity": at_times(ambient_absolute_humidity(record), time_s, 6.0),
+        "ambient_absolute_humidity": at_times(prepare(record).ambient_vapour, time_s, 6.0),
     }
     step = time_s[1] - time_s[0]
     parts = np.arange(0.0, step - 1.0, STEP_S)

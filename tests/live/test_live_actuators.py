@@ -12,6 +12,7 @@ from builders.actuated import actuated
 from builders.forecast_case import DAY_S, RATED_W, STANDING, START_S, cabinet_record, standstill
 from builders.live_case import expect_offline, expect_state, live_plan
 from builders.record_edits import changed, without
+from builders.store_case import queried
 from builders.tracker_case import LATENESS_S, arriving, planned, readings_of
 
 from hygrokf import identify
@@ -141,7 +142,7 @@ def through_a_service(record: Record, turbine: Turbine, folder: Path) -> None:
     Service({"T1": turbine}, [stream], url).run(until_ended=True)
     expect_offline(url, record, turbine)
     store = open_store(url, read_only=True)
-    stored = {name for (name,) in store.rows("SELECT DISTINCT signal FROM observation")}
+    stored = {name for (name,) in queried(store, "SELECT DISTINCT signal FROM observation")}
     store.close()
     assert stored == set(record.signals)
 

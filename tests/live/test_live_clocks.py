@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 from builders.live_case import count_of, expect_offline, live_record
 from builders.service_case import running
+from builders.store_case import queried
 from builders.waiting import eventually
 
 from hygrokf.data.record import Record
@@ -96,7 +97,7 @@ def test_no_clock_of_this_machine_loses_a_reading(
     run = Run(f"sqlite:{tmp_path / 'live.db'}", record, turbine)
     run.play(wrong_s)
     assert (run.most_held > 0) == held
-    (stored,) = run.store.rows("SELECT COUNT(*) FROM observation")[0]
+    (stored,) = queried(run.store, "SELECT COUNT(*) FROM observation")[0]
     assert stored + run.store.held_count("T1") == count_of(record)
     assert run.store.counters() == {}
     assert any(one.kind == "clock wrong" for one in run.alarms) == held
@@ -172,7 +173,7 @@ def taken(url: str) -> int:
         store = open_store(url, read_only=True)
     except StoreFault:  # the tracker has not made it yet
         return 0
-    count = store.rows("SELECT COUNT(*) FROM observation")[0][0] + store.held_count("T1")
+    count = queried(store, "SELECT COUNT(*) FROM observation")[0][0] + store.held_count("T1")
     store.close()
     return count
 

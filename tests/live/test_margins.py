@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from builders.store_case import queried
 
 from hygrokf.live.batch import Batch, Estimates
 from hygrokf.live.condition import Z95, Condition, Quantity
@@ -34,9 +35,10 @@ def store(tmp_path: Path) -> Store:
     times = T0 - BACK_S + 600.0 * np.arange(round(BACK_S / 600.0))
     condition = with_margins(times, np.linspace(10.0, 1.0, len(times)))
     made.commit(Batch(estimates={"A": Estimates(condition, len(times), float(times[0]))}))
-    with made.transaction() as cursor:
+    with made.transaction():
         for hour, margin in ((-1, -9.0), (1, 3.0), (1.5, 0.04), (47, -2.0), (49, -9.0)):
-            cursor.execute(
+            queried(
+                made,
                 "INSERT INTO forecast (turbine, time, made, margin_K, margin_sd) VALUES (?, ?, ?, ?, ?)",
                 ("A", T0 + 3600.0 * hour, T0, margin, 2.0),
             )

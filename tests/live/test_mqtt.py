@@ -29,6 +29,7 @@ from builders.brokers import (
 )
 from builders.live_case import count_of, expect_offline, live_record, without_preheating
 from builders.ports import free_port
+from builders.store_case import queried
 from builders.waiting import eventually
 
 from hygrokf.data.record import Record
@@ -123,7 +124,7 @@ def serving(
 def stored(url: str) -> int:
     store = open_store(url)
     try:
-        return store.rows("SELECT COUNT(*) FROM observation")[0][0]
+        return queried(store, "SELECT COUNT(*) FROM observation")[0][0]
     finally:
         store.close()
 

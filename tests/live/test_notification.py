@@ -17,6 +17,7 @@ from builders.command_line import run
 from builders.page_case import write_certificate
 from builders.ports import free_port
 from builders.receivers import FAILURES, PASSWORD, USER, MailServer, WebhookServer
+from builders.store_case import queried
 from builders.track_case import write_model
 from builders.waiting import eventually
 from validation.notices import outages
@@ -514,7 +515,7 @@ def test_an_alarm_of_a_tracker_arrives(
         config = Config({"T1": cold}, (stream,), url, channels=channels)
         track(config, with_page=False, until_ended=True)
         store = open_store(url)
-        raised = store.rows("SELECT id FROM alarm WHERE kind = 'condensation'")
+        raised = queried(store, "SELECT id FROM alarm WHERE kind = 'condensation'")
         assert raised
         subjects = [str(one["Subject"]) for one, _ in mail.accepted.messages]
         assert len(set(mail.accepted.keys)) == len(subjects) >= 1

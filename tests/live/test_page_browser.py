@@ -19,6 +19,7 @@ from builders.live_case import live_turbine
 from builders.page_case import Case, Fed, add_forecast, filled, opened, recent_record, served
 from builders.ports import free_port
 from builders.service_case import running
+from builders.store_case import queried
 from builders.waiting import eventually
 from playwright.sync_api import Browser, Page, expect
 
@@ -166,7 +167,8 @@ def plain(text: str) -> str:
 
 def newest(service: Service, name: str) -> tuple:
     store = opened(service)
-    (found,) = store.rows(
+    (found,) = queried(
+        store,
         "SELECT temperature_K, temperature_sd, relative_humidity, relative_humidity_sd, margin_K, margin_sd, "
         "condensation, absolute_humidity_g_m3 FROM estimate WHERE turbine = ? ORDER BY time DESC LIMIT 1",
         (name,),
@@ -322,18 +324,20 @@ def test_charts_hold_what_the_store_holds(tab: Tab, live: tuple[str, Hub], servi
     expect(page.locator("#chart-temperature canvas")).to_be_visible()
     store = opened(service)
     since = time.time() - 3 * 86400.0
-    estimates = store.rows(
+    estimates = queried(
+        store,
         "SELECT time, temperature_K, temperature_sd FROM estimate WHERE turbine = 'T1' AND time >= ? ORDER "
         "BY time",
         (since,),
     )
-    readings = store.rows(
+    readings = queried(
+        store,
         "SELECT time, value FROM observation WHERE turbine = 'T1' AND signal = 'cabinet_temperature' AND "
         "time >= ? ORDER BY time",
         (since,),
     )
-    forecast = store.rows(
-        "SELECT time, temperature_K, temperature_sd FROM forecast WHERE turbine = 'T1' ORDER BY time"
+    forecast = queried(
+        store, "SELECT time, temperature_K, temperature_sd FROM forecast WHERE turbine = 'T1' ORDER BY time"
     )
     store.close()
     data = chart(page, "temperature")
@@ -370,9 +374,10 @@ def test_a_turbine_in_words(tab: Tab, live: tuple[str, Hub], service: Service) -
         assert plain(page.locator(f"#now-{name} .value").inner_text()) == text
     assert f"pre-heat for 40 min {EVIL}" in page.locator(".advice").inner_text()
     store = opened(service)
-    properties = store.rows(
+    properties = queried(
+        store,
         "SELECT name, value, lower_bound, upper_bound, reference FROM property WHERE turbine = 'T1' AND time "
-        "= (SELECT MAX(time) FROM property WHERE turbine = 'T1')"
+        "= (SELECT MAX(time) FROM property WHERE turbine = 'T1')",
     )
     store.close()
     assert len(properties) == 4
@@ -485,7 +490,7 @@ def test_an_alarm_appears_by_itself_and_is_acknowledged(
         expect(page.locator("#open-alarms")).to_be_hidden()
         source.give([m for m in messages if m[0] < at])
         store = opened(service)
-        eventually(lambda: store.rows("SELECT id FROM alarm"))
+        eventually(lambda: queried(store, "SELECT id FROM alarm"))
         # nothing but the event of its commit lets the page ask for its rows again
         expect(row_of(page, "wet").locator(".badge")).to_have_text("at risk")
         expect(row_of(page, "wet").locator(".reason")).to_have_text("condensation is likely now")
@@ -497,7 +502,7 @@ def test_an_alarm_appears_by_itself_and_is_acknowledged(
         page.keyboard.press("Enter")
         expect(page.locator(".item .seen")).to_contain_text("acknowledged by Control room")
         expect(page.locator(".item button.acknowledge")).to_have_count(0)
-        rows = store.rows("SELECT kind, acknowledged_by, acknowledged, ended FROM alarm")
+        rows = queried(store, "SELECT kind, acknowledged_by, acknowledged, ended FROM alarm")
         before = chart(page, "temperature")[0][-1]
         assert [row[:2] for row in rows] == [("condensation", "Control room")]
         assert clicked <= rows[0][2] <= time.time() and rows[0][3] is None
@@ -505,7 +510,7 @@ def test_an_alarm_appears_by_itself_and_is_acknowledged(
         source.give([m for m in messages if m[0] >= at])
         eventually(lambda: chart(page, "temperature")[0][-1] > before)
         expect(page.locator(".item .seen")).to_contain_text("Control room")
-        assert store.rows("SELECT acknowledged_by FROM alarm") == [("Control room",)]
+        assert queried(store, "SELECT acknowledged_by FROM alarm") == [("Control room",)]
         store.close()
         assert page.evaluate("localStorage.getItem('hygrokf.by')") == "Control room"
     page_of.close()
@@ -553,9 +558,10 @@ def test_a_cause_a_shelf_and_a_change_are_stated(tab: Tab, live: tuple[str, Hub]
         "settings changed, stated by K. Maier – heater set to 5 K"
     )
     store = opened(service)
-    ((cause, note, days),) = store.rows(
+    ((cause, note, days),) = queried(
+        store,
         "SELECT cause, note, (look_again - acknowledged) / 86400 FROM alarm WHERE turbine = 'silent' "
-        "AND kind = 'reading contradicts'"
+        "AND kind = 'reading contradicts'",
     )
     assert (cause, note, round(days, 3)) == ("look again", f"loose plug {EVIL}", 5.0)
     (shelf,) = store.shelves(time.time())

@@ -13,7 +13,7 @@ import pytest
 from builders.databases import Server
 from builders.live_case import expect_offline
 from builders.service_case import Acknowledging
-from builders.store_case import T0
+from builders.store_case import T0, queried
 
 from hygrokf.data.record import Record
 from hygrokf.data.timestamps import whole_microseconds
@@ -89,11 +89,13 @@ def test_the_large_tables_can_be_partitioned_by_time(
     Service({"T1": turbine}, [Acknowledging(record)], partitioned).run(until_ended=True)
     expect_offline(partitioned, record, turbine)
     store = open_store(partitioned)
-    counts = [store.rows(f"SELECT COUNT(*) FROM observation_{day}")[0][0] for day in range(1, 4)]
+    counts = [queried(store, f"SELECT COUNT(*) FROM observation_{day}")[0][0] for day in range(1, 4)]
     assert min(counts) > 0 and sum(counts) > 0.9 * store.size()["observation"]
     # a span of time is looked for in its own partitions
-    plan = store.rows(
-        "EXPLAIN SELECT value FROM observation WHERE turbine = ? AND time >= ? AND time < ?",
+    plan = queried(
+        store,
+        "EXPLAIN SELECT value FROM observation WHERE turbine = ? AND time >= to_timestamp(?) "
+        "AND time < to_timestamp(?)",
         ("T1", first + 86400.0, first + 2 * 86400.0),
     )
     said = "\n".join(line for (line,) in plan)

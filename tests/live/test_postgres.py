@@ -15,7 +15,7 @@ from builders.databases import OWNER, Server
 from builders.live_case import count_of, expect_offline
 from builders.ports import free_port
 from builders.service_case import Acknowledging, in_small_rounds, running
-from builders.store_case import T0, everything, observed, refused
+from builders.store_case import T0, everything, observed, queried, refused
 from builders.tracking_process import halt_after, killed_at, started
 from builders.waiting import eventually
 
@@ -225,7 +225,7 @@ def test_several_may_make_the_tables_at_once(postgresql: Server) -> None:
             one.join(timeout=60.0)
         assert faults == []
         store = open_store(url)
-        assert store.rows("SELECT version FROM schema_version") == [(VERSION,)]
+        assert queried(store, "SELECT version FROM schema_version") == [(VERSION,)]
         store.close()
 
 
@@ -239,13 +239,13 @@ def test_trackers_share_a_database_but_no_turbine(
     second.claim("turbine", ["T3"])
     with pytest.raises(StoreFault, match=f"turbine T2 .* by process {os.getpid()} on "):
         second.claim("turbine", ["T2", "T4"])
-    assert store.rows("SELECT name FROM claim ORDER BY name") == [("T1",), ("T2",), ("T3",)]  # T4 neither
+    assert queried(store, "SELECT name FROM claim ORDER BY name") == [("T1",), ("T2",), ("T3",)]  # T4 neither
     second.claim("source", ["mqtt://broker"])
     with pytest.raises(StoreFault, match="the source mqtt://broker is already tracked"):
         store.claim("source", ["mqtt://broker"])
     # a session that dies holds nothing
     monkeypatch.setattr(database, "CLAIM_S", 10.0)
-    ((process,),) = store.rows("SELECT pg_backend_pid()")
+    ((process,),) = queried(store, "SELECT pg_backend_pid()")
     postgresql.execute("postgres", f"SELECT pg_terminate_backend({process})")
     second.claim("turbine", ["T1", "T2"])
     second.close()
@@ -297,7 +297,7 @@ def test_tls_is_libpq_s_own(postgresql: Server, tmp_path: Path, monkeypatch: pyt
     root.write_bytes(certificate.read_bytes())
     place = f"{postgresql.port}/{postgresql.database()}?hostaddr=127.0.0.1&sslmode=verify-full&sslrootcert="
     store = open_store(f"postgresql://{OWNER}@localhost:{place}{root}")
-    assert store.rows("SELECT ssl FROM pg_stat_ssl WHERE pid = pg_backend_pid()") == [(True,)]
+    assert queried(store, "SELECT ssl FROM pg_stat_ssl WHERE pid = pg_backend_pid()") == [(True,)]
     store.close()
     assert "does not match host name" in refused(f"postgresql://{OWNER}@elsewhere.example:{place}{root}")
     assert "root certificate file" in refused(

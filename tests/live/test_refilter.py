@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 from builders.live_case import count_of, live_turbine
+from builders.store_case import queried
 
 from hygrokf.data.record import Record
 from hygrokf.live.condition import Surface
@@ -51,7 +52,7 @@ def alone(tmp_path_factory: pytest.TempPathFactory, record: Record, cold: Turbin
 
 def results(store: Store) -> list[object]:
     tables = ("estimate WHERE final = 1", "property")
-    rows = [store.rows(f"SELECT * FROM {table} ORDER BY time") for table in tables]
+    rows = [queried(store, f"SELECT * FROM {table} ORDER BY time") for table in tables]
     point = store.point("T1")
     return [*rows, point.time, point.state.mean.tobytes(), store.memory("T1", "parameter_shifts")]
 
@@ -77,12 +78,12 @@ def test_before_its_instant_is_final_the_last_version_counts(
     """Bit for bit as if the right value had come alone; the first value that comes again is a repetition."""
     messages, right = corrected(record, 600.0)
     store = filled(tmp_path, cold, record, messages)
-    assert results(store) == results(alone) and store.rows(ALARMS) == alone.rows(ALARMS)
+    assert results(store) == results(alone) and queried(store, ALARMS) == queried(alone, ALARMS)
     count = (len(messages) - len(right)) // 2
     assert store.counters() == {("T1", "revised"): count, ("T1", "repeated"): count}
     assert store.size()["observation"] == count_of(record) and store.size()["revision"] == 2 * count
-    assert store.rows("SELECT DISTINCT number, late FROM revision WHERE value > 325") == [(0, 0)]
-    stamp = store.rows("SELECT time, received FROM revision WHERE number = 1 ORDER BY time")[0]
+    assert queried(store, "SELECT DISTINCT number, late FROM revision WHERE value > 325") == [(0, 0)]
+    stamp = queried(store, "SELECT time, received FROM revision WHERE number = 1 ORDER BY time")[0]
     assert stamp[1] == stamp[0] + 600.0  # each version has its own arrival
     # a restart knows the versions, too
     again = Fleet.from_store({"T1": cold}, store)
@@ -112,8 +113,8 @@ def test_a_revision_after_that_changes_nothing_until_the_store_is_filtered_anew(
     store = filled(tmp_path, cold, record, messages)
     count = (len(messages) - len(right)) // 2
     assert store.counters() == {("T1", "revised late"): count, ("T1", "repeated"): count}
-    before = store.rows(ALARMS)
-    assert before == uncorrected.rows(ALARMS) != alone.rows(ALARMS)
+    before = queried(store, ALARMS)
+    assert before == queried(uncorrected, ALARMS) != queried(alone, ALARMS)
     expected = results(alone)
     assert results(store) != expected
     store.close()
@@ -121,8 +122,8 @@ def test_a_revision_after_that_changes_nothing_until_the_store_is_filtered_anew(
     store = open_store(store.url)
     (told,) = refilter(store, {"T1": cold})
     assert results(store) == expected and told.late == count
-    assert store.rows(ALARMS) == before  # they were told: history
-    differing = set(before) ^ set(alone.rows(ALARMS))
+    assert queried(store, ALARMS) == before  # they were told: history
+    differing = set(before) ^ set(queried(alone, ALARMS))
     assert {row[0] for row in differing} and len(told.differences) == len({row[0] for row in differing})
     assert any("would not have begun" in one for one in told.differences)
     assert refilter(store, {"T1": cold})[0].late == 0

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from builders.live_case import live_record, live_turbine
 from builders.service_case import Acknowledging
-from builders.store_case import T0, a_condition, observed
+from builders.store_case import T0, a_condition, observed, queried
 
 from hygrokf.live import service
 from hygrokf.live.batch import Alarm, Batch, Estimates
@@ -49,8 +49,8 @@ def store(store_url: str) -> Store:
 def left(store: Store) -> tuple[int, ...]:
     """Numbers of readings of the cabinet temperature and of rain, of estimates, properties and alarms."""
     of_signal = "SELECT COUNT(*) FROM observation WHERE turbine = 'T1' AND signal = ?"
-    counts = [store.rows(of_signal, (name,)) for name in ("cabinet_temperature", "rain")]
-    counts += [store.rows(f"SELECT COUNT(*) FROM {name}") for name in ("estimate", "property", "alarm")]
+    counts = [queried(store, of_signal, (name,)) for name in ("cabinet_temperature", "rain")]
+    counts += [queried(store, f"SELECT COUNT(*) FROM {name}") for name in ("estimate", "property", "alarm")]
     return tuple(rows[0][0] for rows in counts)
 
 
@@ -68,7 +68,7 @@ def test_what_is_old_goes_and_what_a_restart_needs_stays(store: Store) -> None:
     assert store.readings("T1", needed) == before
     assert prune(store, "T1", T0 + 1e6, needed) == 0
     assert store.readings("T2", 0.0) != [] and [
-        r for (r,) in store.rows("SELECT id FROM alarm ORDER BY id")
+        r for (r,) in queried(store, "SELECT id FROM alarm ORDER BY id")
     ] == ["new", "open"]
 
 
@@ -109,6 +109,6 @@ def test_a_pruned_store_ends_in_the_offline_filter(
     assert np.array_equal(point.state.mean, offline.trace.mean[row])
     assert np.array_equal(point.state.covariance, offline.trace.covariance[row])
     needed = point.time - turbine.plan.context_s
-    ((count, oldest),) = store.rows("SELECT COUNT(*), MIN(time) FROM observation")
+    ((count, oldest),) = queried(store, "SELECT COUNT(*), MIN(time) FROM observation")
     assert count < 0.4 * total and needed - 4.0 * 3600.0 < oldest < needed
     store.close()

@@ -13,10 +13,10 @@ import psycopg
 import pytest
 from builders.databases import Server
 from builders.documents import document
-from builders.store_case import T0, a_condition, everything, observed
+from builders.store_case import T0, a_condition, everything, observed, queried
 
 from hygrokf.live.batch import Alarm, Batch, Estimates, Observation
-from hygrokf.live.storage.schema import SQLITE, TABLES, TIMESTAMPS, VIEWS, creation
+from hygrokf.live.storage.schema import SQLITE, TABLES, VIEWS, Instant, creation
 from hygrokf.live.storage.store import Store, StoreFault, open_store
 from hygrokf.live.tracker import NEITHER, Reading
 
@@ -123,7 +123,7 @@ def test_turbines_alarms_and_properties_now(store: Store) -> None:
     assert one(store, "SELECT * FROM property_now") == [
         "T1", "hygric_k", "h", at(store, T0), ISO, 0.3, 0.28, 0.33, 0.31, 1
     ]  # fmt: skip
-    assert store.rows("SELECT COUNT(*) FROM forecast_readable") == [(0,)]
+    assert queried(store, "SELECT COUNT(*) FROM forecast_readable") == [(0,)]
 
 
 def test_hours_begin_at_the_hour_and_leave_contradictions_out(store: Store) -> None:
@@ -167,7 +167,12 @@ def test_the_large_tables_have_timestamps(postgresql: Server) -> None:
         "SELECT table_name, column_name FROM information_schema.columns c JOIN pg_tables t "
         "ON t.tablename = c.table_name WHERE t.schemaname = 'public' AND data_type LIKE 'timestamp with%'",
     )
-    assert set(found) == {(table, column) for table, columns in TIMESTAMPS.items() for column in columns}
+    assert set(found) == {
+        (name, column.name)
+        for name, table in TABLES.items()
+        for column in table.c
+        if isinstance(column.type, Instant)
+    }
 
 
 # -- the page ------------------------------------------------------------------------------------------------
@@ -190,8 +195,8 @@ def test_the_page_s_roles_and_queries_work(postgresql: Server, tmp_path: Path) -
     owner = open_store(url)
     for statement in filter(None, map(str.strip, rights.split(";"))):
         owner.database.connection.execute(statement)
-    with owner.transaction() as cursor:  # a later version's table
-        cursor.execute("CREATE TABLE later (x INTEGER)")
+    with owner.transaction():  # a later version's table
+        queried(owner, "CREATE TABLE later (x INTEGER)")
     owner.close()
     file = f"sqlite:{tmp_path / 'live.db'}"
     for place in (url, file):
@@ -202,8 +207,9 @@ def test_the_page_s_roles_and_queries_work(postgresql: Server, tmp_path: Path) -
     reader = open_store(postgresql.url("hygrokf", user="hygrokf_reader"), read_only=True)
     # as Grafana replaces it
     course = re.sub(r"\$__timeFilter\((\w+)\)", rf"\1 BETWEEN '{ISO}Z' AND '2023-11-14T22:23:20Z'", course)
-    assert [row[0] for row in reader.rows(course)] == [T0, T0 + 600.0]
-    assert [row[0] for row in reader.rows(fleet)] == ["T07"] and reader.rows("SELECT * FROM later") == []
+    assert [row[0] for row in queried(reader, course)] == [T0, T0 + 600.0]
+    assert [row[0] for row in queried(reader, fleet)] == ["T07"]
+    assert queried(reader, "SELECT * FROM later") == []
     with pytest.raises(StoreFault, match="read-only"):
         reader.commit(everything())
     reader.close()
@@ -214,6 +220,6 @@ def test_the_page_s_roles_and_queries_work(postgresql: Server, tmp_path: Path) -
     reader.close()
     reader = open_store(file, read_only=True)
     plain_course = plain_course.replace("$__from", f"{T0:.0f}000").replace("$__to", f"{T0 + 601:.0f}000")
-    assert [row[0] for row in reader.rows(plain_course)] == [T0, T0 + 600.0]
-    assert [row[0] for row in reader.rows(fleet)] == ["T07"]
+    assert [row[0] for row in queried(reader, plain_course)] == [T0, T0 + 600.0]
+    assert [row[0] for row in queried(reader, fleet)] == ["T07"]
     reader.close()

@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 from builders.live_case import expect_offline
 from builders.service_case import Acknowledging, in_small_rounds, running, with_every_store
+from builders.store_case import queried
 from builders.waiting import eventually
 
 from hygrokf.data.record import Record
@@ -130,9 +131,9 @@ def test_a_mistake_of_its_own_ends_the_loop(store_url: str, record: Record, turb
     service = Service({"T1": turbine}, [stream], store_url)
     store = open_store(store_url)
     errors = store.database.errors
-    with store.transaction() as cursor:
-        cursor.execute("DROP VIEW observation_hourly")
-        cursor.execute("ALTER TABLE observation RENAME COLUMN received TO seen")
+    with store.transaction():
+        queried(store, "DROP VIEW observation_hourly")
+        queried(store, "ALTER TABLE observation RENAME COLUMN received TO seen")
     with pytest.raises(errors, match="received"):
         service.run(until_ended=True)
     assert stream.acknowledged == [] and service.health.failures == 0

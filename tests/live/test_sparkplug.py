@@ -13,6 +13,7 @@ from builders import service_case
 from builders.brokers import Mosquitto, mosquitto, needs_mosquitto, overheard, peer
 from builders.live_case import count_of, expect_offline, live_record, without_preheating
 from builders.sparkplug_peer import DOUBLE, EdgeNode, metric
+from builders.store_case import queried
 from builders.waiting import eventually
 
 from hygrokf.data.record import Record
@@ -93,7 +94,7 @@ def serving(turbine: Turbine, stream: Sparkplug, store: str) -> Iterator[Service
 def in_store(url: str, question: str, *parameters: object) -> object:
     store = open_store(url)
     try:
-        return store.rows(question, parameters)[0][0]
+        return queried(store, question, parameters)[0][0]
     finally:
         store.close()
 
@@ -105,7 +106,7 @@ def stored(url: str) -> int:
 def counted(url: str) -> dict[str, int]:
     store = open_store(url)
     try:
-        return dict(store.rows("SELECT name, count FROM counter WHERE turbine = ?", (SOURCE,)))
+        return dict(queried(store, "SELECT name, count FROM counter WHERE turbine = ?", (SOURCE,)))
     finally:
         store.close()
 

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 from builders.live_case import count_of, expect_offline
 from builders.service_case import Acknowledging, in_small_rounds, running, with_every_store
-from builders.store_case import T0, everything, observed, refused
+from builders.store_case import T0, everything, observed, queried, refused
 from builders.tracking_process import halt_after, killed_at, started
 from builders.waiting import eventually
 
@@ -105,7 +105,7 @@ def test_a_process_that_died_while_it_made_the_tables(tmp_path: Path) -> None:
     store.commit(everything())
     assert (
         store.size()["observation"] == 2
-        and store.rows("SELECT name FROM sqlite_master WHERE name = 't1'") == []
+        and queried(store, "SELECT name FROM sqlite_master WHERE name = 't1'") == []
     )
     store.close()
 
@@ -138,9 +138,9 @@ def test_several_processes_may_make_a_store_at_once(tmp_path: Path) -> None:
             one.communicate()
     for n in range(15):
         store = open_store(f"sqlite:{tmp_path / f'{n}.db'}")
-        assert store.rows("SELECT version FROM schema_version") == [(VERSION,)]
-        assert store.rows("PRAGMA journal_mode") == [("wal",)]
-        assert store.rows("PRAGMA integrity_check") == [("ok",)]
+        assert queried(store, "SELECT version FROM schema_version") == [(VERSION,)]
+        assert queried(store, "PRAGMA journal_mode") == [("wal",)]
+        assert queried(store, "PRAGMA integrity_check") == [("ok",)]
         store.close()
 
 
@@ -154,10 +154,10 @@ def test_one_file_has_one_tracker_and_many_readers(file: Path, monkeypatch: pyte
     with pytest.raises(StoreFault, match=f"turbine T9 .* by process {os.getpid()} on "):
         second.claim("turbine", ["T9"])
     assert acknowledge(page, "a1", "control room", T0, "defect") and page.size()["observation"] == 5002
-    assert first.rows("SELECT name FROM claim ORDER BY name") == [("T1",), ("T2",), ("T3",)]
+    assert queried(first, "SELECT name FROM claim ORDER BY name") == [("T1",), ("T2",), ("T3",)]
     first.close()
     second.claim("turbine", ["T9"])
-    assert page.rows("SELECT kind, name FROM claim") == [("turbine", "T9")]
+    assert queried(page, "SELECT kind, name FROM claim") == [("turbine", "T9")]
     second.close()
     page.close()
 
@@ -201,8 +201,8 @@ def test_a_full_disk_is_outlived(
 
     def limit(store: Store) -> None:
         if is_full.is_set():
-            ((pages,),) = store.rows("PRAGMA page_count")
-            store.rows(f"PRAGMA max_page_count = {pages + 10}")
+            ((pages,),) = queried(store, "PRAGMA page_count")
+            queried(store, f"PRAGMA max_page_count = {pages + 10}")
 
     with_every_store(monkeypatch, limit)
     stream = Acknowledging(record)

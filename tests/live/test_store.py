@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from builders.store_case import T0, a_condition, a_state, everything, observed, refused
+from builders.store_case import T0, a_condition, a_state, everything, observed, queried, refused
 
 from hygrokf.live.batch import Alarm, Assessment, Batch, Estimates, Event, Notice, Observation, Shelf
 from hygrokf.live.notification import notices as outbox
@@ -44,8 +44,8 @@ def test_a_batch_comes_back(store: Store) -> None:
     assert [one.value for one in store.readings("T1", T0)] == [290.25, 290.5]
     assert store.readings("T1", T0 + 601.0)[-1] == Reading("cabinet_temperature", T0 + 600, 290.5)
     assert store.readings("T2", T0) == []
-    assert store.rows(
-        "SELECT final, temperature_K, frost_point_K, condensation FROM estimate ORDER BY time"
+    assert queried(
+        store, "SELECT final, temperature_K, frost_point_K, condensation FROM estimate ORDER BY time"
     ) == [
         (1, 290.0, None, 0.25),
         (0, 290.0, None, 0.25),
@@ -98,12 +98,13 @@ def test_repeated_contradicting_and_late_observations(store: Store) -> None:
     found = {one.time: one.value for one in store.readings("T1", 0.0)}
     assert sorted(found) == [1.0, 2.0, 4.0, 5.0]  # what came too late was not used
     assert (found[1.0], found[2.0], found[4.0]) == (5.0, 6.0, 2.0) and math.isnan(found[5.0])
-    assert store.rows("SELECT time, value, received, late, number FROM revision ORDER BY time, number") == [
+    versions = "SELECT time, value, received, late, number FROM revision ORDER BY time, number"
+    assert queried(store, versions) == [
         (1.0, 5.0, 4.0, 0, 0), (1.0, 9.0, 5.0, 1, 1), (2.0, 5.0, 5.0, 0, 0), (2.0, 6.0, 6.0, 0, 1),
         (4.0, 1.0, 7.0, 0, 0), (4.0, 2.0, 8.0, 0, 1), (4.0, 3.0, 9.0, 0, 2), (5.0, 1.0, 8.0, 0, 0),
         (5.0, 2.0, 9.0, 0, 1),
     ]  # fmt: skip
-    assert store.rows("SELECT received, mark FROM observation WHERE time = ?", (4.0,)) == [(8.0, 9.0)]
+    assert queried(store, "SELECT received, mark FROM observation WHERE value = ?", (2.0,)) == [(8.0, 9.0)]
     assert store.revised("T1", 4.5) == {
         ("rain", 5.0): [Reading("rain", 5.0, 1.0), Reading("rain", 5.0, 2.0)]
     }
@@ -131,7 +132,7 @@ def test_a_restart_reads_each_signal_from_some_readings_before(store: Store) -> 
 def test_provisional_estimates_are_overtaken(store: Store) -> None:
     store.commit(Batch(estimates={"T1": Estimates(a_condition([T0, T0 + 600, T0 + 900]), 1, T0)}))
     store.commit(Batch(estimates={"T1": Estimates(a_condition([T0 + 600, T0 + 1200], 291.0), 1, T0 + 300)}))
-    assert store.rows("SELECT time, final, temperature_K FROM estimate ORDER BY time") == [
+    assert queried(store, "SELECT time, final, temperature_K FROM estimate ORDER BY time") == [
         (T0, 1, 290.0),
         (T0 + 600, 1, 291.0),
         (T0 + 1200, 0, 291.0),
@@ -160,7 +161,7 @@ def test_alarms_are_acknowledged_once(store: Store) -> None:
     # a later round ends it and leaves the acknowledgement
     ended = Alarm("a1", "T1", "condensation", "warning", T0, "water condensed", "dry it", ended=T0 + 60.0)
     store.commit(Batch(alarms=[ended]))
-    assert store.rows("SELECT ended, acknowledged_by, cause, note, look_again, statement FROM alarm") == [
+    assert queried(store, "SELECT ended, acknowledged_by, cause, note, look_again, statement FROM alarm") == [
         (T0 + 60.0, "control room", "look again", "filter ordered", T0 + 7 * 86400.0, "water condensed")
     ]
 
@@ -183,7 +184,7 @@ def test_readings_ahead_of_the_clock_are_kept_apart_until_they_are_released(stor
 def test_what_an_assessment_resumes_from(store: Store) -> None:
     assert store.newest_estimate("T1") is None and store.outlook("T1") == []
     store.commit(everything())
-    newest = store.rows("SELECT MAX(time) FROM estimate WHERE turbine = 'T1'")[0][0]
+    newest = queried(store, "SELECT MAX(time) FROM estimate WHERE turbine = 'T1'")[0][0]
     assert store.newest_estimate("T1") == (newest, 0.25)
     assert store.outlook("T1") == []
 
@@ -193,7 +194,7 @@ def test_a_turbine_has_one_state(store: Store) -> None:
         store.commit(Batch(assessments=[Assessment("T1", state, "why", at)]))
     assert store.assessments() == {"T1": Assessment("T1", "ok", "why", T0 + 60.0)}
     store.add_turbines({"T1": "digest"})
-    assert store.rows("SELECT turbine, state, reason FROM turbine_now") == [("T1", "ok", "why")]
+    assert queried(store, "SELECT turbine, state, reason FROM turbine_now") == [("T1", "ok", "why")]
 
 
 def test_a_shelf_ends_by_time_or_by_hand(store: Store) -> None:
@@ -260,13 +261,13 @@ def test_a_folder_without_rights_is_no_damaged_store(
 def test_a_store_of_another_schema_is_refused_and_left_as_it_is(store_url: str, number: int) -> None:
     store = open_store(store_url)
     store.commit(everything())
-    with store.transaction() as cursor:
-        cursor.execute(f"UPDATE schema_version SET version = {number}")
+    with store.transaction():
+        queried(store, f"UPDATE schema_version SET version = {number}")
     tables = store.size()
     if store_url.startswith("postgresql:"):
         said = refused(store_url)
         assert store.size() == tables
-        assert store.rows("SELECT version FROM schema_version") == [(number,)]
+        assert queried(store, "SELECT version FROM schema_version") == [(number,)]
         store.close()
     else:
         # its log is not yet in the file: a copy of both is what a killed tracker leaves

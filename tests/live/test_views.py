@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from builders.store_case import queried
 
 from hygrokf.data.structured import plain
 from hygrokf.live.batch import Alarm, Assessment, Batch, Estimates, Observation
@@ -148,9 +149,9 @@ def test_health() -> None:
 
 def test_what_the_fleet_says_of_cabinets_and_of_what_comes(store: Store) -> None:
     row = "INSERT INTO forecast (turbine, time, made, condensation) VALUES (?, ?, ?, ?)"
-    with store.transaction() as cursor:
+    with store.transaction():
         for hour, chance in ((-1, 0.9), (1, 0.2), (2, 0.6), (3, 0.6), (4, None)):
-            cursor.execute(row, ("A", T0 + 3600.0 * hour, T0, chance))
+            queried(store, row, ("A", T0 + 3600.0 * hour, T0, chance))
     hidden = [("B", T0, [Property("hygric_k", "h", None, None, None, 0.3, False)])]
     store.commit(Batch(properties=hidden, alarms=[Alarm("c", "C", "cabinet changed", "warning", T0, "", "")]))
     rows = {row["turbine"]: row for row in fleet_view(store, ["A", "B", "C"], T0)}

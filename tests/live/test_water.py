@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from builders.live_case import live_record, live_turbine
+from builders.store_case import queried
 
 from hygrokf.data.record import Record
 from hygrokf.data.timestamps import HOUR_S
@@ -133,7 +134,7 @@ def test_a_fleet_tells_it_until_a_person_says_otherwise(
         if hours % 12 == 8:
             fleet = Fleet.from_store({"T1": turbine}, store)
     query = "SELECT time, condensation FROM estimate WHERE turbine = 'T1' ORDER BY time"
-    time, chance = np.array(store.rows(query)).T
+    time, chance = np.array(queried(store, query)).T
     margin = own_margin(wet, time)
     condenses = (margin < -0.01) & (time > wet.start_s + 48.0 * HOUR_S)
     assert (condenses & (time < stated)).any() and (chance[condenses & (time < stated)] >= 0.5).all()

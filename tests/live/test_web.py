@@ -17,6 +17,7 @@ import httpx
 import pytest
 from builders.page_case import Case, add_forecast, filled, opened, served
 from builders.ports import free_port
+from builders.store_case import queried
 from prometheus_client.parser import text_string_to_metric_families
 
 from hygrokf.live.batch import STATES, Alarm, Batch
@@ -85,7 +86,8 @@ def test_the_fleet_is_the_stores(client: httpx.Client, service: Service) -> None
     assert set(rows) == set(NAMES)
     store = opened(service)
     for name in NAMES:
-        ((kelvin, humidity, chance, at),) = store.rows(
+        ((kelvin, humidity, chance, at),) = queried(
+            store,
             "SELECT temperature_K, relative_humidity, condensation, time FROM estimate WHERE turbine = ? "
             "ORDER BY time DESC LIMIT 1",
             (name,),
@@ -97,7 +99,7 @@ def test_the_fleet_is_the_stores(client: httpx.Client, service: Service) -> None
     assert {name: row["state"] for name, row in rows.items()} == {n: one.state for n, one in states.items()}
     assert found["summary"] == {s: [o.state for o in states.values()].count(s) for s in STATES}
     assert all(row["reason"] and row["since"] for row in rows.values())
-    (most,) = store.rows("SELECT MAX(condensation) FROM forecast WHERE time >= ?", (found["now"],))
+    (most,) = queried(store, "SELECT MAX(condensation) FROM forecast WHERE time >= ?", (found["now"],))
     store.close()
     assert rows["T1"]["forecast"]["condensation"] == most[0] and rows[NAMES[1]]["forecast"] is None
 
@@ -194,7 +196,7 @@ def test_files_are_not_sent_twice(client: httpx.Client) -> None:
 # -- acknowledging -------------------------------------------------------------------------------------------
 def unseen(service: Service, alarm: str) -> bool:
     store = opened(service)
-    found = store.rows("SELECT acknowledged FROM alarm WHERE id = ?", (alarm,))
+    found = queried(store, "SELECT acknowledged FROM alarm WHERE id = ?", (alarm,))
     store.close()
     return found == [(None,)]
 

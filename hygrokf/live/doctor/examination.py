@@ -35,8 +35,9 @@ from hygrokf.live.notification.channel import Channel, ChannelFault, NoticeMessa
 from hygrokf.live.plan import AMBIENT_HUMIDITIES, Plan
 from hygrokf.live.sources.stream import Stream
 from hygrokf.live.storage.database import StoreUnready, one_line
-from hygrokf.live.storage.schema import VERSION
+from hygrokf.live.storage.schema import VERSION, observation
 from hygrokf.live.storage.sqlite import path_of
+from hygrokf.live.storage.statements import newest, selecting
 from hygrokf.live.storage.store import Store, StoreFault, open_store
 from hygrokf.live.tracker import Reading, Tracker, record_of
 from hygrokf.live.turbines import Turbine, digest
@@ -296,16 +297,12 @@ def _read_contents(
     store: Store, turbines: Mapping[str, Turbine], contents: StoreContents
 ) -> dict[str, float]:
     """Note the signals of each turbine in `contents`; returns turbine → time span of its readings [s]."""
-    spans = {}
+    spans, first = {}, selecting(observation, "time", "turbine", "time").limit(1)
     for name in turbines:
         contents.signals[name] = set(store.signals(name))
-        rows = store.rows(
-            "SELECT time, received FROM observation WHERE turbine = ? ORDER BY time DESC LIMIT 1", (name,)
-        )
-        for newest, received in rows:
+        for last, received in store.rows(newest(observation, "time received", "turbine"), turbine=name):
             contents.received_s = max(contents.received_s, received)
-            oldest = store.rows("SELECT MIN(time) FROM observation WHERE turbine = ?", (name,))[0][0]
-            spans[name] = newest - oldest
+            spans[name] = last - store.rows(first, turbine=name)[0][0]
     return spans
 
 
@@ -333,14 +330,14 @@ def _claims(store: Store, turbines: Mapping[str, Turbine]) -> Iterator[Check]:
 
 def _turbines(store: Store, turbines: Mapping[str, Turbine]) -> Iterator[Check]:
     """Turbines that only the store or only the tracker's file has, or that had another model."""
-    known = {name: model for name, model in store.rows("SELECT name, model FROM turbine")}
+    known = store.models()
     claimed = {name for kind, name in store.database.claims() if kind == "turbine"}
     left = sorted(set(known) - set(turbines) - claimed)
     new = [name for name in turbines if name not in known]
     changed = [
         name for name, one in turbines.items() if known.get(name, digest(one.plan)) != digest(one.plan)
     ]
-    was_read = new and store.rows("SELECT url FROM source")
+    was_read = new and store.size()["source"]
     yield from of_names("store", left, CheckCode.TURBINES_LEFT)
     yield from of_names(
         "store", new, CheckCode.TURBINES_MISS_THE_PAST if was_read else CheckCode.TURBINES_NEW
@@ -349,12 +346,7 @@ def _turbines(store: Store, turbines: Mapping[str, Turbine]) -> Iterator[Check]:
 
 
 def _estimates(store: Store, turbines: Mapping[str, Turbine], played_back: bool) -> Iterator[Check]:
-    newest = {
-        name: at
-        for name in turbines
-        for (at,) in store.rows("SELECT MAX(time) FROM estimate WHERE turbine = ?", (name,))
-        if at is not None
-    }
+    newest = {name: first[0] for name in turbines if (first := store.newest_estimate(name)) is not None}
     if not newest:
         yield CheckCode.NO_ESTIMATE_YET("store")
         return
@@ -363,7 +355,7 @@ def _estimates(store: Store, turbines: Mapping[str, Turbine], played_back: bool)
         return
     old: list[Statement] = []
     fresh: list[Statement] = []
-    for name, at in sorted(newest.items(), key=lambda one: one[1]):
+    for name, at in sorted(newest.items(), key=lambda entry: entry[1]):
         age = time.time() - at
         aged = ExaminedCode.AGED(turbine=name, age=rounded(age))
         (old if age > turbines[name].stale_s else fresh).append(aged)

@@ -10,8 +10,9 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
+from typing import TYPE_CHECKING
 
 from hygrokf.data.structured import structured
 from hygrokf.data.timestamps import DAY_S
@@ -27,10 +28,14 @@ from hygrokf.live.notification.channel import (
     Channel,
     Content,
 )
-from hygrokf.live.storage.database import Row
+from hygrokf.live.storage import schema, statements
+from hygrokf.live.storage.statements import selecting
 from hygrokf.live.storage.store import Store
 from hygrokf.texts.live import NoticeCode
 from hygrokf.texts.statement import Statement
+
+if TYPE_CHECKING:
+    from sqlalchemy import ClauseElement
 
 PAST_S = DAY_S
 """[s] after its beginning from which a new alarm counts as one of the past: the tracker is catching up."""
@@ -88,8 +93,7 @@ def acknowledge(
 def look_again(store: Store, now: float, channels: Sequence[Channel]) -> Batch:
     """Open alarms that are due at `now` [s] to be looked at again: unacknowledged, with their notices."""
     batch, at = Batch(), time.time()
-    rest = "WHERE ended IS NULL AND acknowledged IS NOT NULL AND look_again <= ? ORDER BY look_again, id"
-    for alarm in store.found(Alarm, rest, (now,)):
+    for alarm in store.found(Alarm, statements.DUE_AGAIN, now=now):
         assert alarm.look_again is not None, "that is how they are found"
         # cause and note of the last acknowledgement stay
         back = replace(alarm, acknowledged=None, acknowledged_by=None, look_again=None)
@@ -187,8 +191,7 @@ def delivered(notice: Notice) -> bool:
 # -- the outbox ----------------------------------------------------------------------------------------------
 def due(store: Store, channel: str, now: float, most: int) -> list[Notice]:
     """A channel's notices that are not sent and due at `now` [s], the earliest first."""
-    rest = "WHERE sent IS NULL AND due <= ? AND channel = ? ORDER BY due, id LIMIT ?"
-    return store.found(Notice, rest, (now, channel, most))
+    return store.found(Notice, statements.DUE, channel=channel, now=now, most=most)
 
 
 @dataclass(frozen=True)
@@ -204,64 +207,62 @@ class ChannelState:
 
 def channel_states(store: Store) -> dict[str, ChannelState]:
     """The outbox by channel."""
-    rows = store.rows(
-        "SELECT channel, SUM(CASE WHEN sent IS NULL THEN 1 ELSE 0 END), "
-        "MIN(CASE WHEN sent IS NULL THEN made END), "
-        "MAX(CASE WHEN sent IS NULL THEN failure ELSE '' END), "
-        "MAX(CASE WHEN failure = '' THEN sent END) FROM outbox GROUP BY channel"
-    )
-    return {channel: ChannelState(int(count), *rest) for channel, count, *rest in rows}
+    return {
+        channel: ChannelState(int(count), *rest)
+        for channel, count, *rest in store.rows(statements.CHANNEL_STATES)
+    }
 
 
 def beginning_with(store: Store, channel: str, prefix: str) -> list[Notice]:
     """A channel's notices whose ids begin with a text."""
-    rest = "WHERE channel = ? AND substr(id, 1, ?) = ? ORDER BY made, id"
-    return store.found(Notice, rest, (channel, len(prefix), prefix))
+    return store.found(Notice, statements.NOTICES_ABOUT, channel=channel, length=len(prefix), prefix=prefix)
 
 
 def keep_contents(store: Store, contents: Iterable[tuple[str, str]]) -> None:
     """Write the contents (id, JSON) of notices that are about to be sent, so that a repeat is the same."""
-    _change(store, "UPDATE outbox SET content = ? WHERE id = ?", [(text, name) for name, text in contents])
+    _change(store, statements.KEEP_CONTENT, [{"notice": name, "text": text} for name, text in contents])
 
 
 def postpone(store: Store, notices: Iterable[tuple[str, float]]) -> None:
     """Decide about notices (id) again at a time [s]."""
-    _change(store, "UPDATE outbox SET due = ? WHERE id = ?", [(at, name) for name, at in notices])
+    _change(store, statements.POSTPONE, [{"notice": name, "at": at} for name, at in notices])
 
 
 def drop(store: Store, notices: Iterable[tuple[str, Statement]], at: float) -> None:
     """Send notices (id) never, for a reason."""
     _change(
         store,
-        "UPDATE outbox SET sent = ?, failure = ? WHERE id = ? AND sent IS NULL",
-        [(at, reason.text, name) for name, reason in notices],
+        statements.DROP,
+        [{"notice": name, "reason": reason.text, "at": at} for name, reason in notices],
     )
 
 
 def mark_sent(store: Store, notices: Iterable[str], at: float) -> None:
     """State that notices (by id) were sent at a time [s]."""
-    statement = "UPDATE outbox SET sent = ?, attempts = attempts + 1, failure = '' WHERE id = ?"
-    _change(store, statement, [(at, one) for one in notices])
+    _change(store, statements.MARK_SENT, [{"notice": name, "at": at} for name in notices])
 
 
 def mark_failed(store: Store, notices: Iterable[str], failure: str, due: float) -> None:
     """State why notices (by id) could not be sent, and when they are due again [s]."""
-    statement = "UPDATE outbox SET attempts = attempts + 1, failure = ?, due = ? WHERE id = ?"
-    _change(store, statement, [(failure, due, one) for one in notices])
+    _change(
+        store, statements.MARK_FAILED, [{"notice": name, "reason": failure, "at": due} for name in notices]
+    )
 
 
 def forget(store: Store, before: float) -> None:
     """Delete notices that were sent, dropped or, of a channel that exists no longer, made before a time
     [s]."""
-    _change(store, "DELETE FROM outbox WHERE made < ? AND (sent IS NULL OR sent < ?)", [(before, before)])
+    store.execute(statements.FORGET_NOTICES, before=before)
 
 
 def alarm_of(store: Store, alarm: str) -> Alarm | None:
     """An alarm by its id; None if there is none."""
-    return next(iter(store.found(Alarm, "WHERE id = ?", (alarm,))), None)
+    return next(iter(store.found(Alarm, selecting(schema.alarm, same="id"), id=alarm)), None)
 
 
-def _change(store: Store, statement: str, rows: Sequence[Row]) -> None:
-    if rows:
-        with store.transaction() as cursor:
-            cursor.executemany(store.database.text(statement), rows)
+def _change(store: Store, statement: ClauseElement, changes: Sequence[Mapping[str, object]]) -> None:
+    """Execute a statement with the values of each of some changes, all or none."""
+    if changes:
+        with store.transaction():
+            for values in changes:
+                store.execute(statement, **values)

@@ -1,1 +1,8 @@
 """What a tracker keeps: one store in SQLite or PostgreSQL, its schema, retention and export."""
+
+from importlib.util import find_spec
+
+from hygrokf.errors import HygrokfError
+
+if find_spec("sqlalchemy") is None:
+    raise HygrokfError("a tracker's store needs SQLAlchemy: pip install 'hygrokf[live]'")

@@ -8,16 +8,19 @@ be.
 from __future__ import annotations
 
 import os
-import re
 import socket
 import time
-from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager, suppress
-from functools import cache
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import closing, contextmanager, suppress
 from typing import TYPE_CHECKING, Any, TypeAlias
+from weakref import WeakKeyDictionary
+
+from sqlalchemy import ClauseElement, Dialect, insert
+from sqlalchemy.sql.compiler import SQLCompiler
 
 from hygrokf.errors import HygrokfError
-from hygrokf.live.storage.schema import SQLITE, VERSION, Dialect, creation
+from hygrokf.live.storage.schema import SQLITE, VERSION, claim, creation, schema_version
+from hygrokf.live.storage.statements import SCHEMA_NUMBER
 
 if TYPE_CHECKING:
     import sqlite3
@@ -33,10 +36,6 @@ REPLACED = (
 AGAIN_S = 0.1
 """[s] between two attempts to claim."""
 
-_COMPARED = re.compile(r"(\b(?:time|received)\s*[<>=]+\s*)\?")
-"""A parameter that is compared with a column of `schema.TIMESTAMPS`."""
-
-SqlValue: TypeAlias = str | float | None
 Row = tuple[Any, ...]
 """A row of a query or the parameters of a statement: text, numbers and None, as the driver returns them."""
 
@@ -61,11 +60,11 @@ class Database:
     """One connection in autocommit mode: a statement takes effect at once unless it is part of a
     `transaction`.
 
-    `mark`: its parameter placeholder; `begin`: the statement that opens a
-    writing transaction; `errors`: base class of the driver's exceptions; `dialect`: its SQL (see `schema`).
+    SQLAlchemy compiles the statements, and the driver's own connection executes them: a pool would reconnect
+    by itself, which loses the claims.  `begin`: the text that opens a writing transaction; `errors`: base
+    class of the driver's exceptions; `dialect`: its SQL (see `schema`).
     """
 
-    mark = "?"
     begin = "BEGIN"
     errors: type[Exception] = Exception
     dialect: Dialect = SQLITE
@@ -74,6 +73,7 @@ class Database:
         self.connection = connection
         self.url = url
         self._held: set[tuple[str, str]] = set()
+        self._compiled: WeakKeyDictionary[ClauseElement, SQLCompiler] = WeakKeyDictionary()
 
     # -- what differs between databases --------------------------------------------------------------------
     def is_trouble(self, error: Exception) -> bool:
@@ -84,7 +84,7 @@ class Database:
         """Whether the store's tables exist."""
         raise NotImplementedError
 
-    def take_turn(self, cursor: Cursor) -> None:
+    def take_turn(self) -> None:
         """Within a transaction: wait until no other process creates tables or claims, and keep others out
         until it ends."""
 
@@ -120,41 +120,60 @@ class Database:
         return self.connection.cursor()
 
     # -- what all databases share ----------------------------------------------------------------------------
-    def text(self, statement: str) -> str:
-        """A statement in this database's SQL; callers write parameters as question marks, times in seconds.
-
-        Where the database keeps timestamps, a parameter that is compared with `time` or `received` becomes
-        one, as does a parameter marked as TIME(?).
-        """
-        return _in_sql(statement, self.mark, self.dialect.time)
-
-    def rows(self, statement: str, parameters: Sequence[SqlValue] = ()) -> list[Row]:
-        """The rows that a query returns."""
-        with self._translated():
-            cursor = self.cursor()
-            try:
-                cursor.execute(self.text(statement), tuple(parameters))
-                return cursor.fetchall()
-            finally:
-                with suppress(Exception):
-                    cursor.close()
+    def _in_sql(self, statement: ClauseElement) -> SQLCompiler:
+        """A statement in this database's SQL, compiled once for as long as it exists."""
+        compiled = self._compiled.get(statement)
+        if compiled is None:
+            compiler = statement.compile(dialect=self.dialect)
+            assert isinstance(compiler, SQLCompiler), "the store changes no tables"
+            compiled = self._compiled[statement] = compiler
+        return compiled
 
     @contextmanager
-    def transaction(self) -> Iterator[Cursor]:
-        """A cursor whose statements take effect together at the end of the block, or not at all."""
+    def _executed(self, statement: ClauseElement, values: Mapping[str, Any]) -> Iterator[Cursor]:
+        # as many parameters of an IN as it has values
+        expanded = self._in_sql(statement).construct_expanded_state(values)
+        with self._translated(), closing(self.cursor()) as cursor:
+            cursor.execute(expanded.statement, expanded.positional_parameters)
+            yield cursor
+
+    def rows(self, statement: ClauseElement, /, **values: Any) -> list[Row]:
+        """The rows that a query returns; `values`: of its parameters, by their names."""
+        with self._executed(statement, values) as cursor:
+            return cursor.fetchall()
+
+    def first(self, statement: ClauseElement, /, **values: Any) -> Row | None:
+        """The first row that a query returns; None without any."""
+        return next(iter(self.rows(statement, **values)), None)
+
+    def execute(self, statement: ClauseElement, /, **values: Any) -> int:
+        """Execute a statement; returns the number of rows that it changes."""
+        with self._executed(statement, values) as cursor:
+            return max(cursor.rowcount, 0)
+
+    def execute_many(self, statement: ClauseElement, rows: Iterable[Row]) -> None:
+        """Execute a statement within a transaction for each of some rows, which hold its parameters in their
+        order."""
+        if some := list(rows):
+            with self._translated(), closing(self.cursor()) as cursor:
+                cursor.executemany(self._in_sql(statement).string, some)
+
+    @contextmanager
+    def transaction(self) -> Iterator[None]:
+        """Let all statements of the block take effect together at its end, or not at all."""
         with self._translated():
-            cursor = self.cursor()
             try:
-                cursor.execute(self.begin)
-                yield cursor
-                cursor.execute("COMMIT")
+                self._execute_text(self.begin)
+                yield
+                self._execute_text("COMMIT")
             except BaseException:
                 with suppress(Exception):
                     self.connection.rollback()
                 raise
-            finally:
-                with suppress(Exception):
-                    cursor.close()
+
+    def _execute_text(self, text: str) -> None:
+        with closing(self.cursor()) as cursor:
+            cursor.execute(text)
 
     @contextmanager
     def _translated(self) -> Iterator[None]:
@@ -180,7 +199,7 @@ class Database:
                 if read_only:
                     raise StoreUnready(f"{self.url}: expected a store, found none; check the name")
                 self._create()
-            found = int(self.rows("SELECT MAX(version) FROM schema_version")[0][0])
+            found = int(self.rows(SCHEMA_NUMBER)[0][0])
         except (self.errors, TypeError, ValueError) as error:
             raise StoreFault(
                 f"{self.url}: the store's tables cannot be read or made ({one_line(error)}); "
@@ -190,16 +209,13 @@ class Database:
 
     def _create(self) -> None:
         """Create the tables and views, unless another process was first."""
-        with self.transaction() as cursor:
-            self.take_turn(cursor)
+        with self.transaction():
+            self.take_turn()
             if self.has_tables():
                 return
-            for statement in creation(self.dialect):
-                cursor.execute(statement)
-            cursor.execute(
-                self.text("INSERT INTO schema_version (version, applied) VALUES (?, ?)"),
-                (VERSION, time.time()),
-            )
+            for text in creation(self.dialect):
+                self._execute_text(text)
+            self.execute_many(insert(schema_version), [(VERSION, time.time())])
 
     def claim(self, kind: str, names: Iterable[str]) -> None:
         """Claim turbines, sources or channels for this process alone, until the connection is closed or the
@@ -222,21 +238,14 @@ class Database:
             time.sleep(AGAIN_S)
         self._held.update(wanted)
 
-    def insert_claims(self, cursor: Cursor, wanted: Sequence[tuple[str, str]], holder: int) -> None:
+    def insert_claims(self, wanted: Sequence[tuple[str, str]], holder: int) -> None:
         """Write claims of this process within a transaction."""
         who = f"process {os.getpid()} on {socket.gethostname()}"
-        statement = "INSERT INTO claim (kind, name, holder, who, since) VALUES (?, ?, ?, ?, ?)"
-        cursor.executemany(self.text(statement), [(*one, holder, who, time.time()) for one in wanted])
+        self.execute_many(insert(claim), [(*pair, holder, who, time.time()) for pair in wanted])
 
     def close(self) -> None:
         with suppress(Exception):
             self.connection.close()
-
-
-@cache
-def _in_sql(statement: str, mark: str, time: str) -> str:
-    statement = _COMPARED.sub(r"\1TIME(?)", statement).replace("TIME(?)", time)
-    return statement if mark == "?" else statement.replace("%", "%%").replace("?", mark)
 
 
 def refuse_other_schema(place: object, found: int | None) -> None:

@@ -13,10 +13,12 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 import numpy as np
+from sqlalchemy import FromClause, bindparam, select, tuple_
 
 from hygrokf.data.files import writing_whole
 from hygrokf.data.signals import SIGNALS
 from hygrokf.errors import HygrokfError
+from hygrokf.live.storage import schema
 from hygrokf.live.storage.database import Row
 from hygrokf.live.storage.schema import READABLE_COLUMNS
 from hygrokf.live.storage.store import Store
@@ -54,14 +56,15 @@ class ExportedTable:
     """An exported file: its `name`, the `source` table or view, its `columns`, and the `key` that orders the
     rows.
 
-    `within`: SQL conditions that select rows by (since, until) [s].
+    A row lasts from its time `begin` to its time `end`, or still does where it has no end.
     """
 
     name: str
-    source: str
+    source: FromClause
     columns: tuple[Column, ...]
     key: tuple[str, ...]
-    within: tuple[str, str] = ("time >= ?", "time < ?")
+    begin: str = "time"
+    end: str = "time"
 
 
 def _columns(*rows: str) -> tuple[Column, ...]:
@@ -72,7 +75,7 @@ def _columns(*rows: str) -> tuple[Column, ...]:
 
 TABLES = (
     ExportedTable(
-        "observation", "observation",
+        "observation", schema.observation,
         _columns(
             "turbine text", "signal text", "time_utc time time", "value_si value number", "unit signal unit",
             "received_utc received time", "late flag", "contradicted flag",
@@ -80,19 +83,19 @@ TABLES = (
         ("turbine", "signal", "time"),
     ),
     ExportedTable(
-        "connection", "connection",
+        "connection", schema.connection,
         _columns("turbine text", "signal text", "lost_utc lost time", "regained_utc regained time"),
         ("turbine", "signal", "lost"),
-        ("(regained IS NULL OR regained >= ?)", "lost < ?"),
+        "lost", "regained",
     ),
     ExportedTable(
-        "estimate", "estimate_readable",
+        "estimate", schema.estimate_readable,
         _columns("turbine text", "time_utc time time", "final flag",
             *(f"{name} number" for name in READABLE_COLUMNS)),
         ("turbine", "time"),
     ),
     ExportedTable(
-        "property", "property",
+        "property", schema.property_,
         _columns(
             "turbine text", "name text", "time_utc time time", "value number", "lower_bound number",
             "upper_bound number",
@@ -101,7 +104,7 @@ TABLES = (
         ("turbine", "name", "time"),
     ),
     ExportedTable(
-        "alarm", "alarm",
+        "alarm", schema.alarm,
         _columns(
             "id text", "turbine text", "kind text", "severity text", "began_utc began time",
             "ended_utc ended time",
@@ -109,7 +112,7 @@ TABLES = (
             "look_again_utc look_again time", "statement text", "remedy text",
         ),
         ("turbine", "began", "id"),
-        ("(ended IS NULL OR ended >= ?)", "began < ?"),
+        "began", "ended",
     ),
 )  # fmt: skip
 """The exported files."""
@@ -132,7 +135,7 @@ def export(
     """
     if form not in FORMATS:
         raise ExportFault(f"expected a format of {', '.join(FORMATS)}, found {form!r}")
-    known = [name for (name,) in store.rows("SELECT name FROM turbine ORDER BY name")]
+    known = list(store.models())
     if turbine is not None and turbine not in known:
         raise ExportFault(
             f"{store.url}: expected a turbine of {', '.join(known) or 'none yet'}, found {turbine!r}"
@@ -179,31 +182,26 @@ def chunks(
     No query stays open between chunks, so that the tracker can write and its log does not grow during an
     export.
     """
-    conditions: list[str] = []
-    values: list[float | str] = []
-    for condition, value in zip(table.within, (since, until), strict=True):
-        if math.isfinite(value):
-            conditions.append(condition)
-            values.append(value)
+    columns, values = table.source.c, {"since": since, "until": until, "turbine": turbine}
+    key = [columns[name] for name in table.key]
+    query = select(*(columns[one.source] for one in table.columns), *key).order_by(*key).limit(CHUNK)
+    if math.isfinite(since):
+        end = columns[table.end]
+        query = query.where(end.is_(None) | (end >= bindparam("since")))
+    if math.isfinite(until):
+        query = query.where(columns[table.begin] < bindparam("until"))
     if turbine is not None:
-        conditions.append("turbine = ?")
-        values.append(turbine)
-    names = ", ".join([*table.key, *(column.source for column in table.columns)])
-    order, width = ", ".join(table.key), len(table.key)
-    marks = ", ".join("TIME(?)" if name == "time" else "?" for name in table.key)
-    after: Row = ()
-    while True:
-        following = [f"({order}) > ({marks})"] if after else []
-        where = " AND ".join([*conditions, *following]) or "1 = 1"
-        rows = store.rows(
-            f"SELECT {names} FROM {table.source} WHERE {where} ORDER BY {order} LIMIT {CHUNK}",
-            (*values, *after),
-        )
-        if rows:
-            yield [row[width:] for row in rows]
+        query = query.where(columns.turbine == bindparam("turbine"))
+    last = tuple_(*(bindparam(f"last_{column.name}", type_=column.type) for column in key))
+    following = query.where(tuple_(*key) > last)
+    rows = store.rows(query, **values)
+    while rows:
+        yield [row[: -len(key)] for row in rows]
         if len(rows) < CHUNK:
             return
-        after = rows[-1][:width]
+        after = zip(key, rows[-1][-len(key) :], strict=True)
+        values |= {f"last_{column.name}": value for column, value in after}
+        rows = store.rows(following, **values)
 
 
 def _values(kind: str, column: Sequence[Any]) -> Values:

@@ -14,8 +14,11 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from sqlalchemy import BIGINT, any_, cast, column, delete, func, select, table
+
 from hygrokf.live.storage.database import Cursor, Database, Row, StoreFault, one_line
-from hygrokf.live.storage.schema import POSTGRESQL
+from hygrokf.live.storage.schema import POSTGRESQL, claim, schema_version
+from hygrokf.live.storage.statements import CLAIMS
 
 if TYPE_CHECKING:
     import psycopg
@@ -30,6 +33,7 @@ DEFAULTS = {
     "tcp_user_timeout": "60000", "fallback_application_name": "hygrokf", "client_encoding": "UTF8",
 }  # fmt: skip
 """Default connection parameters, which the URL may override; they detect a lost server within a minute."""
+# SQLAlchemy has no expression for SET
 SESSION = (
     f"SET lock_timeout = '{LOCK_S}s'",
     # the server ends the session of a lost client, and with it the claim, within a minute
@@ -54,18 +58,29 @@ OUTSIDE = ("08", "25006", "40", "42501", "53", "55", "57", "58", "XX")
 itself."""
 
 
-HOLDERS = (
-    "SELECT (classid::bigint << 32) | objid::bigint FROM pg_locks "
-    "WHERE locktype = 'advisory' AND objsubid = 1 AND granted AND database = "
-    "(SELECT oid FROM pg_database WHERE datname = current_database())"
-)
+_LOCK = table("pg_locks", *map(column, ("locktype", "classid", "objid", "objsubid", "granted", "database")))
+_SERVED = table("pg_database", column("oid"), column("datname"))
+_HERE = select(_SERVED.c.oid).where(_SERVED.c.datname == func.current_database()).scalar_subquery()
+_CLASS = table("pg_class", column("relname"), column("relnamespace"))
+_NAMESPACE = table("pg_namespace", column("oid"), column("nspname"))
+HOLDERS = select(
+    cast(_LOCK.c.classid, BIGINT).bitwise_lshift(32).bitwise_or(cast(_LOCK.c.objid, BIGINT))
+).where(
+    _LOCK.c.locktype == "advisory", _LOCK.c.objsubid == 1, _LOCK.c.granted, _LOCK.c.database == _HERE
+)  # fmt: skip
 """Query of the keys of claims whose sessions are alive."""
+# within a transaction to_regclass would miss tables that another session has created since it began
+TABLES_THERE = (
+    select(_CLASS.c.relname)
+    .join(_NAMESPACE, _NAMESPACE.c.oid == _CLASS.c.relnamespace)
+    .where(_CLASS.c.relname == schema_version.name)
+    .where(_NAMESPACE.c.nspname == any_(func.current_schemas(False)))
+)
 
 
 class PostgresDatabase(Database):
     """A session on a PostgreSQL server."""
 
-    mark = "%s"
     dialect = POSTGRESQL
     connection: psycopg.Connection[Row]
 
@@ -87,16 +102,10 @@ class PostgresDatabase(Database):
         return lost or (state is not None and state.startswith(OUTSIDE))
 
     def has_tables(self) -> bool:
-        # within a transaction to_regclass would miss tables that another session has created since it began
-        return bool(
-            self.rows(
-                "SELECT 1 FROM pg_class c JOIN pg_namespace n ON n.oid = c.relnamespace "
-                "WHERE c.relname = 'schema_version' AND n.nspname = ANY (current_schemas(false))"
-            )
-        )
+        return bool(self.rows(TABLES_THERE))
 
-    def take_turn(self, cursor: Cursor) -> None:
-        cursor.execute(f"SELECT pg_advisory_xact_lock({TURN})")
+    def take_turn(self) -> None:
+        self.rows(select(func.pg_advisory_xact_lock(TURN)))
 
     def try_claim(self, wanted: Sequence[tuple[str, str]]) -> tuple[str, str, str] | None:
         """The session holds one advisory lock, and each claim stores its key, so that the claims end with the
@@ -104,30 +113,29 @@ class PostgresDatabase(Database):
 
         One lock per name would let a large fleet fill the server's lock table.
         """
-        with self.transaction() as cursor:
-            self.take_turn(cursor)
+        with self.transaction():
+            self.take_turn()
             if self._key is None:
                 key = secrets.randbits(63)
-                cursor.execute("SELECT pg_advisory_lock(%s)", (key,))
+                self.rows(select(func.pg_advisory_lock(key)))
                 self._key = key
-            cursor.execute(f"DELETE FROM claim WHERE holder NOT IN ({HOLDERS})")
-            cursor.execute("SELECT kind, name, who FROM claim WHERE holder <> %s", (self._key,))
-            others = {(kind, name): who for kind, name, who in cursor.fetchall()}
+            self.execute(delete(claim).where(claim.c.holder.not_in(HOLDERS)))
+            found = self.rows(CLAIMS.where(claim.c.holder != self._key))
+            others = {(kind, name): who for kind, name, who in found}
             for kind, name in wanted:
                 if (kind, name) in others:
                     return kind, name, others[kind, name]
-            self.insert_claims(cursor, wanted, self._key)
+            self.insert_claims(wanted, self._key)
         return None
 
     def claims(self) -> dict[tuple[str, str], str]:
-        found = self.rows(f"SELECT kind, name, who FROM claim WHERE holder IN ({HOLDERS})")
-        return {(kind, name): who for kind, name, who in found}
+        return {(kind, name): who for kind, name, who in self.rows(CLAIMS.where(claim.c.holder.in_(HOLDERS)))}
 
     def may_write(self) -> bool:
-        return bool(self.rows("SELECT has_table_privilege('observation', 'INSERT')")[0][0])
+        return bool(self.rows(select(func.has_table_privilege("observation", "INSERT")))[0][0])
 
     def size(self) -> int:
-        return int(self.rows("SELECT pg_database_size(current_database())")[0][0])
+        return int(self.rows(select(func.pg_database_size(func.current_database())))[0][0])
 
 
 def _times_as_seconds(connection: psycopg.Connection[Row]) -> None:

@@ -1,205 +1,304 @@
-"""The store's tables and views.
+"""The store's tables and views, described once for both databases.
 
-Times are seconds since 1970, UTC, as double precision; in PostgreSQL those of the large tables (`TIMESTAMPS`)
-are `timestamptz`, by which a table can be partitioned.  Values are in SI units, absolute humidity in g/m³.
+Times are seconds since 1970, UTC, as double precision; in PostgreSQL those of type `Instant` are
+`timestamptz`, by which a table can be partitioned.  Values are in SI units, absolute humidity in g/m³.
 The views are for people and plotting tools: timestamps, °C and %, lower-case names.
+
+A new column is a field of what the store writes (`batch`, `condition.QUANTITIES`), or stands here.
 """
 
 from __future__ import annotations
 
-import re
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, fields
-from typing import Any
+from types import UnionType
+from typing import Any, get_args, get_type_hints
+
+import sqlalchemy as sa
+from sqlalchemy import Column, Index, Table, func, select
+from sqlalchemy.dialects.postgresql.base import PGDialect
+from sqlalchemy.dialects.sqlite.base import SQLiteDialect
+from sqlalchemy.ext.compiler import compiles
+from sqlalchemy.schema import CreateIndex, CreateTable
+from sqlalchemy.sql import quoted_name
+from sqlalchemy.sql.compiler import SQLCompiler
+from sqlalchemy.sql.functions import FunctionElement
+from sqlalchemy.types import TypeDecorator, TypeEngine
 
 from hygrokf.live.batch import Alarm, Assessment, Event, Loss, Notice, Shelf
 from hygrokf.live.condition import QUANTITIES, Z95
 
-
-@dataclass(frozen=True)
-class Dialect:
-    """The SQL of one database.
-
-    `words`: templates that the views use as WORD(column).  UTC: a time [s] as the database's own timestamp,
-    or ISO 8601 text where it has no such type; STAMP: the same of a column of `TIMESTAMPS`; HOUR: the
-    beginning of the hour of such a column.  `instant`: the type of such a column; `time`: the template of a
-    parameter [s] that stands for one.
-    """
-
-    words: Mapping[str, str]
-    instant: str
-    time: str
-
-
-SQLITE = Dialect(
-    {
-        "UTC": "strftime('%Y-%m-%dT%H:%M:%fZ', {}, 'unixepoch')",
-        "STAMP": "strftime('%Y-%m-%dT%H:%M:%fZ', {}, 'unixepoch')",
-        "HOUR": "CAST({} / 3600 AS INTEGER) * 3600.0",
-    },
-    "DOUBLE PRECISION",
-    "?",
-)
-POSTGRESQL = Dialect(
-    {"UTC": "to_timestamp({})", "STAMP": "{}", "HOUR": "date_trunc('hour', {}, 'UTC')"},
-    "TIMESTAMPTZ",
-    "to_timestamp(?)",
-)
-
-
-def _readable() -> dict[str, str]:
-    """The condition in everyday units with 95 % bounds: column of the view -> SQL expression."""
-    columns = {}
-    for q in QUANTITIES:
-        value = f"{q.factor} * {q.column} + ({q.offset})"
-        columns[f"{q.name}_{q.unit}"] = value
-        columns[f"{q.name}_lower_{q.unit}"] = f"{value} - {Z95 * q.factor} * {q.sd_column}"
-        columns[f"{q.name}_upper_{q.unit}"] = f"{value} + {Z95 * q.factor} * {q.sd_column}"
-    return {**columns, "condensation_percent": "100.0 * condensation"}
-
-
-READABLE_COLUMNS = tuple(_readable())
-"""Columns of `estimate_readable` and `forecast_readable` that describe the cabinet air."""
-_CONDITION = ", ".join(f"{value} AS {name}" for name, value in _readable().items())
-_RANK = "CASE severity WHEN 'alarm' THEN 3 WHEN 'warning' THEN 2 ELSE 1 END"
 VERSION = 7
 """Number of the schema: one higher with each change of it.  A store with another number is refused."""
-_TYPES = {
-    "NUMBER": "DOUBLE PRECISION", "float": "DOUBLE PRECISION", "int": "INTEGER", "str": "TEXT"
-}  # fmt: skip
-"""Type of a column or a field -> SQL, where they differ; INSTANT is that of the columns in `TIMESTAMPS`."""
+SQLITE = SQLiteDialect(paramstyle="qmark")
+POSTGRESQL = PGDialect(paramstyle="format")
+NUMBER: TypeEngine[float] = sa.DOUBLE_PRECISION()
+TEXT, INTEGER = sa.TEXT(), sa.INTEGER()
 
 
-@dataclass(frozen=True)
-class StoreTable:
-    """A table: its `columns` with their SQL types, the columns of its `key`, and those of its `index`, if it
-    has another one."""
+# -- times ---------------------------------------------------------------------------------------------------
+class _Timestamp(sa.TIMESTAMP):
+    """PostgreSQL's timestamp, whose parameters are seconds since 1970."""
 
-    columns: Mapping[str, str]
-    key: tuple[str, ...]
-    index: tuple[str, ...] = ()
-
-    def statements(self, name: str) -> Iterator[str]:
-        """The statements that create the table."""
-        columns = ", ".join(f"{column} {kind}" for column, kind in self.columns.items())
-        yield f"CREATE TABLE {name} ({columns}, PRIMARY KEY ({', '.join(self.key)}))"
-        if self.index:
-            yield f"CREATE INDEX {name}_by_{self.index[-1]} ON {name} ({', '.join(self.index)})"
+    def bind_expression(self, bindparam: sa.BindParameter[Any]) -> sa.ColumnElement[Any]:
+        return func.to_timestamp(bindparam)
 
 
-def _table(of: str | type[Any], key: str, index: str = "") -> StoreTable:
-    """A table from its columns "name TYPE, …", or from a class whose fields they are.
+class Instant(TypeDecorator[float]):
+    """A time [s] that is a timestamp where the database has such a type."""
 
-    A value may be missing where the type ends with "?", or where the field may be None.
-    """
-    columns = {}
-    if isinstance(of, str):
-        pairs = [one.split() for one in of.split(", ")]
-    else:
-        pairs = [[one.name, "INSTANT" if one.name == "time" else str(one.type)] for one in fields(of)]
-    for name, kind in pairs:
-        stated = kind.removesuffix("?").removesuffix(" | None")
-        columns[name] = _TYPES.get(stated, stated) + (" NOT NULL" if stated == kind else "")
-    return StoreTable(columns, tuple(key.split()), tuple(index.split()))
+    impl = sa.DOUBLE_PRECISION
+    cache_ok = True
+
+    def load_dialect_impl(self, dialect: sa.Dialect) -> TypeEngine[Any]:
+        return _Timestamp(timezone=True) if dialect.name == POSTGRESQL.name else NUMBER
 
 
-_READING = "turbine TEXT, signal TEXT, time INSTANT, value NUMBER, received INSTANT"
-_AIR = ", ".join(f"{q.column} NUMBER?, {q.sd_column} NUMBER?" for q in QUANTITIES) + ", condensation NUMBER?"
-TABLES = {
-    "turbine": _table("name TEXT, model TEXT, added NUMBER", "name"),
-    "observation": _table(
-        f"{_READING}, late INTEGER, contradicted INTEGER, mark NUMBER?", "turbine signal time", "turbine time"
-    ),
-    "held": _table(f"{_READING}, mark NUMBER?", "turbine signal time value"),
-    "revision": _table(
-        f"{_READING}, mark NUMBER?, late INTEGER, number INTEGER", "turbine signal time value", "turbine time"
-    ),
-    "connection": _table(Loss, "turbine signal lost"),
-    "point": _table("turbine TEXT, time NUMBER, state TEXT", "turbine"),
-    "estimate": _table(f"turbine TEXT, time INSTANT, final INTEGER, {_AIR}", "turbine time"),
-    "forecast": _table(
-        f"turbine TEXT, time INSTANT, made INSTANT, {_AIR}, above_limit NUMBER?", "turbine time"
-    ),
-    "property": _table(
-        "turbine TEXT, time INSTANT, name TEXT, unit TEXT, value NUMBER?, lower_bound NUMBER?, "
-        "upper_bound NUMBER?, reference NUMBER, observable INTEGER",
-        "turbine name time",
-        "turbine time",
-    ),
-    "weather": _table(_READING, "turbine signal time"),
-    "alarm": _table(Alarm, "id", "turbine began"),
-    "memory": _table("turbine TEXT, name TEXT, content TEXT", "turbine name"),
-    "counter": _table("turbine TEXT, name TEXT, count BIGINT", "turbine name"),
-    "source": _table("url TEXT, place TEXT", "url"),
-    "claim": _table("kind TEXT, name TEXT, holder BIGINT, who TEXT, since NUMBER", "kind name"),
-    "assessment": _table(Assessment, "turbine"),
-    "shelf": _table(Shelf, "turbine kind"),
-    "event": _table(Event, "id", "turbine time"),
-    "outbox": _table(Notice, "id", "sent due"),
-}
-"""All tables except the one that records the schema's number.
+class _ByDialect(FunctionElement[Any]):
+    """An expression of a time that each database has in its own words."""
 
-A new column is a field of what the store writes (`batch`, `condition.QUANTITIES`), or stands here.
-"""
-TIMESTAMPS = {
-    name: tuple(column for column, kind in table.columns.items() if "INSTANT" in kind)
-    for name, table in TABLES.items()
-}
-"""Table -> its columns that are `timestamptz` in PostgreSQL.  `point.time` is not: it restores every bit."""
-VIEWS = {
-    "estimate_readable": f"""SELECT turbine, time, STAMP(time) AS time_utc, final, {_CONDITION}
-        FROM estimate""",
-    "forecast_readable": f"""SELECT turbine, time, STAMP(time) AS time_utc, STAMP(made) AS made_utc,
-        {_CONDITION}, 100.0 * above_limit AS above_limit_percent FROM forecast""",
-    "alarm_open": f"""SELECT id, turbine, kind, severity, {_RANK} AS severity_rank,
-        began, UTC(began) AS began_utc,
-        UTC(acknowledged) AS acknowledged_utc, acknowledged_by, cause, note, statement, remedy
-        FROM alarm WHERE ended IS NULL""",
-    # CROSS JOIN fixes SQLite's join order: it looks up each turbine's newest time instead of scanning
-    # every row
-    "property_now": """SELECT p.turbine, p.name, p.unit, p.time, STAMP(p.time) AS time_utc, p.value,
-        p.lower_bound, p.upper_bound, p.reference, p.observable
-        FROM (SELECT name, (SELECT MAX(n.time) FROM property n WHERE n.turbine = turbine.name) AS newest
-        FROM turbine) t
-        CROSS JOIN property p WHERE p.turbine = t.name AND p.time = t.newest""",
-    "turbine_now": """SELECT t.name AS turbine, h.heard, STAMP(h.heard) AS heard_utc, e.time, e.time_utc,
-        e.temperature_celsius, e.temperature_lower_celsius, e.temperature_upper_celsius,
-        e.relative_humidity_percent, e.relative_humidity_lower_percent, e.relative_humidity_upper_percent,
-        e.dew_point_celsius, e.margin_kelvin, e.margin_lower_kelvin, e.condensation_percent,
-        (SELECT COUNT(*) FROM alarm a WHERE a.turbine = t.name AND a.ended IS NULL) AS open_alarms,
-        COALESCE((SELECT MAX(o.severity_rank) FROM alarm_open o WHERE o.turbine = t.name), 0)
-        AS severity_rank, s.state, s.reason
-        FROM turbine t
-        JOIN (SELECT name, (SELECT MAX(o.time) FROM observation o WHERE o.turbine = name) AS heard
-        FROM turbine) h
-        ON h.name = t.name
-        LEFT JOIN estimate_readable e ON e.turbine = t.name
-        AND e.time = (SELECT MAX(n.time) FROM estimate n WHERE n.turbine = t.name)
-        LEFT JOIN assessment s ON s.turbine = t.name""",
-    "observation_hourly": """SELECT turbine, signal, hour AS time, STAMP(hour) AS time_utc,
-        AVG(value) AS mean, MIN(value) AS lowest, MAX(value) AS highest, COUNT(*) AS readings
-        FROM (SELECT turbine, signal, HOUR(time) AS hour, value FROM observation
-        WHERE contradicted = 0) o
-        GROUP BY turbine, signal, hour""",
-}
+    inherit_cache = False
+
+    def __init__(self, time: sa.ColumnElement[Any], **words: sa.ColumnElement[Any]) -> None:
+        super().__init__(time)
+        self.type, self.words = time.type, words
+
+
+@compiles(_ByDialect)
+def _in_its_words(element: _ByDialect, compiler: SQLCompiler, **options: Any) -> str:
+    return compiler.process(element.words[compiler.dialect.name], **options)
+
+
+def _utc(time: sa.ColumnElement[Any]) -> sa.ColumnElement[Any]:
+    """A time as the database's own timestamp, or as ISO 8601 text where it has no such type."""
+    stamp = time if isinstance(time.type, Instant) else func.to_timestamp(time)
+    text = func.strftime("%Y-%m-%dT%H:%M:%fZ", time, "unixepoch")
+    return _ByDialect(time, sqlite=text, postgresql=stamp)
+
+
+def _hour(time: sa.ColumnElement[Any]) -> sa.ColumnElement[Any]:
+    """The beginning of the hour of an `Instant`."""
+    hours = sa.cast(sa.type_coerce(time, NUMBER) / 3600.0, INTEGER)
+    seconds = sa.type_coerce(hours, NUMBER) * 3600.0
+    return _ByDialect(time, sqlite=seconds, postgresql=func.date_trunc("hour", time, "UTC"))
+
+
+# -- tables --------------------------------------------------------------------------------------------------
+METADATA = sa.MetaData()
+_TYPES: dict[type, TypeEngine[Any]] = {str: TEXT, int: INTEGER, float: NUMBER}
+
+
+def _key(name: str, kind: TypeEngine[Any] = TEXT) -> Column[Any]:
+    return Column(name, kind, primary_key=True, autoincrement=False)
+
+
+def _filled(name: str, kind: TypeEngine[Any] = TEXT) -> Column[Any]:
+    return Column(name, kind, nullable=False)
+
+
+def _readings(name: str, *more: Column[Any] | Index, keys: tuple[str, ...] = ()) -> Table:
+    """A table of readings, whose key holds turbine, signal, time and the further `keys`."""
+    columns = [_key("turbine"), _key("signal"), _key("time", Instant())]
+    value = (_key if "value" in keys else _filled)("value", NUMBER)
+    return Table(name, METADATA, *columns, value, _filled("received", Instant()), *more)
+
+
+def _mark() -> Column[Any]:
+    return Column("mark", NUMBER)
+
+
+def _rows_of(kind: type[Any], name: str, *keys: str, index: tuple[str, ...] = ()) -> Table:
+    """A table whose columns are the fields of a dataclass; a field that may be None may be missing."""
+    columns = []
+    for field, hint in get_type_hints(kind).items():
+        optional = isinstance(hint, UnionType)
+        type_ = Instant() if field == "time" else _TYPES[get_args(hint)[0] if optional else hint]
+        columns.append(Column(field, type_, primary_key=field in keys, nullable=optional))
+    return Table(name, METADATA, *columns, *([Index(f"{name}_by_{index[-1]}", *index)] if index else ()))
+
+
+def _air(name: str, column: Column[Any], *more: str) -> Table:
+    """A table of conditions of the cabinet's air."""
+    names = [*(name for q in QUANTITIES for name in (q.column, q.sd_column)), "condensation", *more]
+    # unquoted, as people write them: PostgreSQL keeps them in lower case
+    own = [Column(quoted_name(one, quote=False), NUMBER) for one in names]
+    return Table(name, METADATA, _key("turbine"), _key("time", Instant()), column, *own)
+
+
+schema_version = Table("schema_version", METADATA, _key("version", INTEGER), _filled("applied", NUMBER))
+turbine = Table("turbine", METADATA, _key("name"), _filled("model"), _filled("added", NUMBER))
+observation = _readings(
+    "observation", _filled("late", INTEGER), _filled("contradicted", INTEGER), _mark(),
+    Index("observation_by_time", "turbine", "time"),
+)  # fmt: skip
+held = _readings("held", _mark(), keys=("value",))
+revision = _readings(
+    "revision", _mark(), _filled("late", INTEGER), _filled("number", INTEGER),
+    Index("revision_by_time", "turbine", "time"), keys=("value",),
+)  # fmt: skip
+weather = _readings("weather")
+connection = _rows_of(Loss, "connection", "turbine", "signal", "lost")
+point = Table("point", METADATA, _key("turbine"), _filled("time", NUMBER), _filled("state"))
+"""Its time is a number in both databases: it restores every bit."""
+estimate = _air("estimate", _filled("final", INTEGER))
+forecast = _air("forecast", _filled("made", Instant()), "above_limit")
+property_ = Table(
+    "property", METADATA, _filled("turbine"), _filled("time", Instant()), _filled("name"), _filled("unit"),
+    Column("value", NUMBER), Column("lower_bound", NUMBER), Column("upper_bound", NUMBER),
+    _filled("reference", NUMBER), _filled("observable", INTEGER),
+    sa.PrimaryKeyConstraint("turbine", "name", "time"), Index("property_by_time", "turbine", "time"),
+)  # fmt: skip
+alarm = _rows_of(Alarm, "alarm", "id", index=("turbine", "began"))
+memory = Table("memory", METADATA, _key("turbine"), _key("name"), _filled("content"))
+counter = Table("counter", METADATA, _key("turbine"), _key("name"), _filled("count", sa.BIGINT()))
+source = Table("source", METADATA, _key("url"), _filled("place"))
+claim = Table(
+    "claim", METADATA, _key("kind"), _key("name"), _filled("holder", sa.BIGINT()), _filled("who"),
+    _filled("since", NUMBER),
+)  # fmt: skip
+assessment = _rows_of(Assessment, "assessment", "turbine")
+shelf = _rows_of(Shelf, "shelf", "turbine", "kind")
+event = _rows_of(Event, "event", "id", index=("turbine", "time"))
+outbox = _rows_of(Notice, "outbox", "id", index=("sent", "due"))
+TABLES = {name: table for name, table in METADATA.tables.items() if table is not schema_version}
+"""All tables except the one that records the schema's number."""
+
+
+# -- views ---------------------------------------------------------------------------------------------------
+VIEWS: dict[str, sa.Select[Any]] = {}
 """View -> its query; a view stands after those that it uses."""
 
 
-def creation(dialect: Dialect) -> list[str]:
-    """Statements that create all tables and views in one database's SQL dialect."""
-    made = (statement for name, table in TABLES.items() for statement in table.statements(name))
-    tables = [one.replace("INSTANT", dialect.instant) for one in made]
-    number = "CREATE TABLE schema_version (version INTEGER PRIMARY KEY, applied DOUBLE PRECISION NOT NULL)"
-    return [number, *tables, *created_views(dialect)]
+def _view(name: str, query: sa.Select[Any]) -> sa.TableClause:
+    VIEWS[name] = query
+    return sa.table(name, *(sa.column(one.name, one.type) for one in query.selected_columns))
 
 
-def created_views(dialect: Dialect) -> list[str]:
-    """Statements that create all views in one database's SQL dialect."""
+class _CrossJoin(sa.Join):
+    """A join whose order SQLite keeps: it looks up the rows on the right for each on the left, instead of
+    scanning all of them."""
+
+    inherit_cache = True
+
+    def __init__(self, left: sa.FromClause, right: sa.FromClause) -> None:
+        super().__init__(left, right, sa.true())
+
+
+@compiles(_CrossJoin)
+def _cross_joined(join: _CrossJoin, compiler: SQLCompiler, **options: Any) -> str:
+    left, right = (compiler.process(one, **{**options, "asfrom": True}) for one in (join.left, join.right))
+    return f"{left} CROSS JOIN {right}"
+
+
+def columns_of(rows: sa.FromClause, names: str) -> list[sa.ColumnElement[Any]]:
+    """Columns by their names, of which NAME_utc without a column of its own is the time NAME."""
     return [
-        re.sub(
-            r"\b(UTC|STAMP|HOUR)\(([\w.]+)\)",
-            lambda found: dialect.words[found[1]].format(found[2]),
-            f"CREATE VIEW {name} AS {query}",
+        rows.c[name] if name in rows.c else _utc(rows.c[name.removesuffix("_utc")]).label(name)
+        for name in names.split()
+    ]
+
+
+def newest_time(rows: Table) -> sa.ScalarSelect[Any]:
+    """The newest time of a turbine's rows, in a query of turbines."""
+    own = rows.alias()
+    return select(func.max(own.c.time)).where(own.c.turbine == turbine.c.name).scalar_subquery()
+
+
+def _readable(air: Table) -> list[sa.ColumnElement[Any]]:
+    """The condition in everyday units with 95 % bounds."""
+    columns: list[sa.ColumnElement[Any]] = []
+    for q in QUANTITIES:
+        value, half = q.factor * air.c[q.column] + q.offset, Z95 * q.factor * air.c[q.sd_column]
+        columns.append(value.label(f"{q.name}_{q.unit}"))
+        columns.append((value - half).label(f"{q.name}_lower_{q.unit}"))
+        columns.append((value + half).label(f"{q.name}_upper_{q.unit}"))
+    return [*columns, (100.0 * air.c.condensation).label("condensation_percent")]
+
+
+READABLE_COLUMNS = tuple(one.name for one in _readable(estimate))
+"""Columns of `estimate_readable` and `forecast_readable` that describe the cabinet air."""
+estimate_readable = _view(
+    "estimate_readable", select(*columns_of(estimate, "turbine time time_utc final"), *_readable(estimate))
+)
+_view(
+    "forecast_readable",
+    select(
+        *columns_of(forecast, "turbine time time_utc made_utc"),
+        *_readable(forecast),
+        (100.0 * forecast.c.above_limit).label("above_limit_percent"),
+    ),
+)
+alarm_open = _view(
+    "alarm_open",
+    select(
+        *columns_of(alarm, "id turbine kind severity"),
+        sa.case({"alarm": 3, "warning": 2}, value=alarm.c.severity, else_=1).label("severity_rank"),
+        *columns_of(alarm, "began began_utc acknowledged_utc acknowledged_by cause note statement remedy"),
+    ).where(alarm.c.ended.is_(None)),
+)
+_latest = select(turbine.c.name, newest_time(property_).label("newest")).subquery()
+property_now = _view(
+    "property_now",
+    select(
+        *columns_of(
+            property_, "turbine name unit time time_utc value lower_bound upper_bound reference observable"
         )
+    )
+    .select_from(_CrossJoin(_latest, property_))
+    .where(property_.c.turbine == _latest.c.name, property_.c.time == _latest.c.newest),
+)
+_heard = select(turbine.c.name, newest_time(observation).label("heard")).subquery()
+_open = select(func.count()).where(alarm_open.c.turbine == turbine.c.name)
+_worst = _open.with_only_columns(func.max(alarm_open.c.severity_rank)).scalar_subquery()
+_view(
+    "turbine_now",
+    select(
+        turbine.c.name.label("turbine"),
+        *columns_of(_heard, "heard heard_utc"),
+        *columns_of(
+            estimate_readable,
+            "time time_utc temperature_celsius temperature_lower_celsius temperature_upper_celsius "
+            "relative_humidity_percent relative_humidity_lower_percent relative_humidity_upper_percent "
+            "dew_point_celsius margin_kelvin margin_lower_kelvin condensation_percent",
+        ),
+        _open.scalar_subquery().label("open_alarms"),
+        func.coalesce(_worst, 0).label("severity_rank"),
+        *columns_of(assessment, "state reason"),
+    )
+    .join(_heard, _heard.c.name == turbine.c.name)
+    .outerjoin(
+        estimate_readable,
+        (estimate_readable.c.turbine == turbine.c.name) & (estimate_readable.c.time == newest_time(estimate)),
+    )
+    .outerjoin(assessment, assessment.c.turbine == turbine.c.name),
+)
+_hours = (
+    select(*columns_of(observation, "turbine signal value"), _hour(observation.c.time).label("time"))
+    .where(observation.c.contradicted == 0)
+    .subquery()
+)
+_view(
+    "observation_hourly",
+    select(
+        *columns_of(_hours, "turbine signal time time_utc"),
+        func.avg(_hours.c.value).label("mean"),
+        func.min(_hours.c.value).label("lowest"),
+        func.max(_hours.c.value).label("highest"),
+        func.count().label("readings"),
+    ).group_by(*columns_of(_hours, "turbine signal time")),
+)
+
+
+def creation(dialect: sa.Dialect) -> list[str]:
+    """Statements that create all tables and views in one database's SQL dialect."""
+    tables = METADATA.tables.values()
+    created: list[sa.ClauseElement] = [*map(CreateTable, tables)]
+    created += [CreateIndex(index) for table in tables for index in table.indexes]
+    return [*(str(one.compile(dialect=dialect)) for one in created), *created_views(dialect)]
+
+
+def created_views(dialect: sa.Dialect) -> list[str]:
+    """Statements that create all views in one database's SQL dialect."""
+    whole = {"literal_binds": True}
+    return [
+        f"CREATE VIEW {name} AS {query.compile(dialect=dialect, compile_kwargs=whole)}"
         for name, query in VIEWS.items()
     ]

@@ -12,18 +12,21 @@ from contextlib import closing, suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import IO
+from typing import IO, Any
+
+from sqlalchemy import Select, column, delete, func, select, table, text
 
 from hygrokf.live.storage.database import (
     AGAIN_S,
-    Cursor,
     Database,
+    Row,
     StoreFault,
     StoreUnready,
     one_line,
     refuse_other_schema,
 )
-from hygrokf.live.storage.schema import SQLITE
+from hygrokf.live.storage.schema import SQLITE, claim, observation, schema_version, turbine
+from hygrokf.live.storage.statements import CLAIMS, LAST_CLAIM, SCHEMA_NUMBER, counting
 
 APPLICATION_ID = 0x68796B66
 """Application id in the file's header ("hykf"), so that no other database is mistaken for a store."""
@@ -35,6 +38,10 @@ OWN_MISTAKES = {
 }  # fmt: skip
 """Result codes of an invalid statement or value; all others have an external cause: disk, file or another
 process."""
+
+
+_MASTER = table("sqlite_master", column("name"))
+TABLES_THERE = select(_MASTER.c.name).where(_MASTER.c.name == schema_version.name)
 
 
 class SqliteDatabase(Database):
@@ -59,23 +66,22 @@ class SqliteDatabase(Database):
         return code is not None and code & 0xFF not in OWN_MISTAKES
 
     def has_tables(self) -> bool:
-        return bool(self.rows("SELECT 1 FROM sqlite_master WHERE name = 'schema_version'"))
+        return bool(self.rows(TABLES_THERE))
 
-    def take_turn(self, cursor: Cursor) -> None:
+    def take_turn(self) -> None:
         """BEGIN IMMEDIATE has waited already, so only mark the file as a store."""
-        cursor.execute(f"PRAGMA application_id={APPLICATION_ID}")
+        self.execute(text(f"PRAGMA application_id={APPLICATION_ID}"))
 
     def try_claim(self, wanted: Sequence[tuple[str, str]]) -> tuple[str, str, str] | None:
         """One file has one tracker: the lock file covers everything that it tracks."""
         if self._lock is None:
             self._lock = lock_file(lock_path(self._path))
             if self._lock is None:
-                found = self.rows("SELECT who FROM claim ORDER BY since DESC LIMIT 1")
+                found = self.rows(LAST_CLAIM)
                 return (*wanted[0], found[0][0] if found else "another process")
-            with self.transaction() as cursor:
-                cursor.execute("DELETE FROM claim")
-        with self.transaction() as cursor:
-            self.insert_claims(cursor, wanted, 0)
+            self.execute(delete(claim))
+        with self.transaction():
+            self.insert_claims(wanted, 0)
         return None
 
     def claims(self) -> dict[tuple[str, str], str]:
@@ -83,10 +89,10 @@ class SqliteDatabase(Database):
         claims."""
         if self._lock is None and not is_locked(lock_path(self._path)):
             return {}
-        return {(kind, name): who for kind, name, who in self.rows("SELECT kind, name, who FROM claim")}
+        return {(kind, name): who for kind, name, who in self.rows(CLAIMS)}
 
     def faults(self) -> list[str]:
-        return [row[0] for row in self.rows("PRAGMA quick_check(5)") if row[0] != "ok"]
+        return [row[0] for row in self.rows(text("PRAGMA quick_check(5)")) if row[0] != "ok"]
 
     def may_write(self) -> bool:
         return all(os.access(one, os.W_OK) for one in (self._path, self._path.parent))
@@ -214,6 +220,12 @@ def connect(path: Path, mode: str) -> sqlite3.Connection:
     )  # fmt: skip
 
 
+def _rows(connection: sqlite3.Connection, query: Select[Any]) -> list[Row]:
+    """The rows of a query in a file that is not open as a store."""
+    compiled = query.compile(dialect=SQLITE, compile_kwargs={"literal_binds": True})
+    return connection.execute(str(compiled)).fetchall()
+
+
 def refuse_unfit(path: Path, thoroughly: bool) -> None:
     """Refuse a damaged file, a foreign database or another schema; an empty file may become a store.
 
@@ -240,7 +252,7 @@ def refuse_unfit(path: Path, thoroughly: bool) -> None:
                 f"{path}: the store is damaged ({'; '.join(faults)}); nothing was written to it. "
                 "Move it away and restore a copy, or name a new file"
             )
-        ((found,),) = connection.execute("SELECT MAX(version) FROM schema_version").fetchall()
+        ((found,),) = _rows(connection, SCHEMA_NUMBER)
         refuse_other_schema(path, found)
 
 
@@ -316,8 +328,8 @@ def _checked_copy(copy: Path, part: Path) -> tuple[int, float | None]:
             (said,) = target.execute("PRAGMA integrity_check(1)").fetchone()
             if said != "ok":
                 raise StoreFault(f"{copy}: the copy is damaged ({said}); name another one")
-            (turbines,) = target.execute("SELECT COUNT(*) FROM turbine").fetchone()
-            (newest,) = target.execute("SELECT MAX(time) FROM observation").fetchone()
+            ((turbines,),) = _rows(target, counting(turbine))
+            ((newest,),) = _rows(target, select(func.max(observation.c.time)))
         with part.open("rb") as file:
             os.fsync(file.fileno())
     except (sqlite3.Error, TypeError) as error:
@@ -345,9 +357,9 @@ def _put_aside(path: Path) -> tuple[Path, ...]:
 def _holder(path: Path) -> str:
     """The process that tracks into a store, as far as the store can say."""
     with suppress(sqlite3.Error), closing(connect(path, "ro")) as connection:
-        found = connection.execute("SELECT who FROM claim ORDER BY since DESC LIMIT 1").fetchone()
+        found = _rows(connection, LAST_CLAIM)
         if found and is_locked(lock_path(path)):
-            return str(found[0])
+            return str(found[0][0])
     return "another process"
 
 

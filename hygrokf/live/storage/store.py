@@ -13,51 +13,38 @@ import math
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import astuple
+from itertools import chain
 from typing import Any, TypeVar
 
 import numpy as np
+from sqlalchemy import ClauseElement, Column, Select
 
 from hygrokf.data.structured import Json, JsonObject
 from hygrokf.data.timestamps import DAY_S
 from hygrokf.estimation.likelihood import Gaussian
-from hygrokf.live.batch import Alarm, Assessment, Batch, Event, Loss, Notice, Observation, Shelf
+from hygrokf.live.batch import Alarm, Assessment, Batch, Event, Notice, Observation, Shelf
 from hygrokf.live.condition import QUANTITIES, Condition, Quantity
 from hygrokf.live.plan import BEFORE
-from hygrokf.live.storage.database import Cursor, Database, Row, SqlValue
+from hygrokf.live.storage import schema, statements
+from hygrokf.live.storage.database import Database, Row
 from hygrokf.live.storage.database import StoreFault as StoreFault
 from hygrokf.live.storage.postgres import SCHEMES, open_postgres
-from hygrokf.live.storage.schema import TABLES, TIMESTAMPS
 from hygrokf.live.storage.sqlite import open_sqlite, path_of
+from hygrokf.live.storage.statements import (
+    ACKNOWLEDGED,
+    counting,
+    deleting,
+    inserting,
+    newest,
+    replacing,
+    selecting,
+)
 from hygrokf.live.tracker import Point, Reading, Versions, used_value
 
-_SIGNALS = """
-WITH RECURSIVE known (signal) AS (
-    SELECT MIN(signal) FROM observation WHERE turbine = ?
-    UNION ALL
-    SELECT (SELECT MIN(o.signal) FROM observation o WHERE o.turbine = ? AND o.signal > known.signal)
-    FROM known WHERE known.signal IS NOT NULL)
-"""
-_READINGS = f"""{_SIGNALS}
-SELECT o.signal, o.time, o.value, o.mark, o.contradicted FROM known CROSS JOIN observation o
-WHERE o.turbine = ? AND o.signal = known.signal AND o.late = 0 AND o.time >= COALESCE(
-    (SELECT b.time FROM observation b WHERE b.turbine = ? AND b.signal = known.signal AND b.time < ?
-    AND b.late = 0 ORDER BY b.time DESC LIMIT 1 OFFSET ?),
-    (SELECT MIN(m.time) FROM observation m WHERE m.turbine = ? AND m.signal = known.signal))
-ORDER BY o.signal, o.time
-"""
-"""Query of `Store.readings`: one index lookup per signal, however long the history is."""
 FORGOTTEN_S = 3 * DAY_S
 """[s] a value of a weather forecast is kept after its time."""
 ASKED = 500
-"""Stamps asked for in one query."""
-UNLESS_THERE = " ON CONFLICT DO NOTHING"
-ACKNOWLEDGED = ("acknowledged", "acknowledged_by", "cause", "note", "look_again")
-"""Columns of an alarm that the page writes and the tracker leaves as they are."""
-TABLE_OF: Mapping[type[Any], str] = {
-    Alarm: "alarm", Assessment: "assessment", Event: "event", Loss: "connection", Notice: "outbox",
-    Shelf: "shelf",
-}  # fmt: skip
-"""Kind -> its table in `schema.TABLES`, whose columns are its fields."""
+"""Times of readings asked for in one query."""
 T = TypeVar("T")
 
 
@@ -71,63 +58,51 @@ class Store:
 
     def __init__(self, database: Database) -> None:
         self.database, self.url = database, database.url
-        self.rows, self.transaction, self._text = database.rows, database.transaction, database.text
+        self.rows, self.first, self.transaction = database.rows, database.first, database.transaction
+        self.execute, self.execute_many = database.execute, database.execute_many
         self.claim, self.close = database.claim, database.close
 
-    def found(self, kind: type[T], rest: str = "", parameters: Sequence[SqlValue] = ()) -> list[T]:
-        """What the table of a kind holds (`TABLE_OF`), selected and ordered by the `rest` of the query."""
-        table = TABLE_OF[kind]
-        rows = self.rows(f"SELECT {', '.join(TABLES[table].columns)} FROM {table} {rest}", parameters)
-        return [kind(*row) for row in rows]
+    def found(self, kind: type[T], query: Select[Any], **values: Any) -> list[T]:
+        """The rows of a table whose columns are the fields of a kind."""
+        return [kind(*row) for row in self.rows(query, **values)]
 
     # -- writing ---------------------------------------------------------------------------------------------
     def commit(self, batch: Batch) -> None:
         """Write a batch completely or not at all."""
-        with self.transaction() as cursor:
-            self.write(cursor, batch)
+        with self.transaction():
+            self.write(batch)
 
-    def write(self, cursor: Cursor, batch: Batch) -> None:
+    def write(self, batch: Batch) -> None:
         """Write a batch within a transaction.  Of a stamp with several values the one that counts is written,
         and every version is kept beside it."""
         first = [(*_reading_row(o), int(o.late), 0, _mark(o)) for o in batch.observations if not o.revision]
-        self._many(cursor, inserting("observation") + UNLESS_THERE, first)
-        self._write_revisions(cursor, [one for one in batch.observations if one.revision])
-        for statement, rows in _statements(batch):
-            self._many(cursor, statement, rows)
+        self.execute_many(inserting(schema.observation), first)
+        self._write_revisions([one for one in batch.observations if one.revision])
+        for statement, rows in _changes(batch):
+            self.execute_many(statement, rows)
 
-    def _write_revisions(self, cursor: Cursor, revisions: Sequence[Observation]) -> None:
+    def _write_revisions(self, revisions: Sequence[Observation]) -> None:
         """Add versions of values to those of their stamps, and use those that count and come in time."""
         stamps: dict[str, list[tuple[str, float]]] = {}
         for one in revisions:
             stamps.setdefault(one.turbine, []).append((one.reading.signal, one.reading.time))
         known = {turbine: self.versions(turbine, own) for turbine, own in stamps.items()}
-        names = ", ".join(name for name in TABLES["revision"].columns if name != "number")
-        first = f"INSERT INTO revision ({names}, number) SELECT {names}, 0 FROM observation "
-        first += "WHERE turbine = ? AND signal = ? AND time = ? ON CONFLICT DO NOTHING"
-        self._many(cursor, first, [_reading_row(one)[:3] for one in revisions])
-        added = self._text(inserting("revision") + UNLESS_THERE)
+        self.execute_many(statements.FIRST_VERSION, [_reading_row(one)[:3] for one in revisions])
+        added = inserting(schema.revision)
         for one in revisions:
             versions = known[one.turbine][one.reading.signal, one.reading.time]
-            cursor.execute(added, (*_reading_row(one), _mark(one), int(one.late), len(versions)))
+            self.execute_many(added, [(*_reading_row(one), _mark(one), int(one.late), len(versions))])
             versions.append(one.reading)
             if not one.late:
-                self.use(cursor, one.turbine, versions)
+                self.use(one.turbine, versions)
 
-    def use(self, cursor: Cursor, turbine: str, versions: Sequence[Reading]) -> None:
+    def use(self, turbine: str, versions: Sequence[Reading]) -> None:
         """Let the version of a stamp that counts be the observation."""
         value, first = used_value(versions), versions[0]
-        statement = self._text(
-            "UPDATE observation SET contradicted = ?, (value, received, mark) = (SELECT r.value, r.received, "
-            "r.mark FROM revision r WHERE r.turbine = observation.turbine AND r.signal = observation.signal "
-            "AND r.time = observation.time AND r.value = ?) WHERE turbine = ? AND signal = ? AND time = ?"
-        )
         none = math.isnan(value)
         used = first.value if none else value
-        cursor.execute(statement, (int(none), used, turbine, first.signal, first.time))
-
-    def _many(self, cursor: Cursor, statement: str, rows: Iterable[Row]) -> None:
-        if some := list(rows):
-            cursor.executemany(self._text(statement), some)
+        stamp = {"turbine": turbine, "signal": first.signal, "time": first.time}
+        self.execute(statements.USE_VERSION, **stamp, used=used, wrong=int(none))
 
     def add_turbines(self, models: Mapping[str, str]) -> None:
         """Register turbines; `models`: turbine → digest of the model that tracks it.
@@ -135,20 +110,14 @@ class Store:
         A turbine whose model has changed starts again from its observations, because its point belongs to the
         old model.
         """
-        with self.transaction() as cursor:
+        with self.transaction():
+            known = self.models()
             for name, digest in models.items():
-                cursor.execute(self._text("SELECT model FROM turbine WHERE name = ?"), (name,))
-                known = cursor.fetchone()
-                if known and known[0] != digest:
-                    for table in ("point", "memory"):
-                        cursor.execute(self._text(f"DELETE FROM {table} WHERE turbine = ?"), (name,))
-                cursor.execute(
-                    self._text(
-                        "INSERT INTO turbine (name, model, added) VALUES (?, ?, ?) "
-                        "ON CONFLICT (name) DO UPDATE SET model = excluded.model"
-                    ),
-                    (name, digest, time.time()),
-                )
+                if known.get(name, digest) != digest:
+                    for table in (schema.point, schema.memory):
+                        self.execute(deleting(table, "turbine"), turbine=name)
+            rows = [(name, digest, time.time()) for name, digest in models.items()]
+            self.execute_many(replacing(schema.turbine, "added"), rows)
 
     # -- what people state -----------------------------------------------------------------------------------
     def acknowledge(self, known: Alarm, notices: Iterable[Notice] = ()) -> bool:
@@ -156,36 +125,37 @@ class Store:
 
         Returns False if there is no such alarm or it was acknowledged before.
         """
-        columns = ", ".join(f"{name} = ?" for name in ACKNOWLEDGED)
-        statement = f"UPDATE alarm SET {columns} WHERE id = ? AND acknowledged IS NULL"
-        with self.transaction() as cursor:
-            cursor.execute(self._text(statement), [getattr(known, name) for name in (*ACKNOWLEDGED, "id")])
-            changed = cursor.rowcount == 1
+        stated = {f"new_{name}": getattr(known, name) for name in ACKNOWLEDGED}
+        with self.transaction():
+            changed = self.execute(statements.ACKNOWLEDGE, id=known.id, **stated) == 1
             if changed:
-                self._many(cursor, inserting("outbox") + UNLESS_THERE, map(astuple, notices))
+                self.execute_many(inserting(schema.outbox), map(astuple, notices))
         return changed
 
     def shelve(self, shelf: Shelf) -> None:
         """Shelve a turbine's alarms of one kind, in place of an earlier shelf of that kind."""
-        self._execute(replacing("shelf"), astuple(shelf))
+        self._put(replacing(schema.shelf), shelf)
 
     def unshelve(self, turbine: str, kind: str) -> bool:
         """End a shelf early; False if there is none."""
-        return self._execute("DELETE FROM shelf WHERE turbine = ? AND kind = ?", (turbine, kind)) == 1
+        return self.execute(deleting(schema.shelf, "turbine kind"), turbine=turbine, kind=kind) == 1
 
     def note_event(self, event: Event) -> None:
         """Write an event, in place of one with its id."""
-        self._execute(replacing("event"), astuple(event))
+        self._put(replacing(schema.event), event)
 
-    def _execute(self, statement: str, parameters: Sequence[SqlValue]) -> int:
-        with self.transaction() as cursor:
-            cursor.execute(self._text(statement), tuple(parameters))
-            return cursor.rowcount
+    def _put(self, statement: ClauseElement, row: Shelf | Event) -> None:
+        with self.transaction():
+            self.execute_many(statement, [astuple(row)])
 
     # -- reading ---------------------------------------------------------------------------------------------
     def point(self, turbine: str) -> Point | None:
-        found = self.rows("SELECT time, state FROM point WHERE turbine = ?", (turbine,))
-        return Point(found[0][0], state_of(found[0][1])) if found else None
+        found = self.first(selecting(schema.point, "time state", "turbine"), turbine=turbine)
+        return Point(found[0], state_of(found[1])) if found else None
+
+    def models(self) -> dict[str, str]:
+        """Turbine -> digest of the model that tracks it."""
+        return dict(self.rows(selecting(schema.turbine, "name model", order="name")))
 
     def readings(self, turbine: str, since: float) -> list[Reading]:
         """Readings of a turbine that the filter may use: those from `since` [s] on and each signal's last
@@ -193,205 +163,169 @@ class Store:
 
         The value is NaN where two readings contradict each other.
         """
-        found = self.rows(_READINGS, (turbine, turbine, turbine, turbine, since, BEFORE - 1, turbine))
-        return [_reading(s, at, math.nan if wrong else value, mark) for s, at, value, mark, wrong in found]
+        found: list[Reading] = []
+        for signal in self.signals(turbine):
+            begin = self.first_needed(turbine, signal, since)
+            rows = self.rows(statements.READINGS, turbine=turbine, signal=signal, since=begin)
+            found += [_reading(signal, at, math.nan if bad else value, mark) for at, value, mark, bad in rows]
+        return found
+
+    def first_needed(self, turbine: str, signal: str, since: float) -> float:
+        """Time [s] of the first of the last `BEFORE` readings of a signal before `since` [s]; `since`
+        without any."""
+        own = {"turbine": turbine, "signal": signal}
+        times = self.rows(statements.BEFORE_TIME, **own, before=since, most=BEFORE)
+        return float(times[-1][0]) if times else since
 
     def versions(self, turbine: str, stamps: Iterable[tuple[str, float]]) -> Versions:
         """The versions of the values of some stamps (signal, time [s]), but for those that are not known."""
         found: Versions = {}
-        ordered = sorted(stamps, key=lambda stamp: stamp[1])
-        for first in range(0, len(ordered), ASKED):
-            part = ordered[first : first + ASKED]
-            rows = self.rows(
-                "SELECT signal, time, value, mark FROM observation WHERE turbine = ? AND (signal, time) IN "
-                f"(VALUES {', '.join(['(?, TIME(?))'] * len(part))})",
-                [turbine, *(one for stamp in part for one in stamp)],
-            )
-            found |= {(one[0], one[1]): [_reading(*one)] for one in rows}
-        revised = self.revised(turbine, ordered[0][1]) if found else {}
+        wanted = set(stamps)
+        times = sorted({at for _, at in wanted})
+        for first in range(0, len(times), ASKED):
+            rows = self.rows(statements.AT_TIMES, turbine=turbine, times=times[first : first + ASKED])
+            found |= {(row[0], row[1]): [_reading(*row)] for row in rows if row[:2] in wanted}
+        revised = self.revised(turbine, times[0]) if found else {}
         return found | {stamp: known for stamp, known in revised.items() if stamp in found}
 
     def revised(self, turbine: str, since: float = -math.inf) -> Versions:
         """The versions of all stamps from `since` [s] on that had several values."""
         found: Versions = {}
-        rows = self.rows(
-            "SELECT signal, time, value, mark FROM revision WHERE turbine = ? AND time >= ? "
-            "ORDER BY signal, time, number",
-            (turbine, since),
+        query = selecting(
+            schema.revision, "signal time value mark", "turbine", "signal time number", since=True
         )
-        for signal, at, value, mark in rows:
+        for signal, at, value, mark in self.rows(query, turbine=turbine, since=since):
             found.setdefault((signal, at), []).append(_reading(signal, at, value, mark))
         return found
 
     def losses(self, turbine: str) -> dict[str, list[tuple[float, float]]]:
         """Spans [s] in which the connection of each signal of a turbine was lost, ∞ as an end to come."""
         found: dict[str, list[tuple[float, float]]] = {}
-        asked = "SELECT signal, lost, regained FROM connection WHERE turbine = ? ORDER BY signal, lost"
-        for signal, lost, regained in self.rows(asked, (turbine,)):
+        query = selecting(schema.connection, "signal lost regained", "turbine", "signal lost")
+        for signal, lost, regained in self.rows(query, turbine=turbine):
             found.setdefault(signal, []).append((lost, math.inf if regained is None else regained))
         return found
 
     def held(self, turbine: str, until: float = math.inf) -> list[Observation]:
         """Readings of a turbine that came with stamps ahead of the clock and are from before `until` [s], by
         time."""
-        found = self.rows(
-            f"SELECT {', '.join(TABLES['held'].columns)} FROM held WHERE time <= ? AND turbine = ? "
-            "ORDER BY time, signal, received",
-            (until, turbine),
-        )
-        return [
-            Observation(name, _reading(s, at, value, mark), received)
-            for name, s, at, value, received, mark in found
-        ]
+        found = self.rows(statements.HELD, turbine=turbine, until=until)
+        return [Observation(name, _reading(*reading), received) for name, received, *reading in found]
 
     def held_ahead(self) -> list[tuple[str, str, float]]:
         """(turbine, signal, time [s] from the last arrival to the latest stamp) of readings that are held
         back."""
-        found = self.rows(
-            "SELECT turbine, signal, MAX(time), MAX(received) FROM held GROUP BY turbine, signal"
-        )
+        found = self.rows(statements.HELD_AHEAD)
         return [(turbine, signal, latest - arrival) for turbine, signal, latest, arrival in found]
 
     def held_count(self, turbine: str) -> int:
         """Number of readings that are held back for one turbine."""
-        return int(self.rows("SELECT COUNT(*) FROM held WHERE turbine = ?", (turbine,))[0][0])
+        return int(self.rows(counting(schema.held, "turbine"), turbine=turbine)[0][0])
 
     def newest_estimate(self, turbine: str) -> tuple[float, float | None] | None:
         """Time [s] and probability of condensation [1] of a turbine's newest estimate; None without any."""
-        found = self.rows(
-            "SELECT time, condensation FROM estimate WHERE turbine = ? ORDER BY time DESC LIMIT 1", (turbine,)
-        )
-        return found[0] if found else None
+        found = self.first(newest(schema.estimate, "time condensation", "turbine"), turbine=turbine)
+        return None if found is None else (found[0], found[1])
 
     def outlook(self, turbine: str) -> list[tuple[float, float]]:
         """Times [s] and probabilities of condensation [1] of a turbine's forecast."""
-        return self.rows(
-            "SELECT time, condensation FROM forecast WHERE turbine = ? AND condensation IS NOT NULL "
-            "ORDER BY time",
-            (turbine,),
-        )
+        return self.rows(statements.OUTLOOK, turbine=turbine)
 
     def assessments(self) -> dict[str, Assessment]:
         """The state of each turbine."""
-        return {one.turbine: one for one in self.found(Assessment)}
+        return {one.turbine: one for one in self.found(Assessment, selecting(schema.assessment))}
 
     def shelves(self, now: float) -> list[Shelf]:
         """Shelves that hold at `now` [s]."""
-        return self.found(Shelf, "WHERE until > ? ORDER BY turbine, kind", (now,))
+        return self.found(Shelf, statements.SHELVES, now=now)
 
     def all_events(self) -> list[Event]:
         """Events at all turbines, by the time at which they were stated."""
-        return self.found(Event, "ORDER BY made, id")
+        return self.found(Event, selecting(schema.event, order="made id"))
 
     def events(self, turbine: str) -> list[Event]:
         """Events at a turbine, by time."""
-        return self.found(Event, "WHERE turbine = ? ORDER BY time, id", (turbine,))
+        return self.found(Event, selecting(schema.event, same="turbine", order="time id"), turbine=turbine)
 
     def course(
         self, turbine: str, signals: Sequence[str], since: float, until: float
     ) -> list[tuple[str, float, float]]:
         """(signal, time [s], value) of some signals from `since` to `until` [s] that the filter used, sorted
         by signal and time."""
-        return self.rows(
-            "SELECT signal, time, value FROM observation WHERE turbine = ? AND signal IN "
-            f"({', '.join('?' * len(signals))}) AND time >= ? AND time <= ? AND contradicted = 0 "
-            "AND late = 0 ORDER BY signal, time",
-            (turbine, *signals, since, until),
-        )
+        span = {"since": since, "until": until}
+        return self.rows(statements.COURSE, turbine=turbine, signals=signals, **span)
 
     def weather(self, turbine: str, since: float) -> list[tuple[str, float, float]]:
         """(signal, time [s], value) of the turbine's weather forecast, else of the common one, by signal and
         time."""
-        statement = (
-            "SELECT signal, time, value FROM weather WHERE turbine = ? AND time >= ? ORDER BY signal, time"
-        )
-        return self.rows(statement, (turbine, since)) or self.rows(statement, ("", since))
+        query = selecting(schema.weather, "signal time value", "turbine", "signal time", since=True)
+        return self.rows(query, turbine=turbine, since=since) or self.rows(query, turbine="", since=since)
 
     def memory(self, turbine: str, name: str) -> Json:
         """JSON data that a turbine's tracker resumes from; None if there is none of that name."""
-        found = self.rows("SELECT content FROM memory WHERE turbine = ? AND name = ?", (turbine, name))
-        return json.loads(found[0][0]) if found else None
+        found = self.first(selecting(schema.memory, "content", "turbine name"), turbine=turbine, name=name)
+        return json.loads(found[0]) if found else None
 
     def memories(self, turbine: str) -> JsonObject:
         """All JSON data that a turbine's tracker resumes from, by name."""
-        found = self.rows("SELECT name, content FROM memory WHERE turbine = ?", (turbine,))
+        found = self.rows(selecting(schema.memory, "name content", "turbine"), turbine=turbine)
         return {name: json.loads(content) for name, content in found}
 
     def signals(self, turbine: str) -> list[str]:
-        """Signals of a turbine's readings, found with one index lookup each; DISTINCT would scan them all."""
-        rows = self.rows(f"{_SIGNALS} SELECT signal FROM known WHERE signal IS NOT NULL", (turbine, turbine))
-        return [signal for (signal,) in rows]
+        """Signals of a turbine's readings."""
+        return [signal for (signal,) in self.rows(statements.SIGNALS, turbine=turbine)]
 
     def place(self, url: str) -> str | None:
         """Position at which a source resumes; None if it was never read."""
-        found = self.rows("SELECT place FROM source WHERE url = ?", (url,))
-        return found[0][0] if found else None
+        found = self.first(selecting(schema.source, "place", "url"), url=url)
+        return found[0] if found else None
 
     def counters(self) -> dict[tuple[str, str], int]:
-        return {
-            (turbine, name): int(n)
-            for turbine, name, n in self.rows("SELECT turbine, name, count FROM counter")
-        }
+        return {(turbine, name): int(n) for turbine, name, n in self.rows(selecting(schema.counter))}
 
     def size(self) -> dict[str, int]:
         """Number of rows of each table."""
-        return {table: int(self.rows(f"SELECT COUNT(*) FROM {table}")[0][0]) for table in TABLES}
+        return {name: int(self.rows(counting(table))[0][0]) for name, table in schema.TABLES.items()}
 
 
-def inserting(table: str) -> str:
-    """The statement that inserts a row."""
-    columns = TABLES[table].columns
-    marks = ", ".join("TIME(?)" if name in TIMESTAMPS[table] else "?" for name in columns)
-    return f"INSERT INTO {table} ({', '.join(columns)}) VALUES ({marks})"
-
-
-def replacing(table: str, kept: Sequence[str] = ()) -> str:
-    """The statement that inserts a row or, where one with its key exists, replaces all but the `kept`
-    columns."""
-    columns, key = TABLES[table].columns, TABLES[table].key
-    changed = [f"{name} = excluded.{name}" for name in columns if name not in (*key, *kept)]
-    return f"{inserting(table)} ON CONFLICT ({', '.join(key)}) DO UPDATE SET {', '.join(changed)}"
-
-
-def _statements(batch: Batch) -> Iterator[tuple[str, Iterable[Row]]]:
+def _changes(batch: Batch) -> Iterator[tuple[ClauseElement, Iterable[Row]]]:
     """The statements that write all of a batch but its observations, each with its rows."""
-    yield inserting("held") + UNLESS_THERE, [(*_reading_row(one), _mark(one)) for one in batch.held]
-    released = [_reading_row(one)[:3] for one in batch.released]
-    yield "DELETE FROM held WHERE turbine = ? AND signal = ? AND time = ?", released
-    yield replacing("connection"), map(astuple, batch.losses)
+    yield inserting(schema.held), [(*_reading_row(one), _mark(one)) for one in batch.held]
+    yield deleting(schema.held, "turbine signal time"), [_reading_row(one)[:3] for one in batch.released]
+    yield replacing(schema.connection), map(astuple, batch.losses)
     points = [(turbine, one.time, state_text(one.state)) for turbine, one in batch.points.items()]
-    yield replacing("point"), points
+    yield replacing(schema.point), points
     # estimates take the place of the provisional ones
-    begun = [(turbine, one.since) for turbine, one in batch.estimates.items()]
-    yield "DELETE FROM estimate WHERE turbine = ? AND time >= ? AND final = 0", begun
-    for turbine, one in batch.estimates.items():
-        yield replacing("estimate"), estimate_rows(turbine, one.condition, one.final)
+    yield statements.PROVISIONAL, [(turbine, one.since) for turbine, one in batch.estimates.items()]
+    estimates = (estimate_rows(name, one.condition, one.final) for name, one in batch.estimates.items())
+    yield replacing(schema.estimate), chain.from_iterable(estimates)
     properties = [
         (turbine, at, p.name, p.unit, p.value, p.lower, p.upper, p.reference, int(p.observable))
         for turbine, at, properties in batch.properties
         for p in properties
     ]
-    yield replacing("property"), properties
-    yield replacing("alarm", ACKNOWLEDGED), map(astuple, batch.alarms)
-    again = "UPDATE alarm SET acknowledged = NULL, acknowledged_by = NULL, look_again = NULL WHERE id = ?"
-    yield again, [(alarm.id,) for alarm in batch.reopened]
-    yield replacing("assessment"), map(astuple, batch.assessments)
-    yield inserting("outbox") + UNLESS_THERE, map(astuple, batch.notices)
+    yield replacing(schema.property_), properties
+    yield replacing(schema.alarm, *ACKNOWLEDGED), map(astuple, batch.alarms)
+    yield statements.REOPEN, [(alarm.id,) for alarm in batch.reopened]
+    yield replacing(schema.assessment), map(astuple, batch.assessments)
+    yield inserting(schema.outbox), map(astuple, batch.notices)
     memories = [(turbine, name, json.dumps(data)) for (turbine, name), data in batch.memories.items()]
-    yield replacing("memory"), memories
-    more = " ON CONFLICT (turbine, name) DO UPDATE SET count = counter.count + excluded.count"
-    yield inserting("counter") + more, [(*key, count) for key, count in batch.counters.items() if count]
-    yield replacing("source"), batch.place.items()
-    yield "DELETE FROM forecast WHERE turbine = ?", [(name,) for name in batch.forecasts]
+    yield replacing(schema.memory), memories
+    yield (
+        replacing(schema.counter, added="count"),
+        [(*key, count) for key, count in batch.counters.items() if count],
+    )
+    yield replacing(schema.source), batch.place.items()
+    yield deleting(schema.forecast, "turbine"), [(name,) for name in batch.forecasts]
     for turbine, made in batch.forecasts.items():
         if made is not None:
             rows = zip(estimate_rows(turbine, made.condition, 0), _plain(made.above), strict=True)
-            yield inserting("forecast"), [(*row[:2], made.made_s, *row[3:], above) for row, above in rows]
+            forecast = [(*row[:2], made.made_s, *row[3:], above) for row, above in rows]
+            yield inserting(schema.forecast), forecast
     if batch.weather:  # forecast values of the past are of no use
         old = min(one.received for one in batch.weather) - FORGOTTEN_S
-        yield "DELETE FROM weather WHERE time < ?", [(old,)]
-    newer = " WHERE excluded.received >= weather.received"
-    yield replacing("weather") + newer, map(_reading_row, batch.weather)
+        yield statements.OLD_WEATHER, [(old,)]
+    yield replacing(schema.weather, newer="received"), map(_reading_row, batch.weather)
 
 
 def _reading_row(one: Observation) -> Row:
@@ -448,38 +382,26 @@ def prune(store: Store, turbine: str, before: float, needed: float, most: int = 
     restart needs them.  Open alarms are kept, too.
     """
     limit, count = min(before, needed), 0
-    with store.transaction() as cursor:
+    with store.transaction():
         for signal in store.signals(turbine):
-            edges = store.rows(
-                "SELECT time FROM observation WHERE turbine = ? AND signal = ? AND time < ? AND late = 0 "
-                "ORDER BY time DESC LIMIT ?",
-                (turbine, signal, needed, BEFORE),
-            )
-            until = min(limit, edges[-1][0]) if edges else limit
+            until = min(limit, store.first_needed(turbine, signal, needed))
             same = {"turbine": turbine, "signal": signal}
-            count += _bite(store, cursor, "observation", same, "time", until, most - count)
-        for table, column in (
-            ("revision", "time"), ("estimate", "time"), ("property", "time"), ("alarm", "ended"),
-            ("connection", "regained"),
+            count += _bite(store, schema.observation.c.time, until, most - count, same)
+        for time_column in (
+            schema.revision.c.time, schema.estimate.c.time, schema.property_.c.time, schema.alarm.c.ended,
+            schema.connection.c.regained,
         ):  # fmt: skip
-            count += _bite(store, cursor, table, {"turbine": turbine}, column, limit, most - count)
+            count += _bite(store, time_column, limit, most - count, {"turbine": turbine})
     return count
 
 
-def _bite(
-    store: Store, cursor: Cursor, table: str, same: Mapping[str, str], column: str, until: float, most: int
-) -> int:
-    """Delete at most `most` of the oldest rows of a table before a time [s]; returns the number deleted."""
-    where = " AND ".join([*(f"{name} = ?" for name in same), f"{column} < ?"])
-    values: tuple[SqlValue, ...] = (*same.values(), until)
-    next_one = store.rows(
-        f"SELECT {column} FROM {table} WHERE {where} ORDER BY {column} LIMIT 1 OFFSET ?",
-        (*values, max(most, 0)),
-    )
-    if next_one:
-        values = (*same.values(), next_one[0][0])
-    cursor.execute(store.database.text(f"DELETE FROM {table} WHERE {where}"), values)
-    return max(cursor.rowcount, 0)
+def _bite(store: Store, time: Column[Any], until: float, most: int, same: Mapping[str, str]) -> int:
+    """Delete at most `most` of the oldest rows with the `same` values from before a time [s]; returns the
+    number deleted."""
+    names = " ".join(same)
+    kept = store.first(statements.first_kept(time, names), **same, until=until, first=max(most, 0))
+    end = kept[0] if kept else until
+    return store.execute(statements.deleting_before(time, names), **same, until=end)
 
 
 # -- opening -------------------------------------------------------------------------------------------------

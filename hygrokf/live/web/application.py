@@ -23,6 +23,8 @@ from hygrokf.live.batch import CAUSES, STATES, Event, Shelf
 from hygrokf.live.notification.notices import LOOK_AGAIN, ChannelState, acknowledge, channel_states
 from hygrokf.live.service import Service
 from hygrokf.live.storage.export import alarms_csv
+from hygrokf.live.storage.schema import alarm_open
+from hygrokf.live.storage.statements import counting
 from hygrokf.live.storage.store import Store, StoreFault
 from hygrokf.live.traces import KINDS as EVENT_KINDS
 from hygrokf.live.turbines import SOURCE
@@ -154,9 +156,8 @@ class PageEndpoints:
         return reply({"now": now, "alarms": found})
 
     def health(self, request: Request) -> Response:
-        open_alarms = "SELECT COUNT(*) FROM alarm WHERE ended IS NULL"
         counters, ((open_,),), told = self.reader.read(
-            lambda store: (store.counters(), store.rows(open_alarms), channel_states(store))
+            lambda store: (store.counters(), store.rows(counting(alarm_open)), channel_states(store))
         )
         now = self.service.now
         rows = self.rows(now)

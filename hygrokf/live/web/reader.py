@@ -12,6 +12,7 @@ from concurrent.futures import Future
 from typing import TypeVar
 
 from hygrokf.live.service import Service
+from hygrokf.live.storage.statements import SCHEMA_NUMBER
 from hygrokf.live.storage.store import Store, StoreFault, open_store
 
 LOG = logging.getLogger("hygrokf.page")
@@ -98,7 +99,7 @@ class StoreAnswers:
 
         def ask() -> None:
             try:
-                self._reader.read(lambda store: store.rows("SELECT 1"))
+                self._reader.read(lambda store: store.rows(SCHEMA_NUMBER))
                 found.set_result("")
             except StoreFault as fault:
                 found.set_result(str(fault))

@@ -27,7 +27,9 @@ from hygrokf.live.plan import Need
 from hygrokf.live.properties import WATCHED
 from hygrokf.live.service import Health
 from hygrokf.live.sources.stream import Stream
+from hygrokf.live.storage import schema, statements
 from hygrokf.live.storage.database import Row
+from hygrokf.live.storage.statements import counting, newest, selecting
 from hygrokf.live.storage.store import Store
 from hygrokf.live.web.reader import Reader
 from hygrokf.physics.psychrometrics import ZERO_CELSIUS_K
@@ -40,7 +42,7 @@ RIGHT, WRONG = ("defect", "settings changed"), ("false alarm",)
 """Causes of acknowledgements that say that an alarm was right, or wrong."""
 SEVERITY = {"alarm": 2, "warning": 1, "notice": 0}
 COURSES = {q.name: q for q in QUANTITIES if q.name != "frost_point"}
-_COLUMNS = ", ".join(f"{q.column}, {q.sd_column}" for q in COURSES.values())
+_COLUMNS = " ".join(f"{q.column} {q.sd_column}" for q in COURSES.values())
 MOST = 3000
 """Largest number of points in a course; longer courses are thinned."""
 READ = {"temperature": "cabinet_temperature", "relative_humidity": "cabinet_relative_humidity"}
@@ -85,33 +87,16 @@ def fleet_view(
 
     verdicts: turbine → verdicts on the numbers of its model.
     """
-    # LEFT JOIN makes the database loop over turbines instead of scanning every estimate; the newest reading
-    # stands for the last received one, which only a scan of every observation would find
-    newest = {
-        turbine: row
-        for turbine, *row in store.rows(
-            "SELECT t.name, (SELECT received FROM observation WHERE turbine = t.name ORDER BY time DESC "
-            "LIMIT 1), e.time, e.temperature_K, e.temperature_sd, e.relative_humidity, "
-            "e.relative_humidity_sd, e.margin_K, e.margin_sd, e.condensation FROM turbine t LEFT JOIN "
-            "estimate e ON e.turbine = t.name AND e.time = (SELECT MAX(time) FROM estimate WHERE turbine = "
-            "t.name)"
-        )
-    }
-    known = store.rows("SELECT turbine, MAX(observable) FROM property_now GROUP BY turbine")
-    observable: dict[str, int] = dict(known)
-    # the last row of a turbine is its highest chance, at the first time
+    latest = {turbine: row for turbine, *row in store.rows(statements.FLEET)}
+    observable: dict[str, int] = dict(store.rows(statements.OBSERVABLE))
     highest = {
         turbine: {"condensation": chance, "time": at}
-        for turbine, chance, at in store.rows(
-            "SELECT turbine, condensation, time FROM forecast WHERE time >= ? AND condensation IS NOT NULL "
-            "ORDER BY turbine, condensation, time DESC",
-            (now,),
-        )
+        for turbine, chance, at in store.rows(statements.CHANCES, since=now)
     }
     states, open_alarms = store.assessments(), alarms_view(store, since=math.inf)
     rows: list[View] = []
     for name in names:
-        heard, at, kelvin, kelvin_sd, humidity, humidity_sd, margin, margin_sd, chance = newest.get(
+        heard, at, kelvin, kelvin_sd, humidity, humidity_sd, margin, margin_sd, chance = latest.get(
             name, [None] * 9
         )
         alarms = [one for one in open_alarms if one.turbine == name]
@@ -175,23 +160,14 @@ def turbine_view(
 
     needs: what its model reads, of which signals that never came are listed too.
     """
-    found = _thin(
-        store.rows(
-            f"SELECT {_COLUMNS}, time, final, condensation FROM estimate WHERE turbine = ? AND time >= ? "
-            "ORDER BY time",
-            (name, since),
-        )
+    estimates = selecting(
+        schema.estimate, f"{_COLUMNS} time final condensation", "turbine", "time", since=True
     )
+    found = _thin(store.rows(estimates, turbine=name, since=since))
     readings: View = {}
     for quantity, signal in READ.items():
         shown = COURSES[quantity]
-        rows = _thin(
-            store.rows(
-                "SELECT time, value FROM observation WHERE turbine = ? AND signal = ? AND time >= ? AND "
-                "contradicted = 0 ORDER BY time",
-                (name, signal, since),
-            )
-        )
+        rows = _thin(store.rows(statements.USED_VALUES, turbine=name, signal=signal, since=since))
         if rows:
             readings[quantity] = {
                 "time": [at for at, _ in rows],
@@ -271,10 +247,8 @@ def _forecast(store: Store, name: str) -> View | None:
     if not isinstance(kept, dict):
         return None
     made = structured(ForecastMade, kept)
-    rows = store.rows(
-        f"SELECT {_COLUMNS}, time, condensation, above_limit FROM forecast WHERE turbine = ? ORDER BY time",
-        (name,),
-    )
+    courses = selecting(schema.forecast, f"{_COLUMNS} time condensation above_limit", "turbine", "time")
+    rows = store.rows(courses, turbine=name)
     return {
         "made": made.made,
         "limit": made.limit,
@@ -293,12 +267,8 @@ def alarms_view(store: Store, turbine: str | None = None, since: float = -math.i
 
     Open alarms come first; within each group the most severe come first, and then the newest.
     """
-    where = "WHERE (ended IS NULL OR ended >= ?)"
-    parameters: list[float | str] = [since]
-    if turbine is not None:
-        where += " AND turbine = ?"
-        parameters.append(turbine)
-    found = store.found(Alarm, f"{where} ORDER BY began DESC", parameters)
+    own = {} if turbine is None else {"turbine": turbine}
+    found = store.found(Alarm, statements.ALARMS_OF if own else statements.ALARMS, since=since, **own)
     return sorted(found, key=lambda alarm: (alarm.ended is not None, -SEVERITY[alarm.severity]))
 
 
@@ -306,7 +276,7 @@ def labels_view(store: Store) -> list[View]:
     """How often each kind of alarm was `right` (something had changed) or `wrong`, as those say who
     acknowledged it; by kind."""
     found: dict[str, Counter[str | None]] = defaultdict(Counter)
-    for kind, cause, count in store.rows("SELECT kind, cause, COUNT(*) FROM alarm GROUP BY kind, cause"):
+    for kind, cause, count in store.rows(statements.CAUSES):
         found[kind][cause] = int(count)
     return [
         {
@@ -323,12 +293,10 @@ def labels_view(store: Store) -> list[View]:
 def _properties(store: Store, name: str, since: float) -> list[View]:
     """Each property with its course, whose last value is the present one; shares are in per cent."""
     found = []
+    names = "reference observable time value lower_bound upper_bound"
+    query = selecting(schema.property_, names, "turbine name", "time", since=True)
     for one in WATCHED:
-        rows = store.rows(
-            "SELECT reference, observable, time, value, lower_bound, upper_bound FROM property "
-            "WHERE turbine = ? AND name = ? AND time >= ? ORDER BY time",
-            (name, one.name, since),
-        )
+        rows = store.rows(query, turbine=name, name=one.name, since=since)
         if rows:
             factor, unit = (100.0, "%") if one.unit == "1" else (1.0, one.unit)
             references, observable, time, *courses = zip(*rows, strict=True)
@@ -401,19 +369,11 @@ def signal_rows(
     used = {signal: "required" if one.required else "used" for one in needs for signal in one.signals}
     missing = [one.signals[0] for one in needs if not set(one.signals) & set(there)]
     for signal in sorted({*missing, *there}):
-        row, newest = (
-            SIGNALS.get(signal),
-            store.rows(
-                "SELECT value, time, received FROM observation WHERE turbine = ? AND signal = ? ORDER BY "
-                "time DESC LIMIT 1",
-                (name, signal),
-            ),
-        )
-        value, last, received = newest[0] if newest else (None, None, None)
-        ((count,),) = store.rows(
-            "SELECT COUNT(*) FROM observation WHERE turbine = ? AND signal = ? AND time >= ?",
-            (name, signal, now - DAY_S),
-        )
+        row, own = SIGNALS.get(signal), {"turbine": name, "signal": signal}
+        reading = store.first(newest(schema.observation, "value time received", "turbine signal"), **own)
+        value, last, received = reading or (None, None, None)
+        in_a_day = counting(schema.observation, "turbine signal", since=True)
+        ((count,),) = store.rows(in_a_day, **own, since=now - DAY_S)
         found.append(
             {
                 "signal": signal,
@@ -476,12 +436,11 @@ def margins_of(store: Store, names: Sequence[str], start: float) -> View:
     for name in names:
         courses = [
             row
-            for table, since, until in (("estimate", start, now), ("forecast", now, now + AHEAD_S))
-            for row in store.rows(
-                f"SELECT time, margin_K, margin_sd FROM {table} WHERE turbine = ? AND time >= ? AND time < ? "
-                "AND margin_K IS NOT NULL",
-                (name, since, until),
+            for query, since, until in (
+                (statements.PAST_MARGINS, start, now),
+                (statements.FORECAST_MARGINS, now, now + AHEAD_S),
             )
+            for row in store.rows(query, turbine=name, since=since, until=until)
         ]
         if not courses:
             continue

@@ -11,6 +11,7 @@ from itertools import pairwise
 from pathlib import Path
 
 from builders.live_case import expect_offline, live_fit, live_record
+from builders.store_case import queried
 
 from hygrokf.data.record import Series
 from hygrokf.data.signals import SIGNALS
@@ -107,7 +108,7 @@ class Plant:
         turbines = read_config(self.folder / "track.toml").turbines
         for name in self.names:
             opened = open_store(store, read_only=True)
-            rows = opened.rows("SELECT signal, time, value FROM observation WHERE turbine = ?", (name,))
+            rows = queried(opened, "SELECT signal, time, value FROM observation WHERE turbine = ?", (name,))
             opened.close()
             found = Counter(rows)
             missing += (sent - found).total()
@@ -130,12 +131,12 @@ def _field(series: Series) -> str:
 
 def stored(store: str) -> int:
     """How many observations a store holds, looked at from outside; 0 where it is not there or not reached."""
-    return looked_at(store, lambda opened: opened.rows("SELECT COUNT(*) FROM observation")[0][0])
+    return looked_at(store, lambda opened: queried(opened, "SELECT COUNT(*) FROM observation")[0][0])
 
 
 def held(store: str) -> int:
     """How many readings a store holds back, because their stamps are ahead of the clock."""
-    return looked_at(store, lambda opened: opened.rows("SELECT COUNT(*) FROM held")[0][0])
+    return looked_at(store, lambda opened: queried(opened, "SELECT COUNT(*) FROM held")[0][0])
 
 
 def counted(store: str) -> Counter:
