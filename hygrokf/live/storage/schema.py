@@ -26,7 +26,7 @@ from sqlalchemy.types import TypeDecorator, TypeEngine
 from hygrokf.live.batch import Alarm, Assessment, Event, Loss, Notice, Shelf
 from hygrokf.live.condition import QUANTITIES, Z95
 
-VERSION = 7
+VERSION = 8
 """Number of the schema: one higher with each change of it.  A store with another number is refused."""
 SQLITE = SQLiteDialect(paramstyle="qmark")
 POSTGRESQL = PGDialect(paramstyle="format")
