@@ -11,7 +11,7 @@ import numpy as np
 from hygrokf.cases.alternatives import alternative_readings
 from hygrokf.cases.doubts import all_doubts
 from hygrokf.data.actuators import actuators
-from hygrokf.data.record import Record, Series, Site
+from hygrokf.data.record import Provenance, Record, Series, Site
 from hygrokf.data.signals import difference_from_si, from_si, signal_named
 from hygrokf.data.tabular import units_by_name, with_units
 from hygrokf.data.timestamps import DAY_S, modal_step, stamp_text
@@ -66,13 +66,15 @@ class SignalSummary:
 class RecordSummary:
     """The contents of a record, as `hygrokf check` shows them.
 
-    `days` [d] from `start` to `end` (UTC); `rated_power_kW` NaN where it is not stated; `identification` and
+    `provenance` of the readings; `days` [d] from `start` to `end` (UTC); `rated_power_kW` NaN where it is not
+    stated; `identification` and
     `validation` None where they are empty; `actuators`: whether and how a model uses each that is logged;
     `comparisons` of sources for the same signal; `untold`: what the record cannot tell of its clocks;
     `files`: that it was read from, with their SHA-256.
     """
 
     name: str
+    provenance: Provenance
     start: str | None
     end: str | None
     days: float
@@ -105,6 +107,7 @@ def describe(record: Record) -> RecordSummary:
     whole = _span(record.start_s, record.end_s)
     return RecordSummary(
         record.name,
+        record.provenance,
         whole.start,
         whole.end,
         whole.days,
@@ -118,7 +121,7 @@ def describe(record: Record) -> RecordSummary:
         record.warnings,
         tuple(map(str, all_doubts(record, clocks, read))),
         read.untold,
-        record.provenance,
+        record.files,
     )
 
 

@@ -19,6 +19,7 @@ from hygrokf.climate.limits import Exceedance
 from hygrokf.climate.statistics import STATISTICS
 from hygrokf.data.drawn import drawn
 from hygrokf.data.files import CLIMATE, SUMMARIES, write_text_whole
+from hygrokf.data.record import Provenance, least_measured
 from hygrokf.data.result_file import read_result, result_text
 from hygrokf.data.tabular import with_units
 from hygrokf.identification.verdict_terms import Inherited
@@ -90,7 +91,7 @@ class JointDistribution:
 class RegionClimate:
     """The climate in a cabinet under the weather of one region.
 
-    `files` of the weather; `synthetic` where a computer made it.  `statements` on weather, power and bounds.
+    `files` of the weather and its `provenance`.  `statements` on weather, power and bounds.
     `part_of_year`: such as "80 days" where no year is known well enough to stand for one, else empty.
     `bounds_hold`, `mean_bounds_hold`: shares [1] of single years, and of means, that the bounds hold.
     `scopes`: numbers (`climate.statistics.STATISTICS`) by scope and name; `outside`: those of the weather.
@@ -100,7 +101,7 @@ class RegionClimate:
 
     name: str
     files: tuple[str, ...]
-    synthetic: bool
+    provenance: Provenance
     statements: tuple[str, ...]
     part_of_year: str
     bounds_hold: float
@@ -137,8 +138,8 @@ class Study:
     """The climate in a fitted cabinet under the weather of one or several regions.
 
     `name` of the fit and the `version` that simulated it.  `members` of the ensemble, its `seed`, and the
-    `level` [1] of its bounds.  `verdicts`: the fit's time constants, by part.  `synthetic`: the fit was made
-    from computed data.
+    `level` [1] of its bounds.  `verdicts`: the fit's time constants, by part.  `provenance` of the
+    fit's record.
     """
 
     name: str
@@ -149,7 +150,7 @@ class Study:
     verdicts: Mapping[str, Inherited]
     surface: Surface
     plan: ProfilePlan
-    synthetic: bool
+    provenance: Provenance
     regions: tuple[RegionClimate, ...]
 
     def __post_init__(self) -> None:
@@ -159,6 +160,11 @@ class Study:
     def __repr__(self) -> str:
         names = ", ".join(one.name for one in self.regions)
         return f"Study({self.name!r}: {names}; {self.members} members, seed {self.seed})"
+
+    @property
+    def least_measured(self) -> Provenance:
+        """The provenance of what all of it rests on: the fit's record and the weather of every region."""
+        return least_measured((self.provenance, *(one.provenance for one in self.regions)))
 
     def rows(self) -> Iterator[dict[str, str | float]]:
         """Every single number, by region, scope and name, with its bounds and unit; limits follow with scope

@@ -152,7 +152,7 @@ def _simulate(options: Namespace) -> int:
     expect_file(options.out)
     fit = stored_fit(options.fit, options.library)
     record = record_of(options.case, cabinet=False)
-    sources = (options.case.parent / file for file, _ in record.provenance)
+    sources = (options.case.parent / file for file, _ in record.files)
     expect_other(options.out, options.fit, options.fit / files.FIT, options.case, *sources)
     with faults_of(options.case):
         _, run, predicted = simulate_fit(fit, record)

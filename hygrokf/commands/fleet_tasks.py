@@ -101,7 +101,7 @@ def _of_record(record: Record) -> dict[str, Cell]:
         "record": record.name,
         "start": stamp_text(record.start_s),
         "end": stamp_text(record.end_s),
-        "synthetic": "synthetic" in record.name.lower(),
+        "provenance": record.provenance,
         "warnings": len(record.warnings),
     }
 

@@ -11,6 +11,7 @@ import dataclasses
 import math
 import re
 from collections.abc import Callable, Mapping, Sequence
+from enum import StrEnum
 from functools import cache
 from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar
 
@@ -195,12 +196,14 @@ def _converter() -> Converter:
     made = Converter(detailed_validation=True, unstruct_collection_overrides={tuple: list})
     for kind in _PLAIN:
         made.register_structure_hook(kind, _plain)
+    made.register_structure_hook(StrEnum, lambda value, kind: kind(value))
     made.register_structure_hook(np.ndarray, _array)
     made.register_structure_hook(
         float | np.ndarray,
         lambda v, _: _array(v) if isinstance(v, list | tuple | np.ndarray) else _plain(v, float),
     )
     made.register_structure_hook(Cell, _cell)
+    made.register_unstructure_hook(StrEnum, lambda value: value.value)
     made.register_unstructure_hook(float, _finite)
     made.register_unstructure_hook(np.ndarray, _listed)
     made.register_unstructure_hook(np.floating, lambda value: _finite(float(value)))

@@ -132,7 +132,7 @@ def _discovered(record: Record, library: Sequence[Cause], say: Progress, budget:
         version=__version__,
         verdict=verdict(ended, left),
         baseline=_scores(base),
-        synthetic=base.results.synthetic,
+        provenance=base.results.provenance,
         extended=None if extended is None else _scores(extended),
         estimator=ended.base.estimator,
         gains=gains(ended, before, after),

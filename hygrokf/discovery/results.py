@@ -19,6 +19,7 @@ import numpy as np
 
 from hygrokf.data.drawn import drawn
 from hygrokf.data.files import DISCOVERY, DISCOVERY_SERIES, write_bytes_whole, write_text_whole
+from hygrokf.data.record import Provenance
 from hygrokf.data.result_file import ResultFault, read_arrays, read_result, result_text
 from hygrokf.data.structured import JsonObject, optional, plain
 from hygrokf.data.tabular import with_units
@@ -236,7 +237,7 @@ class DiscoveryResults:
     version: str
     verdict: Verdict
     baseline: ModelScores
-    synthetic: bool = False
+    provenance: Provenance = Provenance.MEASURED
     extended: ModelScores | None = None
     estimator: str = ""
     gains: tuple[ErrorGain, ...] = ()

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from hygrokf.data.record import Site
+from hygrokf.data.record import Provenance, Site
 from hygrokf.data.structured import optional
 from hygrokf.estimation.confidence import Limit
 from hygrokf.evaluation.actuator_effects import ActuatorEffect
@@ -181,7 +181,7 @@ class FitResults(Scored):
     """All that `fit.json` says.
 
     `criterion`: "likelihood" or "simulation"; `kind`: "joint" or "cascade"; `doubts` about the record, by
-    time constant in `doubted`; `provenance`: files read, with their digests; `converged`: None where not
+    time constant in `doubted`; `files` read, with their digests; `converged`: None where not
     stated; `loglik` of the whole model at the reported values on the identification period, and `aic`, `bic`
     of it; `flat`: parameters that the record does not determine; `trade_offs`: pairs of parameters with
     their correlation; `readings_sd`: standard deviation of the readings by period and quantity;
@@ -192,7 +192,7 @@ class FitResults(Scored):
     name: str = ""
     version: str = ""
     created: str = ""
-    synthetic: bool = False
+    provenance: Provenance = Provenance.MEASURED
     criterion: str = "likelihood"
     kind: str = ""
     rated_power_kW: float = math.nan
@@ -203,7 +203,7 @@ class FitResults(Scored):
     warnings: tuple[str, ...] = ()
     doubts: tuple[str, ...] = ()
     doubted: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
-    provenance: tuple[tuple[str, str], ...] = ()
+    files: tuple[tuple[str, str], ...] = ()
     parameters: Mapping[str, ParameterRow] = field(default_factory=dict)
     covariance: Covariance = field(default_factory=Covariance)
     time_constants: Mapping[str, TimeConstant] = field(default_factory=dict)

@@ -318,7 +318,7 @@ def assemble_fit(
         name=record.name,
         version=__version__,
         created=datetime.now(UTC).isoformat(timespec="seconds"),
-        synthetic="synthetic" in record.name.lower(),
+        provenance=record.provenance,
         criterion=criterion,
         kind=basis.kind,
         rated_power_kW=math.nan if record.rated_power_W is None else record.rated_power_W / 1e3,
@@ -329,7 +329,7 @@ def assemble_fit(
         warnings=tuple(record.warnings),
         doubts=tuple(doubts),
         doubted={part: tuple(lines) for part, lines in doubted(doubts).items()},
-        provenance=tuple(record.provenance),
+        files=tuple(record.files),
         parameters=_rows(
             stages, values, errors, by_free_run, {"thermal_time_constant": thermal, "hygric_k": moist}
         ),

@@ -14,7 +14,7 @@ from hygrokf.evaluation.scoring import REGIMES, SCORED
 from hygrokf.identification.wording import RULES, fixed, sentence, signed
 from hygrokf.report.blocks import (
     FREE_RUN,
-    SYNTHETIC_RECORD,
+    OF_RECORDS,
     Block,
     Card,
     Cards,
@@ -26,8 +26,8 @@ from hygrokf.report.blocks import (
     inherited_verdicts,
     method,
     section,
-    synthetic,
     table_or,
+    unmeasured,
 )
 from hygrokf.report.figures.comparison import (
     figure_column_courses,
@@ -137,7 +137,7 @@ def comparison_blocks(found: ComparisonResults, courses: Sequence[RecordCourse] 
             ),
         ),
         (
-            *synthetic(found.synthetic, SYNTHETIC_RECORD),
+            *unmeasured(found.provenance, OF_RECORDS),
             Cards(cards or (Card("Comparison", "Nothing could be scored", wide=True, words=True),)),
             Figure(
                 "courses",

@@ -27,7 +27,7 @@ from hygrokf.identification.verdict import best_rule, inherited
 from hygrokf.identification.wording import NONE, fixed, one_line, percent, plain_number, sentence
 from hygrokf.report.blocks import (
     FREE_RUN,
-    SYNTHETIC_PAGE,
+    OF_RECORD,
     Block,
     Card,
     Cards,
@@ -43,8 +43,8 @@ from hygrokf.report.blocks import (
     method,
     present,
     section,
-    synthetic,
     table_or,
+    unmeasured,
 )
 from hygrokf.report.discovery_text import (
     EXCLUSIONS,
@@ -305,7 +305,7 @@ def discovery_blocks(
         "Discovery report",
         one_line(found.name).strip() or "unnamed record",
         spans_text(before),
-        (*synthetic(found.synthetic, SYNTHETIC_PAGE), Cards((card,)), *lead, gains),
+        (*unmeasured(found.provenance, OF_RECORD), Cards((card,)), *lead, gains),
         body,
         _method(found),
     )

@@ -163,7 +163,7 @@ def _results(
     origin, estimates = baseline.origin, (found.logger, found.adapted, found.own)
     return TransferResult(
         name=baseline.record.name,
-        synthetic="synthetic" in baseline.record.name.lower(),
+        provenance=baseline.record.provenance,
         until=iso_time(baseline.until_s),
         n_readings=baseline.early_run.timeline.n_readings,
         verdict=OPEN,

@@ -16,6 +16,7 @@ from zipfile import BadZipFile
 import numpy as np
 
 from hygrokf.data.files import write_bytes_whole
+from hygrokf.data.record import Provenance
 from hygrokf.data.result_file import ResultFault, instants
 from hygrokf.data.structured import optional
 from hygrokf.evaluation.scoring import SCORED, Errors
@@ -233,7 +234,7 @@ class TransferResult:
     """
 
     name: str
-    synthetic: bool
+    provenance: Provenance
     until: str
     n_readings: int
     verdict: Decision

@@ -27,7 +27,7 @@ def test_a_case_becomes_a_discovery(case: Path, tmp_path: Path, monkeypatch: pyt
     assert said.status == 0
     data = json.loads((tmp_path / "made" / "discovery.json").read_text())
     assert json.loads(said.out) == data
-    assert data["synthetic"] is True
+    assert data["provenance"] == "synthetic"
     assert data["verdict"] in ("none", "unexplained") and data["causes"] == []
     assert {row["cause"] for row in data["rejected"]} == {cause.name for cause in few}
     assert data["work"]["budget"] == BUDGET > data["work"]["simulations"] > 0

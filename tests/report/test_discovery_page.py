@@ -410,7 +410,7 @@ def test_the_text_is_narrow_and_says_what_the_page_says() -> None:
 # --- what is missing or hostile ----------------------------------------------------------------
 
 
-CODES = ("verdict", "quantity", "kind", "reason")
+CODES = ("verdict", "quantity", "kind", "reason", "provenance")
 """Keys whose values are codes, checked on reading."""
 
 
