@@ -27,6 +27,7 @@ from hygrokf.discovery.residuals import Quantity, Residuals
 from hygrokf.evaluation.scoring import RuleScores, Scores
 from hygrokf.identification.fit import Fit, write_fit
 from hygrokf.identification.fit_results import FitResults, ParameterRow, TimeConstant
+from hygrokf.modelling.causes.forms import Settings
 from hygrokf.physics.model import fields_alone
 
 if TYPE_CHECKING:
@@ -46,8 +47,6 @@ Exclusion: TypeAlias = Literal[
 ]
 """Why a cause was left out: held-out readings refute it; screening found nothing; too little evidence, or
 evidence in days; it lost its place to later ones; the budget ended the search; the record cannot show it."""
-Settings: TypeAlias = Mapping[str, Any]
-"""Settings of a mechanism, a feature or a search: numbers, names, and spans of time [s]."""
 CLASS_LIMIT = 3
 """Causes that a class may hold; a longer one names nothing."""
 

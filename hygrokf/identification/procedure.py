@@ -223,7 +223,7 @@ def _identify_model(early: Record, model: Fit, starts: int, profiles: bool, say:
 
     expect_readings(early)
     given = model.design
-    own = design(early, kind=JOINT, power_order=given.power_order)
+    own = design(early, kind=JOINT, power_order=given.power_order, library=given.library)
     loggers = {n: s for n, s in own.mechanisms if n.endswith("_sensor")}
     words = f"the model and its first start are those of the fit {model.name} by {model.results.criterion}"
     made = replace(

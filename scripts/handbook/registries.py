@@ -8,11 +8,11 @@ from dataclasses import replace
 from functools import cache
 
 from handbook.docstrings import heading, prose_and_equations, rst, table
-from hygrokf.discovery.forms import Ground
-from hygrokf.discovery.library import LIBRARY as CAUSES
-from hygrokf.discovery.library import Cause
 from hygrokf.discovery.own_causes import trial_ground
 from hygrokf.fleet.tasks import SHARED, TASKS
+from hygrokf.modelling.causes.cause import Cause
+from hygrokf.modelling.causes.forms import Ground
+from hygrokf.modelling.library import CAUSES
 from hygrokf.physics.mechanisms import BASE, FURTHER, LIBRARY, LOGGED, WANDERING, Factory
 from hygrokf.physics.model import Mechanism
 from hygrokf.physics.parameters import Parameter

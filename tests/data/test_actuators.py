@@ -25,11 +25,11 @@ from hygrokf.climate.region import driven
 from hygrokf.data.actuators import ACTUATORS, FEWEST_EACH_SIDE, actuators
 from hygrokf.data.record import Record, Series
 from hygrokf.data.signals import SIGNALS
-from hygrokf.discovery.forms import doors, ground_of
 from hygrokf.discovery.starting_model import base_designs
 from hygrokf.estimation.likelihood import Likelihood
 from hygrokf.identification.fit import Fit
 from hygrokf.live.plan import plan
+from hygrokf.modelling.causes.forms import doors, ground_of
 from hygrokf.modelling.design import CASCADE, design
 from hygrokf.modelling.inputs import model_inputs
 from hygrokf.modelling.thermal_system import thermal_system

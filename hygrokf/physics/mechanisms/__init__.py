@@ -5,6 +5,7 @@ from __future__ import annotations
 import copyreg
 from collections.abc import Mapping, Sequence
 from dataclasses import fields, replace
+from types import MappingProxyType
 from typing import Any
 
 from hygrokf.physics.mechanisms import heat, hygric, moisture, sensors, thermal, wandering
@@ -22,9 +23,9 @@ FURTHER: tuple[Factory, ...] = (*thermal.FURTHER, *heat.FURTHER, *moisture.FURTH
 """Further mechanisms that may act on a cabinet.  Each is nested: at its null values it has no effect."""
 WANDERING: tuple[Factory, ...] = wandering.WANDERING
 """Properties of the cabinet as states, for tracking."""
-LIBRARY: dict[str, Factory] = {
-    factory.__name__: factory for factory in (*BASE, *LOGGED, *FURTHER, *WANDERING)
-}
+LIBRARY: Mapping[str, Factory] = MappingProxyType(
+    {factory.__name__: factory for factory in (*BASE, *LOGGED, *FURTHER, *WANDERING)}
+)
 """Factories by mechanism name; `LIBRARY[m.name](**m.settings)` creates the mechanism m again."""
 
 
