@@ -23,7 +23,7 @@ from hygrokf.data.input_paths import Same, input_path
 from hygrokf.data.record import Record, Series, Site
 from hygrokf.data.timestamps import DAY_S
 from hygrokf.physics.holds import LINEAR, MEAN
-from hygrokf.physics.mechanisms import LIBRARY
+from hygrokf.physics.mechanisms import MECHANISMS
 from hygrokf.physics.model import Feature
 from hygrokf.physics.switches import CONTROLLED, Throttle
 
@@ -189,7 +189,7 @@ FEATURES: Mapping[str, Feature] = MappingProxyType({
     "door_open": (door_open, MEAN),
     "scheduled": (scheduled, MEAN),
     **dict.fromkeys(CONTROLLED, (throttled, MEAN)),
-    **{name: one for factory in LIBRARY.values() for name, one in factory().features.items()},
+    **{name: one for factory in MECHANISMS.values() for name, one in factory().features.items()},
 })  # fmt: skip
 """The package's features, with their holds, by the name of the input that they provide."""
 

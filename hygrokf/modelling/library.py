@@ -23,8 +23,7 @@ from hygrokf.modelling.causes import forms
 from hygrokf.modelling.causes.cause import Cause
 from hygrokf.modelling.derived_inputs import FEATURES
 from hygrokf.physics.holds import hold_named
-from hygrokf.physics.mechanisms import LIBRARY as MECHANISMS
-from hygrokf.physics.mechanisms import Factory
+from hygrokf.physics.mechanisms import MECHANISMS, Factory
 from hygrokf.physics.model import Feature
 
 Origin = Mapping[str, str]

@@ -39,7 +39,7 @@ from hygrokf.modelling.derived_inputs import FEATURES
 from hygrokf.modelling.design import Design, design, extended
 from hygrokf.modelling.inputs import model_inputs
 from hygrokf.modelling.library import LIBRARY, LibraryFault
-from hygrokf.physics.mechanisms import LIBRARY as MECHANISMS
+from hygrokf.physics.mechanisms import MECHANISMS
 from hygrokf.physics.mechanisms.heat import wind_loss
 from hygrokf.physics.mechanisms.moisture import wind_exchange
 

@@ -30,9 +30,8 @@ from hygrokf.evaluation.self_switching import self_switched
 from hygrokf.evaluation.simulation import free_run
 from hygrokf.modelling.design import CASCADE, JOINT, Chosen, Design, design, extended
 from hygrokf.modelling.inputs import Run, model_inputs
-from hygrokf.modelling.library import LIBRARY as PACKAGE
-from hygrokf.modelling.library import Library
-from hygrokf.physics.mechanisms import LIBRARY, linear_network
+from hygrokf.modelling.library import LIBRARY, Library
+from hygrokf.physics.mechanisms import MECHANISMS, linear_network
 from hygrokf.physics.mechanisms.hygric import exchange_factor
 from hygrokf.physics.model import Mechanism, Model, compose
 from hygrokf.physics.parameters import Parameter
@@ -251,7 +250,7 @@ EFFECTS = {
 
 
 def names_of(effect: Effect) -> set[str]:
-    added = [LIBRARY[name](**settings) for name, settings in (*effect.heat, *effect.vapour)]
+    added = [MECHANISMS[name](**settings) for name, settings in (*effect.heat, *effect.vapour)]
     return {p.name for one in added for p in one.parameters}
 
 
@@ -373,7 +372,7 @@ def test_controllers_run_as_many_hours_a_day_as_in_the_free_run(effect, monkeypa
     seconds = line.timeline.seconds
     total = np.append(0.0, np.cumsum(line.timeline.input(flag)[1:] * np.diff(seconds) / 3600.0))
 
-    wide = replace(one, library=PACKAGE.with_mechanisms(counter))
+    wide = replace(one, library=LIBRARY.with_mechanisms(counter))
     monkeypatch.setattr(simulator_module, "OUTPUT", {"temperature": ("hours",)})
     counted = {**made, "temperature": extended(wide, [("counter", {"flag": flag})])}
     scene = scene_of(record, made["temperature"], made["vapour"])
@@ -447,7 +446,7 @@ def test_likelihood_free_run_and_cells_follow_a_mechanism_that_changes(
     """A mechanism whose rates are doubled is that of half the time constant, to all three alike."""
     record = record_of(8601)
 
-    def all_three(share: float, library: Library = PACKAGE) -> tuple[float, np.ndarray, np.ndarray]:
+    def all_three(share: float, library: Library = LIBRARY) -> tuple[float, np.ndarray, np.ndarray]:
         made = {key: replace(one, library=library) for key, one in designs(record, Effect()).items()}
         one = made[quantity]
         values = started(one, Effect())
@@ -459,7 +458,7 @@ def test_likelihood_free_run_and_cells_follow_a_mechanism_that_changes(
         return found, simulated(one, values, line, quantity), shown
 
     plain, expected = all_three(1.0), all_three(0.5)
-    ordinary = LIBRARY[name]
+    ordinary = MECHANISMS[name]
 
     def faster(**settings: Any) -> Mechanism:
         made = ordinary(**settings)
@@ -467,7 +466,7 @@ def test_likelihood_free_run_and_cells_follow_a_mechanism_that_changes(
         slow = made.drift
         return replace(made, drift=lambda *spaces: {k: 2.0 * v for k, v in slow(*spaces).items()})
 
-    found = all_three(1.0, replace(PACKAGE, mechanisms={**LIBRARY, name: faster}))
+    found = all_three(1.0, replace(LIBRARY, mechanisms={**MECHANISMS, name: faster}))
     for before, after, wanted in zip(plain, found, expected, strict=True):
         assert_allclose(after, wanted, rtol=1e-9)
         assert np.abs(np.asarray(after) - before).max() > 1e-3

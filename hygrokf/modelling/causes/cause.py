@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from hygrokf.data.ambient import ambient_absolute_humidity
 from hygrokf.modelling.causes.forms import Form, Ground, Setting, Settings, using
 from hygrokf.modelling.derived_inputs import FEATURES, without_settings
-from hygrokf.physics.mechanisms import LIBRARY as MECHANISMS
+from hygrokf.physics.mechanisms import MECHANISMS
 from hygrokf.physics.model import Feature, Mechanism
 
 ALWAYS = ("ambient_temperature", "exchange_factor")
