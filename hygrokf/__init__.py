@@ -53,8 +53,8 @@ _WHERE = {
     "bode": "evaluation.responses",
     "step_response": "evaluation.responses",
     "discover": "discovery.procedure",
-    "Cause": "discovery.library",
-    "cause_of": "discovery.library",
+    "Cause": "modelling.causes.cause",
+    "cause_of": "modelling.causes.cause",
     "load_library": "discovery.own_causes",
     "compare": "transfer.comparison",
     "comparison_column": "transfer.comparison",
@@ -73,8 +73,6 @@ if TYPE_CHECKING:
     from hygrokf.climate.procedure import climate_profile as climate_profile
     from hygrokf.commands.fleet_tasks import run_fleet as run_fleet
     from hygrokf.data.record import Record as Record
-    from hygrokf.discovery.library import Cause as Cause
-    from hygrokf.discovery.library import cause_of as cause_of
     from hygrokf.discovery.own_causes import load_library as load_library
     from hygrokf.discovery.procedure import discover as discover
     from hygrokf.engine.timeline import timeline as timeline
@@ -101,6 +99,8 @@ if TYPE_CHECKING:
     from hygrokf.identification.fit_on_record import evaluate as evaluate
     from hygrokf.identification.procedure import identify as identify
     from hygrokf.live.tracker import Tracker as Tracker
+    from hygrokf.modelling.causes.cause import Cause as Cause
+    from hygrokf.modelling.causes.cause import cause_of as cause_of
     from hygrokf.modelling.inputs import model_inputs as model_inputs
     from hygrokf.physics.expression import exp as exp
     from hygrokf.physics.expression import log as log

@@ -163,7 +163,7 @@ def _framed() -> list[Callable[[], Any]]:
 
 
 STAMP = re.compile(r"\d{4}-\d\d-\d\d[T ]\d\d:\d\d")
-UNITLESS = {"readings", "gaps", "n", "fixed", "at_bound", "warnings", "converged", "synthetic"}
+UNITLESS = {"readings", "gaps", "n", "fixed", "at_bound", "warnings", "converged"}
 """Counts and flags."""
 
 

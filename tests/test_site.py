@@ -19,8 +19,8 @@ from handbook import navigation, pictures, public_names, registries
 from handbook.docstrings import parsed, rst
 
 import hygrokf
-from hygrokf.discovery.library import named
 from hygrokf.fleet.tasks import SHARED, TASKS
+from hygrokf.modelling.library import LIBRARY
 
 NO_QUANTITY = {
     "read_fit", "write_fit", "write_report", "load_library", "run_fleet", "HygrokfError", "Cause", "discover",
@@ -109,7 +109,7 @@ def test_every_public_name_has_a_page_with_an_example() -> None:
 def test_every_mechanism_has_equation_null_parameters_and_trace() -> None:
     text = "".join(page for name, page in registries.pages().items() if name.startswith("mechanisms/"))
     listed = [factory for _, _, factories in registries.GROUPS.values() for factory in factories]
-    assert {factory.__name__ for factory in listed} == set(registries.LIBRARY)
+    assert {factory.__name__ for factory in listed} == set(registries.MECHANISMS)
     for factory in listed:
         section = text.partition(f".. _mechanism-{factory.__name__}:")[2].partition(".. _mechanism-")[0]
         one = registries.made(factory)
@@ -135,7 +135,7 @@ def test_every_cause_has_its_mechanisms_and_what_to_check() -> None:
             without.add(cause.name)
         assert all(f"<mechanism-{name}>" in section for name in names)
     assert without == {"clock_shift"} and "stamps of one source moved (" in text
-    assert registries.mechanisms_of(named("temperature_sensor_offset")) == ("temperature_step",)
+    assert registries.mechanisms_of(LIBRARY.cause("temperature_sensor_offset")) == ("temperature_step",)
 
 
 def test_every_column_of_a_fleet_has_its_meaning() -> None:

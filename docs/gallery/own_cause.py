@@ -15,7 +15,6 @@ import numpy as np
 
 import hygrokf
 from hygrokf.data.record import Series
-from hygrokf.discovery.library import named
 
 turbine = hygrokf.synthetic_turbine(seed=4, days=20)
 plain = hygrokf.read_case(hygrokf.write_case(turbine, tempfile.mkdtemp()))
@@ -60,7 +59,8 @@ transformer = hygrokf.cause_of(
 # %%
 # It competes with causes of the package's library.
 
-found = hygrokf.discover(record, library=(named("wall_thermal_mass"), transformer))
+library = hygrokf.load_library().only("wall_thermal_mass").with_causes(transformer)
+found = hygrokf.discover(record, library=library)
 print(found)
 (cause,) = found.results.causes
 estimate = cause.parameters["transformer_gain"]

@@ -16,7 +16,6 @@ import numpy as np
 import hygrokf
 from hygrokf.data.record import Series
 from hygrokf.modelling.design import design, extended
-from hygrokf.modelling.registry import admit
 
 turbine = hygrokf.synthetic_turbine(seed=6, days=16)
 plain = hygrokf.read_case(hygrokf.write_case(turbine, tempfile.mkdtemp()))
@@ -49,11 +48,11 @@ def floor_in_the_sun() -> hygrokf.Mechanism:
 # %%
 # Extend the model with it. At the null value the likelihood is that of the base model.
 
-base = design(record, kind="thermal")
+library = hygrokf.load_library().with_mechanisms(floor_in_the_sun)
+base = design(record, kind="thermal", library=library)
 made = hygrokf.model_inputs(base, record).timeline
 likelihood = hygrokf.Likelihood(base.model, made)
 before = hygrokf.fit_mle(likelihood, count=1)
-admit({"floor_in_the_sun": floor_in_the_sun}, {}, {"python": "gallery"})
 wider = extended(base, [("floor_in_the_sun", {})])
 wide = hygrokf.Likelihood(wider.model, hygrokf.model_inputs(wider, record).timeline)
 assert np.isclose(wide.value({**before.values, "floor_gain": 0.0}), before.loglik)

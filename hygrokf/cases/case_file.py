@@ -109,7 +109,7 @@ def record_of(
     series: list[Series] = []
     compared: list[Series] = []
     warnings: list[str] = []
-    provenance: dict[str, str] = {}
+    files: dict[str, str] = {}
     headers: dict[str, tuple[str, ...]] = {}
     doubts: list[Statement] = []
     whole = True
@@ -122,7 +122,7 @@ def record_of(
             continue
         headers[source.file] = read.header
         if read.sha256:
-            provenance[source.file] = read.sha256
+            files[source.file] = read.sha256
         found, said, wrong = _source_series(source, read, case.form.rated_power_W)
         warnings += [f"{source.file}: {one}" for one in said]
         doubts += _quality_doubts(source, read)
@@ -136,7 +136,7 @@ def record_of(
         faults += wrong
         whole = whole and not wrong
     for stated, brought in reads:
-        provenance.update(brought.provenance)
+        files.update(brought.files)
         used = set(case.declared) | {one.signal for one in series}
         series += [one for one in brought.series if not stated.compare and one.signal not in used]
         compared += [one for one in brought.series if stated.compare or one.signal in used]
@@ -152,12 +152,13 @@ def record_of(
         warnings=tuple(warnings),
         compared=tuple(second.values()),
         doubts=(*doubts, *_split_probes(case, headers)),
+        provenance=case.form.provenance,
     )
     if whole and series:
         faults += _period_faults(record, case)
     if faults:
         raise CaseFault(head, faults)
-    record = dataclasses.replace(record, until_s=period.until_s, provenance=tuple(provenance.items()))
+    record = dataclasses.replace(record, until_s=period.until_s, files=tuple(files.items()))
     if period.start_s is not None:
         record = record.window(period.start_s, math.inf)
     raw, record = record, mask(record)
@@ -276,7 +277,7 @@ def _weather(stated: StatedWeather, folder: Path, case: StatedCase) -> Record:
             )
             for one in read.series
         ),
-        provenance=tuple((stated.file, digest) for _, digest in read.provenance),
+        files=tuple((stated.file, digest) for _, digest in read.files),
     )
 
 

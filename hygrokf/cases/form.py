@@ -10,7 +10,7 @@ from typing import Any, ClassVar
 from hygrokf.data.columns import Notation
 from hygrokf.data.numbers import POLES, Meaning
 from hygrokf.data.quality import UNSTATED, QualityVocabulary, StatedQuality, stated_vocabulary
-from hygrokf.data.record import Site
+from hygrokf.data.record import Provenance, Site
 from hygrokf.data.signals import SIGNALS, Signal, difference_to_si, fitting_units, unit_fault
 from hygrokf.data.timestamps import duration, moment, signed_duration
 from hygrokf.data.toml_form import Place, across, entry_name, read_form, setting
@@ -241,6 +241,7 @@ class CaseForm:
 
     name: str | None = setting(None, "of the enclosure; by default the file's name")
     rated_power_kW: float | None = setting(None, "of the turbine", above=0.0)
+    provenance: Provenance = setting(Provenance.MEASURED, "of the readings", choices=tuple(Provenance))
     site: Site | None = setting(None, "location of the enclosure")
     source: tuple[Mapping[str, Any], ...] = setting((), "one for each file")
     identification: StatedPeriod = setting(StatedPeriod, "identification period")

@@ -46,6 +46,7 @@ def read_frames(
     name: str = "record",
     site: Site | Mapping[str, float] | None = None,
     rated_power_kW: float | None = None,
+    provenance: str | None = None,
     identification: Mapping[str, str | datetime] | None = None,
     cabinet: bool = True,
     ambient: bool = True,
@@ -60,8 +61,8 @@ def read_frames(
     units: {column: unit}, needed for every column that is a signal; docs/reference/signals.md lists both.
         Columns that are not named: what the frames state in `attrs["units"]`, as those of
         `Record.to_frames` do, or in their types (pint).  Another unit than these is a fault.
-    name, rated_power_kW, site, identification: as in a case file, the rated power in [kW], the last two as
-        mappings, such as identification={"until": "2020-12-01T00:00Z"}.
+    name, rated_power_kW, provenance, site, identification: as in a case file, the rated power in [kW], the
+        last two as mappings, such as identification={"until": "2020-12-01T00:00Z"}.
     cabinet, ambient: whether a cabinet signal and an ambient temperature are required; as for `read_case`.
     settings: the further keys of a case file.  Those of a signal map columns: accuracy={"RH": 2.0},
         resolution, response_time, one, quality={"RH": "RH quality"}. Those of a source are one value for all
@@ -107,9 +108,9 @@ def read_frames(
         raise CaseFault(_HEAD, faults)
     if isinstance(site, Site):
         site = {key: value for key, value in asdict(site).items() if value is not None}
-    about = {"rated_power_kW": rated_power_kW, "site": site, "identification": identification}
-    content: dict[str, Any] = {"name": name, "source": sources}
-    content |= {key: value for key, value in about.items() if value is not None}
+    about: dict[str, Any] = {"rated_power_kW": rated_power_kW, "provenance": provenance, "site": site}
+    about |= {"name": name, "source": sources, "identification": identification}
+    content = {key: value for key, value in about.items() if value is not None}
     case = stated_case(content, _FramePlace(file=_HEAD, sources=sources, faults=faults))
     return record_of(
         case, lambda source: tables[source.file](source), _HEAD, cabinet=cabinet, ambient=ambient
@@ -123,7 +124,7 @@ def _instead(key: str) -> str:
             return f': write {table}={{"{key}": …}}'
     if key in keys_of(StatedSource) or key == "format":
         return ": it is for files, which a case file names"
-    own = ("name", "signals", "units", "site", "rated_power_kW", "identification")
+    own = ("name", "signals", "units", "site", "rated_power_kW", "provenance", "identification")
     known = (*own, *FRAME_KEYS, *COLUMN_OPTIONS, "cabinet", "ambient")
     return suggestion(key, known) or f"; expected {', '.join(dict.fromkeys(known))}"
 

@@ -12,7 +12,7 @@ from hygrokf.cases.alternatives import alternative_readings
 from hygrokf.cases.doubts import all_doubts
 from hygrokf.data.actuators import actuators
 from hygrokf.data.prepared import prepare
-from hygrokf.data.record import Record, Series, Site
+from hygrokf.data.record import Provenance, Record, Series, Site
 from hygrokf.data.result_file import units_by_name, with_units
 from hygrokf.data.signals import difference_from_si, from_si, signal_named
 from hygrokf.data.timestamps import DAY_S, modal_step
@@ -70,13 +70,15 @@ class SignalSummary:
 class RecordSummary:
     """The contents of a record, as `hygrokf check` shows them.
 
-    `days` [d] from `start` to `end` (UTC); `rated_power_kW` NaN where it is not stated; `identification` and
+    `provenance` of the readings; `days` [d] from `start` to `end` (UTC); `rated_power_kW` NaN where it is not
+    stated; `identification` and
     `validation` None where they are empty; `actuators`: whether and how a model uses each that is logged;
     `comparisons` of sources for the same signal; `untold`: what the record cannot tell of its clocks;
     `files`: that it was read from, with their SHA-256.
     """
 
     name: Name
+    provenance: Provenance
     start: Instant | None
     end: Instant | None
     days: float
@@ -110,6 +112,7 @@ def describe(record: Record) -> RecordSummary:
     whole = _span(record.start_s, record.end_s)
     return RecordSummary(
         record.name,
+        record.provenance,
         whole.start,
         whole.end,
         whole.days,
@@ -123,7 +126,7 @@ def describe(record: Record) -> RecordSummary:
         record.warnings,
         all_doubts(record, clocks, read),
         read.untold,
-        record.provenance,
+        record.files,
     )
 
 

@@ -435,6 +435,7 @@ def synthetic_turbine(
 _CASE = """\
 # Synthetic turbine: nothing in this case and its files is measured.
 name = "{name}"
+provenance = "synthetic"
 rated_power_kW = {rated_power_kW!r}
 
 [site]

@@ -236,7 +236,7 @@ def climate_profile(
         verdicts=inherited(fit.results),
         surface=surface,
         plan=plan,
-        synthetic=fit.results.synthetic,
+        provenance=fit.results.provenance,
         regions=tuple(found),
     )
 
@@ -283,7 +283,7 @@ def _region(
     return RegionClimate(
         name=region.name,
         files=tuple(region.files),
-        synthetic=any("synthetic" in s.source for s in region.weather.series),
+        provenance=region.weather.provenance,
         statements=tuple(statements),
         warnings=region.weather.warnings,
         part_of_year=gathered.part,

@@ -18,6 +18,7 @@ from hygrokf.climate.chamber_profile import ChamberProfile
 from hygrokf.climate.limits import Exceedance
 from hygrokf.climate.statistics import STATISTICS
 from hygrokf.data.files import CLIMATE, SUMMARIES, write_text_whole
+from hygrokf.data.record import Provenance, least_measured
 from hygrokf.data.result_file import drawn, read_result, result_text, with_units
 from hygrokf.identification.verdict_terms import Inherited
 from hygrokf.physics.psychrometrics import Surface
@@ -90,8 +91,8 @@ class JointDistribution:
 class RegionClimate:
     """The climate in a cabinet under the weather of one region.
 
-    `files` of the weather; `synthetic` where a computer made it.  `statements` on weather, power and bounds;
-    `warnings` of the weather's readers.
+    `files` of the weather and its `provenance`.  `statements` on weather, power and bounds; `warnings` of the
+    weather's readers.
     `part_of_year`: its length where no year is known well enough to stand for one.
     `bounds_hold`, `mean_bounds_hold`: shares [1] of single years, and of means, that the bounds hold.
     `scopes`: numbers (`climate.statistics.STATISTICS`) by scope and name; `outside`: those of the weather.
@@ -101,7 +102,7 @@ class RegionClimate:
 
     name: Name
     files: tuple[Source, ...]
-    synthetic: bool
+    provenance: Provenance
     statements: tuple[Statement, ...]
     warnings: tuple[ReaderText, ...]
     part_of_year: Statement | None
@@ -139,8 +140,8 @@ class Study:
     """The climate in a fitted cabinet under the weather of one or several regions.
 
     `name` of the fit and the `version` that simulated it.  `members` of the ensemble, its `seed`, and the
-    `level` [1] of its bounds.  `verdicts`: the fit's time constants, by part.  `synthetic`: the fit was made
-    from computed data.
+    `level` [1] of its bounds.  `verdicts`: the fit's time constants, by part.  `provenance` of the
+    fit's record.
     """
 
     name: Name
@@ -151,7 +152,7 @@ class Study:
     verdicts: Mapping[Name, Inherited]
     surface: Surface
     plan: ProfilePlan
-    synthetic: bool
+    provenance: Provenance
     regions: tuple[RegionClimate, ...]
 
     def __post_init__(self) -> None:
@@ -161,6 +162,11 @@ class Study:
     def __repr__(self) -> str:
         names = ", ".join(one.name for one in self.regions)
         return f"Study({self.name!r}: {names}; {self.members} members, seed {self.seed})"
+
+    @property
+    def least_measured(self) -> Provenance:
+        """The provenance of what all of it rests on: the fit's record and the weather of every region."""
+        return least_measured((self.provenance, *(one.provenance for one in self.regions)))
 
     def rows(self) -> Iterator[dict[str, str | float]]:
         """Every single number, by region, scope and name, with its bounds and unit; limits follow with scope

@@ -20,6 +20,8 @@ from hygrokf.commands.console import (
 from hygrokf.commands.inputs import identified, record_of, written
 from hygrokf.commands.verb import Verb, add_json, add_out, reader, whole, within
 from hygrokf.data.files import FIT
+from hygrokf.data.record import Provenance
+from hygrokf.data.toml_form import FormFault, read_toml
 
 
 def _degrees(text: str) -> tuple[float, float]:
@@ -104,7 +106,7 @@ def _demo(options: Namespace) -> int:
 
     expect_own_directory(options.out, FIT)
     former = options.out / "case.toml"
-    if former.is_file() and b"synthetic" not in former.read_bytes():
+    if former.is_file() and not _is_synthetic(former):
         raise UserFault(
             f"--out {options.out}: it holds a case.toml of another turbine; name another directory"
         )
@@ -113,6 +115,14 @@ def _demo(options: Namespace) -> int:
     fit = identified(record_of(case), case)
     page = written(fit, options.out)
     return show_reported(page, fit.results, fit_blocks(fit.results, {}), options.json)
+
+
+def _is_synthetic(case: Path) -> bool:
+    """Whether a case file states that its readings are synthetic; a broken one does not."""
+    try:
+        return bool(read_toml(case)[1].get("provenance") == Provenance.SYNTHETIC)
+    except FormFault:
+        return False
 
 
 DEMO = Verb("demo", "make a synthetic turbine, fit it, evaluate and report it", _demo_arguments, _demo)

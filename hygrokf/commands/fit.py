@@ -19,7 +19,7 @@ from hygrokf.commands.console import (
     show,
     show_reported,
 )
-from hygrokf.commands.inputs import identified, own_causes, record_of, stored_fit, written
+from hygrokf.commands.inputs import identified, library_of, record_of, stored_fit, written
 from hygrokf.commands.verb import Verb, add_fit_and_case, add_json, add_library, add_out, whole
 from hygrokf.data import files
 
@@ -109,17 +109,16 @@ def _discover_arguments(parser: ArgumentParser) -> None:
 
 
 def _discover(options: Namespace) -> int:
-    from hygrokf.discovery.library import LIBRARY
     from hygrokf.discovery.procedure import BUDGET, discover
     from hygrokf.report.discovery_page import discovery_blocks, write_discovery_report
 
     expect_own_directory(options.out, files.DISCOVERY)
-    own = own_causes(options.library)
+    library = library_of(options.library, installed=True)
     record = record_of(options.case)
     with faults_of(options.case), Progress(60) as progress:
-        found = discover(record, library=(*LIBRARY, *own), progress=progress, budget=options.budget or BUDGET)
+        found = discover(record, library=library, progress=progress, budget=options.budget or BUDGET)
     unseen = {one.cause for one in found.results.rejected if one.reason == "no_form"}
-    for cause in own:
+    for cause in library.own:
         if cause.name in unseen:
             needs = f"; it needs {cause.needs}" if cause.needs else ""
             activity().note(f"note: {cause.name} was not tried: this record cannot show it{needs}")
@@ -152,7 +151,7 @@ def _simulate(options: Namespace) -> int:
     expect_file(options.out)
     fit = stored_fit(options.fit, options.library)
     record = record_of(options.case, cabinet=False)
-    sources = (options.case.parent / file for file, _ in record.provenance)
+    sources = (options.case.parent / file for file, _ in record.files)
     expect_other(options.out, options.fit, options.fit / files.FIT, options.case, *sources)
     with faults_of(options.case):
         _, run, predicted = simulate_fit(fit, record)

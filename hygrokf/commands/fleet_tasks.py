@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hygrokf.cases.case_file import read_case
-from hygrokf.commands.inputs import own_causes, source_model, stored_fit
+from hygrokf.commands.inputs import library_of, source_model, stored_fit
 from hygrokf.data.files import write_text_whole
 from hygrokf.data.result_file import result_text
 from hygrokf.data.structured import Cell
@@ -103,7 +103,7 @@ def _of_record(record: Record) -> dict[str, Cell]:
         "record": record.name,
         "start": stamp_text(record.start_s),
         "end": stamp_text(record.end_s),
-        "synthetic": "synthetic" in record.name.lower(),
+        "provenance": record.provenance,
         "warnings": len(record.warnings),
     }
 
@@ -142,13 +142,13 @@ def _of_scores(found: Scored) -> dict[str, Cell]:
 
 
 def _discover(job: Job) -> Row:
-    from hygrokf.discovery.library import LIBRARY
     from hygrokf.discovery.procedure import discover
     from hygrokf.discovery.results import write_discovery
     from hygrokf.report.discovery_page import write_discovery_report
 
-    own, record = own_causes(job.options["library"]), read_case(job.case)
-    discovery = discover(record, library=(*LIBRARY, *own))
+    library = library_of(job.options["library"], installed=True)
+    record = read_case(job.case)
+    discovery = discover(record, library=library)
     write = write_discovery_report if job.options["report"] else write_discovery
     write(discovery, job.folder)
     found = discovery.results

@@ -10,9 +10,9 @@ from hygrokf.commands.console import Progress, activity, faults_of
 
 if TYPE_CHECKING:
     from hygrokf.data.record import Record
-    from hygrokf.discovery.library import Cause
     from hygrokf.identification.fit import Fit
     from hygrokf.identification.turbine_type import TurbineType
+    from hygrokf.modelling.library import Library
 
 
 def record_of(case: Path, cabinet: bool = True) -> Record:
@@ -39,38 +39,33 @@ def identified(
         )  # fmt: skip
 
 
-def own_causes(libraries: Sequence[str | Path]) -> tuple[Cause, ...]:
-    """The user's own causes, of files and of installed packages."""
+def library_of(files: Sequence[str | Path], installed: bool = False) -> Library:
+    """The package's library with the user's own causes of files and, on request, of installed packages."""
+    from hygrokf.modelling.library import LIBRARY
+
+    if not (files or installed):
+        return LIBRARY
     from hygrokf.discovery.own_causes import load_library
 
-    return load_library(*libraries, installed=True)
+    return load_library(*files, installed=installed, library=LIBRARY)
 
 
-def load_causes(libraries: Sequence[Path]) -> None:
-    """Load the user's own causes of files, so that models with their mechanisms can be read."""
-    if libraries:
-        from hygrokf.discovery.own_causes import load_library
-
-        load_library(*libraries)
-
-
-def stored_fit(path: Path, libraries: Sequence[Path]) -> Fit:
+def stored_fit(path: Path, files: Sequence[Path]) -> Fit:
     """A fit, with the user's own mechanisms; installed packages are searched only where it needs them."""
     from hygrokf.identification.fit import LibraryAbsent, read_fit
 
-    load_causes(libraries)
+    library = library_of(files)
     try:
-        return read_fit(path)
+        return read_fit(path, library=library)
     except LibraryAbsent:
-        own_causes(libraries)
-        return read_fit(path)
+        return read_fit(path, library=library_of(files, installed=True))
 
 
-def source_model(path: Path, libraries: Sequence[Path]) -> Fit | TurbineType:
+def source_model(path: Path, files: Sequence[Path]) -> Fit | TurbineType:
     """The fitted model or the type of turbine of a file."""
     from hygrokf.identification.turbine_type import is_type, read_type
 
-    return read_type(path) if is_type(path) else stored_fit(path, libraries)
+    return read_type(path, library_of(files)) if is_type(path) else stored_fit(path, files)
 
 
 def written(fit: Fit, out: Path) -> Path:

@@ -117,13 +117,12 @@ def _store_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _store(options: argparse.Namespace) -> int:
-    from hygrokf.commands.inputs import load_causes
+    from hygrokf.commands.inputs import library_of
     from hygrokf.live.config import read_config
     from hygrokf.live.refilter import refilter
     from hygrokf.live.storage.store import open_store
 
-    load_causes(options.library)
-    config = read_config(options.file)
+    config = read_config(options.file, library_of(options.library))
     turbines = {n: one for n, one in config.turbines.items() if options.turbine in (None, n)}
     if not turbines:
         names = ", ".join(config.turbines)

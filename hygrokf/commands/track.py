@@ -21,7 +21,7 @@ from hygrokf.commands.console import (
     show,
     system_words,
 )
-from hygrokf.commands.inputs import load_causes
+from hygrokf.commands.inputs import library_of
 from hygrokf.commands.verb import Verb, add_json, add_library, reader, within
 from hygrokf.errors import HygrokfError
 
@@ -67,10 +67,10 @@ def tracked_config(options: argparse.Namespace) -> Config:
         raise UserFault("expected a TRACK.toml or FIT.json files (or track --demo); found none of them")
     if files and (len(options.what) > 1 or options.source):
         raise UserFault("a TRACK.toml names turbines and sources itself; give it alone")
-    store = store_at(options.store or "sqlite:live.db")
+    store, library = store_at(options.store or "sqlite:live.db"), library_of(options.library)
     if not files:
-        return default_config(options.what, options.source, store, page_at(options.page))
-    config = read_config(files[0])
+        return default_config(options.what, options.source, store, page_at(options.page), library)
+    config = read_config(files[0], library)
     config = config if options.store is None else replace(config, store=store)
     return config if options.page is None else replace(config, page=page_at(options.page))
 
@@ -118,7 +118,6 @@ def _logged(options: argparse.Namespace) -> int:
 def _track(options: argparse.Namespace) -> int:
     from hygrokf.live.tracking import track
 
-    load_causes(options.library)
     config = _demo_config(options) if options.demo else tracked_config(options)
 
     def tell(what: str, words: str, **beside: object) -> None:
@@ -192,7 +191,6 @@ def _duration(text: str) -> float:
 def _doctor(options: argparse.Namespace) -> int:
     """Check, or try payloads; the exit status is 1 where there is a fault, or where no payload gave a
     reading."""
-    load_causes(options.library)
     config = tracked_config(options)
     if options.tried is not None:
         from hygrokf.live.doctor import payloads

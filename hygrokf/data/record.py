@@ -7,6 +7,7 @@ import math
 import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from enum import StrEnum
 from functools import cached_property
 from itertools import pairwise
 from numbers import Real
@@ -333,6 +334,27 @@ class Site:
             raise ValueError("site: " + "; ".join(faults))
 
 
+class Provenance(StrEnum):
+    """How the readings came about; results carry it.
+
+    Of a simulated record a model computed the readings in the cabinet from measured weather or operation, of
+    a synthetic one a computer made everything.
+    """
+
+    MEASURED = "measured"
+    SIMULATED = "simulated"
+    SYNTHETIC = "synthetic"
+
+    @classmethod
+    def _missing_(cls, value: object) -> Provenance:
+        raise ValueError(f"provenance must be one of {', '.join(cls)}, found {value!r}")
+
+
+def least_measured(several: Iterable[Provenance]) -> Provenance:
+    """The provenance of a result that rests on several: measured only where all are."""
+    return max(several, key=list(Provenance).index, default=Provenance.MEASURED)
+
+
 @dataclass(frozen=True)
 class Record:
     """All series of one enclosure, never resampled onto a common grid.
@@ -343,12 +365,14 @@ class Record:
     rated_power_W: [W] rated power, or None.
     until_s: [s] end of the identification period since 1970-01-01T00:00Z; None: the whole record.
     warnings: one sentence for each thing that was masked or repaired.
-    provenance: (file name, SHA-256) of every file read.
+    files: (file name, SHA-256) of every file read.
     compared: series of a second source, one for each signal, which no fit uses: `check` compares them with
         those of the record, which reveals wrong clocks.
     doubts: about how it was put together, which `check` adds to its own.
+    provenance: measured, simulated or synthetic, as stated.
 
-    Raises ValueError for a signal that occurs twice among the series, or twice among those compared.
+    Raises ValueError for a signal that occurs twice among the series, or twice among those compared, and for
+    another provenance.
     """
 
     name: str
@@ -357,13 +381,15 @@ class Record:
     rated_power_W: float | None = None
     until_s: float | None = None
     warnings: tuple[ReaderText, ...] = ()
-    provenance: tuple[tuple[Source, Digest], ...] = ()
+    files: tuple[tuple[Source, Digest], ...] = ()
     compared: tuple[Series, ...] = ()
     doubts: tuple[Statement, ...] = ()
+    provenance: Provenance = Provenance.MEASURED
 
     def __post_init__(self) -> None:
-        for name in ("series", "compared", "warnings", "provenance", "doubts"):
+        for name in ("series", "compared", "warnings", "files", "doubts"):
             object.__setattr__(self, name, tuple(getattr(self, name)))
+        object.__setattr__(self, "provenance", Provenance(self.provenance))
         second = [one.signal for one in self.compared]
         twice = sorted({name for names in (self.signals, second) for name in names if names.count(name) > 1})
         if twice:

@@ -11,6 +11,7 @@ import dataclasses
 import math
 import re
 from collections.abc import Callable, Mapping, Sequence
+from enum import StrEnum
 from functools import cache
 from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar, get_args
 
@@ -203,6 +204,7 @@ def _converter() -> Converter:
     made = Converter(detailed_validation=True, unstruct_collection_overrides={tuple: list})
     for kind in _PLAIN:
         made.register_structure_hook(kind, _plain)
+    made.register_structure_hook(StrEnum, lambda value, kind: kind(value))
     made.register_structure_hook(np.ndarray, _array)
     made.register_structure_hook(
         float | np.ndarray,
@@ -210,6 +212,7 @@ def _converter() -> Converter:
     )
     # with or without what its texts are declared as
     made.register_structure_hook_func(lambda kind: {bool, Statement} <= set(get_args(kind)), _cell)
+    made.register_unstructure_hook(StrEnum, lambda value: value.value)
     made.register_unstructure_hook(float, _finite)
     made.register_unstructure_hook(np.ndarray, _listed)
     made.register_unstructure_hook(np.floating, lambda value: _finite(float(value)))

@@ -21,6 +21,7 @@ import re
 import tomllib
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import MISSING, dataclass, field
+from enum import StrEnum
 from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar, cast, get_args, get_origin, get_type_hints
@@ -413,6 +414,9 @@ def _plain(value: Any, kind: Any, stated: Key) -> Any:
         good = kind is Any or isinstance(value, Mapping)
     elif stated.choices and kind is str:
         good = isinstance(value, str) and value in stated.choices
+    elif isinstance(kind, type) and issubclass(kind, StrEnum):
+        good = value in list(kind)
+        value = kind(value) if good else value
     elif kind in (float, int):
         number = isinstance(value, numbers.Integral if kind is int else numbers.Real)
         good = number and not isinstance(value, bool) and math.isfinite(value) and stated.within(value)

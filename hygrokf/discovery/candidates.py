@@ -26,10 +26,10 @@ from hygrokf.discovery.estimate import (
     slopes,
     weighted,
 )
-from hygrokf.discovery.forms import Form, Setting
 from hygrokf.discovery.results import HeldOutTest
 from hygrokf.discovery.screening import added, amplitudes, chord_gains, parent_of, widened
 from hygrokf.discovery.simulator import Simulator
+from hygrokf.modelling.causes.forms import Form, Setting
 from hygrokf.physics.parameters import Parameter
 
 THRESHOLD = 10.0

@@ -1,4 +1,4 @@
-"""A user's own causes: loaded from a file or an installed package, checked, and registered.
+"""A user's own causes: loaded from a file or an installed package into a library, and tried.
 
 A file is executed: load only files that you trust.  Checked are sentences and names, forms, and that a cause
 is nested in the base models.  Everything is tried on a small record with every signal of the table (30 days,
@@ -10,15 +10,14 @@ from __future__ import annotations
 
 import functools
 import hashlib
-import inspect
 import math
 import re
 import sys
 import traceback
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import redirect_stdout
-from dataclasses import replace
-from functools import lru_cache, wraps
+from dataclasses import dataclass, replace
+from functools import lru_cache
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from types import ModuleType
@@ -29,25 +28,32 @@ import numpy as np
 from hygrokf.data.record import Record, Series, Site
 from hygrokf.data.signals import SIGNALS
 from hygrokf.discovery.estimate import Calibration
-from hygrokf.discovery.forms import Form, Ground, ground_of
-from hygrokf.discovery.library import LIBRARY, Cause
-from hygrokf.discovery.results import Settings
 from hygrokf.discovery.scene import Scene, scene_of
 from hygrokf.discovery.screening import added, start_values, widened
 from hygrokf.discovery.simulator import Simulator
 from hygrokf.discovery.starting_model import base_designs
-from hygrokf.errors import HygrokfError, suggestion
+from hygrokf.errors import suggestion
+from hygrokf.modelling.causes.cause import Cause
+from hygrokf.modelling.causes.forms import Form, Ground, ground_of
 from hygrokf.modelling.derived_inputs import FEATURES, feature_faults
 from hygrokf.modelling.design import HOLDS
-from hygrokf.modelling.registry import Origin, admit, name_faults, withdraw
+from hygrokf.modelling.library import (
+    CAUSES,
+    LIBRARY,
+    Library,
+    LibraryFault,
+    Origin,
+    duplicates,
+    is_feature,
+    mapping,
+    name_faults,
+)
 from hygrokf.physics.holds import hold_named
 from hygrokf.physics.mechanisms import FURTHER, LOGGED
-from hygrokf.physics.mechanisms import LIBRARY as MECHANISMS
 from hygrokf.physics.model import SUMS, Mechanism
 
 GROUP = "hygrokf.causes"
 """Entry points of this group name a `Cause`, or a module with causes at its top level."""
-_adopted: dict[str, Cause] = {}
 SAME = 1e-5
 """[1] largest difference of two simulations that count as equal, as a share of the spread of the base's."""
 DAYS = 30
@@ -79,11 +85,11 @@ def trial_record() -> Record:
     return Record("trial record", tuple(series), Site(55.0, 8.0, 0.0), rated_power_W=2e6)
 
 
-@lru_cache(maxsize=1)
-def trial_estimate() -> Calibration:
+@lru_cache(maxsize=2)
+def trial_estimate(library: Library = LIBRARY) -> Calibration:
     """The base model on the trial record, at its start values: nothing is estimated."""
     record = trial_record()
-    heat, vapour = base_designs(record)
+    heat, vapour = base_designs(record, library)
     simulator = Simulator(scene_of(record, heat, vapour), heat, vapour)
     theta = simulator.vector({p.name: p.start for p in simulator.parameters})
     simulated = {q: simulator.simulated(theta[:, None], q)[:, 0] for q in simulator.scene.readings}
@@ -96,7 +102,7 @@ def trial_ground() -> Ground:
     return ground_of(simulator.scene.record, simulator.heat, simulator.vapour)
 
 
-# -- faults, before anything is registered ------------------------------------------------------------------
+# -- faults of what it states --------------------------------------------------------------------------------
 def declared_faults(cause: Cause) -> list[str]:
     """Faults of a cause's sentences, names, factories and features."""
     faults = [
@@ -108,7 +114,7 @@ def declared_faults(cause: Cause) -> list[str]:
         faults.append(
             f"name: expected an identifier in small letters such as damp_wall, found {cause.name!r}"
         )
-    if cause.name in {own.name for own in LIBRARY}:
+    if cause.name in {one.name for one in CAUSES}:
         faults.append("the package has a cause of that name; choose another name")
     odd = [word for word in ("mechanisms", "features") if not isinstance(getattr(cause, word), Mapping)]
     if odd:
@@ -131,11 +137,6 @@ def declared_faults(cause: Cause) -> list[str]:
     for name, factory in cause.mechanisms.items():
         faults += _factory_faults(name, factory, cause.features)
     return faults
-
-
-def is_feature(pair: object) -> bool:
-    """Whether it is (function, hold)."""
-    return isinstance(pair, tuple) and len(pair) == 2 and callable(pair[0])
 
 
 def _factory_faults(
@@ -184,13 +185,17 @@ def _factory_faults(
 def _package_names() -> frozenset[str]:
     """Parameters and states of the base models and of the package's further mechanisms."""
     models = [m for one in trial_estimate().simulator.designs for m in one.model.mechanisms]
-    models += [factory() for factory in (*LOGGED, *FURTHER)]
+    brought = [factory for cause in CAUSES for factory in cause.mechanisms.values()]
+    models += [factory() for factory in (*LOGGED, *FURTHER, *brought)]
     return frozenset(name for m in models for name in (*(p.name for p in m.parameters), *m.states))
 
 
-# -- faults of its forms, with its mechanisms registered ----------------------------------------------------
-def form_faults(cause: Cause) -> list[str]:
-    """Faults of a cause's forms on the trial record: names, values, equations, nesting."""
+# -- faults of its forms -------------------------------------------------------------------------------------
+def form_faults(cause: Cause, library: Library) -> list[str]:
+    """Faults of a cause's forms on the trial record: names, values, equations, nesting.
+
+    library: with the mechanisms and features of the cause.
+    """
     try:
         forms = list(cause.forms(trial_ground()))
     except Exception as fault:
@@ -204,17 +209,17 @@ def form_faults(cause: Cause) -> list[str]:
         if not isinstance(form, Form) or form.cause != cause.name:
             faults.append(f"forms: expected Form objects of the cause {cause.name}, found {form!r}")
         else:
-            faults += [f"form {form.code or 'as given'!r}: {fault}" for fault in _faults_of(form)]
+            faults += [f"form {form.code or 'as given'!r}: {fault}" for fault in _faults_of(form, library)]
     return list(dict.fromkeys(faults))
 
 
-def _faults_of(form: Form) -> list[str]:
-    one = trial_estimate()
-    faults = [f"feature {fault}" for s in form.grid for fault in feature_faults(s.features)]
+def _faults_of(form: Form, library: Library) -> list[str]:
+    one = trial_estimate(library)
+    faults = [f"feature {fault}" for s in form.grid for fault in feature_faults(s.features, library.features)]
     faults += [
         f"unknown mechanism {name!r}: name one of the package, or add it to the cause's mechanisms"
         for name, _ in (*form.heat, *form.vapour)
-        if name not in MECHANISMS
+        if name not in library.mechanisms
     ]
     if not form.grid:
         faults.append("expected a grid of at least one Setting, found none")
@@ -326,91 +331,31 @@ def exception_text(fault: BaseException, file: str | None = None) -> str:
     return f"{type(fault).__name__}: {fault}{where}"
 
 
-class LibraryFault(HygrokfError):
-    """Causes that cannot be used; `faults` lists every reason, the message all of them."""
+# -- a library -----------------------------------------------------------------------------------------------
+def expect_usable(library: Library) -> None:
+    """Try the causes of a library that bring mechanisms or features and are not the package's own.
 
-    def __init__(self, faults: Iterable[str]) -> None:
-        self.faults = tuple(faults)
-        count = f"{len(self.faults)} fault{'s' if len(self.faults) != 1 else ''}"
-        listed = (f"  {number}. {fault}" for number, fault in enumerate(self.faults, 1))
-        super().__init__("\n".join([f"library of causes: {count}", *listed]))
-
-
-# -- registration --------------------------------------------------------------------------------------------
-def adopt(causes: Iterable[Cause]) -> None:
-    """Check causes that bring mechanisms or features, and register these in the package's tables.
-
-    Causes that are registered already are left alone.  Raises LibraryFault that lists all faults.
+    Raises LibraryFault that lists all faults.
     """
-    causes = list(causes)
-    new = [c for c in causes if (c.mechanisms or c.features) and _adopted.get(c.name) is not c]
-    faults = _duplicates([("", c) for c in causes])
-    faults += [fault for cause in new for fault in _registered(cause, _origin_in_python(cause))]
+    new = [one for one in library.own if one.mechanisms or one.features]
+    faults = [f"cause {one.name!r}: {fault}" for one in new for fault in declared_faults(one)]
+    faults = faults or [
+        f"cause {one.name!r}: {fault}" for one in new for fault in form_faults(one, library)
+    ]
     if faults:
         raise LibraryFault(faults)
 
 
-def _registered(cause: Cause, origin: Origin) -> list[str]:
-    """Faults of a cause, which is registered without any."""
-    faults = declared_faults(cause)
-    if not faults:
-        names = {*cause.mechanisms, *cause.features}
-        for name in [n for n, old in _adopted.items() if names & {*old.mechanisms, *old.features}]:
-            del _adopted[name]  # these functions replace its own
-        admit(cause.mechanisms, cause.features, origin)
-        faults = form_faults(cause)
-        if faults:
-            withdraw(names)
-        else:
-            _adopted[cause.name] = cause
-    return [f"cause {cause.name!r}: {fault}" for fault in faults]
-
-
-def _origin_in_python(cause: Cause) -> dict[str, str]:
-    """Origin of a cause that was made in Python: the file of its first function, else the module."""
-    functions = [*_mapping(cause.mechanisms).values()]
-    functions += [pair[0] for pair in _mapping(cause.features).values() if is_feature(pair)]
-    try:
-        file = Path(inspect.getsourcefile(inspect.unwrap(functions[0])) or "")
-        return {"file": file.name, "sha256": hashlib.sha256(file.read_bytes()).hexdigest()}
-    except (IndexError, TypeError, OSError):
-        return {"python": str(getattr(functions[0] if functions else None, "__module__", "?"))}
-
-
-def _mapping(value: object) -> Settings:
-    """The value where it is a mapping, else an empty mapping; `declared_faults` reports other values."""
-    return value if isinstance(value, Mapping) else {}
-
-
-def _duplicates(pairs: Sequence[tuple[str, Cause]]) -> list[str]:
-    """Names of causes that two causes share, and of mechanisms and features that are not the same
-    function."""
-    faults: list[str] = []
-    seen: dict[tuple[bool, str], Any] = {}
-    for source, cause in pairs:
-        brought = [("cause", cause.name, cause)]
-        brought += [("mechanism", name, one) for name, one in _mapping(cause.mechanisms).items()]
-        brought += [("feature", name, one) for name, one in _mapping(cause.features).items()]
-        for kind, name, one in brought:
-            before, where = seen.setdefault((kind == "cause", name), (one, source))
-            if before is not one:
-                places = " and ".join(dict.fromkeys(p for p in (where, source) if p))
-                faults.append(
-                    f"{places + ': ' if places else ''}two have the {kind} name {name!r}; rename one"
-                )
-    return faults
-
-
 # -- from files and packages ---------------------------------------------------------------------------------
-def load_library(*files: str | Path, installed: bool = False) -> tuple[Cause, ...]:
+def load_library(*files: str | Path, installed: bool = False, library: Library = LIBRARY) -> Library:
     """Read a user's causes from Python files.
 
     files: each defines one `Cause` or several at its top level (`cause_of` makes them).
     installed: also from installed packages, by their entry points.
+    library: to which they are added; by default the package's own.
 
-    Returns the causes, in the order of the files, for the `library` of `discover`.  Their mechanisms are
-    registered, so that `read_fit` reads models with them.
-    Raises LibraryFault that lists all faults of all files.
+    Returns the library with these causes last, in the order of the files, for `discover`, and for `read_fit`
+    of a model with their mechanisms.  Raises LibraryFault that lists all faults of all files.
     """
     faults: list[str] = []
     found: list[tuple[str, Cause, Origin]] = []
@@ -427,12 +372,16 @@ def load_library(*files: str | Path, installed: bool = False) -> tuple[Cause, ..
             found += [(label, _guarded(cause), origin) for cause in _causes_of(entry)]
         except LibraryFault as fault:
             faults += [f"{label}: {one}" for one in fault.faults]
-    faults += _duplicates([(source, cause) for source, cause, _ in found])
-    for source, cause, origin in found:
-        faults += [f"{source}: {fault}" for fault in _registered(cause, origin)]
+    faults += duplicates([(source, cause) for source, cause, _ in found])
+    said = [declared_faults(cause) for _, cause, _ in found]
+    for (_, cause, origin), wrong in zip(found, said, strict=True):
+        library = library if wrong else library.joined(cause, origin)
+    for (source, cause, _), wrong in zip(found, said, strict=True):
+        wrong = wrong or form_faults(cause, library)
+        faults += [f"{source}: cause {cause.name!r}: {fault}" for fault in wrong]
     if faults:
         raise LibraryFault(faults)
-    return tuple(cause for _, cause, _ in found)
+    return library
 
 
 def _causes_in(path: Path) -> tuple[list[Cause], Origin]:
@@ -462,7 +411,7 @@ def _causes_in(path: Path) -> tuple[list[Cause], Origin]:
 
 def _causes_at_top(module: object) -> list[Cause]:
     found = {id(one): one for one in vars(module).values() if isinstance(one, Cause)}
-    own = [one for one in found.values() if all(one is not known for known in LIBRARY)]
+    own = [one for one in found.values() if all(one is not known for known in CAUSES)]
     if not own:
         text = "expected a hygrokf.Cause at the top level, found none: NAME = hygrokf.cause_of(…), "
         raise LibraryFault([text + "docs/how_to/own_cause.md"])
@@ -487,26 +436,31 @@ def _origin_of(entry: EntryPoint) -> tuple[str, Origin]:
     return f"package {name} (entry point {entry.name})", {"package": name, "version": version}
 
 
+@dataclass(frozen=True)
+class _Guarded:
+    """A user's function whose exceptions are faults of its file, not of the package."""
+
+    __wrapped__: Callable[..., Any]
+    what: str
+    file: Path | None
+
+    def __call__(self, *arguments: object, **settings: object) -> Any:
+        try:
+            return self.__wrapped__(*arguments, **settings)
+        except Exception as fault:
+            text = exception_text(fault, str(self.file) if self.file else None)
+            place = self.file.name if self.file else "a package"
+            raise LibraryFault([f"{place}: {self.what} fails: {text}"]) from fault
+
+
 def _guarded(cause: Cause, file: Path | None = None) -> Cause:
     """The cause with functions whose exceptions are reported as faults of its file, not of the package."""
-    place = file.name if file else "a package"
-
-    def guard(function: Callable[..., Any], what: str) -> Callable[..., Any]:
-        @wraps(function)
-        def called(*arguments: object, **settings: object) -> object:
-            try:
-                return function(*arguments, **settings)
-            except Exception as fault:
-                text = exception_text(fault, str(file) if file else None)
-                raise LibraryFault([f"{place}: cause {cause.name!r}: {what} fails: {text}"]) from fault
-
-        return called
-
+    head = f"cause {cause.name!r}:"
     return replace(
         cause,
-        forms=guard(lambda ground: list(cause.forms(ground)), "forms"),
+        forms=_Guarded(lambda ground: list(cause.forms(ground)), f"{head} forms", file),
         features={
-            name: (guard(pair[0], f"feature {name!r}"), pair[1]) if is_feature(pair) else pair
-            for name, pair in _mapping(cause.features).items()
+            name: (_Guarded(pair[0], f"{head} feature {name!r}", file), pair[1]) if is_feature(pair) else pair
+            for name, pair in mapping(cause.features).items()
         },
     )

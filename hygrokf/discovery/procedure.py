@@ -20,9 +20,7 @@ from hygrokf.discovery.conclusion import Conclusion, concluded, what_is_left
 from hygrokf.discovery.estimate import Calibration
 from hygrokf.discovery.final_set import FinalSet, fit_of
 from hygrokf.discovery.findings import findings
-from hygrokf.discovery.forms import Form, Setting, ground_of, possible
-from hygrokf.discovery.library import LIBRARY, Cause
-from hygrokf.discovery.own_causes import adopt
+from hygrokf.discovery.own_causes import expect_usable
 from hygrokf.discovery.repeats import without_repeats
 from hygrokf.discovery.residuals import NORMAL_95, QUANTITIES, Residuals, residuals, root_mean_square
 from hygrokf.discovery.results import (
@@ -36,7 +34,6 @@ from hygrokf.discovery.results import (
     ModelScores,
     Rejected,
     SearchCost,
-    Settings,
     SpectralLine,
     Verdict,
 )
@@ -45,7 +42,9 @@ from hygrokf.discovery.starting_model import base_estimate
 from hygrokf.identification.fit import Fit
 from hygrokf.identification.fit_results import ParameterRow
 from hygrokf.identification.procedure import expect_readings
+from hygrokf.modelling.causes.forms import Form, Setting, Settings, ground_of, possible
 from hygrokf.modelling.design import PARTS
+from hygrokf.modelling.library import LIBRARY, Library
 from hygrokf.physics.switches import CONTROLLED
 from hygrokf.texts.statement import unique
 from hygrokf.texts.verdict import ReasonCode
@@ -61,7 +60,7 @@ WET_SENSOR = ReasonCode.SENSOR_OR_WATER()
 def discover(
     record: Record,
     *,
-    library: Sequence[Cause] = LIBRARY,
+    library: Library = LIBRARY,
     progress: Progress | bool | None = None,
     budget: int = BUDGET,
 ) -> Discovery:
@@ -72,7 +71,7 @@ def discover(
     the reported gain.
 
     record: as for `identify`.
-    library: the causes to try; `load_library` reads further ones from a file.
+    library: the causes to try, with their mechanisms; `load_library` reads further ones from a file.
     progress: called with each step in words; True: shows them as one line, also in a notebook.
     budget: simulations after which no further cause is tried; the results name those that were not judged.
         The same record, library and budget give the same results on a busy machine.
@@ -84,7 +83,7 @@ def discover(
         raise ValueError(f"budget: expected a whole number of simulations from 1 on, found {budget!r}")
     from threadpoolctl import threadpool_limits
 
-    adopt(library)
+    expect_usable(library)
     record = prepare(mask(record))
     expect_readings(record.identification())
     expect_movement(record.identification())
@@ -112,13 +111,13 @@ def expect_movement(early: Record) -> None:
         raise ValueError("; ".join(still) + ": check the sensor, or leave the signal out of the case")
 
 
-def _discovered(record: Record, library: Sequence[Cause], say: Progress, budget: int) -> Discovery:
+def _discovered(record: Record, library: Library, say: Progress, budget: int) -> Discovery:
     saturated = _saturated(record)
     record, repeated = without_repeats(record)
     say("base model")
-    start = base_estimate(record)
+    start = base_estimate(record, library)
     ground = ground_of(record, start.simulator.heat, start.simulator.vapour)
-    forms = {cause.name: possible(cause.forms(ground), ground) for cause in library}
+    forms = {cause.name: possible(cause.forms(ground), ground) for cause in library.causes}
     found = Search(start, [form for one in forms.values() for form in one], say, budget).run()
     say("parameters of the base and of the extended model")
     ended = concluded(found)
@@ -136,7 +135,7 @@ def _discovered(record: Record, library: Sequence[Cause], say: Progress, budget:
         version=__version__,
         verdict=verdict(ended, left),
         baseline=_scores(base),
-        synthetic=base.results.synthetic,
+        provenance=base.results.provenance,
         extended=None if extended is None else _scores(extended),
         estimator=ended.base.estimator,
         gains=gains(ended, before, after),
@@ -165,7 +164,7 @@ def verdict(ended: Conclusion, left: Sequence[SpectralLine]) -> Verdict:
 
 
 def _rejected(
-    found: Search, ended: Conclusion, library: Sequence[Cause], forms: Mapping[str, Sequence[object]]
+    found: Search, ended: Conclusion, library: Library, forms: Mapping[str, Sequence[object]]
 ) -> list[Rejected]:
     """The causes that were left out: those that were estimated beside the last model first."""
     rest: dict[str, Rejected] = {}
@@ -174,7 +173,7 @@ def _rejected(
     for one in sorted(found.beside, key=lambda c: -c.evidence):
         weak = one.evidence < needed(one, ended.accepted)
         rest.setdefault(one.cause, _told(one, "weak" if weak else "weak_by_days"))
-    for cause in library:
+    for cause in library.causes:
         reason: Exclusion = "no_effect" if forms[cause.name] else "no_form"
         reason = "left_to_budget" if cause.name in found.not_judged else reason
         rest.setdefault(cause.name, Rejected(cause.name, reason=reason))
@@ -206,9 +205,10 @@ CONFIDENCE = (-1.26, 0.531, 0.00118)
 confidence."""
 
 
-def cause_found(one: Candidate, ended: Conclusion, library: Sequence[Cause]) -> CauseFound:
+def cause_found(one: Candidate, ended: Conclusion, library: Library) -> CauseFound:
     """A named cause: its evidence and parameters, and how sure its name is."""
-    entry = next((cause for cause in library if cause.name == one.cause and cause not in LIBRARY), None)
+    cause = library.cause(one.cause)
+    entry = None if cause in LIBRARY.causes else cause
     rivals = tuple(dict.fromkeys(rival.cause for rival in one.rivals))
     settings = _settings(one, ended.base.estimate.simulator.scene.record)
     assert ended.extended is not None

@@ -18,12 +18,14 @@ from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 import numpy as np
 
 from hygrokf.data.files import DISCOVERY, DISCOVERY_SERIES, write_bytes_whole, write_text_whole
+from hygrokf.data.record import Provenance
 from hygrokf.data.result_file import ResultFault, drawn, read_arrays, read_result, result_text, with_units
 from hygrokf.data.structured import JsonObject, optional, plain
 from hygrokf.discovery.residuals import Quantity, Residuals
 from hygrokf.evaluation.scoring import RuleScores, Scores
 from hygrokf.identification.fit import Fit, write_fit
 from hygrokf.identification.fit_results import FitResults, ParameterRow, TimeConstant
+from hygrokf.modelling.causes.forms import Settings
 from hygrokf.physics.model import fields_alone
 from hygrokf.texts.discovery import DiscoveryCode
 from hygrokf.texts.statement import Statement, Value
@@ -52,8 +54,6 @@ Exclusion: TypeAlias = Literal[
 ]
 """Why a cause was left out: held-out readings refute it; screening found nothing; too little evidence, or
 evidence in days; it lost its place to later ones; the budget ended the search; the record cannot show it."""
-Settings: TypeAlias = Mapping[Name, Any]
-"""Settings of a mechanism, a feature or a search: numbers, names, and spans of time [s]."""
 CLASS_LIMIT = 3
 """Causes that a class may hold; a longer one names nothing."""
 
@@ -267,7 +267,7 @@ class DiscoveryResults:
     version: Version
     verdict: Verdict
     baseline: ModelScores
-    synthetic: bool = False
+    provenance: Provenance = Provenance.MEASURED
     extended: ModelScores | None = None
     estimator: Literal["", "likelihood", "output-error"] = ""
     gains: tuple[ErrorGain, ...] = ()

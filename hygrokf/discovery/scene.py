@@ -208,7 +208,8 @@ class Scene:
             return np.asarray(self._cache[key])
         if settings is not None:
             # of hundreds of settings only the means over cells are kept
-            return np.asarray(feature(self.record, name, settings, self.edges_s), dtype=float)
+            value = feature(self.record, name, settings, self.edges_s, design.library.features)
+            return np.asarray(value, dtype=float)
         mean = design.actuator_means.get(name)
         value = further_input(self.record, name, self.edges_s, design.model.holds[name], mean)
         self._cache[key] = np.asarray(value, dtype=float)

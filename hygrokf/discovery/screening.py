@@ -18,10 +18,9 @@ import numpy as np
 from hygrokf.data.clocks import Shift
 from hygrokf.discovery.error_model import filtered, loss
 from hygrokf.discovery.estimate import Calibration, Columns, estimate_at, frame, slopes, weighted
-from hygrokf.discovery.forms import Form, MechanismSettings, Setting
 from hygrokf.discovery.repeats import joined
-from hygrokf.discovery.results import Settings
 from hygrokf.discovery.simulator import Simulator
+from hygrokf.modelling.causes.forms import Form, MechanismSettings, Setting, Settings
 from hygrokf.modelling.design import Design, extended
 from hygrokf.physics.parameters import Parameter
 from hygrokf.physics.switches import CONTROLLED, Throttle

@@ -24,7 +24,6 @@ from hygrokf.discovery.candidates import (
     water,
 )
 from hygrokf.discovery.estimate import LIGHT, POLISH, Calibration, Columns, acting, estimate_at, fitted
-from hygrokf.discovery.forms import Form, Setting
 from hygrokf.discovery.judgement import Scores, difference, judged, levelled, scores
 from hygrokf.discovery.results import HeldOutTest
 from hygrokf.discovery.screening import (
@@ -37,6 +36,7 @@ from hygrokf.discovery.screening import (
     widened,
 )
 from hygrokf.discovery.starting_model import renewed
+from hygrokf.modelling.causes.forms import Form, Setting
 
 FURTHER = 100.0
 """Evidence from which a cause is accepted in a quantity that has a name."""

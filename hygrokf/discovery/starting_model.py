@@ -18,12 +18,13 @@ from hygrokf.discovery.estimate import (
     estimate_at,
     fitted,
 )
-from hygrokf.discovery.forms import AMBIENT_HUMIDITY, MechanismSettings
 from hygrokf.discovery.residuals import ambient_sd
 from hygrokf.discovery.scene import PARTS, Scene, driven, scene_of
 from hygrokf.discovery.simulator import SimulationWork, Simulator
 from hygrokf.identification.steady_state import heat_release_regression
+from hygrokf.modelling.causes.forms import AMBIENT_HUMIDITY, MechanismSettings
 from hygrokf.modelling.design import CASCADE, TEMPERATURE, Design, accuracy_of, design, extended
+from hygrokf.modelling.library import LIBRARY, Library
 
 GAIN_SD = 0.015
 """Standard deviation of the share by which the ambient sensors' accuracy lets the vapour outside be wrong."""
@@ -36,7 +37,7 @@ temperature itself."""
 RESPONSE = "cabinet_relative_humidity_response"
 
 
-def base_designs(record: Record) -> tuple[Design, Design | None]:
+def base_designs(record: Record, library: Library = LIBRARY) -> tuple[Design, Design | None]:
     """The designs of heat and of vapour for a record's identification period; none of vapour without
     humidity.
 
@@ -46,8 +47,11 @@ def base_designs(record: Record) -> tuple[Design, Design | None]:
     """
     early = prepare(record.identification())
     regression = heat_release_regression(early)
-    heat = design(early, kind="thermal", power_order=regression.power_order, heat_start=regression.start())
-    moist = design(early, kind=CASCADE)
+    heat = design(
+        early, kind="thermal", power_order=regression.power_order, heat_start=regression.start(),
+        library=library,
+    )  # fmt: skip
+    moist = design(early, kind=CASCADE, library=library)
     if moist.humidity is None:
         return heat, None
     additions: list[MechanismSettings] = [("breathed_air", {"form": "temperature"})]
@@ -70,13 +74,13 @@ def base_designs(record: Record) -> tuple[Design, Design | None]:
     return heat, replace(moist, priors={**moist.priors, **priors})
 
 
-def base_estimate(record: Record) -> Calibration:
+def base_estimate(record: Record, library: Library = LIBRARY) -> Calibration:
     """The base model of a record at its maximum of the likelihood.
 
     Starts are the parameters' own and the least free-run error; of their maxima the one of the greatest
     likelihood counts among those whose free run errs no more than the readings vary.
     """
-    heat, vapour = base_designs(record)
+    heat, vapour = base_designs(record, library)
     scene = scene_of(record, heat, vapour)
     limits = {RESPONSE: (SHORTEST_RESPONSE_H, LONGEST_RESPONSE_H)}
     simulator = Simulator(scene, heat, vapour, limits=limits, work=SimulationWork())

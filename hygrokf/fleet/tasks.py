@@ -125,7 +125,7 @@ _RECORD = {
     "record": "name of the record, from the case file",
     "start": "first reading of the record [UTC]",
     "end": "last reading of the record [UTC]",
-    "synthetic": "whether the record states that it is synthetic",
+    "provenance": "of the readings, from the case file: measured, simulated or synthetic",
     "warnings": "number of warnings about masked or repaired readings",
 }
 _CONSTANTS = {

@@ -40,7 +40,7 @@ from hygrokf.identification.verdict_terms import verdict_lines
 from hygrokf.modelling.derived_inputs import feature_faults
 from hygrokf.modelling.design import Design, read_as
 from hygrokf.modelling.inputs import model_inputs
-from hygrokf.modelling.registry import absent
+from hygrokf.modelling.library import LIBRARY, Library
 from hygrokf.version import __version__
 
 if TYPE_CHECKING:
@@ -107,8 +107,10 @@ class Fit:
         return data
 
     @classmethod
-    def from_json(cls, data: JsonObject) -> Fit:
+    def from_json(cls, data: JsonObject, library: Library = LIBRARY) -> Fit:
         """A fit from the data of `to_json`; verdicts that the data lack are decided from the data.
+
+        library: with the mechanisms of its model.
 
         Raises StructureFault with every fault and its place.
         """
@@ -116,7 +118,8 @@ class Fit:
         if results.design is None:
             raise ValueError("design: expected, and missing")
         values = {name: row.value for name, row in results.parameters.items()}
-        return cls(results.name, results.design, values, results)
+        design = replace(results.design, library=library)
+        return cls(results.name, design, values, replace(results, design=design))
 
     def to_frame(self) -> DataFrame:
         """The time constants with bounds [h] and verdicts as a pandas data frame, one row each."""
@@ -187,14 +190,15 @@ def write_fit(fit: Fit, directory: str | os.PathLike[str]) -> Path:
     return write_text_whole(directory / FIT, text)
 
 
-def read_fit(path: str | os.PathLike[str], series: bool = False) -> Fit:
+def read_fit(path: str | os.PathLike[str], series: bool = False, *, library: Library = LIBRARY) -> Fit:
     """Read a fit that `write_fit` or `hygrokf fit` wrote.
 
     path: of fit.json, or of its directory.
     series: whether to read `series.npz` beside it too, which `Fit.plot` needs.
+    library: with the mechanisms of the model (`load_library`), where they are not the package's.
 
-    Returns the fit.  Raises ResultFault with the reason and the remedy, and LibraryAbsent where the model has
-    mechanisms of a user's that are not loaded (`load_library`).
+    Returns the fit.  Raises ResultFault with the reason and the remedy, and LibraryAbsent where the library
+    lacks mechanisms of the model or has others of their names.
     """
     path = Path(path)
     file = path / FIT if path.is_dir() else path
@@ -220,10 +224,10 @@ def read_fit(path: str | os.PathLike[str], series: bool = False) -> Fit:
             "install that version, or run `hygrokf fit` again"
         )
     try:
-        lacking = absent(data["design"].get("origins", {}))
+        lacking = library.absent(data["design"].get("origins", {}))
         if lacking:
             raise LibraryAbsent(f"{file}: {'; '.join(lacking)}")
-        fit = Fit.from_json(data)
+        fit = Fit.from_json(data, library)
         faults = _faults(fit)
     except StructureFault as fault:
         faults = list(fault.faults)
@@ -305,7 +309,8 @@ def _design_faults(design: Design) -> list[str]:
             faults.append(
                 f"design.actuator_means: expected numbers of {', '.join(ACTUATORS)}, found {name} = {found!r}"
             )
-    faults += [f"design.features.{fault}" for fault in feature_faults(design.features)]
+    known = design.library.features
+    faults += [f"design.features.{fault}" for fault in feature_faults(design.features, known)]
     return faults
 
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from hygrokf.data.record import Site
+from hygrokf.data.record import Provenance, Site
 from hygrokf.data.structured import optional
 from hygrokf.estimation.confidence import Limit
 from hygrokf.evaluation.actuator_effects import ActuatorEffect
@@ -185,8 +185,8 @@ class FitResults(Scored):
     """All that `fit.json` says.
 
     `criterion`: "likelihood" or "simulation"; `kind`: "joint" or "cascade"; `doubts` about the record;
-    `provenance`: files read, with their digests; `converged`: None where not stated, and how each search
-    ended in `messages`; `loglik` of the whole model at the reported values on the identification period, and
+    `files` read, with their digests; `converged`: None where not stated, and how each search ended in
+    `messages`; `loglik` of the whole model at the reported values on the identification period, and
     `aic`, `bic` of it; `flat`: parameters that the record does not determine; `trade_offs`: pairs of
     parameters with their correlation; `readings_sd`: standard deviation of the readings by period and
     quantity; `identified_on`: 0.1 and 99.9 % quantiles of the inputs; `discretisation_error`: change of ln L
@@ -196,7 +196,7 @@ class FitResults(Scored):
     name: Name = ""
     version: Version = ""
     created: Instant = ""
-    synthetic: bool = False
+    provenance: Provenance = Provenance.MEASURED
     criterion: Name = "likelihood"
     kind: Name = ""
     rated_power_kW: float = math.nan
@@ -206,7 +206,7 @@ class FitResults(Scored):
     statements: tuple[Statement, ...] = ()
     warnings: tuple[ReaderText, ...] = ()
     doubts: tuple[Statement, ...] = ()
-    provenance: tuple[tuple[Source, Digest], ...] = ()
+    files: tuple[tuple[Source, Digest], ...] = ()
     parameters: Mapping[str, ParameterRow] = field(default_factory=dict)
     covariance: Covariance = field(default_factory=Covariance)
     time_constants: Mapping[str, TimeConstant] = field(default_factory=dict)

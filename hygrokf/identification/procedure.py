@@ -218,7 +218,7 @@ def _identify_model(early: Record, model: Fit, starts: int, profiles: bool, say:
 
     expect_readings(early)
     given = model.design
-    own = design(early, kind=JOINT, power_order=given.power_order)
+    own = design(early, kind=JOINT, power_order=given.power_order, library=given.library)
     loggers = {n: s for n, s in own.mechanisms if n.endswith("_sensor")}
     origin = FitCode.MODEL_OF_FIT(fit=model.name, criterion=model.results.criterion)
     made = replace(
@@ -297,7 +297,7 @@ def assemble_fit(
         name=record.name,
         version=__version__,
         created=datetime.now(UTC).isoformat(timespec="seconds"),
-        synthetic="synthetic" in record.name.lower(),
+        provenance=record.provenance,
         criterion=criterion,
         kind=basis.kind,
         rated_power_kW=math.nan if record.rated_power_W is None else record.rated_power_W / 1e3,
@@ -307,7 +307,7 @@ def assemble_fit(
         statements=_statements(stages, any(f.unseen for f in by_free_run.values())),
         warnings=tuple(record.warnings),
         doubts=all_doubts(run.record),
-        provenance=tuple(record.provenance),
+        files=tuple(record.files),
         parameters=_rows(
             stages, values, errors, by_free_run, {"thermal_time_constant": thermal, "hygric_k": moist}
         ),

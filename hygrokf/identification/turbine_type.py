@@ -20,7 +20,7 @@ import json
 import math
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -33,6 +33,7 @@ from hygrokf.identification.fit import Fit
 from hygrokf.identification.verdict import inherited
 from hygrokf.identification.verdict_terms import PARAMETER_OF
 from hygrokf.modelling.design import Design
+from hygrokf.modelling.library import LIBRARY, Library
 from hygrokf.physics.parameters import Parameter, Prior
 from hygrokf.texts.terms import Name, Unit, Version
 from hygrokf.texts.verdict import REJECT
@@ -293,9 +294,13 @@ def write_type(turbine_type: TurbineType, path: str | os.PathLike[str]) -> Path:
     return write_text_whole(path, result_text(turbine_type))
 
 
-def read_type(path: str | os.PathLike[str]) -> TurbineType:
-    """A type from its file.  Raises ResultFault with everything that is wrong."""
-    return read_result(TurbineType, Path(path), "hygrokf transfer")
+def read_type(path: str | os.PathLike[str], library: Library = LIBRARY) -> TurbineType:
+    """A type from its file.  Raises ResultFault with everything that is wrong.
+
+    library: with the mechanisms of its model.
+    """
+    found = read_result(TurbineType, Path(path), "hygrokf transfer")
+    return replace(found, design=replace(found.design, library=library))
 
 
 def is_type(path: str | os.PathLike[str]) -> bool:

@@ -48,6 +48,7 @@ from hygrokf.live.sources.stream import SourceKeys, Stream
 from hygrokf.live.storage.postgres import SCHEMES, url_fault
 from hygrokf.live.turbines import STALE_S, Turbine
 from hygrokf.live.web.page_settings import PAGE, PageSettings, page_settings
+from hygrokf.modelling.library import LIBRARY, Library
 from hygrokf.physics.holds import MEAN, PREVIOUS, hold_named
 
 PATHS = ("turbine", "time", "quality", "tag", "value")
@@ -447,14 +448,18 @@ class TrackForm:
             yield 'no source: add [[source]] with url = "file:…" or "stdin"'
 
 
-def read_config(path: str | os.PathLike[str]) -> Config:
-    """Read a tracker's file; paths in it are relative to its folder.  Raises ConfigFault."""
+def read_config(path: str | os.PathLike[str], library: Library = LIBRARY) -> Config:
+    """Read a tracker's file; paths in it are relative to its folder.  Raises ConfigFault.
+
+    library: with the mechanisms of the models.
+    """
     file = Path(path)
     text, stated = read_toml(file, ConfigFault)
     place = Place(lines=lines_of(text))
     form = read_form(TrackForm, stated, place)
     mappings = source_mappings(form.mapping, stated.get("mapping"), form.source, place)
-    turbines, names = _turbines(form, file.parent, source_forms(mappings, form.source, place), place)
+    reporting = source_forms(mappings, form.source, place)
+    turbines, names = _turbines(form, file.parent, reporting, place, library)
     own_names = _own_names(form.turbine, {name for one in mappings for name in one.fields}, place)
     expect_one_place(mappings, form.source, place)
     streams: list[Stream] = []
@@ -505,7 +510,7 @@ def _own_names(
 
 
 def _turbines(
-    form: TrackForm, folder: Path, forms: Mapping[str, SignalReporting], place: Place
+    form: TrackForm, folder: Path, forms: Mapping[str, SignalReporting], place: Place, library: Library
 ) -> tuple[dict[str, Turbine], dict[str, str]]:
     """Turbines by name, and the turbine that each name in a payload stands for."""
     rates = None
@@ -526,6 +531,7 @@ def _turbines(
         made = read_turbine(
             folder / one.fit,
             inside,
+            library,
             name=one.name,
             forms=forms,
             lateness_s=form.lateness_s if one.lateness_s is None else one.lateness_s,
@@ -539,13 +545,13 @@ def _turbines(
     return turbines, names
 
 
-def read_turbine(path: Path, place: Place, **options: Any) -> Turbine | None:
+def read_turbine(path: Path, place: Place, library: Library, **options: Any) -> Turbine | None:
     """A turbine with the model in a file or folder; None with a fault in `place` where it cannot be used.
 
-    options: of `plan`.
+    library: with the mechanisms of the model.  options: of `plan`.
     """
     try:
-        fit = read_fit(path)
+        fit = read_fit(path, library=library)
         return turbine_of(fit, plan(fit, **options))
     except (ResultFault, ValueError, KeyError) as fault:
         place.fault(str(fault))

@@ -31,6 +31,7 @@ from hygrokf.live.sources.local import Playback, form_of, record_mapping, record
 from hygrokf.live.sources.payload import Field, PayloadMapping
 from hygrokf.live.turbines import Turbine
 from hygrokf.live.web.page_settings import PAGE, PageSettings, page_settings
+from hygrokf.modelling.library import LIBRARY, Library
 
 NAMES = {
     "Synthetic 1": (),
@@ -83,14 +84,20 @@ def store_at(url: str) -> str:
         raise ConfigFault("--store", [str(fault)]) from None
 
 
-def default_config(fits: Sequence[Path], sources: Sequence[str], store: str, page: PageSettings) -> Config:
+def default_config(
+    fits: Sequence[Path],
+    sources: Sequence[str],
+    store: str,
+    page: PageSettings,
+    library: Library = LIBRARY,
+) -> Config:
     """A configuration with one turbine per model.  Raises ConfigFault with all faults."""
     place = Place()
     mapping = default_mapping()
     forms = {one.signal: one.form for one in mapping.fields.values()}
     turbines: dict[str, Turbine] = {}
     for path in fits:
-        turbine = read_turbine(path, place, forms=forms)
+        turbine = read_turbine(path, place, library, forms=forms)
         if turbine is None:
             continue
         name = turbine.plan.name

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Iterable, Mapping, Sequence
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -21,7 +22,7 @@ from hygrokf.data.prepared import VAPOUR, PreparedRecord
 from hygrokf.data.record import Record, Series, Site
 from hygrokf.data.timestamps import DAY_S
 from hygrokf.physics.holds import LINEAR, MEAN
-from hygrokf.physics.mechanisms import LIBRARY
+from hygrokf.physics.mechanisms import MECHANISMS
 from hygrokf.physics.model import Feature
 from hygrokf.physics.switches import CONTROLLED, Throttle
 
@@ -172,7 +173,7 @@ def throttled(
     return Throttle(reads, start, full, idle).course(value, ~operating(record, time))
 
 
-FEATURES: dict[str, Feature] = {
+FEATURES: Mapping[str, Feature] = MappingProxyType({
     "elapsed": (elapsed, LINEAR),
     "sunshine": (sunshine, LINEAR),
     "sunlit_wall": (sunlit_wall, LINEAR),
@@ -186,17 +187,23 @@ FEATURES: dict[str, Feature] = {
     "door_open": (door_open, MEAN),
     "scheduled": (scheduled, MEAN),
     **dict.fromkeys(CONTROLLED, (throttled, MEAN)),
-    **{name: one for factory in LIBRARY.values() for name, one in factory().features.items()},
-}
-"""Features, with their holds, by the name of the input that they provide."""
+    **{name: one for factory in MECHANISMS.values() for name, one in factory().features.items()},
+})  # fmt: skip
+"""The package's features, with their holds, by the name of the input that they provide."""
 
 
-def feature(record: PreparedRecord, name: str, settings: Mapping[str, Any], time: np.ndarray) -> np.ndarray:
-    """Values (T,) of a feature at the instants `time` (T,) [s] of a run.
+def feature(
+    record: PreparedRecord,
+    name: str,
+    settings: Mapping[str, Any],
+    time: np.ndarray,
+    features: Mapping[str, Feature] = FEATURES,
+) -> np.ndarray:
+    """Values (T,) of one of the `features` at the instants `time` (T,) [s] of a run.
 
     Raises ValueError where its function returns something else, or a value that is not finite.
     """
-    function, hold = FEATURES[name]
+    function, hold = features[name]
     if hold == MEAN:
         time = 0.5 * (time + np.concatenate([time[:1], time[:-1]]))
     found = np.asarray(function(record, time, **settings))
@@ -209,19 +216,23 @@ def feature(record: PreparedRecord, name: str, settings: Mapping[str, Any], time
     return found
 
 
-def without_settings(inputs: Iterable[str]) -> dict[str, dict[str, Any]]:
+def without_settings(
+    inputs: Iterable[str], features: Mapping[str, Feature] = FEATURES
+) -> dict[str, dict[str, Any]]:
     """Those of a mechanism's inputs that are features which need no settings, as a design names them."""
-    return {name: {} for name in inputs if name in FEATURES and not feature_faults({name: {}})}
+    return {name: {} for name in inputs if name in features and not feature_faults({name: {}}, features)}
 
 
-def feature_faults(features: Mapping[str, Mapping[str, Any]]) -> list[str]:
-    """Faults of stored features: unknown names, and settings that are missing or unknown."""
+def feature_faults(
+    stated: Mapping[str, Mapping[str, Any]], features: Mapping[str, Feature] = FEATURES
+) -> list[str]:
+    """Faults of stated features: unknown names, and settings that are missing or unknown."""
     faults = []
-    for name, settings in features.items():
-        if name not in FEATURES:
-            faults.append(f"{name}: expected one of {', '.join(FEATURES)}")
+    for name, settings in stated.items():
+        if name not in features:
+            faults.append(f"{name}: expected one of {', '.join(features)}")
             continue
-        known = dict(list(inspect.signature(FEATURES[name][0]).parameters.items())[2:])
+        known = dict(list(inspect.signature(features[name][0]).parameters.items())[2:])
         needed = {key for key, argument in known.items() if argument.default is argument.empty}
         if not isinstance(settings, Mapping) or not needed <= set(settings) <= set(known):
             faults.append(f"{name}: expected the settings {', '.join(known) or 'none'}, found {settings!r}")

@@ -22,9 +22,9 @@ from hygrokf.data.prepared import PreparedRecord, prepare
 from hygrokf.data.record import Record, Series
 from hygrokf.data.signals import SIGNALS, signal_named
 from hygrokf.modelling.derived_inputs import FEATURES, without_settings
-from hygrokf.modelling.registry import origins
+from hygrokf.modelling.library import LIBRARY, Library
 from hygrokf.physics.holds import LINEAR, MEAN, PREVIOUS, REGIME
-from hygrokf.physics.mechanisms import LIBRARY, Factory
+from hygrokf.physics.mechanisms import Factory
 from hygrokf.physics.mechanisms.hygric import SHORTEST_H
 from hygrokf.physics.model import Mechanism, Model, compose, fields_alone
 from hygrokf.physics.parameters import Prior
@@ -32,7 +32,7 @@ from hygrokf.texts.fit import FitCode
 from hygrokf.texts.statement import Statement, unique
 from hygrokf.texts.terms import Name
 
-HOLDS = {
+HOLDS: Mapping[str, str] = {
     **{one.name: MEAN if one.hold == PREVIOUS else LINEAR for one in SIGNALS.values()},
     "exchange_factor": LINEAR,
     "operating": MEAN,
@@ -40,7 +40,8 @@ HOLDS = {
     **{f"power_{k}": MEAN for k in range(1, 6)},
     **{name: hold for name, (_, hold) in FEATURES.items()},
 }
-"""Holds of inputs between their own times: every signal, the inputs of the base models, and features."""
+"""Holds of inputs between their own times: every signal, the inputs of the base models, and the package's
+features."""
 TEMPERATURE = "cabinet_temperature"
 HUMIDITIES = ("cabinet_relative_humidity", "cabinet_absolute_humidity")
 BRIDGE_H = 1.0
@@ -71,7 +72,8 @@ class Design:
     `features`: inputs made from the record's signals, with their settings.  `priors`: (mean, sd, logarithmic)
     of parameters, from other turbines (see `turbine_type`).  `actuator_means`: means [SI unit] of the
     logged actuators, which replace unknown values.  `scales`: signal → the numbers of its `gate.Scale`, by
-    which a tracker judges its readings.
+    which a tracker judges its readings.  `library`: where mechanisms and features are looked up by
+    name; designs are compared without it.
     """
 
     mechanisms: tuple[Chosen, ...]
@@ -87,11 +89,13 @@ class Design:
     priors: Mapping[str, tuple[float, float, bool]] = field(default_factory=dict)
     actuator_means: Mapping[str, float] = field(default_factory=dict)
     scales: Mapping[str, tuple[float, float, float, float]] = field(default_factory=dict)
+    library: Library = field(default=LIBRARY, compare=False)
 
     @cached_property
     def model(self) -> Model:
         """The model; equal designs share it, because tracing and compiling takes time and memory."""
-        features = {name: FEATURES[name][1] for name in self.features if name in FEATURES}
+        known, factories = self.library.features, self.library.mechanisms
+        features = {name: known[name][1] for name in self.features if name in known}
         holds = {**HOLDS, **features, **self.holds}
         content = [
             [settings for _, settings in self.mechanisms],
@@ -99,11 +103,11 @@ class Design:
             dict(self.averaged),
             sorted(self.priors.items()),
         ]
-        key = (tuple(LIBRARY[name] for name, _ in self.mechanisms), json.dumps(content))
+        key = (tuple(factories[name] for name, _ in self.mechanisms), json.dumps(content))
         found = _models.get(key)
         if found is None:
             mechanisms = [
-                _with_priors(LIBRARY[name](**settings), self.priors) for name, settings in self.mechanisms
+                _with_priors(factories[name](**settings), self.priors) for name, settings in self.mechanisms
             ]
             found = replace(compose(mechanisms, holds, self.averaged), bound=BOUND)
             _models[key] = found
@@ -117,12 +121,16 @@ class Design:
 
     def to_json(self) -> dict[str, Any]:
         """All fields as plain data, with the `origins` of mechanisms and features that a user brought."""
-        own = origins([*(name for name, _ in self.mechanisms), *self.features])
-        return fields_alone(self) | ({"origins": own} if own else {})
+        data = fields_alone(self)
+        del data["library"]
+        origins = self.library.origins
+        names = (*(name for name, _ in self.mechanisms), *self.features)
+        own = {name: dict(origins[name]) for name in names if name in origins}
+        return data | ({"origins": own} if own else {})
 
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> Design:
-        """A design from the data of `to_json`; what they lack has its default."""
+        """A design from the data of `to_json`, with the package's library; what they lack has its default."""
         known = {name: value for name, value in data.items() if name != "origins"}
         wrong = [name for name, _ in known.get("mechanisms", ()) if not isinstance(name, str)]
         if wrong:
@@ -192,8 +200,9 @@ def design(
     power_order: int = 2,
     heat_start: Mapping[str, float] | None = None,
     coloured: bool = True,
+    library: Library = LIBRARY,
 ) -> Design:
-    """The base model for a record.
+    """The base model for a record, which mechanisms of the `library` may extend.
 
     `kind`: "joint" (thermal and hygric state in one filter), "thermal" (temperature alone), or "cascade" (the
     hygric model on the measured temperature).  `coloured=False` omits the coloured disturbances.
@@ -251,6 +260,7 @@ def design(
         statements=tuple(statements),
         actuator_means={a.signal: float(np.nanmean(record[a.signal].value)) for a in acting},
         scales=record.scales,
+        library=library,
     )
 
 
@@ -344,17 +354,19 @@ def extended(
     holds: Mapping[str, str] | None = None,
     features: Mapping[str, Mapping[str, Any]] | None = None,
 ) -> Design:
-    """The design with further mechanisms of the library and the features that they read.
+    """The design with further mechanisms of its library and the features that they read.
 
     `features` states those that have settings; the others follow from the mechanisms.
     """
     named = {**base.features, **(features or {})}
-    read = [name for mechanism, settings in additions for name in LIBRARY[mechanism](**settings).inputs]
+    library = base.library
+    made = [library.mechanisms[mechanism](**settings) for mechanism, settings in additions]
+    read = [name for one in made for name in one.inputs if name not in named]
     return replace(
         base,
         mechanisms=(*base.mechanisms, *additions),
         holds={**base.holds, **(holds or {})},
-        features={**named, **without_settings(name for name in read if name not in named)},
+        features={**named, **without_settings(read, library.features)},
     )
 
 

@@ -112,7 +112,7 @@ def model_inputs(design: Design, record: Record, *, beyond: bool = False) -> Run
     power, operating, unknown_power = power_inputs(design, record, time)
     values |= power
     for name in sorted(inputs_of & set(design.features)):
-        values[name] = feature(record, name, design.features[name], time)
+        values[name] = feature(record, name, design.features[name], time, design.library.features)
     for name in sorted(inputs_of - set(values)):  # further signals that an added mechanism reads
         values[name] = further_input(record, name, time, model.holds[name], design.actuator_means.get(name))
     readings, resets = _readings(design, record, outputs, time, unknown_ambient)

@@ -9,6 +9,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal, TypeAlias
 
+from hygrokf.data.record import Provenance
 from hygrokf.identification.verdict_terms import Inherited
 from hygrokf.texts.verdict import WORDS
 
@@ -20,8 +21,15 @@ FREE_RUN = (
 )
 INNOVATIONS = "Innovations: readings less their one-step predictions."
 """Terms of the reports, explained where a page or a text begins to use them."""
-SYNTHETIC_PAGE = "A computer made this record. Nothing on this page was measured."
-SYNTHETIC_RECORD = "A computer made at least one of these records: its numbers were not measured."
+OF_RECORD = {
+    Provenance.SIMULATED: "A model computed the readings in the cabinet. They were not measured.",
+    Provenance.SYNTHETIC: "A computer made this record. Nothing on this page was measured.",
+}
+OF_RECORDS = {
+    Provenance.SIMULATED: "A model computed the cabinet's readings of at least one of these records.",
+    Provenance.SYNTHETIC: "A computer made at least one of these records: its numbers were not measured.",
+}
+"""What the page of one or of several records says of those that were not measured."""
 
 
 @dataclass(frozen=True)
@@ -213,9 +221,9 @@ def method(heading: str, *lines: str) -> tuple[Block, ...]:
     return (Heading(heading), *map(Prose, lines))
 
 
-def synthetic(found: bool, text: str) -> tuple[Banner, ...]:
-    """The warning about a result that a computer made up; nothing about a measured one."""
-    return (Banner("SYNTHETIC", text),) if found else ()
+def unmeasured(provenance: Provenance, texts: Mapping[Provenance, str]) -> tuple[Banner, ...]:
+    """The warning about a result of readings that nobody measured; nothing about a measured one."""
+    return (Banner(provenance.upper(), texts[provenance]),) if provenance in texts else ()
 
 
 def inherited_verdicts(found: Mapping[str, Inherited], heading: str) -> Verdicts | None:

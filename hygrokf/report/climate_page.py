@@ -10,6 +10,7 @@ from typing import Literal
 from hygrokf.climate.chamber_profile import ChamberProfile
 from hygrokf.climate.study import UNITS, RegionClimate, Study, read_climate, write_climate
 from hygrokf.data.files import REPORT, write_bytes_whole, write_text_whole
+from hygrokf.data.record import Provenance
 from hygrokf.identification.verdict_terms import rests_on
 from hygrokf.report.blocks import (
     Block,
@@ -24,8 +25,8 @@ from hygrokf.report.blocks import (
     method,
     present,
     section,
-    synthetic,
     table_or,
+    unmeasured,
 )
 from hygrokf.report.climate_tables import (
     class_text,
@@ -55,7 +56,10 @@ TONES: dict[str, Literal["open", "plain", "reject"]] = {
     "pass": "plain", "undecided": "open", "fail": "reject"
 }  # fmt: skip
 """How the verdict on limits is shown."""
-SYNTHETIC_CLIMATE = "The model or the weather is synthetic. Nothing on this page was measured."
+OF_CLIMATE = {
+    Provenance.SIMULATED: "The readings behind the model were simulated, or the weather was.",
+    Provenance.SYNTHETIC: "The model or the weather is synthetic. Nothing on this page was measured.",
+}
 MOST_CARDS = 4
 """Regions that have a card each on the first screen."""
 PROFILE_CAPTION = (
@@ -90,7 +94,6 @@ def climate_blocks(study: Study) -> Page:
     several = len(regions) > 1
     cards = Cards(_cards(study))
     parts = [_region(region, place, several) for place, region in enumerate(regions, 1)]
-    made_up = study.synthetic or any(one.synthetic for one in regions)
     where = ", ".join(region.name for region in regions)
     held = f"bounds hold {share_held(regions)} of single years"
     return Page(
@@ -98,7 +101,7 @@ def climate_blocks(study: Study) -> Page:
         study.name.strip() or "unnamed model",
         (f"Simulated for {where}: {study.members} members, seed {study.seed}; {held}",),
         present(
-            *synthetic(made_up, SYNTHETIC_CLIMATE),
+            *unmeasured(study.least_measured, OF_CLIMATE),
             cards if cards.cards else None,
             lead_of_climate(study),
         ),

@@ -13,7 +13,7 @@ from hygrokf.data.result_file import read_result, result_text
 from hygrokf.evaluation.scoring import REGIMES, SCORED
 from hygrokf.report.blocks import (
     FREE_RUN,
-    SYNTHETIC_RECORD,
+    OF_RECORDS,
     Block,
     Card,
     Cards,
@@ -25,8 +25,8 @@ from hygrokf.report.blocks import (
     inherited_verdicts,
     method,
     section,
-    synthetic,
     table_or,
+    unmeasured,
 )
 from hygrokf.report.figures.comparison import (
     figure_column_courses,
@@ -143,7 +143,7 @@ def comparison_blocks(found: ComparisonResults, courses: Sequence[RecordCourse] 
             ),
         ),
         (
-            *synthetic(found.synthetic, SYNTHETIC_RECORD),
+            *unmeasured(found.provenance, OF_RECORDS),
             Cards(cards or (Card("Comparison", "Nothing could be scored", wide=True, words=True),)),
             Figure(
                 "courses",

@@ -25,7 +25,7 @@ from hygrokf.discovery.results import (
 from hygrokf.identification.verdict import best_rule, inherited
 from hygrokf.report.blocks import (
     FREE_RUN,
-    SYNTHETIC_PAGE,
+    OF_RECORD,
     Block,
     Card,
     Cards,
@@ -41,8 +41,8 @@ from hygrokf.report.blocks import (
     method,
     present,
     section,
-    synthetic,
     table_or,
+    unmeasured,
 )
 from hygrokf.report.discovery_text import (
     chosen_words,
@@ -287,7 +287,7 @@ def discovery_blocks(
         "Discovery report",
         one_line(found.name).strip() or "unnamed record",
         spans_text(before),
-        (*synthetic(found.synthetic, SYNTHETIC_PAGE), Cards((card,)), *lead, gains),
+        (*unmeasured(found.provenance, OF_RECORD), Cards((card,)), *lead, gains),
         body,
         _method(found),
     )

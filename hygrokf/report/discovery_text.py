@@ -10,7 +10,6 @@ from typing import Any
 
 from hygrokf.discovery.candidates import SENSOR, WATER
 from hygrokf.discovery.judgement import LEAST_IMPROVEMENT, WORSE_GROWTH
-from hygrokf.discovery.library import LIBRARY, Cause
 from hygrokf.discovery.repeats import repeated_statement
 from hygrokf.discovery.results import (
     CauseFound,
@@ -25,6 +24,8 @@ from hygrokf.discovery.results import (
     Verdict,
 )
 from hygrokf.identification.verdict import inherited
+from hygrokf.modelling.causes.cause import Cause
+from hygrokf.modelling.library import LIBRARY
 from hygrokf.report.quantities import capital, quantity, spoken
 from hygrokf.texts.discovery import DiscoveryCode
 from hygrokf.texts.statement import Statement, listed
@@ -212,7 +213,7 @@ def _cause(found: DiscoveryResults, one: CauseFound, alone: bool) -> str:
 
 def _entry(one: CauseFound) -> Cause | CauseWords | None:
     """The entry of a cause in the package's library, or its own."""
-    return one.own or next((cause for cause in LIBRARY if cause.name == one.cause), None)
+    return one.own or next((cause for cause in LIBRARY.causes if cause.name == one.cause), None)
 
 
 def _meaning(one: CauseFound) -> str:

@@ -20,7 +20,7 @@ from hygrokf.modelling.design import PARTS
 from hygrokf.report.blocks import (
     FREE_RUN,
     INNOVATIONS,
-    SYNTHETIC_PAGE,
+    OF_RECORD,
     Banner,
     Block,
     Card,
@@ -34,8 +34,8 @@ from hygrokf.report.blocks import (
     Verdicts,
     method,
     section,
-    synthetic,
     table_or,
+    unmeasured,
 )
 from hygrokf.report.figures.fit import FIGURES, PRODUCT, figure_of
 from hygrokf.report.fit_tables import (
@@ -180,7 +180,7 @@ def _about(fit: FitResults) -> tuple[str, ...]:
 
 
 def _banners(fit: FitResults) -> tuple[Banner, ...]:
-    found = synthetic(fit.synthetic, SYNTHETIC_PAGE)
+    found = unmeasured(fit.provenance, OF_RECORD)
     if fit.converged:
         return found
     word = "CONVERGENCE UNKNOWN" if fit.converged is None else "NOT CONVERGED"
@@ -241,8 +241,8 @@ def _data(fit: FitResults) -> tuple[Block, ...]:
     warnings = tuple(sentence(line) for line in fit.warnings)
     return (
         Items(warnings) if warnings else Prose("Nothing had to be masked or repaired."),
-        Table("Files read", ("file", "SHA-256"), fit.provenance, left=(0, 1))
-        if fit.provenance
+        Table("Files read", ("file", "SHA-256"), fit.files, left=(0, 1))
+        if fit.files
         else Prose("The fit does not name the files that it was made from.", "missing"),
     )
 

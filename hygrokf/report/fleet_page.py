@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from functools import partial
 from pathlib import Path
 
 from hygrokf.data.files import FLEET, REPORT, write_text_whole
+from hygrokf.data.record import Provenance
 from hygrokf.data.result_file import ResultFault, read_result
 from hygrokf.fleet.job import DONE, Row, number, text_of
 from hygrokf.fleet.outliers import DRAWS, FEWEST_JUDGED, LEVEL, Scatter, spreads
 from hygrokf.fleet.results import CSV, FleetResults
 from hygrokf.fleet.tasks import TASKS, Compared, Tally, Task
 from hygrokf.report.blocks import (
+    Banner,
     Block,
     Card,
     Cards,
@@ -24,7 +26,6 @@ from hygrokf.report.blocks import (
     Table,
     method,
     section,
-    synthetic,
     table_or,
 )
 from hygrokf.report.figures.comparison import figure_spreads
@@ -79,8 +80,6 @@ def fleet_blocks(fleet: FleetResults) -> Page:
     cards = Cards(tuple(_cards(fleet, found)))
     ranking = _ranking(task, done, found)
     left_out = ", ".join(fleet.type_without)
-    made_up = sum(row.get("synthetic") is True for row in done)
-    which = "All records" if made_up == len(done) else f"{made_up} of {len(done)} records"
     body = (
         *_failures(fleet),
         *section("Outliers", _outliers(found)),
@@ -94,7 +93,7 @@ def fleet_blocks(fleet: FleetResults) -> Page:
         one_line(fleet.name) or "unnamed fleet",
         (f"{sentence(task.meaning)} {moment(fleet.created)} UTC.",),
         (
-            *synthetic(made_up > 0, f"{which} were made by a computer. Nothing of them was measured."),
+            *_unmeasured(done),
             cards,
             *pictures[:1],
         ),
@@ -104,6 +103,21 @@ def fleet_blocks(fleet: FleetResults) -> Page:
 
 
 # --- the answer ------------------------------------------------------------------------------
+
+
+OF_FLEET = {
+    Provenance.SIMULATED: "hold readings in the cabinet that a model computed.",
+    Provenance.SYNTHETIC: "were made by a computer. Nothing of them was measured.",
+}
+
+
+def _unmeasured(done: Sequence[Row]) -> Iterator[Banner]:
+    """Warnings about the records that were not measured."""
+    for provenance, text in OF_FLEET.items():
+        count = sum(row.get("provenance") == provenance for row in done)
+        which = "All records" if count == len(done) else f"{count} of {len(done)} records"
+        if count:
+            yield Banner(provenance.upper(), f"{which} {text}")
 
 
 def _cards(fleet: FleetResults, found: Sequence[Scatter]) -> list[Card]:

@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 from hygrokf.cases.summary import RecordSummary, SignalSummary
+from hygrokf.data.record import Provenance
 from hygrokf.data.signals import difference_from_si, signal_named
 from hygrokf.data.timestamps import MINUTE_S
 from hygrokf.report.blocks import Block, Heading, Items, Prose, Table
@@ -59,6 +60,8 @@ def record_blocks(found: RecordSummary) -> Iterator[Block]:
 
 def _heading(found: RecordSummary) -> str:
     parts = [f"{found.name}: {found.start} to {found.end}", f"{found.days:.1f} d"]
+    if found.provenance is not Provenance.MEASURED:
+        parts.append(found.provenance)
     if math.isfinite(found.rated_power_kW):
         parts.append(f"rated {found.rated_power_kW:g} kW")
     if found.site is not None:

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Literal
 
 from hygrokf.data.files import REPORT, TRANSFER, TRANSFER_SERIES, TYPE, write_text_whole
+from hygrokf.data.record import least_measured
 from hygrokf.data.result_file import read_result, result_text
 from hygrokf.evaluation.scoring import SCORED
 from hygrokf.identification.fit import write_fit
@@ -18,7 +19,7 @@ from hygrokf.identification.turbine_type import TurbineType, write_type
 from hygrokf.report.blocks import (
     FREE_RUN,
     INNOVATIONS,
-    SYNTHETIC_RECORD,
+    OF_RECORDS,
     Block,
     Card,
     Cards,
@@ -30,8 +31,8 @@ from hygrokf.report.blocks import (
     inherited_verdicts,
     method,
     section,
-    synthetic,
     table_or,
+    unmeasured,
 )
 from hygrokf.report.figures.comparison import SETS, figure_course, figure_parameters, figure_sets, figure_type
 from hygrokf.report.fit_page import write_report
@@ -151,12 +152,12 @@ def transfer_blocks(found: TransferResults, courses: Sequence[RecordCourse] = ()
     handed = inherited_verdicts(found.source.verdicts, f"The time constants of {source}")
     body += section("Models used", handed)
     body += type_section(found.type)
-    made_up = any(one.synthetic for one in found.records)
+    provenance = least_measured(one.provenance for one in found.records)
     return Page(
         "Transfer",
         f"{source} on {', '.join(names) if len(names) < 3 else f'{len(names)} records'}",
         (f"The {kind} of {source}, tried on the record{'s' if names[1:] else ''} of {', '.join(names)}.",),
-        (*synthetic(made_up, SYNTHETIC_RECORD), cards, *pictures[:1]),
+        (*unmeasured(provenance, OF_RECORDS), cards, *pictures[:1]),
         tuple(body),
         method("Method", *METHOD, f"Judged by {versions(found.version)}."),
     )

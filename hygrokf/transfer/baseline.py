@@ -201,7 +201,7 @@ class Origin:
         scored = source.results.rmse.get("identification", {})
         known = {q: row.total for q, row in scored.items() if row.total > 0}
         values = {p.name: source.values[p.name] for p in source.design.model.parameters}
-        files = frozenset(digest for _, digest in source.results.provenance)
+        files = frozenset(digest for _, digest in source.results.files)
         handed = inherited(source.results)
         return cls(source.name, "fit", source.design, values, names, matrix, known, files, verdicts=handed)
 
@@ -285,7 +285,7 @@ def _unknowable(origin: Origin, base: Design, early_run: Run) -> dict[str, float
 
 def _kinship(origin: Origin, record: Record) -> list[Statement]:
     """A statement where the model was, or seems to be, made from this very record."""
-    files = frozenset(digest for _, digest in record.provenance)
+    files = frozenset(digest for _, digest in record.files)
     if files and files == origin.files:
         return [TransferCode.SAME_FILES()]
     if record.name in origin.turbines:

@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from hygrokf.data.record import Record
+from hygrokf.data.record import Provenance, Record, least_measured
 from hygrokf.data.timestamps import DAY_S, WEEK_S
 from hygrokf.evaluation.bootstrap import resampled
 from hygrokf.evaluation.scoring import PERIODS, REGIMES, guesses, period_masks, rmse
@@ -95,11 +95,11 @@ class ComparedColumn:
 
 @dataclass(frozen=True)
 class ComparisonResults:
-    """The content of compare.json.  `synthetic`: whether any record was made by a computer."""
+    """The content of compare.json.  `provenance`: the least measured one of all records."""
 
     version: Version
     created: Instant
-    synthetic: bool
+    provenance: Provenance
     columns: tuple[ComparedColumn, ...]
     rows: tuple[ErrorRow, ...]
 
@@ -169,7 +169,7 @@ class ComparisonColumn:
     errors: Mapping[str, np.ndarray]
     rules: Mapping[str, Mapping[str, np.ndarray]]
     masks: Mapping[str, np.ndarray]
-    synthetic: bool
+    provenance: Provenance
 
     @property
     def label(self) -> str:
@@ -206,8 +206,8 @@ def comparison_column(fit: Fit, record: Record, label: str, own: bool = False) -
     statements = (*mismatches(fit, record), *(() if errors else (UNSCORED,)))
     weeks = {quantity: rmse_by_week(course, error) for quantity, error in errors.items()}
     names = ComparedColumn(label, fit.name, record.name, own, statements, weeks, inherited(fit.results))
-    synthetic = fit.results.synthetic or "synthetic" in record.name.lower()
-    return ComparisonColumn(names, course, errors, rules, masks, synthetic)
+    provenance = least_measured((fit.results.provenance, record.provenance))
+    return ComparisonColumn(names, course, errors, rules, masks, provenance)
 
 
 def compare(columns: Sequence[ComparisonColumn]) -> ComparisonResults:
@@ -227,7 +227,7 @@ def compare(columns: Sequence[ComparisonColumn]) -> ComparisonResults:
     return ComparisonResults(
         __version__,
         datetime.now(UTC).isoformat(timespec="seconds"),
-        any(one.synthetic for one in columns),
+        least_measured(one.provenance for one in columns),
         tuple(one.names for one in columns),
         (
             *(row for one in columns for row in _scores(one)),

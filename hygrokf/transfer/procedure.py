@@ -168,7 +168,7 @@ def _results(
     origin, estimates = baseline.origin, (found.logger, found.adapted, found.own)
     return TransferResult(
         name=baseline.run.record.name,
-        synthetic="synthetic" in baseline.run.record.name.lower(),
+        provenance=baseline.run.record.provenance,
         until=iso_time(baseline.until_s),
         n_readings=baseline.early_run.timeline.n_readings,
         verdict=TransferVerdict.CANNOT_BE_JUDGED,

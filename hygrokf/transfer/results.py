@@ -16,6 +16,7 @@ from zipfile import BadZipFile
 import numpy as np
 
 from hygrokf.data.files import write_bytes_whole
+from hygrokf.data.record import Provenance
 from hygrokf.data.result_file import ResultFault, instants
 from hygrokf.data.structured import optional
 from hygrokf.evaluation.scoring import SCORED, Errors
@@ -231,7 +232,7 @@ class TransferResult:
     """
 
     name: Name
-    synthetic: bool
+    provenance: Provenance
     until: Instant
     n_readings: int
     verdict: TransferVerdict

@@ -9,7 +9,7 @@ import numpy as np
 
 from hygrokf.data.columns import TableFault
 from hygrokf.data.readings import order_readings
-from hygrokf.data.record import Record, Series, Site
+from hygrokf.data.record import Record, Series, Site, least_measured
 
 SAME_PLACE_DEG = 0.02
 """[deg] largest distance between two files of the same point: reanalyses write a cell with two digits."""
@@ -52,8 +52,11 @@ def joined(records: Sequence[Record], name: str) -> Record:
         warnings += said
     if faults:
         raise TableFault(*faults)
-    provenance = tuple(dict.fromkeys(pair for one in records for pair in one.provenance))
-    return Record(name, tuple(series), site, warnings=tuple(warnings), provenance=provenance)
+    files = tuple(dict.fromkeys(pair for one in records for pair in one.files))
+    provenance = least_measured(one.provenance for one in records)
+    return Record(
+        name, tuple(series), site, warnings=tuple(warnings), files=files, provenance=provenance
+    )
 
 
 def follows(one: Record, other: Record) -> bool:

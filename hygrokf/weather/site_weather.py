@@ -194,10 +194,8 @@ class SiteWeather:
         if "wind_speed" in of and (self.height_m or math.inf) <= LOW_WIND_M:
             mean = "; speed of the hour's mean wind" * (of["wind_speed"].interval_s > 0.0)
             self.warnings.append(f"wind_speed is measured at {self.height_m:g} m, not at hub height{mean}")
-        origin = ((self.file, sha256),)
-        return Record(
-            self.file, tuple(self.series), self.site, warnings=tuple(self.warnings), provenance=origin
-        )
+        files = ((self.file, sha256),)
+        return Record(self.file, tuple(self.series), self.site, warnings=tuple(self.warnings), files=files)
 
 
 def complete(record: Record, no_temperature: str, ask: str) -> Record:

@@ -8,12 +8,12 @@ from dataclasses import replace
 from functools import cache
 
 from handbook.docstrings import heading, prose_and_equations, rst, table
-from hygrokf.discovery.forms import Ground
-from hygrokf.discovery.library import LIBRARY as CAUSES
-from hygrokf.discovery.library import Cause
 from hygrokf.discovery.own_causes import trial_ground
 from hygrokf.fleet.tasks import SHARED, TASKS
-from hygrokf.physics.mechanisms import BASE, FURTHER, LIBRARY, LOGGED, WANDERING, Factory
+from hygrokf.modelling.causes.cause import Cause
+from hygrokf.modelling.causes.forms import Ground
+from hygrokf.modelling.library import CAUSES
+from hygrokf.physics.mechanisms import BASE, FURTHER, LOGGED, MECHANISMS, WANDERING, Factory
 from hygrokf.physics.model import Mechanism
 from hygrokf.physics.parameters import Parameter
 from hygrokf.report.discovery_text import form_words
@@ -91,7 +91,7 @@ def _ground() -> Ground:
 def mechanisms_of(cause: Cause) -> tuple[str, ...]:
     """Names of the mechanisms that the forms of a cause add."""
     found = {name for form in cause.forms(_ground()) for name, _ in (*form.heat, *form.vapour)}
-    return tuple(name for name in LIBRARY if name in found)
+    return tuple(name for name in MECHANISMS if name in found)
 
 
 def cause_section(cause: Cause) -> str:
@@ -114,8 +114,8 @@ def cause_section(cause: Cause) -> str:
         rows = [
             [
                 f":ref:`{name} <mechanism-{name}>`",
-                _null(made(LIBRARY[name])),
-                rst(made(LIBRARY[name]).leaves),
+                _null(made(MECHANISMS[name])),
+                rst(made(MECHANISMS[name]).leaves),
             ]
             for name in names
         ]

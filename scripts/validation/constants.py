@@ -10,11 +10,11 @@ from dataclasses import dataclass
 from types import FunctionType
 
 from hygrokf.discovery.conclusion import Conclusion, concluded, what_is_left
-from hygrokf.discovery.forms import ground_of
-from hygrokf.discovery.library import LIBRARY
 from hygrokf.discovery.procedure import verdict
 from hygrokf.discovery.search import Search
 from hygrokf.discovery.starting_model import base_estimate
+from hygrokf.modelling.causes.forms import ground_of
+from hygrokf.modelling.library import CAUSES
 from validation.counts import markdown
 from validation.discovery import asked, case_of, cells, make
 from validation.discovery_tables import false_names, first_right
@@ -107,7 +107,7 @@ def one(group: str, cell: str, seed: int) -> dict:
     record = make(case_of(group, cell, seed))[0]
     base = base_estimate(record)
     ground = ground_of(record, base.simulator.heat, base.simulator.vapour)
-    forms = [form for cause in LIBRARY for form in cause.forms(ground) if form.grid]
+    forms = [form for cause in CAUSES for form in cause.forms(ground) if form.grid]
     found = Search(base, forms).run()
     case, rows = asked(group, cell, seed), {}
     for variant in variants():

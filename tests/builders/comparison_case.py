@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from hygrokf.data.record import Provenance
 from hygrokf.transfer.comparison import ComparedColumn, ComparisonColumn, rmse_by_week
 from hygrokf.transfer.results import RecordCourse
 
@@ -33,5 +34,5 @@ def made_column(
         {"temperature_K": error},
         {"temperature_K": {"no_dynamics": 2.0 * error}},
         {"identification": ~late, "validation": late, "whole": np.ones(size, bool)},
-        False,
+        Provenance.MEASURED,
     )

@@ -165,7 +165,7 @@ def discovery_case() -> dict:
         {
             "name": "tower 7",
             "version": "0.1.0",
-            "synthetic": True,
+            "provenance": "synthetic",
             "verdict": "named",
             "baseline": _scores(1.85, 0.42, 1.36),
             "extended": _scores(1.57, 0.42, 1.2),

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from hygrokf.data.record import Provenance
 from hygrokf.data.structured import structured
 from hygrokf.identification.fit import Fit
 from hygrokf.identification.fit_results import Covariance, FitResults, ParameterRow
@@ -32,7 +33,7 @@ def bare_fit(name: str, design: Design, values: Mapping[str, float]) -> Fit:
     results = FitResults(
         name=name,
         version="0.1.0",
-        synthetic=True,
+        provenance=Provenance.SYNTHETIC,
         design=design,
         parameters=rows,
         covariance=covariance,

@@ -6,7 +6,7 @@ import numpy as np
 
 from hygrokf.engine.timeline import Timeline, timeline
 from hygrokf.physics.holds import LINEAR, MEAN, REGIME
-from hygrokf.physics.mechanisms import LIBRARY
+from hygrokf.physics.mechanisms import MECHANISMS
 from hygrokf.physics.model import Mechanism, Model, compose
 
 THERMAL = ("thermal_network", "heat_release", "heat_disturbance", "thermal_diffusion", "temperature_sensor")
@@ -26,7 +26,7 @@ TIME = np.union1d(np.arange(0.0, 12.0, 0.25), np.arange(0.05, 12.0, 1.0 / 6.0))
 
 
 POWER_UNKNOWN = "power_unknown"
-HOLDS = {name: LINEAR for one in LIBRARY.values() for name in one().inputs}
+HOLDS = {name: LINEAR for one in MECHANISMS.values() for name in one().inputs}
 HOLDS |= dict.fromkeys(("operating", "preheating", "power_1", "power_2"), MEAN) | {POWER_UNKNOWN: REGIME}
 
 
@@ -38,7 +38,7 @@ def host(mechanism: Mechanism) -> Model:
 def smallest_host(mechanism: Mechanism) -> Model:
     """The base model of the balance that the mechanism's module is about, with the mechanism in it: the
     thermal one, the hygric one on the measured air, or the joint one."""
-    module = LIBRARY[mechanism.name].__module__.rpartition(".")[2]
+    module = MECHANISMS[mechanism.name].__module__.rpartition(".")[2]
     if mechanism.name == "measured_air" or module in ("hygric", "moisture"):
         return compose([*others(mechanism, ("measured_air", *HYGRIC)), mechanism], HOLDS)
     if module in ("thermal", "heat"):
@@ -48,7 +48,7 @@ def smallest_host(mechanism: Mechanism) -> Model:
 
 def others(mechanism: Mechanism, names: tuple[str, ...]) -> list[Mechanism]:
     left_out = {mechanism.name, *INSTEAD.get(mechanism.name, ())}
-    return [LIBRARY[name]() for name in names if name not in left_out]
+    return [MECHANISMS[name]() for name in names if name not in left_out]
 
 
 def some_inputs(model: Model, seed: int = 3) -> dict[str, np.ndarray]:

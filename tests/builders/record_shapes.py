@@ -34,7 +34,8 @@ def base_record(folder: Path, seed: int = 11, days: float = DAYS) -> Record:
 def write_record(record: Record, folder: Path) -> Path:
     """A record as a case file with one file a signal; returns the case's path."""
     folder.mkdir(parents=True, exist_ok=True)
-    lines = [f'name = "synthetic {folder.name}"', f"rated_power_kW = {record.rated_power_W / 1e3}"]
+    lines = [f'name = "{folder.name}"', f'provenance = "{record.provenance}"']
+    lines += [f"rated_power_kW = {record.rated_power_W / 1e3}"]
     lines += ["[site]", f"latitude_deg = {LATITUDE_DEG}", f"longitude_deg = {LONGITUDE_DEG}"]
     for series in record.series:
         unit = UNITS[series.signal.rpartition("_")[2]]

@@ -248,7 +248,7 @@ def _results(name: str, series: dict[str, np.ndarray]) -> dict:
     standard = {n: series[f"{n}_innovation"][early] for n in ("temperature", "humidity")}
     return {
         "name": name,
-        "synthetic": True,
+        "provenance": "synthetic",
         "version": "0.1.0",
         "created": "2024-05-01T12:00:00+00:00",
         "criterion": "likelihood",
@@ -292,7 +292,7 @@ def _results(name: str, series: dict[str, np.ndarray]) -> dict:
             "statements": [],
         },
         "innovations": plain(diagnose((time[early] - time[0]) / 3600.0, standard, inputs)),
-        "provenance": [["cabinet.csv", "0f" * 32], ["ambient.csv", "1e" * 32], ["scada.csv", "2d" * 32]],
+        "files": [["cabinet.csv", "0f" * 32], ["ambient.csv", "1e" * 32], ["scada.csv", "2d" * 32]],
     }
 
 

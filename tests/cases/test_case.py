@@ -19,11 +19,13 @@ from builders.measured import DATA, measured
 from hygrokf.cases.case_file import CaseFault, read_case
 from hygrokf.cases.doubts import all_doubts
 from hygrokf.cases.frames import read_frames
+from hygrokf.cases.summary import describe
 from hygrokf.data.ambient import at_times
 from hygrokf.data.input_paths import on_change
-from hygrokf.data.record import Record, Series
+from hygrokf.data.record import Provenance, Record, Series
 from hygrokf.modelling.design import design, extended
 from hygrokf.modelling.inputs import model_inputs
+from hygrokf.report.record_text import describe_text
 from hygrokf.texts.record import DoubtCode
 from hygrokf.texts.wording import stamp_text
 
@@ -106,6 +108,25 @@ def faults(folder: Path, *changes: tuple[str, str], add: str = "") -> tuple[str,
     return faults_of(read, folder, *changes, add=add)
 
 
+@pytest.mark.parametrize("stated", Provenance)
+def test_provenance_is_stated_and_never_read_from_a_name(folder, stated):
+    named = ('name = "uk-01"\n', f'name = "a synthetic name"\nprovenance = "{stated}"\n')
+    record = read(folder, named)
+    assert record.provenance is stated and describe(record).provenance is stated
+    assert (str(stated) in describe_text(describe(record))) == (stated is not Provenance.MEASURED)
+    assert read(folder, ('"uk-01"', '"a synthetic name"')).provenance is Provenance.MEASURED
+
+
+def test_another_provenance_is_refused(folder):
+    (said,) = faults(folder, ('name = "uk-01"\n', 'name = "uk-01"\nprovenance = "sythetic"\n'))
+    assert said == (
+        "case.toml, line 2: provenance must be one of measured, simulated, synthetic, found \"sythetic\"; "
+        'did you mean "synthetic"?'
+    )
+    with pytest.raises(ValueError, match="one of measured, simulated, synthetic, found 'made'"):
+        Record("T1", (), provenance="made")
+
+
 def test_a_case_becomes_a_record(folder):
     record = read(folder)
     expected = columns(0)
@@ -113,7 +134,7 @@ def test_a_case_becomes_a_record(folder):
     assert record.rated_power_W == 2.05e6
     assert record.until_s is None
     assert record.warnings == ()
-    assert [name for name, _ in record.provenance] == ["cabinet.csv", "ambient.csv", "scada.csv"]
+    assert [name for name, _ in record.files] == ["cabinet.csv", "ambient.csv", "scada.csv"]
     temperature = record["cabinet_temperature"]
     np.testing.assert_allclose(temperature.value, expected["T"] + 273.15)
     np.testing.assert_allclose(record["cabinet_relative_humidity"].value, expected["RH"] / 100)

@@ -24,9 +24,9 @@ from builders.record_shapes import SHAPES, SIGNALS, base_record, write_record
 from hygrokf.cases.case_file import read_case
 from hygrokf.commands.main import main
 from hygrokf.data.record import Record
-from hygrokf.discovery.library import LIBRARY
 from hygrokf.discovery.procedure import discover
 from hygrokf.identification.fit import read_fit
+from hygrokf.modelling.library import LIBRARY
 
 README = Path(__file__).resolve().parents[2] / "README.md"
 ORDINARY = "ordinary"
@@ -270,7 +270,7 @@ def test_report(plant: Plant, told: Callable, shape: str) -> None:
 @pytest.mark.parametrize("shape", ["constant_power", "only_standstill"])
 def test_a_drift_of_the_release_is_tried_whatever_the_operation(plant: Plant, shape: str) -> None:
     """It ended in a traceback on every record without standstill."""
-    library = [cause for cause in LIBRARY if cause.name == "heat_release_drift"]
+    library = LIBRARY.only("heat_release_drift")
     assert len(library) == 1
     found = discover(read_case(plant.cases[shape]), library=library).to_json()
     assert [row["cause"] for key in ("causes", "rejected") for row in found[key]] == ["heat_release_drift"]

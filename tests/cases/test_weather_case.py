@@ -60,7 +60,7 @@ def test_a_weather_file_brings_its_signals(folder: Path) -> None:
     )
     assert record["ambient_temperature"].value == pytest.approx(made.truth("t2m"), rel=1e-6)
     assert record["global_horizontal_irradiance"].interval_s == 3600.0
-    assert dict(record.provenance).keys() == {"cabinet.csv", "era5.nc"} and record.compared == ()
+    assert dict(record.files).keys() == {"cabinet.csv", "era5.nc"} and record.compared == ()
     humidity = prepare(record).ambient_vapour
     expected = saturation_pressure_water(made.truth("d2m")) / (461.5 * made.truth("t2m"))
     assert humidity.value == pytest.approx(expected, rel=1e-5)
@@ -102,7 +102,7 @@ def test_one_file_a_year_is_one_weather(folder: Path) -> None:
         record = case(folder, SITE, CABINET, *order)
         assert record["ambient_temperature"].value == pytest.approx(made.truth("t2m"), rel=1e-6)
         assert len(record["global_horizontal_irradiance"]) == made.HOURS and record.compared == ()
-        assert dict(record.provenance).keys() == {"cabinet.csv", "early.nc", "late.nc"}
+        assert dict(record.files).keys() == {"cabinet.csv", "early.nc", "late.nc"}
     # two opinions on the same time are not put together: the second is compared
     record = case(folder, SITE, CABINET, ERA5, early)
     assert len(record["ambient_temperature"]) == made.HOURS

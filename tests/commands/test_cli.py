@@ -56,7 +56,7 @@ def test_demo_makes_fits_and_reports(tmp_path):
     assert first == f"synthetic turbine written: {tmp_path}/demo/case.toml"
     assert last == f"report: {tmp_path}/demo/report.html"
     found = json.loads(said.out)
-    assert found["synthetic"] is True
+    assert found["provenance"] == "synthetic"
     assert found["converged"] is True
     for name, truth in (("thermal", 1.5), ("hygric", 0.30)):
         entry = found["time_constants"][name]

@@ -10,9 +10,9 @@ import pytest
 from builders.command_line import run
 
 from hygrokf.cases.synthetic import synthetic_turbine, write_case
-from hygrokf.discovery.library import named
 from hygrokf.discovery.procedure import BUDGET
 from hygrokf.identification.fit import read_fit
+from hygrokf.modelling.library import LIBRARY
 
 
 @pytest.fixture(scope="module")
@@ -21,15 +21,15 @@ def case(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_a_case_becomes_a_discovery(case: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    few = [named(name) for name in ("solar_gain", "humidity_sensor_drift", "clock_shift")]
-    monkeypatch.setattr("hygrokf.discovery.library.LIBRARY", few)
+    few = LIBRARY.only("solar_gain", "humidity_sensor_drift", "clock_shift")
+    monkeypatch.setattr("hygrokf.modelling.library.LIBRARY", few)
     said = run(f"discover {case} --out {tmp_path}/made --json")
     assert said.status == 0
     data = json.loads((tmp_path / "made" / "discovery.json").read_text())
     assert json.loads(said.out) == data
-    assert data["synthetic"] is True
+    assert data["provenance"] == "synthetic"
     assert data["verdict"] in ("none", "unexplained") and data["causes"] == []
-    assert {row["cause"] for row in data["rejected"]} == {cause.name for cause in few}
+    assert {row["cause"] for row in data["rejected"]} == {cause.name for cause in few.causes}
     assert data["work"]["budget"] == BUDGET > data["work"]["simulations"] > 0
     assert data["extended"] is None and data["baseline"]["rmse"]["identification"]
     page = (tmp_path / "made" / "report.html").read_text(encoding="utf-8")
@@ -43,7 +43,7 @@ def test_a_case_becomes_a_discovery(case: Path, tmp_path: Path, monkeypatch: pyt
 def test_a_small_budget_ends_the_search_and_is_told_first(
     case: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("hygrokf.discovery.library.LIBRARY", [named("solar_gain")])
+    monkeypatch.setattr("hygrokf.modelling.library.LIBRARY", LIBRARY.only("solar_gain"))
     drawn = "hygrokf.report.discovery_page.write_discovery_report"
     monkeypatch.setattr(drawn, lambda found, out: out / "report.html")
     said = run(f"discover {case} --out {tmp_path}/made --budget 1")

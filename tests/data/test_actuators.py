@@ -25,15 +25,15 @@ from hygrokf.climate.region import driven
 from hygrokf.data.actuators import ACTUATORS, FEWEST_EACH_SIDE, actuators
 from hygrokf.data.record import Record, Series
 from hygrokf.data.signals import SIGNALS
-from hygrokf.discovery.forms import doors, ground_of
 from hygrokf.discovery.starting_model import base_designs
 from hygrokf.estimation.likelihood import Likelihood
 from hygrokf.identification.fit import Fit
 from hygrokf.live.plan import plan
+from hygrokf.modelling.causes.forms import doors, ground_of
 from hygrokf.modelling.design import CASCADE, design
 from hygrokf.modelling.inputs import model_inputs
 from hygrokf.modelling.thermal_system import thermal_system
-from hygrokf.physics.mechanisms import LIBRARY
+from hygrokf.physics.mechanisms import MECHANISMS
 from hygrokf.report.fit_page import fit_blocks
 from hygrokf.report.page import page_html
 from hygrokf.report.record_text import describe_text
@@ -116,7 +116,7 @@ def test_every_actuator_of_the_table_is_an_input(signal: str) -> None:
     assert signal in design(record, kind="thermal").model.inputs
     for chosen in (one.thermal, one.hygric):
         if chosen is not None:
-            made = LIBRARY[chosen[0]](**chosen[1])
+            made = MECHANISMS[chosen[0]](**chosen[1])
             (parameter,) = made.parameters
             assert parameter.null == 0.0 and parameter.start == 0.0
             assert signal in made.inputs

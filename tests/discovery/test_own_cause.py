@@ -4,6 +4,7 @@ again."""
 from __future__ import annotations
 
 import json
+import pickle
 import re
 import sys
 from collections.abc import Callable, Iterator
@@ -13,6 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from builders.documents import document
+from builders.fit_case import bare_fit
 from plants import plant
 from plants.as_record import to_record
 
@@ -21,23 +23,23 @@ from hygrokf.cases.synthetic import synthetic_turbine, write_case
 from hygrokf.commands.main import main
 from hygrokf.data.result_file import ResultFault
 from hygrokf.data.signals import SIGNALS
-from hygrokf.discovery import own_causes
-from hygrokf.discovery.library import LIBRARY, cause_of, named
+from hygrokf.data.toml_form import Place
 from hygrokf.discovery.own_causes import (
-    LibraryFault,
-    adopt,
     declared_faults,
+    expect_usable,
     form_faults,
     load_library,
     trial_ground,
     trial_record,
 )
-from hygrokf.identification.fit import LibraryAbsent, read_fit
-from hygrokf.modelling import registry as additions
+from hygrokf.identification.fit import LibraryAbsent, read_fit, write_fit
+from hygrokf.live.config import read_turbine
+from hygrokf.modelling.causes.cause import cause_of
 from hygrokf.modelling.derived_inputs import FEATURES
 from hygrokf.modelling.design import Design, design, extended
 from hygrokf.modelling.inputs import model_inputs
-from hygrokf.physics.mechanisms import LIBRARY as MECHANISMS
+from hygrokf.modelling.library import LIBRARY, LibraryFault
+from hygrokf.physics.mechanisms import MECHANISMS
 from hygrokf.physics.mechanisms.heat import wind_loss
 from hygrokf.physics.mechanisms.moisture import wind_exchange
 
@@ -46,7 +48,7 @@ WORDS = {"meaning": "it warms", "remedy": "look", "separate_by": "measure"}
 FILE = """
 import hygrokf
 from hygrokf.physics.expression import exp, log
-from hygrokf.discovery.forms import Form
+from hygrokf.modelling.causes.forms import Form
 
 def parameter(name, null=0.0, **more):
     return hygrokf.Parameter(name, "K", 1.0, -50.0, 50.0, null=null, meaning="an effect", **more)
@@ -69,12 +71,9 @@ def stove(p, x, u, q):
 @pytest.fixture(autouse=True)
 def _as_it_was() -> Iterator[None]:
     """Nothing that a test brings stays in the package's tables."""
-    before = dict(MECHANISMS), dict(FEATURES)
+    before = dict(MECHANISMS), dict(FEATURES), vars(LIBRARY).copy()
     yield
-    for cause in own_causes._adopted.values():
-        additions.withdraw((*cause.mechanisms, *cause.features))
-    own_causes._adopted.clear()
-    assert (dict(MECHANISMS), dict(FEATURES)) == before
+    assert (dict(MECHANISMS), dict(FEATURES), vars(LIBRARY)) == before
 
 
 def documented() -> str:
@@ -103,23 +102,25 @@ def faults_of(*paths: Path) -> tuple[str, ...]:
 
 # -- loading -------------------------------------------------------------------------------------------------
 def test_a_file_brings_its_cause(file: Path) -> None:
-    (cause,) = load_library(file)
+    library = load_library(file)
+    (cause,) = library.own
     assert (cause.name, cause.needs, list(cause.mechanisms)) == (
         "transformer_heat", "auxiliary_power", ["transformer_heat"],
     )  # fmt: skip
-    assert MECHANISMS["transformer_heat"]().inputs == ("auxiliary_power",)
+    assert library.mechanisms["transformer_heat"]().inputs == ("auxiliary_power",)
+    assert library.causes == (*LIBRARY.causes, cause) and "transformer_heat" in repr(library)
     (form,) = cause.forms(trial_ground())
     assert (form.heat, form.vapour) == ((("transformer_heat", {}),), ())
-    adopt((*LIBRARY, cause))  # once more changes nothing
-    assert load_library(file)[0].name == cause.name
-    assert load_library(file, file, file.parent / "." / file.name)[0].name == cause.name
-    assert load_library() == ()
+    again = library.with_causes(cause)  # once more changes nothing
+    assert (again.causes, again.origins) == (library.causes, library.origins)
+    assert [one.name for one in load_library(file).own] == [cause.name]
+    assert len(load_library(file, file, file.parent / "." / file.name).own) == 1
+    assert load_library().causes == LIBRARY.causes
 
 
 def test_the_extended_model_is_the_base_at_the_null_value_on_another_record(file: Path) -> None:
-    load_library(file)
     record = trial_record()
-    base = design(record, kind="thermal")
+    base = design(record, kind="thermal", library=load_library(file))
     wider = extended(base, [("transformer_heat", {})])
     values = {p.name: p.start for p in base.model.parameters}
     for gain, same in ((0.0, True), (3.0, False)):
@@ -135,12 +136,13 @@ def test_the_extended_model_is_the_base_at_the_null_value_on_another_record(file
 def test_a_design_with_an_own_mechanism_goes_to_json_and_back(file: Path) -> None:
     import hashlib
 
-    load_library(file)
-    wider = extended(design(trial_record(), kind="thermal"), [("transformer_heat", {})])
+    base = design(trial_record(), kind="thermal", library=load_library(file))
+    wider = extended(base, [("transformer_heat", {})])
     stored = json.loads(json.dumps(wider.to_json()))
     sha256 = hashlib.sha256(file.read_bytes()).hexdigest()
     assert stored["origins"] == {"transformer_heat": {"file": "transformer.py", "sha256": sha256}}
-    assert Design.from_json(stored).to_json() == wider.to_json()
+    again = replace(Design.from_json(stored), library=base.library)
+    assert again == wider and again.to_json() == wider.to_json()
     assert "origins" not in design(trial_record(), kind="thermal").to_json()
 
 
@@ -156,11 +158,12 @@ brought = {"late": (late, "mean")}
 factory = made(warm, ("late_heat",), "late_warmth", ("late", "standstill"), features=brought)
 LATE = hygrokf.cause_of("late_warmth", thermal=factory, **WORDS)
 """
-    (cause,) = load_library(written(tmp_path, text))
+    library = load_library(written(tmp_path, text))
+    (cause,) = library.own
     assert (list(cause.mechanisms), list(cause.features)) == (["late_warmth"], ["late"])
     (form,) = cause.forms(trial_ground())
     assert form.grid[0].features == {"standstill": {}, "late": {}}
-    base = design(trial_record(), kind="thermal")
+    base = design(trial_record(), kind="thermal", library=library)
     assert extended(base, [("late_warmth", {})]).features == {"late": {}, "standstill": {}}
     bare = replace(cause, name="bare", features={}, forms=lambda ground: [])
     (fault, *_) = declared_faults(bare)
@@ -172,7 +175,7 @@ def test_a_cause_of_a_mechanism_of_the_package_brings_nothing_of_its_own() -> No
     assert (cause.mechanisms, cause.features, cause.needs) == ({}, {}, "wind_speed")
     (form,) = cause.forms(trial_ground())
     assert (form.heat, form.vapour) == ((("wind_loss", {}),), (("wind_exchange", {}),))
-    assert form.grid[0].features == {"wind_tenth": {}} and form_faults(cause) == []
+    assert form.grid[0].features == {"wind_tenth": {}} and form_faults(cause, LIBRARY) == []
 
 
 def test_the_vapour_cannot_read_what_the_heats_base_model_derives_from_the_power() -> None:
@@ -194,7 +197,7 @@ def test_the_vapour_cannot_read_what_the_heats_base_model_derives_from_the_power
 
 def test_every_signal_of_the_table_can_be_an_input() -> None:
     """Each has a hold, and a run finds it in the record."""
-    record, base = trial_record(), design(trial_record(), kind="thermal")
+    record = trial_record()
     names = tuple(sorted(set(SIGNALS) - {"cabinet_temperature"}))
 
     def everything() -> hygrokf.Mechanism:
@@ -205,8 +208,9 @@ def test_every_signal_of_the_table_can_be_an_input() -> None:
             q: {"heat_release": p.all_of_it * sum(getattr(u, n) for n in names)},
         )  # fmt: skip
 
-    adopt([cause_of("everything", thermal=everything, **WORDS)])
-    wider = extended(base, [("everything", {})])
+    library = LIBRARY.with_causes(cause_of("everything", thermal=everything, **WORDS))
+    expect_usable(library)
+    wider = extended(design(record, kind="thermal", library=library), [("everything", {})])
     assert set(names) <= set(wider.model.inputs)
     t = model_inputs(wider, record).timeline
     np.testing.assert_allclose(t.input("heater_duty")[1:], record["heater_duty"].value[:-1])
@@ -214,9 +218,9 @@ def test_every_signal_of_the_table_can_be_an_input() -> None:
 
 
 def test_the_packages_own_causes_pass_the_check_that_users_causes_must_pass() -> None:
-    for cause in LIBRARY:
+    for cause in LIBRARY.causes:
         # the trial record has a door's contact
-        assert cause.name == "door_opening" or form_faults(cause) == [], cause.name
+        assert cause.name == "door_opening" or form_faults(cause, LIBRARY) == [], cause.name
 
 
 # -- faults --------------------------------------------------------------------------------------------------
@@ -230,7 +234,7 @@ def test_the_packages_own_causes_pass_the_check_that_users_causes_must_pass() ->
         (b"a = 1\nb = a / 0\n", "cannot be run: ZeroDivisionError: division by zero (line 2 of own.py)"),
         (b"a = 1\n", "expected a hygrokf.Cause at the top level, found none"),
         (
-            b"from hygrokf.discovery.library import LIBRARY\nSUN = LIBRARY[3]\n",
+            b"from hygrokf.modelling.library import CAUSES\nSUN = CAUSES[3]\n",
             "at the top level, found none",
         ),
         (b"import hygrokf\nC = hygrokf.cause_of('a', meaning='', remedy='', separate_by='')", "found none"),
@@ -428,7 +432,6 @@ def test_a_cause_that_cannot_take_part_is_refused(tmp_path: Path, text: str, wor
     faults = faults_of(written(tmp_path, text))
     assert any(words in fault for fault in faults), faults
     assert all(fault.startswith("own.py: cause ") for fault in faults)
-    assert "stove" not in MECHANISMS and not own_causes._adopted
 
 
 def test_all_faults_of_all_files_come_in_one_message(tmp_path: Path) -> None:
@@ -450,18 +453,63 @@ def test_all_faults_of_all_files_come_in_one_message(tmp_path: Path) -> None:
     assert said.count("third.py: cause 'Oven': ") == 3
 
 
-def test_a_later_file_of_the_same_name_gives_way_and_a_faulty_one_leaves_nothing(tmp_path: Path) -> None:
-    good = written(tmp_path, "C = hygrokf.cause_of('stove', thermal=made(stove), **WORDS)", "good.py")
-    (first,) = load_library(good)
-    (second,) = load_library(good)
-    assert MECHANISMS["stove"] is second.mechanisms["stove"] is not first.mechanisms["stove"]
-    bad = written(
-        tmp_path, "C = hygrokf.cause_of('stove', thermal=made(lambda p, x, u, q: {}), **WORDS)", "bad.py"
+def test_libraries_with_different_causes_of_one_name_work_side_by_side(tmp_path: Path) -> None:
+    """Each is a value: models, runs and origins of one know nothing of the other, nor of a faulty file."""
+    feature = GLOWING.replace("NEEDS", "needs=('rain',),")
+    strong = feature.replace('return share * np.interp', 'return 3.0 * share * np.interp')
+    files = [written(tmp_path, text, name) for text, name in ((feature, "a.py"), (strong, "b.py"))]
+    libraries = [load_library(one) for one in files]
+    record = trial_record()
+    values = {"stove_heat": 2.0, **{p.name: p.start for p in design(record, kind="thermal").model.parameters}}
+    faults_of(written(tmp_path, GLOWING.replace("NEEDS", "hygric=list,"), "bad.py"))
+    found = []
+    for _ in range(2):  # what the second one does changes nothing in the first
+        for library, share in zip(libraries, (1.0, 3.0), strict=True):
+            expect_usable(library)
+            wider = extended(design(record, kind="thermal", library=library), [("stove", {})])
+            line = model_inputs(wider, record).timeline
+            np.testing.assert_allclose(line.input("glow"), share * record["rain"].value)
+            assert wider.to_json()["origins"]["stove"]["file"] == ("a.py" if share == 1.0 else "b.py")
+            found.append(hygrokf.Likelihood(wider.model, line).value(values))
+    assert found[:2] == found[2:] and found[0] != found[1]
+    with pytest.raises(LibraryFault, match="two have the cause name 'glowing'"):
+        libraries[0].with_causes(*libraries[1].own)
+    with pytest.raises(KeyError, match="stove"):
+        extended(design(record, kind="thermal"), [("stove", {})])
+
+
+def test_a_model_of_an_own_mechanism_travels_with_it(file: Path) -> None:
+    """A pickle keeps what the user brought; the package's own library comes back as itself."""
+    base = design(trial_record(), kind="thermal", library=load_library(file))
+    wider = extended(base, [("transformer_heat", {})])
+    again = pickle.loads(pickle.dumps(wider))
+    assert again == wider and again.library.origins == wider.library.origins
+    assert again.model.parameters == wider.model.parameters
+    assert pickle.loads(pickle.dumps(design(trial_record()))).library is LIBRARY
+
+
+def test_a_fit_with_an_own_mechanism_is_refused_without_its_library(file: Path, tmp_path: Path) -> None:
+    library, record = load_library(file), trial_record()
+    wider = extended(design(record, kind="thermal", library=library), [("transformer_heat", {})])
+    values = {p.name: p.start for p in wider.model.parameters}
+    write_fit(bare_fit("warm", wider, values), tmp_path)
+    again = read_fit(tmp_path, library=library)
+    assert again.design == wider and again.values == values and again.design.library is library
+    with pytest.raises(LibraryAbsent) as caught:
+        read_fit(tmp_path)
+    sha256 = library.origins["transformer_heat"]["sha256"]
+    assert str(caught.value) == (
+        f"{tmp_path / 'fit.json'}: the model needs transformer_heat of transformer.py (SHA-256 "
+        f"{sha256[:12]}…), found none of that name; pass the file as it was then: "
+        '--library transformer.py, in Python library=load_library("transformer.py")'
     )
-    faults_of(bad)
-    assert "stove" not in MECHANISMS
-    adopt([second])  # it is checked and taken in again
-    assert MECHANISMS["stove"] is second.mechanisms["stove"]
+    tracked, place = read_turbine(tmp_path, Place(), library), Place()
+    assert tracked is not None and tracked.plan.design.library is library
+    assert "transformer_heat" in [name for name, _ in tracked.plan.design.mechanisms]
+    assert read_turbine(tmp_path, place, LIBRARY) is None and "--library transformer.py" in place.faults[0]
+    file.write_text(file.read_text() + "\n# changed since\n")
+    with pytest.raises(LibraryAbsent, match=r"found that of transformer\.py \(SHA-256 "):
+        read_fit(tmp_path, library=load_library(file))
 
 
 # -- features, functions that fail later, packages -----------------------------------------------------------
@@ -478,10 +526,12 @@ C = hygrokf.cause_of(
 
 
 def test_an_own_feature_is_an_input(tmp_path: Path) -> None:
-    (cause,) = load_library(written(tmp_path, GLOWING.replace("NEEDS", "needs=('rain',),")))
+    library = load_library(written(tmp_path, GLOWING.replace("NEEDS", "needs=('rain',),")))
+    (cause,) = library.own
     assert cause.needs == "rain"
     record = trial_record()
-    wider = extended(design(record, kind="thermal"), [("stove", {})], features={"glow": {"share": 2.0}})
+    base = design(record, kind="thermal", library=library)
+    wider = extended(base, [("stove", {})], features={"glow": {"share": 2.0}})
     assert wider.model.holds["glow"] == "linear"
     np.testing.assert_allclose(model_inputs(wider, record).timeline.input("glow"), 2.0 * record["rain"].value)
     assert set(wider.to_json()["origins"]) == {"stove", "glow"}
@@ -490,10 +540,11 @@ def test_an_own_feature_is_an_input(tmp_path: Path) -> None:
 
 
 def test_a_function_that_fails_on_a_record_is_a_fault_of_its_file(tmp_path: Path) -> None:
-    load_library(written(tmp_path, GLOWING.replace("NEEDS", "")))
+    library = load_library(written(tmp_path, GLOWING.replace("NEEDS", "")))
     record = trial_record()
     dry = replace(record, series=tuple(s for s in record.series if s.signal != "rain"))
-    wider = extended(design(record, kind="thermal"), [("stove", {})], features={"glow": {}})
+    base = design(record, kind="thermal", library=library)
+    wider = extended(base, [("stove", {})], features={"glow": {}})
     with pytest.raises(
         LibraryFault, match=r"own\.py: cause 'glowing': feature 'glow' fails: KeyError: .*no rain"
     ):
@@ -501,7 +552,7 @@ def test_a_function_that_fails_on_a_record_is_a_fault_of_its_file(tmp_path: Path
     text = "C = hygrokf.Cause('odd', 'a', 'b', 'c', lambda s: [Form('odd', 'f', " \
         "(('oven', {}),))] if 'rain' in s.record else s.none, mechanisms={'oven': " \
         "made(lambda p, x, u, q: {'heat_release': p.oven_heat}, ('oven_heat',), 'oven', ())})"  # fmt: skip
-    (cause,) = load_library(written(tmp_path, text, "odd.py"))
+    (cause,) = load_library(written(tmp_path, text, "odd.py")).own
     with pytest.raises(LibraryFault, match=r"odd\.py: cause 'odd': forms fails: AttributeError"):
         cause.forms(replace(trial_ground(), record=dry))
 
@@ -521,14 +572,12 @@ def package(tmp_path: Path, file: Path, monkeypatch: pytest.MonkeyPatch) -> Iter
 
 
 def test_a_package_announces_its_cause(package: Path) -> None:
-    assert load_library() == ()
-    (cause,) = load_library(installed=True)
-    assert additions.origins(cause.mechanisms) == {
-        "transformer_heat": {"package": "turbine-causes", "version": "2.1"}
-    }
-    own_causes.adopt([cause])
+    assert load_library().own == ()
+    library = load_library(installed=True)
+    assert library.origins == {"transformer_heat": {"package": "turbine-causes", "version": "2.1"}}
+    expect_usable(library)
     (package / "entry_points.txt").write_text("[hygrokf.causes]\nall = turbine_causes\n")
-    assert [one.name for one in load_library(installed=True)] == ["transformer_heat"]
+    assert [one.name for one in load_library(installed=True).own] == ["transformer_heat"]
     (package / "entry_points.txt").write_text(
         "[hygrokf.causes]\na = turbine_causes:WORDS\nb = turbine_causes:transformer_heat\n"
     )
@@ -542,18 +591,20 @@ def test_a_package_announces_its_cause(package: Path) -> None:
 def test_a_cause_of_a_session_has_its_module_for_an_origin() -> None:
     space: dict = {"__name__": "notebook"}
     exec(compile(documented(), "<cell 1>", "exec"), space)
-    adopt([space["TRANSFORMER"]])
-    origins = additions.origins(space["TRANSFORMER"].mechanisms)
-    assert origins == {"transformer_heat": {"python": "notebook"}}
-    assert additions.absent(origins) == []
-    additions.withdraw(["transformer_heat"])
-    assert "register the cause there" in additions.absent(origins)[0]
+    library = LIBRARY.with_causes(space["TRANSFORMER"])
+    expect_usable(library)
+    assert library.origins == {"transformer_heat": {"python": "notebook"}}
+    assert library.absent(library.origins) == []
+    assert "pass the library that has it" in LIBRARY.absent(library.origins)[0]
 
 
 def test_discover_refuses_before_the_work() -> None:
-    twice = replace(named("solar_gain"), meaning="another")
+    twice = replace(LIBRARY.cause("solar_gain"), meaning="another")
     with pytest.raises(LibraryFault, match="two have the cause name 'solar_gain'"):
-        hygrokf.discover(to_record(plant(5, days=3.0)), library=(*LIBRARY, twice))
+        LIBRARY.with_causes(twice)
+    idle = cause_of("idle", thermal=lambda: hygrokf.Mechanism("idle"), **WORDS)
+    with pytest.raises(LibraryFault, match="mechanism 'idle': expected a parameter with a null"):
+        hygrokf.discover(to_record(plant(5, days=3.0)), library=LIBRARY.with_causes(idle))
 
 
 # -- from a case file to the stored model --------------------------------------------------------------------
@@ -598,15 +649,12 @@ def test_the_whole_way_from_a_case_to_a_simulation(
     tmp_path: Path, file: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
 ) -> None:
     monkeypatch.setattr(
-        "hygrokf.discovery.library.LIBRARY", (named("solar_gain"), named("wall_thermal_mass"))
+        "hygrokf.modelling.library.LIBRARY", LIBRARY.only("solar_gain", "wall_thermal_mass")
     )
     case, out = warmed_case(tmp_path / "turbine"), tmp_path / "found"
 
     def told(*arguments: object) -> tuple[int, str]:
-        """(exit status, what was said) in a process that has loaded nothing yet."""
-        for cause in own_causes._adopted.values():
-            additions.withdraw((*cause.mechanisms, *cause.features))
-        own_causes._adopted.clear()
+        """(exit status, what was said)."""
         capsys.readouterr()
         status = main([str(a) for a in arguments])
         said = capsys.readouterr()

@@ -30,8 +30,6 @@ from hygrokf.data.structured import structured
 from hygrokf.data.timestamps import DAY_S, HOUR_S
 from hygrokf.discovery.estimate import Calibration
 from hygrokf.discovery.final_set import FinalSet, final_set, fit_of, without_input
-from hygrokf.discovery.forms import doors, ground_of
-from hygrokf.discovery.library import LIBRARY, named
 from hygrokf.discovery.own_causes import IDENTIFIER
 from hygrokf.discovery.procedure import WET_SENSOR, confidence, discover
 from hygrokf.discovery.results import Discovery, DiscoveryResults
@@ -40,12 +38,14 @@ from hygrokf.discovery.starting_model import base_designs, base_estimate
 from hygrokf.identification.fit_on_record import evaluate
 from hygrokf.identification.verdict import inherited
 from hygrokf.identification.verdict_terms import rests_on
+from hygrokf.modelling.causes.forms import doors, ground_of
+from hygrokf.modelling.library import CAUSES, LIBRARY
 from hygrokf.physics.psychrometrics import absolute_humidity
 from hygrokf.texts.fit import FitCode
 from hygrokf.texts.verdict import REJECT, VerdictCode
 
-STEP = (named("exchange_step"),)
-SUN = (named("solar_gain"), named("condensation"))
+STEP = LIBRARY.only("exchange_step")
+SUN = LIBRARY.only("solar_gain", "condensation")
 
 
 def identified(made: Plant, share: float = 0.7) -> Record:
@@ -87,23 +87,23 @@ def sunny(in_the_sun: Record) -> Discovery:
 
 # -- the library ---------------------------------------------------------------------------------------------
 def test_every_cause_of_the_library_has_a_name_of_its_own_and_its_words() -> None:
-    assert len({cause.name for cause in LIBRARY}) == len(LIBRARY)
-    for cause in LIBRARY:
+    assert len({cause.name for cause in CAUSES}) == len(CAUSES)
+    for cause in CAUSES:
         assert IDENTIFIER.fullmatch(cause.name)
         assert cause.meaning and cause.remedy and cause.separate_by
         assert not cause.mechanisms and not cause.features, "register them in the package's tables"
     with pytest.raises(KeyError, match="no cause 'stove'; the library has moisture_sorption, condensation"):
-        named("stove")
+        LIBRARY.cause("stove")
 
 
 def test_plants_hide_causes_of_the_library() -> None:
-    assert {*HIDDEN} - {cause.name for cause in LIBRARY} == set()
+    assert {*HIDDEN} - {cause.name for cause in CAUSES} == set()
 
 
 def test_the_page_names_the_causes_of_the_library() -> None:
     page = document("discover.md").read_text(encoding="utf-8").partition("## Causes\n\n")[2]
     names = re.findall(r"`(\w+)`", page.partition("\n\n")[0])
-    assert names == [cause.name for cause in LIBRARY]
+    assert names == [cause.name for cause in CAUSES]
 
 
 # -- what is told --------------------------------------------------------------------------------------------
@@ -149,7 +149,8 @@ def test_every_number_of_a_cause_is_told(sunny: Discovery) -> None:
 
 def test_a_discovery_without_a_cause_leaves_a_sound_constant_sound(tmp_path: Path) -> None:
     """The synthetic turbine hides nothing; its base model's constants are believed, as those of its fit."""
-    found = discover(read_case(write_case(synthetic_turbine(days=40.0), tmp_path)), library=SUN[:1])
+    record = read_case(write_case(synthetic_turbine(days=40.0), tmp_path))
+    found = discover(record, library=SUN.only("solar_gain"))
     assert found.results.verdict == "none"
     for part, one in found.base.results.time_constants.items():
         assert one.verdict != REJECT and one.upper_h < 1.3 * one.lower_h, part
@@ -289,7 +290,7 @@ def test_a_change_that_is_taken_back_is_refuted_and_one_that_lasts_is_named() ->
 
 
 def test_without_a_held_out_part_the_gain_is_that_of_the_identification(in_the_sun: Record) -> None:
-    results = discover(replace(in_the_sun, until_s=None), library=SUN[:1]).results
+    results = discover(replace(in_the_sun, until_s=None), library=SUN.only("solar_gain")).results
     (cause,) = results.causes
     assert (cause.cause, cause.held_out.days, cause.held_out.improvement) == ("solar_gain", 0, 0.0)
     assert [one.period for one in results.gains] == ["identification"] and results.held_out_days == 0
@@ -320,7 +321,7 @@ def test_repeated_and_saturated_readings_are_counted() -> None:
     value[4 * day : 5 * day] = value[3 * day : 4 * day]
     humid[6 * day : 7 * day] = np.random.default_rng(2).uniform(0.996, 1.0, day)
     record = record.replace_series(replace(warm, value=value), replace(damp, value=humid))
-    results = discover(record, library=()).results
+    results = discover(record, library=LIBRARY.only()).results
     assert "cabinet_temperature" in results.repeated
     assert results.saturated == pytest.approx(day / len(damp.time), abs=0.001)
 

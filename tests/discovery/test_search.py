@@ -15,11 +15,11 @@ from plants.plant import Plant
 from hygrokf.discovery.conclusion import lines
 from hygrokf.discovery.estimate import Calibration
 from hygrokf.discovery.final_set import FinalSet, final_estimator, final_set, fit_of
-from hygrokf.discovery.forms import ground_of
 from hygrokf.discovery.judgement import LEAST_IMPROVEMENT, Scores, judged, levelled, scores
-from hygrokf.discovery.library import named
 from hygrokf.discovery.search import Search, composed
 from hygrokf.discovery.starting_model import base_estimate, free_run_error, renewed
+from hygrokf.modelling.causes.forms import ground_of
+from hygrokf.modelling.library import LIBRARY
 
 DAYS = 60.0
 TRIED = ("solar_gain", "exchange_step", "condensation")
@@ -34,7 +34,7 @@ def found(cause: str, seed: int) -> Run:
     record = replace(record, until_s=record.start_s + 2.0 / 3.0 * (record.end_s - record.start_s))
     base = base_estimate(record)
     ground = ground_of(record, base.simulator.heat, base.simulator.vapour)
-    return made, Search(base, [form for one in TRIED for form in named(one).forms(ground)]).run()
+    return made, Search(base, [form for one in TRIED for form in LIBRARY.cause(one).forms(ground)]).run()
 
 
 @pytest.fixture(scope="module")

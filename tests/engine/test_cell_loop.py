@@ -30,7 +30,8 @@ from hygrokf.evaluation.self_switching import self_switched
 from hygrokf.evaluation.simulation import free_run
 from hygrokf.modelling.design import CASCADE, JOINT, Chosen, Design, design, extended
 from hygrokf.modelling.inputs import Run, model_inputs
-from hygrokf.physics.mechanisms import LIBRARY, linear_network
+from hygrokf.modelling.library import LIBRARY, Library
+from hygrokf.physics.mechanisms import MECHANISMS, linear_network
 from hygrokf.physics.mechanisms.hygric import exchange_factor
 from hygrokf.physics.model import Mechanism, Model, compose
 from hygrokf.physics.parameters import Parameter
@@ -249,7 +250,7 @@ EFFECTS = {
 
 
 def names_of(effect: Effect) -> set[str]:
-    added = [LIBRARY[name](**settings) for name, settings in (*effect.heat, *effect.vapour)]
+    added = [MECHANISMS[name](**settings) for name, settings in (*effect.heat, *effect.vapour)]
     return {p.name for one in added for p in one.parameters}
 
 
@@ -371,9 +372,9 @@ def test_controllers_run_as_many_hours_a_day_as_in_the_free_run(effect, monkeypa
     seconds = line.timeline.seconds
     total = np.append(0.0, np.cumsum(line.timeline.input(flag)[1:] * np.diff(seconds) / 3600.0))
 
-    monkeypatch.setitem(LIBRARY, "counter", counter)
+    wide = replace(one, library=LIBRARY.with_mechanisms(counter))
     monkeypatch.setattr(simulator_module, "OUTPUT", {"temperature": ("hours",)})
-    counted = {**made, "temperature": extended(one, [("counter", {"flag": flag})])}
+    counted = {**made, "temperature": extended(wide, [("counter", {"flag": flag})])}
     scene = scene_of(record, made["temperature"], made["vapour"])
     sim = simulator(scene, counted)
     shown = sim.shown(parameters(sim, values, levels(effect)), "temperature")[:, 0]
@@ -440,13 +441,13 @@ def test_cells_give_the_true_course_of_an_undisturbed_plant(seed):
     ],
 )
 def test_likelihood_free_run_and_cells_follow_a_mechanism_that_changes(
-    name, kind, quantity, constant, monkeypatch
+    name, kind, quantity, constant
 ):
     """A mechanism whose rates are doubled is that of half the time constant, to all three alike."""
     record = record_of(8601)
 
-    def all_three(share: float) -> tuple[float, np.ndarray, np.ndarray]:
-        made = designs(record, Effect())
+    def all_three(share: float, library: Library = LIBRARY) -> tuple[float, np.ndarray, np.ndarray]:
+        made = {key: replace(one, library=library) for key, one in designs(record, Effect()).items()}
         one = made[quantity]
         values = started(one, Effect())
         values[constant] *= share
@@ -457,7 +458,7 @@ def test_likelihood_free_run_and_cells_follow_a_mechanism_that_changes(
         return found, simulated(one, values, line, quantity), shown
 
     plain, expected = all_three(1.0), all_three(0.5)
-    ordinary = LIBRARY[name]
+    ordinary = MECHANISMS[name]
 
     def faster(**settings: Any) -> Mechanism:
         made = ordinary(**settings)
@@ -465,8 +466,7 @@ def test_likelihood_free_run_and_cells_follow_a_mechanism_that_changes(
         slow = made.drift
         return replace(made, drift=lambda *spaces: {k: 2.0 * v for k, v in slow(*spaces).items()})
 
-    monkeypatch.setitem(LIBRARY, name, faster)
-    found = all_three(1.0)
+    found = all_three(1.0, replace(LIBRARY, mechanisms={**MECHANISMS, name: faster}))
     for before, after, wanted in zip(plain, found, expected, strict=True):
         assert_allclose(after, wanted, rtol=1e-9)
         assert np.abs(np.asarray(after) - before).max() > 1e-3

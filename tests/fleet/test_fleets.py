@@ -181,7 +181,7 @@ def test_a_fleets_table_holds_every_turbine_with_result_or_reason(
         float(rows["T2"]["temperature_rmse_K"])
         == fit.to_json()["rmse"]["validation"]["temperature_K"]["total"]
     )
-    assert rows["T2"]["synthetic"] == "true"
+    assert rows["T2"]["provenance"] == "synthetic"
 
 
 def children() -> list[int]:

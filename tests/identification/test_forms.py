@@ -44,7 +44,7 @@ from hygrokf.identification.forms import (
 from hygrokf.modelling.design import Design, design
 from hygrokf.modelling.inputs import model_inputs
 from hygrokf.modelling.thermal_system import thermal_system
-from hygrokf.physics.mechanisms import LIBRARY
+from hygrokf.physics.mechanisms import MECHANISMS
 from hygrokf.physics.mechanisms.thermal import STILL_K, natural_convection, small_signal
 from hygrokf.physics.model import compose
 from hygrokf.physics.parameters import Coordinates, Parameter
@@ -83,8 +83,8 @@ def test_the_balance_is_that_of_natural_convection(difference):
     exponent, at, tau, rho = 0.25, 8.0, 1.7, 0.8
     heat = (math.hypot(difference, STILL_K) / at) ** exponent * difference
     mechanism = natural_convection(at)
-    network = LIBRARY["thermal_network"]()
-    fixed = replace(LIBRARY["heat_release"](operation=False, standstill_ambient=False), initial=None)
+    network = MECHANISMS["thermal_network"]()
+    fixed = replace(MECHANISMS["heat_release"](operation=False, standstill_ambient=False), initial=None)
     model = compose([network, mechanism, fixed], {"ambient_temperature": "linear"})
     values = {
         "thermal_time_constant": tau,
@@ -113,9 +113,9 @@ def test_a_reading_follows_a_step_of_the_air_with_the_response_time():
     tau, response = 2.0, 0.2
     model = compose(
         [
-            LIBRARY["thermal_network"](),
-            LIBRARY["thermal_diffusion"](),
-            LIBRARY["temperature_sensor"](accuracy=0.0, response_h=response),
+            MECHANISMS["thermal_network"](),
+            MECHANISMS["thermal_diffusion"](),
+            MECHANISMS["temperature_sensor"](accuracy=0.0, response_h=response),
         ],
         {"ambient_temperature": "linear"},
     )
@@ -137,12 +137,12 @@ def test_a_reading_follows_a_step_of_the_air_with_the_response_time():
 
 @pytest.mark.parametrize("kind", ["temperature_sensor", "humidity_sensor", "absolute_humidity_sensor"])
 def test_a_stated_and_an_estimated_response_of_the_same_length_are_one_model(kind):
-    stated = LIBRARY[kind](response_h=0.15)
-    free = LIBRARY[kind](longest_response_h=0.5)
+    stated = MECHANISMS[kind](response_h=0.15)
+    free = MECHANISMS[kind](longest_response_h=0.5)
     assert stated.states == free.states and len(stated.states) == 1
     (more,) = {p.name for p in free.parameters} - {p.name for p in stated.parameters}
     assert more == f"{next(iter(stated.outputs))}_response"
-    assert LIBRARY[kind]().states == ()
+    assert MECHANISMS[kind]().states == ()
 
 
 # --- forms on records -----------------------------------------------------------------------

@@ -19,6 +19,7 @@ from hygrokf.data.record import Record
 from hygrokf.errors import HygrokfError
 from hygrokf.identification.clock_offsets import _solved
 from hygrokf.identification.composition import Resolved
+from hygrokf.modelling.library import LIBRARY
 from hygrokf.texts.fit import FitCode
 
 UNITS = {
@@ -78,7 +79,7 @@ def test_a_held_humidity_has_no_constant():
 
 
 def test_a_discovery_gives_a_held_humidity_no_constant_either():
-    held = discover(a_cabinet(0, "held"), library=()).base.results.time_constants["hygric"]
+    held = discover(a_cabinet(0, "held"), library=LIBRARY.only()).base.results.time_constants["hygric"]
     assert held.verdict == "reject" and "input_not_needed" in [one.code.key for one in held.reasons]
     assert held.lower_h == 0.0 and math.isnan(held.upper_h)
 

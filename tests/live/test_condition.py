@@ -16,7 +16,7 @@ from hygrokf.live.condition import (
     probability_above,
     probability_below,
 )
-from hygrokf.physics.mechanisms import LIBRARY
+from hygrokf.physics.mechanisms import MECHANISMS
 from hygrokf.physics.model import Model, compose
 from hygrokf.physics.psychrometrics import (
     GAS_CONSTANT_VAPOUR,
@@ -32,7 +32,7 @@ VALUES = {"resistance_ratio": 0.85}
 
 
 def model_of(*names: str) -> Model:
-    made = [LIBRARY[name]() for name in names]
+    made = [MECHANISMS[name]() for name in names]
     return compose(made, {name: "linear" for m in made for name in m.inputs})
 
 

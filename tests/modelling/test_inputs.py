@@ -13,7 +13,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from hygrokf.data.record import Record, Series
 from hygrokf.modelling.design import Design, design, extended
 from hygrokf.modelling.inputs import model_inputs
-from hygrokf.physics import mechanisms as library
+from hygrokf.modelling.library import LIBRARY
 from hygrokf.physics.model import Mechanism
 from hygrokf.physics.psychrometrics import absolute_humidity
 
@@ -212,7 +212,7 @@ def test_preheating_holds_over_its_interval_and_unwritten_duty_is_none(record):
     assert np.all(plain.timeline.input("preheating") == 0.0)
 
 
-def test_further_signals_bring_their_own_instants(base, record, monkeypatch):
+def test_further_signals_bring_their_own_instants(base, record):
     """A mechanism that reads another signal gets it by its hold, with every corner of its course in the
     run."""
 
@@ -223,7 +223,7 @@ def test_further_signals_bring_their_own_instants(base, record, monkeypatch):
             contributions=lambda p, x, u, q: {"heat_release": 0.0 * u.wind_speed},
         )
 
-    monkeypatch.setitem(library.LIBRARY, "windy", windy)
+    base = replace(base, library=LIBRARY.with_mechanisms(windy))
     wind = instants("wind_speed", lambda t: 8 + 3 * np.sin(t / 3000), step_s=420, hours=96, offset_s=11.0)
     windy_record = replace(record, series=(*record.series, wind))
     made = model_inputs(extended(base, [("windy", {})], {"wind_speed": "linear"}), windy_record)

@@ -26,7 +26,7 @@ from hygrokf.modelling.derived_inputs import FEATURES
 from hygrokf.physics import mechanisms
 from hygrokf.physics.expression import Graph, jacobian
 from hygrokf.physics.holds import LINEAR, MEAN
-from hygrokf.physics.mechanisms import LIBRARY, linear_network
+from hygrokf.physics.mechanisms import MECHANISMS, linear_network
 from hygrokf.physics.mechanisms.hygric import exchange_factor, hygric_time_constant
 from hygrokf.physics.mechanisms.moisture import GAB_C, GAB_ENDS, GAB_K, GAB_SLOPE, SLAB, _gab, condensation
 from hygrokf.physics.model import Mechanism, Model, compose, extend
@@ -44,7 +44,7 @@ NEEDED = {
 }
 """A model cannot be without these: they bring what the others act on, or what is read."""
 VARIANTS = [
-    *((name, {}) for name in LIBRARY),
+    *((name, {}) for name in MECHANISMS),
     ("heat_release", {"order": 1, "ambient": False}),
     ("heat_release", {"operation": False, "order": 0}),
     ("heat_release", {"standstill": False, "preheating": True}),
@@ -71,7 +71,7 @@ every = pytest.mark.parametrize(
 
 # -- the contract --------------------------------------------------------------------------------------------
 def test_the_library_names_its_mechanisms() -> None:
-    for name, factory in LIBRARY.items():
+    for name, factory in MECHANISMS.items():
         made = factory()
         assert isinstance(made, Mechanism) and made.name == name == factory.__name__
         assert factory.__doc__ and factory.__doc__[0] != " "
@@ -90,14 +90,14 @@ def test_every_factory_of_the_folder_stands_in_the_library() -> None:
             and name[0] != "_"
             and inspect.signature(function).return_annotation == "Mechanism"
         }
-        assert made and made - set(LIBRARY) == set(), f"{module.name}: list them in its BASE, LOGGED, FURTHER"
+        assert made and made <= set(MECHANISMS), f"{module.name}: list them in its BASE, LOGGED, FURTHER"
 
 
 @cache
 def variant(k: int) -> tuple[Mechanism, Model]:
     """A mechanism with its settings, and its host; traced once for all tests of a variant."""
     name, settings = VARIANTS[k]
-    made = LIBRARY[name](**settings)
+    made = MECHANISMS[name](**settings)
     return made, smallest_host(made)
 
 
@@ -128,8 +128,8 @@ def test_units_meanings_and_features_are_stated(k: int) -> None:
 def test_settings_make_the_mechanism_again_and_pickle_keeps_it(k: int) -> None:
     made, model = variant(k)
     # whatever a factory can be told is kept, so that a later change of a default does not change a stored fit
-    assert set(made.settings) == set(inspect.signature(LIBRARY[made.name]).parameters)
-    again = LIBRARY[made.name](**json.loads(json.dumps(dict(made.settings))))
+    assert set(made.settings) == set(inspect.signature(MECHANISMS[made.name]).parameters)
+    again = MECHANISMS[made.name](**json.loads(json.dumps(dict(made.settings))))
     for field in ("name", "parameters", "states", "inputs", "null", "meaning", "leaves", "source"):
         assert getattr(again, field) == getattr(made, field), field
     assert set(again.outputs) == set(made.outputs)
@@ -179,7 +179,7 @@ def test_a_network_of_functions_of_a_module_can_be_pickled() -> None:
 def test_a_mechanism_that_was_changed_is_not_made_again_by_its_factory(replaced: dict) -> None:
     """It still holds functions that are defined inside the factory, which pickle refuses."""
     with pytest.raises((pickle.PicklingError, AttributeError), match=r"Can.t pickle"):
-        pickle.dumps(replace(LIBRARY["hygric_exchange"](), **replaced))
+        pickle.dumps(replace(MECHANISMS["hygric_exchange"](), **replaced))
 
 
 @every
@@ -210,7 +210,7 @@ def test_at_its_null_value_the_model_is_the_one_without_it(k: int) -> None:
     ],
 )
 def test_the_bias_of_a_sensor_has_the_prior_of_its_accuracy(name: str, quantity: str) -> None:
-    biased, plain = LIBRARY[name](accuracy=0.1), LIBRARY[name](accuracy=0.0)
+    biased, plain = MECHANISMS[name](accuracy=0.1), MECHANISMS[name](accuracy=0.0)
     assert f"{quantity}_bias" not in {p.name for p in plain.parameters}
     prior = next(p for p in biased.parameters if p.name == f"{quantity}_bias").prior
     assert prior.mean == 0.0 and prior.sd == pytest.approx(0.1 / 1.96)
@@ -286,7 +286,7 @@ def free_run(model: Model) -> np.ndarray:
 
 def test_vapour_is_conserved_where_the_exchange_is_shut() -> None:
     """The store is R_D*-equivalent air at ambient temperature: c* stays while both temperatures wander."""
-    base = host(LIBRARY["thermal_network"]())
+    base = host(MECHANISMS["thermal_network"]())
     shut = extend(base, contribution(exchange=-1.0))
     place = shut.states.index("vapour")
     course = free_run(shut)
@@ -297,7 +297,7 @@ def test_vapour_is_conserved_where_the_exchange_is_shut() -> None:
 
 
 def test_what_is_released_into_a_shut_cabinet_is_in_it() -> None:
-    shut = extend(host(LIBRARY["thermal_network"]()), contribution(exchange=-1.0, vapour_release=0.35))
+    shut = extend(host(MECHANISMS["thermal_network"]()), contribution(exchange=-1.0, vapour_release=0.35))
     course = free_run(shut)[:, shut.states.index("vapour")]
     np.testing.assert_allclose(course - course[0], 0.35 * (TIME - TIME[0]), rtol=0, atol=1e-12 * len(TIME))
 
@@ -310,7 +310,7 @@ def test_heat_that_does_not_leave_is_stored(
 ) -> None:
     """Equations (2) and (3): heat in minus heat through R_AT is stored, ρ τ dT_conv/dt = f − (T_conv,a −
     T_amb)."""
-    made = compose([LIBRARY["thermal_network"](), contribution(heat_release=heat)])
+    made = compose([MECHANISMS["thermal_network"](), contribution(heat_release=heat)])
     kelvin = outside + 273.15
     converter = kelvin + (air - outside) / ratio
     p = {"thermal_time_constant": tau, "resistance_ratio": ratio}
@@ -326,7 +326,7 @@ def test_heat_that_does_not_leave_is_stored(
 @given(st.floats(255, 310), st.floats(260, 330), st.floats(0.02, 100.0))
 def test_the_hygric_rate_is_that_of_the_gap(ambient: float, inside: float, k: float) -> None:
     """Equation (4) against a cabinet in physical units: volume, gap and Schirmer's diffusivity."""
-    made = compose([LIBRARY["measured_air"](), LIBRARY["hygric_exchange"]()])
+    made = compose([MECHANISMS["measured_air"](), MECHANISMS["hygric_exchange"]()])
     unit = Cabinet(1.0, 1.0, 0.0, volume=3.0, gap=1.0, operation_W=(0, 0, 0, 0), standstill_W=(0, 0))
     cabinet = replace(unit, gap=unit.hygric_constant_h / k)
     u = {
@@ -351,8 +351,8 @@ def test_heat_release_is_the_polynomial_of_the_operating_point(
         1.0, 0.03, 0.0, 1.0, 1.0,
         operation_W=(250.0, 230.0, -70.0, -5.0), standstill_W=(160.0, -3.0), preheating_W=300.0, rated_W=2e6,
     )  # fmt: skip
-    release = LIBRARY["heat_release"](preheating=True)
-    model = compose([LIBRARY["thermal_network"](), release])
+    release = MECHANISMS["heat_release"](preheating=True)
+    model = compose([MECHANISMS["thermal_network"](), release])
     on = float(power > 0)
     u = {
         "ambient_temperature": ambient, "operating": on, "power_1": power, "power_2": power**2,
@@ -379,8 +379,8 @@ def test_unknown_power_is_random_heat_of_the_records_variance() -> None:
     power = random.random(5000)
     running = (power > 0.3).astype(float)
     features = np.column_stack([running, running * power, running * power**2])
-    made = LIBRARY["heat_release"](gap_covariance=np.cov(features.T, bias=True).tolist(), gap_time_h=7.0)
-    model = compose([LIBRARY["thermal_network"](), made])
+    made = MECHANISMS["heat_release"](gap_covariance=np.cov(features.T, bias=True).tolist(), gap_time_h=7.0)
+    model = compose([MECHANISMS["thermal_network"](), made])
     values = {p.name: p.start for p in model.parameters} | {
         "heat_release_operation": 8.0, "heat_release_power_1": 6.0, "heat_release_power_2": -1.0,
         "heat_release_standstill": 5.0, "heat_release_operation_ambient": 0.0,
@@ -400,7 +400,7 @@ def test_unknown_power_is_random_heat_of_the_records_variance() -> None:
     "name", ["heat_disturbance", "second_heat_disturbance", "vapour_disturbance", "second_vapour_disturbance"]
 )
 def test_disturbances_are_stationary_ornstein_uhlenbeck_processes(name: str) -> None:
-    model = host(LIBRARY[name]())
+    model = host(MECHANISMS[name]())
     values = some_values(model) | {f"{name}_sd": 0.7, f"{name}_time": 5.0}
     place = model.states.index(name)
     u = {n: v[0] for n, v in some_inputs(model).items()}
@@ -422,8 +422,8 @@ def test_disturbances_are_stationary_ornstein_uhlenbeck_processes(name: str) -> 
 @given(st.floats(2.0, 20.0), st.floats(265, 305), st.floats(270, 320))
 def test_sensors_show_the_air_of_the_cabinet(vapour: float, ambient: float, inside: float) -> None:
     """Equation (5): c_conv,a = c* T_amb/T_conv,a; the relative humidity by the psychrometric functions."""
-    air = LIBRARY["measured_air"]()
-    exchange = LIBRARY["hygric_exchange"]()
+    air = MECHANISMS["measured_air"]()
+    exchange = MECHANISMS["hygric_exchange"]()
     u = {
         "ambient_temperature": ambient, "cabinet_temperature": inside, "ambient_absolute_humidity": 8.0,
         "exchange_factor": exchange_factor(ambient),
@@ -433,16 +433,16 @@ def test_sensors_show_the_air_of_the_cabinet(vapour: float, ambient: float, insi
         "cabinet_absolute_humidity_noise": 0.3,
     }  # fmt: skip
     concentration = vapour * ambient / inside
-    relative = compose([air, exchange, LIBRARY["humidity_sensor"](resolution=0.01)])
+    relative = compose([air, exchange, MECHANISMS["humidity_sensor"](resolution=0.01)])
     shown, variance = relative.evaluate([vapour], u, p).outputs["cabinet_relative_humidity"]
     assert shown == pytest.approx(float(relative_humidity(1e-3 * concentration, inside)) + 0.01, rel=1e-9)
     assert variance == pytest.approx(0.02**2 + 0.01**2 / 12)
-    absolute = compose([air, exchange, LIBRARY["absolute_humidity_sensor"](resolution=0.1)])
+    absolute = compose([air, exchange, MECHANISMS["absolute_humidity_sensor"](resolution=0.1)])
     shown, variance = absolute.evaluate([vapour], u, p).outputs["cabinet_absolute_humidity"]
     assert shown == pytest.approx(concentration, rel=1e-12)
     assert variance == pytest.approx(0.3**2 + 0.1**2 / 12)
     doubted = compose(
-        [LIBRARY["measured_air"](accuracy=0.3), exchange, LIBRARY["humidity_sensor"](accuracy=0.0)]
+        [MECHANISMS["measured_air"](accuracy=0.3), exchange, MECHANISMS["humidity_sensor"](accuracy=0.0)]
     )
     shown, _ = doubted.evaluate(
         [vapour], u | {"cabinet_temperature": inside + 0.2}, p | {"cabinet_temperature_offset": 0.2}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from hygrokf.data.record import Record, Series, Site
+from hygrokf.data.record import Provenance, Record, Series, Site
 from plants.loggers import PlantSeries
 from plants.plant import Plant
 
@@ -53,5 +53,5 @@ def to_record(made: Plant, *, until_s: float | None = None, clock_uncertainty_s:
         rated_power_W=made.cabinet.rated_W,
         until_s=until_s,
         warnings=(),
-        provenance=(),
+        provenance=Provenance.SIMULATED,
     )

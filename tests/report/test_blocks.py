@@ -7,7 +7,10 @@ import re
 import pytest
 from builders.html_page import Page as Parsed
 
+from hygrokf.data.record import Provenance, least_measured
 from hygrokf.report.blocks import (
+    OF_RECORD,
+    OF_RECORDS,
     Banner,
     Block,
     Card,
@@ -23,9 +26,12 @@ from hygrokf.report.blocks import (
     Table,
     Verdicts,
     section,
+    unmeasured,
 )
+from hygrokf.report.climate_page import OF_CLIMATE
 from hygrokf.report.figures.drawing import NothingToShow
 from hygrokf.report.figures.panels import Curve, Panel, Picture
+from hygrokf.report.fleet_page import OF_FLEET
 from hygrokf.report.page import page_html
 from hygrokf.report.terminal import block_text, cells, page_text, table_text
 
@@ -153,3 +159,18 @@ def test_a_group_of_columns_is_named_in_a_narrow_table() -> None:
     assert table_text(table, 40).splitlines() == [
         "model_of_the_cabinet_air", f"  both, a: {'1' * 20}", "  both, b: 2",
     ]  # fmt: skip
+
+
+@pytest.mark.parametrize("texts", [OF_RECORD, OF_RECORDS, OF_CLIMATE, OF_FLEET])
+def test_everything_that_was_not_measured_has_its_warning(texts) -> None:
+    said = {kind: [one.word for one in unmeasured(kind, texts)] for kind in Provenance}
+    assert said == {
+        Provenance.MEASURED: [], Provenance.SIMULATED: ["SIMULATED"], Provenance.SYNTHETIC: ["SYNTHETIC"],
+    }  # fmt: skip
+
+
+def test_a_result_is_as_measured_as_the_least_measured_of_its_records() -> None:
+    measured, simulated, synthetic = Provenance
+    assert least_measured(()) is measured
+    assert least_measured((simulated, measured)) is simulated
+    assert least_measured((measured, synthetic, simulated)) is synthetic

@@ -14,6 +14,7 @@ from hygrokf.climate.limits import ClimateLimit
 from hygrokf.climate.procedure import climate_profile
 from hygrokf.climate.region import Region
 from hygrokf.climate.study import RegionClimate, Study
+from hygrokf.data.record import Provenance
 from hygrokf.report.blocks import Banner, Card, Cards, Details, Figure, Prose, Table
 from hygrokf.report.climate_page import climate_blocks
 from hygrokf.report.climate_tables import class_text, hours_text, limits_table, regions_table, span_text
@@ -51,7 +52,8 @@ def test_the_first_screen_is_the_answer_and_the_year() -> None:
 
 
 def test_a_made_up_climate_says_so() -> None:
-    (banner,) = (one for one in climate_blocks(with_region(synthetic=True)).lead if isinstance(one, Banner))
+    page = climate_blocks(with_region(provenance=Provenance.SYNTHETIC))
+    (banner,) = (one for one in page.lead if isinstance(one, Banner))
     assert banner.word == "SYNTHETIC"
 
 

@@ -33,8 +33,6 @@ from hygrokf.commands.main import main
 from hygrokf.data.clocks import sources
 from hygrokf.data.result_file import ResultFault
 from hygrokf.data.structured import StructureFault, plain
-from hygrokf.discovery.forms import Form, Ground, Setting
-from hygrokf.discovery.library import LIBRARY
 from hygrokf.discovery.procedure import chosen
 from hygrokf.discovery.results import (
     CauseFound,
@@ -45,6 +43,8 @@ from hygrokf.discovery.results import (
     write_discovery,
 )
 from hygrokf.identification.fit import Fit, write_fit
+from hygrokf.modelling.causes.forms import Form, Ground, Setting
+from hygrokf.modelling.library import CAUSES
 from hygrokf.report.blocks import Card, Cards
 from hygrokf.report.discovery_page import (
     discovery_blocks,
@@ -295,8 +295,8 @@ def test_every_form_of_the_library_has_words() -> None:
     rain = replace(record["wind_speed"], signal="rain")
     record = replace(record, series=(*record.series, rain))
     ground = Ground(record, frozenset(), True, 1, True)
-    made = [form for cause in LIBRARY for form in cause.forms(ground)]
-    assert {form.cause for form in made} == {cause.name for cause in LIBRARY}
+    made = [form for cause in CAUSES for form in cause.forms(ground)]
+    assert {form.cause for form in made} == {cause.name for cause in CAUSES}
     assert all(form.code for form in made)
     clocks = {form.code for form in made if form.cause == "clock_shift"}
     assert clocks and {code.partition(":")[2] for code in clocks} <= set(sources(record))
@@ -415,7 +415,7 @@ def test_the_text_is_narrow_and_says_what_the_page_says() -> None:
 # --- what is missing or hostile ----------------------------------------------------------------
 
 
-CODES = ("verdict", "quantity", "kind", "reason", "code", "side", "estimator")
+CODES = ("verdict", "quantity", "kind", "reason", "code", "side", "estimator", "provenance")
 """Keys whose values are codes, checked on reading."""
 
 

@@ -43,7 +43,7 @@ def test_the_page_shows_failures_outliers_and_ranking() -> None:
     random = np.random.default_rng(5)
     rows = []
     for place in range(9):
-        row: dict = {"turbine": f"W<{place}>", "status": "done", "task": "fit", "synthetic": True}
+        row: dict = {"turbine": f"W<{place}>", "status": "done", "task": "fit", "provenance": "synthetic"}
         for name, middle in (("thermal", 1.5), ("hygric", 0.3)):
             value = middle * float(
                 np.exp(0.05 * random.normal() + (1.0 if place == 4 and name == "thermal" else 0.0))

@@ -18,6 +18,7 @@ from golden.difference import read
 from playwright.sync_api import Browser, Page
 
 from hygrokf.climate.limits import ClimateLimit
+from hygrokf.data.record import Provenance
 from hygrokf.data.structured import structured
 from hygrokf.fleet.results import FleetResults
 from hygrokf.report.climate_page import climate_blocks
@@ -53,7 +54,7 @@ def transfer() -> str:
 
 def climate() -> str:
     study = study_of(limits=[ClimateLimit("temperature_degC", above=10.0, name="hot")])
-    return page_html(climate_blocks(replace(study, synthetic=True)))
+    return page_html(climate_blocks(replace(study, provenance=Provenance.SYNTHETIC)))
 
 
 def discovery() -> str:
@@ -63,7 +64,7 @@ def discovery() -> str:
 def fleet() -> str:
     rows = tuple(
         {
-            "turbine": f"W{place}", "status": "done", "synthetic": True, "thermal_verdict": "caution",
+            "turbine": f"W{place}", "status": "done", "provenance": "synthetic", "thermal_verdict": "caution",
             "thermal_value_h": 1.5 + 0.1 * place, "thermal_lower_h": 1.3, "thermal_upper_h": 3.0,
             "temperature_rmse_K": 1.0 + 0.1 * place,
         }

@@ -73,7 +73,7 @@ def temperature_only() -> Summary:
     for quantities in (*data["rmse"].values(), *data["sensor_share"].values()):
         del quantities["absolute_humidity_g_m3"]
     dry = {n: np.full_like(v, np.nan) if "humidity" in n else v for n, v in series.items()}
-    return summary_of_fit(results(data | {"synthetic": False}), dry)
+    return summary_of_fit(results(data | {"provenance": "measured"}), dry)
 
 
 @cache
@@ -131,7 +131,7 @@ def test_a_summary_asks_answers_and_says_what_to_do(make) -> None:
     assert made.question.endswith("?") and made.answer.endswith(".") and made.picture is not None
     assert made.actions and all(text.endswith(".") for text in (*made.actions, *made.reasons))
     assert made.bounds and {term for term, _ in made.foot} >= {"Made by"}
-    assert bool(made.synthetic) == (make not in (temperature_only, limited, unlimited, of_regions))
+    assert bool(made.banners) == (make not in (temperature_only, limited, unlimited, of_regions))
 
 
 def test_the_verdict_of_a_fit_is_its_worst_one() -> None:

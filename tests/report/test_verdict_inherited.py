@@ -191,7 +191,8 @@ def test_discovery() -> None:
 
 def row(name: str, value: float, verdict: str) -> dict:
     return {
-        "turbine": name, "status": "done", "reason": "", "task": "fit", "record": name, "synthetic": False,
+        "turbine": name, "status": "done", "reason": "", "task": "fit", "record": name,
+        "provenance": "measured",
         "thermal_value_h": value, "thermal_lower_h": 0.95 * value, "thermal_upper_h": 1.05 * value,
         "thermal_verdict": verdict, "hygric_verdict": BELIEVE, "temperature_rmse_K": 1.2,
     }  # fmt: skip

@@ -13,7 +13,7 @@ from validation.frame import Absent
 from hygrokf.data.record import Record, Series
 from hygrokf.data.signals import SIGNALS
 from hygrokf.data.timestamps import DAY_S
-from hygrokf.discovery.library import LIBRARY
+from hygrokf.modelling.library import CAUSES
 
 DAYS_AND_READINGS = {
     "attic R2": (580.0, 13_921),
@@ -76,7 +76,7 @@ def test_the_cases_are_those_of_the_rows_of_figures() -> None:
     assert len({(one.record, one.variant) for one in records.CASES}) == len(records.CASES)
     rows = [one.row for one in records.CASES]
     assert (rows.count(records.KNOWN), rows.count(records.WITHHELD)) == (9, 8)
-    names = {cause.name for cause in LIBRARY}
+    names = {cause.name for cause in CAUSES}
     assert all({*one.right, *one.wrong} <= names and not {*one.right} & {*one.wrong} for one in records.CASES)
     assert all(signal in SIGNALS for withheld in records.VARIANTS.values() for signal in withheld)
     assert set(records.RECORDS) < set(records.SOURCES) == set(DAYS_AND_READINGS)

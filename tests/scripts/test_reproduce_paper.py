@@ -17,6 +17,7 @@ from validation import frame, paper
 from validation.counts import markdown
 from validation.paper import cabinets, experiments, figures, models, sites, tables
 
+from hygrokf.data.record import Provenance
 from hygrokf.identification.fit import Fit
 from hygrokf.modelling.design import design
 
@@ -166,7 +167,7 @@ def test_records_differ_in_the_ambient_alone(drivers: Path) -> None:
     assert (
         home.era5.until_s == home.local.until_s == home.local["active_power"].time[0] - 600.0 + 20.0 * 86400.0
     )
-    assert "synthetic" in home.local.name and "synthetic" in home.era5.name
+    assert home.local.provenance == home.era5.provenance == Provenance.SIMULATED
 
 
 # -- a small run ---------------------------------------------------------------------------------------------

@@ -205,8 +205,8 @@ def test_a_short_record_excludes_little_of_the_heat_release(origin: Fit) -> None
 
 
 def test_the_fits_own_record_and_a_types_own_turbine_are_reported(origin: Fit) -> None:
-    record = replace(sister(()), provenance=(("cabinet.csv", "a" * 64),))
-    made = with_parts(origin, provenance=[["elsewhere/cabinet.csv", "a" * 64]])
+    record = replace(sister(()), files=(("cabinet.csv", "a" * 64),))
+    made = with_parts(origin, files=[["elsewhere/cabinet.csv", "a" * 64]])
     statements = transfer_fit(made, record, fits=False).results.statements
     assert TransferCode.SAME_FILES() in statements
     kind = pool_types([replace(origin, name="one"), replace(origin, name=record.name)])

@@ -55,7 +55,7 @@ def test_the_layout_of_today(tmp_path: Path) -> None:
     assert record.site.altitude_m == pytest.approx(311.0, abs=0.01)
     source = record["ambient_temperature"].source
     assert source == 'era5.nc, column "t2m" at 48.50° N 5.50° E, 6 km from the site'
-    assert record.warnings == () and len(record.provenance[0][1]) == 64
+    assert record.warnings == () and len(record.files[0][1]) == 64
 
 
 def test_preliminary_hours_are_said(tmp_path: Path) -> None:

@@ -28,7 +28,7 @@ def test_files_put_after_each_other(tmp_path: Path) -> None:
     assert len(record["ambient_temperature"]) == 2 * made.HOURS
     assert np.all(np.diff(record["ambient_temperature"].time) == 3600.0)
     assert record["ambient_pressure"].value[-1] == pytest.approx(made.truth("sp")[-1], rel=1e-6)
-    assert [name for name, _ in record.provenance] == ["b.nc", "a.nc"]
+    assert [name for name, _ in record.files] == ["b.nc", "a.nc"]
     assert not any("gap" in said or "duplicate" in said for said in record.warnings)
 
 

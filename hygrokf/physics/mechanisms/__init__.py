@@ -5,6 +5,7 @@ from __future__ import annotations
 import copyreg
 from collections.abc import Mapping, Sequence
 from dataclasses import fields, replace
+from types import MappingProxyType
 from typing import Any
 
 from hygrokf.physics.mechanisms import heat, hygric, moisture, sensors, thermal, wandering
@@ -22,16 +23,16 @@ FURTHER: tuple[Factory, ...] = (*thermal.FURTHER, *heat.FURTHER, *moisture.FURTH
 """Further mechanisms that may act on a cabinet.  Each is nested: at its null values it has no effect."""
 WANDERING: tuple[Factory, ...] = wandering.WANDERING
 """Properties of the cabinet as states, for tracking."""
-LIBRARY: dict[str, Factory] = {
-    factory.__name__: factory for factory in (*BASE, *LOGGED, *FURTHER, *WANDERING)
-}
-"""Factories by mechanism name; `LIBRARY[m.name](**m.settings)` creates the mechanism m again."""
+MECHANISMS: Mapping[str, Factory] = MappingProxyType(
+    {factory.__name__: factory for factory in (*BASE, *LOGGED, *FURTHER, *WANDERING)}
+)
+"""Factories by mechanism name; `MECHANISMS[m.name](**m.settings)` creates the mechanism m again."""
 
 
 def _reduced(mechanism: Mechanism) -> str | tuple[Any, ...]:
-    """How to pickle a mechanism: one of the library by its factory, because the functions within a factory
+    """How to pickle a mechanism: one of the package by its factory, because the functions within a factory
     cannot be pickled; any other by its fields, also where somebody has replaced one of them."""
-    factory = LIBRARY.get(mechanism.name)
+    factory = MECHANISMS.get(mechanism.name)
     if factory is None or _compared(factory(**mechanism.settings)) != _compared(mechanism):
         return object.__reduce_ex__(mechanism, 4)
     return _made_again, (factory, dict(mechanism.settings), mechanism.parameters)

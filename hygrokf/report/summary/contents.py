@@ -20,7 +20,8 @@ from hygrokf.identification.verdict import inherited
 from hygrokf.identification.verdict_terms import Inherited
 from hygrokf.modelling.design import PARTS
 from hygrokf.report.blocks import (
-    SYNTHETIC_PAGE,
+    OF_RECORD,
+    Banner,
     Card,
     Cards,
     Figure,
@@ -30,9 +31,9 @@ from hygrokf.report.blocks import (
     Table,
     present,
     section,
-    synthetic,
+    unmeasured,
 )
-from hygrokf.report.climate_page import SYNTHETIC_CLIMATE, TONES, doubt_text, weather_text
+from hygrokf.report.climate_page import OF_CLIMATE, TONES, doubt_text, weather_text
 from hygrokf.report.climate_tables import (
     compared_statistics,
     hours_text,
@@ -69,7 +70,7 @@ class Summary:
     `kind` of result and `name`, whose it is.  `question` and `answer`, with the `verdict` on its numbers
     ("" without one, then with a `tone`) and the `reasons` in sentences; `bounds`: the numbers behind the
     answer.  `picture`: None where the result has nothing to draw.  `actions`: what to do.  `foot`: record,
-    period, version.  `synthetic`: the sentence that nothing was measured, or empty.
+    period, version.  `banners`: what was not measured.
     """
 
     kind: str
@@ -83,7 +84,7 @@ class Summary:
     actions: tuple[str, ...]
     foot: tuple[tuple[str, str], ...]
     tone: Tone = "plain"
-    synthetic: str = ""
+    banners: tuple[Banner, ...] = ()
 
 
 def named(text: str, without: str = "unnamed record") -> str:
@@ -179,7 +180,7 @@ def summary_blocks(summary: Summary) -> Page:
         summary.name,
         (),
         present(
-            *synthetic(bool(summary.synthetic), summary.synthetic),
+            *summary.banners,
             Cards((card,)),
             replace(summary.bounds, heading=""),
             None
@@ -219,7 +220,8 @@ def text_pt(summary: Summary, size: float) -> float:
     shown = summary.picture
     picture = () if shown is None else ((1.05, shown.heading), (0.85, shown.caption))
     texts = (
-        (0.85, summary.kind), (2.1, summary.name), (1.2, summary.synthetic), (1.15, summary.question),
+        (0.85, summary.kind), (2.1, summary.name), *((1.2, one.text) for one in summary.banners),
+        (1.15, summary.question),
         (1.55, summary.answer), (1.2, summary.verdict), *((1.1, text) for text in summary.reasons),
         (0.85, summary.bounds.note), *picture, (1.3, TODO), *((1.15, text) for text in summary.actions),
         *((0.75, f"{term}: {text}") for term, text in summary.foot),
@@ -275,7 +277,7 @@ def summary_of_fit(fit: FitResults, series: Mapping[str, np.ndarray]) -> Summary
             *known("Period", period_text(fit)),
             ("Made by", versions(fit.version)),
         ),
-        synthetic=SYNTHETIC_PAGE if fit.synthetic else "",
+        banners=unmeasured(fit.provenance, OF_RECORD),
     )
 
 
@@ -345,7 +347,7 @@ def summary_of_discovery(
             ("Made by", versions(found.version)),
         ),
         "open" if verdict.warned else "plain",
-        SYNTHETIC_PAGE if found.synthetic else "",
+        unmeasured(found.provenance, OF_RECORD),
     )
 
 
@@ -369,7 +371,6 @@ def summary_of_climate(study: Study) -> Summary:
     place = regions[0].name.strip()
     alone = f"at “{place}”" if place != "site" else "at the site"  # --weather states no name
     where = f"in {len(regions)} regions" if several else alone
-    made_up = study.synthetic or any(one.synthetic for one in regions)
     return Summary(
         "Summary of a climate",
         named(study.name, "unnamed model"),
@@ -389,7 +390,7 @@ def summary_of_climate(study: Study) -> Summary:
             ("Made by", versions(study.version)),
         ),
         TONES.get(worst, "plain"),
-        SYNTHETIC_CLIMATE if made_up else "",
+        unmeasured(study.least_measured, OF_CLIMATE),
     )
 
 

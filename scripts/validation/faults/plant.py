@@ -64,7 +64,7 @@ class Plant:
         self.names = [f"T{n + 1}" for n in range(turbines)]
         fit = live_fit(self.record)
         results = {
-            "name": fit.name, "version": "0.1.0", "design": fit.design.to_json(), "synthetic": True,
+            "name": fit.name, "version": "0.1.0", "design": fit.design.to_json(), "provenance": "synthetic",
             "time_constants": {},
             "parameters": {name: {"value": value} for name, value in fit.values.items()},
             "covariance": {"names": ["thermal_time_constant"], "matrix": [[0.01]]},

@@ -120,7 +120,7 @@ def local_record(made: Plant, until_s: float | None) -> Record:
     found = to_record(made, until_s=until_s)
     return replace(
         found,
-        name=f"synthetic: {made.name}, local air",
+        name=f"{made.name}, local air",
         series=tuple(one for one in found.series if one.signal in kept),
     )
 

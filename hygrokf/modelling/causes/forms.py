@@ -10,18 +10,21 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import product
-from typing import Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
 from hygrokf.data.clocks import in_america, sources
 from hygrokf.data.record import Record
 from hygrokf.data.timestamps import HOUR_S, summer_time
-from hygrokf.discovery.results import Settings
 from hygrokf.modelling.derived_inputs import operating
-from hygrokf.modelling.design import Design
 from hygrokf.physics.mechanisms.moisture import SLAB
 
+if TYPE_CHECKING:
+    from hygrokf.modelling.design import Design
+
+Settings: TypeAlias = Mapping[str, Any]
+"""Settings of a mechanism, a feature or a search: numbers, names, and spans of time [s]."""
 MechanismSettings = tuple[str, Settings]
 """A mechanism's name and its settings."""
 TEMPERATURE, HUMIDITY = "cabinet_temperature", "cabinet_relative_humidity"

@@ -1,0 +1,1 @@
+"""Causes that `discover` tries: what a cause is, its forms as models, and the package's own."""
