@@ -205,7 +205,7 @@ def test_what_rests_on_a_number_that_is_not_to_be_believed_says_so(
             1
         )  # of the number that is believed nothing needs to be said
         expect(page.locator(".model li")).to_have_text(
-            f"✕ thermal time constant not reliable: it ended at its limit {EVIL}"
+            f"✕ thermal time constant not reliable: doubt about the record: the source {EVIL}"
         )
         expect(page.locator("#now-temperature")).to_contain_text("by a rejected model")
         assert "by a model" not in page.locator("#now-absolute_humidity").inner_text()
