@@ -30,7 +30,7 @@ from functools import cached_property
 
 import numpy as np
 
-from hygrokf.engine.jit import Code
+from hygrokf.engine.jit import CompiledCode
 from hygrokf.engine.llvm_writer import LANES, SCALAR, Writer, declarations, literal, vector
 from hygrokf.physics.expression import Expression, Graph, Value, exp, jacobian, where
 from hygrokf.physics.model import Model
@@ -172,8 +172,8 @@ class CellModel:
         return TracedCell(self)
 
     @cached_property
-    def code(self) -> Code:
-        return Code(cell_text(self.traced), ["cells"])
+    def code(self) -> CompiledCode:
+        return CompiledCode(cell_text(self.traced), ["cells"])
 
 
 class TracedCell:

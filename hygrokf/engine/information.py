@@ -16,7 +16,7 @@ from functools import cache
 
 import numpy as np
 
-from hygrokf.engine.jit import Code
+from hygrokf.engine.jit import CompiledCode
 from hygrokf.engine.llvm_writer import LANES, SCALAR, VECTOR, Writer, declarations, literal
 
 
@@ -121,7 +121,7 @@ def summed(
 
 
 @cache
-def _code() -> Code:
+def _code() -> CompiledCode:
     names = "square e s edot sdot scores information".split()
     integers = [("i64", name) for name in ("blocks", "count", "outputs")]
     w = Writer("summed", [*integers, *(("ptr", name) for name in names)])
@@ -132,7 +132,7 @@ def _code() -> Code:
             _scaled(w, block, first, k, c)
     with w.loop("%blocks") as later, w.loop(w.integer("add", later, 1)) as block:
         _products(w, block, later, readings)
-    return Code(declarations() + w.text(), ["summed"])
+    return CompiledCode(declarations() + w.text(), ["summed"])
 
 
 def _scaled(w: Writer, block: str, first: str, k: str, c: str) -> None:

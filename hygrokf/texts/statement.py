@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
 from string import Formatter
-from typing import Any, Self, TypeAlias
+from typing import Any, ClassVar, Self, TypeAlias
 
 from hygrokf.texts.wording import (
     duration_text,
@@ -64,6 +64,8 @@ class Code(Enum):
 class Statement:
     """A `code` and the `values` of its template by name."""
 
+    codes: ClassVar[type[Code]] = Code
+
     code: Code
     values: Mapping[str, Value] = field(default_factory=dict)
 
@@ -72,9 +74,11 @@ class Statement:
 
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> Self:
-        """The statement that `to_json` wrote.  Raises ValueError for an unknown code and for
-        values that do not fill its template."""
-        code = Code.from_json(data["code"])
+        """The statement that `to_json` wrote.  Raises ValueError for other data, an unknown code, and values
+        that do not fill its template."""
+        if not (isinstance(data, Mapping) and "code" in data and isinstance(data.get("values"), Mapping)):
+            raise ValueError(f"expected a code with values, found {str(data)[:60]!r}")
+        code = cls.codes.from_json(data["code"])
         made = cls(code, {name: _value(value) for name, value in data["values"].items()})
         try:
             made.text  # noqa: B018  values that do not fill the template are found here, not on a page
@@ -107,10 +111,10 @@ class _Fields(Formatter):
     def format_field(self, value: Any, spec: str) -> str:
         if isinstance(value, Statement):
             return value.text
-        if isinstance(value, str):
-            return value
-        if isinstance(value, Sequence):
-            return listed(value, spec)
+        if isinstance(value, str | Sequence):
+            if spec not in ("", "and"):
+                raise TypeError(f"expected a number, found {value!r}")
+            return value if isinstance(value, str) else listed(value, spec)
         if "|" in spec:
             return spec.split("|")[0 if value == 1 else 1]
         return _number(float(value), spec)
