@@ -45,6 +45,7 @@ _SMALLEST = -708.0
 _LARGEST = 709.0
 
 
+# -- exponential and logarithm of whole vectors --------------------------------------------------------------
 class _Function(Writer):
     """A function of one vector, which the compiler copies into its callers."""
 
@@ -133,6 +134,7 @@ standstill only."""
 IDLE = "standstill"
 
 
+# -- the simulation ------------------------------------------------------------------------------------------
 @dataclass(frozen=True)
 class CellModel:
     """A model of heat and one of vapour, of which `controls` set inputs; `own`: inputs that runs have of

@@ -20,6 +20,7 @@ from hygrokf.engine.jit import CompiledCode
 from hygrokf.engine.llvm_writer import LANES, SCALAR, VECTOR, Writer, declarations, literal
 
 
+# -- sums that a loop keeps ----------------------------------------------------------------------------------
 class RunningSums:
     """Running sums Σ log S and Σ e²/S, with b² (1 + ln(e²/(b² S))) in place of e²/S beyond b².
 
@@ -97,6 +98,7 @@ class RunningSums:
             w.store(SCALAR, w.load(SCALAR, slot), w.at(SCALAR, out, 3 + c))
 
 
+# -- score and information -----------------------------------------------------------------------------------
 def accumulate(w: Writer, value: str, pointer: str) -> None:
     """Add a number to the value at a pointer."""
     w.store(SCALAR, w.real("fadd", w.load(SCALAR, pointer), value), pointer)
