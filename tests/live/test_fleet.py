@@ -150,7 +150,12 @@ def test_what_the_inputs_alone_told_is_final_once_the_point_has_passed_it(
     messages = deliveries(record)
     received = np.array([message.received for message in messages])
     together = np.searchsorted(received, [reading_s - HOUR_S, reading_s + 2.0 * HOUR_S])
-    edges = [*range(0, together[0], 40), *together, *range(together[1] + 40, len(messages), 40), len(messages)]
+    edges = [
+        *range(0, together[0], 40),
+        *together,
+        *range(together[1] + 40, len(messages), 40),
+        len(messages),
+    ]
     store = opened(tmp_path)
     fleet = Fleet.from_store({"T1": turbine}, store)
     for first, end in pairwise(edges):
