@@ -20,8 +20,6 @@ from hygrokf.commands.console import (
 from hygrokf.commands.inputs import identified, record_of, written
 from hygrokf.commands.verb import Verb, add_json, add_out, reader, whole, within
 from hygrokf.data.files import FIT
-from hygrokf.data.record import Provenance
-from hygrokf.data.toml_form import FormFault, read_toml
 
 
 def _degrees(text: str) -> tuple[float, float]:
@@ -119,6 +117,9 @@ def _demo(options: Namespace) -> int:
 
 def _is_synthetic(case: Path) -> bool:
     """Whether a case file states that its readings are synthetic; a broken one does not."""
+    from hygrokf.data.record import Provenance
+    from hygrokf.data.toml_form import FormFault, read_toml
+
     try:
         return bool(read_toml(case)[1].get("provenance") == Provenance.SYNTHETIC)
     except FormFault:

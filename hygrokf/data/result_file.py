@@ -35,6 +35,7 @@ ENDINGS = {
 """Units of columns by the end of their names, as results write them."""
 
 
+# -- frames and pictures -------------------------------------------------------------------------------------
 def with_units(frame: DataFrame, units: Mapping[str, str], stamps: Sequence[str] = ()) -> DataFrame:
     """The frame with the units of its columns, and with the columns `stamps` (text in ISO 8601) as times in
     UTC."""
@@ -79,6 +80,7 @@ FIRST_S, LAST_S = -6.2e10, 2.5e11
 """[s] since 1970: the years 5 and 9892, the range of a calendar."""
 
 
+# -- files ---------------------------------------------------------------------------------------------------
 class ResultFault(HygrokfError):
     """A result file that cannot be read, in one message."""
 

@@ -24,7 +24,7 @@ from functools import cache
 
 import numpy as np
 
-from hygrokf.engine.jit import Code
+from hygrokf.engine.jit import CompiledCode
 from hygrokf.engine.llvm_writer import LANES, SCALAR, Writer, declarations
 from hygrokf.physics.expression import Expression, Graph, Matrix
 from hygrokf.physics.matrices import add, product, transpose
@@ -300,9 +300,9 @@ def _smooth_text() -> str:
 
 
 @cache
-def _code() -> Code:
+def _code() -> CompiledCode:
     texts = (_filter_text("scores", True), _filter_text("filter", False), _whiten_text(), _smooth_text())
-    return Code(declarations() + "".join(texts), ["scores", "filter", "whiten", "smooth"])
+    return CompiledCode(declarations() + "".join(texts), ["scores", "filter", "whiten", "smooth"])
 
 
 # -- what follows from them ----------------------------------------------------------------------------------

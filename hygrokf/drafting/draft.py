@@ -52,6 +52,7 @@ _LABEL = re.compile(
 )
 
 
+# -- exports in a form that a case can name ------------------------------------------------------------------
 def prepared(export: Export, turbine: str | None) -> Export:
     """An export that a case can name, after selection of one turbine and reordering of its cells.
 
@@ -231,6 +232,7 @@ def _one_label(export: Export, turbine: str | None) -> Export:
 _WIDTH = 100
 
 
+# -- the draft -----------------------------------------------------------------------------------------------
 class DraftFault(HygrokfError):
     """Exports that no case can be drafted from; the message holds every reason."""
 

@@ -30,7 +30,7 @@ from functools import cached_property
 
 import numpy as np
 
-from hygrokf.engine.jit import Code
+from hygrokf.engine.jit import CompiledCode
 from hygrokf.engine.llvm_writer import LANES, SCALAR, Writer, declarations, literal, vector
 from hygrokf.physics.expression import Expression, Graph, Value, exp, jacobian, where
 from hygrokf.physics.model import Model
@@ -45,6 +45,7 @@ _SMALLEST = -708.0
 _LARGEST = 709.0
 
 
+# -- exponential and logarithm of whole vectors --------------------------------------------------------------
 class _Function(Writer):
     """A function of one vector, which the compiler copies into its callers."""
 
@@ -133,6 +134,7 @@ standstill only."""
 IDLE = "standstill"
 
 
+# -- the simulation ------------------------------------------------------------------------------------------
 @dataclass(frozen=True)
 class CellModel:
     """A model of heat and one of vapour, of which `controls` set inputs; `own`: inputs that runs have of
@@ -172,8 +174,8 @@ class CellModel:
         return TracedCell(self)
 
     @cached_property
-    def code(self) -> Code:
-        return Code(cell_text(self.traced), ["cells"])
+    def code(self) -> CompiledCode:
+        return CompiledCode(cell_text(self.traced), ["cells"])
 
 
 class TracedCell:

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from hygrokf.engine.filter_codegen import Emission, loop_text
-from hygrokf.engine.jit import Code
+from hygrokf.engine.jit import CompiledCode
 from hygrokf.engine.llvm_writer import LANES, SCALAR, Writer, literal
 from hygrokf.engine.packing import pack, unpack
 from hygrokf.engine.schedule_codegen import Walk
@@ -106,14 +106,14 @@ def _position(w: Writer, control: Control, c: int, value: str, idle: str) -> str
     return w.value(f"select i1 {idle}, double {found}, double {zero}") if control.idle else found
 
 
-_codes: dict[tuple[str, str, bool, tuple[Control, ...]], Code | WideLoop] = {}
+_codes: dict[tuple[str, str, bool, tuple[Control, ...]], CompiledCode | WideLoop] = {}
 """Loops by structure of the recursion, kind, gain and controls."""
 _compiling = Lock()
 
 
 def filter_loop(
     recursion: Recursion, kind: str, gain: bool = True, controls: tuple[Control, ...] = ()
-) -> Code | WideLoop:
+) -> CompiledCode | WideLoop:
     """The compiled function of a kind, and of that name: value, trace, adjoint or tangent.
 
     Without `gain` the filter runs free.  The kind "controlled" is a free run in which the `controls` follow
@@ -127,9 +127,9 @@ def filter_loop(
                 if isinstance(recursion, WideRecursion):
                     _codes[key] = wide_loop(recursion, kind, gain, source)
                 elif kind == "controlled":
-                    _codes[key] = Code(lambda: controlled_text(recursion, controls), [kind], source)
+                    _codes[key] = CompiledCode(lambda: controlled_text(recursion, controls), [kind], source)
                 else:
-                    _codes[key] = Code(lambda: loop_text(recursion, kind, gain), [kind], source)
+                    _codes[key] = CompiledCode(lambda: loop_text(recursion, kind, gain), [kind], source)
     return _codes[key]
 
 
@@ -143,7 +143,7 @@ class WideLoop:
     """One loop: makes the matrices of the keys and their derivatives, and turns moments into blocks."""
 
     recursion: WideRecursion
-    code: Code
+    code: CompiledCode
 
     def __call__(self, kind: str, *arguments: Any) -> None:
         """The loop of this kind, with the arguments of `filter_codegen`."""
@@ -219,4 +219,4 @@ class WideLoop:
 
 def wide_loop(recursion: WideRecursion, kind: str, gain: bool, source: str) -> WideLoop:
     """The compiled loop of a kind: value, trace, adjoint or tangent; `source` as in `Code`."""
-    return WideLoop(recursion, Code(lambda: wide_text(recursion, kind, gain), [kind], source))
+    return WideLoop(recursion, CompiledCode(lambda: wide_text(recursion, kind, gain), [kind], source))

@@ -16,10 +16,11 @@ from functools import cache
 
 import numpy as np
 
-from hygrokf.engine.jit import Code
+from hygrokf.engine.jit import CompiledCode
 from hygrokf.engine.llvm_writer import LANES, SCALAR, VECTOR, Writer, declarations, literal
 
 
+# -- sums that a loop keeps ----------------------------------------------------------------------------------
 class RunningSums:
     """Running sums Σ log S and Σ e²/S, with b² (1 + ln(e²/(b² S))) in place of e²/S beyond b².
 
@@ -97,6 +98,7 @@ class RunningSums:
             w.store(SCALAR, w.load(SCALAR, slot), w.at(SCALAR, out, 3 + c))
 
 
+# -- score and information -----------------------------------------------------------------------------------
 def accumulate(w: Writer, value: str, pointer: str) -> None:
     """Add a number to the value at a pointer."""
     w.store(SCALAR, w.real("fadd", w.load(SCALAR, pointer), value), pointer)
@@ -121,7 +123,7 @@ def summed(
 
 
 @cache
-def _code() -> Code:
+def _code() -> CompiledCode:
     names = "square e s edot sdot scores information".split()
     integers = [("i64", name) for name in ("blocks", "count", "outputs")]
     w = Writer("summed", [*integers, *(("ptr", name) for name in names)])
@@ -132,7 +134,7 @@ def _code() -> Code:
             _scaled(w, block, first, k, c)
     with w.loop("%blocks") as later, w.loop(w.integer("add", later, 1)) as block:
         _products(w, block, later, readings)
-    return Code(declarations() + w.text(), ["summed"])
+    return CompiledCode(declarations() + w.text(), ["summed"])
 
 
 def _scaled(w: Writer, block: str, first: str, k: str, c: str) -> None:

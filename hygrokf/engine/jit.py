@@ -164,7 +164,7 @@ def _address(array: np.ndarray) -> int:
         return array.ctypes.data
 
 
-class Code:
+class CompiledCode:
     """Compiled functions of one module.
 
     text: their text, or what writes it.  source: all that the text depends on, but for the modules that write

@@ -49,6 +49,7 @@ ORDER = 20
 """Degree of the series: remainder 2e-20."""
 
 
+# -- matrices of whole steps, as numbers ---------------------------------------------------------------------
 @dataclass(frozen=True)
 class StepSeries:
     """Coefficients of T (U, n, w) and N (U, n, n), for powers of the length in 1/`rate` (U, 1, 1)."""
@@ -210,6 +211,7 @@ KEYS = 512
 """Distinct steps whose matrices and derivatives are in memory at a time."""
 
 
+# -- what the loops take from the model ----------------------------------------------------------------------
 class WideRecursion(Recursion):
     """A filter whose loops take matrices.
 

@@ -12,7 +12,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from hygrokf.engine.batch_codegen import fleet_text, kept_nodes
-from hygrokf.engine.jit import Code
+from hygrokf.engine.jit import CompiledCode
 from hygrokf.engine.llvm_writer import RUNS
 from hygrokf.engine.packing import place, unpack
 from hygrokf.engine.schedule import TOLERANCE
@@ -52,7 +52,7 @@ class SideBySide:
         self._parts = np.ones(runs)
         self._known = np.empty((blocks, max(1, len(kept_nodes(self._recursion))), RUNS))
         self._now = np.zeros((max(1, len(self._recursion.varying)), runs))
-        self._code = Code(
+        self._code = CompiledCode(
             lambda: fleet_text(self._recursion), ["fleet"], f"fleet {self._recursion.structure}"
         )
 

@@ -20,6 +20,7 @@ ROUNDING = 1e-9
 """[1] asymmetry, and negative eigenvalue, of a covariance in its own scale that rounding explains."""
 
 
+# -- a state as a normal distribution ------------------------------------------------------------------------
 @dataclass(frozen=True)
 class Gaussian:
     """A state as a normal distribution x ~ N(mean, covariance), such as a filter's checkpoint.
@@ -77,6 +78,7 @@ FACTORS = 1e24
 """[1] the same for factors, whose digits are those of a square root."""
 
 
+# -- what a run gives ----------------------------------------------------------------------------------------
 class DigitsFault(FloatingPointError, ValueError):
     """Innovation variances so far apart that no digit of a covariance is left."""
 

@@ -329,7 +329,8 @@ class Tracker:
         )
         silent_s = silent_since(self._times, self.plan.lateness_s)
         waits = silent_s is not None and self.newest - silent_s <= WAITS_S
-        if not waits:
+        # a course that moves the point begins at it, so that all estimates that it passes become final
+        if self.ahead is not None and not (waits and silent_s is not None and silent_s <= self.ahead.time):
             self.ahead = None
         course = self._course(made)
         if course is None:

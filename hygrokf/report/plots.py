@@ -28,6 +28,7 @@ QUARTERS = (1.0, 1.5, 3.0, 4.5, 9.0, 10.0)
 """Steps between the marks of a phase axis, times a power of ten: 15°, 30°, 45°, 90°."""
 
 
+# -- answers of a linear system ------------------------------------------------------------------------------
 def bode(found: FrequencyResponse) -> Picture:
     """Magnitude over phase, a column for each input and two rows for each output."""
     limits = (float(found.omega[0]), float(found.omega[-1]))

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
 from string import Formatter
-from typing import Any, Self, TypeAlias, TypeVar
+from typing import Any, ClassVar, Self, TypeAlias, TypeVar
 
 from hygrokf.texts.wording import (
     bytes_text,
@@ -79,6 +79,8 @@ class Code(Enum):
 class Statement:
     """A `code` and the `values` of its template by name."""
 
+    codes: ClassVar[type[Code]] = Code
+
     code: Code
     values: Mapping[str, Value] = field(default_factory=dict)
 
@@ -87,9 +89,11 @@ class Statement:
 
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> Self:
-        """The statement that `to_json` wrote.  Raises ValueError for an unknown code and for
-        values that do not fill its template."""
-        code = Code.from_json(data["code"])
+        """The statement that `to_json` wrote.  Raises ValueError for other data, an unknown code, and values
+        that do not fill its template."""
+        if not (isinstance(data, Mapping) and "code" in data and isinstance(data.get("values"), Mapping)):
+            raise ValueError(f"expected a code with values, found {str(data)[:60]!r}")
+        code = cls.codes.from_json(data["code"])
         made = cls(code, {name: _value(value) for name, value in data["values"].items()})
         try:
             made.text  # noqa: B018  values that do not fill the template are found here, not on a page
@@ -147,7 +151,9 @@ def _joined(pieces: Iterable[str | float]) -> str:
 
 
 def _filled(value: float | str | Sequence[str | Statement], spec: str) -> str:
-    """A value as the field of a template asks for it."""
+    """A value as the field of a template asks for it.  Raises TypeError for a text in place of a number."""
+    if isinstance(value, str | Sequence) and spec.split(" ")[0] not in FIELDS_OF_NAMES:
+        raise TypeError(f"expected a number, found {value!r}")
     if isinstance(value, str):
         return _name(value, spec)
     if isinstance(value, Sequence):
@@ -165,6 +171,10 @@ def _name(text: str, spec: str) -> str:
     if spec == "unit":
         return "" if text in ("", "1") else f" {text}"
     return text.replace("_", " ") if spec == "words" else text
+
+
+FIELDS_OF_NAMES = ("", "and", "or", "words", "unit", "several", ";")
+"""First words of the fields of a template that names and statements fill."""
 
 
 def unique(statements: Iterable[S]) -> tuple[S, ...]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
-from typing import Any, Final, Literal, Self, TypeAlias
+from typing import Any, ClassVar, Final, Literal, Self, TypeAlias
 
 from hygrokf.texts.statement import Code, Statement, Value
 
@@ -163,8 +163,11 @@ class VerdictCode(Code):
 
 @dataclass(frozen=True)
 class Reason(Statement):
-    """Evidence for or against a number, the `verdict` that it alone would give, and the fit it was taken over
-    from."""
+    """Evidence for or against a number.
+
+    `verdict` that it alone would give; `source`: name of the fit from which it was taken over, else empty."""
+
+    codes: ClassVar[type[Code]] = ReasonCode
 
     verdict: Kind = BELIEVE
     source: str = ""
@@ -180,10 +183,11 @@ class Reason(Statement):
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> Self:
         """The reason that `to_json` wrote.  Raises ValueError for a code or a verdict that is not known."""
-        if data["verdict"] not in VERDICTS:
+        statement, verdict = super().from_json(data), data.get("verdict")
+        if verdict not in VERDICTS:
             words = ", ".join(map(repr, VERDICTS))
-            raise ValueError(f"expected one of {words}, found {data['verdict']!r}")
-        return replace(super().from_json(data), verdict=data["verdict"], source=data["source"])
+            raise ValueError(f"expected one of {words}, found {verdict!r}")
+        return replace(statement, verdict=verdict, source=data.get("source", ""))
 
 
 def worst_first(reasons: Iterable[Reason]) -> tuple[Reason, ...]:

@@ -54,6 +54,7 @@ GROUND = Variable(
 """The geopotential of the ground, by which its height is known."""
 
 
+# -- fields at one point -------------------------------------------------------------------------------------
 def point_site(latitude_deg: float, longitude_deg: float, altitude_m: float | None = None) -> Site:
     """A point of a file as a site.  Raises TableFault where it is impossible."""
     try:

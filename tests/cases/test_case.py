@@ -356,7 +356,7 @@ def test_faults_of_the_case_and_of_every_source_come_together(folder):
         ("ambient", {"T": columns(1)["T"] * 1.8 + 32}, (), ["degF"]),
         ("scada", {}, (('"kW"', '"MW"'),), ["called MW", "kW"]),
         ("scada", {"P": columns(2)["P"] * 20}, (), ["times the rated 2050 kW"]),
-        ("cabinet", {"T": np.full(COUNT, -273.0)}, (), ["median -273", "column"]),
+        ("cabinet", {"T": np.full(COUNT, -273.0)}, (), ["median −273", "column"]),
     ],
 )
 def test_readings_in_another_unit_than_stated(folder, file, new, changes, words):

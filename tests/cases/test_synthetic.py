@@ -228,7 +228,7 @@ def test_the_case_file_has_the_fixed_form(turbine: SyntheticTurbine, tmp_path: P
     names = sorted(path.name for path in case.parent.iterdir())
     assert names == ["ambient.csv", "cabinet.csv", "case.toml", "scada.csv"]
     table = tomllib.loads(case.read_text(encoding="utf-8"))
-    assert set(table) == {"name", "rated_power_kW", "site", "source", "identification"}
+    assert set(table) == {"name", "provenance", "rated_power_kW", "site", "source", "identification"}
     assert table["name"] == turbine.name
     assert table["rated_power_kW"] == 2050.0
     assert set(table["site"]) == {"latitude_deg", "longitude_deg"}

@@ -44,7 +44,7 @@ WRONG: dict[str, tuple] = {
     "no case file": ("fit uk-01.toml --out made", nothing, "hygrokf: uk-01.toml: 1 fault", "No such file"),
     "a directory as case": ("check result", nothing, "hygrokf: result: 1 fault", "Is a directory"),
     "broken TOML": (FIT, case(("[[source]]", "[[source")),
-        ONE + "line 9, column 9: not valid TOML: ", "in: [[source"),
+        ONE + "line 10, column 9: not valid TOML: ", "in: [[source"),
     "too few readings": (FIT, rows("cabinet.csv", lambda lines: lines[:29]),
         "hygrokf: case.toml: cabinet_temperature: expected at least 50 readings in the", "period, found 29"),
     # where to write
@@ -114,7 +114,7 @@ WRONG: dict[str, tuple] = {
         "\nmade/series.npz: no such file"),
     "report on half a file": ("report result", lambda folder: os.truncate(folder / "result/series.npz", 2000),
         "hygrokf: result/series.npz: expected arrays written by `hygrokf fit`, found: "),
-    "demo over another turbine": ("demo --out .", case(("synthetic", "measured")),
+    "demo over another turbine": ("demo --out .", case(('= "synthetic"', '= "measured"')),
         "hygrokf: --out .: it holds a case.toml of another turbine; name another directory"),
     # options
     "no start": (f"{FIT} --starts 0", nothing, "--starts: expected a whole number from 1 on, found '0'"),
@@ -169,12 +169,12 @@ def test_every_fault_of_a_case_is_listed_at_once(folder):
     before = content(folder)
     said = run(FIT)
     expected = [
-        "case.toml, line 3: rated_power_kW",
-        "case.toml, line 6, [site]: site: latitude_deg",
-        "case.toml, line 32, [identification]: until: ",
-        "case.toml, line 21, [[source]] 2 signals.rainfall: ",
-        "case.toml, line 27, [[source]] 3 signals.active_power: ",
-        "case.toml, line 26, [[source]] 3: stamp ",
+        "case.toml, line 4: rated_power_kW",
+        "case.toml, line 7, [site]: site: latitude_deg",
+        "case.toml, line 33, [identification]: until: ",
+        "case.toml, line 22, [[source]] 2 signals.rainfall: ",
+        "case.toml, line 28, [[source]] 3 signals.active_power: ",
+        "case.toml, line 27, [[source]] 3: stamp ",
         'cabinet.csv: no column "T"',
         'cabinet.csv: column "time": 1847 of 1847',
         'ambient.csv: column "RH_amb_pct": ',
@@ -235,5 +235,5 @@ def test_odd_terminals_change_neither_status_nor_words(folder):
     )
     assert done.stderr == ""
     first, *statuses = done.stdout.splitlines()
-    assert first.endswith("20.0 d, rated 2050 kW, 52.4? N 0.95? W")
+    assert first.endswith("20.0 d, synthetic, rated 2050 kW, 52.4? N 0.95? W")
     assert statuses == ["0", "0"]

@@ -15,7 +15,11 @@ from hygrokf.discovery import error_model, search
 
 Constants = dict[tuple[str, str], object]
 PACKAGE = Path(hygrokf.__file__).parent
-MODULES = [*sorted((PACKAGE / "discovery").glob("*.py")), PACKAGE / "report" / "discovery_text.py"]
+MODULES = [
+    *sorted((PACKAGE / "discovery").glob("*.py")),
+    *sorted((PACKAGE / "modelling" / "causes").glob("*.py")),
+    PACKAGE / "report" / "discovery_text.py",
+]
 MOST_THAT_DECIDE = 14
 
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from hygrokf.engine import jit
-from hygrokf.engine.jit import Code, cache_directory, has_fused_multiply_add
+from hygrokf.engine.jit import CompiledCode, cache_directory, has_fused_multiply_add
 from hygrokf.engine.llvm_writer import SCALAR, Writer, declarations, literal
 from hygrokf.physics.expression import Expression, Graph, exp, log, maximum, sqrt, where
 
@@ -41,7 +41,7 @@ def doubling(factor: float = 2.0) -> str:
 
 def run_doubling(text: str) -> np.ndarray:
     x, out = np.arange(5.0), np.zeros(5)
-    Code(text, ["f"])("f", 5, x, out)
+    CompiledCode(text, ["f"])("f", 5, x, out)
     return out
 
 
@@ -71,7 +71,7 @@ def test_compiled_blocks_compute_what_the_interpreter_computes() -> None:
     for i, (kind, value) in enumerate(w.block(graph, outputs, leaves)):
         assert kind == SCALAR
         w.store(SCALAR, value, w.at(SCALAR, "%out", i))
-    code = Code(declarations() + w.text(), ["f"])
+    code = CompiledCode(declarations() + w.text(), ["f"])
     for point in POINTS:
         out = np.zeros(len(outputs))
         code("f", np.ascontiguousarray(point), out)
@@ -85,7 +85,7 @@ def test_literals_are_exact(value: float) -> None:
     w = Writer("f", [("ptr", "out")])
     w.store(SCALAR, literal(value), "%out")
     out = np.ones(1)
-    Code(declarations() + w.text(), ["f"])("f", out)
+    CompiledCode(declarations() + w.text(), ["f"])("f", out)
     assert out[0] == value and math.copysign(1.0, out[0]) == math.copysign(1.0, value)
 
 
@@ -98,14 +98,14 @@ def test_a_fused_node_rounds_once() -> None:
     w.store(SCALAR, w.block(graph, [x * y + z], leaves)[0][1], "%out")
     tiny = 2.0**-52
     out = np.zeros(1)
-    Code(declarations() + w.text(), ["f"])("f", np.array([1.0 + tiny, 1.0 - tiny, -1.0]), out)
+    CompiledCode(declarations() + w.text(), ["f"])("f", np.array([1.0 + tiny, 1.0 - tiny, -1.0]), out)
     assert out[0] == -(tiny**2)  # rounding the product first would leave zero
 
 
 def test_numbers_that_decay_out_of_range_are_zero_inside_compiled_code_alone(fresh: Path) -> None:
     """Below 2.2e-308 a product is 0, which keeps decaying variances fast; outside it keeps its digits."""
     x, out = np.array([1e-300, 1e-310]), np.full(2, np.nan)
-    Code(doubling(1e-9), ["f"])("f", 2, x, out)
+    CompiledCode(doubling(1e-9), ["f"])("f", 2, x, out)
     flushed = bool(jit.without_subnormals()[1])
     assert bool(out[0] == 0.0) is flushed and bool(out[1] == 0.0) is flushed
     assert 0.0 < x[0] * 1e-9 < 1e-308
@@ -143,11 +143,11 @@ def test_text_is_written_once_for_each_source_and_each_version_of_what_writes_it
             return doubling(factor)
 
         x, out = np.ones(1), np.zeros(1)
-        kept.append(Code(write, ["f"], source))
+        kept.append(CompiledCode(write, ["f"], source))
         kept[-1]("f", 1, x, out)
         return float(out[0])
 
-    kept: list[Code] = []
+    kept: list[CompiledCode] = []
     for _ in range(2):  # within a process, and in another one that begins with the cache on disk
         assert run(2.0, "two") == 2.0 and run(3.0, "three") == 3.0 and run(2.0, "two") == 2.0
         monkeypatch.setattr(jit, "_engines", {})
@@ -196,7 +196,7 @@ def test_the_cache_is_where_it_is_stated_to_be(monkeypatch: pytest.MonkeyPatch, 
 
 
 def test_arrays_that_are_not_contiguous_are_refused() -> None:
-    code = Code(doubling(), ["f"])
+    code = CompiledCode(doubling(), ["f"])
     with pytest.raises(ValueError, match="contiguous"):
         code("f", 3, np.arange(6.0)[::2], np.zeros(3))
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from hygrokf.engine.cell_loop import exponential, logarithm
-from hygrokf.engine.jit import Code, has_fused_multiply_add
+from hygrokf.engine.jit import CompiledCode, has_fused_multiply_add
 from hygrokf.engine.llvm_writer import LANES, Writer, declarations
 
 UNITS = 3.0 if has_fused_multiply_add() else 6.0
@@ -19,12 +19,12 @@ MAKERS = {"exponential": exponential, "logarithm": logarithm}
 
 
 @cache
-def code(name: str) -> Code:
+def code(name: str) -> CompiledCode:
     w = Writer("each", [("i64", "count"), ("ptr", "x"), ("ptr", "out")])
     with w.loop("%count") as k:
         x = w.load(w.vector, w.at(w.vector, "%x", k))
         w.store(w.vector, w.value(f"call {w.vector} @{name}({w.vector} {x})"), w.at(w.vector, "%out", k))
-    return Code(declarations() + MAKERS[name](LANES) + w.text(), ["each"])
+    return CompiledCode(declarations() + MAKERS[name](LANES) + w.text(), ["each"])
 
 
 def each(name: str, x: np.ndarray) -> np.ndarray:

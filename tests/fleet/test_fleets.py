@@ -24,6 +24,7 @@ from hygrokf import identify, read_case, synthetic_turbine, write_case
 from hygrokf.climate.limits import ClassFault
 from hygrokf.commands.fleet_tasks import WORK, do_task, run_fleet
 from hygrokf.data.result_file import ResultFault, result_text
+from hygrokf.data.structured import structured
 from hygrokf.data.toml_form import keys_of
 from hygrokf.fleet import job as job_module
 from hygrokf.fleet.job import FleetFault, Job, content_key, finished, perform
@@ -491,7 +492,8 @@ def test_where_there_is_no_cluster_it_is_said(park: Path, monkeypatch: pytest.Mo
 def test_both_tables_say_the_same(serial: tuple[Path, str], tmp_path: Path) -> None:
     from pyarrow import parquet
 
-    rows = [json.loads(f.read_text()) for f in sorted((serial[0] / "turbines").glob("*/row.json"))]
+    files = sorted((serial[0] / "turbines").glob("*/row.json"))
+    rows = [structured(job_module.Row, json.loads(one.read_text())) for one in files]
     file = tmp_path / "fleet.parquet"
     file.write_bytes(table_parquet("fit", rows))
     read = parquet.read_table(file)

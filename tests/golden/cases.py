@@ -203,10 +203,10 @@ def in_folder(folder: Path) -> Iterator[None]:
 def compiled_texts() -> Iterator[set[str]]:
     """Digests of all texts that are given to the compiler meanwhile, also those that are compiled already."""
     found: set[str] = set()
-    real = jit.Code.__init__
+    real = jit.CompiledCode.__init__
 
     def noted(
-        self: jit.Code, text: str | Callable[[], str], functions: Sequence[str], source: str = ""
+        self: jit.CompiledCode, text: str | Callable[[], str], functions: Sequence[str], source: str = ""
     ) -> None:
         written = text if isinstance(text, str) else text()
         # their derivatives are nodes of the model's graph, numbered after those of loops written before, an
@@ -215,11 +215,11 @@ def compiled_texts() -> Iterator[set[str]]:
         found.add(hashlib.sha256(told.encode()).hexdigest()[:16])
         real(self, written, functions, source)
 
-    jit.Code.__init__ = noted
+    jit.CompiledCode.__init__ = noted
     try:
         yield found
     finally:
-        jit.Code.__init__ = real
+        jit.CompiledCode.__init__ = real
 
 
 def turbine(days: float, *names: str, seed: int = 31) -> Callable[[Path], None]:

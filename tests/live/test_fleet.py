@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from datetime import datetime
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -12,9 +13,9 @@ import pytest
 from builders.live_case import expect_offline, expect_state
 from builders.store_case import queried
 
-from hygrokf.data.record import Record
+from hygrokf.data.record import Record, Series
 from hygrokf.data.signals import from_si
-from hygrokf.data.timestamps import zone_named
+from hygrokf.data.timestamps import HOUR_S, zone_named
 from hygrokf.live.batch import Batch
 from hygrokf.live.condition import Surface
 from hygrokf.live.sources.local import record_messages
@@ -130,6 +131,38 @@ def test_turbines_that_find_no_time_wait_and_lose_nothing(
         store.commit(fleet.filter_waiting(Batch(), filter_s=0.0))
     for name in names:
         expect_offline(store.url, record, turbine, name)
+    store.close()
+
+
+def test_what_the_inputs_alone_told_is_final_once_the_point_has_passed_it(
+    tmp_path: Path, record: Record, turbine: Turbine, mapping: PayloadMapping
+) -> None:
+    """Twenty hours with one reading of the cabinet, which arrives with two hours of the inputs after it: the
+    point moves to that reading from estimates that were made without it."""
+    begin = record.start_s + 18.0 * HOUR_S
+    reading_s = begin + 10.0 * HOUR_S
+
+    def thinned(series: Series) -> Series:
+        silent = (series.time > begin) & (series.time <= begin + 20.0 * HOUR_S)
+        kept = ~silent | (np.abs(series.time - reading_s) < 300.0)
+        return replace(series, time=series.time[kept], value=series.value[kept])
+
+    cabinet = [series for series in record.series if series.signal.startswith("cabinet_")]
+    record = record.replace_series(*map(thinned, cabinet))
+    messages = deliveries(record)
+    received = np.array([message.received for message in messages])
+    together = np.searchsorted(received, [reading_s - HOUR_S, reading_s + 2.0 * HOUR_S])
+    edges = [
+        *range(0, together[0], 40),
+        *together,
+        *range(together[1] + 40, len(messages), 40),
+        len(messages),
+    ]
+    store = opened(tmp_path)
+    fleet = Fleet.from_store({"T1": turbine}, store)
+    for first, end in pairwise(edges):
+        store.commit(fleet.round(messages[first:end], mapping, SOURCE))
+    expect_offline(store.url, record, turbine)
     store.close()
 
 

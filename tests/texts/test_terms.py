@@ -19,6 +19,7 @@ from hygrokf.fleet.results import FleetResults
 from hygrokf.identification.fit_on_record import Evaluation, SimulationSummary
 from hygrokf.identification.fit_results import FitResults
 from hygrokf.modelling.design import Design
+from hygrokf.modelling.library import Library
 from hygrokf.texts import terms
 from hygrokf.texts.statement import Statement
 from hygrokf.transfer.comparison import ComparisonResults
@@ -36,7 +37,7 @@ def texts(annotation: Any, place: str, seen: set[type]) -> Iterator[str]:
         yield place
     elif annotation in LEAVES or origin in (typing.Literal, Annotated) or annotation is Ellipsis:
         return
-    elif isinstance(annotation, type) and issubclass(annotation, (Enum, Statement)):
+    elif isinstance(annotation, type) and issubclass(annotation, (Enum, Statement, Library)):
         return
     elif dataclasses.is_dataclass(annotation):
         yield from fields(annotation, seen)

@@ -13,7 +13,8 @@ from builders.faults import faults_of
 from builders.weather_case import relative_humidity
 
 from hygrokf.data.record import Site
-from hygrokf.weather.reading import form_of, read_open_meteo, read_weather, read_weather_file
+from hygrokf.weather.open_meteo import read_open_meteo
+from hygrokf.weather.reading import form_of, read_weather, read_weather_file
 
 START_S = np.datetime64("2021-03-01T00:00", "s").astype(np.int64).astype(float)
 HOUR = np.arange(96.0)

@@ -1,0 +1,192 @@
+"""Read Open-Meteo, a service of weather and reanalysis: hourly values of one place as JSON or CSV."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hygrokf.data.columns import Notation, Places, TableFault, table_of
+from hygrokf.data.numbers import UNKNOWN
+from hygrokf.data.record import Record, Site
+from hygrokf.data.table_readers import csv_rows
+from hygrokf.data.timestamps import HOUR_S
+from hygrokf.texts.wording import stamp_text
+from hygrokf.weather.archive import only_content
+from hygrokf.weather.site_weather import (
+    SiteWeather,
+    Variable,
+    WeatherField,
+    complete,
+    dew_point_of,
+    short_name,
+)
+
+_VARIABLES = {
+    "temperature_2m": Variable("ambient_temperature", "°C"),
+    "dew_point_2m": Variable("ambient_dew_point_temperature", "°C", names=("dewpoint_2m",)),
+    "relative_humidity_2m": Variable(
+        "ambient_relative_humidity", "%", part=True, names=("relativehumidity_2m",)
+    ),
+    "surface_pressure": Variable("ambient_pressure", "hPa"),
+    "cloud_cover": Variable("cloud_cover", "%", names=("cloudcover",)),
+    "shortwave_radiation": Variable("global_horizontal_irradiance", "W/m²", mean=True),
+    "diffuse_radiation": Variable("diffuse_horizontal_irradiance", "W/m²", mean=True),
+    "direct_normal_irradiance": Variable("direct_normal_irradiance", "W/m²", mean=True),
+    "precipitation": Variable("rain", "mm", mean=True),
+    # a straight line between two directions may turn the wrong way: they hold
+    "speed": Variable("wind_speed", "km/h"),
+    "direction": Variable("wind_direction", "°"),
+}
+"""Today's names of the service, with those before 2023; speed and direction are of the chosen height."""
+_META = ("latitude", "longitude", "elevation", "utc_offset_seconds")
+_WIND = re.compile(r"wind_?(speed|direction)_(\d+)m")
+PREFERRED_WIND_M = 100.0
+"""[m] of several heights of the wind the nearest to this one, on a logarithmic scale, is taken."""
+
+
+def read_open_meteo(path: str | os.PathLike[str]) -> Record:
+    """Record of ambient signals from hourly values of Open-Meteo, in SI units and UTC.
+
+    path: JSON or CSV, as gzip too. Units are those that the file states (wind is in km/h unless asked for
+        otherwise).
+
+    Stamps are at the fixed offset `utc_offset_seconds` of the file, which is that of the day of the request:
+    the service knows no summer time; stamps of `timeformat=unixtime` are UTC.  Temperature, humidity,
+    pressure, wind and cloud are instants; radiation and precipitation belong to the hour that ends at the
+    stamp.  Without `dew_point_2m` the dew point is computed from `relative_humidity_2m` over water.  The
+    record's site has the `elevation` to which the service has converted temperatures.
+
+    Raises TableFault with every fault.
+    """
+    file = Path(path)
+    one, digest = only_content(file, ("json", "csv"), "JSON or CSV of Open-Meteo")
+    weather = (_of_json if one.kind == "json" else _of_csv)(file.name, one.data)
+    value = weather.value
+    if "dew_point_2m" not in value and {"temperature_2m", "relative_humidity_2m"} <= set(value):
+        humid = dew_point_of(value["relative_humidity_2m"], value["temperature_2m"])
+        weather.add("ambient_dew_point_temperature", humid, "relative_humidity_2m")
+    record = weather.record(digest)
+    lacking = "no temperature_2m: ask for it in hourly=…"
+    return complete(record, lacking, "dew_point_2m or relative_humidity_2m")
+
+
+# --- layouts ---------------------------------------------------------------------------------
+
+
+def _of_json(file: str, data: bytes) -> SiteWeather:
+    try:
+        found = json.loads(data.decode("utf-8-sig"))
+    except (ValueError, RecursionError) as broken:
+        raise TableFault(f"cannot be read as JSON ({broken}): cut short? fetch it again") from None
+    if isinstance(found, list):
+        raise TableFault(f"holds {len(found)} places; expected one: write each into a file of its own")
+    hourly, units = found.get("hourly"), found.get("hourly_units")
+    if not isinstance(hourly, dict) or not isinstance(units, dict) or "time" not in hourly:
+        raise TableFault("expected hourly and hourly_units with time in them; ask for hourly=…")
+    columns = {str(name): column for name, column in hourly.items() if isinstance(column, list)}
+    count = len(columns.get("time", []))
+    faults = [
+        f"{name}: {len(column)} values for {count} stamps; fetch the file again"
+        for name, column in columns.items()
+        if len(column) != count
+    ]
+    if faults:
+        raise TableFault(*faults)
+    meta = [found.get(name) for name in _META]
+    return _weather(file, meta, columns, {str(name): str(unit) for name, unit in units.items()})
+
+
+def _of_csv(file: str, data: bytes) -> SiteWeather:
+    rows = [cells for _, cells in csv_rows(data, "utf-8-sig")]
+    head = [cell.strip() for cell in rows[0]] if rows else []
+    if "location_id" in head:
+        raise TableFault("holds several places; expected one: write each into a file of its own")
+    if "utc_offset_seconds" not in head or len(rows) < 2:
+        raise TableFault(
+            "expected CSV of Open-Meteo, whose first line names latitude, longitude, elevation, "
+            f"utc_offset_seconds; found {', '.join(head[:6]) or 'nothing'}"
+        )
+    stated = dict(zip(head, rows[1], strict=False))
+    meta = [stated.get(name) for name in _META]
+    begin = next((i for i, row in enumerate(rows[2:], 2) if row and row[0].strip() == "time"), None)
+    if begin is None:
+        raise TableFault("no line that begins with time: ask for hourly=…")
+    names, unit = [], {}
+    for cell in rows[begin]:
+        name, _, rest = cell.strip().partition(" (")
+        names.append(name)
+        unit[name] = rest.removesuffix(")")
+    # further blocks, such as daily values, follow after an empty line
+    end = next((i for i in range(begin + 1, len(rows)) if not any(rows[i])), len(rows))
+    body = rows[begin + 1 : end]
+    wrong = [i for i, row in enumerate(body) if len(row) != len(names)]
+    if wrong:
+        raise TableFault(
+            f"line {begin + 2 + wrong[0]}: expected {len(names)} cells, found {len(body[wrong[0]])}: "
+            "cut short? fetch the file again"
+        )
+    columns = {name: [row[place] for row in body] for place, name in enumerate(names)}
+    return _weather(file, meta, columns, unit)
+
+
+def _weather(
+    file: str,
+    meta: Sequence[str | float | None],
+    columns: Mapping[str, Sequence[Any]],
+    unit: Mapping[str, str],
+) -> SiteWeather:
+    """The weather of latitude, longitude, elevation and offset of the clock, and of the columns used."""
+    import pandas as pd
+
+    try:
+        latitude, longitude, offset = (float(meta[place]) for place in (0, 1, 3))  # type: ignore[arg-type]
+        elevation = float(meta[2]) if meta[2] is not None else math.nan
+        site = Site(latitude, longitude, elevation if math.isfinite(elevation) else None)
+    except (TypeError, ValueError) as broken:
+        raise TableFault(
+            "expected latitude, longitude, elevation and utc_offset_seconds as numbers, found "
+            f"{', '.join(map(str, meta))} ({broken})"
+        ) from None
+    if not -14.0 * HOUR_S <= offset <= 14.0 * HOUR_S:
+        raise TableFault(f"utc_offset_seconds: expected -50400 … 50400, found {offset:g}")
+    stamps = pd.Series(columns.get("time", []), dtype=object)
+    unix = pd.to_numeric(stamps, errors="coerce")
+    if len(stamps) and unix.notna().all():
+        stamps, offset = pd.to_datetime(unix, unit="s"), 0.0
+    used = {name: short for name in columns if (short := short_name(_VARIABLES, name)) is not None}
+    winds = {name: found for name in columns if (found := _WIND.fullmatch(name))}
+    heights = {int(found[2]) for found in winds.values() if found[1] == "speed"}
+    height = min(heights, key=lambda one: abs(math.log(one / PREFERRED_WIND_M)), default=None)
+    used |= {name: found[1] for name, found in winds.items() if int(found[2]) == height}
+    frame = pd.DataFrame({name: columns[name] for name in used}, index=range(len(stamps)))
+    places = Places("row", lambda rows: [int(row) + 1 for row in rows])
+    notation = Notation(timezone="UTC", decimal=".")
+    table = table_of(frame, dict.fromkeys(used, UNKNOWN), stamps, "time", places, notation)
+    fields = {
+        short: WeatherField(table.values[name], name, unit.get(name, "")) for name, short in used.items()
+    }
+    time, warnings = table.time - offset, list(table.warnings)
+    if offset:
+        warnings.append(
+            f"stamps are read at the fixed offset {offset / HOUR_S:+g} h that the file states, in summer and "
+            "winter; ask for timezone=GMT if a program between has changed them"
+        )
+    steps = np.diff(time)
+    if len(steps) and (np.abs(steps - HOUR_S) > 1.0).any():
+        place = int(np.argmax(np.abs(steps - HOUR_S) > 1.0))
+        raise TableFault(
+            f"time: expected an hour between stamps, found {steps[place]:g} s after "
+            f"{stamp_text(time[place])}: the stamps follow summer time, or hours were removed; ask for "
+            "timezone=GMT and hourly=…"
+        )
+    return SiteWeather(
+        file, time, fields, _VARIABLES, site=site,
+        height_m=None if height is None else float(height), warnings=warnings,
+    )  # fmt: skip
