@@ -24,7 +24,7 @@ from hygrokf.discovery.residuals import Quantity, Residuals
 from hygrokf.evaluation.scoring import RuleScores, Scores
 from hygrokf.identification.fit import Fit, write_fit
 from hygrokf.identification.fit_results import FitResults, ParameterRow, TimeConstant
-from hygrokf.physics.model import fields_alone
+from hygrokf.physics.model import field_values
 
 if TYPE_CHECKING:
     import pandas
@@ -211,7 +211,7 @@ class ModelScores:
     @cached_property
     def fit(self) -> FitResults:
         """These numbers as the results of a fit, for functions that take those."""
-        return FitResults(**fields_alone(self))
+        return FitResults(**field_values(self))
 
 
 @dataclass(frozen=True)

@@ -47,7 +47,7 @@ from hygrokf.estimation.moments import Trace as Trace
 from hygrokf.estimation.moments import checked_loglik, covariances, expect_initial, loglik_of
 from hygrokf.estimation.start import Moments, law, law_with_slopes, packed, packed_slopes
 from hygrokf.physics.expression import Expression
-from hygrokf.physics.model import Model, fields_alone, fields_by_line
+from hygrokf.physics.model import Model, describe_fields, field_values
 from hygrokf.physics.parameters import Parameter, expect_values
 from hygrokf.texts.wording import duration_text, stamp_text
 
@@ -104,8 +104,8 @@ class Likelihood:
                 f"{len(self.schedule.offset) - 1}; make one by `scheduled` on this timeline"
             )
 
-    __getstate__ = fields_alone
-    __repr__ = fields_by_line
+    __getstate__ = field_values
+    __repr__ = describe_fields
 
     @cached_property
     def recursion(self) -> Recursion:

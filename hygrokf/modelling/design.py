@@ -26,7 +26,7 @@ from hygrokf.modelling.registry import origins
 from hygrokf.physics.holds import LINEAR, MEAN, PREVIOUS, REGIME
 from hygrokf.physics.mechanisms import LIBRARY, Factory
 from hygrokf.physics.mechanisms.hygric import SHORTEST_H
-from hygrokf.physics.model import Mechanism, Model, compose, fields_alone
+from hygrokf.physics.model import Mechanism, Model, compose, field_values
 from hygrokf.physics.parameters import Prior
 
 HOLDS = {
@@ -106,7 +106,7 @@ class Design:
             _models[key] = found
         return found
 
-    __getstate__ = fields_alone
+    __getstate__ = field_values
 
     def __repr__(self) -> str:
         """Its model, and the humidity that it reads."""
@@ -115,7 +115,7 @@ class Design:
     def to_json(self) -> dict[str, Any]:
         """All fields as plain data, with the `origins` of mechanisms and features that a user brought."""
         own = origins([*(name for name, _ in self.mechanisms), *self.features])
-        return fields_alone(self) | ({"origins": own} if own else {})
+        return field_values(self) | ({"origins": own} if own else {})
 
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> Design:
