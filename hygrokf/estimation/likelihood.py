@@ -322,7 +322,9 @@ class Likelihood:
         """The state in front of instant k, with the variance that the end of a gap adds."""
         if k not in self._gaps:
             return state
-        return self.recursion.put(state, self.recursion.covariance_of(state) + np.diag(self._gaps[k]))
+        return self.recursion.with_covariance(
+            state, self.recursion.covariance_of(state) + np.diag(self._gaps[k])
+        )
 
     def _widening(self, k: int, state: np.ndarray) -> np.ndarray:
         """Derivatives (w, w) of the state in front of instant k by that before; rows of the latter."""
