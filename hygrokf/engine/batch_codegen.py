@@ -3,7 +3,7 @@ vectors.
 
 `fleet_text` writes one function for a traced recursion.  Persistent arrays are stored in blocks of `RUNS`
 runs, (blocks, width, RUNS); the data of a step are stored in columns, (width, runs).  Every load thus takes
-one number of each run in a block.  Values that depend on the parameters and on the length of a step only are
+one number of each run in a block.  Values that depend only on the parameters and on the length of a step are
 kept between steps and recomputed for blocks that are marked as changed.  Lanes differ in their number of
 sub-steps: all lanes compute, and finished lanes keep their previous values.
 """
@@ -108,21 +108,17 @@ class _Emission:
         r, w = self.recursion, self.writer
         times, largest = self._doublings(leaves, share)
         bits = w.value(f"shl {LONGS} {w.value(f'sub {LONGS} {_all(1023)}, {times}')}, {_all(52)}")
-        known = leaves | {r.share.index: w.value(f"bitcast {LONGS} {bits} to {VECTOR}")}
+        inner_leaves = leaves | {r.share.index: w.value(f"bitcast {LONGS} {bits} to {VECTOR}")}
         program = (*r.early, *r.late)
-        slots = {
-            e.index: w.slot(VECTOR, "zeroinitializer")
-            for operation in operations(program)
-            for e in operation.into
-        }
+        slots = {e.index: w.slot(VECTOR, "zeroinitializer") for op in operations(program) for e in op.into}
         all_lanes = w.value(f"icmp sge {LONGS} {times}, zeroinitializer")
         for operation in program:
-            self._perform(operation, slots, times, largest, known, all_lanes)
-        return known | {i: w.load(VECTOR, slot) for i, slot in slots.items()}
+            self._perform(operation, slots, times, largest, inner_leaves, all_lanes)
+        return inner_leaves | {i: w.load(VECTOR, slot) for i, slot in slots.items()}
 
     def _perform(
         self,
-        operation: Operation,
+        op: Operation,
         slots: dict[int, str],
         times: str,
         most: str,
@@ -131,29 +127,29 @@ class _Emission:
     ) -> None:
         """Run an operation; only `lanes` take its values."""
         w = self.writer
-        if isinstance(operation, Choose):
-            for inner in operation.plain:
+        if isinstance(op, Choose):
+            for inner in op.plain:
                 self._perform(inner, slots, times, most, leaves, lanes)
             stiff = w.value(f"icmp sgt {LONGS} {times}, {_all(MILD)}")
             with w.when(w.value(f"icmp sgt i64 {most}, {MILD}")):
-                for inner in operation.stiff:
+                for inner in op.stiff:
                     self._perform(inner, slots, times, most, leaves, stiff)
-        elif isinstance(operation, Repeat):
+        elif isinstance(op, Repeat):
             with w.loop(most) as j:
                 counter = w.value(f"insertelement {LONGS} poison, i64 {j}, i64 0")
                 mask = f"<{RUNS} x i32> zeroinitializer"
                 counter = w.value(f"shufflevector {LONGS} {counter}, {LONGS} poison, {mask}")
-                self._assign(operation, slots, {}, w.value(f"icmp slt {LONGS} {counter}, {times}"))
+                self._assign(op, slots, {}, w.value(f"icmp slt {LONGS} {counter}, {times}"))
         else:
-            self._assign(operation, slots, leaves, lanes)
+            self._assign(op, slots, leaves, lanes)
 
     def _assign(
         self, operation: Assign | Repeat, slots: dict[int, str], leaves: dict[int, str], lanes: str
     ) -> None:
         w = self.writer
         needed = set(self.recursion.graph.needed(operation.block))
-        known = leaves | {i: w.load(VECTOR, slot) for i, slot in slots.items() if i in needed}
-        values = self._values(list(operation.block), known)
+        all_leaves = leaves | {i: w.load(VECTOR, slot) for i, slot in slots.items() if i in needed}
+        values = self._values(list(operation.block), all_leaves)
         for e, value in zip(operation.into, values, strict=True):
             old = w.load(VECTOR, slots[e.index])
             w.store(VECTOR, self._where(lanes, value, old), slots[e.index])
@@ -174,8 +170,8 @@ class _Emission:
 
     def _values(self, outputs: list[Expression], leaves: dict[int, str]) -> list[str]:
         w = self.writer
-        made = w.block(self.recursion.graph, outputs, leaves, list(leaves))
-        return [w.as_vector(kind, name) for kind, name in made]
+        results = w.block(self.recursion.graph, outputs, leaves, list(leaves))
+        return [w.as_vector(kind, name) for kind, name in results]
 
     def _predict(self, slots: dict[int, str], block: str) -> None:
         r, w = self.recursion, self.writer
@@ -201,20 +197,20 @@ class _Emission:
         r, w = self.recursion, self.writer
         one = w.splat(literal(1.0))
         after = w.value(f"fadd {VECTOR} {j}, {one}")
-        whole = w.value(f"fcmp oge {VECTOR} {after}, {parts}")
+        is_last = w.value(f"fcmp oge {VECTOR} {after}, {parts}")
         left, right = (w.value(f"fdiv {VECTOR} {part}, {parts}") for part in (j, after))
         result = {}
         for c, name in enumerate(r.varying):
             hold = r.holds[name]
-            now = self._column("before" if hold == PREVIOUS else "now", block, c)
-            result[r.end[name].index] = now
+            current = self._column("before" if hold == PREVIOUS else "now", block, c)
+            result[r.end[name].index] = current
             if hold == LINEAR:
                 before = self._column("before", block, c)
-                rise = w.value(f"fsub {VECTOR} {now}, {before}")
-                at = [
-                    w.value(f"fadd {VECTOR} {before}, {w.value(f'fmul {VECTOR} {rise}, {part}')}")
+                change = w.value(f"fsub {VECTOR} {current}, {before}")
+                values = [
+                    w.value(f"fadd {VECTOR} {before}, {w.value(f'fmul {VECTOR} {change}, {part}')}")
                     for part in (left, right)
                 ]
-                result[r.start[name].index] = at[0]
-                result[r.end[name].index] = self._where(whole, now, at[1])
+                result[r.start[name].index] = values[0]
+                result[r.end[name].index] = self._where(is_last, current, values[1])
         return result

@@ -380,8 +380,8 @@ def _doublings(
     symbols, initials, doubles = listed(matrices), listed(initial), listed(doubled)
     if len(noises) > 1:
         symbols, initials, doubles = (*symbols, length), (*initials, share), (*doubles, 2.0 * length)
-    made: list[Operation] = [Assign(symbols, initials), Repeat(symbols, doubles)] if symbols else []
-    return made, [d, g, w, e, moments[0]]
+    program: list[Operation] = [Assign(symbols, initials), Repeat(symbols, doubles)] if symbols else []
+    return program, [d, g, w, e, moments[0]]
 
 
 def _derivatives(start: Matrix, middle: Matrix, end: Matrix) -> list[list[Matrix]]:

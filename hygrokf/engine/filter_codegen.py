@@ -327,8 +327,8 @@ class Emission(Stages):
             times = self.times(sub_step.key)
             leaves = self.read(slots) | self.table(sub_step.key) | sub_step.inputs | self.at_parameters
             self.perform(r.late, self.registers, times, leaves, levels=True)
-            known = leaves | self.reading(self.registers, r.predict)
-            self._pull(list(slots), r.predict, known, sub_step.key)
+            all_leaves = leaves | self.reading(self.registers, r.predict)
+            self._pull(list(slots), r.predict, all_leaves, sub_step.key)
             self.retract(r.late, self.registers, times, leaves, self._pull, sub_step.key)
 
     def _pull(
@@ -382,8 +382,8 @@ class Emission(Stages):
             names = self._row("%keybar", key, [bars[i].index for i in r.key_nodes])
             self._pull([], keys, leaves | self.read(slots) | names, key, bars, KEY)
 
-            def pull(into: Sequence[int], block: Sequence[Expression], known: Names, row: str) -> None:
-                self._pull(into, block, known, row, stage=KEY)
+            def pull(into: Sequence[int], block: Sequence[Expression], block_leaves: Names, row: str) -> None:
+                self._pull(into, block, block_leaves, row, stage=KEY)
 
             self.retract(r.early, slots, times, leaves, pull, key)
         parameters = {e.index for e in r.p.values()}
@@ -434,15 +434,15 @@ class Emission(Stages):
             with self.sub_steps(k) as sub_step:
                 leaves = self.read(slots) | self.table(sub_step.key) | sub_step.inputs | self.at_parameters
 
-                def compute(operation: Assign | Repeat, known: Names, row: str = sub_step.key) -> None:
-                    values, derivatives = run(list(operation.block), known, row)
+                def compute(operation: Assign | Repeat, all_leaves: Names, row: str = sub_step.key) -> None:
+                    values, derivatives = run(list(operation.block), all_leaves, row)
                     for e, (_, name), dot in zip(operation.into, values, derivatives, strict=True):
                         w.store(SCALAR, name, self.registers[e.index])
                         w.store(VECTOR, dot, register_dots[e.index])
 
                 self.perform(r.late, self.registers, self.times(sub_step.key), leaves, compute)
-                known = leaves | self.reading(self.registers, r.predict)
-                values, derivatives = run(r.predict, known, sub_step.key)
+                all_leaves = leaves | self.reading(self.registers, r.predict)
+                values, derivatives = run(r.predict, all_leaves, sub_step.key)
                 self._store(slots, values)
                 for s, name in zip(dot_slots.values(), derivatives, strict=True):
                     w.store(VECTOR, name, s)

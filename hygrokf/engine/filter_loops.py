@@ -64,7 +64,7 @@ def controlled_text(r: Recursion, controls: Sequence[Control]) -> str:
             for c, name in enumerate(r.varying)
         }
         if walk is not None:
-            walk.known(key)
+            walk.compute_key_row(key)
         leaves = emission.read(slots) | emission.table(key) | inputs_before | emission.at_parameters
         leaves |= {r.reading.index: literal(0.0)}
         shown = [name for _, name in w.block(r.graph, [_shown(r, control) for control in controls], leaves)]

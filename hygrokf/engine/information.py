@@ -88,8 +88,8 @@ class RunningSums:
         variance of every output, then the largest."""
         fraction = w.value(f"call double @llvm.log.f64(double {w.load(SCALAR, self.product)})")
         exponent = w.value(f"sitofp i64 {w.load('i64', self.exponent)} to double")
-        whole = w.real("fmul", exponent, literal(math.log(2.0)))
-        w.store(SCALAR, w.real("fadd", whole, fraction), out)
+        exponent_part = w.real("fmul", exponent, literal(math.log(2.0)))
+        w.store(SCALAR, w.real("fadd", exponent_part, fraction), out)
         w.store(SCALAR, w.load(SCALAR, self.quadratic), w.at(SCALAR, out, 1))
         number = w.value(f"sitofp i64 {w.load('i64', self.number)} to double")
         w.store(SCALAR, number, w.at(SCALAR, out, 2))

@@ -134,7 +134,7 @@ class Walk:
         `worst` is the state with the largest error, and the moments stay before that interval."""
         w = self.stages.writer
         key = self.stages.key_of(k)
-        self.known(key)
+        self.compute_key_row(key)
         hours = w.load(
             SCALAR, w.at(SCALAR, "%keys", w.integer("mul", key, len(self.stages.recursion.key_leaves)))
         )
@@ -188,7 +188,7 @@ class Walk:
             w.store("i64", state, self.worst)
             w.store("i64", "0", self.going)
 
-    def known(self, key: str) -> None:
+    def compute_key_row(self, key: str) -> None:
         """Compute the values of a key as row 0 of the workspace, which the updates read."""
         self._row(key, "0", "0", self.stages.key_leaves(key))
 
@@ -220,11 +220,11 @@ class Walk:
         leaves[r.share.index] = s.power(times)
         row = w.integer("add", w.integer("mul", level, DOUBLINGS + 1), times)
         start = self._row(key, row, times, leaves)
-        known = {
+        row_values = {
             i: w.load(SCALAR, w.at(SCALAR, "%table", w.integer("add", start, c)))
             for c, i in enumerate(r.key_nodes)
         }
-        leaves |= known | s.at_parameters
+        leaves |= row_values | s.at_parameters
         s.advance(self.slots, times, s.read(self.slots) | leaves | inputs)
         transition = w.block(r.graph, r.transition, leaves | s.reading(s.registers, r.transition))
         is_last = w.value(f"icmp eq i64 {w.integer('add', at, 1)}, {w.integer('shl', '1', level)}")

@@ -112,8 +112,8 @@ class Stages:
         slots = self.slots([e for operation in operations(r.early) for e in operation.into])
         self.perform(r.early, slots, times, leaves | self.at_parameters)
         nodes = [Expression(r.graph, i) for i in r.key_nodes]
-        known = leaves | self.at_parameters | self.read(slots)
-        return [name for _, name in w.block(r.graph, nodes, known)]
+        all_leaves = leaves | self.at_parameters | self.read(slots)
+        return [name for _, name in w.block(r.graph, nodes, all_leaves)]
 
     # -- the operations before a step ------------------------------------------------------------------------
     def perform(
@@ -143,8 +143,8 @@ class Stages:
                         self._at_level(operation, columns, slots, j, self._keep)
                     (compute or self._compute(slots))(operation, self.reading(slots, operation.block))
             else:
-                known = leaves | self.reading(slots, operation.block)
-                (compute or self._compute(slots))(operation, known)
+                all_leaves = leaves | self.reading(slots, operation.block)
+                (compute or self._compute(slots))(operation, all_leaves)
 
         for item in program:
             run(item)
@@ -189,8 +189,8 @@ class Stages:
 
     def _compute(self, slots: Names) -> Compute:
         def plain(operation: Assign | Repeat, leaves: Names) -> None:
-            made = self.writer.block(self.recursion.graph, operation.block, leaves)
-            for e, (_, name) in zip(operation.into, made, strict=True):
+            results = self.writer.block(self.recursion.graph, operation.block, leaves)
+            for e, (_, name) in zip(operation.into, results, strict=True):
                 self.writer.store(SCALAR, name, slots[e.index])
 
         return plain
@@ -315,8 +315,8 @@ class Stages:
         """Move the moments over one sub-step."""
         r = self.recursion
         self.perform(r.late, self.registers, times, leaves)
-        known = leaves | self.reading(self.registers, r.predict)
-        self._store(slots, self.writer.block(r.graph, r.predict, known))
+        all_leaves = leaves | self.reading(self.registers, r.predict)
+        self._store(slots, self.writer.block(r.graph, r.predict, all_leaves))
 
     def _store(self, slots: Names, values: Sequence[tuple[str, str]]) -> None:
         """Store the leading (kind, value) pairs in the slots of the state."""

@@ -126,12 +126,8 @@ class Powers:
         )
         for whole, noise, hours in self.stages:
             e, de = whole[:, None, :, :n], change[..., :n]
-            transition = np.eye(n) + e
-            gained = (
-                gained
-                + transition @ gained @ _t(transition)
-                + _plus_transpose(de @ (noise[:, None] @ _t(transition)))
-            )
+            f = np.eye(n) + e
+            gained = gained + f @ gained @ _t(f) + _plus_transpose(de @ (noise[:, None] @ _t(f)))
             change = 2.0 * change + de @ whole[:, None] + e @ change + _ramp(change, n, hours[:, None])
         return change, gained
 
@@ -152,31 +148,28 @@ class Powers:
         return rows, spreads
 
 
-def powers(
-    step_series: StepSeries, which: np.ndarray, hours: np.ndarray
-) -> Iterator[tuple[np.ndarray, Powers]]:
+def powers(series_: StepSeries, which: np.ndarray, hours: np.ndarray) -> Iterator[tuple[np.ndarray, Powers]]:
     """Yield, for each number of doublings, the indices of its steps among the K, and the steps' matrices.
 
     which: (K,) index of the pair of A and Q of each step; hours: (K,) [h].
     """
-    rates_times_hours = step_series.rate[which, 0, 0] * hours
-    doublings = np.ceil(np.log2(np.maximum(rates_times_hours / SHORT, 1.0))).astype(int)
+    stretch = series_.rate[which, 0, 0] * hours
+    doublings = np.ceil(np.log2(np.maximum(stretch / SHORT, 1.0))).astype(int)
     for count in np.unique(doublings).tolist():
         indices = np.flatnonzero(doublings == count)
         shrink = 2.0**-count
-        share, length = rates_times_hours[indices, None, None] * shrink, hours[indices, None, None] * shrink
+        share, length = stretch[indices, None, None] * shrink, hours[indices, None, None] * shrink
         whole, noise = (
-            _evaluate(coefficients, which[indices], share)
-            for coefficients in (step_series.rows, step_series.spreads)
+            _evaluate(coefficients, which[indices], share) for coefficients in (series_.rows, series_.spreads)
         )
         n, stages = noise.shape[-1], []
         for i in range(count):
             stages.append((whole, noise, length * 2.0**i))
             e = whole[..., :n]
-            transition = np.eye(n) + e
-            noise = noise + transition @ noise @ _t(transition)
+            f = np.eye(n) + e
+            noise = noise + f @ noise @ _t(f)
             whole = 2.0 * whole + e @ whole + _ramp(whole, n, length * 2.0**i)
-        yield indices, Powers(step_series, which[indices], share, stages, whole, noise)
+        yield indices, Powers(series_, which[indices], share, stages, whole, noise)
 
 
 def _evaluate(coefficients: list[np.ndarray], which: np.ndarray, share: np.ndarray) -> np.ndarray:
@@ -460,13 +453,9 @@ class Numbers:
         first = np.zeros((len(node_bars), len(entries)))
         first[:, :1] = node_bars[:, None]
         later_bars = [*first, *entries.reshape(len(entries), -1).T[r._entries[0]]]
-        symbol_values = r._known(self.values, self.distinct) | {
-            f"bar:{i}": bar for i, bar in enumerate(later_bars)
-        }
-        parameter_bars = dict(
-            zip(r._adjoints, r.graph.evaluate(list(r._adjoints.values()), symbol_values), strict=True)
-        )
-        return np.array([float(np.sum(parameter_bars.get(e.index, 0.0))) for e in r.p.values()])
+        symbols = r._known(self.values, self.distinct) | {f"bar:{i}": bar for i, bar in enumerate(later_bars)}
+        bars_of = dict(zip(r._adjoints, r.graph.evaluate(list(r._adjoints.values()), symbols), strict=True))
+        return np.array([float(np.sum(bars_of.get(e.index, 0.0))) for e in r.p.values()])
 
 
 def aligned(*shape: int) -> np.ndarray:

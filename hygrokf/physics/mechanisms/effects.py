@@ -146,7 +146,7 @@ def ornstein_uhlenbeck(
                 ),
                 Parameter(
                     f"{name}_time", "h", min(max(start_h, shortest_h), longest_h), shortest_h, longest_h,
-                    positive=True, noise=True, meaning="correlation time of this disturbance",
+                    positive=True, noise=True, meaning="its correlation time",
                 ),
             ),
             states=(name,),

@@ -53,27 +53,19 @@ def solar_gain(lagged: bool = False, flag: str = "sunshine") -> Mechanism:
     )
 
 
-def _driven_heat(
-    name: str, parameter: str, flag: str, condition: str, leaves: str, remark: str = ""
-) -> Factory:
+def _driven_heat(name: str, parameter: str, flag: str, when: str, leaves: str, remark: str = "") -> Factory:
     """Heat release proportional to an input: f += a · flag, a ≥ 0 [K]."""
 
     def factory(flag: str = flag) -> Mechanism:
-        return _scaled_heat(name, parameter, flag, 1.0, condition, leaves, {"flag": flag})
+        return _scaled_heat(name, parameter, flag, 1.0, when, leaves, {"flag": flag})
 
-    return named(name, f"Heat release {condition}{remark}: f += a · `{flag}`, a ≥ 0 [K].", factory)
+    return named(name, f"Heat release {when}{remark}: f += a · `{flag}`, a ≥ 0 [K].", factory)
 
 
 def _scaled_heat(
-    name: str,
-    parameter: str,
-    signal: str,
-    full: float,
-    condition: str,
-    leaves: str,
-    settings: Mapping[str, Any],
+    name: str, parameter: str, signal: str, full: float, when: str, leaves: str, settings: Mapping[str, Any]
 ) -> Mechanism:
-    scale, meaning = Given(1.0 / full), f"heat release {condition}"
+    scale, meaning = Given(1.0 / full), f"heat release {when}"
     return effect(
         name, "heat_release",
         Parameter(parameter, "K", 0.0, 0.0, 80.0, null=0.0, physical=NONNEGATIVE, meaning=meaning),
@@ -88,9 +80,9 @@ def logged_heater(signal: str = "heater_duty", full: float = 1.0) -> Mechanism:
     `signal` is "heater_duty" [1] or "heater_power" [W]; at the value `full`, in the signal's unit, the
     release is a.
     """
-    condition = "at full duty" if signal == "heater_duty" else f"at {full:.4g} W"
+    when = "at full duty" if signal == "heater_duty" else f"at {full:.4g} W"
     return _scaled_heat(
-        "logged_heater", "logged_heater_heat", signal, full, f"of the logged heater {condition}",
+        "logged_heater", "logged_heater_heat", signal, full, f"of the logged heater {when}",
         "a cabinet that is too warm while the heater runs", {"signal": signal, "full": full},
     )  # fmt: skip
 
@@ -159,50 +151,48 @@ def release_drift(order: int = 0, operation: bool = False, flag: str = "elapsed"
     )  # fmt: skip
 
 
-def _conductance(parameter: str, condition: str, lower: float = 0.0) -> Parameter:
+def _conductance(parameter: str, when: str, lower: float = 0.0) -> Parameter:
     """A conductance between cabinet air and ambient in parallel to 1/R_AT, in units of 1/R_AT."""
     physical = NONNEGATIVE if lower == 0 else ABOVE_MINUS_ONE
-    meaning = f"conductance to the ambient beside 1/R_AT, {condition}"
+    meaning = f"conductance to the ambient beside 1/R_AT, {when}"
     return Parameter(parameter, "1", 0.0, lower, 50.0, null=0.0, physical=physical, meaning=meaning)
 
 
 PARALLEL = "conductance parallel to R_AT"
 
 
-def _loss(name: str, parameter: str, flag: str, condition: str, leaves: str, lower: float = 0.0) -> Factory:
+def _loss(name: str, parameter: str, flag: str, when: str, leaves: str, lower: float = 0.0) -> Factory:
     """Conductance between cabinet air and ambient in parallel to 1/R_AT and in units of 1/R_AT: g · flag."""
 
     def factory(flag: str = flag) -> Mechanism:
         return Mechanism(
             name=name,
-            parameters=(_conductance(parameter, condition, lower),),
+            parameters=(_conductance(parameter, when, lower),),
             inputs=(flag,),
             conductance=lambda p, u: getattr(p, parameter) * getattr(u, flag),
             settings={"flag": flag},
-            meaning=f"heat lost to the ambient, {condition}",
+            meaning=f"heat lost to the ambient, {when}",
             leaves=leaves,
             source=PARALLEL,
         )
 
     return named(
-        name, f"Heat lost to the ambient, {condition}: a conductance g · `{flag}` beside 1/R_AT.", factory
+        name, f"Heat lost to the ambient, {when}: a conductance g · `{flag}` beside 1/R_AT.", factory
     )
 
 
-def _converter_loss(
-    name: str, parameter: str, flag: str, condition: str, leaves: str, reason: str
-) -> Factory:
+def _converter_loss(name: str, parameter: str, flag: str, when: str, leaves: str, reason: str) -> Factory:
     """Heat removed from the converter itself: f −= g · flag · (T_a − T_amb)."""
 
     def factory(flag: str = flag) -> Mechanism:
         return effect(
-            name, "heat_release", _conductance(parameter, condition),
+            name, "heat_release", _conductance(parameter, when),
             flag, lambda x, u, q: q.cabinet_air_temperature - u.ambient_temperature,
             negative=True, inputs=("ambient_temperature", flag), settings={"flag": flag},
-            meaning=f"heat lost to the ambient, {condition}", leaves=leaves, source=PARALLEL,
+            meaning=f"heat lost to the ambient, {when}", leaves=leaves, source=PARALLEL,
         )  # fmt: skip
 
-    docstring = f"""Heat lost by the converter to the ambient, {condition}: f −= g · `{flag}` · (T_a − T_amb).
+    docstring = f"""Heat lost by the converter to the ambient, {when}: f −= g · `{flag}` · (T_a − T_amb).
 
     The converter's excess over the ambient temperature is that of the air divided by ρ.  {reason}
     """

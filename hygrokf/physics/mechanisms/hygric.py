@@ -96,13 +96,13 @@ def hygric_exchange(shortest_h: float = SHORTEST_H) -> Mechanism:
 
 vapour_disturbance = ornstein_uhlenbeck(
     "vapour_disturbance", __name__, "ambient_vapour", "g/m3", (0.3, 1e-4, 20.0), 6.0,
-    "coloured disturbance of the vapour flow, as an error of the ambient vapour concentration",
+    "coloured disturbance of the vapour flow, as an error of the ambient air",
     "slowly wandering humidity residuals; a hygric time constant that is too long",
     "It represents vapour flows beyond the exchange with the ambient series.",
 )  # fmt: skip
 second_vapour_disturbance = ornstein_uhlenbeck(
     "second_vapour_disturbance", __name__, "ambient_vapour", "g/m3", (0.1, 1e-4, 20.0), 1.0,
-    "second coloured disturbance of the vapour flow, as an error of the ambient vapour concentration",
+    "second coloured disturbance of the vapour flow, as an error of the ambient air",
     "innovations that are not white although the model has one coloured disturbance",
     "It has another time scale, for records where one disturbance is not enough.",
 )  # fmt: skip

@@ -86,18 +86,15 @@ def moisture_sorption(activated: bool = True, slab: bool = False) -> Mechanism:
         if activated:
             time = time * exp(ACTIVATION_K * (1.0 / air - 1.0 / REFERENCE_K))
         content = p.sorption_capacity * isotherm(cabinet_humidity(x, u, q))
-        return {
-            n: (share_of_content * content - getattr(x, n)) * (relative_rate / time)
-            for n, (share_of_content, relative_rate) in stores.items()
-        }
+        return {n: (share * content - getattr(x, n)) * (pace / time) for n, (share, pace) in stores.items()}
 
     def initial(p: Space, u: Space) -> dict[str, Pair]:
         kelvin = u.ambient_temperature
         pressure = vapour_pressure(u.ambient_absolute_humidity, kelvin)
         content = p.sorption_capacity * isotherm(pressure / saturation_pressure(kelvin + 6.0))
         return {
-            n: (share_of_content * content, 0.1 * (share_of_content * content) * (share_of_content * content))
-            for n, (share_of_content, _) in stores.items()
+            n: (share * content, 0.1 * (share * content) * (share * content))
+            for n, (share, _) in stores.items()
         }
 
     return Mechanism(
@@ -159,11 +156,9 @@ def condensation(sky: bool = False) -> Mechanism:
         return p.condensation_rate * (condensing - drying * wet_share)
 
     def surface(p: Space, x: Space, u: Space, q: Space) -> Value:
-        equilibrium = u.ambient_temperature + p.surface_share * (
-            q.cabinet_air_temperature - u.ambient_temperature
-        )
+        target = u.ambient_temperature + p.surface_share * (q.cabinet_air_temperature - u.ambient_temperature)
         undercooling = p.surface_undercooling * (u.night_sky if sky else 1.0)
-        return (equilibrium - undercooling - x.surface_temperature) / p.surface_time
+        return (target - undercooling - x.surface_temperature) / p.surface_time
 
     return Mechanism(
         name="condensation",
@@ -321,7 +316,7 @@ def dehumidifier_drying() -> Mechanism:
 
 
 def _exchange_factory(
-    name: str, parameter: str, flag: str, upper: float, condition: str, leaves: str, lower: float = -0.95
+    name: str, parameter: str, flag: str, upper: float, when: str, leaves: str, lower: float = -0.95
 ) -> Factory:
     """Vapour exchange multiplied by 1 + b · flag, b > −1; with `lower` = 0, b ≥ 0."""
 
@@ -331,14 +326,14 @@ def _exchange_factory(
             Parameter(
                 parameter, "1", 0.0, lower, upper, null=0.0,
                 physical=NONNEGATIVE if lower == 0 else ABOVE_MINUS_ONE,
-                meaning=f"relative change of the vapour exchange, {condition}",
+                meaning=f"relative change of the vapour exchange, {when}",
             ),
             flag,
-            settings={"flag": flag}, meaning=f"vapour exchange, {condition}", leaves=leaves,
+            settings={"flag": flag}, meaning=f"vapour exchange, {when}", leaves=leaves,
             source="resistance R_D* of equation (4) divided by the factor",
         )  # fmt: skip
 
-    return named(name, f"Vapour exchange {condition}: multiplied by 1 + b · `{flag}`.", factory)
+    return named(name, f"Vapour exchange {when}: multiplied by 1 + b · `{flag}`.", factory)
 
 
 fan_exchange = _exchange_factory(
@@ -376,7 +371,7 @@ def breathed_air(form: str = "vapour") -> Mechanism:
     meaning = {
         "vapour": "excess of the breathed air's vapour over the ambient series",
         "temperature": "share by which the ambient series understates the vapour of the breathed air",
-        "humidity": "deficit of the relative humidity of the ambient series",
+        "humidity": "what the relative humidity of the ambient series lacks",
     }[form]
 
     def scale(x: Space, u: Space, q: Space) -> Value:

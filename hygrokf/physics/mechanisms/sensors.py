@@ -166,7 +166,7 @@ def humidity_scale(flag: str | None = "elapsed") -> Mechanism:
         parameters=(
             Parameter(
                 name, "1", 0.0, -0.9, 2.0, null=0.0,
-                meaning="relative error of the humidity sensor's scale at the end of the record",
+                meaning="error of the humidity sensor's scale in the end",
             ),
         ),
         inputs=("ambient_temperature", *((flag,) if flag else ())),

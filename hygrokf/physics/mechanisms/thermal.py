@@ -47,7 +47,7 @@ def thermal_network() -> Mechanism:
             ),
             Parameter(
                 "resistance_ratio", "1", 0.9, 0.2, 1.0, physical=(0.0, 1.0),
-                meaning="R_AT/(R_AT+R_IC); 1 where the air has the temperature of the converter mass",
+                meaning="R_AT/(R_AT+R_IC); 1 where the air follows the converter mass alone",
             ),
         ),
         states=("converter_temperature",),
