@@ -127,7 +127,7 @@ def heat_release(
     starts = start or {}
     reference, gap_rate = Given(reference_K), Given(1.0 / gap_time_h)
     gap_matrix = [[Given(value) for value in row] for row in gap_covariance or ()]
-    has_both_regimes = operation and standstill
+    both_regimes = operation and standstill
     powers = [f"power_{k}" for k in range(1, order + 1)] if operation else []
     parameters = _release_parameters(
         powers, ambient, standstill_ambient, operation, standstill, preheating, starts
@@ -137,7 +137,7 @@ def heat_release(
         ambient_excess = u.ambient_temperature - reference
         total = 0.0
         if operation:
-            share = u.operating if has_both_regimes else 1.0
+            share = u.operating if both_regimes else 1.0
             active = p.heat_release_operation
             if ambient:
                 active = active + p.heat_release_operation_ambient * ambient_excess
@@ -148,7 +148,7 @@ def heat_release(
             idle = p.heat_release_standstill
             if standstill_ambient:
                 idle = idle + p.heat_release_standstill_ambient * ambient_excess
-            total = total + ((1.0 - u.operating) * idle if has_both_regimes else idle)
+            total = total + ((1.0 - u.operating) * idle if both_regimes else idle)
         if preheating:
             total = total + p.preheating_heat * u.preheating
         if gap_covariance is not None:
@@ -156,17 +156,11 @@ def heat_release(
         return {"heat_release": total}
 
     def unknown_variance(p: Space) -> Value:
-        step_at_zero_power = (
-            p.heat_release_operation - (p.heat_release_standstill if standstill else 0.0)
-            if has_both_regimes
-            else 0.0
-        )
-        return _quadratic_form(
-            gap_matrix, [step_at_zero_power, *(getattr(p, f"heat_release_{name}") for name in powers)]
-        )
+        step = p.heat_release_operation - p.heat_release_standstill if both_regimes else 0.0
+        return _quadratic_form(gap_matrix, [step, *(getattr(p, f"heat_release_{name}") for name in powers)])
 
     has_gaps = gap_covariance is not None
-    is_read = {"ambient_temperature": True, "operating": has_both_regimes, **dict.fromkeys(powers, True),
+    is_read = {"ambient_temperature": True, "operating": both_regimes, **dict.fromkeys(powers, True),
                "preheating": preheating, "power_unknown": has_gaps}  # fmt: skip
     return Mechanism(
         name="heat_release",
