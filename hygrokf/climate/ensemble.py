@@ -96,7 +96,7 @@ def shots_from_innovations(
     warms = air != 0.0
     for _ in range(len(air)):  # also through other states
         warms = warms | (rates[warms] != 0.0).any(axis=0)
-    means = [i for i, name in enumerate(model.states) if name not in model.own_states]
+    means = [i for i, name in enumerate(model.states) if name not in model.mechanism_states]
     found: list[Shots] = []
     for output, states in (("temperature", warms), ("humidity", ~warms)):
         if output not in seen:

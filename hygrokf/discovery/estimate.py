@@ -298,7 +298,10 @@ def of_priors(one: Calibration, f: Frame) -> tuple[np.ndarray, np.ndarray]:
         prior, value = one.simulator.parameters[place].prior, float(one.theta[place])
         if prior is not None:
             unit = value if f.logarithmic[i] else 1.0
-            information[i], slope[i] = prior.information(value) * unit**2, prior.log_slope(value) * unit
+            information[i], slope[i] = (
+                prior.information(value) * unit**2,
+                prior.log_density_derivative(value) * unit,
+            )
     return information, slope
 
 

@@ -26,7 +26,7 @@ from hygrokf.evaluation.scoring import RuleScores, Scores
 from hygrokf.identification.fit import Fit, write_fit
 from hygrokf.identification.fit_results import FitResults, ParameterRow, TimeConstant
 from hygrokf.modelling.causes.forms import Settings
-from hygrokf.physics.model import fields_alone
+from hygrokf.physics.model import field_values
 from hygrokf.texts.discovery import DiscoveryCode
 from hygrokf.texts.statement import Statement, Value
 from hygrokf.texts.terms import Meaning, Name, Version
@@ -244,7 +244,7 @@ class ModelScores:
     @cached_property
     def fit(self) -> FitResults:
         """These numbers as the results of a fit, for functions that take those."""
-        return FitResults(**fields_alone(self))
+        return FitResults(**field_values(self))
 
 
 @dataclass(frozen=True)

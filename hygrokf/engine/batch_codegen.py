@@ -3,9 +3,9 @@ vectors.
 
 `fleet_text` writes one function for a traced recursion.  Persistent arrays are stored in blocks of `RUNS`
 runs, (blocks, width, RUNS); the data of a step are stored in columns, (width, runs).  Every load thus takes
-one number of each run in a block.  Values that depend on the parameters and on the length of a step only are
+one number of each run in a block.  Values that depend only on the parameters and on the length of a step are
 kept between steps and recomputed for blocks that are marked as changed.  Lanes differ in their number of
-sub-steps: all lanes compute, and lanes that a result does not concern keep their previous value.
+sub-steps: all lanes compute, and finished lanes keep their previous values.
 """
 
 from __future__ import annotations
@@ -103,59 +103,66 @@ class _Emission:
             w.store(VECTOR, w.as_vector(kind, name), w.at(VECTOR, "%known", place))
 
     def _matrices(self, leaves: dict[int, str], share: float) -> dict[int, str]:
-        """The symbols of the matrices of a step: the share, and what the operations before it assign."""
+        """Values of a step's matrices: of the symbol of the share, and of the symbols that operations
+        assign."""
         r, w = self.recursion, self.writer
-        times, most = self._doublings(leaves, share)
+        times, largest = self._doublings(leaves, share)
         bits = w.value(f"shl {LONGS} {w.value(f'sub {LONGS} {_all(1023)}, {times}')}, {_all(52)}")
-        known = leaves | {r.share.index: w.value(f"bitcast {LONGS} {bits} to {VECTOR}")}
+        inner_leaves = leaves | {r.share.index: w.value(f"bitcast {LONGS} {bits} to {VECTOR}")}
         program = (*r.early, *r.late)
-        slots = {e.index: w.slot(VECTOR, "zeroinitializer") for one in operations(program) for e in one.into}
-        everywhere = w.value(f"icmp sge {LONGS} {times}, zeroinitializer")
-        for one in program:
-            self._perform(one, slots, times, most, known, everywhere)
-        return known | {i: w.load(VECTOR, slot) for i, slot in slots.items()}
+        slots = {e.index: w.slot(VECTOR, "zeroinitializer") for op in operations(program) for e in op.into}
+        all_lanes = w.value(f"icmp sge {LONGS} {times}, zeroinitializer")
+        for operation in program:
+            self._perform(operation, slots, times, largest, inner_leaves, all_lanes)
+        return inner_leaves | {i: w.load(VECTOR, slot) for i, slot in slots.items()}
 
     def _perform(
-        self, one: Operation, slots: dict[int, str], times: str, most: str, leaves: dict[int, str], lanes: str
+        self,
+        op: Operation,
+        slots: dict[int, str],
+        times: str,
+        most: str,
+        leaves: dict[int, str],
+        lanes: str,
     ) -> None:
         """Run an operation; only `lanes` take its values."""
         w = self.writer
-        if isinstance(one, Choose):
-            for inner in one.plain:
+        if isinstance(op, Choose):
+            for inner in op.plain:
                 self._perform(inner, slots, times, most, leaves, lanes)
             stiff = w.value(f"icmp sgt {LONGS} {times}, {_all(MILD)}")
             with w.when(w.value(f"icmp sgt i64 {most}, {MILD}")):
-                for inner in one.stiff:
+                for inner in op.stiff:
                     self._perform(inner, slots, times, most, leaves, stiff)
-        elif isinstance(one, Repeat):
+        elif isinstance(op, Repeat):
             with w.loop(most) as j:
-                here = w.value(f"insertelement {LONGS} poison, i64 {j}, i64 0")
+                counter = w.value(f"insertelement {LONGS} poison, i64 {j}, i64 0")
                 mask = f"<{RUNS} x i32> zeroinitializer"
-                here = w.value(f"shufflevector {LONGS} {here}, {LONGS} poison, {mask}")
-                self._assign(one, slots, {}, w.value(f"icmp slt {LONGS} {here}, {times}"))
+                counter = w.value(f"shufflevector {LONGS} {counter}, {LONGS} poison, {mask}")
+                self._assign(op, slots, {}, w.value(f"icmp slt {LONGS} {counter}, {times}"))
         else:
-            self._assign(one, slots, leaves, lanes)
+            self._assign(op, slots, leaves, lanes)
 
     def _assign(
-        self, one: Assign | Repeat, slots: dict[int, str], leaves: dict[int, str], lanes: str
+        self, operation: Assign | Repeat, slots: dict[int, str], leaves: dict[int, str], lanes: str
     ) -> None:
         w = self.writer
-        needed = set(self.recursion.graph.needed(one.block))
-        known = leaves | {i: w.load(VECTOR, slot) for i, slot in slots.items() if i in needed}
-        made = self._values(list(one.block), known)
-        for e, value in zip(one.into, made, strict=True):
+        needed = set(self.recursion.graph.needed(operation.block))
+        all_leaves = leaves | {i: w.load(VECTOR, slot) for i, slot in slots.items() if i in needed}
+        values = self._values(list(operation.block), all_leaves)
+        for e, value in zip(operation.into, values, strict=True):
             old = w.load(VECTOR, slots[e.index])
             w.store(VECTOR, self._where(lanes, value, old), slots[e.index])
 
     def _doublings(self, leaves: dict[int, str], share: float) -> tuple[str, str]:
         """Number of doublings of every run, and the largest; 0 for rates that are not finite."""
         w = self.writer
-        most = w.splat(literal(0.5))
+        largest = w.splat(literal(0.5))
         for name in self._values(list(self.recursion.reach), leaves):
             scaled = w.value(f"fmul {VECTOR} {name}, {w.splat(literal(1.0 / share))}")
-            larger = w.value(f"fcmp ogt {VECTOR} {scaled}, {most}")
-            most = self._where(larger, scaled, most)
-        bits = w.value(f"lshr {LONGS} {w.value(f'bitcast {VECTOR} {most} to {LONGS}')}, {_all(52)}")
+            larger = w.value(f"fcmp ogt {VECTOR} {scaled}, {largest}")
+            largest = self._where(larger, scaled, largest)
+        bits = w.value(f"lshr {LONGS} {w.value(f'bitcast {VECTOR} {largest} to {LONGS}')}, {_all(52)}")
         power = w.value(f"sub {LONGS} {bits}, {_all(1022)}")
         possible = w.value(f"icmp sle {LONGS} {power}, {_all(DOUBLINGS)}")
         power = w.value(f"select {TRUTHS} {possible}, {LONGS} {power}, {LONGS} zeroinitializer")
@@ -163,24 +170,24 @@ class _Emission:
 
     def _values(self, outputs: list[Expression], leaves: dict[int, str]) -> list[str]:
         w = self.writer
-        made = w.block(self.recursion.graph, outputs, leaves, list(leaves))
-        return [w.as_vector(kind, name) for kind, name in made]
+        results = w.block(self.recursion.graph, outputs, leaves, list(leaves))
+        return [w.as_vector(kind, name) for kind, name in results]
 
     def _predict(self, slots: dict[int, str], block: str) -> None:
         r, w = self.recursion, self.writer
         parts = self._column("parts", block, 0)
-        most = w.value(f"sext i32 {w.load('i32', w.at('i32', '%most', block))} to i64")
-        with w.loop(most) as j:
-            here = w.splat(w.value(f"sitofp i64 {j} to double"))
-            still = w.value(f"fcmp olt {VECTOR} {here}, {parts}")
+        largest = w.value(f"sext i32 {w.load('i32', w.at('i32', '%most', block))} to i64")
+        with w.loop(largest) as j:
+            counter = w.splat(w.value(f"sitofp i64 {j} to double"))
+            runs = w.value(f"fcmp olt {VECTOR} {counter}, {parts}")
             old = {i: w.load(VECTOR, slot) for i, slot in slots.items()}
             leaves = old | self._parameters_and_keys(block) | self._row("known", block, kept_nodes(r))
-            leaves |= self._inputs_within(block, here, parts)
+            leaves |= self._inputs_within(block, counter, parts)
             if not r.exact:
                 leaves |= self._matrices(leaves, SHARE)
-            made = self._values(r.predict, leaves)
-            for (i, slot), value in zip(slots.items(), made, strict=True):
-                w.store(VECTOR, self._where(still, value, old[i]), slot)
+            values = self._values(r.predict, leaves)
+            for (i, slot), value in zip(slots.items(), values, strict=True):
+                w.store(VECTOR, self._where(runs, value, old[i]), slot)
 
     def _where(self, truths: str, a: str, b: str) -> str:
         return self.writer.value(f"select {TRUTHS} {truths}, {VECTOR} {a}, {VECTOR} {b}")
@@ -190,20 +197,20 @@ class _Emission:
         r, w = self.recursion, self.writer
         one = w.splat(literal(1.0))
         after = w.value(f"fadd {VECTOR} {j}, {one}")
-        whole = w.value(f"fcmp oge {VECTOR} {after}, {parts}")
+        is_last = w.value(f"fcmp oge {VECTOR} {after}, {parts}")
         left, right = (w.value(f"fdiv {VECTOR} {part}, {parts}") for part in (j, after))
         result = {}
         for c, name in enumerate(r.varying):
             hold = r.holds[name]
-            now = self._column("before" if hold == PREVIOUS else "now", block, c)
-            result[r.end[name].index] = now
+            current = self._column("before" if hold == PREVIOUS else "now", block, c)
+            result[r.end[name].index] = current
             if hold == LINEAR:
                 before = self._column("before", block, c)
-                rise = w.value(f"fsub {VECTOR} {now}, {before}")
-                at = [
-                    w.value(f"fadd {VECTOR} {before}, {w.value(f'fmul {VECTOR} {rise}, {part}')}")
+                change = w.value(f"fsub {VECTOR} {current}, {before}")
+                values = [
+                    w.value(f"fadd {VECTOR} {before}, {w.value(f'fmul {VECTOR} {change}, {part}')}")
                     for part in (left, right)
                 ]
-                result[r.start[name].index] = at[0]
-                result[r.end[name].index] = self._where(whole, now, at[1])
+                result[r.start[name].index] = values[0]
+                result[r.end[name].index] = self._where(is_last, current, values[1])
         return result

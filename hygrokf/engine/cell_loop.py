@@ -1,16 +1,18 @@
 """The compiled simulation of a cabinet over cells of equal length, eight runs side by side.
 
 A run is a model of heat and a model of vapour, driven by inputs alone.  Within a cell every input has its
-mean f̄ and rises in a straight line from its value at the beginning to that at the end; what the model says at
-the end of a cell is evaluated with the inputs' values there.  Each state follows its own linearised equation,
+mean f̄ and rises in a straight line from its value at the beginning to that at the end; the readings at the
+end of a cell are evaluated with the inputs' values at the end.  Each state follows its own linearised
+equation,
 
     x ← x + h φ₁(z) f + h (φ₂(z) − φ₁(z)/2) (f_end − f_begin),    z = h ∂f/∂x,
     φ₁(z) = (e^z − 1)/z,    φ₂(z) = (φ₁(z) − 1)/z,
 
-which is exact for a constant rate, and enters the equations of the other states with its values before and
-after, and with their mean: before its turn with those by its first rate alone.  The vapour's model runs on
-the cabinet's temperature: that of the heat's model where `SIMULATED` is 1, the input `cabinet_temperature`
-where it is 0.  Controllers follow the readings that the run itself gives at the start of each cell.
+which is exact for a constant rate.  The equations of the other states use the state's values before and after
+the cell, and the mean of both; states that come earlier in the order use a prediction from the first rate.
+The vapour's model runs on the cabinet's temperature: the temperature of the heat model where `SIMULATED` is
+1, the input `cabinet_temperature` where it is 0.  Controllers follow the readings that the run itself gives
+at the start of each cell.
 
 The loop is emitted from the traced expressions of the mechanisms; no equation is written here.
 
@@ -37,12 +39,14 @@ from hygrokf.physics.model import Model
 from hygrokf.physics.switches import position
 
 _MAGIC = 6755399441055744.0
-"""1.5 · 2⁵²: adding it rounds to whole numbers, which then stand in the lowest bits."""
+"""1.5 · 2⁵²: adding it rounds to an integer, which the lowest bits then hold."""
 _LN2_HIGH, _LN2_LOW = 0.6931471803691238, 1.9082149292705877e-10
+"""ln 2 as a sum: products of the first term with small integers are exact."""
 _TERMS = 13
 _LOG_TERMS = 10
 _SMALLEST = -708.0
 _LARGEST = 709.0
+"""Limits of the exponential's argument: e^x is a normal number between them."""
 
 
 # -- exponential and logarithm of whole vectors --------------------------------------------------------------
@@ -89,7 +93,7 @@ class _Function(Writer):
 
 
 def exponential(lanes: int) -> str:
-    """LLVM text of `@exponential`: e^x of a vector; 0 below −708 in effect, limited above 709."""
+    """LLVM text of `@exponential`: e^x of a vector; arguments are limited to −708 … 709."""
     t = _Function("exponential", lanes)
     low = t.select(t.compare("olt", "%x", t.all(_SMALLEST)), t.all(_SMALLEST), "%x")
     x = t.select(t.compare("ogt", low, t.all(_LARGEST)), t.all(_LARGEST), low)
@@ -108,8 +112,8 @@ def logarithm(lanes: int) -> str:
     t = _Function("logarithm", lanes)
     bits = t.bits("%x")
     exponent = t.integer("sub", t.integer("lshr", bits, t.whole(52)), t.whole(1023))
-    one = t.integer("and", bits, t.whole(0x000FFFFFFFFFFFFF))
-    mantissa = t.number(t.integer("or", one, t.whole(0x3FF0000000000000)))
+    fraction = t.integer("and", bits, t.whole(0x000FFFFFFFFFFFFF))
+    mantissa = t.number(t.integer("or", fraction, t.whole(0x3FF0000000000000)))
     large = t.compare("ogt", mantissa, t.all(math.sqrt(2.0)))
     m = t.select(large, t.real("fmul", mantissa, t.all(0.5)), mantissa)
     n = t.value(f"sitofp {t.integers} {exponent} to {t.vector}")
@@ -125,11 +129,11 @@ def logarithm(lanes: int) -> str:
 
 
 SIMULATED = "simulated_temperature"
-"""Parameter of every run: 1 where vapour runs on the simulated temperature."""
+"""Parameter of every run: 1 where the vapour model uses the simulated temperature, 0 the measured one."""
 TEMPERATURE = "cabinet_temperature"
 HUMIDITY = "cabinet_relative_humidity"
 CONTROL = ("first", "second", "humidity", "idle")
-"""Parameters of a controller: its two levels [K] or [1]; 1 for following the humidity, for
+"""Parameters of a controller: its two levels [K] or [1]; 1 where it follows the humidity; 1 where it acts at
 standstill only."""
 IDLE = "standstill"
 
@@ -137,8 +141,8 @@ IDLE = "standstill"
 # -- the simulation ------------------------------------------------------------------------------------------
 @dataclass(frozen=True)
 class CellModel:
-    """A model of heat and one of vapour, of which `controls` set inputs; `own`: inputs that runs have of
-    their own."""
+    """A model of heat and one of vapour; `controls`: inputs that controllers set; `own`: inputs with separate
+    values for every run."""
 
     heat: Model | None
     vapour: Model | None
@@ -147,7 +151,7 @@ class CellModel:
 
     @property
     def models(self) -> tuple[Model, ...]:
-        return tuple(one for one in (self.heat, self.vapour) if one is not None)
+        return tuple(model for model in (self.heat, self.vapour) if model is not None)
 
     @cached_property
     def parameters(self) -> tuple[str, ...]:
@@ -158,16 +162,16 @@ class CellModel:
     @cached_property
     def inputs(self) -> tuple[str, ...]:
         """Inputs that all runs share."""
-        names = dict.fromkeys([*(name for one in self.models for name in one.inputs), TEMPERATURE, IDLE])
+        names = dict.fromkeys([*(name for model in self.models for name in model.inputs), TEMPERATURE, IDLE])
         return tuple(name for name in names if name not in (*self.controls, *self.own))
 
     @cached_property
     def states(self) -> tuple[str, ...]:
-        return tuple(name for one in self.models for name in one.states)
+        return tuple(name for model in self.models for name in model.states)
 
     @property
     def outputs(self) -> tuple[str, ...]:
-        return tuple(name for one in self.models for name in one.outputs)
+        return tuple(name for model in self.models for name in model.outputs)
 
     @cached_property
     def traced(self) -> TracedCell:
@@ -210,17 +214,17 @@ class TracedCell:
         self.readings = [g.lift(shown[name]) for name in model.outputs]
 
     def _positions(self) -> dict[str, Expression]:
-        """What the controllers do in the cell."""
+        """The positions of the controllers in the cell."""
         # an open vent cools the air that the controller reads
-        shown = self._shown(self.states, {**self.begin, **self.own, **self.before}) if self.before else {}
-        found = {}
+        readings = self._shown(self.states, {**self.begin, **self.own, **self.before}) if self.before else {}
+        positions = {}
         for name in self.model.controls:
             first, second, humid, idle = (self.parameters[f"{name}_{word}"] for word in CONTROL)
-            warm = shown[TEMPERATURE]
-            value = warm + humid * (shown.get(HUMIDITY, warm) - warm)
+            temperature = readings[TEMPERATURE]
+            value = temperature + humid * (readings.get(HUMIDITY, temperature) - temperature)
             allowed = 1.0 - idle * (1.0 - self.mean[IDLE])
-            found[name] = allowed * position(value, first, second)
-        return found
+            positions[name] = allowed * position(value, first, second)
+        return positions
 
     def _stage(
         self,
@@ -230,39 +234,40 @@ class TracedCell:
         begin: Mapping[str, Value],
         end: Mapping[str, Value],
     ) -> dict[str, Value]:
-        """Move the states of a model in `state`, one after the other; returns them in the middle."""
+        """Advance the states of a model in `state`, one after the other; returns their means over the
+        cell."""
 
         def rates(at: Mapping[str, Value], inputs: Mapping[str, Value]) -> list[Expression]:
-            made = model.traced([at[one] for one in model.states], inputs, self.values)
-            return [self.graph.lift(one) for one in made.rates]
+            equations = model.traced([at[name] for name in model.states], inputs, self.values)
+            return [self.graph.lift(rate) for rate in equations.rates]
 
-        floors = dict(zip(model.states, model.amounts, strict=True))
-        now: dict[str, Value] = {}
+        is_amount = dict(zip(model.states, model.amounts, strict=True))
+        means: dict[str, Value] = {}
 
         def move(name: str, step: Expression) -> None:
-            moved = self.states[name] + step
-            state[name] = where(moved < 0.0, 0.0, moved) if floors[name] else moved
-            now[name] = 0.5 * (self.states[name] + state[name])
+            after = self.states[name] + step
+            state[name] = where(after < 0.0, 0.0, after) if is_amount[name] else after
+            means[name] = 0.5 * (self.states[name] + state[name])
 
-        # where a state is needed before its turn, it moves at the rate that it begins with; φ₁ without e^z
+        # predict every state from its rate at the beginning, with a rational approximation of φ₁
         first = rates(self.states, begin)
         for name, rate in zip(model.states, first, strict=True):
             z = self._stretch(rate, name)
             move(name, self.hours * rate / (1.0 - z * (0.5 - z * (1.0 / 12.0))))
-        for place, name in enumerate(model.states):
-            state[name] = now[name] = self.states[name]
-            rate, last = rates(now, mean)[place], rates(state, end)[place]
-            one, half = _phi(self._stretch(rate, name))
-            move(name, self.hours * (rate * one + (last - first[place]) * half))
-        return now
+        for index, name in enumerate(model.states):
+            state[name] = means[name] = self.states[name]
+            rate, last = rates(means, mean)[index], rates(state, end)[index]
+            phi_1, phi_2_term = _phi(self._stretch(rate, name))
+            move(name, self.hours * (rate * phi_1 + (last - first[index]) * phi_2_term))
+        return means
 
     def _stretch(self, rate: Expression, name: str) -> Value:
-        """z of a state: the cell in units of its own time constant."""
+        """z of a state: the cell's length times the derivative of the rate with respect to the state."""
         ((slope,),) = jacobian([rate], [self.states[name]])
         return self.hours * slope
 
     def _air(self, heat: Mapping[str, Value], inputs: Mapping[str, Value]) -> Value:
-        """The temperature on which vapour runs."""
+        """The cabinet temperature that the vapour model uses."""
         model = self.model.heat
         if model is None:
             return inputs[TEMPERATURE]
@@ -272,25 +277,25 @@ class TracedCell:
 
     def _shown(self, state: Mapping[str, Value], inputs: Mapping[str, Value]) -> dict[str, Value]:
         """The readings at a state under inputs."""
-        warm = {TEMPERATURE: self._air(state, inputs)}
-        found: dict[str, Value] = {}
+        temperature_input = {TEMPERATURE: self._air(state, inputs)}
+        readings: dict[str, Value] = {}
         for model in self.model.models:
-            given = inputs if model is self.model.heat else {**inputs, **warm}
-            made = model.evaluate([state[name] for name in model.states], given, self.values).outputs
-            found |= {name: value for name, (value, _) in made.items()}
-        return found
+            given = inputs if model is self.model.heat else {**inputs, **temperature_input}
+            outputs = model.evaluate([state[name] for name in model.states], given, self.values).outputs
+            readings |= {name: value for name, (value, _) in outputs.items()}
+        return readings
 
 
 def _phi(z: Value) -> tuple[Value, Value]:
-    """φ₁ and φ₂ − φ₁/2; by their series near 0."""
+    """φ₁ and φ₂ − φ₁/2; near z = 0 by their Taylor series."""
     if not isinstance(z, Expression):
         return 1.0, 0.0
     small = z * z < 1e-4
     safe = where(small, 1.0, z)
     series = 1.0 + z * (1.0 / 2.0 + z * (1.0 / 6.0 + z * (1.0 / 24.0 + z * (1.0 / 120.0))))
-    one = where(small, series, (exp(z) - 1.0) / safe)
+    phi_1 = where(small, series, (exp(z) - 1.0) / safe)
     series = z * (-1.0 / 12.0 - z * (1.0 / 24.0 + z * (1.0 / 80.0 + z * (1.0 / 360.0))))
-    return one, where(small, series, (one - 1.0) / safe - 0.5 * one)
+    return phi_1, where(small, series, (phi_1 - 1.0) / safe - 0.5 * phi_1)
 
 
 ARGUMENTS = ("hours", "means", "edges", "strides", "theta", "given", "start", "out")
@@ -304,24 +309,25 @@ def cell_text(t: TracedCell) -> str:
     models; start: (n, LANES); out: (K, k, LANES); own: (K, LANES) or (1, LANES) each.
     """
     model, g = t.model, t.graph
-    owned = [f"own{i}" for i in range(len(model.own))]
+    own_names = [f"own{i}" for i in range(len(model.own))]
     functions = {"exp": "exponential", "log": "logarithm"}
-    w = Writer("cells", [("i64", "count"), *(("ptr", one) for one in (*ARGUMENTS, *owned))], LANES, functions)
+    arguments = [("i64", "count"), *(("ptr", name) for name in (*ARGUMENTS, *own_names))]
+    w = Writer("cells", arguments, LANES, functions)
     fixed = {t.hours.index: w.load(SCALAR, "%hours")}
     fixed |= {
-        one.index: w.load(w.vector, w.at(w.vector, "%theta", i))
-        for i, one in enumerate(t.parameters.values())
+        symbol.index: w.load(w.vector, w.at(w.vector, "%theta", i))
+        for i, symbol in enumerate(t.parameters.values())
     }
     fixed |= {
         g.symbol(f"c:{i}").index: w.load(SCALAR, w.at(SCALAR, "%given", i)) for i in range(len(g.given))
     }
     strides = [w.load("i64", w.at("i64", "%strides", i)) for i in range(len(model.own))]
     slots = {
-        one.index: w.slot(w.vector, w.load(w.vector, w.at(w.vector, "%start", i)))
-        for i, one in enumerate(t.states.values())
+        symbol.index: w.slot(w.vector, w.load(w.vector, w.at(w.vector, "%start", i)))
+        for i, symbol in enumerate(t.states.values())
     }
-    slots |= {one.index: w.slot(w.vector, "zeroinitializer") for one in t.before.values()}
-    vectors = [one.index for one in (*t.parameters.values(), *t.own.values())] + list(slots)
+    slots |= {symbol.index: w.slot(w.vector, "zeroinitializer") for symbol in t.before.values()}
+    vectors = [symbol.index for symbol in (*t.parameters.values(), *t.own.values())] + list(slots)
     width, shown = len(model.inputs), len(model.outputs)
     with w.loop("%count") as k:
         row = w.integer("mul", k, width)
@@ -331,17 +337,17 @@ def cell_text(t: TracedCell) -> str:
             ("means", row, t.mean), ("edges", row, t.begin), ("edges", after, t.end),
         ):  # fmt: skip
             leaves |= {
-                one.index: w.load(SCALAR, w.at(SCALAR, f"%{array}", w.integer("add", first, c)))
-                for c, one in enumerate(symbols.values())
+                symbol.index: w.load(SCALAR, w.at(SCALAR, f"%{array}", w.integer("add", first, c)))
+                for c, symbol in enumerate(symbols.values())
             }
-        for name, stride, one in zip(owned, strides, t.own.values(), strict=True):
-            leaves[one.index] = w.load(w.vector, w.at(SCALAR, f"%{name}", w.integer("mul", k, stride)))
-        outputs = [*t.readings, *t.after, *(g.lift(one) for one in t.positions.values())]
-        made = [w.as_vector(kind, name) for kind, name in w.block(g, outputs, leaves, vectors)]
-        place = w.integer("mul", k, shown)
-        for c, value in enumerate(made[:shown]):
-            w.store(w.vector, value, w.at(w.vector, "%out", w.integer("add", place, c)))
-        for slot, value in zip(slots.values(), made[shown:], strict=True):
+        for name, stride, symbol in zip(own_names, strides, t.own.values(), strict=True):
+            leaves[symbol.index] = w.load(w.vector, w.at(SCALAR, f"%{name}", w.integer("mul", k, stride)))
+        outputs = [*t.readings, *t.after, *(g.lift(symbol) for symbol in t.positions.values())]
+        values = [w.as_vector(kind, name) for kind, name in w.block(g, outputs, leaves, vectors)]
+        start = w.integer("mul", k, shown)
+        for c, value in enumerate(values[:shown]):
+            w.store(w.vector, value, w.at(w.vector, "%out", w.integer("add", start, c)))
+        for slot, value in zip(slots.values(), values[shown:], strict=True):
             w.store(w.vector, value, slot)
     return declarations() + exponential(LANES) + logarithm(LANES) + w.text()
 
@@ -366,8 +372,8 @@ def run(
     LANES)."""
     out = np.empty((len(cells), len(model.outputs), LANES))
     code = model.code
-    strides = np.array([LANES if len(one) > 1 else 0 for one in own] or [0], dtype=np.int64)
-    given = np.array([float(one) for one in model.traced.graph.given] or [0.0])
+    strides = np.array([LANES if len(values) > 1 else 0 for values in own] or [0], dtype=np.int64)
+    given = np.array([float(number) for number in model.traced.graph.given] or [0.0])
     code(
         "cells", len(cells), np.array([cells.hours]), cells.means, cells.edges, strides,
         np.ascontiguousarray(theta), given, np.ascontiguousarray(start), out, *own,

@@ -17,10 +17,10 @@ of order h⁵ a sub-step for any other function.
 
 Rows of a linear model have A₁ = A₂ and an exactly affine b.  For them every formula above is *exact* under
 the stated hold (constant or linear) for any h, and with x₀ = 0 the matrix e^Ω and its relatives are
-computed only once.  Where rates vary, x₀ = m: the remainder then changes with what happens within the step
-and not with the distance of the state from zero (kelvins from absolute zero), which makes the error of a
-sub-step about 250 times smaller.  This error is of order h⁵ for the mean and of order h⁴ for the covariance,
-whose Jacobians are taken where a second-order rule places the nodes; sub-steps keep both below a tolerance
+computed only once.  Where rates vary, x₀ = m: the remainder then changes with the change within the step
+instead of the distance of the state from zero (kelvins from absolute zero), so that the error of a sub-step
+is about 250 times smaller.  This error is of order h⁵ for the mean and of order h⁴ for the covariance,
+whose Jacobians are taken at nodes from a second-order rule; sub-steps keep both below a tolerance
 (`engine.schedule_codegen`).
 
 The matrices are Taylor polynomials for a share c = 2^−s of the step, doubled s
@@ -29,10 +29,10 @@ times: with D = e^{cΩ} − I, Γ = c φ₁(cΩ), W = c φ₂(cΩ) and N = c ∫
     D ← 2 D + D²,    Γ ← 2 Γ + D Γ,    W ← W + (D W + Γ)/2,
     N ← 2 N + D N + N D' + D N D'.
 
-A parabola q(σ) in place of Q̄ has an N of its own for q' and for q'': q(t+σ) = q + t q' + t² q''/2.  I + D is
-never formed while D is small, so that slow states keep all digits beside fast ones; a step of any length is
-one step, whose cost grows with the logarithm of its stiffness.  A sparse model costs as much as its non-zero
-entries, and entries that depend only on h and the parameters are computed once for each distinct h.
+Where a parabola q(σ) replaces Q̄, q' and q'' have separate integrals N: q(t+σ) = q + t q' + t² q''/2.  I + D
+is never formed while D is small, so that slow states keep all digits beside fast ones; a step of any length
+is one step, whose cost grows with the logarithm of its stiffness.  A sparse model costs as much as its
+non-zero entries, and entries that depend only on h and the parameters are computed once for each distinct h.
 
 Sources: Magnus step: Iserles & Nørsett 1999, doi:10.1098/rsta.1999.0362; Van Loan 1978,
 doi:10.1109/TAC.1978.1101743; scaling and squaring: Moler & Van Loan 2003, doi:10.1137/S00361445024180.
@@ -70,15 +70,15 @@ from hygrokf.physics.matrices import (
 from hygrokf.physics.model import Values
 
 CONSTANT_SHARE, SHARE = 0.25, 0.5
-"""[1] largest product of the rates and the share of a step whose rates are constant, and vary."""
+"""[1] largest product of the rates and the share of a step: with constant rates, and with varying ones."""
 CONSTANT_ORDER, ORDER, NODE_ORDER = 11, 9, 5
-"""Degrees of their polynomials, with the remainders 0.25^11/12! = 5e-16 and 0.5^9/10! = 5e-10 of D, and of
-those for the nodes alone.
+"""Degrees of the Taylor polynomials: for constant rates, with the remainder 0.25^11/12! = 5e-16 of D; for
+varying rates, with 0.5^9/10! = 5e-10; and for the states at the nodes.
 """
 FAINT = 2.0**-40
-"""[1] square of an entry of e^Ω from which on I + D has fewer of its digits than repeated squares."""
+"""[1] square of an entry of e^Ω below which repeated squaring keeps more of its digits than I + D does."""
 MILD = 1
-"""Doublings up to which the midpoint rule is stable: rates times length below 1."""
+"""Largest number of doublings at which the midpoint rule is stable: rates times length below 1."""
 NODES = (0.5 - math.sqrt(3.0) / 6.0, 0.5 + math.sqrt(3.0) / 6.0)
 
 Drift = Callable[[Sequence[Value], Values], list[Value]]
@@ -115,12 +115,13 @@ Operation = Assign | Repeat | Choose
 
 @dataclass(frozen=True)
 class Step:
-    """Traced moments after one sub-step, the matrices that made them, and the operations before: `early`
-    those of constant rates, which depend on h, the parameters and regimes alone, and `late` all others.
+    """Traced moments after one sub-step, the matrices behind them, and the operations that compute the
+    matrices: `early` for constant rates, which depend only on h, the parameters and regimes, and `late` for
+    all others.
 
-    `decay` is the transition, with the relative digits also of entries that have decayed far below 1;
-    `share` the symbol of c; `reach` (n,) bounds the rates times h at the beginning of the sub-step; the step
-    is `exact` for any length where `constant_rates` says so.
+    `decay` is the transition whose entries keep their relative accuracy also far below 1; `share` is the
+    symbol of c; the largest of `reach` (n,) bounds the rates times h at the beginning of the sub-step;
+    `exact` tells whether a step of any length is exact (`constant_rates`).
     """
 
     mean: list[Expression]
@@ -136,12 +137,12 @@ class Step:
 
 
 def operations(program: Sequence[Operation]) -> Iterator[Assign | Repeat]:
-    """All assignments of a program, those of both choices too."""
-    for one in program:
-        if isinstance(one, Choose):
-            yield from operations((*one.stiff, *one.plain))
+    """Yield all assignments of a program, including those of both alternatives of a `Choose`."""
+    for operation in program:
+        if isinstance(operation, Choose):
+            yield from operations((*operation.stiff, *operation.plain))
         else:
-            yield one
+            yield operation
 
 
 def step(
@@ -161,20 +162,18 @@ def step(
     `drift(x, u)` -> list of n rates [unit of the state per h]; `noise(u)` -> Q (n, n) [unit² per h]; `state`
     and `covariance` before the step; `start` and `end` the inputs just after its start and just before its
     end (a constant input has the same node in both); `h` [h]; `changing` the names of the symbols that change
-    from step to step; `decays` asks for the relative digits of `Step.decay`.
+    from step to step; `decays` whether `Step.decay` is needed.
     """
     n, share = len(state), graph.symbol("share")
     field = _Field(graph, drift, n, start)
     inputs = [_between(start, end, c) for c in NODES]
-    before = field.jacobian_at(state, start)
-    points, late = (
-        _nodes(field, state, start, inputs, before, h, share) if field.nonlinear else ([state] * 2, [])
-    )
+    a0 = field.jacobian_at(state, start)
+    points, late = _nodes(field, state, start, inputs, a0, h, share) if field.nonlinear else ([state] * 2, [])
     a1, a2 = (field.jacobian_at(x, u) for x, u in zip(points, inputs, strict=True))
     difference = _difference(a2, a1)
     varies = _any(difference)
     origin = state if varies else [0.0] * n
-    b1, b2 = (field.rest_at(x, u, a, origin) for x, u, a in zip(points, inputs, (a1, a2), strict=True))
+    b1, b2 = (field.remainder_at(x, u, a, origin) for x, u, a in zip(points, inputs, (a1, a2), strict=True))
     correction = math.sqrt(3.0) / 12.0 * h * h
     mean_rate = [[_mean(x, y) for x, y in zip(r, s, strict=True)] for r, s in zip(a1, a2, strict=True)]
     omega = scale(h, mean_rate)
@@ -184,22 +183,22 @@ def step(
     spreads = [scale(h, q) for q in intensities]
     if varies:
         omega = add(omega, scale(correction, _difference(product(a2, a1), product(a1, a2))))
-        rises = [product(difference, q) for q in intensities]
+        changes = [product(difference, q) for q in intensities]
         spreads = [
-            add(q, scale(correction, add(rise, transpose(rise))))
-            for q, rise in zip(spreads, rises, strict=True)
+            add(q, scale(correction, add(change, transpose(change))))
+            for q, change in zip(spreads, changes, strict=True)
         ]
 
-    changing = [*changing, *(graph.nodes[e.index][1] for one in operations(late) for e in one.into)]
+    changing = [*changing, *(graph.nodes[e.index][1] for op in operations(late) for e in op.into)]
     driven = [j for j in range(n) if not (is_zero(b1[j]) and is_zero(b2[j]))]
     rising = [j for j in driven if not _same(b1[j], b2[j])]
     columns = [  # of Γ and W; the corrections add columns
-        {*one, *(k for k in range(n) if any(not is_zero(difference[k][j]) for j in one))}
-        for one in (driven, rising)
+        {*indices, *(k for k in range(n) if any(not is_zero(difference[k][j]) for j in indices))}
+        for indices in (driven, rising)
     ]
-    own = [not any(depends_on(graph, v, changing) for a in (a1, a2) for v in a[i]) for i in range(n)]
-    steady = not any(depends_on(graph, v, changing) for row in intensities[0] for v in row)
-    early, made, matrices = _matrices(graph, share, omega, spreads, columns, own, steady, decays)
+    steady = [not any(depends_on(graph, v, changing) for a in (a1, a2) for v in a[i]) for i in range(n)]
+    quiet = not any(depends_on(graph, v, changing) for row in intensities[0] for v in row)
+    early, doubling, matrices = _matrices(graph, share, omega, spreads, columns, steady, quiet, decays)
     d, g, w, squared, accumulated = matrices
     decay = exponential = add(d, identity(n))
     if decays:
@@ -220,9 +219,9 @@ def step(
         decay=decay,
         share=share,
         early=tuple(early),
-        late=(*late, *made),
+        late=(*late, *doubling),
         exact=constant_rates(graph, [*a1, *intensities[0]], changing, field.f, drives),
-        reach=_reach(graph, before, h),
+        reach=_reach(graph, a0, h),
     )
 
 
@@ -232,30 +231,34 @@ def _matrices(
     omega: Matrix,
     spreads: Sequence[Matrix],
     columns: Sequence[set[int]],
-    own: Sequence[bool],
-    steady: bool,
+    steady: Sequence[bool],
+    quiet: bool,
     decays: bool,
 ) -> tuple[list[Operation], list[Operation], list[Matrix]]:
-    """Early and late operations, and D, Γ, W, E and N: early for states whose rates, and those of all that
-    act on them, are constant (`own`), N only where the noise is `steady` too."""
-    n, reach = len(omega), closure(omega)
-    fixed = [own[i] and all(own[j] for j in range(n) if reach[i][j]) for i in range(n)]
-    both = [one and steady for one in fixed]
-    kept = [[v if fixed[i] else 0.0 for v in row] for i, row in enumerate(omega)]
-    alone = [
-        [v if both[i] and both[j] else 0.0 for j, v in enumerate(row)] for i, row in enumerate(spreads[0])
+    """Early and late operations, and the matrices D, Γ, W, E and N.
+
+    Rows of a state are early (`fixed`) where its rate and the rates of all states that act on it are constant
+    (`steady`); entries of N are early (`still`) only where the noise is constant too (`quiet`)."""
+    n, reaches = len(omega), closure(omega)
+    fixed = [steady[i] and all(steady[j] for j in range(n) if reaches[i][j]) for i in range(n)]
+    still = [one and quiet for one in fixed]
+    early_omega = [[v if fixed[i] else 0.0 for v in row] for i, row in enumerate(omega)]
+    early_noise = [
+        [v if still[i] and still[j] else 0.0 for j, v in enumerate(row)] for i, row in enumerate(spreads[0])
     ]
-    known = [{j for j in one if fixed[j]} for one in columns]
-    early, matrices = _doubled(graph, "", share, kept, [alone], known, CONSTANT_ORDER, decays)
-    if all(both):
-        return early, [], matrices
+    early_columns = [{j for j in indices if fixed[j]} for indices in columns]
+    early, early_matrices = _doublings(
+        graph, "", share, early_omega, [early_noise], early_columns, CONSTANT_ORDER, decays
+    )
+    if all(still):
+        return early, [], early_matrices
     order = CONSTANT_ORDER if all(fixed) else ORDER
-    late, whole = _doubled(graph, "late:", share, omega, spreads, columns, order, decays)
-    chosen = [
-        [[p[i][j] if fixed[i] and (name != "N" or both[j]) else q[i][j] for j in range(n)] for i in range(n)]
-        for name, p, q in zip("DGWEN", matrices, whole, strict=True)
+    late, late_matrices = _doublings(graph, "late:", share, omega, spreads, columns, order, decays)
+    merged = [
+        [[p[i][j] if fixed[i] and (name != "N" or still[j]) else q[i][j] for j in range(n)] for i in range(n)]
+        for name, p, q in zip("DGWEN", early_matrices, late_matrices, strict=True)
     ]
-    return early, late, chosen
+    return early, late, merged
 
 
 def constant_rates(
@@ -263,8 +266,8 @@ def constant_rates(
 ) -> bool:
     """Whether a step of any length is one exact step.
 
-    The `rows` of the Jacobian and the noise must have none of the symbols `changing`, and `rates` must be
-    straight lines in the inputs `rising` within a step: the product of two such inputs is not, in time.
+    The `rows` of the Jacobian and the noise must contain none of the symbols `changing`.  The `rates` must be
+    linear in the inputs `rising`, which are linear within a step: a product of two of them is quadratic.
     """
     if any(depends_on(graph, v, changing) for row in rows for v in row):
         return False
@@ -273,7 +276,7 @@ def constant_rates(
 
 
 class _Field:
-    """f, its Jacobian and its affine remainder as functions of the point at which they are taken."""
+    """f, its Jacobian and its affine remainder as functions of the state and the inputs."""
 
     def __init__(self, graph: Graph, drift: Drift, n: int, inputs: Inputs) -> None:
         self.graph = graph
@@ -297,20 +300,20 @@ class _Field:
     def jacobian_at(self, x: Sequence[Value], u: Inputs) -> Matrix:
         return [self._at(row, x, u) for row in self.jacobian]
 
-    def rest_at(self, x: Sequence[Value], u: Inputs, a: Matrix, origin: Sequence[Value]) -> list[Value]:
+    def remainder_at(self, x: Sequence[Value], u: Inputs, a: Matrix, origin: Sequence[Value]) -> list[Value]:
         """The remainder b of f(x) = A (x − x₀) + b; x₀ = `origin`.
 
         Rows that are affine in the state have b = f(x₀), without cancellation and without the error of x.
         """
-        there = self.value_at(origin, u)
+        base = self.value_at(origin, u)
         if not self.nonlinear:
-            return there
-        moved = [_minus(v, o) for v, o in zip(x, origin, strict=True)]
+            return base
+        offset = [_minus(v, o) for v, o in zip(x, origin, strict=True)]
         value = self.value_at(x, u)
-        return [_minus(value[i], dot(a[i], moved)) if self.curved[i] else there[i] for i in range(len(value))]
+        return [_minus(value[i], dot(a[i], offset)) if self.curved[i] else base[i] for i in range(len(value))]
 
 
-def _doubled(
+def _doublings(
     graph: Graph,
     prefix: str,
     share: Expression,
@@ -323,62 +326,62 @@ def _doubled(
     """Operations that double D, Γ, W (of the `columns` of Γ and of W), E and N, and these matrices as
     symbols.
 
-    I + D has lost the relative digits of entries far below 1; where it `decays`, E = e^Ω is squared beside it
-    for them, and elsewhere I + D is better, as squaring doubles a relative error.  `noises` is one Q̄, or
-    three of them at the start, the middle and the end of the step.
+    Entries of I + D far below 1 have lost their relative accuracy.  With `decays`, E = e^Ω is squared for
+    them; elsewhere I + D is better, as squaring doubles a relative error.  `noises` is one Q̄, or three of
+    them at the start, the middle and the end of the step.
     """
     n = len(omega)
-    powers = closure(omega)
-    everywhere = [(i, j) for i in range(n) for j in range(n)]
-    near = [[i == j or powers[i][j] for j in range(n)] for i in range(n)]
-    noisy = [(a, b) for a, b in everywhere if not all(is_zero(q[a][b]) for q in noises)]
-    spread = [(i, j) for i, j in everywhere if j <= i and any(near[i][a] and near[j][b] for a, b in noisy)]
+    linked = closure(omega)
+    pairs = [(i, j) for i in range(n) for j in range(n)]
+    near = [[i == j or linked[i][j] for j in range(n)] for i in range(n)]
+    noisy = [(a, b) for a, b in pairs if not all(is_zero(q[a][b]) for q in noises)]
+    spread = [(i, j) for i, j in pairs if j <= i and any(near[i][a] and near[j][b] for a, b in noisy)]
     slopes = ["N", "N'", "N''"][: len(noises)]
-    places = {
-        "D": [(i, j) for i, j in everywhere if powers[i][j]],
+    entries = {
+        "D": [(i, j) for i, j in pairs if linked[i][j]],
         "G": [(i, j) for j in sorted(columns[0]) for i in range(n) if near[i][j]],
         "W": [(i, j) for j in sorted(columns[1]) for i in range(n) if near[i][j]],
-        "E": [(i, j) for i, j in everywhere if decays and near[i][j]],
+        "E": [(i, j) for i, j in pairs if decays and near[i][j]],
         **dict.fromkeys(slopes, spread),
     }
-    matrices = {name: zeros(n, n) for name in places}
-    for name, found in places.items():
-        for i, j in found:
+    matrices = {name: zeros(n, n) for name in entries}
+    for name, places in entries.items():
+        for i, j in places:
             matrices[name][i][j] = graph.symbol(f"{prefix}{name}{i}.{j}")
     d, g, w, e = (matrices[name] for name in "DGWE")
     moments = [symmetric(matrices[name]) for name in slopes]
 
     x, inverse = scale(share, omega), [1.0 / f for f in _factorials(order + 3)]
-    first = {"D": zeros(n, n), "G": scale(share, identity(n)), "W": scale(0.5 * share, identity(n))}
+    initial = {"D": zeros(n, n), "G": scale(share, identity(n)), "W": scale(0.5 * share, identity(n))}
     power = identity(n)
     for k in range(1, order + 1):
         power = product(power, x) if k > 1 else x
         for name, c in (("D", inverse[k]), ("G", share * inverse[k + 1]), ("W", share * inverse[k + 2])):
-            first[name] = add(first[name], scale(c, power))
-    first["E"] = add(first["D"], identity(n))
+            initial[name] = add(initial[name], scale(c, power))
+    initial["E"] = add(initial["D"], identity(n))
     curves = [noises] if len(noises) == 1 else _derivatives(*noises)
     for name, curve in zip(slopes, curves, strict=True):
-        first[name] = _integral(x, share, curve, order)
-    twice = {
+        initial[name] = _integral(x, share, curve, order)
+    doubled = {
         "D": add(scale(2.0, d), product(d, d)),
         "G": add(scale(2.0, g), product(d, g)),
         "W": add(w, scale(0.5, add(product(d, w), g))),
         "E": product(e, e),
     }
     length = graph.symbol(f"{prefix}t")
-    for name, own, later in zip(slopes, moments, _shifted(moments, length), strict=True):
-        gained = product(d, later)
-        both = add(gained, transpose(gained))
-        twice[name] = add(add(own, later), add(both, product(gained, transpose(d))))
+    for name, moment, shifted in zip(slopes, moments, _shifted(moments, length), strict=True):
+        carried = product(d, shifted)
+        cross = add(carried, transpose(carried))
+        doubled[name] = add(add(moment, shifted), add(cross, product(carried, transpose(d))))
 
     def listed(rows: Mapping[str, Matrix]) -> tuple[Expression, ...]:
-        return tuple(graph.lift(rows[name][i][j]) for name, found in places.items() for i, j in found)
+        return tuple(graph.lift(rows[name][i][j]) for name, places in entries.items() for i, j in places)
 
-    now, begun, then = listed(matrices), listed(first), listed(twice)
+    symbols, initials, doubles = listed(matrices), listed(initial), listed(doubled)
     if len(noises) > 1:
-        now, begun, then = (*now, length), (*begun, share), (*then, 2.0 * length)
-    made: list[Operation] = [Assign(now, begun), Repeat(now, then)] if now else []
-    return made, [d, g, w, e, moments[0]]
+        symbols, initials, doubles = (*symbols, length), (*initials, share), (*doubles, 2.0 * length)
+    program: list[Operation] = [Assign(symbols, initials), Repeat(symbols, doubles)] if symbols else []
+    return program, [d, g, w, e, moments[0]]
 
 
 def _derivatives(start: Matrix, middle: Matrix, end: Matrix) -> list[list[Matrix]]:
@@ -405,15 +408,11 @@ def _integral(x: Matrix, share: Expression, curve: Sequence[Matrix], order: int)
 
 
 def _shifted(moments: Sequence[Matrix], t: Expression) -> list[Matrix]:
-    """N of q(t+σ) and of its derivatives, from those of q, q' and q''."""
+    """N of q(t+σ) and of its derivatives, from N of q, q' and q''."""
     if len(moments) == 1:
         return list(moments)
     q, slope, curve = moments
-    return [
-        add(add(q, scale(t, slope)), scale(0.5 * t * t, curve)),
-        add(slope, scale(t, curve)),
-        curve,
-    ]
+    return [add(add(q, scale(t, slope)), scale(0.5 * t * t, curve)), add(slope, scale(t, curve)), curve]
 
 
 def _nodes(
@@ -421,118 +420,120 @@ def _nodes(
     state: Sequence[Expression],
     start: Inputs,
     inputs: Sequence[Inputs],
-    before: Matrix,
+    at_start: Matrix,
     h: Expression,
     share: Expression,
 ) -> tuple[list[Sequence[Value]], list[Operation]]:
-    """The states at the nodes, where the field is linearised, and how they are predicted: by the midpoint
-    rule, and where this could be unstable by the exponential of the Jacobian at the beginning,
+    """The states at the nodes, where the field is linearised, and the operations that predict them: by the
+    midpoint rule or, where the rule could be unstable, by the exponential of the Jacobian at the beginning,
 
-        x(c h) = x + c h (Γ f + W (f(x, u(c h)) − f)),    Γ, W those of c h A.
+        x(c h) = x + c h (Γ f + W (f(x, u(c h)) − f)),    with Γ and W of c h A.
     """
     graph, n = field.graph, len(state)
     rate = field.value_at(state, start)
-    used = [
+    needed = [
         i for i in range(n) if any(not is_zero(field.jacobian[r][i]) for r in range(n) if field.curved[r])
     ]
-    points: list[Sequence[Value]] = []
-    plain: list[Expression] = []
+    states: list[Sequence[Value]] = []
+    midpoint: list[Expression] = []
     stiff: list[Operation] = []
-    into: list[Expression] = []
-    ends: list[Expression] = []
-    for place, (c, there) in enumerate(zip(NODES, inputs, strict=True)):
+    targets: list[Expression] = []
+    exponential: list[Expression] = []
+    for node, (c, node_inputs) in enumerate(zip(NODES, inputs, strict=True)):
         slope: Sequence[Value] = rate
-        for part in (1.0 / 3.0, 2.0 / 3.0):
-            inner = [v + (part * c) * h * k for v, k in zip(state, slope, strict=True)]
-            slope = field.value_at(inner, _between(start, there, part))
-        symbols = {i: graph.symbol(f"node{place}.{i}") for i in used}
-        points.append([symbols.get(i, state[i]) for i in range(n)])
-        into += symbols.values()
-        plain += [graph.lift(state[i] + (0.25 * c) * h * (rate[i] + 3.0 * slope[i])) for i in used]
-        rise = [_minus(v, r) for v, r in zip(field.value_at(state, there), rate, strict=True)]
-        moved = _pushed(graph, f"node{place}:", share, scale(c * h, before), rate, rise)
-        stiff += moved[0]
-        ends += [graph.lift(state[i] + c * h * moved[1][i]) for i in used]
-    stiff.append(Assign(tuple(into), tuple(ends)))
-    return points, [Choose(tuple(stiff), (Assign(tuple(into), tuple(plain)),))]
+        for fraction in (1.0 / 3.0, 2.0 / 3.0):
+            inner = [v + (fraction * c) * h * k for v, k in zip(state, slope, strict=True)]
+            slope = field.value_at(inner, _between(start, node_inputs, fraction))
+        symbols = {i: graph.symbol(f"node{node}.{i}") for i in needed}
+        states.append([symbols.get(i, state[i]) for i in range(n)])
+        targets += symbols.values()
+        midpoint += [graph.lift(state[i] + (0.25 * c) * h * (rate[i] + 3.0 * slope[i])) for i in needed]
+        change = [_minus(v, r) for v, r in zip(field.value_at(state, node_inputs), rate, strict=True)]
+        doublings, pushed = _push(graph, f"node{node}:", share, scale(c * h, at_start), rate, change)
+        stiff += doublings
+        exponential += [graph.lift(state[i] + c * h * pushed[i]) for i in needed]
+    stiff.append(Assign(tuple(targets), tuple(exponential)))
+    return states, [Choose(tuple(stiff), (Assign(tuple(targets), tuple(midpoint)),))]
 
 
-def _pushed(
+def _push(
     graph: Graph, prefix: str, share: Expression, omega: Matrix, rate: Sequence[Value], rise: Sequence[Value]
 ) -> tuple[list[Operation], list[Value]]:
-    """Operations that double Γ `rate` and W `rise`, and their sum (n,)."""
+    """Operations that double the vectors Γ `rate` and W `rise`, and the sum (n,) of both."""
     n, powers = len(omega), closure(omega)
 
-    def symbols(name: str, pushed: Sequence[Value]) -> list[Value]:
-        there = [not is_zero(v) for v in pushed]
-        reached = [there[i] or any(powers[i][j] and there[j] for j in range(n)) for i in range(n)]
+    def symbols(name: str, factor: Sequence[Value]) -> list[Value]:
+        present = [not is_zero(v) for v in factor]
+        reached = [present[i] or any(powers[i][j] and present[j] for j in range(n)) for i in range(n)]
         return [graph.symbol(f"{prefix}{name}{i}") if reached[i] else 0.0 for i in range(n)]
 
     d = [[graph.symbol(f"{prefix}D{i}.{j}") if powers[i][j] else 0.0 for j in range(n)] for i in range(n)]
     v, y, w = symbols("v", rate), symbols("y", rise), symbols("w", rise)
     x, inverse = scale(share, omega), [1.0 / f for f in _factorials(NODE_ORDER + 3)]
-    power, change = identity(n), zeros(n, n)
+    power, taylor = identity(n), zeros(n, n)
     for k in range(1, NODE_ORDER + 1):
         power = product(power, x) if k > 1 else x
-        change = add(change, scale(inverse[k], power))
+        taylor = add(taylor, scale(inverse[k], power))
 
-    def series(pushed: Sequence[Value], more: int) -> list[Value]:
-        term = total = [[v] for v in pushed]
-        total = scale(share * inverse[more], total)
+    def series(factor: Sequence[Value], offset: int) -> list[Value]:
+        term = total = [[v] for v in factor]
+        total = scale(share * inverse[offset], total)
         for k in range(1, NODE_ORDER + 1):
             term = product(x, term)
-            total = add(total, scale(share * inverse[k + more], term))
+            total = add(total, scale(share * inverse[k + offset], term))
         return [row[0] for row in total]
 
     def times(vector: Sequence[Value]) -> list[Value]:
         return [dot(row, vector) for row in d]
 
     square = add(scale(2.0, d), product(d, d))
-    now = [*(e for row in d for e in row), *v, *y, *w]
-    first = [*(e for row in change for e in row), *series(rate, 1), *series(rise, 1), *series(rise, 2)]
-    twice = [
+    unknowns = [*(e for row in d for e in row), *v, *y, *w]
+    initial = [*(e for row in taylor for e in row), *series(rate, 1), *series(rise, 1), *series(rise, 2)]
+    doubled = [
         *(e for row in square for e in row),
         *(2.0 * a + b for a, b in zip(v, times(v), strict=True)),
         *(2.0 * a + b for a, b in zip(y, times(y), strict=True)),
         *(a + 0.5 * (b + c) for a, b, c in zip(w, times(w), y, strict=True)),
     ]
-    kept = [k for k, e in enumerate(now) if not is_zero(e)]
-    into, begun, then = (tuple(graph.lift(rows[k]) for k in kept) for rows in (now, first, twice))
-    return [Assign(into, begun), Repeat(into, then)], [a + b for a, b in zip(v, w, strict=True)]
+    nonzero = [k for k, e in enumerate(unknowns) if not is_zero(e)]
+    targets, initials, doubles = (
+        tuple(graph.lift(rows[k]) for k in nonzero) for rows in (unknowns, initial, doubled)
+    )
+    return [Assign(targets, initials), Repeat(targets, doubles)], [a + b for a, b in zip(v, w, strict=True)]
 
 
 def _reach(graph: Graph, matrix: Matrix, h: Expression) -> list[Expression]:
     """Bounds (n,) whose largest is at least |eigenvalues of A| h: the rows of |A h|⁸, to the power 1/8.
 
-    Only entries on a cycle of states count; what acts one way does not move the eigenvalues.
+    Only entries on a cycle of states count; one-way couplings do not change the eigenvalues.
     """
     n, powers = len(matrix), closure(matrix)
-    sizes: Matrix = zeros(n, n)
+    magnitudes: Matrix = zeros(n, n)
     for i in range(n):
         for j in range(n):
             if not is_zero(matrix[i][j]) and (i == j or powers[j][i]):
                 entry = graph.lift(matrix[i][j]) * h
-                sizes[i][j] = maximum(entry, -entry)
-    if all(is_zero(sizes[i][j]) for i in range(n) for j in range(n) if i != j):
-        return [graph.lift(sizes[i][i]) for i in range(n)]
-    times = 3 if n <= 8 else 0  # of a wide model, the norm alone: more doublings, but less code
-    for _ in range(times):
-        sizes = product(sizes, sizes)
-    rows = [graph.lift(dot(row, [1.0] * n)) for row in sizes]
-    for _ in range(times):
+                magnitudes[i][j] = maximum(entry, -entry)
+    if all(is_zero(magnitudes[i][j]) for i in range(n) for j in range(n) if i != j):
+        return [graph.lift(magnitudes[i][i]) for i in range(n)]
+    squarings = 3 if n <= 8 else 0  # for many states only the norm: more doublings, but less code
+    for _ in range(squarings):
+        magnitudes = product(magnitudes, magnitudes)
+    rows = [graph.lift(dot(row, [1.0] * n)) for row in magnitudes]
+    for _ in range(squarings):
         rows = [sqrt(row) for row in rows]
     return rows
 
 
 def closure(a: Matrix) -> list[list[bool]]:
-    """Where the powers of a matrix, from the first on, have entries."""
+    """(n, n) True where some power A, A², … of a matrix has an entry that is not structurally zero."""
     n = len(a)
-    reach = [[not is_zero(v) for v in row] for row in a]
+    reaches = [[not is_zero(v) for v in row] for row in a]
     for k in range(n):
         for i in range(n):
-            if reach[i][k]:
-                reach[i] = [x or y for x, y in zip(reach[i], reach[k], strict=True)]
-    return reach
+            if reaches[i][k]:
+                reaches[i] = [x or y for x, y in zip(reaches[i], reaches[k], strict=True)]
+    return reaches
 
 
 def _corrected(h: Expression, weights: Matrix, correction: Expression, difference: Matrix) -> Matrix:
@@ -540,16 +541,17 @@ def _corrected(h: Expression, weights: Matrix, correction: Expression, differenc
     return add(scale(h, weights), scale(correction, product(weights, difference)))
 
 
-def _driven(i: int, whole: Matrix, slope: Matrix, b1: Sequence[Value], b2: Sequence[Value]) -> Value:
-    """Row i of φ₁ β + φ₂ s for the line β + s t through b1 and b2 at the nodes; β alone where both agree."""
+def _driven(i: int, weights: Matrix, ramps: Matrix, b1: Sequence[Value], b2: Sequence[Value]) -> Value:
+    """Row i of φ₁ β + φ₂ s for the line β + s t through b1 and b2 at the nodes; s = 0 where b1 and b2
+    agree."""
     total: Value = 0.0
     gap = NODES[1] - NODES[0]
-    for one, rise, x1, x2 in zip(whole[i], slope[i], b1, b2, strict=True):
+    for weight, ramp, x1, x2 in zip(weights[i], ramps[i], b1, b2, strict=True):
         if _same(x1, x2):
-            total = total + dot([one], [x1])
+            total = total + dot([weight], [x1])
         else:
-            early = _combined(one, NODES[1] / gap, rise, -1.0 / gap)
-            late = _combined(one, -NODES[0] / gap, rise, 1.0 / gap)
+            early = _combined(weight, NODES[1] / gap, ramp, -1.0 / gap)
+            late = _combined(weight, -NODES[0] / gap, ramp, 1.0 / gap)
             total = total + dot([early, late], [x1, x2])
     return total
 

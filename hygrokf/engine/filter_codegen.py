@@ -22,9 +22,9 @@ COMMON = [("i64", "count"), ("i64", "nkeys")]
 COMMON += [
     ("ptr", name) for name in "theta keys nsub table key offset row within u y reset state first".split()
 ]
-"""Instants and keys; parameters, key leaves, doublings and workspace of the keys; key of every instant, first
-of its sub-steps, and key and fractions of the step (S, 2) of every sub-step; inputs, readings and resets of
-every instant; moments before the first instant (overwritten by those after the last) and a copy of them."""
+"""Numbers of instants and keys; parameters; leaves, doublings and table of the keys; key and first sub-step
+of every instant; key and fractions of the step (S, 2) of every sub-step; inputs, readings and resets of every
+instant; moments before the first instant (replaced by the moments after the last one), and a copy of them."""
 ARGUMENTS = {
     kind: [("ptr", name) for name in names.split()]
     for kind, names in {
@@ -39,8 +39,8 @@ ARGUMENTS = {
 
 """In a loop that chooses its own sub-steps (`schedule_codegen.WALKED`), `tags` (`WORKSPACE`,), −1 at first,
 are the keys whose values the rows of the table hold, and `tolerance` is one number.  A schedule: `places`,
-`depths` and `doubled` (room,) of the sub-steps; `numbers` (5,): room, most sub-steps; then how many there
-are, the instant and the state that stopped it."""
+`depths` and `doubled` (room,) of the sub-steps; `numbers` (5,): room, largest allowed number of sub-steps,
+resulting number, instant reached, and index of the state whose error stopped the walk, or −1."""
 
 
 def loop_text(recursion: Recursion, kind: str, gain: bool) -> str:
@@ -96,7 +96,7 @@ class Emission(Stages):
             test = w.value(f"and i32 {flags}, {1 << bit}")
             with w.when(w.value(f"icmp ne i32 {test}, 0")):
                 w.store(kind, zero, slots[indices[state]])
-                # of factors, its row of L and its own share; its column is what others took from it
+                # of factors, the row of L and the diagonal; the column holds what other states took from it
                 for other in range(state if r.factored else r.n):
                     w.store(kind, zero, slots[indices[r.n + place(state, other)]])
                 if r.factored:
@@ -119,22 +119,22 @@ class Emission(Stages):
         total.write(w, "%out")
 
     def _schedule(self) -> None:
-        """The sub-steps of every step, along the course of the filter."""
+        """Choose the sub-steps of every step along the filtered course."""
         w, r = self.writer, self.recursion
         slots = self.slots(r.state)
         self.load_state(slots, "%state")
         total, walk = RunningSums(w, len(r.updates)), Walk(self, slots)
-        room, most = (w.load("i64", w.at("i64", "%numbers", c)) for c in (0, 1))
+        room, limit = (w.load("i64", w.at("i64", "%numbers", c)) for c in (0, 1))
         taken, instant = w.slot("i64", "0"), w.slot("i64", "0")
         going = w.slot("i64", w.value(f"zext i1 {w.value('icmp sgt i64 %count, 0')} to i64"))
 
         def accept(place: str, level: str, times: str) -> str:
-            at = w.load("i64", taken)
-            with w.when(w.value(f"icmp slt i64 {at}, {room}")):
+            count = w.load("i64", taken)
+            with w.when(w.value(f"icmp slt i64 {count}, {room}")):
                 for name, value in (("places", place), ("depths", level), ("doubled", times)):
-                    w.store("i32", w.value(f"trunc i64 {value} to i32"), w.at("i32", f"%{name}", at))
-            w.store("i64", w.integer("add", at, 1), taken)
-            return w.value(f"icmp sge i64 {at}, {most}")
+                    w.store("i32", w.value(f"trunc i64 {value} to i32"), w.at("i32", f"%{name}", count))
+            w.store("i64", w.integer("add", count, 1), taken)
+            return w.value(f"icmp sge i64 {count}, {limit}")
 
         with w.during(going):
             k = w.load("i64", instant)
@@ -145,10 +145,10 @@ class Emission(Stages):
             after = w.integer("add", k, 1)
             number = w.value(f"trunc i64 {w.load('i64', taken)} to i32")
             w.store("i32", number, w.at("i32", "%offset", after))
-            well = w.value(f"icmp slt i64 {w.load('i64', walk.worst)}, 0")
-            more = w.value(f"and i1 {well}, {w.value(f'icmp slt i64 {after}, %count')}")
-            w.store("i64", w.value(f"zext i1 {more} to i64"), going)
-            with w.when(well):
+            resolved = w.value(f"icmp slt i64 {w.load('i64', walk.worst)}, 0")
+            goes_on = w.value(f"and i1 {resolved}, {w.value(f'icmp slt i64 {after}, %count')}")
+            w.store("i64", w.value(f"zext i1 {goes_on} to i64"), going)
+            with w.when(resolved):
                 w.store("i64", after, instant)
         for c, slot in enumerate((taken, instant, walk.worst), 2):
             w.store("i64", w.load("i64", slot), w.at("i64", "%numbers", c))
@@ -156,17 +156,17 @@ class Emission(Stages):
 
     def _correct(self, slots: Names, k: str, key: str, total: RunningSums) -> None:
         before = self._covariance(slots)
-        for c, (y, there) in enumerate(self._readings(k)):
-            self._correct_by(c, y, there, before, slots, k, key, total)
+        for c, (y, exists) in enumerate(self._readings(k)):
+            self._correct_by(c, y, exists, before, slots, k, key, total)
 
     def _correct_by(
-        self, c: int, y: str, there: str, before: Names, slots: Names, k: str, key: str, total: RunningSums
+        self, c: int, y: str, exists: str, before: Names, slots: Names, k: str, key: str, total: RunningSums
     ) -> None:
         """Count one reading and correct the state by it, if it exists."""
         w, r = self.writer, self.recursion
-        with w.when(there):
+        with w.when(exists):
             leaves = self._update_leaves(slots, k, key, y)
-            values = w.block(r.graph, self._kept(r.updates[c]), leaves)
+            values = w.block(r.graph, self._results(r.updates[c]), leaves)
             total.take(w, values[-2][1], values[-1][1], r.square)
             self._watch(c, leaves, before, total)
             if self.gain:
@@ -178,20 +178,22 @@ class Emission(Stages):
         return self.read({e.index: slots[e.index] for e in [*r.packed, *r.units]})
 
     def _watch(self, c: int, leaves: Names, before: Names, total: RunningSums) -> str:
-        """Note the variance of an innovation, also as it was before the other readings of its instant;
-        returns the former."""
+        """Record the variance of an innovation after and before the other readings of its instant; returns
+        the variance after them."""
         w, r = self.writer, self.recursion
         ((_, spread),) = w.block(r.graph, [r.spreads[c]], leaves)
         ((_, first),) = w.block(r.graph, [r.spreads[c]], leaves | before)
         total.watch(w, c, spread, first)
         return spread
 
-    def _kept(self, update: Block) -> Block:
-        """Results of an update; without gain only the innovation, its variance and the quadratic form."""
+    def _results(self, update: Block) -> Block:
+        """Results of an update; without gain only the innovation, its variance and the quadratic form
+        e²/S."""
         return update if self.gain else update[-3:]
 
     def _trace(self) -> None:
-        """Rows: moments before; (prediction, variance) of every output; moments after; transition; noise."""
+        """Write one row for each instant (`packing.trace_width`): moments before the readings; prediction and
+        variance of every output; moments after the readings; transition; noise."""
         w, r = self.writer, self.recursion
         slots = self.slots(r.state)
         self.load_state(slots, "%state")
@@ -210,15 +212,15 @@ class Emission(Stages):
             self.save_state(slots, row)
             column = len(slots)
             before = self._covariance(slots)
-            for c, (y, there) in enumerate(self._readings(k)):
+            for c, (y, exists) in enumerate(self._readings(k)):
                 outputs = [r.updates[c][-3], r.spreads[c]]
-                missing = w.value(f"select i1 {there}, double {y}, double {literal(0.0)}")
-                leaves = self._update_leaves(slots, k, key, missing)
+                reading = w.value(f"select i1 {exists}, double {y}, double {literal(0.0)}")
+                leaves = self._update_leaves(slots, k, key, reading)
                 (_, error), (_, variance) = w.block(r.graph, outputs, leaves)
-                w.store(SCALAR, w.real("fsub", missing, error), w.at(SCALAR, row, column))
+                w.store(SCALAR, w.real("fsub", reading, error), w.at(SCALAR, row, column))
                 w.store(SCALAR, variance, w.at(SCALAR, row, column + 1))
                 column += 2
-                self._correct_by(c, y, there, before, slots, k, key, total)
+                self._correct_by(c, y, exists, before, slots, k, key, total)
             self.save_state(slots, w.at(SCALAR, row, column))
             column += len(slots)
             for c, s in enumerate([*transition, *noise.values()]):
@@ -230,12 +232,12 @@ class Emission(Stages):
     def _predict_with_transition(self, slots: Names, transition: Sequence[str], noise: Names, k: str) -> None:
         r, w = self.recursion, self.writer
         n = r.n
-        with self.sub_steps(k) as one:
-            leaves = self.read(slots) | self.read(noise) | self.table(one.key) | one.inputs
+        with self.sub_steps(k) as sub_step:
+            leaves = self.read(slots) | self.read(noise) | self.table(sub_step.key) | sub_step.inputs
             leaves |= self.at_parameters
-            self.perform(r.late, self.registers, self.times(one.key), leaves)
-            wanted = [*r.predict, *r.transition, *r.gathered[1]]
-            values = w.block(r.graph, wanted, leaves | self.reading(self.registers, wanted))
+            self.perform(r.late, self.registers, self.times(sub_step.key), leaves)
+            outputs = [*r.predict, *r.transition, *r.gathered[1]]
+            values = w.block(r.graph, outputs, leaves | self.reading(self.registers, outputs))
             self._store(noise, values[len(slots) + n * n :])
             f = [name for _, name in values[len(slots) :]]
             old = [w.load(SCALAR, s) for s in transition]
@@ -249,7 +251,7 @@ class Emission(Stages):
             self._store(slots, values)
 
     def _adjoint(self) -> None:
-        """Score by a forward pass that stores the moments and a backward pass."""
+        """Compute the score: a forward pass stores the moments, a backward pass propagates the adjoints."""
         w, r = self.writer, self.recursion
         slots = self.slots(r.state)
         self.load_state(slots, "%state")
@@ -286,46 +288,48 @@ class Emission(Stages):
         for c, update in enumerate(r.updates):  # moments before each update, kept in the buffer
             self.save_state(slots, "%buffer", c)
             if c < last and self.gain:
-                y, there = readings[c]
-                with w.when(there):
+                y, exists = readings[c]
+                with w.when(exists):
                     leaves = self._update_leaves(slots, k, key, y)
                     values = w.block(r.graph, update[: len(slots)], leaves)
                     self._store(slots, values)
         for c in range(last, -1, -1):
             update = r.updates[c]
-            y, there = readings[c]
-            with w.when(there):
+            y, exists = readings[c]
+            with w.when(exists):
                 self.load_state(slots, "%buffer", c)
                 leaves = self._update_leaves(slots, k, key, y)
                 spread, quadratic = update[-2:]
                 seeds: Symbols = {}
                 seed(seeds, spread, -0.5 / spread)
-                seed(seeds, quadratic, r.graph.lift(-0.5 * r.term_slope(quadratic)))
+                seed(seeds, quadratic, r.graph.lift(-0.5 * r.term_derivative(quadratic)))
                 self._pull(list(slots) if self.gain else [], update, leaves, key, seeds)
 
     def _reverse_predict(self, slots: Names, k: str) -> None:
-        """Backward through the sub-steps; where there are several, their starting moments are recomputed into
-        the buffer."""
+        """Propagate the adjoints back through the sub-steps; the moments before each of several sub-steps are
+        recomputed into the buffer first."""
         w, r = self.writer, self.recursion
         first = w.value(f"icmp eq i64 {k}, 0")
         self.load_state(slots, "%first")
         with w.when(w.value(f"xor i1 {first}, true")):
             self.load_state(slots, "%store", w.integer("sub", w.integer("mul", k, 2), 1))
         if not r.exact:
-            with self.sub_steps(k) as one:
-                self.save_state(slots, "%buffer", one.j)
-                with w.when(w.value(f"icmp slt i64 {w.integer('add', one.j, 1)}, {one.count}")):
-                    leaves = self.read(slots) | self.table(one.key) | one.inputs | self.at_parameters
-                    self.advance(slots, self.times(one.key), leaves)
-        with self.sub_steps(k, backwards=True) as one:
+            with self.sub_steps(k) as sub_step:
+                self.save_state(slots, "%buffer", sub_step.j)
+                with w.when(w.value(f"icmp slt i64 {w.integer('add', sub_step.j, 1)}, {sub_step.count}")):
+                    leaves = (
+                        self.read(slots) | self.table(sub_step.key) | sub_step.inputs | self.at_parameters
+                    )
+                    self.advance(slots, self.times(sub_step.key), leaves)
+        with self.sub_steps(k, backwards=True) as sub_step:
             if not r.exact:
-                self.load_state(slots, "%buffer", one.j)
-            times = self.times(one.key)
-            leaves = self.read(slots) | self.table(one.key) | one.inputs | self.at_parameters
+                self.load_state(slots, "%buffer", sub_step.j)
+            times = self.times(sub_step.key)
+            leaves = self.read(slots) | self.table(sub_step.key) | sub_step.inputs | self.at_parameters
             self.perform(r.late, self.registers, times, leaves, levels=True)
-            known = leaves | self.reading(self.registers, r.predict)
-            self._pull(list(slots), r.predict, known, one.key)
-            self.retract(r.late, self.registers, times, leaves, self._pull, one.key)
+            all_leaves = leaves | self.reading(self.registers, r.predict)
+            self._pull(list(slots), r.predict, all_leaves, sub_step.key)
+            self.retract(r.late, self.registers, times, leaves, self._pull, sub_step.key)
 
     def _pull(
         self,
@@ -336,8 +340,8 @@ class Emission(Stages):
         seeds: Symbols | None = None,
         stage: int = INSTANT,
     ) -> None:
-        """Replace the adjoints of the symbols `into`, which get the values of a block, and add to those of
-        everything that the block is made from."""
+        """Propagate the adjoints of the symbols `into`, whose values a block computes, to the nodes that the
+        block reads; the adjoints of `into` itself are replaced."""
         w, r = self.writer, self.recursion
         seeds = dict(seeds or {})
         names: Names = {}
@@ -349,10 +353,10 @@ class Emission(Stages):
         parameters = [i for i in parameters if i in self.parameter_bars]
         keys = [i for i in keys if i not in self.bars]
         targets = [*self.bars, *parameters, *keys]
-        found = reverse(r.graph, seeds, targets)
-        order = [i for i in targets if i in found]
-        values = w.block(r.graph, [found[i] for i in order], leaves | names)
-        result = {i: name for i, (_, name) in zip(order, values, strict=True)}
+        adjoints = reverse(r.graph, seeds, targets)
+        nodes = [i for i in targets if i in adjoints]
+        values = w.block(r.graph, [adjoints[i] for i in nodes], leaves | names)
+        result = {i: name for i, (_, name) in zip(nodes, values, strict=True)}
         for i in into:
             w.store(SCALAR, result.pop(i, literal(0.0)), self.bars[i])
         row = w.integer("mul", key, len(r.key_nodes))
@@ -371,30 +375,30 @@ class Emission(Stages):
         keys = [Expression(g, i) for i in r.key_nodes]
         bars = {i: g.symbol(f"keybar:{i}") for i in r.key_nodes}
         with w.loop("%nkeys") as key:
-            slots = self.slots([e for one in operations(r.early) for e in one.into])
+            slots = self.slots([e for operation in operations(r.early) for e in operation.into])
             self.bars = {i: w.slot(SCALAR, literal(0.0)) for i in slots}
             times, leaves = self.times(key), self.key_leaves(key) | self.at_parameters
             self.perform(r.early, slots, times, leaves, levels=True)
             names = self._row("%keybar", key, [bars[i].index for i in r.key_nodes])
             self._pull([], keys, leaves | self.read(slots) | names, key, bars, KEY)
 
-            def pull(into: Sequence[int], block: Sequence[Expression], known: Names, row: str) -> None:
-                self._pull(into, block, known, row, stage=KEY)
+            def pull(into: Sequence[int], block: Sequence[Expression], block_leaves: Names, row: str) -> None:
+                self._pull(into, block, block_leaves, row, stage=KEY)
 
             self.retract(r.early, slots, times, leaves, pull, key)
-        leaf = {e.index for e in r.p.values()}
-        seeds = {i: g.symbol(f"parbar:{i}") for i in r.estimated_nodes if i not in leaf}
+        parameters = {e.index for e in r.p.values()}
+        seeds = {i: g.symbol(f"parbar:{i}") for i in r.estimated_nodes if i not in parameters}
         names = {seeds[i].index: w.load(SCALAR, self.parameter_bars[i]) for i in seeds}
-        found = reverse(g, seeds, leaf) if seeds else {}
-        order = list(found)
-        values = w.block(g, [found[i] for i in order], self.at_parameters | names)
-        for i, (_, name) in zip(order, values, strict=True):
+        adjoints = reverse(g, seeds, parameters) if seeds else {}
+        nodes = list(adjoints)
+        values = w.block(g, [adjoints[i] for i in nodes], self.at_parameters | names)
+        for i, (_, name) in zip(nodes, values, strict=True):
             accumulate(w, name, self.parameter_bars[i])
         for c, e in enumerate(r.p.values()):
             w.store(SCALAR, w.load(SCALAR, self.parameter_bars[e.index]), w.at(SCALAR, "%thetabar", c))
 
     def _tangent(self) -> None:
-        """Innovations, variances and their derivatives along `LANES` directions of the parameters."""
+        """Compute innovations, variances and their derivatives along `LANES` directions of the parameters."""
         w, r, g = self.writer, self.recursion, self.recursion.graph
         directions, dots = self._stage_tangents()
         key_dots = {i: g.symbol(f"dot:{i}") for i in r.key_nodes}
@@ -420,43 +424,43 @@ class Emission(Stages):
         ) -> tuple[list[tuple[str, str]], list[str]]:
             vectors = dot_leaves(key)
             derivative = forward(g, outputs, tangents)
-            both = w.block(g, [*outputs, *derivative], leaves | vectors, list(vectors))
-            half = len(outputs)
-            return both[:half], [w.as_vector(*v) for v in both[half:]]
+            values_and_dots = w.block(g, [*outputs, *derivative], leaves | vectors, list(vectors))
+            split = len(outputs)
+            return values_and_dots[:split], [w.as_vector(*v) for v in values_and_dots[split:]]
 
         width = len(r.updates)
         with w.loop("%count") as k:
             key = self.key_of(k)
-            with self.sub_steps(k) as one:
-                leaves = self.read(slots) | self.table(one.key) | one.inputs | self.at_parameters
+            with self.sub_steps(k) as sub_step:
+                leaves = self.read(slots) | self.table(sub_step.key) | sub_step.inputs | self.at_parameters
 
-                def compute(operation: Assign | Repeat, known: Names, row: str = one.key) -> None:
-                    values, derivatives = run(list(operation.block), known, row)
+                def compute(operation: Assign | Repeat, all_leaves: Names, row: str = sub_step.key) -> None:
+                    values, derivatives = run(list(operation.block), all_leaves, row)
                     for e, (_, name), dot in zip(operation.into, values, derivatives, strict=True):
                         w.store(SCALAR, name, self.registers[e.index])
                         w.store(VECTOR, dot, register_dots[e.index])
 
-                self.perform(r.late, self.registers, self.times(one.key), leaves, compute)
-                known = leaves | self.reading(self.registers, r.predict)
-                values, derivatives = run(r.predict, known, one.key)
+                self.perform(r.late, self.registers, self.times(sub_step.key), leaves, compute)
+                all_leaves = leaves | self.reading(self.registers, r.predict)
+                values, derivatives = run(r.predict, all_leaves, sub_step.key)
                 self._store(slots, values)
                 for s, name in zip(dot_slots.values(), derivatives, strict=True):
                     w.store(VECTOR, name, s)
             row = w.integer("mul", k, width)
             before = self._covariance(slots)
-            for c, (y, there) in enumerate(self._readings(k)):
-                with w.when(there):
+            for c, (y, exists) in enumerate(self._readings(k)):
+                with w.when(exists):
                     leaves = self._update_leaves(slots, k, key, y)
-                    values, derivatives = run(self._kept(r.updates[c]), leaves, key)
+                    values, derivatives = run(self._results(r.updates[c]), leaves, key)
                     total.take(w, values[-2][1], values[-1][1], r.square)
                     spread = self._watch(c, leaves, before, total)
                     place = w.integer("add", row, c)
                     error, error_dot = values[-3][1], derivatives[-3]
                     if r.unknown:  # a reading that merely shows what was unknown has no quadratic form
-                        none = w.value(f"fcmp uno double {spread}, {literal(0.0)}")
-                        error = w.value(f"select i1 {none}, double {literal(0.0)}, double {error}")
+                        is_unknown = w.value(f"fcmp uno double {spread}, {literal(0.0)}")
+                        error = w.value(f"select i1 {is_unknown}, double {literal(0.0)}, double {error}")
                         error_dot = w.value(
-                            f"select i1 {none}, {VECTOR} zeroinitializer, {VECTOR} {error_dot}"
+                            f"select i1 {is_unknown}, {VECTOR} zeroinitializer, {VECTOR} {error_dot}"
                         )
                     w.store(SCALAR, error, w.at(SCALAR, "%e", place))
                     w.store(SCALAR, values[-2][1], w.at(SCALAR, "%s", place))
@@ -474,8 +478,8 @@ class Emission(Stages):
         total.write(w, "%out")
 
     def _stage_tangents(self) -> tuple[Symbols, Names]:
-        """Tangents of the parameter stage, by node and by the node of their symbol; stores those of the key
-        table."""
+        """Tangents of the parameter stage: symbols by node, and LLVM names by the symbol's node.  The
+        tangents of the key table are stored."""
         w, r, g = self.writer, self.recursion, self.recursion.graph
         dots: Names = {}
         directions = {e.index: g.symbol(f"dot:{e.index}") for e in r.p.values()}
@@ -488,19 +492,19 @@ class Emission(Stages):
             directions[i] = g.symbol(f"dot:{i}")
             dots[directions[i].index] = w.as_vector(kind, name)
         keys = [Expression(g, i) for i in r.key_nodes]
-        slots = self.slots([e for one in operations(r.early) for e in one.into])
-        moving = {i: g.symbol(f"dot:{i}") for i in slots}
-        ahead = {i: w.slot(VECTOR, "zeroinitializer") for i in slots}
+        slots = self.slots([e for item in operations(r.early) for e in item.into])
+        slot_dots = {i: g.symbol(f"dot:{i}") for i in slots}
+        dot_slots = {i: w.slot(VECTOR, "zeroinitializer") for i in slots}
 
         def derivatives(block: Sequence[Expression], leaves: Names) -> list[tuple[str, str]]:
-            vectors = dots | {moving[i].index: w.load(VECTOR, s) for i, s in ahead.items()}
-            return w.block(g, forward(g, block, directions | moving), leaves | vectors, list(vectors))
+            vectors = dots | {slot_dots[i].index: w.load(VECTOR, s) for i, s in dot_slots.items()}
+            return w.block(g, forward(g, block, directions | slot_dots), leaves | vectors, list(vectors))
 
         def compute(operation: Assign | Repeat, leaves: Names) -> None:
-            made = [w.as_vector(*one) for one in derivatives(operation.block, leaves)]
+            names = [w.as_vector(*item) for item in derivatives(operation.block, leaves)]
             self._compute(slots)(operation, leaves)
-            for e, name in zip(operation.into, made, strict=True):
-                w.store(VECTOR, name, ahead[e.index])
+            for e, name in zip(operation.into, names, strict=True):
+                w.store(VECTOR, name, dot_slots[e.index])
 
         with w.loop("%nkeys") as key:
             leaves = self.key_leaves(key) | self.at_parameters

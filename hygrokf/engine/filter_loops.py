@@ -1,7 +1,7 @@
 """The compiled loops of a traced filter, each compiled at first use.
 
-In one of them a free run drives its own controllers: heaters, fans and vents follow the readings that a
-logger would show.  Those of a filter with many states are called as those of straight-line code are.
+In the loop "controlled" a free run drives controllers: heaters, fans and vents follow the readings that a
+logger would show.  The loops of a filter with many states take the same arguments as straight-line loops.
 
 Shapes: T instants, K keys, n states, d parameters, L = `LANES`; moments packed outside, in blocks inside.
 """
@@ -28,11 +28,11 @@ from hygrokf.physics.expression import Expression
 
 @dataclass(frozen=True)
 class Control:
-    """A controller within the loop, which sets a varying input according to the reading a logger would show.
+    """A controller within the loop, which sets a varying input from the reading that a logger would show.
 
-    `input` and `reads` are names; `mean_h` [h] is the logger's averaging interval, 0 for instants.  Its
-    position is (reading − a)/(b − a), limited to 0 … 1, with its two levels a and b.  With `idle` it is 0
-    except at standstill.
+    `input` and `reads` are names of an input and an output; `mean_h` [h] is the logger's averaging interval,
+    0 for instants.  Its position is (reading − a)/(b − a), limited to 0 … 1, with its two levels a and b.
+    With `idle` it is 0 except at standstill.
     """
 
     input: str
@@ -42,11 +42,11 @@ class Control:
 
 
 def controlled_text(r: Recursion, controls: Sequence[Control]) -> str:
-    """LLVM text of the loop: means of a free run, and `positions` (T, c) of the controls in the step that
-    leads to each instant.
+    """LLVM text of the loop "controlled": means of a free run, and `positions` (T, c) of the controls in the
+    step that leads to each instant.
 
     The controls read the logger at the start of each step.  `idle` (T,) is 1 at standstill; `levels` (c, 2)
-    are those of the controls.
+    are the readings at which the controls have the positions 0 and 1.
     """
     emission = Emission(r, "controlled", gain=False)
     w = emission.writer
@@ -59,19 +59,19 @@ def controlled_text(r: Recursion, controls: Sequence[Control]) -> str:
         key = emission.key_of(k)
         row = w.integer("mul", k, width)
         before = w.integer("sub", row, width)
-        begun = {
+        inputs_before = {
             r.now[name].index: w.load(SCALAR, w.at(SCALAR, "%u", w.integer("add", before, c)))
             for c, name in enumerate(r.varying)
         }
         if walk is not None:
-            walk.known(key)
-        leaves = emission.read(slots) | emission.table(key) | begun | emission.at_parameters
+            walk.compute_key_row(key)
+        leaves = emission.read(slots) | emission.table(key) | inputs_before | emission.at_parameters
         leaves |= {r.reading.index: literal(0.0)}
         shown = [name for _, name in w.block(r.graph, [_shown(r, control) for control in controls], leaves)]
         idle = w.value(f"fcmp ogt double {w.load(SCALAR, w.at(SCALAR, '%idle', k))}, {literal(0.5)}")
         place = w.integer("mul", k, len(controls))
         for c, (control, value) in enumerate(zip(controls, shown, strict=True)):
-            if not control.mean_h:  # this is the innovation of a reading of 0
+            if not control.mean_h:  # the value is the innovation of a reading of 0
                 value = w.value(f"fneg double {value}")
             position = _position(w, control, c, value, idle)
             w.store(SCALAR, position, w.at(SCALAR, "%positions", w.integer("add", place, c)))
@@ -81,8 +81,8 @@ def controlled_text(r: Recursion, controls: Sequence[Control]) -> str:
             walk.through(k, lambda place, level, times: None)
         else:
             leaves = emission.read(slots) | emission.table(key) | emission.inputs_between(k)
-            after = w.block(r.graph, r.predict[: len(means)], leaves | emission.at_parameters)
-            for i, (_, name) in zip(means, after, strict=True):
+            means_after = w.block(r.graph, r.predict[: len(means)], leaves | emission.at_parameters)
+            for i, (_, name) in zip(means, means_after, strict=True):
                 w.store(SCALAR, name, slots[i])
     emission.save_state(slots, "%state")
     return emission.text()
@@ -102,19 +102,19 @@ def _position(w: Writer, control: Control, c: int, value: str, idle: str) -> str
     zero, one = literal(0.0), literal(1.0)
     share = w.real("fdiv", w.real("fsub", value, first), w.real("fsub", second, first))
     low = w.value(f"select i1 {w.value(f'fcmp ogt double {share}, {zero}')}, double {share}, double {zero}")
-    found = w.value(f"select i1 {w.value(f'fcmp olt double {low}, {one}')}, double {low}, double {one}")
-    return w.value(f"select i1 {idle}, double {found}, double {zero}") if control.idle else found
+    limited = w.value(f"select i1 {w.value(f'fcmp olt double {low}, {one}')}, double {low}, double {one}")
+    return w.value(f"select i1 {idle}, double {limited}, double {zero}") if control.idle else limited
 
 
 _codes: dict[tuple[str, str, bool, tuple[Control, ...]], CompiledCode | WideLoop] = {}
-"""Loops by structure of the recursion, kind, gain and controls."""
+"""Compiled loops by the recursion's structure, kind, gain and controls."""
 _compiling = Lock()
 
 
 def filter_loop(
     recursion: Recursion, kind: str, gain: bool = True, controls: tuple[Control, ...] = ()
 ) -> CompiledCode | WideLoop:
-    """The compiled function of a kind, and of that name: value, trace, adjoint or tangent.
+    """The compiled function named after its kind: value, trace, adjoint, tangent or schedule.
 
     Without `gain` the filter runs free.  The kind "controlled" is a free run in which the `controls` follow
     the simulation.
@@ -133,21 +133,21 @@ def filter_loop(
     return _codes[key]
 
 
-# -- the compiled loops of a filter with many states, called as those of straight-line code are --------------
+# -- the compiled loops of a filter with many states, with the arguments of straight-line loops --------------
 Common = tuple[Any, ...]
 """Number of instants, and arrays (`wide_codegen.COMMON`, and the sums of the likelihood)."""
 
 
 @dataclass(frozen=True)
 class WideLoop:
-    """One loop: makes the matrices of the keys and their derivatives, and turns moments into blocks."""
+    """One loop: computes the matrices of the keys and their derivatives, and converts moments to blocks."""
 
     recursion: WideRecursion
     code: CompiledCode
 
     def __call__(self, kind: str, *arguments: Any) -> None:
-        """The loop of this kind, with the arguments of `filter_codegen`."""
-        count, _, theta, keys, times, _, key, _, _, _, u, y, reset, state, _, out, *own = arguments
+        """Run the loop of this kind with the arguments of `filter_codegen`."""
+        count, _, theta, keys, times, _, key, _, _, _, u, y, reset, state, _, out, *rest = arguments
         r = self.recursion
         numbers = r.numbers(dict(zip(r.p, theta, strict=False)), keys)
         if numbers is None:
@@ -157,7 +157,7 @@ class WideLoop:
         common = (
             count, numbers.nodes, keys, numbers.table, key, u, y, reset, block, aligned(workspace(r)), out,
         )  # fmt: skip
-        getattr(self, "_" + kind)(numbers, common, *own)
+        getattr(self, "_" + kind)(numbers, common, *rest)
         state[:] = self._packed(block)
 
     def _value(self, numbers: Numbers, common: Common) -> None:
@@ -165,13 +165,13 @@ class WideLoop:
 
     def _trace(self, numbers: Numbers, common: Common, rows: np.ndarray) -> None:
         r, key = self.recursion, common[4]
-        size, q, pairs = r.held * r.width, r.n + r.q, 2 * len(r.updates)
-        found = np.empty((len(rows), 2 * size + pairs))
-        self.code("trace", *common, found)
-        rows[:, :q] = self._packed(found[:, :size])
-        rows[:, q : q + pairs] = found[:, size : size + pairs]
-        rows[:, q + pairs : 2 * q + pairs] = self._packed(found[:, size + pairs :])
-        ends, w = 2 * q + pairs, r.width
+        size, width, pair_count = r.held * r.width, r.n + r.q, 2 * len(r.updates)
+        raw_rows = np.empty((len(rows), 2 * size + pair_count))
+        self.code("trace", *common, raw_rows)
+        rows[:, :width] = self._packed(raw_rows[:, :size])
+        rows[:, width : width + pair_count] = raw_rows[:, size : size + pair_count]
+        rows[:, width + pair_count : 2 * width + pair_count] = self._packed(raw_rows[:, size + pair_count :])
+        ends, w = 2 * width + pair_count, r.width
         rows[:, ends : ends + r.n**2] = numbers.table[key, : r.n, : r.n].reshape(len(rows), -1)
         rows[:, ends + r.n**2 :] = pack(numbers.table[key, 2 * w : 2 * w + r.n, : r.n])
 
@@ -183,10 +183,10 @@ class WideLoop:
         # off the diagonal, a packed entry stands for two entries: each has half of its adjoint
         share = np.concatenate([np.ones(r.n), pack(0.5 + 0.5 * np.eye(r.n))])
         bar = self._block(state_bar * share)
-        held = np.empty((count, len(r.updates) + 1, r.held * r.width))
+        stored = np.empty((count, len(r.updates) + 1, r.held * r.width))
         bars, known_bar = np.zeros_like(numbers.table), np.zeros(max(1, len(numbers.nodes)))
         first = np.array(common[8])
-        self.code("adjoint", *common, first, held, bars, known_bar, bar)
+        self.code("adjoint", *common, first, stored, bars, known_bar, bar)
         state_bar[:] = self._packed(bar) / share
         theta_bar += numbers.adjoints(known_bar[: len(numbers.nodes)], bars)
 
@@ -213,10 +213,10 @@ class WideLoop:
     def _packed(self, blocks: np.ndarray) -> np.ndarray:
         """Blocks as packed moments (…, width)."""
         n, w = self.recursion.n, self.recursion.width
-        own = blocks.reshape(*blocks.shape[:-1], -1, w) if blocks.shape[-1] != w else blocks
-        return np.concatenate([own[..., n, :n], pack(own[..., :n, :n])], axis=-1)
+        rows = blocks.reshape(*blocks.shape[:-1], -1, w) if blocks.shape[-1] != w else blocks
+        return np.concatenate([rows[..., n, :n], pack(rows[..., :n, :n])], axis=-1)
 
 
 def wide_loop(recursion: WideRecursion, kind: str, gain: bool, source: str) -> WideLoop:
-    """The compiled loop of a kind: value, trace, adjoint or tangent; `source` as in `Code`."""
+    """The compiled loop of a kind: value, trace, adjoint or tangent; `source` as in `CompiledCode`."""
     return WideLoop(recursion, CompiledCode(lambda: wide_text(recursion, kind, gain), [kind], source))

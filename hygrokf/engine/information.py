@@ -28,7 +28,7 @@ class RunningSums:
     the range of doubles.  The time loop contains no call, since a call would spill the whole state from the
     registers at every instant.  A variance that is not positive turns the product into NaN permanently.
 
-    The smallest and the largest variance of each output say how many digits the covariance has lost.
+    The smallest and the largest variance of each output show how many digits the covariance has lost.
     """
 
     def __init__(self, w: Writer, outputs: int) -> None:
@@ -55,13 +55,13 @@ class RunningSums:
                 self._multiply(w, ratio)
 
     def watch(self, w: Writer, place: int, variance: str, before: str) -> None:
-        """Note the innovation variance of a reading of output `place`, with and without the correction by the
-        other readings of its instant; NaN passes."""
-        both = ((self.lowest[place], "olt", variance), (self.highest[place], "ogt", before))
-        for slot, order, value in both:
-            known = w.load(SCALAR, slot)
-            beyond = w.value(f"fcmp {order} double {value}, {known}")
-            w.store(SCALAR, w.value(f"select i1 {beyond}, double {value}, double {known}"), slot)
+        """Update the smallest and largest innovation variance of output `place` by a reading's `variance` and
+        by its variance `before` the other readings of the instant; NaN is ignored."""
+        updates = ((self.lowest[place], "olt", variance), (self.highest[place], "ogt", before))
+        for slot, order, value in updates:
+            former = w.load(SCALAR, slot)
+            exceeds = w.value(f"fcmp {order} double {value}, {former}")
+            w.store(SCALAR, w.value(f"select i1 {exceeds}, double {value}, double {former}"), slot)
 
     def _multiply(self, w: Writer, factor: str) -> None:
         product = w.real("fmul", w.load(SCALAR, self.product), factor)
@@ -89,8 +89,8 @@ class RunningSums:
         variance of every output, then the largest."""
         fraction = w.value(f"call double @llvm.log.f64(double {w.load(SCALAR, self.product)})")
         exponent = w.value(f"sitofp i64 {w.load('i64', self.exponent)} to double")
-        whole = w.real("fmul", exponent, literal(math.log(2.0)))
-        w.store(SCALAR, w.real("fadd", whole, fraction), out)
+        exponent_part = w.real("fmul", exponent, literal(math.log(2.0)))
+        w.store(SCALAR, w.real("fadd", exponent_part, fraction), out)
         w.store(SCALAR, w.load(SCALAR, self.quadratic), w.at(SCALAR, out, 1))
         number = w.value(f"sitofp i64 {w.load('i64', self.number)} to double")
         w.store(SCALAR, number, w.at(SCALAR, out, 2))
@@ -110,7 +110,7 @@ ONE = literal(1.0)
 def summed(
     e: np.ndarray, s: np.ndarray, e_dot: np.ndarray, s_dot: np.ndarray, square: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Score (T, B L) by instants, and information (B L, B L).
+    """Compute the score (T, B L) of every instant and the information (B L, B L).
 
     e, s: innovations and variances (T, k); 0 and 1 without a reading.  e_dot, s_dot: their tangents
     (B, T, k, L), which are overwritten.  square: c², or infinity.
@@ -138,7 +138,7 @@ def _code() -> CompiledCode:
 
 
 def _scaled(w: Writer, block: str, first: str, k: str, c: str) -> None:
-    """Put a and b in the places of one reading's tangents; add to the score of its instant."""
+    """Replace one reading's tangents by a and b; add its terms to the score of its instant."""
     reading = w.integer("add", w.integer("mul", k, "%outputs"), c)
     e, s = (w.load(SCALAR, w.at(SCALAR, base, reading)) for base in ("%e", "%s"))
     square = w.load(SCALAR, "%square")
@@ -164,10 +164,10 @@ def _scaled(w: Writer, block: str, first: str, k: str, c: str) -> None:
     w.store(VECTOR, w.fma(VECTOR, [slope, b, total]), score)
 
 
-def _products(w: Writer, block: str, later: str, readings: str) -> None:
+def _products(w: Writer, row_block: str, column_block: str, readings: str) -> None:
     """Add a a' + b b' of all readings to the information between two blocks."""
     sums = [w.slot(VECTOR, "zeroinitializer") for _ in range(LANES)]
-    starts = [w.integer("mul", one, readings) for one in (block, later)]
+    starts = [w.integer("mul", index, readings) for index in (row_block, column_block)]
     with w.loop(readings) as reading:
         rows, columns = (w.integer("add", start, reading) for start in starts)
         for base in ("%edot", "%sdot"):
@@ -177,6 +177,6 @@ def _products(w: Writer, block: str, later: str, readings: str) -> None:
                 entry = w.splat(w.load(SCALAR, w.at(SCALAR, row, i)))
                 w.store(VECTOR, w.fma(VECTOR, [entry, column, w.load(VECTOR, total)]), total)
     for i, total in enumerate(sums):
-        line = w.integer("add", w.integer("mul", block, LANES), i)
-        place = w.integer("add", w.integer("mul", line, "%blocks"), later)
+        information_row = w.integer("add", w.integer("mul", row_block, LANES), i)
+        place = w.integer("add", w.integer("mul", information_row, "%blocks"), column_block)
         w.store(VECTOR, w.load(VECTOR, total), w.at(VECTOR, "%information", place))

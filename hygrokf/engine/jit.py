@@ -4,9 +4,9 @@ The compiler is LLVM through llvmlite, as in numba.  Straight-line filter code o
 compiles in a tenth of a second; the same code takes four seconds through numba's front end (docs/decisions).
 
 Object code is cached under `$HYGROKF_CACHE` (default: the user's cache directory), keyed by the text, the
-compiler version and the processor.  Text is written only where that key is not known yet: beside the
-objects stands the key of each source of a text, with the digest of the modules that write it.  The cache is
-private to the user, because loading its content means executing it.
+compiler version and the processor.  Text is written only if its key is not cached yet: beside the objects,
+the cache holds the object's key for each source of a text and each digest of the modules that write text.
+The cache is private to the user, because loading its content means executing it.
 """
 
 from __future__ import annotations
@@ -28,9 +28,9 @@ from llvmlite import binding as llvm
 
 def cache_directory() -> Path:
     """The directory of compiled code: `$HYGROKF_CACHE`, else the platform's user cache directory."""
-    stated = os.environ.get("HYGROKF_CACHE")
-    if stated:
-        return Path(stated)
+    from_environment = os.environ.get("HYGROKF_CACHE")
+    if from_environment:
+        return Path(from_environment)
     if sys.platform == "win32":
         root = Path(os.environ.get("LOCALAPPDATA", Path.home() / "AppData" / "Local"))
     elif sys.platform == "darwin":
@@ -69,10 +69,10 @@ def has_fused_multiply_add() -> bool:
 
 @cache
 def without_subnormals() -> tuple[str, str, str]:
-    """LLVM text: declarations, the entry to taking numbers below 2.2e-308 as 0, and the way out.
+    """LLVM text of declarations, of switching to rounding subnormal numbers (below 2.2e-308) to 0, and back.
 
-    A variance or a slope that decays ends among these numbers, and each operation with one takes a hundred
-    cycles on many processors.  Empty where the processor's control register is not known.
+    Variances and derivatives that decay become subnormal, and an operation with a subnormal number takes a
+    hundred cycles on many processors.  Empty where the processor's control register is not known.
     """
     triple = llvm.get_process_triple()
     if triple.startswith(("x86_64", "amd64")):
@@ -94,60 +94,60 @@ def without_subnormals() -> tuple[str, str, str]:
 
 
 _engines: WeakValueDictionary[str, llvm.ExecutionEngine] = WeakValueDictionary()
-"""Engines by key; the code that uses one keeps it, so that what may run is never freed."""
+"""Engines by key; each `CompiledCode` keeps its engine alive, so that code that may run is never freed."""
 _compiling = Lock()
 """Held while code is compiled: a second engine of the same code would replace the first and free running
 code."""
 
 
 @cache
-def _writers() -> str:
-    """Digest of the modules that turn a source into text: all of this package, and the expressions'."""
+def _writers_digest() -> str:
+    """Digest of the modules that turn a source into text: all of the folders `engine` and `physics`."""
     packages = (Path(__file__).parent, Path(__file__).parents[1] / "physics")
     files = sorted(file for package in packages for file in package.glob("*.py*"))
     return hashlib.sha256(b"".join(hashlib.sha256(file.read_bytes()).digest() for file in files)).hexdigest()
 
 
-def _place(content: str, ending: str) -> tuple[str, Path]:
-    """The key of what is made from this content, and its file in the cache."""
+def _cache_entry(content: str, ending: str) -> tuple[str, Path]:
+    """The key of the file that is made from this content, and the file's path in the cache."""
     key = hashlib.sha256(f"{_identity()}\n{content}".encode()).hexdigest()
     return key, cache_directory() / "code-1" / f"{key}.{ending}"
 
 
 def _engine(text: str | Callable[[], str], source: str) -> llvm.ExecutionEngine:
-    note = _place(f"{_writers()}\n{source}", "key")[1] if source else None
+    note = _cache_entry(f"{_writers_digest()}\n{source}", "key")[1] if source else None
     with _compiling:
-        known = _read(note) if note else None
-        key = known.decode() if known else ""
-        engine = (_engines.get(key) or _loaded(key)) if known else None
+        cached_key = _read(note) if note else None
+        key = cached_key.decode() if cached_key else ""
+        engine = (_engines.get(key) or _load_engine(key)) if cached_key else None
         if engine is None:
-            written = text if isinstance(text, str) else text()
-            key, file = _place(written, "o")
-            engine = _engines.get(key) or _loaded(key) or _compiled(written, file)
+            content = text if isinstance(text, str) else text()
+            key, file = _cache_entry(content, "o")
+            engine = _engines.get(key) or _load_engine(key) or _compile_engine(content, file)
             if note:
                 _write(note, key.encode())
         _engines[key] = engine
         return engine
 
 
-def _loaded(key: str) -> llvm.ExecutionEngine | None:
-    """The engine of an object in the cache, where it is there and whole."""
+def _load_engine(key: str) -> llvm.ExecutionEngine | None:
+    """The engine of an object in the cache, or None if the object is missing or incomplete."""
     stored = _read(cache_directory() / "code-1" / f"{key}.o")
-    return None if stored is None else _started(stored, _machine())
+    return None if stored is None else _start_engine(stored, _machine())
 
 
-def _compiled(text: str, file: Path) -> llvm.ExecutionEngine:
+def _compile_engine(text: str, file: Path) -> llvm.ExecutionEngine:
     machine = _machine()
     module = llvm.parse_assembly(text)
     module.verify()
     builder = llvm.create_pass_builder(machine, llvm.create_pipeline_tuning_options(speed_level=2))
     builder.getModulePassManager().run(module, builder)
-    made = machine.emit_object(module)
-    _write(file, made)
-    return _started(made, machine)
+    object_code = machine.emit_object(module)
+    _write(file, object_code)
+    return _start_engine(object_code, machine)
 
 
-def _started(code: bytes, machine: llvm.TargetMachine) -> llvm.ExecutionEngine:
+def _start_engine(code: bytes, machine: llvm.TargetMachine) -> llvm.ExecutionEngine:
     engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), machine)
     engine.add_object_file(llvm.ObjectFileRef.from_data(code))
     engine.finalize_object()
@@ -167,8 +167,9 @@ def _address(array: np.ndarray) -> int:
 class CompiledCode:
     """Compiled functions of one module.
 
-    text: their text, or what writes it.  source: all that the text depends on, but for the modules that write
-    it, so that it need not be written again.
+    text: the LLVM text, or a function that writes it.  source: everything that the text depends on besides
+        the
+    modules that write it; with a source that is cached, the text is not written again.
     """
 
     def __init__(self, text: str | Callable[[], str], functions: Sequence[str], source: str = "") -> None:
@@ -208,5 +209,5 @@ def _write(path: Path, body: bytes) -> None:
         temporary.write_bytes(body + hashlib.sha256(body).digest())
         os.replace(temporary, path)
     except OSError:
-        with suppress(OSError):  # nothing to remove where the folder could not be made
+        with suppress(OSError):  # the folder may not exist
             temporary.unlink(missing_ok=True)

@@ -68,7 +68,7 @@ class Writer:
         self._count = 0
 
     def inner_text(self) -> str:
-        """The text of a function that is called within its module only, and never copied into its callers."""
+        """The text of a function that is called only within its module and is not inlined."""
         return self._text("internal void", "noinline ", "", "")
 
     def text(self) -> str:
@@ -139,7 +139,7 @@ class Writer:
 
     @contextmanager
     def _repeated(self, slot: str, comparison: str) -> Iterator[str]:
-        """Repeat as long as the i64 in a slot compares so: yields its value."""
+        """Repeat as long as the `comparison` of the i64 in a slot holds; yields the i64."""
         head, body, done = (self._label(x) for x in ("head", "body", "done"))
         self.line(f"br label %{head}")
         self._lines.append(f"{head}:")
@@ -240,7 +240,7 @@ class Writer:
 
 
 def _align(kind: str) -> int:
-    """Minimum alignment of numpy arrays of this kind."""
+    """Minimum alignment [bytes] of numpy arrays of this kind."""
     return 4 if kind == "i32" else 8
 
 

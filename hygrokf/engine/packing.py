@@ -14,8 +14,8 @@ def place(i: int, j: int) -> int:
 
 
 def trace_width(width: int, n: int, outputs: int) -> int:
-    """Numbers in one row of a trace: moments (width) before and after, two for every output, the transition
-    matrix and the packed noise of the step."""
+    """Count of numbers in a row of a trace: moments (`width`) before and after the readings, prediction and
+    variance of every output, transition matrix (n, n), and packed noise of the step."""
     return 2 * width + 2 * outputs + n * n + n * (n + 1) // 2
 
 

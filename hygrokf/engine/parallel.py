@@ -17,18 +17,18 @@ THREADS = "HYGROKF_THREADS"
 
 
 def threads() -> int:
-    """Number of threads for compiled loops: the stated number, else the cores available to this process."""
-    stated = os.environ.get(THREADS, "")
-    if stated.isdigit() and int(stated) > 0:
-        return int(stated)
+    """Number of threads for compiled loops: `$HYGROKF_THREADS`, else the cores available to this process."""
+    limit = os.environ.get(THREADS, "")
+    if limit.isdigit() and int(limit) > 0:
+        return int(limit)
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def mapped(function: Callable[[T], R], items: Iterable[T]) -> list[R]:
     """`function` applied to every item, in order; raises the first error that a call raised."""
-    known = list(items)
-    count = min(threads(), len(known))
+    item_list = list(items)
+    count = min(threads(), len(item_list))
     if count < 2:
-        return [function(item) for item in known]
+        return [function(item) for item in item_list]
     with ThreadPoolExecutor(count) as pool:
-        return list(pool.map(function, known))
+        return list(pool.map(function, item_list))

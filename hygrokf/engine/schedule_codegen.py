@@ -11,12 +11,12 @@ and of every state, as far as the next half, with the transition E, does not for
     |E (m − m')|_i / (√P'_ii + ε |m'_i − x_i| + ε' |m'_i|),    |E (P − P') E'|_ij / √(P'_ii P'_jj),
 
 x the mean before the interval and ε = `CHANGE`, ε' = `VALUE`, which measure states without any variance.
-Within a step a fast state that follows slow ones thus counts by what it does to them; at its end, where
-readings may come, E is the identity.  An interval in which a comparison of the rates changes its result is
-halved until it is 2^−`KINK` of the step: no comparison of moments sees a kink behind the last node.  Up to
-the tolerance the one sub-step stands, otherwise its first half is tried; behind an interval the next one is
-as long, or twice as long where it may begin there.  The number of doublings follows from the rates at the
-beginning.
+Within a step a fast state that follows slow ones thus counts by its effect on them; at the end of the step,
+where readings may come, E is the identity.  An interval in which a comparison of the rates changes its result
+is halved until it is 2^−`KINK` of the step: a comparison of moments misses a kink after the last node.  If
+the error is within the tolerance, the single sub-step is accepted, otherwise its first half is tried.  After
+an interval the next one is as long, or twice as long where its position allows.  The number of doublings
+follows from the rates at the beginning.
 """
 
 from __future__ import annotations
@@ -57,10 +57,10 @@ def table_room(recursion: Recursion, kind: str) -> int:
 
 
 class Walk:
-    """The walk through one step, in a loop of its own kind.
+    """The text that chooses the sub-steps of one step, for the kinds of loops in `WALKED`.
 
-    The loop has the arguments `tags` (i64, one for every row of the workspace, first −1): the key whose
-    values a row holds; and `tolerance` (1,).
+    The loop has the arguments `tags` (i64, one for every row of the workspace, initially −1), the key whose
+    values a row holds, and `tolerance` (1,).
     """
 
     def __init__(self, stages: Stages, slots: Names) -> None:
@@ -77,16 +77,15 @@ class Walk:
         self.errors = self._errors()
 
     def _errors(self) -> list[Expression]:
-        """The error of every state (n,) and reading (k,), a number that is not finite where a moment is
-        not, and the number of comparisons of the rates that the means before and after answer
-        differently."""
+        """The error of every state (n,) and reading (k,); a sum that is finite only if all moments are; and
+        the number of comparisons in the rates whose results differ between the means before and after."""
         r = self.stages.recursion
-        g, n, one, two = r.graph, r.n, self.single, r.state
+        g, n, single_step, halves = r.graph, r.n, self.single, r.state
 
         def size(value: Value) -> Expression:
             return maximum(g.lift(value), -g.lift(value))
 
-        def beyond(value: Value, of: Value) -> Expression:
+        def without_rounding(value: Value, of: Value) -> Expression:
             return maximum(size(value) - ROUNDING * size(of), 0.0)
 
         ahead = [
@@ -97,50 +96,52 @@ class Walk:
             for i in range(n)
         ]
         packed = [g.lift(r.uncertainty[i][j]) for i in range(n) for j in range(i + 1)]
-        single = g.substitute(packed, {e.index: s for e, s in zip(two, one, strict=True)})
-        apart = [p - q for p, q in zip([*one[:n], *single], [*r.mean, *packed], strict=True)]
-        later = [row[0] for row in product(ahead, [[value] for value in apart[:n]])]
-        spread = congruence(ahead, [[apart[n + place(i, j)] for j in range(n)] for i in range(n)])
+        single = g.substitute(packed, {e.index: s for e, s in zip(halves, single_step, strict=True)})
+        differences = [p - q for p, q in zip([*single_step[:n], *single], [*r.mean, *packed], strict=True)]
+        mean_differences = [row[0] for row in product(ahead, [[value] for value in differences[:n]])]
+        spread = congruence(ahead, [[differences[n + place(i, j)] for j in range(n)] for i in range(n)])
         sd = [sqrt(maximum(packed[place(i, i)], 0.0)) + KNOWN for i in range(n)]
-        found = []
+        errors = []
         for i in range(n):
-            change = size(two[i] - self.before[i])
-            scale = sd[i] + CHANGE * change + VALUE * size(two[i])
-            error = beyond(later[i], two[i]) / scale
+            change = size(halves[i] - self.before[i])
+            scale = sd[i] + CHANGE * change + VALUE * size(halves[i])
+            error = without_rounding(mean_differences[i], halves[i]) / scale
             for j in range(n):
                 error = maximum(error, size(spread[i][j]) / (sd[i] * sd[j]))
-            found.append(error)
-        shown = [update[-3] for update in r.updates]
-        alone, begun = (
-            g.substitute(shown, {m.index: e for m, e in zip(r.mean, symbols, strict=False)})
-            for symbols in (one, self.before)
+            errors.append(error)
+        shown_halves = [update[-3] for update in r.updates]
+        shown_single, shown_before = (
+            g.substitute(shown_halves, {m.index: e for m, e in zip(r.mean, symbols, strict=False)})
+            for symbols in (single_step, self.before)
         )
-        for a, b, c, update in zip(alone, shown, begun, r.updates, strict=True):
+        for a, b, c, update in zip(shown_single, shown_halves, shown_before, r.updates, strict=True):
             scale = sqrt(maximum(update[-2], 0.0)) + CHANGE * size(c - b) + 1e-300
-            found.append(beyond(a - b, b) / scale)
+            errors.append(without_rounding(a - b, b) / scale)
         total = g.constant(0.0)
-        for value in apart:
+        for value in differences:
             total = total + value
-        begun = g.substitute(r.comparisons, {m.index: e for m, e in zip(r.mean, self.before, strict=True)})
+        shown_before = g.substitute(
+            r.comparisons, {m.index: e for m, e in zip(r.mean, self.before, strict=True)}
+        )
         changed = g.constant(0.0)
-        for a, b in zip(r.comparisons, begun, strict=True):
+        for a, b in zip(r.comparisons, shown_before, strict=True):
             changed = changed + (a - b) * (a - b)
-        return [*found, total, changed]
+        return [*errors, total, changed]
 
     def through(self, k: str, accept: Callable[[str, str, str], str | None]) -> None:
-        """Move the moments to instant k; `accept(i, level, doublings)` is told every sub-step, and returns
-        an i1 that ends the walk.  Where it does, or the deepest interval does not do, `worst` is the state
-        with the largest error, and the moments stay before that interval."""
+        """Move the moments to instant k; `accept(i, level, doublings)` is called for every sub-step, and may
+        return an i1 that ends the walk.  If it does, or if the deepest interval exceeds the tolerance,
+        `worst` is the state with the largest error, and the moments stay before that interval."""
         w = self.stages.writer
         key = self.stages.key_of(k)
-        self.known(key)
+        self.compute_key_row(key)
         hours = w.load(
             SCALAR, w.at(SCALAR, "%keys", w.integer("mul", key, len(self.stages.recursion.key_leaves)))
         )
         w.store("i64", "0", self.i)
         w.store("i64", "0", self.level)
-        begun = w.value(f"fcmp ogt double {hours}, {literal(0.0)}")
-        w.store("i64", w.value(f"zext i1 {begun} to i64"), self.going)
+        has_length = w.value(f"fcmp ogt double {hours}, {literal(0.0)}")
+        w.store("i64", w.value(f"zext i1 {has_length} to i64"), self.going)
         with w.during(self.going):
             self._copy(list(self.slots.values()), self.origin)
             begin, level = w.load("i64", self.i), w.load("i64", self.level)
@@ -150,32 +151,32 @@ class Walk:
                     self._copy(list(self.slots.values()), self.once)
                     self._copy(self.origin, list(self.slots.values()))
                 deeper = w.value(f"select i1 {first}, i64 {level}, i64 {w.integer('add', level, 1)}")
-                place_ = w.integer("add", w.integer("mul", begin, 2), w.integer("sub", trial, 1))
-                at = w.value(f"select i1 {first}, i64 {begin}, i64 {place_}")
+                half = w.integer("add", w.integer("mul", begin, 2), w.integer("sub", trial, 1))
+                at = w.value(f"select i1 {first}, i64 {begin}, i64 {half}")
                 times = self._sub_step(k, key, hours, at, deeper)
                 with w.when(first):
                     w.store("i64", times, self.times)
-            error, state, changed = self._judged(k, key)
+            error, state, changed = self._assess(k, key)
             tolerance = w.load(SCALAR, "%tolerance")
-            deep = w.value(f"icmp sge i64 {level}, {KINK}")
-            smooth = w.value(f"or i1 {deep}, {w.value(f'fcmp oeq double {changed}, {literal(0.0)}')}")
-            good = w.value(f"and i1 {smooth}, {w.value(f'fcmp ole double {error}, {tolerance}')}")
-            with w.when(good):
-                enough = accept(begin, level, w.load("i64", self.times))
+            below_kink = w.value(f"icmp sge i64 {level}, {KINK}")
+            smooth = w.value(f"or i1 {below_kink}, {w.value(f'fcmp oeq double {changed}, {literal(0.0)}')}")
+            accepted = w.value(f"and i1 {smooth}, {w.value(f'fcmp ole double {error}, {tolerance}')}")
+            with w.when(accepted):
+                ends = accept(begin, level, w.load("i64", self.times))
                 self._copy(self.once, list(self.slots.values()))
                 after = w.integer("add", begin, 1)
-                whole = w.integer("shl", "1", level)
-                up = w.value(f"icmp sgt i64 {level}, 0")
+                intervals = w.integer("shl", "1", level)
+                may_double = w.value(f"icmp sgt i64 {level}, 0")
                 even = w.value(f"icmp eq i64 {w.integer('and', after, 1)}, 0")
-                up = w.value(f"and i1 {up}, {even}")
-                one = w.value(f"zext i1 {up} to i64")
-                w.store("i64", w.integer("ashr", after, one), self.i)
-                w.store("i64", w.integer("sub", level, one), self.level)
-                left = w.value(f"icmp slt i64 {after}, {whole}")
-                w.store("i64", w.value(f"zext i1 {left} to i64"), self.going)
-                if enough is not None:
-                    self._stop(enough, state)
-            with w.when(w.value(f"xor i1 {good}, true")):
+                may_double = w.value(f"and i1 {may_double}, {even}")
+                shift = w.value(f"zext i1 {may_double} to i64")
+                w.store("i64", w.integer("ashr", after, shift), self.i)
+                w.store("i64", w.integer("sub", level, shift), self.level)
+                remains = w.value(f"icmp slt i64 {after}, {intervals}")
+                w.store("i64", w.value(f"zext i1 {remains} to i64"), self.going)
+                if ends is not None:
+                    self._stop(ends, state)
+            with w.when(w.value(f"xor i1 {accepted}, true")):
                 self._copy(self.origin, list(self.slots.values()))
                 w.store("i64", w.integer("mul", begin, 2), self.i)
                 w.store("i64", w.integer("add", level, 1), self.level)
@@ -187,13 +188,13 @@ class Walk:
             w.store("i64", state, self.worst)
             w.store("i64", "0", self.going)
 
-    def known(self, key: str) -> None:
-        """Make the values of a key known as row 0 of the workspace, which the updates read."""
+    def compute_key_row(self, key: str) -> None:
+        """Compute the values of a key as row 0 of the workspace, which the updates read."""
         self._row(key, "0", "0", self.stages.key_leaves(key))
 
     def _row(self, key: str, row: str, times: str, leaves: Names) -> str:
-        """Where the values of a key table's row begin in the workspace; computed unless it holds them
-        already."""
+        """First position of a key table's row in the workspace; its values are computed if they are
+        missing."""
         s, w, r = self.stages, self.stages.writer, self.stages.recursion
         start, tag = w.integer("mul", row, len(r.key_nodes)), w.at("i64", "%tags", row)
         with w.when(w.value(f"icmp ne i64 {w.load('i64', tag)}, {key}")):
@@ -214,27 +215,27 @@ class Walk:
         left = w.real("fmul", w.value(f"sitofp i64 {at} to double"), part)
         inputs = s.inputs_between(k, left, w.real("fadd", left, part))
         leaves = s.key_leaves(key) | {r.h.index: w.real("fmul", hours, part)}
-        found = s.doublings(s.read(self.slots) | inputs | leaves, SHARE)
-        times = w.value(f"select i1 {w.value(f'icmp slt i64 {found}, 0')}, i64 0, i64 {found}")
+        doublings = s.doublings(s.read(self.slots) | inputs | leaves, SHARE)
+        times = w.value(f"select i1 {w.value(f'icmp slt i64 {doublings}, 0')}, i64 0, i64 {doublings}")
         leaves[r.share.index] = s.power(times)
         row = w.integer("add", w.integer("mul", level, DOUBLINGS + 1), times)
         start = self._row(key, row, times, leaves)
-        known = {
+        row_values = {
             i: w.load(SCALAR, w.at(SCALAR, "%table", w.integer("add", start, c)))
             for c, i in enumerate(r.key_nodes)
         }
-        leaves |= known | s.at_parameters
+        leaves |= row_values | s.at_parameters
         s.advance(self.slots, times, s.read(self.slots) | leaves | inputs)
-        made = w.block(r.graph, r.transition, leaves | s.reading(s.registers, r.transition))
-        last = w.value(f"icmp eq i64 {w.integer('add', at, 1)}, {w.integer('shl', '1', level)}")
-        for c, (slot, (_, name)) in enumerate(zip(self.ahead.values(), made, strict=True)):
-            own = literal(1.0 if c % (r.n + 1) == 0 else 0.0)
-            w.store(SCALAR, w.value(f"select i1 {last}, double {own}, double {name}"), slot)
+        transition = w.block(r.graph, r.transition, leaves | s.reading(s.registers, r.transition))
+        is_last = w.value(f"icmp eq i64 {w.integer('add', at, 1)}, {w.integer('shl', '1', level)}")
+        for c, (slot, (_, name)) in enumerate(zip(self.ahead.values(), transition, strict=True)):
+            identity_entry = literal(1.0 if c % (r.n + 1) == 0 else 0.0)
+            w.store(SCALAR, w.value(f"select i1 {is_last}, double {identity_entry}, double {name}"), slot)
         return times
 
-    def _judged(self, k: str, key: str) -> tuple[str, str, str]:
-        """The largest error, NaN where a moment is not finite; its state, or n and more for a reading; and
-        the number of comparisons that changed their result."""
+    def _assess(self, k: str, key: str) -> tuple[str, str, str]:
+        """The largest error, NaN where a moment is not finite; the index of its state, from n on of a
+        reading; and the number of comparisons whose result changed."""
         s, w, r = self.stages, self.stages.writer, self.stages.recursion
         leaves = s.read(self.slots) | s.read(self.ahead) | s.table(key) | s.inputs_at(k) | s.at_parameters
         leaves[r.reading.index] = literal(0.0)

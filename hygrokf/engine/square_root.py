@@ -1,14 +1,14 @@
-"""Covariances as factors P = L D L', L unit lower triangular, D diagonal, which keep sign and digits.
+"""Covariances as factors P = L D L', L unit lower triangular, D diagonal, which keep the sign and the digits.
 
-The difference P − c c'/S loses all digits where a reading is far more exact than what was known before it.
-Factors are corrected by sums of positive terms alone, and predicted by a weighted orthogonalisation,
+The difference P − c c'/S loses all digits where a reading is far more exact than the prediction.
+Factors are corrected by sums of positive terms only, and predicted by a weighted orthogonalisation,
 
     L D L' = [F L  L_Q] diag(D, D_Q) [F L  L_Q]',
 
-so that they bear ratios P/R up to 1e24 where the plain form bears 1e9.
+so that they stay accurate for ratios P/R up to 1e24, the plain form only up to 1e9.
 
-Packed (lower triangle by rows), the diagonal holds D.  Where a running mean begins anew, its row of L is
-zero, its own place included, until the next prediction.
+Packed (lower triangle by rows), the diagonal holds D.  Where a running mean restarts, its row of L is zero,
+including the diagonal, until the next prediction.
 
 Sources: Bierman 1977, Factorization methods for discrete sequential estimation, chapters V (correction) and
 VI; Thornton 1976, NASA CR-149218 (prediction).
@@ -35,7 +35,7 @@ def factors(matrix: Matrix) -> tuple[Matrix, list[Value]]:
             lower[i][j] = dot([rest[i][j]], [inverse])
         for i in range(j + 1, n):
             for k in range(j + 1, i + 1):
-                rest[i][k] = _less(rest[i][k], lower[i][j], rest[k][j])
+                rest[i][k] = _minus_product(rest[i][k], lower[i][j], rest[k][j])
     return lower, diagonal
 
 
@@ -49,36 +49,36 @@ def orthogonalised(rows: Matrix, weights: Sequence[Value]) -> tuple[Matrix, list
         inverse = 1.0 / _or_one(diagonal[k])
         for i in range(k + 1, n):
             lower[i][k] = dot([dot(weighted, rest[i])], [inverse])
-            rest[i] = [_less(x, lower[i][k], y) for x, y in zip(rest[i], rest[k], strict=True)]
+            rest[i] = [_minus_product(x, lower[i][k], y) for x, y in zip(rest[i], rest[k], strict=True)]
     return lower, diagonal
 
 
 def corrected(
     lower: Matrix, diagonal: Sequence[Value], row: Sequence[Value], noise: Value
 ) -> tuple[Matrix, list[Value]]:
-    """L and D after a reading with the slopes `row` (n,) and noise of this variance."""
+    """L and D after a reading with the derivatives `row` (n,) and the noise variance `noise`."""
     n = len(lower)
-    shown = [dot([lower[i][j] for i in range(j, n)], row[j:]) for j in range(n)]
-    after, spread = [list(r) for r in lower], list(diagonal)
+    projected = [dot([lower[i][j] for i in range(j, n)], row[j:]) for j in range(n)]
+    new_lower, new_diagonal = [list(r) for r in lower], list(diagonal)
     gain: list[Value] = [0.0] * n
     total = noise
     for j in reversed(range(n)):
-        if is_zero(shown[j]):
+        if is_zero(projected[j]):
             continue
-        share = diagonal[j] * shown[j]
-        whole = total + share * shown[j]
-        spread[j] = diagonal[j] * (total * (1.0 / _or_one(whole)))
-        factor = shown[j] * (1.0 / _or_one(total))
+        gain_term = diagonal[j] * projected[j]
+        new_total = total + gain_term * projected[j]
+        new_diagonal[j] = diagonal[j] * (total * (1.0 / _or_one(new_total)))
+        factor = projected[j] * (1.0 / _or_one(total))
         for i in range(j + 1, n):
-            after[i][j] = _less(lower[i][j], factor, gain[i])
+            new_lower[i][j] = _minus_product(lower[i][j], factor, gain[i])
         for i in range(j, n):
-            gain[i] = gain[i] + dot([lower[i][j]], [share])
-        total = whole
-    return after, spread
+            gain[i] = gain[i] + dot([lower[i][j]], [gain_term])
+        total = new_total
+    return new_lower, new_diagonal
 
 
 def _or_one(value: Value) -> Value:
-    """The value, or 1 where it is not above 0: what it divides is 0 there."""
+    """The value, or 1 where it is not above 0: the numerator is 0 in that case."""
     if isinstance(value, Expression):
         return where(value > 0.0, value, 1.0)
     return value if value > 0.0 else 1.0
@@ -88,13 +88,13 @@ def _positive(value: Value) -> Value:
     return where(value > 0.0, value, 0.0) if isinstance(value, Expression) else max(value, 0.0)
 
 
-def _less(value: Value, a: Value, b: Value) -> Value:
+def _minus_product(value: Value, a: Value, b: Value) -> Value:
     return value if is_zero(a) or is_zero(b) else value - a * b
 
 
 # -- numbers -------------------------------------------------------------------------------------------------
 def factored(covariance: np.ndarray) -> np.ndarray:
-    """Factors of covariances (…, n, n) in one matrix, L below the diagonal, D on it; complex steps pass."""
+    """Factors of covariances (…, n, n) in one matrix, L below the diagonal, D on it; complex steps work."""
     rest, n = np.array(covariance), covariance.shape[-1]
     result = np.zeros_like(rest)
     for j in range(n):
@@ -109,7 +109,7 @@ def factored(covariance: np.ndarray) -> np.ndarray:
 
 def square_root(covariance: np.ndarray) -> np.ndarray:
     """L √D (…, n, n) of covariances (…, n, n)."""
-    found, diagonal = factored(covariance), np.arange(covariance.shape[-1])
-    size = np.sqrt(found[..., diagonal, diagonal])
-    found[..., diagonal, diagonal] = 1.0
-    return found * size[..., None, :]
+    factors_, index = factored(covariance), np.arange(covariance.shape[-1])
+    root = np.sqrt(factors_[..., index, index])
+    factors_[..., index, index] = 1.0
+    return factors_ * root[..., None, :]

@@ -21,7 +21,7 @@ Names = dict[int, str]
 Symbols = dict[int, Expression]
 """Node -> the expression of its adjoint."""
 DOUBLINGS = 100
-"""Largest number of doublings: rates times a step of 6e29."""
+"""Largest number of doublings: it allows rates times a step of 6e29."""
 Compute = Callable[[Assign | Repeat, Names], None]
 Pull = Callable[[Sequence[int], Sequence[Expression], Names, str], None]
 
@@ -37,7 +37,7 @@ class SubStep:
 
 
 class Stages:
-    """The text that all loops of a recursion begin with, and their step to an instant."""
+    """The text at the beginning of all loops of a recursion, and the prediction to an instant."""
 
     def __init__(self, recursion: Recursion, writer: Writer, walked: bool = False) -> None:
         self.recursion, self.writer, self.walked = recursion, writer, walked
@@ -52,8 +52,8 @@ class Stages:
         self.at_parameters: Names = {}
         for i, e in enumerate([*r.p.values(), *r.given]):
             self.at_parameters[e.index] = w.load(SCALAR, w.at(SCALAR, "%theta", i))
-        wanted = [Expression(r.graph, i) for i in r.parameter_nodes]
-        for e, (_, name) in zip(wanted, w.block(r.graph, wanted, self.at_parameters), strict=True):
+        nodes = [Expression(r.graph, i) for i in r.parameter_nodes]
+        for e, (_, name) in zip(nodes, w.block(r.graph, nodes, self.at_parameters), strict=True):
             self.at_parameters[e.index] = name
 
     def _row(self, base: str, row: str, nodes: Sequence[int], kind: str = SCALAR) -> Names:
@@ -63,11 +63,11 @@ class Stages:
         return {i: w.load(kind, w.at(kind, base, w.integer("add", start, c))) for c, i in enumerate(nodes)}
 
     def _key_row(self, key: str) -> Names:
-        """Values of the key's own leaves: length of the sub-step and regimes."""
+        """Values that define the key: length of the sub-step and regimes."""
         return self._row("%keys", key, [e.index for e in self.recursion.key_leaves])
 
     def key_leaves(self, key: str) -> Names:
-        """Values of the key's leaves: length of the sub-step, regimes, and the share of its doublings."""
+        """Values that define the key, and the share 2^−doublings of its sub-step."""
         return self._key_row(key) | {self.recursion.share.index: self.power(self.times(key))}
 
     def power(self, times: str) -> str:
@@ -94,13 +94,13 @@ class Stages:
         """Number of doublings (i64) for the rates at the beginning of a sub-step, which `leaves` give; −1
         for rates that are not finite, or too large."""
         w, r = self.writer, self.recursion
-        most, total = literal(0.5), literal(0.0)
+        largest, total = literal(0.5), literal(0.0)
         for _, name in w.block(r.graph, r.reach, leaves | self.at_parameters):
             scaled = w.real("fmul", name, literal(1.0 / share))
-            larger = w.value(f"fcmp ogt double {scaled}, {most}")
-            most = w.value(f"select i1 {larger}, double {scaled}, double {most}")
+            larger = w.value(f"fcmp ogt double {scaled}, {largest}")
+            largest = w.value(f"select i1 {larger}, double {scaled}, double {largest}")
             total = w.real("fadd", total, scaled)
-        bits = w.value(f"bitcast double {most} to i64")
+        bits = w.value(f"bitcast double {largest} to i64")
         power = w.integer("sub", w.integer("lshr", bits, 52), 1022)  # 0 for [1/2, 1), 1 for [1, 2)
         possible = w.value(f"icmp sle i64 {power}, {DOUBLINGS}")
         finite = w.value(f"fcmp ord double {w.real('fsub', total, total)}, {literal(0.0)}")
@@ -109,11 +109,11 @@ class Stages:
     def early(self, leaves: Names, times: str) -> list[str]:
         """The values of the nodes of the key table, from its leaves."""
         r, w = self.recursion, self.writer
-        slots = self.slots([e for one in operations(r.early) for e in one.into])
+        slots = self.slots([e for operation in operations(r.early) for e in operation.into])
         self.perform(r.early, slots, times, leaves | self.at_parameters)
-        wanted = [Expression(r.graph, i) for i in r.key_nodes]
-        known = leaves | self.at_parameters | self.read(slots)
-        return [name for _, name in w.block(r.graph, wanted, known)]
+        nodes = [Expression(r.graph, i) for i in r.key_nodes]
+        all_leaves = leaves | self.at_parameters | self.read(slots)
+        return [name for _, name in w.block(r.graph, nodes, all_leaves)]
 
     # -- the operations before a step ------------------------------------------------------------------------
     def perform(
@@ -125,57 +125,60 @@ class Stages:
         compute: Compute | None = None,
         levels: bool = False,
     ) -> None:
-        """Run operations on their symbols in `slots`; with `levels`, keep what each doubling starts from.
+        """Run operations on their symbols in `slots`; with `levels`, store the values before each doubling.
 
-        `compute(operation, leaves)` is called in place of the plain computation.
+        `compute(operation, leaves)` replaces the plain computation.
         """
         w = self.writer
-        places = self._level_places(program)
+        columns = self._level_columns(program)
 
         def run(operation: Operation) -> None:
             if isinstance(operation, Choose):
                 for inner in self._chosen(operation, times):
-                    for one in inner:
-                        run(one)
+                    for item in inner:
+                        run(item)
             elif isinstance(operation, Repeat):
                 with w.loop(times) as j:
                     if levels:
-                        self._at_level(operation, places, slots, j, self._keep)
+                        self._at_level(operation, columns, slots, j, self._keep)
                     (compute or self._compute(slots))(operation, self.reading(slots, operation.block))
             else:
-                known = leaves | self.reading(slots, operation.block)
-                (compute or self._compute(slots))(operation, known)
+                all_leaves = leaves | self.reading(slots, operation.block)
+                (compute or self._compute(slots))(operation, all_leaves)
 
-        for one in program:
-            run(one)
+        for item in program:
+            run(item)
 
     def retract(
         self, program: Sequence[Operation], slots: Names, times: str, leaves: Names, pull: Pull, key: str
     ) -> None:
-        """The adjoint of `perform`, after it with `levels`: `pull(into, block, leaves, key)` moves the
-        adjoints of symbols on to what their block is made from."""
+        """Run the adjoint of `perform`, which must have run with `levels`.
+
+        `pull(into, block, leaves, key)` propagates the adjoints of symbols to the nodes that their block
+        reads.
+        """
         w = self.writer
-        places = self._level_places(program)
+        columns = self._level_columns(program)
 
         def run(operation: Operation) -> None:
             if isinstance(operation, Choose):
                 for inner in self._chosen(operation, times):
-                    for one in reversed(inner):
-                        run(one)
+                    for item in reversed(inner):
+                        run(item)
                 return
             into = [e.index for e in operation.into]
             if isinstance(operation, Repeat):
                 with w.loop(times, backwards=True) as j:
-                    self._at_level(operation, places, slots, j, self._restore)
+                    self._at_level(operation, columns, slots, j, self._restore)
                     pull(into, operation.block, self.reading(slots, operation.block), key)
             else:
                 pull(into, operation.block, leaves | self.reading(slots, operation.block), key)
 
-        for one in reversed(program):
-            run(one)
+        for item in reversed(program):
+            run(item)
 
     def _chosen(self, operation: Choose, times: str) -> Iterator[tuple[Operation, ...]]:
-        """Both alternatives in turn; what is written meanwhile runs where that one is chosen."""
+        """Yield both alternatives in turn; text written meanwhile runs where the yielded one is chosen."""
         w = self.writer
         stiff = w.value(f"icmp sgt i64 {times}, {MILD}")
         for condition, inner in (
@@ -186,38 +189,38 @@ class Stages:
 
     def _compute(self, slots: Names) -> Compute:
         def plain(operation: Assign | Repeat, leaves: Names) -> None:
-            made = self.writer.block(self.recursion.graph, operation.block, leaves)
-            for e, (_, name) in zip(operation.into, made, strict=True):
+            results = self.writer.block(self.recursion.graph, operation.block, leaves)
+            for e, (_, name) in zip(operation.into, results, strict=True):
                 self.writer.store(SCALAR, name, slots[e.index])
 
         return plain
 
     def reading(self, slots: Names, block: Sequence[Expression]) -> Names:
-        """The values of those symbols in slots that a block needs."""
+        """Load the values of the symbols in `slots` that a block reads."""
         needed = self.recursion.leaves_of(block)
         return {i: self.writer.load(SCALAR, s) for i, s in slots.items() if i in needed}
 
     @staticmethod
-    def _level_places(program: Sequence[Operation]) -> tuple[dict[int, int], int]:
+    def _level_columns(program: Sequence[Operation]) -> tuple[dict[int, int], int]:
         """The first column of each repetition in a row of `%levels`, by the identity of the operation, and
         the width of a row."""
-        places, width = {}, 0
-        for one in operations(program):
-            if isinstance(one, Repeat):
-                places[id(one)] = width
-                width += len(one.into)
-        return places, width
+        columns, width = {}, 0
+        for operation in operations(program):
+            if isinstance(operation, Repeat):
+                columns[id(operation)] = width
+                width += len(operation.into)
+        return columns, width
 
     def _at_level(
         self,
         operation: Repeat,
-        places: tuple[dict[int, int], int],
+        columns: tuple[dict[int, int], int],
         slots: Names,
         j: str,
         move: Callable[[str, str], None],
     ) -> None:
         w = self.writer
-        start = w.integer("add", w.integer("mul", j, places[1]), places[0][id(operation)])
+        start = w.integer("add", w.integer("mul", j, columns[1]), columns[0][id(operation)])
         for c, e in enumerate(operation.into):
             move(slots[e.index], w.at(SCALAR, "%levels", w.integer("add", start, c)))
 
@@ -252,7 +255,8 @@ class Stages:
         return w.value(f"sext i32 {value} to i64")
 
     def table(self, key: str) -> Names:
-        """Values of a row of the key table; where a walk fills the table, row 0 is that of the instant."""
+        """Values of a row of the key table; in a loop that chooses its sub-steps, row 0 belongs to the
+        instant."""
         row = "0" if self.walked else key
         return self.key_leaves(key) | self._row("%table", row, self.recursion.key_nodes)
 
@@ -262,7 +266,7 @@ class Stages:
 
     @contextmanager
     def sub_steps(self, k: str, backwards: bool = False) -> Iterator[SubStep]:
-        """The sub-steps to instant k; a constant-rate step is one."""
+        """Loop over the sub-steps to instant k; an exact step is a single sub-step."""
         w = self.writer
         if self.recursion.exact:
             yield SubStep("0", "1", self.key_of(k), self.inputs_between(k))
@@ -303,27 +307,27 @@ class Stages:
         return self._row("%u", k, [r.now[name].index for name in r.varying])
 
     def predict(self, slots: Names, k: str) -> None:
-        with self.sub_steps(k) as one:
-            leaves = self.read(slots) | self.table(one.key) | one.inputs | self.at_parameters
-            self.advance(slots, self.times(one.key), leaves)
+        with self.sub_steps(k) as sub_step:
+            leaves = self.read(slots) | self.table(sub_step.key) | sub_step.inputs | self.at_parameters
+            self.advance(slots, self.times(sub_step.key), leaves)
 
     def advance(self, slots: Names, times: str, leaves: Names) -> None:
         """Move the moments over one sub-step."""
         r = self.recursion
         self.perform(r.late, self.registers, times, leaves)
-        known = leaves | self.reading(self.registers, r.predict)
-        self._store(slots, self.writer.block(r.graph, r.predict, known))
+        all_leaves = leaves | self.reading(self.registers, r.predict)
+        self._store(slots, self.writer.block(r.graph, r.predict, all_leaves))
 
     def _store(self, slots: Names, values: Sequence[tuple[str, str]]) -> None:
-        """Store the first of some (kind, value) in the slots of the state."""
+        """Store the leading (kind, value) pairs in the slots of the state."""
         for s, (_, name) in zip(slots.values(), values, strict=False):
             self.writer.store(SCALAR, name, s)
 
 
 def level_room(recursion: Recursion) -> int:
-    """Numbers that the adjoint of the doublings keeps: the matrices before each of them."""
+    """Count of numbers that the adjoint stores: the matrices before each doubling."""
     widths = [
-        sum(len(one.into) for one in operations(program) if isinstance(one, Repeat))
+        sum(len(operation.into) for operation in operations(program) if isinstance(operation, Repeat))
         for program in (recursion.early, recursion.late)
     ]
     return max(1, (DOUBLINGS + 1) * max(widths))

@@ -3,7 +3,7 @@
 One step of the filter is traced once as two kinds of blocks, `predict` (a sub-step) and `update` (one scalar
 reading).  The compiled loops (`hygrokf.engine.filter_loops`) are made from these blocks: the likelihood, its
 adjoint (score), its tangents (sensitivities of every innovation) and the trace of all moments.  Readings at
-one instant are processed one after the other, each linearised at the state that the previous one left.  A
+one instant are processed one after the other, each linearised at the state after the previous one.  A
 missing reading (NaN) is skipped, so that a gap, a dead sensor and a forecast take the same path.  Every loop
 starts from a given Gaussian and returns the last one: the offline filter is a fold of the online step.
 
@@ -49,11 +49,11 @@ from hygrokf.physics.matrices import add, congruence, dot, product, transpose
 from hygrokf.physics.model import Model, Values
 
 UNSEEN = 1e-10
-"""A reading's loading on an unknown start counts from this share of the products that make it: what rounding
-leaves of a difference in ten thousand steps is less."""
+"""[1] a reading's loading on an unknown start counts as 0 below this share of the products that it sums: the
+rounding of a difference over ten thousand steps is smaller."""
 
 CONSTANT, PARAMETER, KEY, INSTANT = range(4)
-"""Stages: when a value first becomes known."""
+"""Stages at which a value is first known."""
 Block = list[Expression]
 """Outputs of traced straight-line code."""
 
@@ -61,11 +61,10 @@ Block = list[Expression]
 class Recursion:
     """The filter of one model as expressions.
 
-    Of the start's `unknown` directions nothing is known (exact diffuse start, Durbin & Koopman 2012, section
-    5.2): the prior covariance is κ Φ N N' Φ' with κ → ∞.  The moments carry Φ (n, unknown), the loadings of
-    the state on the unknown start, N (unknown, unknown), the directions of it that no reading has shown yet,
-    one in each column, and whether the loadings have begun to move: a start of which nothing at all is known
-    stands at the first reading.
+    The start is diffuse in `unknown` directions (exact diffuse start, Durbin & Koopman 2012, section 5.2):
+    the prior covariance is κ Φ N N' Φ' with κ → ∞.  The moments hold Φ (n, unknown), the loadings of the
+    state on the unknown start; N (unknown, unknown), whose columns are the directions that no reading has
+    determined yet; and whether the loadings move with the state, which they do from the first reading on.
 
     `factored` moments hold the covariance as factors (`engine.square_root`), and the diagonal of L for the
     running means.
@@ -131,7 +130,7 @@ class Recursion:
     def _trace(self) -> None:
         """The blocks of a step: `predict`, `updates` and `transition`, and the rates with their Jacobian."""
         g, model, d = self.graph, self.model, self.unknown
-        made = step(
+        traced_step = step(
             g,
             lambda x, u: model.traced(x, u, self.p).rates,
             self._noise,
@@ -143,29 +142,29 @@ class Recursion:
             self._changing,
             decays=d > 0,
         )
-        self.early, self.late = made.early, made.late
-        self.exact, self.reach = made.exact, made.reach
-        self.registers = {e.index: e for one in operations(self.late) for e in one.into}
-        packed = self._predicted(made) if self.factored else self._lower(made.covariance)
-        self.predict: Block = [*made.mean, *packed, *(g.constant(1.0) for _ in self.units)]
+        self.early, self.late = traced_step.early, traced_step.late
+        self.exact, self.reach = traced_step.exact, traced_step.reach
+        self.registers = {e.index: e for operation in operations(self.late) for e in operation.into}
+        packed = self._predicted(traced_step) if self.factored else self._lower(traced_step.covariance)
+        self.predict: Block = [*traced_step.mean, *packed, *(g.constant(1.0) for _ in self.units)]
         if d:
-            moved = product(made.decay, self.loadings)
+            moved_loadings = product(traced_step.decay, self.loadings)
             begun = self.begun[0] > 0.5
-            for row, old in zip(moved, self.loadings, strict=True):
+            for row, old in zip(moved_loadings, self.loadings, strict=True):
                 self.predict.extend(where(begun, v, o) for v, o in zip(row, old, strict=True))
             self.predict.extend([*_flat(self.directions), *self.begun])
-        at = model.traced(self.mean, self.now, self.p)
-        self.rates = [g.lift(v) for v in at.rates]
+        equations = model.traced(self.mean, self.now, self.p)
+        self.rates = [g.lift(v) for v in equations.rates]
         self.jacobian = jacobian(self.rates, self.mean)
-        traced = [self._trace_update(*at.outputs[name]) for name in model.outputs]
+        traced = [self._trace_update(*equations.outputs[name]) for name in model.outputs]
         self.updates = [update for update, _ in traced]
         self.spreads = [spread for _, spread in traced]
-        self.transition = [g.lift(v) for row in made.transition for v in row]
-        self._gained = made.noise
+        self.transition = [g.lift(v) for row in traced_step.transition for v in row]
+        self._gained = traced_step.noise
 
     @cached_property
     def gathered(self) -> tuple[list[Expression], Block]:
-        """The packed noise (q,) of the sub-steps before a sub-step, and that after it, F W F' + Q."""
+        """Symbols of the packed accumulated noise W (q,) before a sub-step, and F W F' + Q after it."""
         before = [self.graph.symbol(f"W{i}{j}") for i in range(self.n) for j in range(i + 1)]
         f = [self.transition[i * self.n : (i + 1) * self.n] for i in range(self.n)]
         return before, self._lower(congruence(f, self._square(before), self._gained))
@@ -173,18 +172,18 @@ class Recursion:
     # -- numbers ---------------------------------------------------------------------------------------------
     def covariance_of(self, state: np.ndarray) -> np.ndarray:
         """Covariances (…, n, n) of moments (…, w)."""
-        found = unpack(state[..., self.n : self.n + self.q], self.n)
+        packed = unpack(state[..., self.n : self.n + self.q], self.n)
         if not self.factored:
-            return found
-        lower, diagonal = self._lower_of(state), np.einsum("...ii->...i", found)
+            return packed
+        lower, diagonal = self._lower_of(state), np.einsum("...ii->...i", packed)
         return (lower * diagonal[..., None, :]) @ np.swapaxes(lower, -1, -2)
 
     def root_of(self, state: np.ndarray) -> np.ndarray:
         """W (…, n, n) with W W' the covariance of moments (…, w)."""
-        found = unpack(state[..., self.n : self.n + self.q], self.n)
+        packed = unpack(state[..., self.n : self.n + self.q], self.n)
         if not self.factored:
-            return square_root(found)
-        return self._lower_of(state) * np.sqrt(np.einsum("...ii->...i", found))[..., None, :]
+            return square_root(packed)
+        return self._lower_of(state) * np.sqrt(np.einsum("...ii->...i", packed))[..., None, :]
 
     def _lower_of(self, state: np.ndarray) -> np.ndarray:
         lower = np.tril(unpack(state[..., self.n : self.n + self.q], self.n), -1) + np.eye(self.n)
@@ -194,30 +193,30 @@ class Recursion:
 
     def packed_moments(self, mean: np.ndarray, covariance: np.ndarray) -> np.ndarray:
         """Moments (…, w) of a mean (…, n) and a covariance (…, n, n), without an unknown start."""
-        found = [mean, pack(factored(covariance) if self.factored else covariance)]
+        parts = [mean, pack(factored(covariance) if self.factored else covariance)]
         if len(self.state) > self.n + self.q:
             rest = np.repeat([1.0, 0.0], [len(self.units), len(self.state) - self.loaded])
-            found.append(np.broadcast_to(rest, (*mean.shape[:-1], len(rest))))
-        return np.concatenate(found, axis=-1)
+            parts.append(np.broadcast_to(rest, (*mean.shape[:-1], len(rest))))
+        return np.concatenate(parts, axis=-1)
 
-    def put(self, state: np.ndarray, covariance: np.ndarray) -> np.ndarray:
+    def with_covariance(self, state: np.ndarray, covariance: np.ndarray) -> np.ndarray:
         """Moments (…, w) with another covariance (…, n, n)."""
-        found = self.packed_moments(state[..., : self.n], covariance)
-        found[..., self.loaded :] = state[..., self.loaded :]
-        return found
+        moments = self.packed_moments(state[..., : self.n], covariance)
+        moments[..., self.loaded :] = state[..., self.loaded :]
+        return moments
 
     @property
     def loaded(self) -> int:
-        """Place of the first loading in the moments."""
+        """Index of the first loading in the moments."""
         return self.n + self.q + len(self.units)
 
     def unknown_of(self, state: np.ndarray) -> np.ndarray:
-        """Φ N (…, n, unknown) of moments (…, w), 0 where rounding alone is left."""
-        n, d, first = self.n, self.unknown, self.loaded
-        loadings = state[..., first : first + n * d].reshape(*state.shape[:-1], n, d)
-        directions = state[..., first + n * d : first + (n + d) * d].reshape(*state.shape[:-1], d, d)
-        found = loadings @ directions
-        return np.where(np.abs(found) > UNSEEN * (np.abs(loadings) @ np.abs(directions)), found, 0.0)
+        """Φ N (…, n, unknown) of moments (…, w), 0 where only rounding errors remain."""
+        n, d, start = self.n, self.unknown, self.loaded
+        loadings = state[..., start : start + n * d].reshape(*state.shape[:-1], n, d)
+        directions = state[..., start + n * d : start + (n + d) * d].reshape(*state.shape[:-1], d, d)
+        product_ = loadings @ directions
+        return np.where(np.abs(product_) > UNSEEN * (np.abs(loadings) @ np.abs(directions)), product_, 0.0)
 
     # -- pieces of the trace ---------------------------------------------------------------------------------
     def _lower(self, matrix: Matrix) -> list[Expression]:
@@ -226,12 +225,12 @@ class Recursion:
     def _square(self, packed: Sequence[Expression]) -> Matrix:
         return [[packed[place(i, j)] for j in range(self.n)] for i in range(self.n)]
 
-    def _predicted(self, made: Step) -> list[Expression]:
+    def _predicted(self, traced_step: Step) -> list[Expression]:
         """Packed factors of F P F' + Q."""
         lower, diagonal = self._factors()
-        own, spread = factors(made.noise)
-        rows = [[*a, *b] for a, b in zip(product(made.transition, lower), own, strict=True)]
-        return self._packed(*orthogonalised(rows, [*diagonal, *spread]))
+        noise_lower, noise_diagonal = factors(traced_step.noise)
+        rows = [[*a, *b] for a, b in zip(product(traced_step.transition, lower), noise_lower, strict=True)]
+        return self._packed(*orthogonalised(rows, [*diagonal, *noise_diagonal]))
 
     def _factors(self) -> tuple[Matrix, list[Value]]:
         """L (n, n) and D (n,) of the moments."""
@@ -244,37 +243,38 @@ class Recursion:
         return self._lower([[*row[:i], diagonal[i]] for i, row in enumerate(lower)])
 
     def _trace_update(self, prediction: Value, variance: Value) -> tuple[Block, Expression]:
-        """Outputs for one reading with this prediction and variance of its noise: moments, innovation, its
-        variance, and the log-likelihood term without its constant; and the variance once more, NaN where the
-        reading depends on a direction of the start that is unknown."""
+        """Trace the update by one reading with this prediction and noise variance.
+
+        Returns the block (moments, innovation e, its variance S, e²/S), and S again, which is NaN where the
+        reading depends on an unknown direction of the start."""
         g = self.graph
         prediction = g.lift(prediction)
         row = jacobian([prediction], self.mean)[0]
         if self.factored:
             lower, diagonal = self._factors()
-            shown = [dot([lower[i][j] for i in range(j, self.n)], row[j:]) for j in range(self.n)]
-            weighted = [dot([d], [f]) for d, f in zip(diagonal, shown, strict=True)]
+            projected = [dot([lower[i][j] for i in range(j, self.n)], row[j:]) for j in range(self.n)]
+            weighted = [dot([d], [f]) for d, f in zip(diagonal, projected, strict=True)]
             cross = [dot(lower[i][: i + 1], weighted[: i + 1]) for i in range(self.n)]
-            spread = g.lift(dot(weighted, shown) + variance)
+            spread = g.lift(dot(weighted, projected) + variance)
         else:
             cross = [dot(self.covariance[i], row) for i in range(self.n)]
             spread = g.lift(_quadratic(row, self.covariance, cross) + variance)
         error = self.reading - prediction
         if not self.unknown:
-            usual, quadratic = self._usual(row, cross, error, spread, variance)
+            usual, quadratic = self._known_update(row, cross, error, spread, variance)
             return [*usual, error, spread, quadratic], spread
         return self._diffuse_update(row, cross, error, spread, variance)
 
-    def _usual(
+    def _known_update(
         self, row: list[Value], cross: list[Value], error: Expression, spread: Expression, variance: Value
     ) -> tuple[list[Value], Expression]:
-        """Mean and covariance after a reading, and its e²/S."""
+        """Mean and covariance after a reading that depends on no unknown direction, and e²/S."""
         inverse = 1.0 / spread
         quadratic = error * error * inverse
         weight = self._weight(quadratic)
         gain = [0.0 if is_zero(c) else c * (weight * inverse) for c in cross]
         mean = [m if is_zero(k) else m + k * error for m, k in zip(self.mean, gain, strict=True)]
-        if self.factored:  # a weight is as much more noise
+        if self.factored:  # a weight w below 1 acts as the noise variance R + S (1/w − 1)
             noise = variance if isinstance(weight, float) else variance + spread * (1.0 / weight - 1.0)
             return [*mean, *self._packed(*corrected(*self._factors(), row, noise)), *self.units], quadratic
         covariance = [
@@ -290,24 +290,26 @@ class Recursion:
         """Weight of a reading with the squared innovation e²/S = `quadratic`.
 
         Beyond b standard deviations it is b √S/|e| (Huber 1964, doi:10.1214/aoms/1177703732): the state moves
-        as by a reading at the bound, so that it follows readings that stay far off.
+        as for a reading at the bound, so that it follows readings that stay far from the prediction.
         """
         if math.isinf(self.model.bound):
             return 1.0
-        ratio = maximum(quadratic * (1.0 / self.square), 1.0)  # never 0, where the root has no finite slope
+        # never 0, where the root has no finite derivative
+        ratio = maximum(quadratic * (1.0 / self.square), 1.0)
         # the condition stands directly before the quotient and keeps it out of the ordinary step
         return where(quadratic > self.square, 1.0 / sqrt(ratio), 1.0)
 
     @property
     def square(self) -> float:
-        """b², from which the squared innovations count less."""
+        """b²: larger squared innovations e²/S have a reduced weight."""
         return self.model.bound**2
 
-    def term_slope(self, quadratic: Expression) -> Value:
-        """Slope of a reading's term in −2 ln L along e²/S = `quadratic`.
+    def term_derivative(self, quadratic: Expression) -> Value:
+        """Derivative of a reading's term in −2 ln L with respect to e²/S = `quadratic`.
 
         The term is e²/S, and beyond b² it is b² (1 + ln(e²/(b² S))): the tail of Student's distribution with
-        about b² degrees of freedom.  A few readings far off thus do not buy the variances of all others.
+        about b² degrees of freedom.  A few outliers thus do not determine the variances of all other
+        readings.
         """
         if math.isinf(self.square):
             return 1.0
@@ -323,7 +325,7 @@ class Recursion:
         m = [dot(loading, towards) for loading in self.loadings]
         f = g.lift(dot(row, m))
         seen = f > 0.0
-        usual, quadratic = self._usual(row, cross, error, where(seen, 1.0, spread), variance)
+        usual, quadratic = self._known_update(row, cross, error, where(seen, 1.0, spread), variance)
         gain = [v * (1.0 / where(seen, f, 1.0)) for v in m]
         mean = [v + k * error for v, k in zip(self.mean, gain, strict=True)]
         if self.factored:
@@ -347,42 +349,42 @@ class Recursion:
         return [*map(g.lift, block), *ends], where(seen, math.nan, spread)
 
     def _resolved(self, row: list[Value]) -> tuple[list[Value], list[Value]]:
-        """What a reading with these slopes shows of the start, (unknown,), 0 where it shows nothing, and the
-        directions (unknown²,) that are then left.
+        """The combination (unknown,) of the start that a reading with the derivatives `row` determines, 0 if
+        none, and the directions (unknown²,) that remain unknown after the reading.
 
-        A Householder reflection turns the columns of N so that the reading depends on one alone, which is
-        then known.  The column is the one that it depends on most: small entries keep their digits.
+        A Householder reflection rotates the columns of N so that the reading depends on, and determines, a
+        single column: the column with the largest dependence, so that small entries keep their digits.
         """
         d, n = self.unknown, self.directions
-        shown = [dot(row, [loading[j] for loading in self.loadings]) for j in range(d)]
-        size = [v if is_zero(v) else maximum(v, -v) for v in shown]
-        if all(map(is_zero, shown)):
+        dependence = [dot(row, [loading[j] for loading in self.loadings]) for j in range(d)]
+        magnitudes = [v if is_zero(v) else maximum(v, -v) for v in dependence]
+        if all(map(is_zero, dependence)):
             return [0.0] * d, _flat(n)
-        free: list[Value] = []
+        significant: list[Value] = []
         for j in range(d):
             column = [n[i][j] for i in range(d)]
-            depends = dot(shown, column)
-            reach = dot(size, [maximum(v, -v) for v in column])
-            free.append(where(maximum(depends, -depends) > UNSEEN * reach, depends, 0.0))
-        square = dot(free, free)
+            value = dot(dependence, column)
+            scale_ = dot(magnitudes, [maximum(v, -v) for v in column])
+            significant.append(where(maximum(value, -value) > UNSEEN * scale_, value, 0.0))
+        square = dot(significant, significant)
         length = sqrt(where(square > 0.0, square, 1.0))
         largest: Value = 0.0
-        for v in free:
+        for v in significant:
             largest = maximum(largest, maximum(v, -v))
-        left, chosen = 1.0, []
-        for v in free:  # 1 for the first of the largest, 0 for the others
-            chosen.append(where(maximum(v, -v) < largest, 0.0, left))
-            left = left - chosen[-1]
-        most = dot(free, chosen)
-        sign = where(most < 0.0, -1.0, 1.0)
-        mirror = [v + c * sign * length for v, c in zip(free, chosen, strict=True)]
-        scale = 1.0 / where(square > 0.0, square + sign * most * length, 1.0)
-        rest = [
-            (1.0 - chosen[j]) * (n[i][j] - dot(n[i], mirror) * (scale * mirror[j]))
+        remaining, is_largest = 1.0, []
+        for v in significant:  # 1 for the first of the largest, 0 for the others
+            is_largest.append(where(maximum(v, -v) < largest, 0.0, remaining))
+            remaining = remaining - is_largest[-1]
+        largest_value = dot(significant, is_largest)
+        sign = where(largest_value < 0.0, -1.0, 1.0)
+        mirror = [v + c * sign * length for v, c in zip(significant, is_largest, strict=True)]
+        scale = 1.0 / where(square > 0.0, square + sign * largest_value * length, 1.0)
+        directions = [
+            (1.0 - is_largest[j]) * (n[i][j] - dot(n[i], mirror) * (scale * mirror[j]))
             for i in range(d)
             for j in range(d)
         ]
-        return [dot(n[i], free) for i in range(d)], rest
+        return [dot(n[i], significant) for i in range(d)], directions
 
     def symbols(
         self, values: Values, mean: Iterable[Value] = (), inputs: Values | None = None
@@ -395,16 +397,19 @@ class Recursion:
     @cached_property
     def stage(self) -> list[int]:
         """For every node, the earliest stage at which its value is known."""
-        key = {e.index for e in self.key_leaves}
-        key |= {self.share.index, *(e.index for one in operations(self.early) for e in one.into)}
+        key_symbols = {e.index for e in self.key_leaves}
+        key_symbols |= {
+            self.share.index,
+            *(e.index for operation in operations(self.early) for e in operation.into),
+        }
         result: list[int] = []
         for i, node in enumerate(self.graph.nodes):
             if node[0] == "const":
                 result.append(CONSTANT)
             elif node[0] == "symbol":
-                at_key = i in key
-                early = node[1].startswith(("p:", "c:"))
-                result.append(PARAMETER if early else KEY if at_key else INSTANT)
+                is_key = i in key_symbols
+                is_parameter = node[1].startswith(("p:", "c:"))
+                result.append(PARAMETER if is_parameter else KEY if is_key else INSTANT)
             else:
                 result.append(max(result[j] for j in arguments(node)))
         return result
@@ -420,30 +425,34 @@ class Recursion:
         return _entries(self.noise)
 
     def cuts(self, timeline: Timeline) -> Iterable[int]:
-        """Instants at which a run is cut, so that its loops do not need too much memory."""
+        """Instants at which a run is divided to limit the memory of its loops."""
         return ()
 
     @cached_property
     def uncertainty(self) -> Matrix:
-        """The covariance of the moments, with a variance of 1 in directions of which nothing is known."""
-        found = self.covariance
+        """The covariance of the moments, with a variance of 1 in unknown directions."""
+        covariance = self.covariance
         if self.factored:
             lower, diagonal = self._factors()
             weighted = [[dot([v], [d]) for v, d in zip(row, diagonal, strict=True)] for row in lower]
-            found = product(weighted, transpose(lower))
+            covariance = product(weighted, transpose(lower))
         if self.unknown:
-            free = product(self.loadings, self.directions)
-            found = add(found, product(free, transpose(free)))
-        return found
+            unknown_loadings = product(self.loadings, self.directions)
+            covariance = add(covariance, product(unknown_loadings, transpose(unknown_loadings)))
+        return covariance
 
     @cached_property
     def comparisons(self) -> list[Expression]:
-        """The comparisons of states that the rates make, as 1 or 0."""
+        """The comparisons in the rates that depend on states, as 1 or 0."""
         states = [f"m{i}" for i in range(self.n)]
-        made = [
+        comparisons = [
             Expression(self.graph, i) for i in self.graph.needed(self.rates) if self.graph.nodes[i][0] == "lt"
         ]
-        return [where(one, 1.0, 0.0) for one in made if depends_on(self.graph, one, states)]
+        return [
+            where(comparison, 1.0, 0.0)
+            for comparison in comparisons
+            if depends_on(self.graph, comparison, states)
+        ]
 
     def leaves_of(self, block: Sequence[Expression]) -> frozenset[int]:
         """The symbols that a block reads."""
@@ -458,27 +467,28 @@ class Recursion:
         return {}
 
     def boundary(self, outputs: Sequence[Expression], stage: int) -> tuple[list[int], list[int]]:
-        """Nodes of earlier stages read by the code of `stage`: (of the parameter stage, of the key stage)."""
+        """Nodes of earlier stages that the code of `stage` reads: (of the parameter stage, of the key
+        stage)."""
         stages = self.stage
-        found: set[int] = set()
+        nodes: set[int] = set()
         for i in self.graph.needed(outputs):
             if stages[i] == stage:
-                found.update(j for j in self._read_by(i) if stages[j] < stage)
+                nodes.update(j for j in self._read_by(i) if stages[j] < stage)
             elif any(e.index == i for e in outputs):
-                found.add(i)
-        known = sorted(found)
+                nodes.add(i)
+        ordered = sorted(nodes)
         return (
-            [i for i in known if stages[i] == PARAMETER],
-            [i for i in known if stages[i] == KEY],
+            [i for i in ordered if stages[i] == PARAMETER],
+            [i for i in ordered if stages[i] == KEY],
         )
 
     def _read_by(self, i: int) -> list[int]:
-        """Nodes whose numbers node i needs; in place of a condition, which is not a number, the nodes that it
-        compares."""
-        found: list[int] = []
+        """Nodes whose numbers node i needs; a condition is not a number, so it is replaced by the nodes that
+        it compares."""
+        nodes: list[int] = []
         for j in arguments(self.graph.nodes[i]):
-            found.extend(arguments(self.graph.nodes[j]) if self.graph.nodes[j][0] == "lt" else [j])
-        return found
+            nodes.extend(arguments(self.graph.nodes[j]) if self.graph.nodes[j][0] == "lt" else [j])
+        return nodes
 
     @cached_property
     def variances(self) -> Variances:
@@ -486,7 +496,7 @@ class Recursion:
 
     @cached_property
     def driven(self) -> np.ndarray:
-        """(n,) True for states that follow an input, by themselves or through other states."""
+        """(n,) True for states that follow an input, directly or through other states."""
         nodes = enumerate(self.graph.nodes)
         inputs = {i for i, node in nodes if node[0] == "symbol" and node[1][:2] in ("b:", "g:")}
         driven = np.array([not inputs.isdisjoint(self.graph.needed([rate])) for rate in self.rates])
@@ -498,33 +508,33 @@ class Recursion:
 
     @cached_property
     def _blocks(self) -> list[Block]:
-        late = [list(one.block) for one in operations(self.late)]
+        late = [list(operation.block) for operation in operations(self.late)]
         return [self.predict, *self.updates, self.gathered[1], *late]
 
     @cached_property
     def key_nodes(self) -> list[int]:
         """Nodes computed once per distinct key, in the order of the key table."""
         _ = self.stage
-        found: set[int] = set()
+        nodes: set[int] = set()
         for block in self._blocks:
-            found.update(self.boundary(block, INSTANT)[1])
-        found.update(e.index for e in self.transition if self.stage[e.index] == KEY)
-        return sorted(found)
+            nodes.update(self.boundary(block, INSTANT)[1])
+        nodes.update(e.index for e in self.transition if self.stage[e.index] == KEY)
+        return sorted(nodes)
 
     @cached_property
     def parameter_nodes(self) -> list[int]:
         """Nodes that depend only on the parameters and are read later, including the parameters
         themselves."""
-        found: set[int] = set()
+        nodes: set[int] = set()
         for block in self._blocks:
-            found.update(self.boundary(block, INSTANT)[0])
+            nodes.update(self.boundary(block, INSTANT)[0])
         keys = [Expression(self.graph, i) for i in self.key_nodes]
-        keys.extend(e for one in operations(self.early) for e in one.block)
+        keys.extend(e for operation in operations(self.early) for e in operation.block)
         keys.extend(self.reach)
-        found.update(self.boundary(keys, KEY)[0])
-        found.update(e.index for b in self._blocks for e in b if self.stage[e.index] == PARAMETER)
-        found.update(e.index for e in self.transition if self.stage[e.index] == PARAMETER)
-        return sorted(found)
+        nodes.update(self.boundary(keys, KEY)[0])
+        nodes.update(e.index for b in self._blocks for e in b if self.stage[e.index] == PARAMETER)
+        nodes.update(e.index for e in self.transition if self.stage[e.index] == PARAMETER)
+        return sorted(nodes)
 
     @cached_property
     def estimated_nodes(self) -> list[int]:
@@ -536,10 +546,10 @@ class Recursion:
         """Digest of everything that determines the compiled loops: recursions with the same digest share
         their code."""
         model, blocks = self.model, self._blocks
-        own = {k: v for k, v in vars(self).items() if k not in ("model", "graph", "constants")}
+        attributes = {k: v for k, v in vars(self).items() if k not in ("model", "graph", "constants")}
         content = (
             *(model.states, model.inputs, model.outputs, model.resets),
-            *(self.wide, self.square, self.graph.nodes, blocks, own),
+            *(self.wide, self.square, self.graph.nodes, blocks, attributes),
         )
         return hashlib.sha256(repr(content).encode()).hexdigest()
 
@@ -570,9 +580,9 @@ def _lifted(graph: Graph, value: Expression | float) -> Expression | float:
 
 def traced(model: Model, unknown: int = 0, factored: bool = False) -> Recursion:
     """The filter of a model, traced at first use; `unknown`, `factored` as in `Recursion`."""
-    # the model keeps its filters: each of them holds the model, so that nothing else could let them go
+    # filters are cached on the model, because each refers to the model: a global cache would keep both alive
     filters: dict[tuple[int, bool], Recursion] = vars(model).setdefault("_filters", {})
-    found = filters.get((unknown, factored))
-    if found is None:
-        found = filters.setdefault((unknown, factored), Recursion(model, unknown, factored))
-    return found
+    recursion = filters.get((unknown, factored))
+    if recursion is None:
+        recursion = filters.setdefault((unknown, factored), Recursion(model, unknown, factored))
+    return recursion

@@ -1,6 +1,6 @@
 """The loops of a filter with many states as LLVM text: what `filter_codegen` writes, over matrices.
 
-The moments stand in one block: the rows of P, and m' in the row behind them.  With bars for adjoints and dots
+The moments are one block: the rows of P, followed by the row m'.  With bars for adjoints and dots
 for tangents, a step and a reading with c = P H', its variance S, g = 1/S and p = e/S are
 
     X = [P; m'] F',   P⁺ = F X + N,   m⁺' = x_n + Σ b_e w_e;        P⁺ = P − g c c',   m⁺ = m + p c.
@@ -33,7 +33,7 @@ from hygrokf.physics.expression import Expression, forward, reverse
 
 COMMON = "known keys table key u y reset state work"
 """Numbers of the parameter stage; leaves and matrices of the keys; key, inputs, readings and resets of every
-instant; moments (overwritten by those after the last instant); workspace."""
+instant; moments before the first instant (replaced by the moments after the last one); workspace."""
 ARGUMENTS = {
     "value": "out",
     "trace": "out rows",
@@ -54,7 +54,7 @@ def wide_text(recursion: WideRecursion, kind: str, gain: bool) -> str:
 
 
 def workspace(r: WideRecursion) -> int:
-    """Numbers that the loops need beside their arguments."""
+    """Size of the workspace (`COMMON`) in numbers."""
     line = r.rows * LANES
     return r.width * (2 * r.held + 16) + 3 * (r.held + 4) * line + 2 * len(r.columns) * (LANES + 1) + 64
 
@@ -81,10 +81,10 @@ class WideEmission(Emission):
 
     # -- arrays ----------------------------------------------------------------------------------------------
     def _space(self, count: int) -> str:
-        """An array of the workspace, from a multiple of 64 bytes on."""
-        found = self.writer.at(SCALAR, "%work", self.used)
+        """Reserve an array of the workspace, aligned to 64 bytes; returns its address."""
+        address = self.writer.at(SCALAR, "%work", self.used)
         self.used += -(-count // LANES) * LANES
-        return found
+        return address
 
     def _at(self, base: str, row: str | int, width: int, column: str | int = 0) -> str:
         """Address of an entry of a matrix with rows of `width` numbers."""
@@ -98,18 +98,18 @@ class WideEmission(Emission):
         return self.writer.load(VECTOR, self._at(base, row, width, column))
 
     def _add(self, pointer: str, a: str, b: str) -> None:
-        """Add the product of two vectors to that at a pointer."""
+        """Add the product of two vectors to the vector at a pointer."""
         w = self.writer
         w.store(VECTOR, w.fma(VECTOR, [a, b, w.load(VECTOR, pointer)]), pointer)
 
     @contextmanager
     def _strip(self) -> Iterator[str]:
-        """Over the strips of a row: yields the first column of each."""
+        """Loop over the strips of a row; yields the first column of each strip."""
         with self.writer.loop(str(self.strips)) as s:
             yield self.writer.integer("mul", s, LANES)
 
     def _add_row(self, pointer: str, factor: str, row: str) -> None:
-        """Add a number times a row to a row."""
+        """Add `factor` times a row to the row at a pointer."""
         w = self.writer
         scale = w.splat(factor)
         with self._strip() as j:
@@ -121,18 +121,19 @@ class WideEmission(Emission):
         total = w.slot(VECTOR, "zeroinitializer")
         with self._strip() as j:
             self._add(total, self._vector(a, j, 1), self._vector(b, j, 1))
-        found = w.load(VECTOR, total)
-        parts = [w.value(f"extractelement {VECTOR} {found}, i64 {i}") for i in range(LANES)]
+        sums = w.load(VECTOR, total)
+        parts = [w.value(f"extractelement {VECTOR} {sums}, i64 {i}") for i in range(LANES)]
         while len(parts) > 1:
-            parts = [w.real("fadd", one, other) for one, other in zip(parts[::2], parts[1::2], strict=True)]
+            parts = [w.real("fadd", left, right) for left, right in zip(parts[::2], parts[1::2], strict=True)]
         return parts[0]
 
     def _call(self, name: str, pointers: Sequence[str], *integers: str | int) -> None:
-        given = [*(f"ptr {one}" for one in pointers), *(f"i64 {one}" for one in integers)]
-        self.writer.line(f"call void @{name}({', '.join(given)})")
+        arguments = [*(f"ptr {value}" for value in pointers), *(f"i64 {value}" for value in integers)]
+        self.writer.line(f"call void @{name}({', '.join(arguments)})")
 
     def _product(self, result: str, plus: str, a: str, b: str, tiles: int, lower: bool = False) -> None:
-        """result = plus + a b; with `lower` the lower triangle of a symmetric one, mirrored."""
+        """result = plus + a b; with `lower` a symmetric result: the lower triangle is computed and
+        mirrored."""
         sizes = tiles, self.n, self.strips, self.width, 1, self.width, int(lower)
         self._call("product", [result, plus, a, b], *sizes)
         if lower:
@@ -156,8 +157,8 @@ class WideEmission(Emission):
         row = self._at(base, self._index("%key", k), 3 * square + len(self.recursion.columns) * self.width)
         return [w.at(SCALAR, row, i * square) for i in range(4)]
 
-    def _cleared(self, base: str, k: str, kind: str = SCALAR) -> None:
-        """Set rows and columns of the running means to zero where their interval begins."""
+    def _clear_running_means(self, base: str, k: str, kind: str = SCALAR) -> None:
+        """Set rows and columns of the running means to zero at an instant where their interval begins."""
         r, w = self.recursion, self.writer
         width, zero = (self.width, ZERO) if kind == SCALAR else (r.rows, "zeroinitializer")
         for bit, state in enumerate(r.model.resets):
@@ -165,17 +166,17 @@ class WideEmission(Emission):
             with w.when(w.value(f"icmp ne i32 {flag}, 0")), w.loop(str(self.n + 1)) as i:
                 row = w.integer("mul", i, width)
                 w.store(kind, zero, w.at(kind, base, w.integer("add", row, state)))
-                inner = w.value(f"icmp slt i64 {i}, {self.n}")
-                with w.when(inner):
+                is_state_row = w.value(f"icmp slt i64 {i}, {self.n}")
+                with w.when(is_state_row):
                     w.store(kind, zero, w.at(kind, base, w.integer("add", i, state * width)))
 
     # -- forwards --------------------------------------------------------------------------------------------
     def _leaves(self, k: str) -> Names:
-        """Regimes and parameters."""
+        """Values of the regimes at an instant, and of the parameters."""
         return self._key_row(self._index("%key", k)) | self.at_parameters
 
     def _drive(self, k: str) -> Names:
-        """Put the drive into `b`; returns the leaves that it was made from."""
+        """Store the drive in `b`; returns the leaves of its expressions."""
         w, r = self.writer, self.recursion
         leaves = self._leaves(k) | self.inputs_between(k)
         for e, (_, name) in enumerate(w.block(r.graph, r.predict, leaves)):
@@ -183,31 +184,31 @@ class WideEmission(Emission):
         return leaves
 
     def _step(self, k: str) -> None:
-        """The moments at an instant before its readings; leaves [P; m'] F' in `x`."""
+        """Predict the moments to an instant, before its readings; `x` then holds [P; m'] F'."""
         f, turned, noise, columns = self._matrices(k)
         self._drive(k)
         self._product(self.x, "null", "%state", turned, self.recursion.held // ROWS)
         self._product("%state", noise, f, self.x, self.tiles, lower=True)
         w, count = self.writer, len(self.recursion.columns)
-        mean, moved = (w.at(SCALAR, base, self.mean) for base in ("%state", self.x))
-        self._call("combined", [mean, moved, self.b, columns], count, self.strips, self.width)
+        mean, transformed = (w.at(SCALAR, base, self.mean) for base in ("%state", self.x))
+        self._call("combined", [mean, transformed, self.b, columns], count, self.strips, self.width)
         if self.before != "%state":
             self._copy(self.before, "%state", self.mean)
 
-    def _measured(self, c: int, k: str) -> tuple[Names, Names, list[str]]:
-        """Put P H' of reading c into `c`; returns the leaves of its block, those of its head, and H."""
+    def _measure(self, c: int, k: str) -> tuple[Names, Names, list[str]]:
+        """Store P H' of reading c in `c`; returns the leaves of its update and of its head, and H."""
         w, r = self.writer, self.recursion
         means = {e.index: self._number("%state", self.mean + i) for i, e in enumerate(r.mean)}
         leaves = self._leaves(k) | self.inputs_at(k) | means
-        made = [name for _, name in w.block(r.graph, r.updates[c], leaves)]
-        row = made[2:]
+        values = [name for _, name in w.block(r.graph, r.updates[c], leaves)]
+        row = values[2:]
         with self._strip() as j:
             total = "zeroinitializer"
             for h, i in zip(row, r.reads[c], strict=True):
                 total = w.fma(VECTOR, [w.splat(h), self._vector("%state", i, self.width, j), total])
             w.store(VECTOR, total, w.at(SCALAR, self.c, j))
         crossed = [self._number(self.c, i) for i in r.reads[c]]
-        head = {e.index: name for e, name in zip(r.leaves[c], [*made, *crossed], strict=True)}
+        head = {e.index: name for e, name in zip(r.leaves[c], [*values, *crossed], strict=True)}
         return leaves, head, row
 
     def _head(self, c: int, known: Names, y: str) -> list[str]:
@@ -216,7 +217,8 @@ class WideEmission(Emission):
         return [name for _, name in self.writer.block(r.graph, r.heads[c], known | {r.reading.index: y})]
 
     def _count(self, c: int, head: Names, spread: str, quadratic: str, total: RunningSums) -> None:
-        """Count a reading, and note its variance, also as it was before the other readings of its instant."""
+        """Add a reading to the sums, and record its variance after and before the other readings of its
+        instant."""
         w, r, first = self.writer, self.recursion, spread
         total.take(w, spread, quadratic, r.square)
         if c:
@@ -230,8 +232,8 @@ class WideEmission(Emission):
             ((_, first),) = w.block(r.graph, [r.heads[c][1]], head | before)
         total.watch(w, c, spread, first)
 
-    def _taken(self, gain: str, push: str) -> None:
-        """The moments after a reading."""
+    def _correct_moments(self, gain: str, push: str) -> None:
+        """Correct the moments by a reading."""
         w = self.writer
         with w.loop(str(self.n)) as i:
             factor = w.real("fmul", w.value(f"fneg double {gain}"), self._number(self.c, i))
@@ -239,14 +241,14 @@ class WideEmission(Emission):
         self._add_row(w.at(SCALAR, "%state", self.mean), push, self.c)
 
     def _update(self, c: int, reading: tuple[str, str], k: str, total: RunningSums) -> None:
-        """Count one reading and correct the moments by it, if it exists."""
-        y, there = reading
-        with self.writer.when(there):
-            _, head, _ = self._measured(c, k)
+        """Add one reading to the sums and correct the moments by it, if it exists."""
+        y, exists = reading
+        with self.writer.when(exists):
+            _, head, _ = self._measure(c, k)
             _, spread, quadratic, gain, push = self._head(c, head, y)
             self._count(c, head, spread, quadratic, total)
             if self.gain:
-                self._taken(gain, push)
+                self._correct_moments(gain, push)
 
     def _value(self) -> None:
         w, total = self.writer, RunningSums(self.writer, len(self.recursion.updates))
@@ -254,11 +256,12 @@ class WideEmission(Emission):
             self._step(k)
             for c, reading in enumerate(self._readings(k)):
                 self._update(c, reading, k, total)
-            self._cleared("%state", k)
+            self._clear_running_means("%state", k)
         total.write(w, "%out")
 
     def _trace(self) -> None:
-        """Rows: moments before; (prediction, variance) of every output; moments after."""
+        """Write one row for each instant: moments before the readings; prediction and variance of every
+        output; moments after the readings."""
         w, r = self.writer, self.recursion
         total = RunningSums(w, len(r.updates))
         pairs = 2 * len(r.updates)
@@ -267,44 +270,46 @@ class WideEmission(Emission):
             row = self._at("%rows", k, 2 * self.size + pairs)
             self._copy(row, "%state", self.size)
             for c, reading in enumerate(self._readings(k)):
-                _, head, _ = self._measured(c, k)
+                _, head, _ = self._measure(c, k)
                 w.store(SCALAR, head[r.leaves[c][0].index], w.at(SCALAR, row, self.size + 2 * c))
                 w.store(SCALAR, self._head(c, head, ZERO)[1], w.at(SCALAR, row, self.size + 2 * c + 1))
                 self._update(c, reading, k, total)
             self._copy(w.at(SCALAR, row, self.size + pairs), "%state", self.size)
-            self._cleared("%state", k)
+            self._clear_running_means("%state", k)
         total.write(w, "%out")
 
     # -- backwards -------------------------------------------------------------------------------------------
     def _adjoint(self) -> None:
+        """Compute the score: a forward pass stores the moments, a backward pass propagates the adjoints."""
         w, total = self.writer, RunningSums(self.writer, len(self.recursion.updates))
         count = len(self.recursion.updates)
-        # store: of every instant the moments before each reading, and those after the last
+        # store: for every instant the moments before each reading and after the last one
         with w.loop("%count") as k:
             self._step(k)
             for c, reading in enumerate(self._readings(k)):
                 self._copy(self._stored(k, c), "%state", self.size)
                 self._update(c, reading, k, total)
-            self._cleared("%state", k)
+            self._clear_running_means("%state", k)
             self._copy(self._stored(k, count), "%state", self.size)
         total.write(w, "%out")
         with w.loop("%count", backwards=True) as k:
-            self._cleared("%statebar", k)
-            for c, (y, there) in reversed(list(enumerate(self._readings(k)))):
-                with w.when(there):
+            self._clear_running_means("%statebar", k)
+            for c, (y, exists) in reversed(list(enumerate(self._readings(k)))):
+                with w.when(exists):
                     self._copy("%state", self._stored(k, c), self.size)
                     self._reverse_reading(c, y, k)
-            begins = w.value(f"icmp eq i64 {k}, 0")
-            before = self._stored(w.integer("sub", k, 1), count)
-            self._copy("%state", w.value(f"select i1 {begins}, ptr %first, ptr {before}"), self.size)
+            is_first = w.value(f"icmp eq i64 {k}, 0")
+            previous = self._stored(w.integer("sub", k, 1), count)
+            self._copy("%state", w.value(f"select i1 {is_first}, ptr %first, ptr {previous}"), self.size)
             self._reverse_step(k)
 
     def _stored(self, k: str, c: int) -> str:
+        """Address of the stored moments before reading c of an instant."""
         return self._at("%store", k, (len(self.recursion.updates) + 1) * self.size, c * self.size)
 
     def _reverse_reading(self, c: int, y: str, k: str) -> None:
         w, r, g = self.writer, self.recursion, self.recursion.graph
-        leaves, head, row = self._measured(c, k)
+        leaves, head, row = self._measure(c, k)
         _, _, _, gain, push = self._head(c, head, y)
         mean = w.at(SCALAR, "%statebar", self.mean)
         self._call("combined", [self.v, "null", self.c, "%statebar"], self.n, self.strips, self.width)
@@ -315,34 +320,34 @@ class WideEmission(Emission):
             bars[1].index: self._dot(self.c, mean),
         }
         _, spread, quadratic, *ends = r.heads[c]
-        slopes = [-0.5 / spread, g.lift(-0.5 * r.term_slope(quadratic)), *bars]
+        slopes = [-0.5 / spread, g.lift(-0.5 * r.term_derivative(quadratic)), *bars]
         seeds: Symbols = {}
         for e, slope in zip((spread, quadratic, *ends), slopes, strict=True):
             seed(seeds, e, slope)
-        found = reverse(g, seeds, [e.index for e in r.leaves[c]])
-        outputs = [found.get(e.index, g.constant(0.0)) for e in r.leaves[c]]
+        adjoints = reverse(g, seeds, [e.index for e in r.leaves[c]])
+        outputs = [adjoints.get(e.index, g.constant(0.0)) for e in r.leaves[c]]
         values = [name for _, name in w.block(g, outputs, head | known)]
         direct, crossed = values[: 2 + len(row)], values[2 + len(row) :]
-        # c̄ takes the place of P̄ c
-        twice, pushed = w.splat(w.real("fmul", literal(-2.0), gain)), w.splat(push)
+        # v holds P̄ c so far, and c̄ from here on
+        minus_two_gain, push_vector = w.splat(w.real("fmul", literal(-2.0), gain)), w.splat(push)
         with self._strip() as j:
-            total = w.value(f"fmul {VECTOR} {pushed}, {self._vector(mean, j, 1)}")
+            total = w.value(f"fmul {VECTOR} {push_vector}, {self._vector(mean, j, 1)}")
             pointer = w.at(SCALAR, self.v, j)
-            w.store(VECTOR, w.fma(VECTOR, [twice, w.load(VECTOR, pointer), total]), pointer)
+            w.store(VECTOR, w.fma(VECTOR, [minus_two_gain, w.load(VECTOR, pointer), total]), pointer)
         for i, bar in zip(r.reads[c], crossed, strict=True):
             accumulate(w, bar, w.at(SCALAR, self.v, i))
         for a, (i, h) in enumerate(zip(r.reads[c], row, strict=True)):
-            own = self._dot(self.v, w.at(SCALAR, "%state", i * self.width))
-            direct[2 + a] = w.real("fadd", direct[2 + a], own)
-            half = w.real("fmul", literal(0.5), h)
-            self._add_row(w.at(SCALAR, "%statebar", i * self.width), half, self.v)
+            along_p = self._dot(self.v, w.at(SCALAR, "%state", i * self.width))
+            direct[2 + a] = w.real("fadd", direct[2 + a], along_p)
+            half_h = w.real("fmul", literal(0.5), h)
+            self._add_row(w.at(SCALAR, "%statebar", i * self.width), half_h, self.v)
             with w.loop(str(self.n)) as j:
-                share = w.real("fmul", half, self._number(self.v, j))
+                share = w.real("fmul", half_h, self._number(self.v, j))
                 accumulate(w, share, self._at("%statebar", j, self.width, i))
         self._pull_back(r.updates[c], direct, leaves)
 
     def _pull_back(self, block: Block, bars: Sequence[str], leaves: Names) -> None:
-        """Pass adjoints of a block on to the mean and to the parameter stage."""
+        """Propagate the adjoints of a block to the mean and to the parameter stage."""
         w, r, g = self.writer, self.recursion, self.recursion.graph
         symbols = [g.symbol(f"bar:{i}") for i in range(len(block))]
         seeds: Symbols = {}
@@ -350,26 +355,27 @@ class WideEmission(Emission):
             seed(seeds, e, symbol)
         places = {e.index: ("%statebar", self.mean + i) for i, e in enumerate(r.mean)}
         places |= {i: ("%knownbar", c) for c, i in enumerate(r.parameter_nodes)}
-        found = reverse(g, seeds, places)
+        adjoints = reverse(g, seeds, places)
         known = leaves | {s.index: bar for s, bar in zip(symbols, bars, strict=True)}
-        for i, (_, name) in zip(found, w.block(g, list(found.values()), known), strict=True):
+        for i, (_, name) in zip(adjoints, w.block(g, list(adjoints.values()), known), strict=True):
             accumulate(w, name, w.at(SCALAR, *places[i]))
 
     def _reverse_step(self, k: str) -> None:
+        """Propagate the adjoints back through the step to an instant."""
         w, r = self.writer, self.recursion
         f, turned, _, columns = self._matrices(k)
         f_bar, _, noise_bar, columns_bar = self._matrices(k, "%tablebar")
         leaves = self._drive(k)
         mean = w.at(SCALAR, "%statebar", self.mean)
         self._product(self.x, "null", "%statebar", f, r.held // ROWS)
-        self._product(f_bar, f_bar, self.x, "%state", self.tiles)  # half of it
+        self._product(f_bar, f_bar, self.x, "%state", self.tiles)  # half of F̄
         one = literal(1.0)
         with w.loop(str(self.n)) as i:
             half = w.real("fmul", literal(0.5), self._number(mean, i))
-            own = w.at(SCALAR, "%state", self.mean)
-            self._add_row(self._at(f_bar, i, self.width), half, own)
-            own = self._at("%statebar", i, self.width)
-            self._add_row(self._at(noise_bar, i, self.width), one, own)
+            row = w.at(SCALAR, "%state", self.mean)
+            self._add_row(self._at(f_bar, i, self.width), half, row)
+            row = self._at("%statebar", i, self.width)
+            self._add_row(self._at(noise_bar, i, self.width), one, row)
         bars = []
         for e in range(len(r.columns)):
             self._add_row(w.at(SCALAR, columns_bar, e * self.width), self._number(self.b, e), mean)
@@ -380,6 +386,7 @@ class WideEmission(Emission):
 
     # -- along directions ------------------------------------------------------------------------------------
     def _tangent(self) -> None:
+        """Compute innovations, variances and their derivatives along `LANES` directions."""
         w, r, g = self.writer, self.recursion, self.recursion.graph
         total = RunningSums(w, len(r.updates))
         estimated = set(r.estimated_nodes)
@@ -395,11 +402,11 @@ class WideEmission(Emission):
         with w.loop("%count") as k:
             self._step_tangent(k)
             place = w.integer("mul", k, len(r.updates))
-            for c, (y, there) in enumerate(self._readings(k)):
-                with w.when(there):
+            for c, (y, exists) in enumerate(self._readings(k)):
+                with w.when(exists):
                     self._reading_tangent(c, y, k, w.integer("add", place, c), total)
-            self._cleared("%state", k)
-            self._cleared("%statedot", k, VECTOR)
+            self._clear_running_means("%state", k)
+            self._clear_running_means("%statedot", k, VECTOR)
         total.write(w, "%out")
 
     def _along(
@@ -407,8 +414,8 @@ class WideEmission(Emission):
     ) -> list[str]:
         """Derivatives of expressions as vectors."""
         w, g = self.writer, self.recursion.graph
-        made = w.block(g, forward(g, outputs, dots), leaves | vectors, list(vectors))
-        return [w.as_vector(*one) for one in made]
+        derivatives = w.block(g, forward(g, outputs, dots), leaves | vectors, list(vectors))
+        return [w.as_vector(*item) for item in derivatives]
 
     def _step_tangent(self, k: str) -> None:
         w, r = self.writer, self.recursion
@@ -434,50 +441,50 @@ class WideEmission(Emission):
         with w.loop(str(self.n)) as i, w.loop(str(self.n)) as j:
             total = self._vector("%statedot", i, line, w.integer("mul", j, LANES))
             for row, column in ((i, j), (j, i)):
-                own = self._vector(self.turned, row, line, w.integer("mul", column, LANES))
-                total = w.value(f"fadd {VECTOR} {total}, {own}")
+                entry = self._vector(self.turned, row, line, w.integer("mul", column, LANES))
+                total = w.value(f"fadd {VECTOR} {total}, {entry}")
             w.store(VECTOR, total, self._at("%statedot", i, line, w.integer("mul", j, LANES)))
         self._copy(w.at(SCALAR, "%statedot", self.n * line), of_mean, line)
 
     def _reading_tangent(self, c: int, y: str, k: str, place: str, total: RunningSums) -> None:
         w, r, g = self.writer, self.recursion, self.recursion.graph
-        leaves, head, row = self._measured(c, k)
+        leaves, head, row = self._measure(c, k)
         error, spread, quadratic, gain, push = self._head(c, head, y)
         self._count(c, head, spread, quadratic, total)
         mean_dot = w.at(SCALAR, "%statedot", self.n * self.line)
         mean_dots = {e.index: g.symbol(f"dot:{e.index}") for e in r.mean}
         vectors = {s.index: self._vector(mean_dot, i) for i, s in enumerate(mean_dots.values())}
-        moved = self._along(r.updates[c], self.dots | mean_dots, leaves, self.vectors | vectors)
+        leaf_dots = self._along(r.updates[c], self.dots | mean_dots, leaves, self.vectors | vectors)
         with w.loop(str(self.n)) as i:
             cross = "zeroinitializer"
-            for state, h, h_dot in zip(r.reads[c], row, moved[2:], strict=True):
+            for state, h, h_dot in zip(r.reads[c], row, leaf_dots[2:], strict=True):
                 p = w.splat(self._number("%state", i, 1, state * self.width))
                 cross = w.fma(VECTOR, [h_dot, p, cross])
-                own = self._vector("%statedot", i, LANES, state * self.line)
-                cross = w.fma(VECTOR, [w.splat(h), own, cross])
+                covariance_dot = self._vector("%statedot", i, LANES, state * self.line)
+                cross = w.fma(VECTOR, [w.splat(h), covariance_dot, cross])
             w.store(VECTOR, cross, self._at(self.c_dot, i, LANES))
-        moved += [self._vector(self.c_dot, i) for i in r.reads[c]]
+        leaf_dots += [self._vector(self.c_dot, i) for i in r.reads[c]]
         dots = {e.index: g.symbol(f"dot:{e.index}") for e in r.leaves[c]}
-        vectors = {s.index: name for s, name in zip(dots.values(), moved, strict=True)}
-        found = self._along(r.heads[c], dots, head | {r.reading.index: y}, vectors)
+        vectors = {s.index: name for s, name in zip(dots.values(), leaf_dots, strict=True)}
+        head_dots = self._along(r.heads[c], dots, head | {r.reading.index: y}, vectors)
         w.store(SCALAR, error, w.at(SCALAR, "%e", place))
         w.store(SCALAR, spread, w.at(SCALAR, "%s", place))
-        w.store(VECTOR, found[0], w.at(VECTOR, "%edot", place))
-        w.store(VECTOR, found[1], w.at(VECTOR, "%sdot", place))
+        w.store(VECTOR, head_dots[0], w.at(VECTOR, "%edot", place))
+        w.store(VECTOR, head_dots[1], w.at(VECTOR, "%sdot", place))
         if self.gain:
-            self._take_dots(gain, push, found[3], found[4], mean_dot)
-            self._taken(gain, push)
+            self._correct_tangents(gain, push, head_dots[3], head_dots[4], mean_dot)
+            self._correct_moments(gain, push)
 
-    def _take_dots(self, gain: str, push: str, gain_dot: str, push_dot: str, mean_dot: str) -> None:
-        """The tangents of the moments after a reading; `t` is −t here."""
+    def _correct_tangents(self, gain: str, push: str, gain_dot: str, push_dot: str, mean_dot: str) -> None:
+        """Correct the tangents of the moments by a reading; `t` holds −t of the module's formulas."""
         w = self.writer
-        half = w.value(f"fmul {VECTOR} {gain_dot}, {w.splat(literal(-0.5))}")
-        minus, pushed = w.splat(w.value(f"fneg double {gain}")), w.splat(push)
+        half_gain_dot = w.value(f"fmul {VECTOR} {gain_dot}, {w.splat(literal(-0.5))}")
+        minus_gain, push_vector = w.splat(w.value(f"fneg double {gain}")), w.splat(push)
         with w.loop(str(self.n)) as i:
-            own, c = self._vector(self.c_dot, i), w.splat(self._number(self.c, i))
-            self._add(self._at(mean_dot, i, LANES), pushed, own)
+            c_dot, c = self._vector(self.c_dot, i), w.splat(self._number(self.c, i))
+            self._add(self._at(mean_dot, i, LANES), push_vector, c_dot)
             self._add(self._at(mean_dot, i, LANES), push_dot, c)
-            t = w.fma(VECTOR, [minus, own, w.value(f"fmul {VECTOR} {half}, {c}")])
+            t = w.fma(VECTOR, [minus_gain, c_dot, w.value(f"fmul {VECTOR} {half_gain_dot}, {c}")])
             w.store(VECTOR, t, self._at(self.t, i, LANES))
         with w.loop(str(self.n)) as i:
             t, c = self._vector(self.t, i), w.splat(self._number(self.c, i))

@@ -1,8 +1,8 @@
 """Products of matrices as compiled functions, for models with too many states for straight-line code.
 
-A matrix (n, n) stands in rows of `width` = ⌈n/8⌉ 8 numbers, of which those beyond n are zero, and has as many
-rows.  The functions do not depend on the model: their loops run over tiles of `ROWS` rows and strips of
-`LANES` columns, so that a tile's sums stay in registers.
+A matrix (n, n) is stored in `width` = ⌈n/8⌉ 8 rows of `width` numbers; the numbers beyond n are zero.  The
+functions do not depend on the model: their loops run over tiles of `ROWS` rows and strips of `LANES` columns,
+    so that a tile's sums stay in registers.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ _POINTER = "ptr nocapture"  # the added matrix may be the result itself, so that
 
 
 def padded(count: int, to: int = LANES) -> int:
-    """The multiple of `to` from `count` on."""
+    """The smallest multiple of `to` that is at least `count`."""
     return -(-count // to) * to
 
 
@@ -30,8 +30,9 @@ def _function(name: str, pointers: str, integers: str) -> Writer:
     return Writer(name, [*kinds[0], *kinds[1]])
 
 
-def _sums(w: Writer, places: list[str], test: str) -> list[str]:
-    """Slots that begin with the numbers of `plus` at these places, or zero where nothing is added."""
+def _accumulators(w: Writer, places: list[str], test: str) -> list[str]:
+    """Accumulator slots, initialised with the vectors of `plus` at these places if the i1 `test` holds, else
+    0."""
     slots = [w.slot(VECTOR, "zeroinitializer") for _ in places]
     with w.when(test):
         for slot, place in zip(slots, places, strict=True):
@@ -43,19 +44,19 @@ def _product() -> Writer:
     """result = plus + a b, of `tiles` tiles, `strips` strips and `inner` terms.
 
     Entry (i, k) of a stands at i·down + k·across, so that a transposed matrix needs no copy; `plus` may be
-    null; with `lower`, strips right of the diagonal are left out.
+    null; with `lower`, strips right of the diagonal are not computed.
     """
     w = _function("product", "result plus a b", "tiles inner strips down across width lower")
     added = w.value("icmp ne ptr %plus, null")
     triangle = w.value("icmp ne i64 %lower, 0")
     with w.loop("%tiles") as tile:
         top = w.integer("mul", tile, ROWS)
-        reach = w.integer("lshr", w.integer("add", top, ROWS + LANES - 1), LANES.bit_length() - 1)
-        with w.loop(w.value(f"select i1 {triangle}, i64 {reach}, i64 %strips")) as strip:
+        strip_count = w.integer("lshr", w.integer("add", top, ROWS + LANES - 1), LANES.bit_length() - 1)
+        with w.loop(w.value(f"select i1 {triangle}, i64 {strip_count}, i64 %strips")) as strip:
             left = w.integer("mul", strip, LANES)
             rows = [w.integer("add", top, r) for r in range(ROWS)]
             places = [w.integer("add", w.integer("mul", row, "%width"), left) for row in rows]
-            sums = _sums(w, places, added)
+            sums = _accumulators(w, places, added)
             with w.loop("%inner") as k:
                 b = w.load(VECTOR, w.at(SCALAR, "%b", w.integer("add", w.integer("mul", k, "%width"), left)))
                 column = w.integer("mul", k, "%across")
@@ -74,7 +75,7 @@ def _combined() -> Writer:
     added = w.value("icmp ne ptr %plus, null")
     with w.loop("%strips") as strip:
         left = w.integer("mul", strip, LANES)
-        (total,) = _sums(w, [left], added)
+        (total,) = _accumulators(w, [left], added)
         with w.loop("%inner") as k:
             b = w.load(VECTOR, w.at(SCALAR, "%b", w.integer("add", w.integer("mul", k, "%width"), left)))
             x = w.splat(w.load(SCALAR, w.at(SCALAR, "%x", k)))
@@ -84,7 +85,7 @@ def _combined() -> Writer:
 
 
 def _mirrored() -> Writer:
-    """The lower triangle of a matrix copied to its upper one."""
+    """Copy the lower triangle of a matrix to its upper triangle."""
     w = _function("mirrored", "matrix", "n width")
     with w.loop("%n") as i, w.loop(i) as j:
         low = w.integer("add", w.integer("mul", i, "%width"), j)

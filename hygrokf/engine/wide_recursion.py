@@ -1,16 +1,17 @@
-"""The filter of a linear model with many states: what its compiled loops take from the model, as expressions.
+"""The filter of a linear model with many states: the expressions and matrices that its compiled loops read.
 
-Straight-line code of a whole step grows with the cube of the number of states, and its compilation faster.
-Where rates are constant within a step, the loops of `wide_codegen` therefore take the matrices of every
-distinct step as numbers, and from the model only the expressions that are short: the rates at
-x = 0 that drive the mean, and prediction, variance and derivative of every reading.
+Straight-line code of a whole step grows with the cube of the number of states, its compile time even faster.
+Where rates are constant within a step, the loops of `wide_codegen` therefore read the matrices of every
+distinct step as numbers, and only short expressions of the model: the rates at x = 0, which drive the mean,
+and prediction, variance and derivatives of every reading.
 
 For dx = (A x + B (u₀ + t u₁)) dt + L dW, Q = L L', a step of length h has
 
     T = (e^{Ah} − I,  ∫₀ʰ e^{Aσ} B dσ,  ∫₀ʰ (h−σ) e^{Aσ} B dσ),     N = ∫₀ʰ e^{Aσ} Q e^{A'σ} dσ.
 
-Both are power series in the length.  A share h/2^s of the step takes them, whose coefficients all steps with
-the same A and Q have in common, and is doubled s times: with E the left part of T, G its middle,
+Both are power series in the length, whose coefficients are shared by all steps with the same A and Q.  The
+series are evaluated for the share h/2^s of the step, which is doubled s times.  With E the left part of T
+and G its middle part,
 
     T ← 2 T + E T + (0, 0, h G),     N ← N + (I + E) N (I + E)'.
 
@@ -44,7 +45,7 @@ from hygrokf.physics.matrices import dot
 from hygrokf.physics.model import Model, Values
 
 SHORT = 1.0
-"""Largest product of the bound of the rates and the share of a step that the series take."""
+"""[1] largest product of the bound of the rates and the length for which the series are evaluated."""
 ORDER = 20
 """Degree of the series: remainder 2e-20."""
 
@@ -68,7 +69,7 @@ class StepSeries:
         rows, spreads = [dr], [ds]
         for k, (row, spread) in enumerate(zip(self.rows[:-1], self.spreads[:-1], strict=True), 2):
             dr = (da @ row[:, None] + a @ dr) / k
-            ds = _both(da @ spread[:, None] + a @ ds) / k
+            ds = _plus_transpose(da @ spread[:, None] + a @ ds) / k
             rows.append(dr)
             spreads.append(ds)
         return rows, spreads
@@ -82,7 +83,7 @@ class StepSeries:
         for k in range(len(self.rows), 1, -1):
             a_bar += (row_bar @ _t(self.rows[k - 2]) + 2.0 * spread_bar @ self.spreads[k - 2]) / k
             row_bar = row_bars[k - 2] + _t(a) @ row_bar / k
-            spread_bar = spread_bars[k - 2] + _both(_t(a) @ spread_bar) / k
+            spread_bar = spread_bars[k - 2] + _plus_transpose(_t(a) @ spread_bar) / k
         return (a_bar + row_bar[..., : a.shape[-1]]) / self.rate, spread_bar / self.rate
 
 
@@ -99,14 +100,17 @@ def series(a: np.ndarray, q: np.ndarray, b: np.ndarray) -> StepSeries:
             row[..., n + c :] = drive / rate
         row = row / k
         rows.append(row)
-        spreads.append(_both(a @ spreads[-1]) / k)
+        spreads.append(_plus_transpose(a @ spreads[-1]) / k)
     return StepSeries(a, rate, rows, spreads)
 
 
 @dataclass(frozen=True)
 class Powers:
-    """T (K, n, w) and N (K, n, n) of steps that are doubled equally often; `which` (K,) of the series they
-    take at `share` (K, 1, 1), in units of 1/rate; `stages` T, N and the length before each doubling."""
+    """T (K, n, w) as `whole` and N (K, n, n) as `noise` of steps with the same number of doublings.
+
+    `which` (K,): index of each step's series; `share` (K, 1, 1): length at which the series is evaluated, in
+    units of 1/rate; `stages`: T, N and the length before each doubling.
+    """
 
     series: StepSeries
     which: np.ndarray
@@ -118,11 +122,13 @@ class Powers:
     def tangents(self, rows: list[np.ndarray], spreads: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
         """Derivatives (K, r, n, w) and (K, r, n, n) of T and N from those of the coefficients."""
         n = self.whole.shape[-2]
-        change, gained = (_at(one, self.which, self.share[:, None]) for one in (rows, spreads))
+        change, gained = (
+            _evaluate(coefficients, self.which, self.share[:, None]) for coefficients in (rows, spreads)
+        )
         for whole, noise, hours in self.stages:
             e, de = whole[:, None, :, :n], change[..., :n]
-            moved = np.eye(n) + e
-            gained = gained + moved @ gained @ _t(moved) + _both(de @ (noise[:, None] @ _t(moved)))
+            f = np.eye(n) + e
+            gained = gained + f @ gained @ _t(f) + _plus_transpose(de @ (noise[:, None] @ _t(f)))
             change = 2.0 * change + de @ whole[:, None] + e @ change + _ramp(change, n, hours[:, None])
         return change, gained
 
@@ -132,56 +138,58 @@ class Powers:
         c = (bar.shape[-1] - n) // 2
         for whole, noise, hours in reversed(self.stages):
             e = whole[..., :n]
-            moved = np.eye(n) + e
+            transition = np.eye(n) + e
             before = 2.0 * bar + _t(e) @ bar
             before[..., n : n + c] += hours * bar[..., n + c :]
-            before[..., :n] += bar @ _t(whole) + 2.0 * noise_bar @ moved @ noise
-            bar, noise_bar = before, noise_bar + _t(moved) @ noise_bar @ moved
+            before[..., :n] += bar @ _t(whole) + 2.0 * noise_bar @ transition @ noise
+            bar, noise_bar = before, noise_bar + _t(transition) @ noise_bar @ transition
         chosen = np.arange(len(self.series.a))[:, None] == self.which
         factors = [chosen * self.share[:, 0, 0] ** k for k in range(1, ORDER + 1)]
-        rows, spreads = ([np.tensordot(f, one, 1) for f in factors] for one in (bar, noise_bar))
+        rows, spreads = ([np.tensordot(f, adjoint, 1) for f in factors] for adjoint in (bar, noise_bar))
         return rows, spreads
 
 
-def powers(found: StepSeries, which: np.ndarray, hours: np.ndarray) -> Iterator[tuple[np.ndarray, Powers]]:
-    """Steps of equally many doublings at a time: their places among the K, and their matrices.
+def powers(series_: StepSeries, which: np.ndarray, hours: np.ndarray) -> Iterator[tuple[np.ndarray, Powers]]:
+    """Yield, for each number of doublings, the indices of its steps among the K, and the steps' matrices.
 
-    which: (K,) of the pairs of A and Q that a step has; hours: (K,) [h].
+    which: (K,) index of the pair of A and Q of each step; hours: (K,) [h].
     """
-    reach = found.rate[which, 0, 0] * hours
-    doublings = np.ceil(np.log2(np.maximum(reach / SHORT, 1.0))).astype(int)
+    stretch = series_.rate[which, 0, 0] * hours
+    doublings = np.ceil(np.log2(np.maximum(stretch / SHORT, 1.0))).astype(int)
     for count in np.unique(doublings).tolist():
-        places = np.flatnonzero(doublings == count)
+        indices = np.flatnonzero(doublings == count)
         shrink = 2.0**-count
-        share, length = reach[places, None, None] * shrink, hours[places, None, None] * shrink
-        whole, noise = (_at(one, which[places], share) for one in (found.rows, found.spreads))
+        share, length = stretch[indices, None, None] * shrink, hours[indices, None, None] * shrink
+        whole, noise = (
+            _evaluate(coefficients, which[indices], share) for coefficients in (series_.rows, series_.spreads)
+        )
         n, stages = noise.shape[-1], []
         for i in range(count):
             stages.append((whole, noise, length * 2.0**i))
             e = whole[..., :n]
-            moved = np.eye(n) + e
-            noise = noise + moved @ noise @ _t(moved)
+            f = np.eye(n) + e
+            noise = noise + f @ noise @ _t(f)
             whole = 2.0 * whole + e @ whole + _ramp(whole, n, length * 2.0**i)
-        yield places, Powers(found, which[places], share, stages, whole, noise)
+        yield indices, Powers(series_, which[indices], share, stages, whole, noise)
 
 
-def _at(coefficients: list[np.ndarray], which: np.ndarray, share: np.ndarray) -> np.ndarray:
+def _evaluate(coefficients: list[np.ndarray], which: np.ndarray, share: np.ndarray) -> np.ndarray:
     """Σ_k share^k c_k, the smallest terms first."""
     total = np.zeros(())
-    for one in reversed(coefficients):
-        total = (total + one[which]) * share
+    for coefficient in reversed(coefficients):
+        total = (total + coefficient[which]) * share
     return total
 
 
 def bound(a: np.ndarray) -> np.ndarray:
     """Upper bound (K,) of the eigenvalues' size of matrices (K, n, n), near the spectral radius of |A|.
 
-    For every positive v, max (|A| v)_i / v_i is one (Collatz 1942, doi:10.1007/BF01180013).  In the norm
-    that v scales, |A| has this size, so that series in A converge as those of a number do.
+    For every positive v, max (|A| v)_i / v_i is such a bound (Collatz 1942, doi:10.1007/BF01180013).  It
+    is the norm of |A| weighted by v, so that series in A converge as series in this number do.
     """
     size = np.abs(a)
     v = np.ones((*a.shape[:-1], 1))
-    for _ in range(16):  # half of the old vector keeps all entries positive, and rings of states from turning
+    for _ in range(16):  # averaging with the old vector keeps all entries positive and prevents oscillation
         grown = size @ v
         v = 0.5 * (v + grown / np.maximum(grown.max(axis=-2, keepdims=True), np.finfo(float).tiny))
     return np.asarray((size @ v / v).max(axis=(-2, -1)))
@@ -199,8 +207,8 @@ def _t(matrix: np.ndarray) -> np.ndarray:
     return np.swapaxes(matrix, -1, -2)
 
 
-def _both(matrix: np.ndarray) -> np.ndarray:
-    """A matrix and its transpose, added."""
+def _plus_transpose(matrix: np.ndarray) -> np.ndarray:
+    """The sum of a matrix and its transpose."""
     return matrix + _t(matrix)
 
 
@@ -208,7 +216,7 @@ FEW = 8
 """States up to which straight-line code compiles quickly and runs faster than loops."""
 
 KEYS = 512
-"""Distinct steps whose matrices and derivatives are in memory at a time."""
+"""Largest number of distinct steps whose matrices and derivatives are in memory at a time."""
 
 
 # -- what the loops take from the model ----------------------------------------------------------------------
@@ -248,15 +256,15 @@ class WideRecursion(Recursion):
             self._trace_head()
 
     def _drive(self) -> tuple[Block, list[tuple[int, float, float]]]:
-        """The rates at x = 0 at the start and the end of a step; one that is the same at both enters once."""
+        """The rates at x = 0 at the start and the end of a step; a rate that is equal at both enters once."""
         g = self.graph
         origin = {m.index: g.constant(0.0) for m in self.mean}
-        found = []
+        rates = []
         for inputs in (self.start, self.end):
             at = {self.now[n].index: inputs[n] for n in self.varying}
-            found.append(g.substitute(self.rates, origin | at))
+            rates.append(g.substitute(self.rates, origin | at))
         block, columns = [], []
-        for i, (early, late) in enumerate(zip(*found, strict=True)):
+        for i, (early, late) in enumerate(zip(*rates, strict=True)):
             if early.index == late.index:
                 entries = [(early, 1.0, 0.0)]
             else:
@@ -268,7 +276,8 @@ class WideRecursion(Recursion):
         return block, columns
 
     def _trace_head(self) -> None:
-        """The scalars of an update, of symbols in place of what the loops compute with matrices."""
+        """Trace the scalars of an update; symbols stand for the numbers that the loops compute with
+        matrices."""
         g, c = self.graph, len(self.heads)
         row = self.updates[c][2:]
         made = [g.symbol(f"{word}:{c}") for word in ("prediction", "variance")]
@@ -294,17 +303,17 @@ class WideRecursion(Recursion):
     # -- sizes -----------------------------------------------------------------------------------------------
     @property
     def width(self) -> int:
-        """Numbers in a row of a matrix."""
+        """Numbers in a row of a matrix, padded to whole vectors."""
         return padded(self.n)
 
     @property
     def rows(self) -> int:
-        """Rows of a matrix that tiles reach; columns of a matrix of vectors."""
+        """Rows of a matrix, padded to whole tiles; columns of a matrix of vectors."""
         return padded(self.n, ROWS)
 
     @property
     def held(self) -> int:
-        """Rows of the moments: those of P, and m' behind them."""
+        """Rows of the moments: the rows of P and the row m', padded."""
         return padded(self.n + 1, ROWS)
 
     def cuts(self, timeline: Timeline) -> Iterable[int]:
@@ -315,9 +324,9 @@ class WideRecursion(Recursion):
     @cached_property
     def _entries(self) -> tuple[list[int], Block]:
         """Places of the non-zero entries of A and Q in (2, n, n), and their expressions."""
-        both = [v for matrix in (self.jacobian, self.noise) for row in matrix for v in row]
-        there = [(i, self.graph.lift(v)) for i, v in enumerate(both) if not is_zero(v)]
-        return [i for i, _ in there], [v for _, v in there]
+        values = [v for matrix in (self.jacobian, self.noise) for row in matrix for v in row]
+        nonzero = [(i, self.graph.lift(v)) for i, v in enumerate(values) if not is_zero(v)]
+        return [i for i, _ in nonzero], [v for _, v in nonzero]
 
     @cached_property
     def _later(self) -> Block:
@@ -326,7 +335,7 @@ class WideRecursion(Recursion):
 
     @cached_property
     def _tangents(self) -> Block:
-        """Their derivatives along directions with the symbols `dot:`."""
+        """Derivatives of `_later` along directions with the symbols `dot:`."""
         dots = {e.index: self.graph.symbol(f"dot:{e.index}") for e in self.p.values()}
         return forward(self.graph, self._later, dots)
 
@@ -346,28 +355,29 @@ class WideRecursion(Recursion):
         regimes = {f"g:{name}": keys[:, 1 + i] for i, name in enumerate(self.regimes)}
         return self.symbols(values) | regimes
 
-    def _split(self, found: Sequence[Value], shape: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
-        """Numbers of `_later`: of the nodes (…, nodes) without the keys' axis, and A and Q (2, …, n, n)."""
+    def _split(self, numbers: Sequence[Value], shape: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
+        """Split the numbers of `_later` into nodes (…, nodes), without the keys' axis, and A and Q (2, …, n,
+        n)."""
         count = len(self.parameter_nodes)
-        nodes = [np.broadcast_to(v, shape[:0:-1])[..., None] for v in found[:count]]
+        nodes = [np.broadcast_to(v, shape[:0:-1])[..., None] for v in numbers[:count]]
         matrices = np.zeros((2 * self.n**2, *shape))
-        for place, value in zip(self._entries[0], found[count:], strict=True):
-            matrices[place] = value
-        known = np.concatenate(nodes, axis=-1) if nodes else np.zeros((*shape[:0:-1], 0))
-        return known, np.moveaxis(matrices.reshape(2, self.n, self.n, *shape), (1, 2), (-2, -1))
+        for index, value in zip(self._entries[0], numbers[count:], strict=True):
+            matrices[index] = value
+        node_numbers = np.concatenate(nodes, axis=-1) if nodes else np.zeros((*shape[:0:-1], 0))
+        return node_numbers, np.moveaxis(matrices.reshape(2, self.n, self.n, *shape), (1, 2), (-2, -1))
 
     def _weights(self, hours: np.ndarray) -> np.ndarray:
         """(K, 2 c, e) by which the columns w_e follow from the middle and the right part of T."""
-        found = np.zeros((len(hours), 2 * len(self._driven), len(self.columns)))
+        weights = np.zeros((len(hours), 2 * len(self._driven), len(self.columns)))
         for e, (i, whole, ramp) in enumerate(self.columns):
             c = self._driven.index(i)
-            found[:, c, e] = whole
-            found[:, len(self._driven) + c, e] = ramp / np.where(hours > 0, hours, 1.0)
-        return found
+            weights[:, c, e] = whole
+            weights[:, len(self._driven) + c, e] = ramp / np.where(hours > 0, hours, 1.0)
+        return weights
 
     def numbers(self, values: Values, keys: np.ndarray) -> Numbers | None:
-        """What the loops and their derivatives start from, for some keys (K, 1 + regimes); None where rates
-        are not finite, or too large."""
+        """The numbers that the loops and their derivatives read for some keys (K, 1 + regimes); None where
+        rates are not finite, or too large."""
         first, which = np.zeros(1, dtype=int), np.zeros(len(keys), dtype=int)
         if self.regimes:
             _, first, which = np.unique(keys[:, 1:], axis=0, return_index=True, return_inverse=True)
@@ -384,8 +394,8 @@ class WideRecursion(Recursion):
 
 @dataclass(frozen=True)
 class Numbers:
-    """The parameters' and keys' numbers of one pass: `distinct` (U, 1 + regimes) keys with all regimes,
-    `nodes` the numbers of the parameter stage, `steps` the keys' matrices by their places among them."""
+    """The parameters' and keys' numbers of one pass: `distinct` (U, 1 + regimes): one key for each
+    combination of regimes; `nodes`: numbers of the parameter stage; `steps`: (indices of keys, matrices)."""
 
     recursion: WideRecursion
     values: Values
@@ -400,58 +410,58 @@ class Numbers:
         """F, F', N and the columns w_e as rows, (K, 3 w + e, w)."""
         r, n, w = self.recursion, self.recursion.n, self.recursion.width
         table = aligned(len(self.keys), 3 * w + len(r.columns), w)
-        for places, p in self.steps:
-            found = np.zeros((len(places), *table.shape[1:]))
-            found[:, :n, :n] = np.eye(n) + p.whole[..., :n]
-            found[:, w : w + n, :n] = np.swapaxes(found[:, :n, :n], 1, 2)
-            found[:, 2 * w : 2 * w + n, :n] = p.noise
-            columns = p.whole[..., n:] @ r._weights(self.keys[places, 0])
-            found[:, 3 * w :, :n] = np.swapaxes(columns, 1, 2)
-            table[places] = found
+        for indices, p in self.steps:
+            rows = np.zeros((len(indices), *table.shape[1:]))
+            rows[:, :n, :n] = np.eye(n) + p.whole[..., :n]
+            rows[:, w : w + n, :n] = np.swapaxes(rows[:, :n, :n], 1, 2)
+            rows[:, 2 * w : 2 * w + n, :n] = p.noise
+            columns = p.whole[..., n:] @ r._weights(self.keys[indices, 0])
+            rows[:, 3 * w :, :n] = np.swapaxes(columns, 1, 2)
+            table[indices] = rows
         return table
 
     def tangents(self, seeds: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Derivatives along the directions `seeds` (d, L): of the nodes (nodes, L); of F', N and the columns
         as rows (K, 2 rows + e, rows, L)."""
         r, n, rows = self.recursion, self.recursion.n, self.recursion.rows
-        known = r._known(self.values, self.distinct[:, :, None])
-        known |= {f"dot:{e.index}": dot for e, dot in zip(r.p.values(), seeds, strict=True)}
+        symbol_values = r._known(self.values, self.distinct[:, :, None])
+        symbol_values |= {f"dot:{e.index}": dot for e, dot in zip(r.p.values(), seeds, strict=True)}
         shape = (len(self.distinct), seeds.shape[1])
-        nodes, (da, dq) = r._split(r.graph.evaluate(r._tangents, known), shape)
+        nodes, (da, dq) = r._split(r.graph.evaluate(r._tangents, symbol_values), shape)
         coefficients = self.series.tangents(da, dq)
         dots = aligned(len(self.keys), 2 * rows + len(r.columns), rows, seeds.shape[1])
-        for places, p in self.steps:
+        for indices, p in self.steps:
             change, gained = p.tangents(*coefficients)
-            found = np.zeros((len(places), *dots.shape[1:]))
-            found[:, :n, :n] = np.moveaxis(change[..., :n], (1, 2, 3), (3, 2, 1))
-            found[:, rows : rows + n, :n] = np.moveaxis(gained, 1, -1)
-            columns = change[..., n:] @ r._weights(self.keys[places, 0])[:, None]
-            found[:, 2 * rows :, :n] = np.moveaxis(columns, (1, 2, 3), (3, 2, 1))
-            dots[places] = found
+            block = np.zeros((len(indices), *dots.shape[1:]))
+            block[:, :n, :n] = np.moveaxis(change[..., :n], (1, 2, 3), (3, 2, 1))
+            block[:, rows : rows + n, :n] = np.moveaxis(gained, 1, -1)
+            columns = change[..., n:] @ r._weights(self.keys[indices, 0])[:, None]
+            block[:, 2 * rows :, :n] = np.moveaxis(columns, (1, 2, 3), (3, 2, 1))
+            dots[indices] = block
         return np.ascontiguousarray(nodes.T), dots
 
     def adjoints(self, node_bars: np.ndarray, bars: np.ndarray) -> np.ndarray:
-        """Adjoints (d,) of the parameters from those of the nodes and of the table: half of F's, all of N's
-        and of the columns'."""
+        """Adjoints (d,) of the parameters from the adjoints of the nodes and of the table, which holds half
+        of the adjoint of F, and the adjoints of N and of the columns."""
         r, n, w = self.recursion, self.recursion.n, self.recursion.width
         entries = np.zeros((len(self.distinct), 2, n, n))
-        for places, p in self.steps:
-            here = bars[places, :, :n]
-            driven = r._weights(self.keys[places, 0]) @ here[:, 3 * w :]
-            bar = np.concatenate([2.0 * here[:, :n], np.swapaxes(driven, 1, 2)], axis=2)
-            coefficients = p.adjoints(bar, here[:, 2 * w : 2 * w + n])
+        for indices, p in self.steps:
+            table_bars = bars[indices, :, :n]
+            driven = r._weights(self.keys[indices, 0]) @ table_bars[:, 3 * w :]
+            bar = np.concatenate([2.0 * table_bars[:, :n], np.swapaxes(driven, 1, 2)], axis=2)
+            coefficients = p.adjoints(bar, table_bars[:, 2 * w : 2 * w + n])
             entries += np.stack(self.series.adjoints(*coefficients), axis=1)
-        # a node of the parameter stage is one number for all keys: the first of them takes its adjoint
+        # a node of the parameter stage is one number for all keys: its adjoint is assigned to the first key
         first = np.zeros((len(node_bars), len(entries)))
         first[:, :1] = node_bars[:, None]
-        found = [*first, *entries.reshape(len(entries), -1).T[r._entries[0]]]
-        known = r._known(self.values, self.distinct) | {f"bar:{i}": bar for i, bar in enumerate(found)}
-        slopes = dict(zip(r._adjoints, r.graph.evaluate(list(r._adjoints.values()), known), strict=True))
-        return np.array([float(np.sum(slopes.get(e.index, 0.0))) for e in r.p.values()])
+        later_bars = [*first, *entries.reshape(len(entries), -1).T[r._entries[0]]]
+        symbols = r._known(self.values, self.distinct) | {f"bar:{i}": bar for i, bar in enumerate(later_bars)}
+        bars_of = dict(zip(r._adjoints, r.graph.evaluate(list(r._adjoints.values()), symbols), strict=True))
+        return np.array([float(np.sum(bars_of.get(e.index, 0.0))) for e in r.p.values()])
 
 
 def aligned(*shape: int) -> np.ndarray:
-    """Zeros from a multiple of 64 bytes on, so that vectors do not cross a cache line."""
+    """Zeros aligned to 64 bytes, so that vectors do not cross a cache line."""
     count = math.prod(shape)
     raw = np.zeros(count + 8)
     first = -raw.ctypes.data % 64 // 8
@@ -463,8 +473,8 @@ def recursion_of(model: Model, unknown: int = 0, factored: bool = False) -> Recu
     covariances and exact steps of any length, else straight-line code."""
     if len(model.states) <= FEW or unknown or factored:
         return traced(model, unknown, factored)
-    # kept with the model, as in `traced`
-    kept: list[WideRecursion] = vars(model).setdefault("_wide", [])
-    if not kept:
-        kept.append(WideRecursion(model))
-    return kept[0] if kept[0].exact else traced(model)
+    # cached on the model, as in `traced`
+    cached: list[WideRecursion] = vars(model).setdefault("_wide", [])
+    if not cached:
+        cached.append(WideRecursion(model))
+    return cached[0] if cached[0].exact else traced(model)

@@ -157,7 +157,7 @@ def modal_time_constants(
     objective = Objective(likelihood, coordinates).at(estimate.z)
     known = known or uncertainty(objective, estimate)
     inside = [coordinates.names.index(name) for name in known.names]
-    lifted = np.array([p.beyond_guards() for p in coordinates.free]).reshape(-1, 2)
+    lifted = np.array([p.lifted_limits() for p in coordinates.free]).reshape(-1, 2)
 
     def matrix(point: np.ndarray) -> np.ndarray:
         return likelihood.jacobian(coordinates.values(point), at_state, at_inputs).astype(float)

@@ -47,7 +47,7 @@ from hygrokf.estimation.moments import Trace as Trace
 from hygrokf.estimation.moments import checked_loglik, covariances, expect_initial, loglik_of
 from hygrokf.estimation.start import Moments, law, law_with_slopes, packed, packed_slopes
 from hygrokf.physics.expression import Expression
-from hygrokf.physics.model import Model, fields_alone, fields_by_line
+from hygrokf.physics.model import Model, describe_fields, field_values
 from hygrokf.physics.parameters import Parameter, expect_values
 from hygrokf.texts.wording import duration_text, stamp_text
 
@@ -104,8 +104,8 @@ class Likelihood:
                 f"{len(self.schedule.offset) - 1}; make one by `scheduled` on this timeline"
             )
 
-    __getstate__ = fields_alone
-    __repr__ = fields_by_line
+    __getstate__ = field_values
+    __repr__ = describe_fields
 
     @cached_property
     def recursion(self) -> Recursion:
@@ -322,7 +322,9 @@ class Likelihood:
         """The state in front of instant k, with the variance that the end of a gap adds."""
         if k not in self._gaps:
             return state
-        return self.recursion.put(state, self.recursion.covariance_of(state) + np.diag(self._gaps[k]))
+        return self.recursion.with_covariance(
+            state, self.recursion.covariance_of(state) + np.diag(self._gaps[k])
+        )
 
     def _widening(self, k: int, state: np.ndarray) -> np.ndarray:
         """Derivatives (w, w) of the state in front of instant k by that before; rows of the latter."""

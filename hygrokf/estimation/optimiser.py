@@ -124,7 +124,7 @@ class Objective:
     def __init__(self, likelihood: AnyLikelihood, coordinates: Coordinates) -> None:
         self.likelihood = likelihood
         self.coordinates = coordinates
-        self._place = coordinates.place()
+        self._place = coordinates.positions()
 
     def at(self, z: np.ndarray) -> Objective:
         """The objective that holds the sub-steps chosen at this point; itself where none resolve a step

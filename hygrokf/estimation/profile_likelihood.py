@@ -73,7 +73,7 @@ def profile(
 
     Another parameter that reaches a search limit on the way would turn the profile into a cliff.  A physical
     limit (`Parameter.physical`) holds, because no model exists beyond it.  A guard is lifted
-    (`Parameter.beyond_guards`); if the parameter reaches the end of the lifted range before the profile
+    (`Parameter.lifted_limits`); if the parameter reaches the end of the lifted range before the profile
     closes, the end is open.  `limited_by` lists these limits. A parameter that the estimate already has at a
     limit stays there unless the score moves it back.
     """
@@ -140,7 +140,7 @@ class _Walk:
         self.objective, self.estimate, self.index = objective, estimate, index
         self.free = estimate.coordinates.free
         self.others = np.arange(len(self.free)) != index
-        bounds = np.array([p.beyond_guards() for p in self.free])
+        bounds = np.array([p.lifted_limits() for p in self.free])
         own = estimate.coordinates
         self.units = natural_units(own)
         near = AT_LIMIT * self.units

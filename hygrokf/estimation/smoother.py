@@ -15,7 +15,7 @@ from hygrokf.engine.square_root import square_root
 from hygrokf.engine.traced_filter import UNSEEN
 from hygrokf.estimation.likelihood import CHUNK, Gaussian, Likelihood
 from hygrokf.estimation.subject import Given, Source, subject
-from hygrokf.physics.linearisation import state_slopes
+from hygrokf.physics.linearisation import state_derivatives
 
 if TYPE_CHECKING:
     from filterpy.kalman import ExtendedKalmanFilter
@@ -216,4 +216,4 @@ def observation(
     model, t = likelihood.model, likelihood.timeline
     u = {one: float(t.input(one)[k]) for one in model.inputs}
     prediction, variance = model.evaluate(list(mean), u, values).outputs[name]
-    return float(prediction), state_slopes(model, name, values, mean, u), float(variance)
+    return float(prediction), state_derivatives(model, name, values, mean, u), float(variance)

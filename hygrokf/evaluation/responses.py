@@ -21,7 +21,7 @@ from hygrokf.estimation.confidence import expect_level
 from hygrokf.estimation.inference import operating_point
 from hygrokf.estimation.subject import Given, Source, Spread, is_fit, subject
 from hygrokf.modelling.thermal_system import thermal_system
-from hygrokf.physics.linearisation import LinearSystem, linearised
+from hygrokf.physics.linearisation import LinearSystem, linearise
 
 if TYPE_CHECKING:
     import control
@@ -227,7 +227,7 @@ def _linear(
     found = subject(verb, source, given)
     point, at = operating_point(found.likelihood, found.values, state or {}, inputs or {})
     model = found.likelihood.model
-    return (lambda values: linearised(model, values, point[: len(model.own_states)], at)), found.spread
+    return (lambda values: linearise(model, values, point[: len(model.mechanism_states)], at)), found.spread
 
 
 def _modes(system: LinearSystem) -> np.ndarray:

@@ -17,7 +17,7 @@ from hygrokf.estimation.likelihood import Gaussian, Likelihood, Trace
 from hygrokf.evaluation.self_switching import self_switched
 from hygrokf.modelling.design import Design, read_as
 from hygrokf.modelling.inputs import Run, gap_ends, model_inputs
-from hygrokf.physics.linearisation import state_slopes
+from hygrokf.physics.linearisation import state_derivatives
 from hygrokf.physics.model import Model
 from hygrokf.physics.psychrometrics import absolute_humidity, absolute_humidity_slope_temperature
 
@@ -123,7 +123,7 @@ def project(
     value = np.broadcast_to(np.asarray(found), len(t))  # a constant is a float
     if covariance is None:
         return value, np.zeros_like(value)
-    slopes = state_slopes(model, name, values, columns, u)
+    slopes = state_derivatives(model, name, values, columns, u)
     return value, np.einsum("ti,tij,tj->t", slopes, covariance, slopes)
 
 

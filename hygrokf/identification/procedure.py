@@ -471,7 +471,10 @@ def _parameters(
         at_bound = p.name in stage.estimate.at_bounds
         se, lower, upper = (nan_if_open(one) for one in (errors.get(p.name, math.nan), b.lower, b.upper))
         prior = None if p.prior is None else PriorTerms(*p.prior.in_unit())
-        fixed, at_guard = p.name in stage.estimate.coordinates.fixed, at_bound and p.guarded(values[p.name])
+        fixed, at_guard = (
+            p.name in stage.estimate.coordinates.fixed,
+            at_bound and p.is_stopped_by_guard(values[p.name]),
+        )
         rows[p.name] = ParameterRow(
             values[p.name], p.unit, se, lower, upper, p.meaning, prior, fixed, at_bound, at_guard, parts
         )

@@ -18,7 +18,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hygrokf.engine.timeline import Timeline
-from hygrokf.physics.linearisation import state_slopes
+from hygrokf.physics.linearisation import state_derivatives
 from hygrokf.physics.mechanisms.hygric import saturation_pressure
 from hygrokf.physics.model import Model
 from hygrokf.physics.psychrometrics import (
@@ -213,7 +213,7 @@ def _air(
     found = model.quantities(columns, u, values).get(name)
     if found is None:
         return None, np.zeros(mean.shape)
-    slopes = np.broadcast_to(state_slopes(model, name, values, columns, u), mean.shape)
+    slopes = np.broadcast_to(state_derivatives(model, name, values, columns, u), mean.shape)
     return np.broadcast_to(np.asarray(found), len(mean)), slopes
 
 

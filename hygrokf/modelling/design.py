@@ -26,7 +26,7 @@ from hygrokf.modelling.library import LIBRARY, Library
 from hygrokf.physics.holds import LINEAR, MEAN, PREVIOUS, REGIME
 from hygrokf.physics.mechanisms import Factory
 from hygrokf.physics.mechanisms.hygric import SHORTEST_H
-from hygrokf.physics.model import Mechanism, Model, compose, fields_alone
+from hygrokf.physics.model import Mechanism, Model, compose, field_values
 from hygrokf.physics.parameters import Prior
 from hygrokf.texts.fit import FitCode
 from hygrokf.texts.statement import Statement, unique
@@ -113,7 +113,7 @@ class Design:
             _models[key] = found
         return found
 
-    __getstate__ = fields_alone
+    __getstate__ = field_values
 
     def __repr__(self) -> str:
         """Its model, and the humidity that it reads."""
@@ -121,7 +121,7 @@ class Design:
 
     def to_json(self) -> dict[str, Any]:
         """All fields as plain data, with the `origins` of mechanisms and features that a user brought."""
-        data = fields_alone(self)
+        data = field_values(self)
         del data["library"]
         origins = self.library.origins
         names = (*(name for name, _ in self.mechanisms), *self.features)

@@ -8,7 +8,7 @@ import numpy as np
 
 from hygrokf.modelling.design import Design
 from hygrokf.physics.holds import MEAN
-from hygrokf.physics.linearisation import LinearSystem, linearised
+from hygrokf.physics.linearisation import LinearSystem, linearise
 from hygrokf.physics.model import Mechanism, Model, Values, compose
 from hygrokf.physics.parameters import expect_values
 
@@ -49,7 +49,7 @@ def thermal_system(design: Design, values: Values) -> LinearSystem:
     difference = dict(design.mechanisms).get("natural_convection", {}).get("difference_K", 0.0)
     warm = AT_K + difference / values["resistance_ratio"]
     inputs = dict(zip(INPUTS, (AT_K, difference), strict=True))
-    return linearised(model, values, [warm] * len(model.states), inputs)
+    return linearise(model, values, [warm] * len(model.states), inputs)
 
 
 def thermal_poles(design: Design, values: Mapping[str, float]) -> list[float]:

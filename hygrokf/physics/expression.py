@@ -30,11 +30,11 @@ Operations: neg, exp, log, sqrt; add, sub, mul, div, lt; fma(a, b, c) = a b + c,
 else c.
 """
 Coefficients = Sequence[float | None]
-"""The values of an operation's arguments; None for an argument that is not a constant."""
-WORDS = ("exp", "log", "sqrt", "where", "maximum", "minimum")
+"""The values of an operation's constant arguments; None for any other argument."""
+FUNCTION_NAMES = ("exp", "log", "sqrt", "where", "maximum", "minimum")
 """The functions that a model may use."""
 LARGEST_POWER = 32
-"""Largest whole exponent that is written out as a product."""
+"""Largest size of an exponent that is written out as a product."""
 
 
 class Given(float):
@@ -49,7 +49,7 @@ class Given(float):
 
 @dataclass(frozen=True)
 class _Program:
-    """What the interpreter does for some outputs: constants and leaves by node, then operations in order."""
+    """The interpreter's steps for some outputs: constants and leaves by node, then operations in order."""
 
     constants: dict[int, float]
     symbols: list[tuple[int, str]]
@@ -57,20 +57,20 @@ class _Program:
 
 
 class Graph:
-    """A growing list of nodes; arguments are indices of earlier nodes, `given` holds the numbers of the
-    leaves `c:i`."""
+    """A list of nodes whose arguments are indices of earlier nodes; `given` holds the numbers of the leaves
+    `c:i`."""
 
     def __init__(self) -> None:
         self.nodes: list[Node] = []
         self.given: list[Given] = []
         self._index: dict[Node, int] = {}
-        self._growing = Lock()
+        self._append_lock = Lock()
         self._programs: dict[tuple[int, ...], _Program] = {}
 
     def _node(self, key: Node) -> Expression:
         index = self._index.get(key)
         if index is None:
-            with self._growing:  # likelihoods of one model may run on several threads
+            with self._append_lock:  # likelihoods of one model may run on several threads
                 index = self._index.get(key)
                 if index is None:
                     index = len(self.nodes)
@@ -96,18 +96,18 @@ class Graph:
         try:
             return self.constant(value)
         except (TypeError, ValueError):
-            found = f"an array of shape {np.shape(value)}" if np.ndim(value) else repr(value)
+            description = f"an array of shape {np.shape(value)}" if np.ndim(value) else repr(value)
             raise TypeError(
-                f"expected a number beside a traced value, found {found}: a model's functions are traced "
-                "with one number of each name; write every component out"
+                f"expected a number beside a traced value, found {description}: a model's functions are "
+                "traced with one number of each name; write every component out"
             ) from None
 
     def _given(self, value: Given) -> Expression:
         """The leaf `c:i` of the given number i; the same object always yields the same leaf."""
-        place = next((i for i, known in enumerate(self.given) if known is value), len(self.given))
-        if place == len(self.given):
+        index = next((i for i, number in enumerate(self.given) if number is value), len(self.given))
+        if index == len(self.given):
             self.given.append(value)
-        return self.symbol(f"c:{place}")
+        return self.symbol(f"c:{index}")
 
     def number(self, index: int) -> float | None:
         """The value of a constant node; None for any other node."""
@@ -116,21 +116,21 @@ class Graph:
 
     # -- construction with the simplifications that keep sparse models sparse --------------------------------
     def make(self, operation: str, *arguments: Expression) -> Expression:
-        index = [a.index for a in arguments]
-        value = [self.number(i) for i in index]
-        constants = [v for v in value if v is not None]
-        if len(constants) == len(value):
+        indices = [a.index for a in arguments]
+        constants_or_none = [self.number(i) for i in indices]
+        constants = [v for v in constants_or_none if v is not None]
+        if len(constants) == len(constants_or_none):
             return self.constant(float(_COMPUTE[operation](*constants)))
         rule = getattr(self, "_make_" + operation, None)
         if rule is not None:
-            simple = rule(arguments, value)
+            simple = rule(arguments, constants_or_none)
             if simple is not None:
                 return simple
-        if operation in ("add", "mul") and index[0] > index[1]:
-            index.reverse()
-        if operation == "fma" and index[0] > index[1]:
-            index[0], index[1] = index[1], index[0]
-        return self._node((operation, *index))
+        if operation in ("add", "mul") and indices[0] > indices[1]:
+            indices.reverse()
+        if operation == "fma" and indices[0] > indices[1]:
+            indices[0], indices[1] = indices[1], indices[0]
+        return self._node((operation, *indices))
 
     def _make_add(self, a: Sequence[Expression], v: Coefficients) -> Expression | None:
         if v[0] == 0.0:
@@ -243,23 +243,23 @@ class Graph:
 
     def evaluate(self, outputs: Sequence[Expression | float], values: Mapping[str, Value]) -> list[Value]:
         """Interpreter: compute `outputs` with numbers, arrays or complex numbers in place of the symbols."""
-        wanted = tuple(self.lift(e).index for e in outputs)
-        program = self._programs.get(wanted)
+        output_indices = tuple(self.lift(e).index for e in outputs)
+        program = self._programs.get(output_indices)
         if program is None:
-            program = self._programs[wanted] = self._program(wanted)
+            program = self._programs[output_indices] = self._program(output_indices)
         result: dict[int, Value] = dict(program.constants)
         for i, name in program.symbols:
             result[i] = self.given[int(name[2:])] if name.startswith("c:") else values[name]
-        for i, compute, places in program.operations:
-            result[i] = compute(*[result[j] for j in places])
-        return [result[i] for i in wanted]
+        for i, compute, argument_indices in program.operations:
+            result[i] = compute(*[result[j] for j in argument_indices])
+        return [result[i] for i in output_indices]
 
-    def _program(self, wanted: Sequence[int]) -> _Program:
-        order = [(i, self.nodes[i]) for i in self.needed([Expression(self, i) for i in wanted])]
+    def _program(self, output_indices: Sequence[int]) -> _Program:
+        nodes = [(i, self.nodes[i]) for i in self.needed([Expression(self, i) for i in output_indices])]
         return _Program(
-            {i: node[1] for i, node in order if node[0] == "const"},
-            [(i, node[1]) for i, node in order if node[0] == "symbol"],
-            [(i, _COMPUTE[node[0]], node[1:]) for i, node in order if arguments(node)],
+            {i: node[1] for i, node in nodes if node[0] == "const"},
+            [(i, node[1]) for i, node in nodes if node[0] == "symbol"],
+            [(i, _COMPUTE[node[0]], node[1:]) for i, node in nodes if arguments(node)],
         )
 
     def substitute(
@@ -271,21 +271,21 @@ class Graph:
         for i in self.needed(lifted, values):
             if i not in result:
                 node = self.nodes[i]
-                arguments_ = [result[j] for j in arguments(node)]
-                result[i] = self.make(node[0], *arguments_) if arguments_ else Expression(self, i)
+                new_arguments = [result[j] for j in arguments(node)]
+                result[i] = self.make(node[0], *new_arguments) if new_arguments else Expression(self, i)
         return [result[e.index] for e in lifted]
 
 
 def _operator(operation: str) -> tuple[Callable[[Any, Any], Expression], Callable[[Any, Any], Expression]]:
-    """An operation as an operator of expressions, and reflected."""
+    """The method of an operator on expressions, and its reflected method."""
 
-    def forwards(self: Expression, other: Expression | float) -> Expression:
+    def direct(self: Expression, other: Expression | float) -> Expression:
         return self.graph.make(operation, self, self.graph.lift(other))
 
-    def backwards(self: Expression, other: Expression | float) -> Expression:
+    def reflected(self: Expression, other: Expression | float) -> Expression:
         return self.graph.make(operation, self.graph.lift(other), self)
 
-    return forwards, backwards
+    return direct, reflected
 
 
 class Expression:
@@ -310,7 +310,7 @@ class Expression:
         return where(self < 0.0, -self, self)
 
     def __pow__(self, exponent: Expression | float) -> Expression:
-        """xⁿ; a whole exponent is a product, so that x may be negative, and a half one has a square root."""
+        """xⁿ: a product for an integer n, so that x may be negative; times √x for a half-integer n."""
         if isinstance(exponent, Expression | Given):
             number = self.graph.number(self.graph.lift(exponent).index)
         else:
@@ -328,17 +328,17 @@ class Expression:
         return self.graph.lift(base) ** self
 
     def __array_ufunc__(self, ufunc: np.ufunc, method: str, *values: Value, **options: Any) -> Expression:
-        return self._by_numpy(ufunc.__name__ if method == "__call__" and not options else method, *values)
+        return self._apply_numpy(ufunc.__name__ if method == "__call__" and not options else method, *values)
 
     def __array_function__(self, function: Any, types: Any, values: Any, options: Any) -> Expression:
-        return self._by_numpy(function.__name__, *values, *options.values())
+        return self._apply_numpy(function.__name__, *values, *options.values())
 
-    def _by_numpy(self, name: str, *values: Value) -> Expression:
-        """The function that numpy has under this name; raises TypeError where a model has none."""
+    def _apply_numpy(self, name: str, *values: Value) -> Expression:
+        """Apply the function with this numpy name; raises TypeError for one that models do not support."""
         if name not in _FUNCTIONS:
             raise TypeError(
                 f"numpy.{name} of a traced value: a model computes with + - * / **, abs, "
-                f"{', '.join(WORDS)}; give what else it needs as an input"
+                f"{', '.join(FUNCTION_NAMES)}; give what else it needs as an input"
             )
         return _FUNCTIONS[name](*map(self.graph.lift, values))
 
@@ -357,7 +357,7 @@ class Expression:
     def __float__(self) -> NoReturn:
         raise TypeError(
             "a traced value is not a number yet: in place of the functions of `math`, float() and int() "
-            f"write {', '.join(WORDS)} (of hygrokf, or of numpy)"
+            f"write {', '.join(FUNCTION_NAMES)} (of hygrokf, or of numpy)"
         )
 
     def __repr__(self) -> str:
@@ -370,7 +370,7 @@ _COMPUTE: dict[str, Callable[..., Value]] = {
     "lt": lambda a, b: np.less(np.real(a), np.real(b)), "select": np.where,
     "exp": np.exp, "log": np.log, "sqrt": np.sqrt,
 }  # fmt: skip
-"""What the operations of the nodes do with numbers, arrays and complex numbers."""
+"""The operations of the nodes as functions of numbers, arrays and complex numbers."""
 
 
 def arguments(node: Node) -> tuple[int, ...]:
@@ -387,7 +387,7 @@ def _unary(name: str, number: Callable[[Value], Value]) -> Callable[[Value], Val
     function.__doc__ = (
         f"{name} for the equations of a model: of a number, an array or a traced expression.\n\n"
         "value: in any unit, as the equation has it.\n\n"
-        "Returns what it was given.  Raises TypeError for what is no number."
+        "Returns a value of the same kind.  Raises TypeError for an argument that is not a number."
     )
     return function
 
@@ -398,7 +398,7 @@ sqrt = _unary("sqrt", np.sqrt)
 
 
 def where(condition: Value, yes: Value, no: Value) -> Value:
-    """`yes` where `condition` holds, else `no`: a choice in the equations of a model.
+    """Choose `yes` where `condition` holds, else `no`, in the equations of a model.
 
     condition, yes, no: numbers, arrays or traced expressions in any unit; both branches are always computed.
 
@@ -413,15 +413,15 @@ def where(condition: Value, yes: Value, no: Value) -> Value:
 
 def maximum(a: Value, b: Value) -> Value:
     """The larger of two values; the derivative is that of the larger one."""
-    return where(_less(a, b), b, a)
+    return where(_less_than(a, b), b, a)
 
 
 def minimum(a: Value, b: Value) -> Value:
     """The smaller of two values; the derivative is that of the smaller one."""
-    return where(_less(b, a), b, a)
+    return where(_less_than(b, a), b, a)
 
 
-def _less(a: Value, b: Value) -> Value:
+def _less_than(a: Value, b: Value) -> Value:
     return a < b if isinstance(a, Expression) or isinstance(b, Expression) else np.real(a) < np.real(b)
 
 
@@ -433,7 +433,7 @@ _FUNCTIONS: dict[str, Callable[..., Expression]] = {
     "equal": operator.eq, "not_equal": operator.ne, "exp": exp, "log": log, "sqrt": sqrt, "where": where,
     "maximum": maximum, "minimum": minimum, "clip": lambda a, low, high: minimum(maximum(a, low), high),
 }  # fmt: skip
-"""What numpy's functions, by name, do with traced values."""
+"""Functions of traced values, by the name of the numpy function that each stands for."""
 
 
 # -- derivatives ---------------------------------------------------------------------------------------------
@@ -470,39 +470,40 @@ def _partials(graph: Graph, i: int) -> list[tuple[int, Expression]]:
 
 
 def reverse(graph: Graph, seeds: Mapping[int, Expression], leaves: Iterable[int]) -> dict[int, Expression]:
-    """Reverse mode: adjoints of `leaves` (node indices), given the adjoints `seeds` of output nodes.
+    """Differentiate in reverse mode: adjoints of `leaves` (node indices) from the adjoints `seeds` of
+    outputs.
 
     The walk stops at the leaves and skips nodes that do not depend on any leaf.
     """
     stop = set(leaves)
     order = graph.needed([Expression(graph, i) for i in seeds], stop)
-    active = _depends(graph, order, stop)
+    active = _dependent_nodes(graph, order, stop)
     adjoint: dict[int, Expression] = dict(seeds)
     for i in reversed(order):
         if i in stop or i not in active or i not in adjoint:
             continue
         bar = adjoint[i]
-        for j, slope in _partials(graph, i):
+        for j, partial in _partials(graph, i):
             if j in active:
-                adjoint[j] = adjoint[j] + slope * bar if j in adjoint else slope * bar
+                adjoint[j] = adjoint[j] + partial * bar if j in adjoint else partial * bar
     return {i: adjoint[i] for i in stop if i in adjoint}
 
 
 def forward(
     graph: Graph, outputs: Sequence[Expression], tangents: Mapping[int, Expression]
 ) -> list[Expression]:
-    """Forward mode: directional derivatives of `outputs` along `tangents` of leaf nodes."""
+    """Differentiate in forward mode: derivatives of `outputs` along the `tangents` of leaf nodes."""
     order = graph.needed(outputs, tangents)
-    active = _depends(graph, order, set(tangents))
+    active = _dependent_nodes(graph, order, set(tangents))
     zero = graph.constant(0.0)
     dot: dict[int, Expression] = dict(tangents)
     for i in order:
         if i in dot or i not in active:
             continue
         total = zero
-        for j, slope in _partials(graph, i):
+        for j, partial in _partials(graph, i):
             if j in dot:
-                total = total + slope * dot[j]
+                total = total + partial * dot[j]
         dot[i] = total
     return [dot.get(e.index, zero) for e in outputs]
 
@@ -515,18 +516,18 @@ def jacobian(outputs: Sequence[Expression | float], variables: Sequence[Expressi
     rows = []
     for e in lifted:
         bar = reverse(graph, {e.index: graph.constant(1.0)}, [v.index for v in variables])
-        rows.append([_plain(bar.get(v.index, 0.0)) for v in variables])
+        rows.append([_without_constant_node(bar.get(v.index, 0.0)) for v in variables])
     return rows
 
 
-def _plain(value: Expression | float) -> Expression | float:
+def _without_constant_node(value: Expression | float) -> Expression | float:
     if isinstance(value, Expression):
         number = value.graph.number(value.index)
         return value if number is None else number
     return value
 
 
-def _depends(graph: Graph, order: Sequence[int], leaves: set[int]) -> set[int]:
+def _dependent_nodes(graph: Graph, order: Sequence[int], leaves: set[int]) -> set[int]:
     active: set[int] = set()
     for i in order:
         if i in leaves or not active.isdisjoint(arguments(graph.nodes[i])):
@@ -538,9 +539,9 @@ def depends_on(graph: Graph, expression: Expression | float, names: Iterable[str
     """Whether an expression contains one of the named symbols."""
     if not isinstance(expression, Expression):
         return False
-    wanted = set(names)
+    symbol_names = set(names)
     nodes = graph.nodes
-    return any(nodes[i][0] == "symbol" and nodes[i][1] in wanted for i in graph.needed([expression]))
+    return any(nodes[i][0] == "symbol" and nodes[i][1] in symbol_names for i in graph.needed([expression]))
 
 
 # -- small matrices of expressions ---------------------------------------------------------------------------

@@ -17,8 +17,8 @@ LINEAR = "linear"
 """Joined by straight lines: readings of an instant."""
 HOLDS = (PREVIOUS, MEAN, LINEAR)
 REGIME = "mean of few distinct values"
-"""`MEAN` with few distinct values, so that steps of the same length share their matrices; inside alone."""
-_ALSO = {"zoh": PREVIOUS, "foh": LINEAR}
+"""`MEAN` with few distinct values, so that steps of the same length share their matrices (internal)."""
+_ABBREVIATIONS = {"zoh": PREVIOUS, "foh": LINEAR}
 """Abbreviations whose meaning does not differ between tools."""
 
 
@@ -29,29 +29,29 @@ def hold_named(word: object) -> str:
     """
     if word in HOLDS:
         return str(word)
-    if isinstance(word, str) and word in _ALSO:
-        return _ALSO[word]
+    if isinstance(word, str) and word in _ABBREVIATIONS:
+        return _ABBREVIATIONS[word]
     if isinstance(word, str) and re.match(r"zero(th)?order", re.sub(r"[\W_]", "", word.lower())):
         raise ValueError(
             f"the hold {word!r} has two meanings: held from its stamp on (control, scipy, MATLAB, ctsmTMB), "
             f'which is "{PREVIOUS}", or constant over the interval that ends at its stamp (hygrokf before), '
             f'which is "{MEAN}"; state which'
         )
-    near = suggestion(word, (*HOLDS, *_ALSO), 1) if isinstance(word, str) else ""
+    near = suggestion(word, (*HOLDS, *_ABBREVIATIONS), 1) if isinstance(word, str) else ""
     raise ValueError(f"expected the hold {', '.join(HOLDS[:-1])} or {LINEAR}, found {word!r}{near}")
 
 
 def holds_named(holds: Mapping[str, object]) -> dict[str, str]:
-    """`hold_named` of every input of a model.  Raises ValueError that lists every input at fault."""
-    found, faults = {}, []
+    """The hold of every input of a model, by `hold_named`.  Raises one ValueError for all invalid holds."""
+    named, faults = {}, []
     for name, word in holds.items():
         try:
-            found[name] = REGIME if word == REGIME else hold_named(word)
+            named[name] = REGIME if word == REGIME else hold_named(word)
         except ValueError as fault:
             faults.append(f"{name}: {fault}")
     if faults:
         raise ValueError("; ".join(faults))
-    return found
+    return named
 
 
 def inputs_between(
@@ -60,15 +60,15 @@ def inputs_between(
     after: Mapping[str, np.ndarray | float],
     share: np.ndarray | float,
 ) -> dict[str, np.ndarray | float]:
-    """Inputs at a `share` [1] of the step between two instants, with their values `before` and `after`; one
-    that is held from its stamp on has its next value at the end (share = 1)."""
+    """Interpolate inputs at a `share` [1] of the step between two instants, from their values `before` and
+    `after` the step.  An input held from its stamp on takes its next value at the end (share = 1)."""
     return {name: between(holds[name], before[name], value, share) for name, value in after.items()}
 
 
 def between(
     hold: str, before: np.ndarray | float, after: np.ndarray | float, share: np.ndarray | float
 ) -> np.ndarray | float:
-    """One input at a `share` [1] of a step, as `inputs_between`."""
+    """Interpolate one input at a `share` [1] of a step, as `inputs_between` does."""
     if hold == LINEAR:
         return before + share * (after - before)
     return np.where(np.less(share, 1.0), before, after) if hold == PREVIOUS else after

@@ -31,48 +31,48 @@ class LinearSystem:
     outputs: tuple[str, ...]
 
 
-def state_slopes(
+def state_derivatives(
     model: Model, name: str, values: Values, state: Sequence[Value] | np.ndarray, inputs: Values
 ) -> np.ndarray:
-    """Exact derivatives (…, n) of an output, a shared quantity or the rate of a state by the states, at
-    states, inputs and values of parameters that are numbers or arrays (…)."""
-    # the model keeps its rows, as it keeps its filters
-    rows: dict[str, list[Value]] = vars(model).setdefault("_state_slopes", {})
+    """Exact derivatives (…, n) of an output, a shared quantity or a state's rate with respect to the
+    states; states, inputs and parameter values are numbers or arrays (…)."""
+    # cached on the model, as its filters are
+    rows: dict[str, list[Value]] = vars(model).setdefault("_state_derivatives", {})
     if name not in rows:
-        made, x, _ = _traced(model)
-        found = {**made.quantities, **dict(zip(model.states, made.rates, strict=True))}
-        found |= {output: prediction for output, (prediction, _) in made.outputs.items()}
-        rows[name] = [x[0].graph.lift(one) for one in jacobian([found[name]], x)[0]]
-    return _evaluated(rows[name], model, values, state, inputs)
+        equations, x, _ = _trace_model(model)
+        expressions = {**equations.quantities, **dict(zip(model.states, equations.rates, strict=True))}
+        expressions |= {output: prediction for output, (prediction, _) in equations.outputs.items()}
+        rows[name] = [x[0].graph.lift(derivative) for derivative in jacobian([expressions[name]], x)[0]]
+    return _evaluate_entries(rows[name], model, values, state, inputs)
 
 
-def _traced(model: Model) -> tuple[Equations, list[Expression], list[Expression]]:
+def _trace_model(model: Model) -> tuple[Equations, list[Expression], list[Expression]]:
     """The model's equations, its states and its inputs as expressions of one graph."""
     g = Graph()
-    p = {one.name: g.symbol(f"p:{one.name}") for one in model.parameters}
+    p = {parameter.name: g.symbol(f"p:{parameter.name}") for parameter in model.parameters}
     x = [g.symbol(f"x:{name}") for name in model.states]
     u = {name: g.symbol(f"u:{name}") for name in model.inputs}
     return model.traced(x, u, p), x, list(u.values())
 
 
-def _evaluated(
+def _evaluate_entries(
     entries: Sequence[Value],
     model: Model,
     values: Values,
     state: Sequence[Value] | np.ndarray,
     inputs: Values,
 ) -> np.ndarray:
-    """The numbers (…, m) of m expressions of `_traced`."""
-    graph = next((one.graph for one in entries if isinstance(one, Expression)), Graph())
-    known = {f"p:{one.name}": values[one.name] for one in model.parameters}
-    known |= {f"x:{name}": value for name, value in zip(model.states, state, strict=True)}
-    known |= {f"u:{name}": inputs[name] for name in model.inputs}
-    shape = np.broadcast_shapes(*(np.shape(value) for value in known.values()))
-    found = [np.broadcast_to(value, shape) for value in graph.evaluate(entries, known)]
-    return np.stack(found, axis=-1).astype(float)
+    """The numbers (…, m) of m expressions of `_trace_model`."""
+    graph = next((entry.graph for entry in entries if isinstance(entry, Expression)), Graph())
+    symbol_values = {f"p:{parameter.name}": values[parameter.name] for parameter in model.parameters}
+    symbol_values |= {f"x:{name}": value for name, value in zip(model.states, state, strict=True)}
+    symbol_values |= {f"u:{name}": inputs[name] for name in model.inputs}
+    shape = np.broadcast_shapes(*(np.shape(value) for value in symbol_values.values()))
+    arrays = [np.broadcast_to(value, shape) for value in graph.evaluate(entries, symbol_values)]
+    return np.stack(arrays, axis=-1).astype(float)
 
 
-def linearised(
+def linearise(
     model: Model, values: Values, state: Sequence[float] | np.ndarray, inputs: Mapping[str, float]
 ) -> LinearSystem:
     """A model around a point; outputs are readings of an instant, also those that are read as means.
@@ -80,13 +80,15 @@ def linearised(
     values: of all parameters in their units, numbers or arrays (N,).  state: (n,) of the model's own states.
     inputs: by name, in the model's units.
     """
-    own = replace(model, averaged={})  # a running mean is reset, which no linear system does
-    made, x, u = _traced(own)
-    rows = jacobian([*made.rates, *(made.outputs[name][0] for name in own.outputs)], [*x, *u])
-    entries = _evaluated([one for row in rows for one in row], own, values, state, inputs)
-    n, width = len(own.states), len(x) + len(u)
+    unaveraged = replace(model, averaged={})  # resets of running means are not linear
+    equations, x, u = _trace_model(unaveraged)
+    rows = jacobian(
+        [*equations.rates, *(equations.outputs[name][0] for name in unaveraged.outputs)], [*x, *u]
+    )
+    entries = _evaluate_entries([entry for row in rows for entry in row], unaveraged, values, state, inputs)
+    n, width = len(unaveraged.states), len(x) + len(u)
     matrix = entries.reshape(*entries.shape[:-1], len(rows), width)
     return LinearSystem(
         matrix[..., :n, :n], matrix[..., :n, n:], matrix[..., n:, :n], matrix[..., n:, n:],
-        own.states, own.inputs, own.outputs,
+        unaveraged.states, unaveraged.inputs, unaveraged.outputs,
     )  # fmt: skip

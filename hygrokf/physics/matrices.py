@@ -50,11 +50,11 @@ def congruence(f: Matrix, p: Matrix, q: Matrix | None = None) -> Matrix:
     n = len(f)
     q = zeros(n, n) if q is None else q
     fp = product(f, p)
-    alone = [[k for k, v in enumerate(row) if not is_zero(v)] for row in f]
+    nonzero = [[k for k, v in enumerate(row) if not is_zero(v)] for row in f]
 
     def entry(i: int, j: int) -> Value:
-        if len(alone[i]) == 1 and len(alone[j]) == 1:
-            (k,), (m,) = alone[i], alone[j]
+        if len(nonzero[i]) == 1 and len(nonzero[j]) == 1:
+            (k,), (m,) = nonzero[i], nonzero[j]
             return (f[i][k] * f[j][m]) * p[k][m]
         return dot(fp[i], f[j])
 

@@ -40,15 +40,15 @@ class UnknownName(AttributeError, ValueError):
 
 class Space(SimpleNamespace):
     """Named values that a mechanism's function reads as attributes: parameters, states, inputs, quantities or
-    sums.  A name that is not there raises `UnknownName`, which says what is."""
+    sums.  Reading an unknown name raises `UnknownName`, whose message lists the existing names."""
 
     _letter, _kind, _hint = "q", "quantities", ""
 
     def __getattr__(self, name: str) -> Value:
-        known = list(vars(self))
+        names = list(vars(self))
         raise UnknownName(
             f"a mechanism reads {self._letter}.{name}, but the {self._kind} here are "
-            f"{', '.join(known) or 'none'}{suggestion(name, known, 1)}{self._hint}"
+            f"{', '.join(names) or 'none'}{suggestion(name, names, 1)}{self._hint}"
         )
 
 
@@ -71,13 +71,12 @@ class _NoiseInputs(_Inputs):
 Values = Mapping[str, Value]
 """Values by name."""
 Feature = tuple[Callable[..., np.ndarray], str]
-"""A function (record, time, **settings) -> values (T,) at `time` (T,) [s], and the hold of the input that it
-gives."""
+"""A function (record, time, **settings) -> values (T,) of an input at `time` (T,) [s]; and its hold."""
 Pair = tuple[Value, Value]
 """A mean, or a prediction, and its variance."""
 Spread = Value | Mapping[str, Value]
-"""A variance of its own, or loadings by the names of independent sources with variance 1, which several
-states may share: states i and j have the covariance Σ_k l_ik l_jk, the matrix L L'."""
+"""The variance of one state, or its loadings on independent sources of variance 1 by the sources' names.
+States may share sources: states i and j have the covariance Σ_k l_ik l_jk, the matrix L L'."""
 Initial = Callable[[Space, Space], Mapping[str, tuple[Value, Spread]]]
 """(p, u) -> mean and spread of each of the mechanism's states."""
 Output = Callable[[Space, Space, Space, Space, Space], Pair]
@@ -96,20 +95,20 @@ SUMS = {
 """Sums that mechanisms may contribute to; a mechanism with a network of its own may read further sums."""
 
 
-def fields_alone(instance: Any) -> dict[str, Any]:
-    """What a pickle keeps of a dataclass: its fields. A copy derives again what is cached."""
-    return {one.name: getattr(instance, one.name) for one in fields(instance)}
+def field_values(instance: Any) -> dict[str, Any]:
+    """Values of a dataclass's fields by name: the state that a pickle keeps, without cached properties."""
+    return {entry.name: getattr(instance, entry.name) for entry in fields(instance)}
 
 
-def fields_by_line(instance: Any) -> str:
-    """A dataclass in words: what it consists of, and its settings that are not the usual ones."""
+def describe_fields(instance: Any) -> str:
+    """Describe a dataclass instance: its required fields, and the others that differ from their default."""
     lines = [type(instance).__name__]
-    for one in fields(instance):
-        value = getattr(instance, one.name)
-        if one.default is MISSING:
+    for entry in fields(instance):
+        value = getattr(instance, entry.name)
+        if entry.default is MISSING:
             lines.append(indent(repr(value), "  "))
-        elif value != one.default:
-            lines.append(f"  {one.name}: {value!r}")
+        elif value != entry.default:
+            lines.append(f"  {entry.name}: {value!r}")
     return "\n".join(lines)
 
 
@@ -120,7 +119,7 @@ class Mechanism:
     Each function is pure and reads parameters `p`, states `x`, inputs `u`, quantities `q` and sums `s` as
     attributes; units inside a model are h, K, g/m³ and 1.
 
-        corrections(x, u)              inputs as they truly are, in place of those that were read
+        corrections(x, u)              true inputs, which replace the measured ones
         conductance(p, u)              air exchange in parallel to 1/R_AT, in units of it [1]
         quantities(p, x, u, g)         shared quantities, such as the temperature of the cabinet air
         contributions(p, x, u, q)      terms of named sums (`SUMS`), such as the heat release [K]
@@ -130,17 +129,17 @@ class Mechanism:
         outputs[name](p, x, u, q, s)   expected reading, and the variance of its noise
 
     name: identifier in the library.
-    parameters, states, inputs: what its functions read; states and inputs by name.
+    parameters, states, inputs: the values that its functions read; states and inputs by name.
     corrections, conductance, quantities, contributions, drift, diffusion, initial, outputs: the functions
         above.
-    noise_exponents: [1] γ of states whose white noise grows with them, dx = f dt + x^γ L dW with L L' from
-        `diffusion` and 0 ≤ γ ≤ 1 (`Model.natural`).
+    noise_exponents: [1] γ of each state whose white noise grows with the state, dx = f dt + x^γ L dW, where
+        `diffusion` gives L L' and 0 ≤ γ ≤ 1 (`Model.natural`).
     amounts: states that cannot be negative; simulations enforce this, the filter does not.
-    features: those inputs that no signal gives and that this mechanism brings with it, by name.
-    settings: the arguments that the mechanism was made with; `library[name](**settings)` makes it again.
-    meaning, leaves, source: what it is, what its absence leaves in the residuals, the equations' origin.
+    features: functions for the inputs that no signal gives, by input name.
+    settings: the arguments of its factory; `library[name](**settings)` creates the mechanism again.
+    meaning, leaves, source: what it is; what the residuals show without it; the origin of its equations.
 
-    Raises ValueError, from the model at first use, where the mechanism does not fit it.
+    A model raises ValueError at first use where the mechanism does not fit it.
     """
 
     name: str
@@ -181,16 +180,17 @@ class Model:
     holds: input → its hold, as `compose` takes it.
     averaged: outputs that are read as interval means → the interval [h].
     bound: [1] distance of a reading from its prediction in standard deviations beyond which it moves the
-        state no further; its square is whole, or it is infinite, as for the exact Gaussian likelihood.
+        state no further; its square is an integer, or it is infinite, as for the exact Gaussian likelihood.
 
     `parameters`, `states` (n), `inputs` and `outputs` list the names in the order of all arrays; `evaluate`
-    gives rates [unit/h] and expected readings at one point.  A model can be pickled; functions of mechanisms
-    outside the library must then be those of a module.
+    gives rates [unit/h] and expected readings for given values.  A model can be pickled if the functions of
+    its mechanisms outside the library are defined at module level.
 
-    A state x with white noise that grows with it, dx = f dt + x^γ dV, is carried in its Lamperti coordinate
-    z, in which the noise is constant (Itô's formula, with the intensity Q of dV):
+    A state x whose white noise grows with the state, dx = f dt + x^γ dV, is carried in its Lamperti
+    coordinate z, in which the noise is constant (Itô's formula, with the intensity Q of dV):
         z = x^(1−γ)/(1−γ), or ln x for γ = 1;    dz = (f x^−γ − ½ γ Q x^(γ−1)) dt + dV.
-    Arrays of states and their covariances hold z; all functions of mechanisms read x.  `natural` leads back.
+    Arrays of states and their covariances hold z; all functions of mechanisms read x.  `natural` returns
+    to x.
     Raises ValueError for an unknown hold or bound, and at first use where mechanisms do not fit together.
     """
 
@@ -199,7 +199,7 @@ class Model:
     averaged: Mapping[str, float] = field(default_factory=dict)
     bound: float = math.inf
 
-    __getstate__ = fields_alone
+    __getstate__ = field_values
 
     def __repr__(self) -> str:
         """Mechanisms, states, inputs and outputs by name."""
@@ -209,13 +209,13 @@ class Model:
         return "\n".join(["Model", *(fill(line, 100, subsequent_indent="    ") for line in lines)])
 
     def __post_init__(self) -> None:
-        if wrong := [type(one).__name__ for one in self.mechanisms if not isinstance(one, Mechanism)]:
-            raise ValueError(f"mechanisms: expected Mechanisms, found {', '.join(wrong)}")
+        if wrong_types := [type(m).__name__ for m in self.mechanisms if not isinstance(m, Mechanism)]:
+            raise ValueError(f"mechanisms: expected Mechanisms, found {', '.join(wrong_types)}")
         object.__setattr__(self, "holds", holds_named(self.holds))
         if not (self.bound > 0.0 and (math.isinf(self.bound) or (self.bound**2).is_integer())):
             raise ValueError(
-                f"bound: expected a number above 0 whose square is whole, or infinity, found {self.bound}; "
-                "take 3 or 4, or leave it out"
+                f"bound: expected a number above 0 whose square is an integer, or infinity, "
+                f"found {self.bound}; take 3 or 4, or leave it out"
             )
 
     @cached_property
@@ -223,13 +223,13 @@ class Model:
         return unique(p for m in self.mechanisms for p in m.parameters)
 
     @cached_property
-    def own_states(self) -> tuple[str, ...]:
-        return _once("a state", (s for m in self.mechanisms for s in m.states))
+    def mechanism_states(self) -> tuple[str, ...]:
+        return _unique_names("a state", (s for m in self.mechanisms for s in m.states))
 
     @cached_property
     def states(self) -> tuple[str, ...]:
         """The mechanisms' states, and one running mean for every output that is read as an interval mean."""
-        return self.own_states + tuple(f"mean_{name}" for name in self.averaged)
+        return self.mechanism_states + tuple(f"mean_{name}" for name in self.averaged)
 
     @cached_property
     def amounts(self) -> tuple[bool, ...]:
@@ -238,38 +238,39 @@ class Model:
         return tuple(name in names for name in self.states)
 
     @cached_property
-    def _own(self) -> frozenset[str]:
-        return frozenset(self.own_states)
+    def _state_set(self) -> frozenset[str]:
+        return frozenset(self.mechanism_states)
 
     @cached_property
     def exponents(self) -> dict[str, float]:
-        """γ of the states whose noise grows with them.  Raises ValueError for unknown states and other γ."""
-        found: dict[str, float] = {}
+        """Exponents γ > 0 of the states whose noise grows as x^γ.  Raises ValueError for an unknown state and
+        for γ outside 0 … 1."""
+        exponents: dict[str, float] = {}
         for m in self.mechanisms:
-            for name, power in self._of_states(m, "noise_exponents", m.noise_exponents).items():
-                if not 0.0 <= power <= 1.0:
+            for name, exponent in self._check_states(m, "noise_exponents", m.noise_exponents).items():
+                if not 0.0 <= exponent <= 1.0:
                     raise ValueError(
-                        f"noise_exponents: expected 0 to 1 for the state {name}, found {power}; write the "
+                        f"noise_exponents: expected 0 to 1 for the state {name}, found {exponent}; write the "
                         "model in a coordinate in which its noise is constant"
                     )
-                found |= {name: float(power)} if power else {}
-        return found
+                exponents |= {name: float(exponent)} if exponent else {}
+        return exponents
 
-    def _of_states(
-        self, m: Mechanism, kind: str, found: object, taken: Iterable[str] = ()
+    def _check_states(
+        self, m: Mechanism, kind: str, values: object, taken: Iterable[str] = ()
     ) -> Mapping[str, Any]:
-        """What a function of a mechanism gave, checked to be of states of the model that no other mechanism
-        has `taken`."""
-        if isinstance(found, dict) and found.keys() <= self._own and found.keys().isdisjoint(taken):
-            return found
-        where = f'{kind} of the mechanism "{m.name}"'
-        if not isinstance(found, Mapping):
-            raise ValueError(f'{where}: expected a mapping {{"state": value, …}}, found {found!r}')
-        if faults := unknown_names(where, found, self.own_states):
+        """Check that the values, returned by a mechanism's function, are of states of the model that no other
+        mechanism has `taken`; return the values."""
+        if isinstance(values, dict) and values.keys() <= self._state_set and values.keys().isdisjoint(taken):
+            return values
+        source = f'{kind} of the mechanism "{m.name}"'
+        if not isinstance(values, Mapping):
+            raise ValueError(f'{source}: expected a mapping {{"state": value, …}}, found {values!r}')
+        if faults := unknown_names(source, values, self.mechanism_states):
             raise ValueError("; ".join(faults))
-        if twice := sorted(set(found) & set(taken)):
-            raise ValueError(f"{where}: another mechanism gives those of {twice}")
-        return found
+        if duplicates := sorted(set(values) & set(taken)):
+            raise ValueError(f"{source}: another mechanism gives values of {duplicates} too")
+        return values
 
     @cached_property
     def inputs(self) -> tuple[str, ...]:
@@ -277,16 +278,16 @@ class Model:
 
     @cached_property
     def outputs(self) -> tuple[str, ...]:
-        return _once("an output", (name for m in self.mechanisms for name in m.outputs))
+        return _unique_names("an output", (name for m in self.mechanisms for name in m.outputs))
 
     @property
     def resets(self) -> tuple[int, ...]:
-        """Places of the states that are running means, set to zero where an averaging interval begins."""
+        """Indices of the running-mean states, which are set to zero where an averaging interval begins."""
         return tuple(self.states.index(f"mean_{name}") for name in self.averaged)
 
     @property
     def input_holds(self) -> dict[str, str]:
-        """The hold of every input.  Raises ValueError where one is not stated."""
+        """The hold of every input.  Raises ValueError for an input without a hold."""
         unknown = [name for name in self.inputs if name not in self.holds]
         if unknown:
             stated = f"; stated are those of {', '.join(self.holds) or 'none'}"
@@ -302,29 +303,28 @@ class Model:
         return self._equations(x, u, p, lambda sums: Space(**sums))
 
     def traced(self, x: Sequence[Value], u: Values, p: Values) -> Equations:
-        """`evaluate`, with a check that some mechanism reads every sum that is contributed to; raises
-        ValueError otherwise."""
+        """Evaluate the equations; raises ValueError for a contribution to a sum that no mechanism reads."""
         read: set[str] = set()
-        found = self._equations(x, u, p, lambda sums: _ReadSums(sums, read))
-        known = (*SUMS, *sorted(read - set(SUMS)))
-        unknown = [name for name in found.sums if name not in known]
+        equations = self._equations(x, u, p, lambda sums: _ReadSums(sums, read))
+        readable = (*SUMS, *sorted(read - set(SUMS)))
+        unknown = [name for name in equations.sums if name not in readable]
         if unknown:
-            added = self._contributions(*self._spaces(x, u, p), Space(**found.quantities))
+            terms = self._contributions(*self._spaces(x, u, p), Space(**equations.quantities))
             raise ValueError(
                 "; ".join(
                     f'mechanism "{mechanism}" adds to the sum "{name}", which no mechanism '
-                    f"reads{suggestion(name, known, 1)}"
-                    for mechanism, name, _ in added
+                    f"reads{suggestion(name, readable, 1)}"
+                    for mechanism, name, _ in terms
                     if name in unknown
                 )
-                + f" (the sums of this model: {', '.join(known)})"
+                + f" (the sums of this model: {', '.join(readable)})"
             )
-        return found
+        return equations
 
     def _equations(
-        self, x: Sequence[Value] | np.ndarray, u: Values, p: Values, as_read: Callable[[Values], Space]
+        self, x: Sequence[Value] | np.ndarray, u: Values, p: Values, make_sums: Callable[[Values], Space]
     ) -> Equations:
-        """The values of `evaluate`; `as_read` makes the object from which mechanisms read the sums."""
+        """The values of `evaluate`; `make_sums` makes the object from which mechanisms read the sums."""
         spaces = self._spaces(x, u, p)
         state = vars(spaces[1])
         quantities = self._quantities(spaces)
@@ -332,7 +332,7 @@ class Model:
         sums: dict[str, Value] = defaultdict(float, dict.fromkeys(SUMS, 0.0))
         for _, name, value in self._contributions(*spaces, q):
             sums[name] = sums[name] + value
-        s = as_read(sums)
+        s = make_sums(sums)
         outputs = {
             name: _pair(f'output "{name}"', function(*spaces, q, s))
             for m in self.mechanisms
@@ -341,7 +341,7 @@ class Model:
         rates: dict[str, Value] = {}
         for m in self.mechanisms:
             if m.drift is not None:
-                rates.update(self._of_states(m, "rates", m.drift(*spaces, q, s), rates))
+                rates.update(self._check_states(m, "rates", m.drift(*spaces, q, s), rates))
         for name, interval in self.averaged.items():
             rates[f"mean_{name}"] = outputs[name][0] * (1.0 / interval)
             outputs[name] = (state[f"mean_{name}"], outputs[name][1])
@@ -353,26 +353,26 @@ class Model:
             )
         if self.exponents:
             noise = self.noise(p, u)
-            for name, power in self.exponents.items():
+            for name, exponent in self.exponents.items():
                 i = self.states.index(name)
-                size, slope = _noise_size(x[i], power)
-                rates[name] = rates[name] / size - 0.5 * noise[i][i] * slope
+                scale, derivative = _noise_scale(x[i], exponent)
+                rates[name] = rates[name] / scale - 0.5 * noise[i][i] * derivative
         return Equations(quantities, dict(sums), [rates[n] for n in self.states], outputs)
 
     def quantities(self, x: Sequence[Value] | np.ndarray, u: Values, p: Values) -> dict[str, Value]:
-        """The shared quantities of `evaluate` alone."""
+        """Evaluate only the shared quantities."""
         return self._quantities(self._spaces(x, u, p))
 
     def _spaces(self, x: Sequence[Value] | np.ndarray, u: Values, p: Values) -> tuple[Space, Space, Space]:
         """Parameters, states and inputs in the form that mechanisms read."""
-        known, inputs = dict(zip(self.states, x, strict=True)), dict(u)
-        for name, power in self.exponents.items():
-            known[name] = _natural(known[name], power)
-        state = _States(**known)
+        states, inputs = dict(zip(self.states, x, strict=True)), dict(u)
+        for name, exponent in self.exponents.items():
+            states[name] = _natural(states[name], exponent)
+        state_space = _States(**states)
         for m in self.mechanisms:
             if m.corrections is not None:
-                inputs.update(m.corrections(state, _Inputs(**inputs)))
-        return _Parameters(**p), state, _Inputs(**inputs)
+                inputs.update(m.corrections(state_space, _Inputs(**inputs)))
+        return _Parameters(**p), state_space, _Inputs(**inputs)
 
     def _contributions(self, p: Space, x: Space, u: Space, q: Space) -> Iterator[tuple[str, str, Value]]:
         """Every term of every sum as (mechanism, sum, value)."""
@@ -387,43 +387,43 @@ class Model:
         for m in self.mechanisms:
             if m.conductance is not None:
                 g = g + m.conductance(p, u)
-        found: dict[str, Value] = {"air_conductance": g}
+        quantities: dict[str, Value] = {"air_conductance": g}
         for m in self.mechanisms:
             if m.quantities is not None:
-                found.update(m.quantities(p, x, u, g))
-        return found
+                quantities.update(m.quantities(p, x, u, g))
+        return quantities
 
     @cached_property
     def _noise_reads_inputs(self) -> tuple[bool, ...]:
         """For every mechanism, whether its diffusion takes the inputs as a second argument."""
-        found = []
+        reads_inputs = []
         for m in self.mechanisms:
-            known = {} if m.diffusion is None else inspect.signature(m.diffusion).parameters
-            count = sum(one.default is one.empty for one in known.values())
+            arguments = {} if m.diffusion is None else inspect.signature(m.diffusion).parameters
+            count = sum(argument.default is argument.empty for argument in arguments.values())
             if count > 2:
                 raise ValueError(
                     f'diffusion of the mechanism "{m.name}": expected a function of p or (p, u), found one '
-                    f"of {', '.join(known)}{_NoiseInputs._hint}"
+                    f"of {', '.join(arguments)}{_NoiseInputs._hint}"
                 )
-            found.append(count == 2)
-        return tuple(found)
+            reads_inputs.append(count == 2)
+        return tuple(reads_inputs)
 
     def noise(self, p: Values, u: Values | None = None) -> Matrix:
-        """White noise intensity Q (n, n) [unit²/h] of the states, at inputs u as they were read."""
+        """White noise intensity Q (n, n) [unit²/h] of the states, at measured inputs u."""
         return self._covariance(self.noise_spreads(p, u))
 
     def noise_spreads(self, p: Values, u: Values | None = None) -> Iterator[tuple[str, Spread]]:
-        """What the mechanisms add to `noise`, state by state."""
-        for m, reads in zip(self.mechanisms, self._noise_reads_inputs, strict=True):
+        """Yield pairs (state, spread): the terms that the mechanisms add to `noise`."""
+        for m, reads_u in zip(self.mechanisms, self._noise_reads_inputs, strict=True):
             if m.diffusion is not None:
                 spaces = (_Parameters(**p), _NoiseInputs(**(u or {})))
-                yield from self._of_states(m, "diffusion", m.diffusion(*spaces[: 1 + reads])).items()
+                yield from self._check_states(m, "diffusion", m.diffusion(*spaces[: 1 + reads_u])).items()
 
-    def _covariance(self, given: Iterable[tuple[str, Spread]]) -> Matrix:
-        """The covariance (n, n) of states with these spreads.  Raises VarianceFault for a negative one."""
+    def _covariance(self, spreads: Iterable[tuple[str, Spread]]) -> Matrix:
+        """The covariance (n, n) of states with these spreads.  Raises VarianceFault below 0."""
         result: Matrix = [[0.0] * len(self.states) for _ in self.states]
         sources: dict[str, dict[int, Value]] = {}
-        for state, spread in given:
+        for state, spread in spreads:
             i = self.states.index(state)
             if isinstance(spread, Mapping):
                 for name, loading in spread.items():
@@ -454,80 +454,80 @@ class Model:
     def initial_moments(self, p: Values, u: Values) -> tuple[list[Value], Matrix]:
         """Mean (n,) and covariance (n, n) of the states at an instant with inputs u, before any reading.
 
-        Those of a state that is carried in its Lamperti coordinate are transformed to first order.
+        The moments of a state that is carried in its Lamperti coordinate are transformed to first order.
         """
         means: dict[str, Value] = {f"mean_{name}": 0.0 for name in self.averaged}
-        given: list[tuple[str, Spread]] = []
+        spreads: list[tuple[str, Spread]] = []
         spaces = _Parameters(**p), _Inputs(**u)
         for m in self.mechanisms:
             if m.initial is None:
                 continue
-            found = self._of_states(m, "initial", m.initial(*spaces), means)
-            for name, pair in found.items():
+            initials = self._check_states(m, "initial", m.initial(*spaces), means)
+            for name, pair in initials.items():
                 mean, spread = _pair(f'initial of the state "{name}"', pair)
                 if name in self.exponents:
-                    power = self.exponents[name]
-                    mean = _coordinate(mean, power)
-                    size, _ = _noise_size(mean, power)
-                    shared = isinstance(spread, Mapping)
-                    spread = {k: v / size for k, v in spread.items()} if shared else spread / (size * size)
+                    exponent = self.exponents[name]
+                    mean = _coordinate(mean, exponent)
+                    scale, _ = _noise_scale(mean, exponent)
+                    loaded = isinstance(spread, Mapping)
+                    spread = {k: v / scale for k, v in spread.items()} if loaded else spread / (scale * scale)
                 means[name] = mean
-                given.append((name, spread))
+                spreads.append((name, spread))
         missing = [n for n in self.states if n not in means]
         if missing:
             raise ValueError(f"no initial mean and variance for the states {missing}")
-        return [means[n] for n in self.states], self._covariance(given)
+        return [means[n] for n in self.states], self._covariance(spreads)
 
     def natural(self, mean: np.ndarray, covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """States in their own units: means (..., n) and covariances (..., n, n) of states that are carried in
-        their Lamperti coordinate, led back; a mean then is a median, a covariance that of first order."""
+        """Transform means (..., n) and covariances (..., n, n) from Lamperti coordinates to states' units;
+        means become medians, covariances are transformed to first order."""
         if not self.exponents:
             return mean, covariance
-        moved, scale = mean.copy(), np.ones_like(mean)
-        for name, power in self.exponents.items():
+        natural_mean, scale = mean.copy(), np.ones_like(mean)
+        for name, exponent in self.exponents.items():
             i = self.states.index(name)
-            moved[..., i] = _natural(mean[..., i], power)
-            scale[..., i] = _noise_size(mean[..., i], power)[0]
+            natural_mean[..., i] = _natural(mean[..., i], exponent)
+            scale[..., i] = _noise_scale(mean[..., i], exponent)[0]
         if covariance.size:
             covariance = covariance * scale[..., :, None] * scale[..., None, :]
-        return moved, covariance
+        return natural_mean, covariance
 
 
-def _once(kind: str, names: Iterable[str]) -> tuple[str, ...]:
-    """The names; raises ValueError where two mechanisms use one."""
-    found = tuple(names)
-    if twice := sorted({name for name in found if found.count(name) > 1}):
-        raise ValueError(f"two mechanisms have {kind} of the same name: {twice}")
-    return found
+def _unique_names(kind: str, names: Iterable[str]) -> tuple[str, ...]:
+    """The names as a tuple; raises ValueError where two mechanisms use the same name."""
+    names = tuple(names)
+    if duplicates := sorted({name for name in names if names.count(name) > 1}):
+        raise ValueError(f"two mechanisms have {kind} of the same name: {duplicates}")
+    return names
 
 
-def _pair(kind: str, found: object) -> tuple[Any, Any]:
-    if isinstance(found, Sequence) and len(found) == 2:
-        return found[0], found[1]
-    raise ValueError(f"{kind}: expected a pair (mean, variance), found {found!r}")
+def _pair(source: str, value: object) -> tuple[Any, Any]:
+    if isinstance(value, Sequence) and len(value) == 2:
+        return value[0], value[1]
+    raise ValueError(f"{source}: expected a pair (mean, variance), found {value!r}")
 
 
-def _coordinate(x: Value, power: float) -> Value:
+def _coordinate(x: Value, exponent: float) -> Value:
     """The Lamperti coordinate z of a state."""
     if not isinstance(x, Expression) and not np.all(np.real(x) > 0.0):
         raise ValueError(
             "initial: expected a mean above 0 of a state whose noise grows with it, found "
             f"{np.min(np.real(x))}"
         )
-    return log(x) if power == 1.0 else x ** (1.0 - power) * (1.0 / (1.0 - power))
+    return log(x) if exponent == 1.0 else x ** (1.0 - exponent) * (1.0 / (1.0 - exponent))
 
 
-def _natural(z: Value, power: float) -> Value:
+def _natural(z: Value, exponent: float) -> Value:
     """The state at its Lamperti coordinate z."""
-    return exp(z) if power == 1.0 else ((1.0 - power) * z) ** (1.0 / (1.0 - power))
+    return exp(z) if exponent == 1.0 else ((1.0 - exponent) * z) ** (1.0 / (1.0 - exponent))
 
 
-def _noise_size(z: Value, power: float) -> tuple[Value, Value]:
-    """x^γ at the coordinate z, and its derivative γ x^(γ−1) by the state."""
-    if power == 1.0:
+def _noise_scale(z: Value, exponent: float) -> tuple[Value, Value]:
+    """x^γ at the coordinate z, and its derivative γ x^(γ−1) with respect to the state."""
+    if exponent == 1.0:
         return exp(z), 1.0
-    inner = (1.0 - power) * z
-    return inner ** (power / (1.0 - power)), power / inner
+    inner = (1.0 - exponent) * z
+    return inner ** (exponent / (1.0 - exponent)), exponent / inner
 
 
 class _ReadSums(Space):
@@ -550,7 +550,7 @@ class _ReadSums(Space):
 
 @dataclass(frozen=True)
 class Equations:
-    """A model's values at one point: shared quantities, sums, rates (n,) [unit/h], outputs (prediction,
+    """Values of a model's equations: shared quantities, sums, rates (n,) [unit/h], outputs (prediction,
     variance)."""
 
     quantities: dict[str, Value]
@@ -571,27 +571,27 @@ def compose(
         instant on), "mean" (constant over the step that ends at an instant) or "linear" ("foh").
     averaged: output → interval [h] over which its readings are means.
 
-    Returns the model.  Raises ValueError for what is no mechanism, an unknown hold or output and, at first
-    use, two states of one name, a sum that nobody reads, and an input without a hold.
+    Returns the model.  Raises ValueError for an argument that is not a mechanism, an unknown hold or output
+    and, at first use, two states of one name, a sum that no mechanism reads, and an input without a hold.
     """
-    several = mechanisms if isinstance(mechanisms, Iterable) else (mechanisms,)
-    made = Model(tuple(several), dict(holds or {}), dict(averaged or {}))
-    faults = unknown_names("averaged", made.averaged, made.outputs)
+    given_mechanisms = mechanisms if isinstance(mechanisms, Iterable) else (mechanisms,)
+    model = Model(tuple(given_mechanisms), dict(holds or {}), dict(averaged or {}))
+    faults = unknown_names("averaged", model.averaged, model.outputs)
     faults += [
         f"averaged: expected an interval above 0 h for {name}, found {interval}"
-        for name, interval in made.averaged.items()
+        for name, interval in model.averaged.items()
         if not 0.0 < interval < math.inf
     ]
     if faults:
         raise ValueError("; ".join(faults))
-    return made
+    return model
 
 
 def extend(model: Model, mechanism: Mechanism, holds: Mapping[str, str] | None = None) -> Model:
     """Add a mechanism to a model.
 
-    model: that of `compose`, or of a fit (`fit.design.model`).
-    mechanism: with state names of its own; model units are h, K, g/m³ and 1.
+    model: from `compose`, or from a fit (`fit.design.model`).
+    mechanism: its state names must be new to the model; model units are h, K, g/m³ and 1.
     holds: how the mechanism's own inputs continue between two instants, as in `compose`.
 
     Returns the larger model; at the mechanism's null values it equals the original one, so that a likelihood

@@ -15,8 +15,10 @@ import numpy as np
 from hygrokf.errors import unknown_names
 
 LIFT = 20.0
-"""Factor by which a lifted guard widens a search range: at each end for a positive parameter, about the
-middle of the range for any other."""
+"""Factor by which a lifted guard widens a search range: a positive parameter's limits are divided and
+multiplied by it, any other range is scaled about its middle."""
+AT_LIMIT = 1e-6
+"""[1] share of a search range within which a value counts as being at a limit."""
 
 
 @dataclass(frozen=True)
@@ -24,7 +26,7 @@ class Prior:
     """A normal prior of one parameter, knowledge from outside the record: θ ~ N(mean, sd²).
 
     mean, sd: in the parameter's unit; sd above 0.
-    logarithmic: the prior applies to ln θ, and `mean` and `sd` are those of ln θ.
+    logarithmic: whether the prior applies to ln θ; `mean` and `sd` then describe ln θ.
 
     Raises ValueError where a number is not finite or `sd` is not above 0.
     """
@@ -43,8 +45,8 @@ class Prior:
     def log_density(self, value: float) -> float:
         return -0.5 * self._distance(value) ** 2 - math.log(self.sd * math.sqrt(2 * math.pi))
 
-    def log_slope(self, value: float) -> float:
-        """Derivative of the log density with respect to the value."""
+    def log_density_derivative(self, value: float) -> float:
+        """Derivative of the log density with respect to the value [1/unit]."""
         return -self._distance(value) * self._rate(value)
 
     def information(self, value: float) -> float:
@@ -69,12 +71,12 @@ class Parameter:
     """One parameter: name, unit, start value, bounds, coordinate, prior, meaning.
 
     name: identifier, unique in a model.
-    unit: of all its values here, such as "h", "K" or "1".
+    unit: of its values, limits and start, such as "h", "K" or "1".
     start, lower, upper: where the search starts and its limits, in `unit`.
     positive: whether it is estimated as a logarithm; its lower limit must then be above zero.
-    prior: of its coordinate, or None.
+    prior: prior knowledge of its value, or None.
     null: the value, in `unit`, at which its mechanism has no effect; None where there is no such value.
-    noise: whether it belongs to a disturbance or a sensor; the estimation varies its starts over these.
+    noise: whether it belongs to a disturbance or a sensor; the estimation varies the start values of these.
     meaning: what it is, in words.
     physical: the physically possible range, in `unit`.  A search limit (`lower` or `upper`) inside this range
         is a guard against meaningless numbers, which the profile of another parameter may pass (see
@@ -118,29 +120,29 @@ class Parameter:
     def from_coordinate(self, z: float) -> float:
         return math.exp(z) if self.positive else z
 
-    def guarded(self, value: float) -> bool:
-        """Whether a guard stopped a value that ended at a limit of its search.
+    def is_stopped_by_guard(self, value: float) -> bool:
+        """Whether the search limit at which a value ended is a guard.
 
         Physical limits, the null value and the lower limit of a noise parameter are not guards.
         """
-        natural = [*self.physical, *(() if self.null is None else (self.null,))]
+        not_guards = [*self.physical, *(() if self.null is None else (self.null,))]
         if self.noise and self.positive:
-            natural.append(self.lower)
-        return all(abs(value - limit) > 1e-6 * (self.upper - self.lower) for limit in natural)
+            not_guards.append(self.lower)
+        return all(abs(value - limit) > AT_LIMIT * (self.upper - self.lower) for limit in not_guards)
 
     def slope(self, value: float) -> float:
         """dθ/dz at the value."""
         return value if self.positive else 1.0
 
-    def beyond_guards(self) -> tuple[float, float]:
-        """Limits of the coordinate with guards lifted by `LIFT`; physical limits stay."""
+    def lifted_limits(self) -> tuple[float, float]:
+        """Search limits of the coordinate, widened by `LIFT` but not beyond the physical limits."""
         low, high = self.to_coordinate(self.lower), self.to_coordinate(self.upper)
-        reach = math.log(LIFT) if self.positive else 0.5 * (LIFT - 1.0) * (high - low)
-        least, most = self.physical
+        widening = math.log(LIFT) if self.positive else 0.5 * (LIFT - 1.0) * (high - low)
+        lowest, highest = self.physical
         if self.positive:
-            least = math.log(least) if least > 0 else -math.inf
-            most = math.log(most)
-        return max(low - reach, least), min(high + reach, most)
+            lowest = math.log(lowest) if lowest > 0 else -math.inf
+            highest = math.log(highest)
+        return max(low - widening, lowest), min(high + widening, highest)
 
 
 class Coordinates:
@@ -166,8 +168,8 @@ class Coordinates:
         self.upper = np.array([p.to_coordinate(p.upper) for p in self.free])
 
     def start(self, values: Mapping[str, float] | None = None) -> np.ndarray:
-        """z (d,) of the given values, of the parameters' starts where none is given; moved into the
-        bounds."""
+        """Coordinates z (d,) of the given values, or of a parameter's start where none is given, clipped to
+        the bounds."""
         given = values or {}
         z = [p.to_coordinate(min(max(given.get(p.name, p.start), p.lower), p.upper)) for p in self.free]
         return np.clip(np.array(z, dtype=float), self.lower, self.upper)
@@ -181,15 +183,15 @@ class Coordinates:
         """dθ/dz (d,) of the free parameters."""
         return np.array([p.slope(p.from_coordinate(float(v))) for p, v in zip(self.free, z, strict=True)])
 
-    def place(self) -> np.ndarray:
+    def positions(self) -> np.ndarray:
         """Positions (d,) of the free parameters among all parameters."""
         index = {p.name: i for i, p in enumerate(self.parameters)}
         return np.array([index[name] for name in self.names], dtype=int)
 
     def directions(self, z: np.ndarray) -> np.ndarray:
-        """Derivatives (all parameters, d) of the parameter values by the coordinates z."""
+        """Derivatives (all parameters, d) of the parameter values with respect to the coordinates z."""
         result = np.zeros((len(self.parameters), len(z)))
-        result[self.place(), np.arange(len(z))] = self.slopes(z)
+        result[self.positions(), np.arange(len(z))] = self.slopes(z)
         return result
 
     def parameter(self, name: str) -> Parameter:
@@ -199,8 +201,8 @@ class Coordinates:
     def log_prior(self, z: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
         """Log prior density, its gradient (d,) and minus its second derivative (d,) in z.
 
-        The density is that of θ, without the Jacobian of z, so that the maximum is that of the penalised
-        likelihood.
+        The density is that of θ, without the Jacobian of z, so that the posterior mode maximises the
+        penalised likelihood.
         """
         total, gradient, curvature = 0.0, np.zeros(len(self.free)), np.zeros(len(self.free))
         for i, (p, v) in enumerate(zip(self.free, z, strict=True)):
@@ -208,13 +210,13 @@ class Coordinates:
                 value = p.from_coordinate(float(v))
                 slope = p.slope(value)
                 total += p.prior.log_density(value)
-                gradient[i] = p.prior.log_slope(value) * slope
+                gradient[i] = p.prior.log_density_derivative(value) * slope
                 curvature[i] = p.prior.information(value) * slope**2
         return total, gradient, curvature
 
 
 def unique(parameters: Iterable[Parameter]) -> tuple[Parameter, ...]:
-    """The parameters as a tuple; raises ValueError where two mechanisms use one name."""
+    """The parameters as a tuple; raises ValueError where two of them have the same name."""
     seen: dict[str, Parameter] = {}
     for p in parameters:
         if p.name in seen:
@@ -224,20 +226,22 @@ def unique(parameters: Iterable[Parameter]) -> tuple[Parameter, ...]:
 
 
 def expect_values(parameters: Iterable[Parameter], values: Mapping[str, float]) -> None:
-    """Check that every parameter has a value; raises ValueError that names those without."""
-    known = [p.name for p in parameters]
-    missing = ", ".join(name for name in known if name not in values)
+    """Check that every parameter has a value; raises ValueError that names the parameters without one."""
+    names = [p.name for p in parameters]
+    missing = ", ".join(name for name in names if name not in values)
     if missing:
         faults = [f"values: expected a value of every parameter, found none of {missing}"]
-        raise ValueError("; ".join(faults + unknown_names("values", values, known)))
+        raise ValueError("; ".join(faults + unknown_names("values", values, names)))
 
 
 def expect_starts(
     parameters: Sequence[Parameter], fixed: Mapping[str, float], starts: Mapping[str, Mapping[str, float]]
 ) -> None:
-    """Check start values, by the name of the argument that gave them: known names, numbers within the limits.
+    """Check that start values have known names and lie within the limits.
 
-    Raises ValueError that lists every fault.  Values of parameters that are `fixed` are not starts.
+    starts: name of the argument that gave the values → parameter → value.
+
+    Raises ValueError that lists every fault.  Values of `fixed` parameters are not checked.
     """
     free, faults = {p.name: p for p in parameters if p.name not in fixed}, []
     for argument, given in starts.items():
@@ -253,12 +257,12 @@ def expect_starts(
 
 
 def within_limits(parameters: Iterable[Parameter], values: Mapping[str, float]) -> dict[str, float]:
-    """Those values that belong to the parameters, moved into their limits: starts from a fit of another
+    """Select the values of these parameters and clip them to the limits: start values from a fit of another
     record, whose limits may differ."""
     return {p.name: min(max(values[p.name], p.lower), p.upper) for p in parameters if p.name in values}
 
 
 def _inside(p: Parameter, value: float) -> bool:
-    """Whether a value lies within a parameter's limits, but for the rounding of its coordinate."""
+    """Whether a value lies within a parameter's limits, apart from the rounding of its coordinate."""
     slack = 1e-12 * max(abs(p.lower), abs(p.upper))
     return p.lower - slack <= value <= p.upper + slack

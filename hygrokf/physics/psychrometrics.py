@@ -1,7 +1,7 @@
-"""Moist-air quantities: saturation over water and ice, humidity and back, slopes.
+"""Moist-air quantities: saturation over water and ice, conversions of humidity, derivatives.
 
 Every function is vectorised and analytic: it broadcasts its arguments, returns a float for
-floats and an array for arrays, and takes complex arguments (a complex step gives its slope).
+floats and an array for arrays, and takes complex arguments (a complex step gives its derivative).
 NaN in gives NaN out. A value outside the documented range gives NaN as well, never an error
 and never a warning, because a filter feeds these functions with readings that may be missing.
 Water vapour is an ideal gas. Relative humidity refers to water, also below 0 degC, as the
@@ -42,12 +42,12 @@ SATURATION_WATER = (-6096.9385, 16.635794 + _HECTOPASCAL, -2.711193e-2, 1.673952
 SATURATION_ICE = (-6024.5282, 24.7219 + _HECTOPASCAL, 1.0613868e-2, -1.3198825e-5, -0.49382577)
 """Sonntag (1990), saturation over ice: a, b, c, d, e of ln p = a/T + b + c T + d T^2 + e ln T."""
 
-# From a Magnus start the third Newton step reaches round-off anywhere in the range; a fixed
-# number of them, one to spare, keeps the inverse analytic (complex steps pass through).
+# Started at the Magnus formula, the third Newton step reaches round-off anywhere in the range; a
+# fixed number of steps, one more than needed, keeps the inverse analytic (complex steps pass through).
 _NEWTON_STEPS = 4
 
 Number = Any
-"""float, complex or array of them; what goes in comes out."""
+"""A float, a complex number or an array of either; results have the kind of the arguments."""
 
 
 def _as_number(value: Number) -> np.ndarray:
@@ -55,7 +55,7 @@ def _as_number(value: Number) -> np.ndarray:
     return array if np.iscomplexobj(array) else array.astype(float)
 
 
-def _only_within(inside: np.ndarray, value: np.ndarray) -> Number:
+def _nan_outside(inside: np.ndarray, value: np.ndarray) -> Number:
     """The value where `inside` holds and NaN elsewhere; a scalar stays a scalar."""
     return np.where(inside, value, np.nan)[()]
 
@@ -80,10 +80,10 @@ def _saturation(
 ) -> Number:
     kelvin = _as_number(temperature)
     with np.errstate(all="ignore"):
-        found = np.exp(_log_saturation(kelvin, coefficients))
+        pressure = np.exp(_log_saturation(kelvin, coefficients))
         if slope:
-            found = found * _log_saturation_slope(kelvin, coefficients)
-    return _only_within(_between(kelvin, *valid), found)
+            pressure = pressure * _log_saturation_slope(kelvin, coefficients)
+    return _nan_outside(_between(kelvin, *valid), pressure)
 
 
 def saturation_pressure_water(temperature: Number) -> Number:
@@ -148,14 +148,14 @@ def _inverse(
     # Round-off must not push the saturation pressure of a bound itself outside.
     inside = _between(pressure, lowest * (1.0 - 1e-12), highest * (1.0 + 1e-12))
     with np.errstate(all="ignore"):
-        wanted = np.log(np.where(inside, pressure, 0.5 * (lowest + highest)))
+        log_pressure = np.log(np.where(inside, pressure, 0.5 * (lowest + highest)))
         steepness, offset = magnus
-        ratio = wanted - math.log(611.2)
+        ratio = log_pressure - math.log(611.2)
         temperature = ZERO_CELSIUS_K + offset * ratio / (steepness - ratio)
         for _ in range(_NEWTON_STEPS):
-            excess = _log_saturation(temperature, coefficients) - wanted
+            excess = _log_saturation(temperature, coefficients) - log_pressure
             temperature = temperature - excess / _log_saturation_slope(temperature, coefficients)
-    return _only_within(inside, temperature)
+    return _nan_outside(inside, temperature)
 
 
 def dew_point(vapour_pressure: Number) -> Number:
@@ -194,7 +194,7 @@ def vapour_pressure_from_absolute_humidity(absolute_humidity: Number, temperatur
     """
     kelvin = _as_number(temperature)
     pressure = _as_number(absolute_humidity) * GAS_CONSTANT_VAPOUR * kelvin
-    return _only_within(kelvin.real > 0.0, pressure)
+    return _nan_outside(kelvin.real > 0.0, pressure)
 
 
 def absolute_humidity_from_vapour_pressure(vapour_pressure: Number, temperature: Number) -> Number:
@@ -205,7 +205,7 @@ def absolute_humidity_from_vapour_pressure(vapour_pressure: Number, temperature:
     kelvin = _as_number(temperature)
     with np.errstate(all="ignore"):
         concentration = _as_number(vapour_pressure) / (GAS_CONSTANT_VAPOUR * kelvin)
-    return _only_within(kelvin.real > 0.0, concentration)
+    return _nan_outside(kelvin.real > 0.0, concentration)
 
 
 def absolute_humidity(relative_humidity: Number, temperature: Number) -> Number:
@@ -258,7 +258,7 @@ def vapour_pressure_from_humidity_ratio(humidity_ratio: Number, pressure: Number
     ratio = _as_number(humidity_ratio)
     with np.errstate(all="ignore"):
         vapour = ratio * _as_number(pressure) / (MASS_RATIO + ratio)
-    return _only_within(ratio.real >= 0.0, vapour)
+    return _nan_outside(ratio.real >= 0.0, vapour)
 
 
 def vapour_pressure_from_specific_humidity(specific_humidity: Number, pressure: Number) -> Number:
@@ -269,7 +269,7 @@ def vapour_pressure_from_specific_humidity(specific_humidity: Number, pressure: 
     fraction = _as_number(specific_humidity)
     with np.errstate(all="ignore"):
         vapour = fraction * _as_number(pressure) / (MASS_RATIO + (1.0 - MASS_RATIO) * fraction)
-    return _only_within(_between(fraction, 0.0, 1.0), vapour)
+    return _nan_outside(_between(fraction, 0.0, 1.0), vapour)
 
 
 # -- the coldest surface in a cabinet, on which vapour condenses first ---------------------------------------
@@ -293,7 +293,7 @@ def condenses(vapour_pressure: np.ndarray, surface_K: np.ndarray) -> np.ndarray:
     """Whether air with a vapour pressure [Pa] condenses on a surface [K], as frost below 0 °C; any shape.
 
     Condensation occurs where the vapour pressure exceeds the saturation pressure at the surface temperature,
-    taken over ice below freezing.  This is the same as a surface colder than the dew point or frost point.
+    taken over ice below freezing.  Equivalently, the surface is colder than the dew point or frost point.
     """
     cold = np.minimum(surface_K, ZERO_CELSIUS_K)
     saturated = np.where(

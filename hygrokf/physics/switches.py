@@ -21,8 +21,8 @@ def position(value: Value, first: Value, second: Value) -> Value:
 
 @dataclass(frozen=True)
 class Throttle:
-    """A proportional controller that follows a reading of the cabinet, `reads` [K] or [1]: 0 at `start`, 1
-    from `full` on; with `idle` at standstill only."""
+    """A proportional controller of a cabinet reading `reads` [K] or [1]: its position is 0 at `start` and 1
+    from `full` on.  With `idle` it acts at standstill only."""
 
     reads: str
     start: float
@@ -36,8 +36,8 @@ class Throttle:
     def course(self, value: np.ndarray, idle: np.ndarray) -> np.ndarray:
         """Position (T,) for a series of readings (T,); a missing reading keeps the position.  `idle` (T,) is
         True at standstill."""
-        known = np.maximum.accumulate(np.where(np.isfinite(value), np.arange(len(value)), 0))
-        return np.nan_to_num(self.at(value[known], idle))
+        last_valid = np.maximum.accumulate(np.where(np.isfinite(value), np.arange(len(value)), 0))
+        return np.nan_to_num(self.at(value[last_valid], idle))
 
     def at(self, value: np.ndarray | float, idle: np.ndarray | bool) -> np.ndarray | float:
         """Position at one reading, of one controller or of N such controllers (N,)."""

@@ -68,5 +68,5 @@ def first_of(case: object) -> Gaussian:
         "vapour": lambda: (u["ambient_absolute_humidity"], (0.3 * u["ambient_absolute_humidity"]) ** 2),
         "vapour_disturbance": lambda: (0.0, p["vapour_disturbance_sd"] ** 2),
     }
-    mean, variance = np.array([moments[name]() for name in case.model.own_states]).T
+    mean, variance = np.array([moments[name]() for name in case.model.mechanism_states]).T
     return Gaussian(mean, np.diag(variance))

@@ -152,13 +152,13 @@ def test_text_is_written_once_for_each_source_and_each_version_of_what_writes_it
         assert run(2.0, "two") == 2.0 and run(3.0, "three") == 3.0 and run(2.0, "two") == 2.0
         monkeypatch.setattr(jit, "_engines", {})
     assert written == [2.0, 3.0]
-    note = jit._place(f"{jit._writers()}\ntwo", "key")[1]
+    note = jit._cache_entry(f"{jit._writers_digest()}\ntwo", "key")[1]
     note.write_bytes(note.read_bytes()[:-1])  # not whole
     assert run(2.0, "two") == 2.0 and written == [2.0, 3.0, 2.0]
-    jit._place(doubling(2.0), "o")[1].unlink()  # the note alone remains
+    jit._cache_entry(doubling(2.0), "o")[1].unlink()  # the note alone remains
     monkeypatch.setattr(jit, "_engines", {})
     assert run(2.0, "two") == 2.0 and written[3:] == [2.0]
-    monkeypatch.setattr(jit, "_writers", lambda: "a later version, which writes other text for this source")
+    monkeypatch.setattr(jit, "_writers_digest", lambda: "a later version that writes other text")
     assert run(5.0, "two") == 5.0 and written[4:] == [5.0]
 
 

@@ -68,14 +68,14 @@ def test_the_likelihood_does_not_depend_on_the_order(joint: object) -> None:
 
 @pytest.mark.parametrize("bound", [0.0, -4.0, 2.5, float("nan")])
 def test_a_bound_that_the_likelihood_cannot_represent_is_refused(bound: float) -> None:
-    with pytest.raises(ValueError, match="bound: expected a number above 0 whose square is whole"):
+    with pytest.raises(ValueError, match="bound: expected a number above 0 whose square is an integer"):
         Model((), bound=bound)
     assert Model((), bound=4.0).bound == 4.0
 
 
 def test_interval_means_are_states_that_begin_at_zero() -> None:
     model = compose([store(), SHIFT, READ], {"outside": "linear"}, {"y": 0.5})
-    assert model.states == ("heat", "mean_y") and model.own_states == ("heat",)
+    assert model.states == ("heat", "mean_y") and model.mechanism_states == ("heat",)
     found = model.evaluate([1.0, 0.7], {"outside": 4.0}, {"store_rate": 0.5})
     assert found.rates == [pytest.approx(1.5), pytest.approx((1.0 + 2.0) / 0.5)]
     assert found.outputs["y"] == (0.7, 0.1)  # the reading is the mean; its noise is the sensor's

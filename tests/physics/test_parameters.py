@@ -56,7 +56,7 @@ def test_a_start_is_moved_into_the_bounds() -> None:
 def test_fixed_parameters_leave_the_coordinates_but_not_the_values() -> None:
     coordinates = Coordinates(ALL, {"slope": 0.7})
     assert coordinates.names == ("time", "noise", "bias")
-    np.testing.assert_array_equal(coordinates.place(), [0, 2, 3])
+    np.testing.assert_array_equal(coordinates.positions(), [0, 2, 3])
     values = coordinates.values(coordinates.start())
     assert list(values) == ["time", "slope", "noise", "bias"] and values["slope"] == 0.7
     slopes = coordinates.slopes(coordinates.start())
@@ -133,22 +133,22 @@ def test_impossible_parameters_are_refused(change: dict, message: str) -> None:
 def test_guards_are_lifted_and_physics_is_not() -> None:
     """Positive ones by a factor of 20; others to 20 half widths from the middle; never past what is
     physical."""
-    assert TIME.beyond_guards() == pytest.approx((math.log(1e-3), math.log(4000.0)))
-    assert SLOPE.beyond_guards() == pytest.approx((-40.0, 40.0))
+    assert TIME.lifted_limits() == pytest.approx((math.log(1e-3), math.log(4000.0)))
+    assert SLOPE.lifted_limits() == pytest.approx((-40.0, 40.0))
     ratio = Parameter("ratio", "1", 0.9, 0.2, 1.0, physical=(0.0, 1.0))
-    assert ratio.beyond_guards() == (0.0, 1.0)
+    assert ratio.lifted_limits() == (0.0, 1.0)
     share = Parameter("share", "1", 0.5, 0.01, 1.0, positive=True, physical=(0.0, 1.0))
-    assert share.beyond_guards() == pytest.approx((math.log(5e-4), 0.0))
+    assert share.lifted_limits() == pytest.approx((math.log(5e-4), 0.0))
 
 
 def test_a_value_at_a_guard_is_told_from_one_at_a_limit_that_means_something() -> None:
     """No less of a noise, no effect at all, and what is physical: none of these was stopped by a guard."""
     ratio = Parameter("ratio", "1", 0.9, 0.2, 1.0, physical=(0.0, 1.0))
-    assert not ratio.guarded(1.0) and ratio.guarded(0.2)
+    assert not ratio.is_stopped_by_guard(1.0) and ratio.is_stopped_by_guard(0.2)
     noise = Parameter("noise", "K", 0.1, 0.002, 5.0, positive=True, noise=True)
-    assert not noise.guarded(0.002) and noise.guarded(5.0)
+    assert not noise.is_stopped_by_guard(0.002) and noise.is_stopped_by_guard(5.0)
     step = Parameter("step", "K", 0.0, 0.0, 30.0, null=0.0)
-    assert not step.guarded(0.0) and step.guarded(30.0)
+    assert not step.is_stopped_by_guard(0.0) and step.is_stopped_by_guard(30.0)
 
 
 def test_one_name_stands_for_one_thing() -> None:

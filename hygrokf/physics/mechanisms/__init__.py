@@ -1,4 +1,4 @@
-"""The library of mechanisms: every module of this folder lists its own factories, by group."""
+"""The library of mechanisms: every module of this folder lists its factories by group."""
 
 from __future__ import annotations
 
@@ -29,25 +29,25 @@ MECHANISMS: Mapping[str, Factory] = MappingProxyType(
 """Factories by mechanism name; `MECHANISMS[m.name](**m.settings)` creates the mechanism m again."""
 
 
-def _reduced(mechanism: Mechanism) -> str | tuple[Any, ...]:
-    """How to pickle a mechanism: one of the package by its factory, because the functions within a factory
-    cannot be pickled; any other by its fields, also where somebody has replaced one of them."""
+def _reduce(mechanism: Mechanism) -> str | tuple[Any, ...]:
+    """Reduce a mechanism for pickling: one of the package to its factory and settings, because the functions
+    within a factory cannot be pickled; any other, or one with a replaced field, to its fields."""
     factory = MECHANISMS.get(mechanism.name)
-    if factory is None or _compared(factory(**mechanism.settings)) != _compared(mechanism):
+    if factory is None or _comparable_fields(factory(**mechanism.settings)) != _comparable_fields(mechanism):
         return object.__reduce_ex__(mechanism, 4)
-    return _made_again, (factory, dict(mechanism.settings), mechanism.parameters)
+    return _rebuild, (factory, dict(mechanism.settings), mechanism.parameters)
 
 
-def _compared(mechanism: Mechanism) -> dict[str, object]:
-    """Its fields except the parameters, each function by its code."""
-    found = {one.name: getattr(mechanism, one.name) for one in fields(mechanism)}
-    del found["parameters"]
-    found |= found.pop("outputs")
-    return {name: getattr(value, "__code__", value) for name, value in found.items()}
+def _comparable_fields(mechanism: Mechanism) -> dict[str, object]:
+    """A mechanism's fields except the parameters, with each function replaced by its code."""
+    values = {entry.name: getattr(mechanism, entry.name) for entry in fields(mechanism)}
+    del values["parameters"]
+    values |= values.pop("outputs")
+    return {name: getattr(value, "__code__", value) for name, value in values.items()}
 
 
-def _made_again(factory: Factory, settings: Mapping[str, Any], parameters: Sequence[Parameter]) -> Mechanism:
+def _rebuild(factory: Factory, settings: Mapping[str, Any], parameters: Sequence[Parameter]) -> Mechanism:
     return replace(factory(**settings), parameters=tuple(parameters))
 
 
-copyreg.pickle(Mechanism, _reduced)
+copyreg.pickle(Mechanism, _reduce)

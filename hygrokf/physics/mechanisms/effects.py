@@ -22,11 +22,11 @@ Factor = str | Callable[[Space, Space, Space], Value]
 Result = TypeVar("Result")
 
 
-def named(name: str, text: str, made: Factory, module: str = "") -> Factory:
-    """A factory that a pattern made, as the function `name` of a module with this docstring."""
-    made.__name__ = made.__qualname__ = name
-    made.__doc__, made.__module__ = text, module or made.__module__
-    return made
+def named(name: str, docstring: str, factory: Factory, module: str = "") -> Factory:
+    """Give a factory the name, the module and the docstring of a library function."""
+    factory.__name__ = factory.__qualname__ = name
+    factory.__doc__, factory.__module__ = docstring, module or factory.__module__
+    return factory
 
 
 def effect(
@@ -36,11 +36,11 @@ def effect(
     *factors: Factor,
     negative: bool = False,
     inputs: tuple[str, ...] | None = None,
-    **described: Any,
+    **mechanism_fields: Any,
 ) -> Mechanism:
     """One amplitude a, with the null value 0, that scales inputs: target += ± a · factor · factor …
 
-    `inputs` are those that the factors read; by default the factors that are names.  `described` are further
+    `inputs` are read by the factors; by default the factors that are names.  `mechanism_fields` are further
     fields of the mechanism, such as its meaning and source.
     """
 
@@ -57,7 +57,7 @@ def effect(
         parameters=(amplitude,),
         inputs=signals if inputs is None else inputs,
         contributions=contributions,
-        **described,
+        **mechanism_fields,
     )
 
 
@@ -70,13 +70,13 @@ def lagged_share(
     time: Parameter,
     variance: float,
     amount: bool = False,
-    **described: Any,
+    **mechanism_fields: Any,
 ) -> Mechanism:
     """A share w of a signal follows it with a first-order lag θ: target += w (L − signal), dL/dt = (signal −
     L)/θ.
 
-    `variance` is that of the state L at the first instant; `amount`: L cannot be negative; `described`: as in
-    `effect`.
+    `variance` is that of the state L at the first instant; `amount`: L cannot be negative;
+    `mechanism_fields`: as in `effect`.
     """
     return Mechanism(
         name=name,
@@ -90,26 +90,28 @@ def lagged_share(
         drift=lambda p, x, u, q, s: {state: (getattr(u, signal) - getattr(x, state)) / getattr(p, time.name)},
         initial=lambda p, u: {state: (getattr(u, signal), variance)},
         source="first-order mixing of the air in the tower",
-        **described,
+        **mechanism_fields,
     )
 
 
-def white_noise(name: str, module: str, state: str, intensity: Parameter, what: str) -> Factory:
+def white_noise(name: str, module: str, state: str, intensity: Parameter, quantity: str) -> Factory:
     """White noise on a state of another mechanism; `intensity` [unit of the state/√h]."""
 
     def diffusion(p: Space) -> Values:
-        value = getattr(p, intensity.name)
-        return {state: value * value}
+        root = getattr(p, intensity.name)
+        return {state: root * root}
 
-    def made() -> Mechanism:
+    def factory() -> Mechanism:
         return Mechanism(
             name=name,
             parameters=(intensity,),
             diffusion=diffusion,
-            meaning=f"white disturbance of the {what}",
+            meaning=f"white disturbance of the {quantity}",
         )
 
-    return named(name, f"White noise of the {what}, on the state `{state}` [{intensity.unit}].", made, module)
+    return named(
+        name, f"White noise of the {quantity}, on the state `{state}` [{intensity.unit}].", factory, module
+    )
 
 
 def ornstein_uhlenbeck(
@@ -126,14 +128,15 @@ def ornstein_uhlenbeck(
     """A coloured disturbance w of a named sum: dw = −w/θ dt + sd √(2/θ) dW.
 
     `sd`: start, lower and upper limit of the standard deviation [unit]; `start_h`: start of the correlation
-    time θ [h], moved within its limits; `reason`: why a model has it.
+    time θ [h], clipped to its limits; `leaves`: what the residuals show without the disturbance; `reason`:
+    why a model has it.
     """
 
     def variance(p: Space) -> Value:
-        value = getattr(p, f"{name}_sd")
-        return value * value
+        sd_value = getattr(p, f"{name}_sd")
+        return sd_value * sd_value
 
-    def made(longest_h: float = 100.0, shortest_h: float = 0.25, start_h: float = start_h) -> Mechanism:
+    def factory(longest_h: float = 100.0, shortest_h: float = 0.25, start_h: float = start_h) -> Mechanism:
         return Mechanism(
             name=name,
             parameters=(
@@ -156,12 +159,12 @@ def ornstein_uhlenbeck(
             leaves=leaves,
         )  # fmt: skip
 
-    text = f"""A {meaning}: an Ornstein–Uhlenbeck process w [{unit}].
+    docstring = f"""A {meaning}: an Ornstein–Uhlenbeck process w [{unit}].
 
     {reason}  `shortest_h` and `longest_h` limit its correlation time [h] to the range that the readings can
     resolve.
     """
-    return named(name, text, made, module)
+    return named(name, docstring, factory, module)
 
 
 def linear_network(
@@ -183,14 +186,13 @@ def linear_network(
     outputs: name → (p, x, u) → (prediction, variance of the reading's noise).
     intensities: p, or (p, u), → {state: intensity of its white noise [unit²/h]}.  In place of an intensity,
         {noise: loading [unit/√h]} gives a row of L: independent white noises by name, which states share.
-    initial: (p, u) → {state: (mean, variance)} at the first instant; in place of a variance {source:
-    loading},
-        likewise.
-    noise_exponents: [1] state → γ from 0 to 1 where its noise is x^γ times that of `intensities`: 1 in a
+    initial: (p, u) → {state: (mean, variance)} at the first instant; in place of a variance, {source:
+        loading} as for `intensities`.
+    noise_exponents: [1] state → γ from 0 to 1 where the noise of `intensities` is multiplied by x^γ: 1 in a
         geometric Brownian motion, ½ in a Cox–Ingersoll–Ross process (`Model` says how the filter carries it).
 
     Returns the mechanism for `compose`.  For functions that are linear in x and u the filter is exact.
-    Raises ValueError at first use of the model where a function names what the model does not have.
+    Raises ValueError at first use of the model where a function reads a name that the model does not have.
     """
 
     return Mechanism(
@@ -210,4 +212,5 @@ def linear_network(
 def _of_states_and_inputs(
     function: Callable[[Space, Space, Space], Result], p: Space, x: Space, u: Space, q: Space, s: Space
 ) -> Result:
+    """Call a function of (p, x, u) with the arguments of a mechanism's function."""
     return function(p, x, u)

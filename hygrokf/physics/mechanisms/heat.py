@@ -53,19 +53,19 @@ def solar_gain(lagged: bool = False, flag: str = "sunshine") -> Mechanism:
     )
 
 
-def _driven_heat(name: str, parameter: str, flag: str, text: str, leaves: str, remark: str = "") -> Factory:
+def _driven_heat(name: str, parameter: str, flag: str, when: str, leaves: str, remark: str = "") -> Factory:
     """Heat release proportional to an input: f += a · flag, a ≥ 0 [K]."""
 
-    def made(flag: str = flag) -> Mechanism:
-        return _scaled_heat(name, parameter, flag, 1.0, text, leaves, {"flag": flag})
+    def factory(flag: str = flag) -> Mechanism:
+        return _scaled_heat(name, parameter, flag, 1.0, when, leaves, {"flag": flag})
 
-    return named(name, f"Heat release {text}{remark}: f += a · `{flag}`, a ≥ 0 [K].", made)
+    return named(name, f"Heat release {when}{remark}: f += a · `{flag}`, a ≥ 0 [K].", factory)
 
 
 def _scaled_heat(
-    name: str, parameter: str, signal: str, full: float, text: str, leaves: str, settings: Mapping[str, Any]
+    name: str, parameter: str, signal: str, full: float, when: str, leaves: str, settings: Mapping[str, Any]
 ) -> Mechanism:
-    scale, meaning = Given(1.0 / full), f"heat release {text}"
+    scale, meaning = Given(1.0 / full), f"heat release {when}"
     return effect(
         name, "heat_release",
         Parameter(parameter, "K", 0.0, 0.0, 80.0, null=0.0, physical=NONNEGATIVE, meaning=meaning),
@@ -80,14 +80,14 @@ def logged_heater(signal: str = "heater_duty", full: float = 1.0) -> Mechanism:
     `signal` is "heater_duty" [1] or "heater_power" [W]; at the value `full`, in the signal's unit, the
     release is a.
     """
-    at = "at full duty" if signal == "heater_duty" else f"at {full:.4g} W"
+    when = "at full duty" if signal == "heater_duty" else f"at {full:.4g} W"
     return _scaled_heat(
-        "logged_heater", "logged_heater_heat", signal, full, f"of the logged heater {at}",
+        "logged_heater", "logged_heater_heat", signal, full, f"of the logged heater {when}",
         "a cabinet that is too warm while the heater runs", {"signal": signal, "full": full},
     )  # fmt: skip
 
 
-ITS_HEAT = ", its electric power and the heat of condensation"
+POWER_AND_CONDENSATION = ", its electric power and the heat of condensation"
 unreported_heater = _driven_heat(
     "unreported_heater", "heater_heat", "throttled_heating", "while the unreported heater runs",
     "a cabinet that is too warm in the simulation when it is cold or damp",
@@ -100,11 +100,11 @@ scheduled_heat = _driven_heat(
 dehumidifier_heat = _driven_heat(
     "dehumidifier_heat", "dehumidifier_heat", "dehumidifier_duty",
     "of the logged dehumidifier at full duty",
-    "a cabinet that is too warm while the dehumidifier runs", ITS_HEAT,
+    "a cabinet that is too warm while the dehumidifier runs", POWER_AND_CONDENSATION,
 )  # fmt: skip
 drying_heat = _driven_heat(
     "drying_heat", "drying_heat", "throttled_drying", "while the unreported drier runs",
-    "a cabinet that is too warm in the simulation when it is damp", ITS_HEAT,
+    "a cabinet that is too warm in the simulation when it is damp", POWER_AND_CONDENSATION,
 )  # fmt: skip
 
 
@@ -123,7 +123,7 @@ def release_drift(order: int = 0, operation: bool = False, flag: str = "elapsed"
     """
     powers = [f"power_{k}" for k in range(1, order + 1)] if operation else []
 
-    def own(p: Space, u: Space) -> Value:
+    def base_release(p: Space, u: Space) -> Value:
         if not operation:
             return p.heat_release_standstill
         total = p.heat_release_operation * u.operating
@@ -136,63 +136,67 @@ def release_drift(order: int = 0, operation: bool = False, flag: str = "elapsed"
         parameters=(
             Parameter(
                 "heat_drift", "1", 0.0, -0.95, 10.0, null=0.0, physical=ABOVE_MINUS_ONE,
-                meaning="relative change of the heat release in the end",
+                meaning="relative change of the heat release at the end of the record",
             ),
         ),
         inputs=(flag, *(("operating", *powers) if operation else ())),
-        contributions=lambda p, x, u, q: {"heat_release": p.heat_drift * getattr(u, flag) * own(p, u)},
+        contributions=lambda p, x, u, q: {
+            "heat_release": p.heat_drift * getattr(u, flag) * base_release(p, u)
+        },
         features={"since": (since, LINEAR)},
         settings={"order": order, "operation": operation, "flag": flag},
-        meaning="heat release that drifts with the calendar",
-        leaves="a temperature error that grows with the calendar, in operation",
+        meaning="heat release that drifts with time",
+        leaves="a temperature error that grows with time, in operation",
         source="balance of heat",
     )  # fmt: skip
 
 
-def _conductance(parameter: str, text: str, lower: float = 0.0) -> Parameter:
-    """A conductance between cabinet air and ambient in parallel to 1/R_AT, in units of it."""
+def _conductance(parameter: str, when: str, lower: float = 0.0) -> Parameter:
+    """A conductance between cabinet air and ambient in parallel to 1/R_AT, in units of 1/R_AT."""
     physical = NONNEGATIVE if lower == 0 else ABOVE_MINUS_ONE
-    meaning = f"conductance to the ambient beside 1/R_AT, {text}"
+    meaning = f"conductance to the ambient beside 1/R_AT, {when}"
     return Parameter(parameter, "1", 0.0, lower, 50.0, null=0.0, physical=physical, meaning=meaning)
 
 
 PARALLEL = "conductance parallel to R_AT"
 
 
-def _loss(name: str, parameter: str, flag: str, text: str, leaves: str, lower: float = 0.0) -> Factory:
-    """Conductance between cabinet air and ambient in parallel to 1/R_AT and in units of it: g · flag."""
+def _loss(name: str, parameter: str, flag: str, when: str, leaves: str, lower: float = 0.0) -> Factory:
+    """Conductance between cabinet air and ambient in parallel to 1/R_AT and in units of 1/R_AT: g · flag."""
 
-    def made(flag: str = flag) -> Mechanism:
+    def factory(flag: str = flag) -> Mechanism:
         return Mechanism(
             name=name,
-            parameters=(_conductance(parameter, text, lower),),
+            parameters=(_conductance(parameter, when, lower),),
             inputs=(flag,),
             conductance=lambda p, u: getattr(p, parameter) * getattr(u, flag),
             settings={"flag": flag},
-            meaning=f"heat lost to the ambient, {text}",
+            meaning=f"heat lost to the ambient, {when}",
             leaves=leaves,
             source=PARALLEL,
         )
 
-    return named(name, f"Heat lost to the ambient, {text}: a conductance g · `{flag}` beside 1/R_AT.", made)
+    return named(
+        name, f"Heat lost to the ambient, {when}: a conductance g · `{flag}` beside 1/R_AT.", factory
+    )
 
 
-def _converter_loss(name: str, parameter: str, flag: str, text: str, leaves: str, reason: str) -> Factory:
+def _converter_loss(name: str, parameter: str, flag: str, when: str, leaves: str, reason: str) -> Factory:
     """Heat removed from the converter itself: f −= g · flag · (T_a − T_amb)."""
 
-    def made(flag: str = flag) -> Mechanism:
+    def factory(flag: str = flag) -> Mechanism:
         return effect(
-            name, "heat_release", _conductance(parameter, text),
+            name, "heat_release", _conductance(parameter, when),
             flag, lambda x, u, q: q.cabinet_air_temperature - u.ambient_temperature,
             negative=True, inputs=("ambient_temperature", flag), settings={"flag": flag},
-            meaning=f"heat lost to the ambient, {text}", leaves=leaves, source=PARALLEL,
+            meaning=f"heat lost to the ambient, {when}", leaves=leaves, source=PARALLEL,
         )  # fmt: skip
 
-    docstring = f"""Heat lost by the converter to the ambient, {text}: f −= g · `{flag}` · (T_a − T_amb).
+    docstring = f"""Heat lost by the converter to the ambient, {when}: f −= g · `{flag}` · (T_a − T_amb).
 
     The converter's excess over the ambient temperature is that of the air divided by ρ.  {reason}
     """
-    return named(name, docstring, made)
+    return named(name, docstring, factory)
 
 
 wind_loss = _loss(
@@ -209,7 +213,7 @@ fan_loss = _loss(
 )  # fmt: skip
 open_loss = _loss(
     "open_loss", "door_conductance", "door_open", "while the door is open",
-    "stretches of hours in which the temperature falls toward the ambient's",
+    "stretches of hours in which the temperature falls toward the ambient temperature",
 )  # fmt: skip
 vent_loss = _loss(
     "vent_loss", "vent_conductance", "venting", "while the vent is open",
@@ -223,8 +227,8 @@ pump_loss = _converter_loss(
 throttled_cooling_loss = _converter_loss(
     "throttled_cooling_loss", "throttled_conductance", "venting", "at full cooling",
     "a cabinet that is too warm in the simulation above a threshold",
-    "Taken from the air, it would make the temperature jump at times that readings do not tell exactly, "
-    "which costs more likelihood than missing jumps.",
+    "Heat taken from the air would make the temperature jump at times that the readings do not determine, "
+    "which lowers the likelihood more than missing jumps do.",
 )  # fmt: skip
 
 
@@ -252,7 +256,8 @@ def lagged_ambient() -> Mechanism:
         "lagged_ambient", "heat_release", "ambient_temperature", "ambient_lag",
         Parameter("ambient_lag_share", "1", 0.0, -0.2, 1.2, null=0.0,
                   meaning="share of the air around the cabinet that lags the ambient series"),
-        Parameter("ambient_lag_time", "h", 3.0, 0.25, 24.0, positive=True, meaning="its lag"),
+        Parameter("ambient_lag_time", "h", 3.0, 0.25, 24.0, positive=True,
+                  meaning="time constant of the lag"),
         4.0,
         meaning="air around the cabinet that lags the ambient series",
         leaves="a temperature error that follows the rate of the ambient temperature",

@@ -11,6 +11,7 @@ from hygrokf.physics.psychrometrics import GAS_CONSTANT_VAPOUR, SATURATION_WATER
 REFERENCE_TEMPERATURE = 273.0
 """[K] reference temperature of the diffusion coefficient in equation (4) of the paper."""
 DIFFUSION_EXPONENT = 0.8
+"""[1] exponent of the ambient temperature in equation (4)."""
 
 
 def exchange_factor(ambient_temperature: Value) -> Value:
@@ -38,7 +39,7 @@ def saturated_vapour(surface: Value, temperature: Value) -> Value:
 def vapour_pressure(vapour: Value, temperature: Value) -> Value:
     """Vapour pressure c R_v T [Pa] of a concentration [g/m³] at a temperature [K].
 
-    That of the cabinet air is c* R_v T_amb, by equation (5).
+    The vapour pressure of the cabinet air is c* R_v T_amb, by equation (5).
     """
     return vapour * temperature * (1e-3 * GAS_CONSTANT_VAPOUR)
 
@@ -97,13 +98,13 @@ vapour_disturbance = ornstein_uhlenbeck(
     "vapour_disturbance", __name__, "ambient_vapour", "g/m3", (0.3, 1e-4, 20.0), 6.0,
     "coloured disturbance of the vapour flow, as an error of the ambient air",
     "slowly wandering humidity residuals; a hygric time constant that is too long",
-    "It represents what the exchange with the ambient series leaves out.",
+    "It represents vapour flows beyond the exchange with the ambient series.",
 )  # fmt: skip
 second_vapour_disturbance = ornstein_uhlenbeck(
     "second_vapour_disturbance", __name__, "ambient_vapour", "g/m3", (0.1, 1e-4, 20.0), 1.0,
     "second coloured disturbance of the vapour flow, as an error of the ambient air",
-    "innovations that are not white although one coloured disturbance is there",
-    "It has another time scale, for records where one is not enough.",
+    "innovations that are not white although the model has one coloured disturbance",
+    "It has another time scale, for records where one disturbance is not enough.",
 )  # fmt: skip
 hygric_diffusion = white_noise(
     "hygric_diffusion", __name__, "vapour",

@@ -41,7 +41,8 @@ PLATE = 4.85
 """[g/m³] vapour concentration over water at the freezing point: the limit of a cold-plate drier."""
 BULK = {"sorbed_water": (1.0, 1.0)}
 SLAB = {"sorbed_water": (0.892, 1.2), "sorbed_skin": (0.108, 62.7)}
-"""Stores of water: state -> (share of the content, rate relative to 1/time constant).
+"""Stores of water: state -> (share of the content, rate relative to 1/time constant), for thin material and
+for a slab.
 
 The two stores of a slab reproduce tanh(√s)/√s, the uptake by Fick's law, within 13 % (root mean square) from
 0.3 to 100 times the slab's own frequency.
@@ -73,9 +74,9 @@ def moisture_sorption(activated: bool = True, slab: bool = False) -> Mechanism:
     skin that responds first and a slow remainder; θ = 4 L²/(π² D) is the time constant of its slowest mode.
     A record of some weeks determines W/√θ better than W or θ alone.
     """
-    places = SLAB if slab else BULK
+    stores = SLAB if slab else BULK
 
-    def share(h: Value) -> Value:
+    def isotherm(h: Value) -> Value:
         """The isotherm [1], scaled to a slope of 1 at 50 %."""
         return _gab(h) / GAB_SLOPE
 
@@ -84,15 +85,16 @@ def moisture_sorption(activated: bool = True, slab: bool = False) -> Mechanism:
         time = p.sorption_time
         if activated:
             time = time * exp(ACTIVATION_K * (1.0 / air - 1.0 / REFERENCE_K))
-        content = p.sorption_capacity * share(cabinet_humidity(x, u, q))
-        return {n: (part * content - getattr(x, n)) * (pace / time) for n, (part, pace) in places.items()}
+        content = p.sorption_capacity * isotherm(cabinet_humidity(x, u, q))
+        return {n: (share * content - getattr(x, n)) * (pace / time) for n, (share, pace) in stores.items()}
 
     def initial(p: Space, u: Space) -> dict[str, Pair]:
         kelvin = u.ambient_temperature
         pressure = vapour_pressure(u.ambient_absolute_humidity, kelvin)
-        content = p.sorption_capacity * share(pressure / saturation_pressure(kelvin + 6.0))
+        content = p.sorption_capacity * isotherm(pressure / saturation_pressure(kelvin + 6.0))
         return {
-            n: (part * content, 0.1 * (part * content) * (part * content)) for n, (part, _) in places.items()
+            n: (share * content, 0.1 * (share * content) * (share * content))
+            for n, (share, _) in stores.items()
         }
 
     return Mechanism(
@@ -105,11 +107,11 @@ def moisture_sorption(activated: bool = True, slab: bool = False) -> Mechanism:
             ),
             Parameter(
                 "sorption_time", "h", *((40.0, 4.0, 4000.0) if slab else (10.0, 1.0, 400.0)), positive=True,
-                meaning="time constant of its uptake at 20 °C",
+                meaning="time constant of the water uptake at 20 °C",
             ),
         ),
-        states=tuple(places),
-        amounts=tuple(places),
+        states=tuple(stores),
+        amounts=tuple(stores),
         inputs=("ambient_temperature", "ambient_absolute_humidity"),
         contributions=lambda p, x, u, q: {"vapour_release": -sum(rates(p, x, u, q).values())},
         drift=lambda p, x, u, q, s: rates(p, x, u, q),
@@ -148,15 +150,15 @@ def condensation(sky: bool = False) -> Mechanism:
 
     def rate(p: Space, x: Space, u: Space, q: Space) -> Value:
         excess = x.vapour - saturated_vapour(x.surface_temperature, u.ambient_temperature)
-        onto, dry = 0.5 * twice_positive(excess, EDGE), 0.5 * twice_positive(-excess, EDGE)
+        condensing, drying = 0.5 * twice_positive(excess, EDGE), 0.5 * twice_positive(-excess, EDGE)
         # the filter may estimate a slightly negative film; this term then pulls it back to zero
-        wet = x.film / (1.0 + sqrt(x.film * x.film + DROP * DROP))
-        return p.condensation_rate * (onto - dry * wet)
+        wet_share = x.film / (1.0 + sqrt(x.film * x.film + DROP * DROP))
+        return p.condensation_rate * (condensing - drying * wet_share)
 
     def surface(p: Space, x: Space, u: Space, q: Space) -> Value:
-        toward = u.ambient_temperature + p.surface_share * (q.cabinet_air_temperature - u.ambient_temperature)
-        below = p.surface_undercooling * (u.night_sky if sky else 1.0)
-        return (toward - below - x.surface_temperature) / p.surface_time
+        target = u.ambient_temperature + p.surface_share * (q.cabinet_air_temperature - u.ambient_temperature)
+        undercooling = p.surface_undercooling * (u.night_sky if sky else 1.0)
+        return (target - undercooling - x.surface_temperature) / p.surface_time
 
     return Mechanism(
         name="condensation",
@@ -208,7 +210,7 @@ def internal_moisture_source(when: str = "always") -> Mechanism:
         features={"fading": (fading, MEAN)},
         settings={"when": when},
         meaning="water that evaporates inside",
-        leaves="absolute humidity above the ambient's, the more the slower the exchange",
+        leaves="absolute humidity above the ambient humidity, the more the slower the exchange",
         source=VAPOUR_BALANCE,
     )  # fmt: skip
 
@@ -221,7 +223,7 @@ def wet_surface() -> Mechanism:
     concentrations of saturated air and of the cabinet air.  Examples: open water, a wet wall, soil, plants.
     """
 
-    def lacking(x: Space, u: Space, q: Space) -> Value:
+    def saturation_deficit(x: Space, u: Space, q: Space) -> Value:
         air = q.cabinet_air_temperature
         return saturated_vapour(air, air) - cabinet_vapour(x, u, q)
 
@@ -231,9 +233,9 @@ def wet_surface() -> Mechanism:
             "evaporation_rate", "1/h", 0.05, 1e-4, 100.0, positive=True, null=0.0,
             meaning="air that a wet surface saturates each hour, per volume of cabinet air",
         ),
-        lacking, inputs=("ambient_temperature",),
+        saturation_deficit, inputs=("ambient_temperature",),
         meaning="water that evaporates from a wet surface",
-        leaves="absolute humidity above the ambient's, the more the warmer and drier the cabinet is",
+        leaves="absolute humidity above the ambient humidity, the more the warmer and drier the cabinet is",
         source="Dalton's law of evaporation",
     )  # fmt: skip
 
@@ -267,8 +269,8 @@ def rain_ingress() -> Mechanism:
 
 
 def _above_plate(x: Space, u: Space, q: Space) -> Value:
-    """Vapour of the cabinet air in excess of that over a plate at the freezing point [g/m³], at least 0;
-    rounded over 0.05."""
+    """Vapour of the cabinet air in excess of saturation over a plate at the freezing point [g/m³], at least
+    0; rounded over 0.05."""
     return 0.5 * twice_positive(cabinet_vapour(x, u, q) - PLATE, EDGE)
 
 
@@ -313,46 +315,46 @@ def dehumidifier_drying() -> Mechanism:
     )  # fmt: skip
 
 
-def _exchange(
-    name: str, parameter: str, flag: str, upper: float, text: str, leaves: str, lower: float = -0.95
+def _exchange_factory(
+    name: str, parameter: str, flag: str, upper: float, when: str, leaves: str, lower: float = -0.95
 ) -> Factory:
     """Vapour exchange multiplied by 1 + b · flag, b > −1; with `lower` = 0, b ≥ 0."""
 
-    def made(flag: str = flag) -> Mechanism:
+    def factory(flag: str = flag) -> Mechanism:
         return effect(
             name, "exchange",
             Parameter(
                 parameter, "1", 0.0, lower, upper, null=0.0,
                 physical=NONNEGATIVE if lower == 0 else ABOVE_MINUS_ONE,
-                meaning=f"relative change of the vapour exchange, {text}",
+                meaning=f"relative change of the vapour exchange, {when}",
             ),
             flag,
-            settings={"flag": flag}, meaning=f"vapour exchange, {text}", leaves=leaves,
+            settings={"flag": flag}, meaning=f"vapour exchange, {when}", leaves=leaves,
             source="resistance R_D* of equation (4) divided by the factor",
         )  # fmt: skip
 
-    return named(name, f"Vapour exchange {text}: multiplied by 1 + b · `{flag}`.", made)
+    return named(name, f"Vapour exchange {when}: multiplied by 1 + b · `{flag}`.", factory)
 
 
-fan_exchange = _exchange(
+fan_exchange = _exchange_factory(
     "fan_exchange", "fan_exchange", "fan_duty", 500.0, "at full duty of the logged fan",
-    "humidity that follows the ambient's faster while the fan runs", 0.0,
+    "humidity that follows the ambient humidity faster while the fan runs", 0.0,
 )  # fmt: skip
-wind_exchange = _exchange(
+wind_exchange = _exchange_factory(
     "wind_exchange", "wind_exchange_gain", "wind_tenth", 50.0, "at 10 m/s of wind",
-    "humidity that follows the ambient's faster in wind than in calm",
+    "humidity that follows the ambient humidity faster in wind than in calm",
 )  # fmt: skip
-stepped_exchange = _exchange(
+stepped_exchange = _exchange_factory(
     "stepped_exchange", "exchange_change", "after_step", 50.0, "from the date on",
-    "humidity that follows the ambient's faster or slower from a date on",
+    "humidity that follows the ambient humidity faster or slower from a date on",
 )  # fmt: skip
-open_exchange = _exchange(
+open_exchange = _exchange_factory(
     "open_exchange", "door_exchange", "door_open", 500.0, "while the door is open",
-    "stretches of hours in which the humidity is the ambient's",
+    "stretches of hours in which the humidity is the ambient humidity",
 )  # fmt: skip
-vent_exchange = _exchange(
+vent_exchange = _exchange_factory(
     "vent_exchange", "vent_exchange", "venting", 500.0, "while the vent is open",
-    "humidity that follows the ambient's faster while the vent is open", 0.0,
+    "humidity that follows the ambient humidity faster while the vent is open", 0.0,
 )  # fmt: skip
 
 
@@ -367,7 +369,7 @@ def breathed_air(form: str = "vapour") -> Mechanism:
         "vapour": "breathed_offset", "temperature": "breathed_gain", "humidity": "breathed_humidity_offset",
     }[form]  # fmt: skip
     meaning = {
-        "vapour": "what the breathed air holds more than the ambient series says",
+        "vapour": "excess of the breathed air's vapour over the ambient series",
         "temperature": "share by which the ambient series understates the vapour of the breathed air",
         "humidity": "what the relative humidity of the ambient series lacks",
     }[form]
@@ -394,8 +396,10 @@ def breathed_lag() -> Mechanism:
     − L)/θ."""
     return lagged_share(
         "breathed_lag", "ambient_vapour", "ambient_absolute_humidity", "breathed_vapour",
-        Parameter("breathed_lag_share", "1", 0.0, -0.2, 1.2, null=0.0, meaning="share that lags the series"),
-        Parameter("breathed_lag_time", "h", 3.0, 0.25, 24.0, positive=True, meaning="its lag"),
+        Parameter("breathed_lag_share", "1", 0.0, -0.2, 1.2, null=0.0,
+                  meaning="share of the breathed air that lags the ambient series"),
+        Parameter("breathed_lag_time", "h", 3.0, 0.25, 24.0, positive=True,
+                  meaning="time constant of the lag"),
         0.25, amount=True,
         meaning="the breathed air lags the ambient series",
         leaves="an error that follows the rate of the ambient humidity",

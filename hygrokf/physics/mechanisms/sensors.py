@@ -17,7 +17,7 @@ SHORTEST_RESPONSE_H = 1.0 / 30.0
 OWN_ERROR = "the sensor's own error"
 TEMPERATURE_READING = "cabinet_temperature_reading"
 HUMIDITY_READING = "cabinet_relative_humidity_reading"
-TERMS = """
+SETTINGS_TEXT = """
 The prior of the bias puts 95 % of sensors within the stated `accuracy`; there is none for accuracy 0.
 Rounding to `resolution` adds the variance resolution²/12.  A sensor with a response time θ lags: dy/dt =
 (quantity − y)/θ; θ is `response_h` [h], or a parameter with the upper bound `longest_response_h`.
@@ -30,41 +30,41 @@ def _sensor(
     unit: str,
     quantity: Callable[[Space, Space, Space], Value],
     noise: tuple[float, float, float],
-    spread: tuple[float, float],
+    initial_moments: tuple[float, float],
     usual_accuracy: float,
     meaning: str,
-    text: str,
+    summary: str,
     inputs: tuple[str, ...] = (),
 ) -> Factory:
     """A sensor with the output `name`: `quantity(x, u, q)` plus reading errors of other mechanisms, bias and
     noise.
 
-    `noise`: start, lower and upper limit of the standard deviation of a single reading; `spread`: initial
-    mean and variance of the lagged quantity y.
+    `noise`: start, lower and upper limit of the standard deviation of a single reading; `initial_moments`:
+    initial mean and variance of the lagged quantity y.
     """
     state, response = f"{name}_sensor", f"{name}_response"
 
-    def made(
+    def factory(
         accuracy: float = usual_accuracy,
         resolution: float = 0.0,
         response_h: float = 0.0,
         longest_response_h: float | None = None,
     ) -> Mechanism:
         rounding = Given(resolution**2 / 12.0)
-        biased = accuracy > 0
+        has_bias = accuracy > 0
         responds = longest_response_h is not None or response_h > 0
-        stated = Given(1.0 / response_h) if response_h > 0 else 0.0
+        stated_rate = Given(1.0 / response_h) if response_h > 0 else 0.0
 
         def output(p: Space, x: Space, u: Space, q: Space, s: Space) -> Pair:
             value = getattr(x, state) if responds else quantity(x, u, q)
             value = value + getattr(s, f"{name}_reading")
-            if biased:
+            if has_bias:
                 value = value + getattr(p, f"{name}_bias")
-            own = getattr(p, f"{name}_noise")
-            return value, own * own + rounding
+            noise_sd = getattr(p, f"{name}_noise")
+            return value, noise_sd * noise_sd + rounding
 
         def drift(p: Space, x: Space, u: Space, q: Space, s: Space) -> Values:
-            rate = stated if longest_response_h is None else 1.0 / getattr(p, response)
+            rate = stated_rate if longest_response_h is None else 1.0 / getattr(p, response)
             return {state: (quantity(x, u, q) - getattr(x, state)) * rate}
 
         parameters = [
@@ -73,7 +73,7 @@ def _sensor(
                 meaning="white noise of a single reading",
             )
         ]  # fmt: skip
-        if biased:
+        if has_bias:
             bias = Parameter(
                 f"{name}_bias", unit, 0.0, -4 * accuracy, 4 * accuracy, prior=Prior(0.0, accuracy / 1.96),
                 null=0.0, meaning="constant error of the sensor, within its stated accuracy",
@@ -91,7 +91,7 @@ def _sensor(
             states=(state,) if responds else (),
             inputs=inputs,
             drift=drift if responds else None,
-            initial=(lambda p, u: {state: spread}) if responds else None,
+            initial=(lambda p, u: {state: initial_moments}) if responds else None,
             outputs={name: output},
             settings={
                 "accuracy": accuracy, "resolution": resolution, "response_h": response_h,
@@ -100,7 +100,7 @@ def _sensor(
             meaning=meaning,
         )  # fmt: skip
 
-    return named(mechanism, f"{text} + bias + noise [{unit}].\n{TERMS}", made)
+    return named(mechanism, f"{summary} + bias + noise [{unit}].\n{SETTINGS_TEXT}", factory)
 
 
 temperature_sensor = _sensor(
@@ -125,18 +125,18 @@ absolute_humidity_sensor = _sensor(
 
 # -- further errors of readings ------------------------------------------------------------------------------
 def _calendar_error(
-    name: str, target: str, flag: str, parameter: str, unit: str, reach: float, meaning: str
+    name: str, target: str, flag: str, parameter: str, unit: str, limit: float, meaning: str
 ) -> Factory:
-    """A reading that is off by a · flag, with a flag that depends on the calendar alone."""
+    """A reading with the error a · flag, where the flag depends on the date alone."""
 
-    def made() -> Mechanism:
+    def factory() -> Mechanism:
         return effect(
-            name, target, Parameter(parameter, unit, 0.0, -reach, reach, null=0.0, meaning=meaning), flag,
+            name, target, Parameter(parameter, unit, 0.0, -limit, limit, null=0.0, meaning=meaning), flag,
             meaning=meaning, source=OWN_ERROR,
-            leaves="readings that depart from the simulation with the calendar, in every regime alike",
+            leaves="readings whose deviation from the simulation depends on the date, not on the regime",
         )  # fmt: skip
 
-    return named(name, f"A reading with an error a · `{flag}` [{unit}], a the {meaning}.", made)
+    return named(name, f"A reading with an error a · `{flag}` [{unit}], a the {meaning}.", factory)
 
 
 humidity_drift = _calendar_error(
@@ -172,8 +172,8 @@ def humidity_scale(flag: str | None = "elapsed") -> Mechanism:
         inputs=("ambient_temperature", *((flag,) if flag else ())),
         contributions=contributions,
         settings={"flag": flag},
-        meaning="scale of the humidity sensor that is off",
-        leaves="humidity readings that are too flat or too steep, perhaps with the calendar",
+        meaning="scale error of the humidity sensor",
+        leaves="humidity readings that vary too little or too much, perhaps increasingly over the record",
         source=OWN_ERROR,
     )  # fmt: skip
 
@@ -181,7 +181,7 @@ def humidity_scale(flag: str | None = "elapsed") -> Mechanism:
 def humidity_ceiling() -> Mechanism:
     """Humidity reading that saturates above a ceiling h₁: −s · max(0, h − h₁).
 
-    Its edge is rounded over 0.5 %.
+    The transition at h₁ is rounded over 0.5 % of relative humidity.
     """
 
     def contributions(p: Space, x: Space, u: Space, q: Space) -> Values:
@@ -193,7 +193,7 @@ def humidity_ceiling() -> Mechanism:
         parameters=(
             Parameter(
                 "humidity_lost", "1", 0.5, 0.0, 1.0, null=0.0, physical=(0.0, 1.0),
-                meaning="share of what exceeds the ceiling that the reading does not show",
+                meaning="share of the excess over the ceiling that the reading does not show",
             ),
             Parameter(
                 "humidity_ceiling", "1", 0.7, 0.2, 1.0, physical=(0.0, 1.0),

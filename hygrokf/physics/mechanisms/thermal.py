@@ -23,19 +23,19 @@ def thermal_network() -> Mechanism:
         dT_conv/dt = ((T_amb − T_conv)(1+g)/e + f_ΔT/ρ)/τ,    T_conv,a = (ρ T_conv + (1−ρ)(1+g) T_amb)/e.
     """
 
-    def relief(p: Space, g: Value) -> Value:
+    def denominator(p: Space, g: Value) -> Value:
         return 1.0 + (1.0 - p.resistance_ratio) * g
 
     def quantities(p: Space, x: Space, u: Space, g: Value) -> Values:
-        rest = (1.0 - p.resistance_ratio) * (1.0 + g)
-        air = p.resistance_ratio * x.converter_temperature + rest * u.ambient_temperature
-        return {"cabinet_air_temperature": air / relief(p, g)}
+        ambient_weight = (1.0 - p.resistance_ratio) * (1.0 + g)
+        air = p.resistance_ratio * x.converter_temperature + ambient_weight * u.ambient_temperature
+        return {"cabinet_air_temperature": air / denominator(p, g)}
 
     def drift(p: Space, x: Space, u: Space, q: Space, s: Space) -> Values:
-        cooled = (u.ambient_temperature - x.converter_temperature) * (
-            (1.0 + q.air_conductance) / relief(p, q.air_conductance)
+        ambient_drive = (u.ambient_temperature - x.converter_temperature) * (
+            (1.0 + q.air_conductance) / denominator(p, q.air_conductance)
         )
-        drive = cooled + s.heat_release / p.resistance_ratio
+        drive = ambient_drive + s.heat_release / p.resistance_ratio
         return {"converter_temperature": drive * (1.0 + s.thermal_pace) / p.thermal_time_constant}
 
     return Mechanism(
@@ -124,31 +124,31 @@ def heat_release(
     the features' covariance `gap_covariance` (operating, p, …, p^K) and the correlation time `gap_time_h`
     [h].
     """
-    given = start or {}
-    origin, fade = Given(reference_K), Given(1.0 / gap_time_h)
-    spread = [[Given(value) for value in row] for row in gap_covariance or ()]
-    both = operation and standstill
+    starts = start or {}
+    reference, gap_rate = Given(reference_K), Given(1.0 / gap_time_h)
+    gap_matrix = [[Given(value) for value in row] for row in gap_covariance or ()]
+    both_regimes = operation and standstill
     powers = [f"power_{k}" for k in range(1, order + 1)] if operation else []
     parameters = _release_parameters(
-        powers, ambient, standstill_ambient, operation, standstill, preheating, given
+        powers, ambient, standstill_ambient, operation, standstill, preheating, starts
     )
 
     def contributions(p: Space, x: Space, u: Space, q: Space) -> Values:
-        warm = u.ambient_temperature - origin
+        ambient_excess = u.ambient_temperature - reference
         total = 0.0
         if operation:
-            share = u.operating if both else 1.0
+            share = u.operating if both_regimes else 1.0
             active = p.heat_release_operation
             if ambient:
-                active = active + p.heat_release_operation_ambient * warm
+                active = active + p.heat_release_operation_ambient * ambient_excess
             total = total + share * active
             for name in powers:
                 total = total + getattr(p, f"heat_release_{name}") * getattr(u, name)
         if standstill:
             idle = p.heat_release_standstill
             if standstill_ambient:
-                idle = idle + p.heat_release_standstill_ambient * warm
-            total = total + ((1.0 - u.operating) * idle if both else idle)
+                idle = idle + p.heat_release_standstill_ambient * ambient_excess
+            total = total + ((1.0 - u.operating) * idle if both_regimes else idle)
         if preheating:
             total = total + p.preheating_heat * u.preheating
         if gap_covariance is not None:
@@ -156,27 +156,27 @@ def heat_release(
         return {"heat_release": total}
 
     def unknown_variance(p: Space) -> Value:
-        first = p.heat_release_operation - (p.heat_release_standstill if standstill else 0.0) if both else 0.0
-        return _quadratic_form(spread, [first, *(getattr(p, f"heat_release_{name}") for name in powers)])
+        step = p.heat_release_operation - p.heat_release_standstill if both_regimes else 0.0
+        return _quadratic_form(gap_matrix, [step, *(getattr(p, f"heat_release_{name}") for name in powers)])
 
-    gap = gap_covariance is not None
-    reads = {"ambient_temperature": True, "operating": both, **dict.fromkeys(powers, True),
-             "preheating": preheating, "power_unknown": gap}  # fmt: skip
+    has_gaps = gap_covariance is not None
+    is_read = {"ambient_temperature": True, "operating": both_regimes, **dict.fromkeys(powers, True),
+               "preheating": preheating, "power_unknown": has_gaps}  # fmt: skip
     return Mechanism(
         name="heat_release",
         parameters=parameters,
-        states=("unknown_heat",) if gap else (),
-        inputs=tuple(name for name, read in reads.items() if read),
+        states=("unknown_heat",) if has_gaps else (),
+        inputs=tuple(name for name, is_needed in is_read.items() if is_needed),
         contributions=contributions,
-        drift=(lambda p, x, u, q, s: {"unknown_heat": -(x.unknown_heat * fade)}) if gap else None,
-        diffusion=(lambda p: {"unknown_heat": unknown_variance(p) * 2.0 * fade}) if gap else None,
-        initial=(lambda p, u: {"unknown_heat": (0.0, unknown_variance(p))}) if gap else None,
+        drift=(lambda p, x, u, q, s: {"unknown_heat": -(x.unknown_heat * gap_rate)}) if has_gaps else None,
+        diffusion=(lambda p: {"unknown_heat": unknown_variance(p) * 2.0 * gap_rate}) if has_gaps else None,
+        initial=(lambda p, u: {"unknown_heat": (0.0, unknown_variance(p))}) if has_gaps else None,
         settings={
             "order": order, "ambient": ambient, "standstill_ambient": standstill_ambient,
             "operation": operation, "standstill": standstill, "preheating": preheating,
             "reference_K": reference_K, "gap_time_h": gap_time_h,
-            "gap_covariance": None if not gap else [list(map(float, row)) for row in gap_covariance or ()],
-            "start": dict(given),
+            "gap_covariance": [list(map(float, row)) for row in gap_covariance or ()] if has_gaps else None,
+            "start": dict(starts),
         },
         meaning="heat that the converter releases into the cabinet",
         source=f"{PAPER}, equation (1) and Fig. 4",
@@ -199,11 +199,11 @@ def _release_parameters(
     operation: bool,
     standstill: bool,
     preheating: bool,
-    given: Mapping[str, float],
+    starts: Mapping[str, float],
 ) -> tuple[Parameter, ...]:
-    """Parameters of `heat_release`; `given` holds start values by name."""
+    """Parameters of `heat_release`; `starts` holds start values by name."""
     slope = ("K/K", 0.0, 2.0, "slope over the ambient temperature")
-    stated: list[tuple[bool, str, str, float, float, str]] = [
+    rows: list[tuple[bool, str, str, float, float, str]] = [
         (operation, "heat_release_operation", "K", 3.0, 60.0, "heat release at zero power in operation"),
         *(
             (operation, f"heat_release_{name}", "K", 0.0, 200.0, f"coefficient of (P/P_rated)^{k}")
@@ -215,9 +215,9 @@ def _release_parameters(
         (preheating, "preheating_heat", "K", 5.0, 80.0, "heat release of the known pre-heating"),
     ]
     return tuple(
-        Parameter(name, unit, given.get(name, start), -bound, bound, null=0.0, meaning=meaning)
-        for there, name, unit, start, bound, meaning in stated
-        if there
+        Parameter(name, unit, starts.get(name, start), -bound, bound, null=0.0, meaning=meaning)
+        for is_present, name, unit, start, bound, meaning in rows
+        if is_present
     )
 
 
@@ -231,8 +231,8 @@ heat_disturbance = ornstein_uhlenbeck(
 second_heat_disturbance = ornstein_uhlenbeck(
     "second_heat_disturbance", __name__, "heat_release", "K", (0.3, 1e-3, 50.0), 1.0,
     "second coloured disturbance of the heat flow, as Q R_AT",
-    "innovations that are not white although one coloured disturbance is there",
-    "It has another time scale, for records where one is not enough.",
+    "innovations that are not white although the model has one coloured disturbance",
+    "It has another time scale, for records where one disturbance is not enough.",
 )  # fmt: skip
 thermal_diffusion = white_noise(
     "thermal_diffusion", __name__, "converter_temperature",
@@ -254,7 +254,7 @@ def wall_thermal_mass() -> Mechanism:
     of the paper.
     """
 
-    def rest(p: Space, u: Space, q: Space) -> Value:
+    def equilibrium(p: Space, u: Space, q: Space) -> Value:
         return u.ambient_temperature + p.wall_position * (q.cabinet_air_temperature - u.ambient_temperature)
 
     return Mechanism(
@@ -270,16 +270,16 @@ def wall_thermal_mass() -> Mechanism:
             ),
             Parameter(
                 "wall_position", "1", 0.5, 0.0, 1.0, physical=(0.0, 1.0),
-                meaning="where the second mass stands between the ambient (0) and the cabinet air (1)",
+                meaning="position of the second mass between the ambient (0) and the cabinet air (1)",
             ),
         ),
         states=("wall_temperature",),
         inputs=("ambient_temperature",),
         contributions=lambda p, x, u, q: {
-            "heat_release": p.wall_conductance * (x.wall_temperature - rest(p, u, q))
+            "heat_release": p.wall_conductance * (x.wall_temperature - equilibrium(p, u, q))
         },
         drift=lambda p, x, u, q, s: {
-            "wall_temperature": (rest(p, u, q) - x.wall_temperature) / p.wall_time_constant
+            "wall_temperature": (equilibrium(p, u, q) - x.wall_temperature) / p.wall_time_constant
         },
         initial=lambda p, u: {"wall_temperature": (u.ambient_temperature + 5.0, 25.0)},
         meaning="heat stored in walls and fittings of the cabinet",
@@ -304,10 +304,10 @@ def natural_convection(difference_K: float = 8.0) -> Mechanism:
     reference = Given(2.0 * math.log(difference_K))
 
     def contributions(p: Space, x: Space, u: Space, q: Space) -> Values:
-        apart = q.cabinet_air_temperature - u.ambient_temperature
-        size = log(apart * apart + STILL_K**2) - reference
+        difference = q.cabinet_air_temperature - u.ambient_temperature
+        log_ratio = log(difference * difference + STILL_K**2) - reference
         return {
-            "heat_release": (1.0 - exp(0.5 * p.convection_exponent * size)) * apart,
+            "heat_release": (1.0 - exp(0.5 * p.convection_exponent * log_ratio)) * difference,
             "thermal_pace": 1.0 / (1.0 + p.convection_exponent) - 1.0,
         }
 

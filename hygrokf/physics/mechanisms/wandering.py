@@ -27,10 +27,10 @@ def _random_walk(
     leaves: str,
     source: str,
     inputs: tuple[str, ...] = (),
-    **described: Any,
+    **mechanism_fields: Any,
 ) -> Mechanism:
-    """A state without a rate, driven by white noise; `described`: its effect on named sums or on inputs, and
-    further fields of the mechanism."""
+    """A state with rate 0, driven by white noise; `mechanism_fields`: its effect on named sums or on inputs,
+    and further fields of the mechanism."""
     parameter = f"{state}_rate"
     return Mechanism(
         name=name,
@@ -44,35 +44,35 @@ def _random_walk(
         inputs=inputs,
         drift=lambda p, x, u, q, s: {state: 0.0 * getattr(x, state)},
         diffusion=lambda p: {state: getattr(p, parameter) * getattr(p, parameter) / 24.0},
-        # the fit's standard error is far below a day's random walk
+        # the variance of one day: the fit's standard error is far below it
         initial=lambda p, u: {state: (0.0, getattr(p, parameter) * getattr(p, parameter))},
         meaning=meaning,
         leaves=leaves,
         source=source,
-        **{"settings": {"rate": rate}, **described},
+        **{"settings": {"rate": rate}, **mechanism_fields},
     )  # fmt: skip
 
 
-def _wandering(
+def _random_walk_factory(
     name: str,
     state: str,
     unit: str,
     usual_rate: float,
     bounds: tuple[float, float],
-    text: str,
+    summary: str,
     meaning: str,
     leaves: str,
     source: str,
     inputs: tuple[str, ...] = (),
-    **acts: Callable[..., Values],
+    **effects: Callable[..., Values],
 ) -> Factory:
-    def made(rate: float = usual_rate) -> Mechanism:
-        return _random_walk(name, state, unit, rate, bounds, meaning, leaves, source, inputs, **acts)
+    def factory(rate: float = usual_rate) -> Mechanism:
+        return _random_walk(name, state, unit, rate, bounds, meaning, leaves, source, inputs, **effects)
 
-    return named(name, f"{text}, x a random walk of `rate` [{'' if unit == '1' else unit} / √d].", made)
+    return named(name, f"{summary}, x a random walk of `rate` [{'' if unit == '1' else unit} / √d].", factory)
 
 
-wandering_time_constant = _wandering(
+wandering_time_constant = _random_walk_factory(
     "wandering_time_constant", "log_thermal_change", "1", 0.02, (1e-4, 1.0),
     "The thermal time constant as a state: τ(t) = τ e^x",
     "logarithm of the thermal time constant over that of the fit",
@@ -80,15 +80,15 @@ wandering_time_constant = _wandering(
     f"{PAPER}, equation (2) with R C that varies",
     contributions=lambda p, x, u, q: {"thermal_pace": exp(-x.log_thermal_change) - 1.0},
 )  # fmt: skip
-wandering_exchange = _wandering(
+wandering_exchange = _random_walk_factory(
     "wandering_exchange", "log_hygric_change", "1", 0.02, (1e-4, 1.0),
     "The hygric time constant as a state: k(t) = k e^x",
     "logarithm of k of equation (4) over that of the fit",
-    "humidity that follows the ambient's faster or slower than it did",
+    "humidity that follows the ambient humidity faster or slower than before",
     f"{PAPER}, equation (4) with R_D* that varies",
     contributions=lambda p, x, u, q: {"exchange": exp(-x.log_hygric_change) - 1.0},
 )  # fmt: skip
-wandering_release = _wandering(
+wandering_release = _random_walk_factory(
     "wandering_release", "release_change", "K", 0.1, (1e-3, 5.0),
     "An offset of the heat release as a state: f + x [K]",
     "change of the heat release since the fit",
@@ -96,7 +96,7 @@ wandering_release = _wandering(
     "balance of heat",
     contributions=lambda p, x, u, q: {"heat_release": x.release_change},
 )  # fmt: skip
-wandering_temperature_reading = _wandering(
+wandering_temperature_reading = _random_walk_factory(
     "wandering_temperature_reading", "temperature_reading_change", "K", 1e-4, (1e-6, 5.0),
     "An offset of the temperature reading as a state: T + x [K]",
     "change of the temperature sensor's offset since the fit",
@@ -104,7 +104,7 @@ wandering_temperature_reading = _wandering(
     OWN_ERROR,
     contributions=lambda p, x, u, q: {TEMPERATURE_READING: x.temperature_reading_change},
 )  # fmt: skip
-wandering_humidity_reading = _wandering(
+wandering_humidity_reading = _random_walk_factory(
     "wandering_humidity_reading", "humidity_reading_change", "1", 0.005, (1e-6, 0.2),
     "An offset of the humidity reading as a state: h + x [1]",
     "change of the humidity sensor's offset since the fit",
@@ -112,11 +112,11 @@ wandering_humidity_reading = _wandering(
     OWN_ERROR,
     contributions=lambda p, x, u, q: {HUMIDITY_READING: x.humidity_reading_change},
 )  # fmt: skip
-wandering_humidity_scale = _wandering(
+wandering_humidity_scale = _random_walk_factory(
     "wandering_humidity_scale", "humidity_scale_change", "1", 0.01, (1e-7, 0.5),
     "The scale of the humidity reading as a state: h (1 + x)",
     "change of the humidity sensor's scale since the fit",
-    "a humidity reading that is too flat or too steep for days",
+    "a humidity reading that varies too little or too much for days",
     OWN_ERROR, ("ambient_temperature",),
     contributions=lambda p, x, u, q: {HUMIDITY_READING: x.humidity_scale_change * cabinet_humidity(x, u, q)},
 )  # fmt: skip
@@ -131,11 +131,11 @@ def wandering_ambient_temperature(rate: float = 0.1, relative: bool = True) -> M
     """
 
     def corrections(x: Space, u: Space) -> Values:
-        read, true = u.ambient_temperature, u.ambient_temperature - x.ambient_temperature_change
+        measured, true = u.ambient_temperature, u.ambient_temperature - x.ambient_temperature_change
         if not relative:
             return {"ambient_temperature": true}
-        share = saturated_vapour(true, true) / saturated_vapour(read, read)
-        return {"ambient_temperature": true, "ambient_absolute_humidity": share * u.ambient_absolute_humidity}
+        ratio = saturated_vapour(true, true) / saturated_vapour(measured, measured)
+        return {"ambient_temperature": true, "ambient_absolute_humidity": ratio * u.ambient_absolute_humidity}
 
     return _random_walk(
         "wandering_ambient_temperature", "ambient_temperature_change", "K", rate, (1e-6, 5.0),
@@ -146,7 +146,7 @@ def wandering_ambient_temperature(rate: float = 0.1, relative: bool = True) -> M
     )  # fmt: skip
 
 
-wandering_ambient_humidity = _wandering(
+wandering_ambient_humidity = _random_walk_factory(
     "wandering_ambient_humidity", "ambient_humidity_change", "1", 0.005, (1e-7, 0.2),
     "An offset of the ambient's humidity reading as a state: relative humidity = reading − x [1]",
     "change of the offset of the ambient's humidity sensor since the fit",
