@@ -28,7 +28,7 @@ from hygrokf.data.timestamps import modal_step, summer_time_holes
 from hygrokf.data.toml_form import FormFault, Place, lines_of, read_toml
 from hygrokf.physics.holds import LINEAR, MEAN, PREVIOUS
 from hygrokf.texts.wording import duration_text, period_text, stamp_text
-from hygrokf.weather.joining import follows, joined
+from hygrokf.weather.joining import follows, join_records
 from hygrokf.weather.reading import read_weather_file
 
 
@@ -221,7 +221,7 @@ def _weathers(
             # such as one file a year, each continuing the previous one
             if (before.format, before.compare) == (stated.format, stated.compare) and follows(earlier, read):
                 try:
-                    made = joined((earlier, read), earlier.name)
+                    made = join_records((earlier, read), earlier.name)
                 except TableFault as broken:
                     faults += [f"{before.file} and {stated.file}: {fault}" for fault in broken.faults]
                     break

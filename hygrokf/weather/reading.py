@@ -26,19 +26,19 @@ from hygrokf.data.table_readers import csv_rows
 from hygrokf.data.timestamps import HOUR_S, modal_step
 from hygrokf.texts.wording import duration_text, stamp_text
 from hygrokf.weather.archive import kind_of, only_content
-from hygrokf.weather.joining import joined
+from hygrokf.weather.joining import join_records
 from hygrokf.weather.reanalysis import read_era5, read_merra2
 from hygrokf.weather.site_weather import (
     LAPSE_RATE,
-    SAID_FROM_M,
+    WARNED_FROM_M,
     SiteWeather,
     Variable,
     WeatherField,
     at_altitude,
-    complete,
     dew_point_of,
     distance_km,
     place_text,
+    require_temperature,
     short_name,
 )
 from hygrokf.weather.typical_years import is_try, read_epw, read_try
@@ -55,15 +55,15 @@ _VARIABLES = {
     "diffuse_radiation": Variable("diffuse_horizontal_irradiance", "W/m²", mean=True),
     "direct_normal_irradiance": Variable("direct_normal_irradiance", "W/m²", mean=True),
     "precipitation": Variable("rain", "mm", mean=True),
-    # a straight line between two directions may turn the wrong way: they hold
+    # no interpolation: a straight line between two directions may turn the wrong way
     "speed": Variable("wind_speed", "km/h"),
     "direction": Variable("wind_direction", "°"),
 }
-"""Today's names of the service, with those before 2023; speed and direction are of the chosen height."""
+"""The service's names of fields, with `names` from before 2023; speed and direction are at one height."""
 _META = ("latitude", "longitude", "elevation", "utc_offset_seconds")
 _WIND = re.compile(r"wind_?(speed|direction)_(\d+)m")
 PREFERRED_WIND_M = 100.0
-"""[m] of several heights of the wind the nearest to this one, on a logarithmic scale, is taken."""
+"""[m] preferred height of the wind; of several, the nearest on a logarithmic scale is read."""
 
 
 def read_open_meteo(path: str | os.PathLike[str]) -> Record:
@@ -81,28 +81,28 @@ def read_open_meteo(path: str | os.PathLike[str]) -> Record:
     Raises TableFault with every fault.
     """
     file = Path(path)
-    one, digest = only_content(file, ("json", "csv"), "JSON or CSV of Open-Meteo")
-    weather = (_of_json if one.kind == "json" else _of_csv)(file.name, one.data)
+    content, digest = only_content(file, ("json", "csv"), "JSON or CSV of Open-Meteo")
+    weather = (_weather_of_json if content.kind == "json" else _weather_of_csv)(file.name, content.data)
     value = weather.value
     if "dew_point_2m" not in value and {"temperature_2m", "relative_humidity_2m"} <= set(value):
-        humid = dew_point_of(value["relative_humidity_2m"], value["temperature_2m"])
-        weather.add("ambient_dew_point_temperature", humid, "relative_humidity_2m")
+        dew_point = dew_point_of(value["relative_humidity_2m"], value["temperature_2m"])
+        weather.add("ambient_dew_point_temperature", dew_point, "relative_humidity_2m")
     record = weather.record(digest)
     lacking = "no temperature_2m: ask for it in hourly=…"
-    return complete(record, lacking, "dew_point_2m or relative_humidity_2m")
+    return require_temperature(record, lacking, "dew_point_2m or relative_humidity_2m")
 
 
 # --- layouts ---------------------------------------------------------------------------------
 
 
-def _of_json(file: str, data: bytes) -> SiteWeather:
+def _weather_of_json(file: str, data: bytes) -> SiteWeather:
     try:
-        found = json.loads(data.decode("utf-8-sig"))
+        content = json.loads(data.decode("utf-8-sig"))
     except (ValueError, RecursionError) as broken:
         raise TableFault(f"cannot be read as JSON ({broken}): cut short? fetch it again") from None
-    if isinstance(found, list):
-        raise TableFault(f"holds {len(found)} places; expected one: write each into a file of its own")
-    hourly, units = found.get("hourly"), found.get("hourly_units")
+    if isinstance(content, list):
+        raise TableFault(f"holds {len(content)} places; expected one: write each into a file of its own")
+    hourly, units = content.get("hourly"), content.get("hourly_units")
     if not isinstance(hourly, dict) or not isinstance(units, dict) or "time" not in hourly:
         raise TableFault("expected hourly and hourly_units with time in them; ask for hourly=…")
     columns = {str(name): column for name, column in hourly.items() if isinstance(column, list)}
@@ -114,11 +114,11 @@ def _of_json(file: str, data: bytes) -> SiteWeather:
     ]
     if faults:
         raise TableFault(*faults)
-    meta = [found.get(name) for name in _META]
+    meta = [content.get(name) for name in _META]
     return _weather(file, meta, columns, {str(name): str(unit) for name, unit in units.items()})
 
 
-def _of_csv(file: str, data: bytes) -> SiteWeather:
+def _weather_of_csv(file: str, data: bytes) -> SiteWeather:
     rows = [cells for _, cells in csv_rows(data, "utf-8-sig")]
     head = [cell.strip() for cell in rows[0]] if rows else []
     if "location_id" in head:
@@ -130,24 +130,24 @@ def _of_csv(file: str, data: bytes) -> SiteWeather:
         )
     stated = dict(zip(head, rows[1], strict=False))
     meta = [stated.get(name) for name in _META]
-    begin = next((i for i, row in enumerate(rows[2:], 2) if row and row[0].strip() == "time"), None)
-    if begin is None:
+    top = next((i for i, row in enumerate(rows[2:], 2) if row and row[0].strip() == "time"), None)
+    if top is None:
         raise TableFault("no line that begins with time: ask for hourly=…")
     names, unit = [], {}
-    for cell in rows[begin]:
+    for cell in rows[top]:
         name, _, rest = cell.strip().partition(" (")
         names.append(name)
         unit[name] = rest.removesuffix(")")
     # further blocks, such as daily values, follow after an empty line
-    end = next((i for i in range(begin + 1, len(rows)) if not any(rows[i])), len(rows))
-    body = rows[begin + 1 : end]
+    end = next((i for i in range(top + 1, len(rows)) if not any(rows[i])), len(rows))
+    body = rows[top + 1 : end]
     wrong = [i for i, row in enumerate(body) if len(row) != len(names)]
     if wrong:
         raise TableFault(
-            f"line {begin + 2 + wrong[0]}: expected {len(names)} cells, found {len(body[wrong[0]])}: "
+            f"line {top + 2 + wrong[0]}: expected {len(names)} cells, found {len(body[wrong[0]])}: "
             "cut short? fetch the file again"
         )
-    columns = {name: [row[place] for row in body] for place, name in enumerate(names)}
+    columns = {name: [row[column] for row in body] for column, name in enumerate(names)}
     return _weather(file, meta, columns, unit)
 
 
@@ -157,7 +157,7 @@ def _weather(
     columns: Mapping[str, Sequence[Any]],
     unit: Mapping[str, str],
 ) -> SiteWeather:
-    """The weather of latitude, longitude, elevation and offset of the clock, and of the columns used."""
+    """The weather from `meta`, latitude, longitude, elevation and offset of the clock, and from columns."""
     import pandas as pd
 
     try:
@@ -176,10 +176,10 @@ def _weather(
     if len(stamps) and unix.notna().all():
         stamps, offset = pd.to_datetime(unix, unit="s"), 0.0
     used = {name: short for name in columns if (short := short_name(_VARIABLES, name)) is not None}
-    winds = {name: found for name in columns if (found := _WIND.fullmatch(name))}
-    heights = {int(found[2]) for found in winds.values() if found[1] == "speed"}
-    height = min(heights, key=lambda one: abs(math.log(one / PREFERRED_WIND_M)), default=None)
-    used |= {name: found[1] for name, found in winds.items() if int(found[2]) == height}
+    winds = {name: match for name in columns if (match := _WIND.fullmatch(name))}
+    heights = {int(match[2]) for match in winds.values() if match[1] == "speed"}
+    height = min(heights, key=lambda height_m: abs(math.log(height_m / PREFERRED_WIND_M)), default=None)
+    used |= {name: match[1] for name, match in winds.items() if int(match[2]) == height}
     frame = pd.DataFrame({name: columns[name] for name in used}, index=range(len(stamps)))
     places = Places("row", lambda rows: [int(row) + 1 for row in rows])
     notation = Notation(timezone="UTC", decimal=".")
@@ -218,11 +218,11 @@ FORMATS = tuple(_READERS)
 TYPICAL = ("epw", "try")
 """Formats of typical years, whose hours are assigned to a calendar year."""
 NEEDED = ("ambient_temperature", "ambient_dew_point_temperature")
-SHOWN_GAPS = 3
+MOST_GAPS_LISTED = 3
 FAR_KM = 50.0
 """[km] distance between the site and the point of the weather above which there is a warning."""
 _HEAD = 2**14
-"""Bytes of a file by which its format is known."""
+"""Number of bytes at the beginning of a file that determine its format."""
 
 
 def read_weather_file(
@@ -240,7 +240,7 @@ def read_weather_file(
 
     path: of one of the `FORMATS`. form: its format; None: by `form_of`.
     site: of the cabinet; the nearest cell of a grid is used, with a warning if it is far away.
-    year: calendar year of a typical year. years: in how many from it on it is repeated.
+    year: calendar year of a typical year. years: number of calendar years from `year` on that repeat it.
     altitude_m: [m] height of the weather, where the file states none or a wrong one.
     to_site_altitude: move temperature, dew point and pressure to the site's altitude, see `at_altitude`;
         otherwise a difference above 100 m gives a warning. lapse_rate: [K/m] for this.
@@ -248,17 +248,17 @@ def read_weather_file(
     Raises TableFault with every fault.
     """
     file = Path(path)
-    kind = form or form_of(file) or "era5"  # whose reader says what it found
+    kind = form or form_of(file) or "era5"  # the reader of ERA5 reports the faults of unknown files
     if kind not in FORMATS:
         raise ValueError(f'form must be one of {", ".join(FORMATS)}, found "{kind}"')
     record, station_m = _READERS[kind](file, site, year, years), altitude_m
-    if (point := record.site) is not None:
-        at = point.latitude_deg, point.longitude_deg
-        if site is not None and distance_km(*at, site) > FAR_KM:
-            far = f"its point lies at {place_text(*at, site)}: is it the weather of this site?"
-            record = dataclasses.replace(record, warnings=(*record.warnings, far))
-        station_m = point.altitude_m if altitude_m is None else altitude_m
-        record = dataclasses.replace(record, site=Site(*at, station_m))
+    if (weather_site := record.site) is not None:
+        point_deg = weather_site.latitude_deg, weather_site.longitude_deg
+        if site is not None and distance_km(*point_deg, site) > FAR_KM:
+            warning = f"its point lies at {place_text(*point_deg, site)}: is it the weather of this site?"
+            record = dataclasses.replace(record, warnings=(*record.warnings, warning))
+        station_m = weather_site.altitude_m if altitude_m is None else altitude_m
+        record = dataclasses.replace(record, site=Site(*point_deg, station_m))
     record = mask(record, within_range=True)  # such as codes of missing values
     wanted_m = None if site is None else site.altitude_m
     if to_site_altitude:
@@ -274,14 +274,14 @@ def read_weather_file(
         if wanted_m is None or station_m is None:
             raise TableFault(*faults)
         return at_altitude(record, wanted_m, station_m, lapse_rate)
-    if wanted_m is not None and station_m is not None and abs(wanted_m - station_m) > SAID_FROM_M:
+    if wanted_m is not None and station_m is not None and abs(wanted_m - station_m) > WARNED_FROM_M:
         colder = 6.5e-3 * (wanted_m - station_m)
-        said = (
+        warning = (
             f"its height is {station_m:.0f} m, the site's {wanted_m:.0f} m: the site will be about "
             f"{abs(colder):.1f} K {'colder' if colder > 0 else 'warmer'}; to_site_altitude = true corrects "
             "this"
         )
-        record = dataclasses.replace(record, warnings=(*record.warnings, said))
+        record = dataclasses.replace(record, warnings=(*record.warnings, warning))
     return record
 
 
@@ -360,7 +360,7 @@ def read_weather(
 
     Raises TableFault with the faults of every file; ValueError for numbers out of range.
     """
-    files = [Path(paths)] if isinstance(paths, str | os.PathLike) else [Path(one) for one in paths]
+    files = [Path(paths)] if isinstance(paths, str | os.PathLike) else [Path(path) for path in paths]
     if not files:
         raise ValueError("paths: expected one weather file at least, found none")
     if years < 1:
@@ -393,7 +393,7 @@ def read_weather(
             faults += [f"{file.name}: {fault}" for fault in broken.faults]
     if faults:
         raise TableFault(*faults)
-    record = joined(
+    record = join_records(
         records, files[0].name if len(files) == 1 else f"{files[0].name} and {len(files) - 1} more"
     )
     warnings = list(record.warnings)
@@ -404,18 +404,18 @@ def read_weather(
 
 
 def gaps_text(series: Series) -> list[str]:
-    """One sentence on the gaps of a series, steps between known readings above three usual ones; or none."""
+    """One sentence on the gaps of a series, or none; a gap is longer than three usual steps."""
     time, _ = series.known
     step, _ = modal_step(series.time)
     length = np.diff(time)
-    wide = np.flatnonzero(length > 3.01 * step)  # none where the step is unknown
-    if not len(wide):
+    gaps = np.flatnonzero(length > 3.01 * step)  # none where the step is unknown
+    if not len(gaps):
         return []
-    longest = wide[np.argsort(length[wide])[::-1][:SHOWN_GAPS]]
-    listed = ", ".join(f"{duration_text(length[one])} from {stamp_text(time[one])}" for one in longest)
-    missing = float(np.sum(length[wide] - step))
+    longest = gaps[np.argsort(length[gaps])[::-1][:MOST_GAPS_LISTED]]
+    listed = ", ".join(f"{duration_text(length[gap])} from {stamp_text(time[gap])}" for gap in longest)
+    missing = float(np.sum(length[gaps] - step))
     return [
-        f"{series.signal}: {len(wide)} gaps, {duration_text(missing)} in all; longest {listed}"
-        if len(wide) > 1
+        f"{series.signal}: {len(gaps)} gaps, {duration_text(missing)} in all; longest {listed}"
+        if len(gaps) > 1
         else f"{series.signal}: a gap of {listed}"
     ]
