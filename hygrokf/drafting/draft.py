@@ -368,7 +368,7 @@ def _is_typical_year(file: Path, form: str) -> bool:
 def _with_clock_doubts(
     source: Source,
     sources: Sequence[Source],
-    found: Sequence[DraftedSignal],
+    signals: Sequence[DraftedSignal],
     site: tuple[float, float] | None,
 ) -> Source:
     """A source with doubts about its zone and the remark on the sun, with the separator of its copy, if
@@ -381,7 +381,7 @@ def _with_clock_doubts(
     if export.changes:
         export = replace(export, separator=";" if export.decimal == "," else ",", comment=None)
     irradiance = (source.path, "global_horizontal_irradiance")
-    column = next((signal.column for signal in found if (signal.file, signal.signal) == irradiance), None)
+    column = next((signal.column for signal in signals if (signal.file, signal.signal) == irradiance), None)
     sun = None if column is None else sun_remark(time, source.values[column], site and site[1])
     return replace(source, export=export, sun=sun)
 
@@ -414,20 +414,18 @@ def _relative(file: Path, out: Path) -> str:
 # --- the text of the case --------------------------------------------------------------------
 
 
-def _missing_signals(found: Sequence[DraftedSignal], weather: bool) -> tuple[str, ...]:
+def _missing_signals(signals: Sequence[DraftedSignal], weather: bool) -> tuple[str, ...]:
     """Sentences on the signals that a fit needs or would profit from and that are not active in the draft."""
-    signals = {signal.signal for signal in found if signal.active and not signal.compare}
+    names = {signal.signal for signal in signals if signal.active and not signal.compare}
     lacks = []
-    if not weather and "ambient_temperature" not in signals:
+    if not weather and "ambient_temperature" not in names:
         lacks.append("no ambient temperature was found, and every model needs it: add its export")
-    if not any(signal.startswith("cabinet_") for signal in signals):
+    if not any(name.startswith("cabinet_") for name in names):
         lacks.append("no reading of the cabinet was found; `hygrokf fit` needs one: add its export")
-    humid_places = {
-        signal.partition("_")[0] for signal in signals if "humidity" in signal or "dew_point" in signal
-    }
+    humid_places = {name.partition("_")[0] for name in names if "humidity" in name or "dew_point" in name}
     if "cabinet" in humid_places and "ambient" not in humid_places and not weather:
         lacks.append("no humidity of the air outside was found, which the hygric model needs: add its export")
-    if "active_power" not in signals:
+    if "active_power" not in names:
         lacks.append(
             "no active power was found: the whole record would count as standstill; add its export, "
             "or name its column"

@@ -204,14 +204,14 @@ def part_shifts(scores: np.ndarray, readings: np.ndarray, covariance: np.ndarray
     return PARTS * (sums - sums.mean(axis=0)) @ covariance
 
 
-def parts_scale(found: Uncertainty, name: str) -> float:
+def parts_scale(spread: Uncertainty, name: str) -> float:
     """Square of Birge's ratio [1]: variance of the parts' estimates over the variance expected; about 1 where
     the bounds hold."""
-    place = found.place(name)
-    if place is None or not len(found.parts):
+    place = spread.place(name)
+    if place is None or not len(spread.parts):
         return 1.0
-    expected = PARTS * found.wald[place, place] * found.factor[place]
-    return float(np.sum(found.parts[:, place] ** 2) / ((PARTS - 1) * expected))
+    expected = PARTS * spread.wald[place, place] * spread.factor[place]
+    return float(np.sum(spread.parts[:, place] ** 2) / ((PARTS - 1) * expected))
 
 
 def _curvature(objective: Objective, z: np.ndarray, steps: np.ndarray) -> np.ndarray:
@@ -306,18 +306,18 @@ def _trade_offs(names: tuple[str, ...], covariance: np.ndarray) -> tuple[tuple[s
 
 
 def wald_bounds(
-    estimate: Estimate, found: Uncertainty, name: str, level: float = 0.95, covariance: str = "wider"
+    estimate: Estimate, spread: Uncertainty, name: str, level: float = 0.95, covariance: str = "wider"
 ) -> Bounds:
     """Bounds symmetric in the parameter's coordinate, from a covariance: "wald", "sandwich" or the "wider" of
     the two."""
     value = estimate.values[name]
-    place = found.place(name)
+    place = spread.place(name)
     if place is None:
         return Bounds(value, -math.inf, math.inf, level, "none", "at a bound or fixed")
     p = estimate.coordinates.parameter(name)
-    if covariance == "sandwich" and name in found.needed:
-        return Bounds(value, *in_unit(p, (None, None)), level, "none", too_short(found, name))
-    variances = {"wald": found.wald[place, place], "sandwich": found.sandwich[place, place]}
+    if covariance == "sandwich" and name in spread.needed:
+        return Bounds(value, *in_unit(p, (None, None)), level, "none", too_short(spread, name))
+    variances = {"wald": spread.wald[place, place], "sandwich": spread.sandwich[place, place]}
     variances["wider"] = max(variances.values())
     se, method = math.sqrt(variances[covariance]), "wald" if covariance == "wider" else covariance
     z = p.to_coordinate(value)
@@ -331,11 +331,11 @@ def wald_bounds(
     return Bounds(value, lower, upper, level, method, describe(p.unit, lower, upper, ends))
 
 
-def too_short(found: Uncertainty, name: str) -> str:
+def too_short(spread: Uncertainty, name: str) -> str:
     """Why a parameter has no sandwich covariance, and how long a record it needs."""
     return (
         f"no sandwich: the scores of {name} depend on each other over too large a part of the record; it "
-        f"takes one {max(found.needed[name], 1.1):.2g} times as long"
+        f"takes one {max(spread.needed[name], 1.1):.2g} times as long"
     )
 
 
@@ -347,16 +347,16 @@ def in_unit(p: Parameter, ends: Sequence[float | None]) -> tuple[float, float]:
     return lower, upper
 
 
-def standard_error(estimate: Estimate, found: Uncertainty, name: str) -> float:
+def standard_error(estimate: Estimate, spread: Uncertainty, name: str) -> float:
     """Standard error in the parameter's unit (delta method), from the wider of the two covariances.
 
     NaN for a parameter at a bound, and for a parameter that the data do not determine.
     """
-    place = found.place(name)
+    place = spread.place(name)
     if place is None:
         return math.nan
     p = estimate.coordinates.parameter(name)
-    variance = max(found.wald[place, place], found.sandwich[place, place])
+    variance = max(spread.wald[place, place], spread.sandwich[place, place])
     if math.sqrt(variance) > largest_se(p):
         return math.nan
     return abs(p.slope(estimate.values[name])) * math.sqrt(variance)

@@ -520,17 +520,17 @@ def _expect_search(likelihood: object, count: int, budget: float, tolerance: flo
         raise ValueError("; ".join(faults))
 
 
-def reject_below(least: float, found: Estimate) -> Estimate:
+def reject_below(least: float, estimate: Estimate) -> Estimate:
     """The estimate, marked as not converged where its objective is below `least`, a nested model's
     maximum."""
-    deficit = least - found.objective
+    deficit = least - estimate.objective
     if not deficit > BETTER:
-        return found
+        return estimate
     message = (
         f"not converged: a nested model has a higher likelihood, by {deficit:.2f} in ln L; give start "
         "values nearer to that model, more starts or wider bounds"
     )
-    return replace(found, converged=False, message=message)
+    return replace(estimate, converged=False, message=message)
 
 
 def refine(likelihood: AnyLikelihood, values: Mapping[str, float]) -> Estimate:

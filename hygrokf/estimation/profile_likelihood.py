@@ -52,7 +52,7 @@ log-likelihood."""
 def profile(
     objective: Objective,
     estimate: Estimate,
-    found: Uncertainty,
+    spread: Uncertainty,
     name: str,
     level: float = 0.95,
     progress: Callable[[str], None] | None = None,
@@ -60,7 +60,7 @@ def profile(
 ) -> Bounds:
     """Profile-likelihood bounds of one free parameter [its unit]; all others are re-estimated along the way.
 
-    `objective` is the penalised likelihood with the maximum `estimate`, `found` its `uncertainty`.  The
+    `objective` is the penalised likelihood with the maximum `estimate`, `spread` its `uncertainty`.  The
     bounds are the values at which
         2 (l(θ̂) − max over the others of l) = c χ²₁,    c = max(1, V_S/V_H) of the parameter if `robust`,
         else 1, at the confidence `level`.
@@ -77,12 +77,12 @@ def profile(
     coordinates = estimate.coordinates
     p = coordinates.parameter(name)
     index = coordinates.names.index(name)
-    place = found.place(name)
-    factor = float(found.factor[place]) if place is not None and robust else 1.0
+    place = spread.place(name)
+    factor = float(spread.factor[place]) if place is not None and robust else 1.0
     threshold = factor * normal_quantile(level) ** 2
     width = float(natural_units(coordinates)[index])
-    se = math.sqrt(found.wald[place, place]) if place is not None else 0.3 * width
-    walk = _Walk(objective, estimate, found, index)
+    se = math.sqrt(spread.wald[place, place]) if place is not None else 0.3 * width
+    walk = _Walk(objective, estimate, spread, index)
     points = [(p.from_coordinate(estimate.z[index]), 0.0)]
     ends: list[float | None] = []
     limits: list[Limit] = []
@@ -105,8 +105,8 @@ def profile(
     curve = np.array(sorted(points))
     lower, upper = in_unit(p, ends)
     statements = [describe(p.unit, lower, upper, ends, limits), *unfinished]
-    if robust and name in found.needed and name not in found.flat:
-        statements.append(f"assuming that the model is correct ({too_short(found, name)})")
+    if robust and name in spread.needed and name not in spread.flat:
+        statements.append(f"assuming that the model is correct ({too_short(spread, name)})")
     statement, method = "; ".join(filter(None, statements)), "profile" if robust else "likelihood-ratio"
     return Bounds(
         estimate.values[name], lower, upper, level, method, statement, curve, tuple(limits), walk.better()
@@ -133,7 +133,7 @@ class _Walk:
     held there, and the others are solved without it.
     """
 
-    def __init__(self, objective: Objective, estimate: Estimate, found: Uncertainty, index: int) -> None:
+    def __init__(self, objective: Objective, estimate: Estimate, spread: Uncertainty, index: int) -> None:
         self.objective, self.estimate, self.index = objective, estimate, index
         self.free = estimate.coordinates.free
         self.others = np.arange(len(self.free)) != index
@@ -143,12 +143,12 @@ class _Walk:
         near = AT_LIMIT * self.units
         self.lower = np.where(estimate.z <= coordinates.lower + near, coordinates.lower, bounds[:, 0])
         self.upper = np.where(estimate.z >= coordinates.upper - near, coordinates.upper, bounds[:, 1])
-        self.curvature = with_positive_eigenvalues(found.curvature)
+        self.curvature = with_positive_eigenvalues(spread.curvature)
         self.path = np.zeros(len(self.free))
-        inside = np.array([p.name in found.names and i != index for i, p in enumerate(self.free)])
-        if found.place(coordinates.names[index]) is not None and inside.any():
-            block = positive_inverse(found.curvature[np.ix_(inside, inside)])
-            self.path[inside] = -block @ found.curvature[inside, index]
+        inside = np.array([p.name in spread.names and i != index for i, p in enumerate(self.free)])
+        if spread.place(coordinates.names[index]) is not None and inside.any():
+            block = positive_inverse(spread.curvature[np.ix_(inside, inside)])
+            self.path[inside] = -block @ spread.curvature[inside, index]
         self.last = {0.0: (estimate.z, np.zeros_like(estimate.z))}
         self.best = (-BETTER, estimate.z)
         self.left = WALK_PASSES
