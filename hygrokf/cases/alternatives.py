@@ -31,8 +31,8 @@ from hygrokf.estimation.lag_model import (
     REACH,
     Move,
     Relation,
-    declared,
-    fitted,
+    fit_autoregression,
+    fit_without_shift,
     relations,
     shift_logliks,
 )
@@ -159,7 +159,7 @@ class _Scan:
         if move not in self.logliks:  # nothing of this relation moves
             move, quarters = next(one for one in self.logliks if one[1] == 0), 0
         lag_h = LAGS_H[int(self.logliks[move][REACH + quarters].argmax())]
-        each = fitted(self.relation, lag_h, move, quarters, self.summer)[1]
+        each = fit_autoregression(self.relation, lag_h, move, quarters, self.summer)[1]
         return np.bincount(self.days, each, minlength=count)
 
     def days_apart(self, one: _Shift, other: _Shift, count: int) -> np.ndarray:
@@ -193,7 +193,9 @@ def _scanned(relation: Relation, record: Record) -> _Scan:
     groups = {_POWER & frozenset(relation.inputs), *(empty.move(name)[0] for name in names)}
     moves: set[Move] = {(group, more) for group in groups if group for more in extra}
     days = (relation.time // DAY_S - record.start_s // DAY_S).astype(int)
-    return _Scan(relation, summer, days, shift_logliks(relation, declared(relation)[0], moves, summer))
+    return _Scan(
+        relation, summer, days, shift_logliks(relation, fit_without_shift(relation)[0], moves, summer)
+    )
 
 
 _POWER = frozenset({"active_power"})
@@ -346,7 +348,7 @@ def _information(record: Record) -> np.ndarray:
     """ln L by day (D,) that the inputs add to the cabinet's own past."""
     found = np.zeros(int((record.end_s - record.start_s) / DAY_S) + 2)
     for relation in relations(record):
-        told = declared(relation)[1] - fitted(replace(relation, inputs={}), LAGS_H[0])[1]
+        told = fit_without_shift(relation)[1] - fit_autoregression(replace(relation, inputs={}), LAGS_H[0])[1]
         days = (relation.time // DAY_S - record.start_s // DAY_S).astype(int)
         found += np.bincount(days, told, minlength=len(found))
     return found

@@ -30,7 +30,7 @@ from hygrokf.physics.holds import LINEAR, MEAN, PREVIOUS
 from hygrokf.texts.record import DoubtCode, RecordCode
 from hygrokf.texts.statement import Statement
 from hygrokf.texts.wording import duration_text, period_text, stamp_text
-from hygrokf.weather.joining import follows, joined
+from hygrokf.weather.joining import follows, join_records
 from hygrokf.weather.reading import read_weather_file
 
 
@@ -229,7 +229,7 @@ def _weathers(
             # such as one file a year, each continuing the previous one
             if (before.format, before.compare) == (stated.format, stated.compare) and follows(earlier, read):
                 try:
-                    made = joined((earlier, read), earlier.name)
+                    made = join_records((earlier, read), earlier.name)
                 except TableFault as broken:
                     faults += [f"{before.file} and {stated.file}: {fault}" for fault in broken.faults]
                     break

@@ -1,7 +1,7 @@
-"""A case file drafted from exports: what was found, its doubts as comments, all columns that are left.
+"""Draft a case file from exports: the signals found, doubts about them as comments, and all unused columns.
 
-Exports are brought into the form that a case can name: one turbine, one column a quantity, one column of
-stamps.
+Exports are converted to a form that a case can read: one turbine, one column for each quantity, and one
+column of stamps.  A draft's `doubts` are choices that a person has to confirm.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from hygrokf.data.readings import detect_resolution
 from hygrokf.data.signals import SIGNALS, to_si
 from hygrokf.data.timestamps import summer_time_holes
 from hygrokf.drafting.layout import Export, is_value, read_export
-from hygrokf.drafting.mapping import DraftedSignal, LeftColumn, Source, assigned, rated_power, source_of
+from hygrokf.drafting.mapping import DraftedSignal, LeftColumn, Source, assign_signals, rated_power, source_of
 from hygrokf.drafting.stamps import as_text, sun_remark, time_columns, time_of_day
 from hygrokf.drafting.vocabulary import name_says, words_of
 from hygrokf.errors import HygrokfError, suggestion
@@ -46,100 +46,110 @@ _TAG = re.compile(
 _VALUE = re.compile(r"value|wert|reading|messwert| state ")
 _UNIT = re.compile(r"^ (unit|units|einheit) $")
 _LOGGER_QUANTITIES = 3
-"""Temperature, humidity and dew point: a logger has no more."""
+"""Largest number of quantities of a logger: temperature, humidity and dew point."""
+_FEWEST_REPEATED = 0.3
+"""[1] least share of repeated stamps in an export with one row for each turbine or tag; two make it 0.5."""
 _LABEL = re.compile(
     r"(?:^|[ _.\-])((?:wtg|wt|wea|wec|turbine|t|w|k|r)[ _\-]?0*\d{1,5})(?=[ _.\-]|$)", re.IGNORECASE
 )
 
 
 # -- exports in a form that a case can name ------------------------------------------------------------------
-def prepared(export: Export, turbine: str | None) -> Export:
-    """An export that a case can name, after selection of one turbine and reordering of its cells.
+def prepare_export(export: Export, turbine: str | None) -> Export:
+    """The export with one turbine selected and its cells reordered into a form that a case can read.
 
-    turbine: to select, or None for the first.  Its `changes` say why a copy is needed.  Raises TableFault.
+    turbine: to select, or None for the first.  The result's `changes` say why a copy is needed.  Raises
+    TableFault.
     """
-    column, hours = time_columns(export)
-    export = _one_turbine(export, column, hours, turbine)
-    if hours is not None:
-        of_day, ends = time_of_day(export.cells[hours])
-        joined = export.cells[column].str.cat(of_day, sep=" ")
-        cells = export.cells.drop(columns=[column, hours])
-        column = "time_end" if ends else "time"
-        named = cells.assign(**{column: joined})[[column, *cells]]
-        export = _with(export, named, "date and time in two columns")
-    export = _wide(export, column)
-    text, was = as_text(export.cells[column])
-    if was is not None:
-        export = _with(export, export.cells.assign(**{column: text}), f"stamps in {was}")
-    if not column.strip():
-        cells = export.cells.rename(columns={column: "time"})
-        export, column = _with(export, cells, "a column of stamps without a name"), "time"
-    header = dict(zip(export.cells, export.names, strict=False))
-    marks = quality_columns(list(export.cells), [one for one in export.cells if one != column]).values()
-    if not export.changes and any(export.names.count(header.get(one, one)) > 1 for one in marks):
-        export = _with(export, export.cells, "several columns of one name")
-    return _one_label(replace(export, column=column), turbine)
+    time_column, hour_column = time_columns(export)
+    export = _rows_of_turbine(export, time_column, hour_column, turbine)
+    if hour_column is not None:
+        times_of_day, is_end = time_of_day(export.cells[hour_column])
+        joined = export.cells[time_column].str.cat(times_of_day, sep=" ")
+        cells = export.cells.drop(columns=[time_column, hour_column])
+        time_column = "time_end" if is_end else "time"
+        reordered = cells.assign(**{time_column: joined})[[time_column, *cells]]
+        export = _with_cells(export, reordered, "date and time in two columns")
+    export = _one_column_per_tag(export, time_column)
+    text, original_kind = as_text(export.cells[time_column])
+    if original_kind is not None:
+        export = _with_cells(export, export.cells.assign(**{time_column: text}), f"stamps in {original_kind}")
+    if not time_column.strip():
+        cells = export.cells.rename(columns={time_column: "time"})
+        export, time_column = _with_cells(export, cells, "a column of stamps without a name"), "time"
+    header_of = dict(zip(export.cells, export.names, strict=False))
+    quality_names = quality_columns(
+        list(export.cells), [name for name in export.cells if name != time_column]
+    ).values()
+    if not export.changes and any(
+        export.names.count(header_of.get(name, name)) > 1 for name in quality_names
+    ):
+        export = _with_cells(export, export.cells, "several columns of one name")
+    return _columns_of_turbine(replace(export, column=time_column), turbine)
 
 
-def joined(exports: list[Export]) -> list[Export]:
-    """Exports, those with the same columns joined to one: files of consecutive months or years."""
+def join_exports(exports: list[Export]) -> list[Export]:
+    """Exports, with consecutive exports of the same columns, such as months or years, joined to one."""
     import pandas as pd
 
     result: list[Export] = []
     for export in exports:
-        same = [n for n, one in enumerate(result) if _continues(one, export)]
-        if not same or export.changes:
+        places = [n for n, other in enumerate(result) if _continues(other, export)]
+        if not places or export.changes:
             result.append(export)
             continue
-        before = result[same[0]]
-        cells = pd.concat([before.cells, export.cells], ignore_index=True)
+        earlier = result[places[0]]
+        cells = pd.concat([earlier.cells, export.cells], ignore_index=True)
         change = f"joined with {export.file.name}"
-        missing = tuple(dict.fromkeys((*before.missing, *export.missing)))
-        result[same[0]] = replace(before, cells=cells, missing=missing, changes=(*before.changes, change))
+        missing = tuple(dict.fromkeys((*earlier.missing, *export.missing)))
+        result[places[0]] = replace(earlier, cells=cells, missing=missing, changes=(*earlier.changes, change))
     return result
 
 
-def same_layout(exports: list[Export]) -> list[str]:
-    """Faults of exports that have the columns and the stamps of another one: they are of another turbine.
+def same_layout_faults(exports: list[Export]) -> list[str]:
+    """Faults of exports with the columns and the stamps of another export: these are of another turbine.
 
-    Two loggers of one make have them too: they read little else than temperature and humidity.
+    Loggers, which read little else than temperature and humidity, are excepted: two of one make may share
+    columns and stamps.
     """
     faults = []
     for number, export in enumerate(exports):
-        said = [name_says(name, unit) for name, unit in zip(export.names, export.units, strict=True)]
-        readings = [one for one in said if one.quantity or one.signal]
-        power = any("power" in one.signal for one in readings)
-        logger = len(readings) <= _LOGGER_QUANTITIES and not power
-        for before in exports[:number]:
-            if before.names == export.names and not logger:
+        named_columns = [name_says(name, unit) for name, unit in zip(export.names, export.units, strict=True)]
+        readings = [column for column in named_columns if column.quantity or column.signal]
+        has_power = any("power" in column.signal for column in readings)
+        is_logger = len(readings) <= _LOGGER_QUANTITIES and not has_power
+        for earlier in exports[:number]:
+            if earlier.names == export.names and not is_logger:
                 faults.append(
                     f"{export.file}: expected one turbine, found the columns and stamps of "
-                    f"{before.file} again; draft one case for each turbine"
+                    f"{earlier.file} again; draft one case for each turbine"
                 )
     return faults
 
 
-def _continues(before: Export, export: Export) -> bool:
-    """Whether an export has the columns of another one and hardly any of its stamps."""
-    if before.names != export.names or before.decimal != export.decimal:
+def _continues(earlier: Export, export: Export) -> bool:
+    """Whether two exports have the same columns and hardly any stamps in common."""
+    if earlier.names != export.names or earlier.decimal != export.decimal:
         return False
     stamps, _ = time_columns(export)
-    return float(export.cells[stamps].isin(set(before.cells[stamps])).mean()) < 0.1
+    return float(export.cells[stamps].isin(set(earlier.cells[stamps])).mean()) < 0.1
 
 
-def _with(
+def _with_cells(
     export: Export, cells: pandas.DataFrame, change: str, units: dict[str, str] | None = None
 ) -> Export:
-    """An export with other cells, and why."""
-    old = dict(zip(export.cells.columns, export.units, strict=True)) | (units or {})
+    """An export with `cells` in place of its own, and `change`, the reason, among its changes."""
+    unit_of = dict(zip(export.cells.columns, export.units, strict=True)) | (units or {})
     names = tuple(map(str, cells.columns))
-    of_names = tuple(old.get(name, "") for name in names)
+    of_names = tuple(unit_of.get(name, "") for name in names)
     return replace(export, cells=cells, names=names, units=of_names, changes=(*export.changes, change))
 
 
-def _selected(export: Export, names: list[str], turbine: str | None, where: str) -> Export:
-    """An export of several turbines with one of them chosen, by default the first, with a doubt.  Raises
-    TableFault."""
+def _select_turbine(export: Export, names: list[str], turbine: str | None, where: str) -> Export:
+    """An export of the turbines `names` with one selected; without `turbine` the first, with a doubt.
+
+    Raises TableFault for a turbine that is not among them; `where` begins the message.
+    """
     chosen = names[0] if turbine is None else turbine
     if chosen not in names:
         found = f"{', '.join(names[:20])}{suggestion(chosen, names)}"
@@ -151,85 +161,102 @@ def _selected(export: Export, names: list[str], turbine: str | None, where: str)
     return replace(export, turbine=chosen)
 
 
-def _one_turbine(export: Export, column: str, hours: str | None, turbine: str | None) -> Export:
-    """The rows of one turbine, where a column names several."""
+def _rows_of_turbine(
+    export: Export, time_column: str, hour_column: str | None, turbine: str | None
+) -> Export:
+    """The rows of one turbine, where a column names several turbines."""
     cells = export.cells
-    keys = [one for one in cells if one not in (column, hours) and _TURBINE.search(words_of(one))]
-    for key in keys:
-        names = list(cells[key].dropna().unique())
-        stamps = [column] if hours is None else [column, hours]
-        if not 2 <= len(names) <= 1000 or cells.duplicated(stamps).mean() < 0.3:
+    turbine_columns = [
+        name for name in cells if name not in (time_column, hour_column) and _TURBINE.search(words_of(name))
+    ]
+    for name in turbine_columns:
+        turbines = list(cells[name].dropna().unique())
+        stamp_columns = [time_column] if hour_column is None else [time_column, hour_column]
+        if not 2 <= len(turbines) <= 1000 or cells.duplicated(stamp_columns).mean() < _FEWEST_REPEATED:
             continue
-        export = _selected(export, names, turbine, f'column "{key}"')
-        rows = cells[cells[key] == export.turbine].drop(columns=[key]).reset_index(drop=True)
-        return _with(export, rows, f'rows of turbine "{export.turbine}" alone')
-    alone = turbine is not None and any(cells[key].nunique() == 1 for key in keys)
-    return replace(export, turbine=turbine) if alone else export
+        export = _select_turbine(export, turbines, turbine, f'column "{name}"')
+        rows = cells[cells[name] == export.turbine].drop(columns=[name]).reset_index(drop=True)
+        return _with_cells(export, rows, f'rows of turbine "{export.turbine}" alone')
+    has_single_turbine = turbine is not None and any(cells[name].nunique() == 1 for name in turbine_columns)
+    return replace(export, turbine=turbine) if has_single_turbine else export
 
 
-def _wide(export: Export, column: str) -> Export:
-    """One column a tag, from rows of stamp, tag and value; units of a column of units."""
+def _one_column_per_tag(export: Export, time_column: str) -> Export:
+    """One column for each tag, from rows of stamp, tag and value, with units from a column of units."""
     cells = export.cells
-    rest = [one for one in cells if one != column]
-    sample = {one: cells[one].dropna().iloc[:500] for one in rest}
-    unit = next((one for one in rest if _UNIT.match(words_of(one))), None)
-    numbers = [one for one in rest if len(sample[one]) and sample[one].map(is_value).mean() > 0.9]
-    values = [one for one in numbers if _VALUE.search(words_of(one))] or (
+    rest = [name for name in cells if name != time_column]
+    sample = {name: cells[name].dropna().iloc[:500] for name in rest}
+    unit_column = next((name for name in rest if _UNIT.match(words_of(name))), None)
+    numbers = [name for name in rest if len(sample[name]) and sample[name].map(is_value).mean() > 0.9]
+    value_columns = [name for name in numbers if _VALUE.search(words_of(name))] or (
         numbers if len(numbers) == 1 else []
     )
-    if not values:
+    if not value_columns:
         return export
-    quality = quality_columns(list(cells), values[:1]).get(values[0])
-    tags = [one for one in rest if one not in (*numbers, unit, quality) and 2 <= cells[one].nunique() <= 500]
-    tags.sort(key=lambda one: _TAG.search(words_of(one)) is None)
-    tagged = bool(tags) and (
-        cells[column].duplicated().mean() >= 0.3
-        # each tag has stamps of its own where a row comes when its value changes
-        or (len(numbers) == 1 and _TAG.search(words_of(tags[0])) and _VALUE.search(words_of(values[0])))
+    quality_column = quality_columns(list(cells), value_columns[:1]).get(value_columns[0])
+    tag_columns = [
+        name
+        for name in rest
+        if name not in (*numbers, unit_column, quality_column) and 2 <= cells[name].nunique() <= 500
+    ]
+    tag_columns.sort(key=lambda name: _TAG.search(words_of(name)) is None)
+    is_tagged = bool(tag_columns) and (
+        cells[time_column].duplicated().mean() >= _FEWEST_REPEATED
+        # where a row is written when a value changes, each tag has its own stamps
+        or (
+            len(numbers) == 1
+            and _TAG.search(words_of(tag_columns[0]))
+            and _VALUE.search(words_of(value_columns[0]))
+        )
     )
-    if not tagged:
-        if unit is None or cells[unit].nunique() != 1:
+    if not is_tagged:
+        if unit_column is None or cells[unit_column].nunique() != 1:
             return export
         units = tuple(
-            str(cells[unit].dropna().iloc[0]) if name == values[0] else given
+            str(cells[unit_column].dropna().iloc[0]) if name == value_columns[0] else given
             for name, given in zip(cells, export.units, strict=True)
         )
         return replace(export, units=units)
-    tag = tags[0]
-    rows = cells.dropna(subset=[tag, column])
-    if rows[column].str.match(r"\d{4}-").all():
-        rows = rows.sort_values(column, kind="stable")
-    how = {"index": column, "columns": tag, "aggfunc": "first", "sort": False}
-    table = rows.pivot_table(values=values[0], **how)
-    if quality is not None:
-        table = table.join(rows.pivot_table(values=quality, **how).add_suffix(" quality"))
-    units_of = {} if unit is None else rows.dropna(subset=[unit]).groupby(tag)[unit].first().to_dict()
+    tag_column = tag_columns[0]
+    rows = cells.dropna(subset=[tag_column, time_column])
+    if rows[time_column].str.match(r"\d{4}-").all():
+        rows = rows.sort_values(time_column, kind="stable")
+    pivot = {"index": time_column, "columns": tag_column, "aggfunc": "first", "sort": False}
+    table = rows.pivot_table(values=value_columns[0], **pivot)
+    if quality_column is not None:
+        table = table.join(rows.pivot_table(values=quality_column, **pivot).add_suffix(" quality"))
+    units_of = (
+        {}
+        if unit_column is None
+        else rows.dropna(subset=[unit_column]).groupby(tag_column)[unit_column].first().to_dict()
+    )
     table = table.reset_index().rename_axis(columns=None)
-    return _with(export, table.where(table.notna(), None), "one row a value", units_of)
+    return _with_cells(export, table.where(table.notna(), None), "one row a value", units_of)
 
 
-def _one_label(export: Export, turbine: str | None) -> Export:
-    """The columns of one turbine, where the names of columns hold several."""
+def _columns_of_turbine(export: Export, turbine: str | None) -> Export:
+    """The columns of one turbine, where the names of columns contain labels of several turbines."""
     cells = export.cells
-    labels = {one: found[1] for one in cells if one != export.column and (found := _LABEL.search(one))}
+    labels = {name: match[1] for name in cells if name != export.column and (match := _LABEL.search(name))}
     stems: dict[str, list[str]] = {}
     for name, label in labels.items():
         stem = name.replace(label, "", 1).strip(" _.-")
         if re.search(r"[A-Za-z]", stem):
             stems.setdefault(stem, []).append(label)
-    names = list(dict.fromkeys(label for found in stems.values() if len(found) > 1 for label in found))
-    if not names:
+    shared = [labels_of_stem for labels_of_stem in stems.values() if len(labels_of_stem) > 1]
+    turbines = list(dict.fromkeys(label for labels_of_stem in shared for label in labels_of_stem))
+    if not turbines:
         return export
-    before = export.turbine
-    export = _selected(export, names, turbine, "names of columns")
+    turbine_of_rows = export.turbine
+    export = _select_turbine(export, turbines, turbine, "names of columns")
     chosen = export.turbine or ""
-    kept = [one for one in cells if labels.get(one) not in names or labels[one] == chosen]
-    units = tuple(given for one, given in zip(cells, export.units, strict=True) if one in kept)
-    # nothing moves in the file: the case names the columns of one turbine
-    return replace(export, cells=cells[kept], units=units, label=chosen, turbine=before or chosen)
+    kept = [name for name in cells if labels.get(name) not in turbines or labels[name] == chosen]
+    units = tuple(given for name, given in zip(cells, export.units, strict=True) if name in kept)
+    # no copy is needed: the case names the columns of one turbine in the file as it is
+    return replace(export, cells=cells[kept], units=units, label=chosen, turbine=turbine_of_rows or chosen)
 
 
-_WIDTH = 100
+_COMMENT_WIDTH = 100
 
 
 # -- the draft -----------------------------------------------------------------------------------------------
@@ -243,7 +270,7 @@ class Draft:
 
     case: path of the case file. copies: tables written beside it. doubts: of the clocks, of the selection
     and, from `hygrokf init`, of the readings.
-    lacks: signals that a fit needs or would miss and that no export holds, in words.
+    lacks: sentences on the signals that a fit needs or would profit from and that no export holds.
     """
 
     case: str
@@ -278,13 +305,13 @@ def draft_case(
 
     Raises DraftFault with the faults of all exports.
     """
-    # the copies of this draft would replace exports that are copies of an earlier one
+    # a copy of this draft must not overwrite an export that is a copy of an earlier draft
     faults = [
-        f"{one}: expected an export, found the name of the copy of {other.name} for {out.name}; "
+        f"{file}: expected an export, found the name of the copy of {other.name} for {out.name}; "
         "leave it out, or remove it"
-        for one in exports
+        for file in exports
         for other in exports
-        if one.resolve() == (out.parent / f"{out.stem}_{other.name.split('.')[0]}.csv").resolve()
+        if file.resolve() == (out.parent / f"{out.stem}_{other.name.split('.')[0]}.csv").resolve()
     ]
     tables: list[Export] = []
     weather: list[Weather] = []
@@ -297,83 +324,84 @@ def draft_case(
                 tables.append(read_export(file))
         except TableFault as broken:
             faults += [fault if str(file) in fault else f"{file}: {fault}" for fault in broken.faults]
-    together = joined(tables)
-    faults += same_layout(together)
+    joined_tables = join_exports(tables)
+    faults += same_layout_faults(joined_tables)
     sources: list[Source] = []
     copies: list[Path] = []
-    for export in together:
+    for export in joined_tables:
         try:
-            export = prepared(export, turbine)
+            export = prepare_export(export, turbine)
             if export.changes:
                 copies.append(_copy_name(export.file, out, copies))
-            named = copies[-1] if export.changes else export.file
-            sources.append(source_of(export, _relative(named, out)))
+            case_file = copies[-1] if export.changes else export.file
+            sources.append(source_of(export, _relative(case_file, out)))
         except TableFault as broken:
             faults += [f"{export.file}: {fault}" for fault in broken.faults]
-    if turbine is not None and not faults and not any(one.export.turbine for one in sources):
+    if turbine is not None and not faults and not any(source.export.turbine for source in sources):
         faults.append(
             f"--turbine {turbine}: expected an export of several turbines, found none; leave it out"
         )
     if faults:
         raise DraftFault("\n".join(faults))
-    found, left = assigned({one.path: one for one in sources})
-    sources = [_noted(one, sources, found, site) for one in sources]
-    changed = [one.export for one in sources if one.export.changes]
+    signals, unused = assign_signals({source.path: source for source in sources})
+    sources = [_with_clock_doubts(source, sources, signals, site) for source in sources]
+    changed = [source.export for source in sources if source.export.changes]
     for copy, export in zip(copies, changed, strict=True):
         text = export.cells.to_csv(index=False, sep=export.separator, lineterminator="\n")
         write_text_whole(copy, text)
     doubts = (
-        f"{one.path}: {doubt}"
-        for one in sources
-        for doubt in (*one.clock.doubts, *one.export.doubts, *one.quality_doubts)
+        f"{source.path}: {doubt}"
+        for source in sources
+        for doubt in (*source.clock.doubts, *source.export.doubts, *source.quality_doubts)
     )
-    lacks = _lacking(found, bool(weather))
-    made = Draft(str(out), tuple(map(str, copies)), tuple(found), tuple(left), tuple(doubts), lacks)
-    write_text_whole(out, "\n".join((*_lines(made, sources, weather, site), "")))
-    return made
+    lacks = _missing_signals(signals, bool(weather))
+    draft = Draft(str(out), tuple(map(str, copies)), tuple(signals), tuple(unused), tuple(doubts), lacks)
+    write_text_whole(out, "\n".join((*_lines(draft, sources, weather, site), "")))
+    return draft
 
 
 def _is_typical_year(file: Path, form: str) -> bool:
-    """Whether the months of a weather file are of different years, or of none.  Raises TableFault."""
+    """Whether the months of a weather file are of different years, or have no year.  Raises TableFault."""
     if form != "epw":
         return form == "try"
-    lines = b"\n".join(one.data for one in contents(file)[0] if one.kind == "epw").splitlines()
+    lines = b"\n".join(content.data for content in contents(file)[0] if content.kind == "epw").splitlines()
     return len({line.split(b",")[0] for line in lines[8:] if line.count(b",") > 20}) > 1
 
 
-def _noted(
+def _with_clock_doubts(
     source: Source,
     sources: Sequence[Source],
-    found: Sequence[DraftedSignal],
+    signals: Sequence[DraftedSignal],
     site: tuple[float, float] | None,
 ) -> Source:
-    """A source with the doubts of its clock beside others and the sun's remark, in the form of its copy."""
+    """A source with doubts about its zone and the remark on the sun, with the separator of its copy, if
+    any."""
     export, time = source.export, source.clock.time
     doubts = (*export.doubts, *_zone_doubt(source, sources))
-    if source.clock.timezone is None:  # its offsets may contradict its stamps
+    if source.clock.timezone is None:  # the offsets of stamps may contradict the clock's summer time
         doubts = (*doubts, *summer_time_holes(np.sort(time[np.isfinite(time)])))
     export = replace(export, doubts=doubts)
     if export.changes:
         export = replace(export, separator=";" if export.decimal == "," else ",", comment=None)
-    light = (one for one in found if (one.file, one.signal) == (source.path, "global_horizontal_irradiance"))
-    column = next((one.column for one in light), None)
+    irradiance = (source.path, "global_horizontal_irradiance")
+    column = next((signal.column for signal in signals if (signal.file, signal.signal) == irradiance), None)
     sun = None if column is None else sun_remark(time, source.values[column], site and site[1])
     return replace(source, export=export, sun=sun)
 
 
 def _copy_name(file: Path, out: Path, copies: list[Path]) -> Path:
-    """Where the copy of an export goes; exports of one name in two folders get two copies."""
+    """Path of the copy of an export, unique where exports in two folders have the same name."""
     stem = f"{out.stem}_{file.name.split('.')[0]}"
     names = (f"{stem}.csv", *(f"{stem}_{number}.csv" for number in range(2, len(copies) + 2)))
     return next(path for path in (out.parent / name for name in names) if path not in copies)
 
 
 def _zone_doubt(source: Source, sources: Sequence[Source]) -> tuple[str, ...]:
-    """A doubt of an assumed zone where other exports state theirs."""
+    """A doubt about a source's assumed zone, where other exports state their zones."""
     stated = {
-        one.clock.timezone: one.export.file.name
-        for one in sources
-        if one.clock.timezone not in (None, source.clock.timezone) and not one.clock.zone_assumed
+        other.clock.timezone: other.export.file.name
+        for other in sources
+        if other.clock.timezone not in (None, source.clock.timezone) and not other.clock.zone_assumed
     }
     if not source.clock.zone_assumed or not stated:
         return ()
@@ -389,18 +417,18 @@ def _relative(file: Path, out: Path) -> str:
 # --- the text of the case --------------------------------------------------------------------
 
 
-def _lacking(found: Sequence[DraftedSignal], weather: bool) -> tuple[str, ...]:
-    """What a fit needs or would miss, and no active signal of the draft holds."""
-    signals = {one.signal for one in found if one.active and not one.compare}
+def _missing_signals(signals: Sequence[DraftedSignal], weather: bool) -> tuple[str, ...]:
+    """Sentences on the signals that a fit needs or would profit from and that are not active in the draft."""
+    names = {signal.signal for signal in signals if signal.active and not signal.compare}
     lacks = []
-    if not weather and "ambient_temperature" not in signals:
+    if not weather and "ambient_temperature" not in names:
         lacks.append("no ambient temperature was found, and every model needs it: add its export")
-    if not any(one.startswith("cabinet_") for one in signals):
+    if not any(name.startswith("cabinet_") for name in names):
         lacks.append("no reading of the cabinet was found; `hygrokf fit` needs one: add its export")
-    humid = {one.partition("_")[0] for one in signals if "humidity" in one or "dew_point" in one}
-    if "cabinet" in humid and "ambient" not in humid and not weather:
+    humid_places = {name.partition("_")[0] for name in names if "humidity" in name or "dew_point" in name}
+    if "cabinet" in humid_places and "ambient" not in humid_places and not weather:
         lacks.append("no humidity of the air outside was found, which the hygric model needs: add its export")
-    if "active_power" not in signals:
+    if "active_power" not in names:
         lacks.append(
             "no active power was found: the whole record would count as standstill; add its export, "
             "or name its column"
@@ -416,17 +444,17 @@ def _lines(
 ) -> Iterator[str]:
     yield "# Drafted by `hygrokf init` from the exports below. Check what is marked `doubt`, then run"
     yield "# `hygrokf check` on this file. docs/reference/case_file.md describes all keys."
-    name = next((one.export.turbine for one in sources if one.export.turbine), None)
+    name = next((source.export.turbine for source in sources if source.export.turbine), None)
     first = sources[0].export.file.name.split(".")[0] if sources else Path(draft.case).stem
-    yield f"name = {_text(name or first)}"
-    for one in draft.signals:
-        if one.signal == "active_power" and one.active and not one.compare:
-            values = next(source.values[one.column] for source in sources if source.path == one.file)
-            rated_kW = rated_power(values, one.unit)
+    yield f"name = {_toml_string(name or first)}"
+    for signal in draft.signals:
+        if signal.signal == "active_power" and signal.active and not signal.compare:
+            values = next(source.values[signal.column] for source in sources if source.path == signal.file)
+            rated_kW = rated_power(values, signal.unit)
             if rated_kW is not None:
                 yield f"rated_power_kW = {rated_kW:g}  # where the power stops rising; see the type plate"
                 continue
-            high = np.quantile(to_si(values[np.isfinite(values)], one.unit, one.signal), 0.999) / 1e3
+            high = np.quantile(to_si(values[np.isfinite(values)], signal.unit, signal.signal), 0.999) / 1e3
             yield from _doubt(f"the power shows no plateau; its largest readings are {high:.4g} kW")
             yield "# rated_power_kW = "
     yield ""
@@ -442,16 +470,18 @@ def _lines(
         yield from ("", *_doubt(lack))
     for source in sources:
         for compare in (False, True):
-            lines = [one for one in draft.signals if (one.file, one.compare) == (source.path, compare)]
-            if any(one.active for one in lines):
-                yield from ("", *_source(draft, source, lines, compare))
+            part = (source.path, compare)
+            signals = [signal for signal in draft.signals if (signal.file, signal.compare) == part]
+            if any(signal.active for signal in signals):
+                yield from ("", *_source_lines(draft, source, signals, compare))
             elif not compare:
                 yield from ("", f"# {source.path}: no signal was recognised; its columns:")
-                yield from _left(draft, source)
-    times = [one.clock.time[np.isfinite(one.clock.time)] for one in sources]
-    for of_weather in weather:
-        yield from ("", "[[source]]", f"file = {_text(of_weather.file)}", f'format = "{of_weather.format}"')
-        if of_weather.typical:
+                yield from _unused_lines(draft, source)
+    times = [source.clock.time[np.isfinite(source.clock.time)] for source in sources]
+    for weather_file in weather:
+        file = _toml_string(weather_file.file)
+        yield from ("", "[[source]]", f"file = {file}", f'format = "{weather_file.format}"')
+        if weather_file.typical:
             yield from _doubt("a typical year has no calendar year of its own: the year that it stands for")
             # the calendar year in the middle of the exports
             yield f"year = {stamp_text(float(np.median(times[0])))[:4] if times else 2019}"
@@ -461,73 +491,80 @@ def _lines(
         yield f'# until = "{stamp_text(86400.0 * round((start + 0.7 * (end - start)) / 86400.0))}"'
 
 
-def _source(draft: Draft, source: Source, lines: Sequence[DraftedSignal], compare: bool) -> Iterator[str]:
+def _source_lines(
+    draft: Draft, source: Source, signals: Sequence[DraftedSignal], compare: bool
+) -> Iterator[str]:
     clock, export = source.clock, source.export
     finite = clock.time[np.isfinite(clock.time)]
-    gone = 1.0 - len(np.unique(finite)) / max(1.0, np.ptp(finite) / clock.step_s + 1.0)
+    missing_share = 1.0 - len(np.unique(finite)) / max(1.0, np.ptp(finite) / clock.step_s + 1.0)
     zone = "" if clock.timezone is None else " by its own clock"
     span = f"{stamp_text(finite.min()).rstrip('Z')} to {stamp_text(finite.max()).rstrip('Z')}{zone}"
     yield f"# {len(finite)} rows, {span}, step {duration_text(clock.step_s)}" + (
-        f", {100 * gone:.0f} % of the rows missing" if gone > 0.01 else ""
+        f", {100 * missing_share:.0f} % of the rows missing" if missing_share > 0.01 else ""
     )
     yield "[[source]]"
     if export.changes:
         yield from _comment(
             f"# a copy of {export.file.name}, in a form that a case can name: {'; '.join(export.changes)}"
         )
-    yield f"file = {_text(source.path)}"
-    yield f"time = {_text(clock.column)}"
+    yield f"file = {_toml_string(source.path)}"
+    yield f"time = {_toml_string(clock.column)}"
     if clock.time_format is not None:
-        yield f"time_format = {_text(clock.time_format)}"
+        yield f"time_format = {_toml_string(clock.time_format)}"
     for remark in filter(None, (*clock.remarks, source.sun)):
         yield from _comment(f"# {remark}")
     for doubt in () if compare else (*clock.doubts, *export.doubts):
         yield from _doubt(doubt)
     if clock.timezone is not None:
-        yield f"timezone = {_text(clock.timezone)}"
+        yield f"timezone = {_toml_string(clock.timezone)}"
     if clock.stamp != "instant":
-        yield f"stamp = {_text(clock.stamp)}"
-    usual = {"separator": ",", "decimal": ".", "thousands": "", "comment": None}
-    stated = {name: getattr(export, name) for name in usual}
-    yield from (f"{name} = {_text(one)}" for name, one in stated.items() if one != usual[name])
-    texts = set().union(*(export.read(one.column)[1] for one in lines))
+        yield f"stamp = {_toml_string(clock.stamp)}"
+    defaults = {"separator": ",", "decimal": ".", "thousands": "", "comment": None}
+    settings = {name: getattr(export, name) for name in defaults}
+    yield from (
+        f"{name} = {_toml_string(value)}" for name, value in settings.items() if value != defaults[name]
+    )
+    texts = set().union(*(export.read(signal.column)[1] for signal in signals))
     if len(texts) > 8:
         yield from _doubt(f"{len(texts)} different texts among the readings are taken as missing")
     if export.missing or texts:
         yield f"missing = {json.dumps(sorted(texts.union(export.missing)), ensure_ascii=False)}"
     for doubt in () if compare else source.quality_doubts:
         yield from _doubt(doubt)
-    if source.vocabulary.name and any(one.column in source.quality for one in lines):
-        yield f"vocabulary = {_text(source.vocabulary.name)}"
+    if source.vocabulary.name and any(signal.column in source.quality for signal in signals):
+        yield f"vocabulary = {_toml_string(source.vocabulary.name)}"
     if compare:
         yield "compare = true  # only compared with the source above that has the same signal"
-    for one in lines:
-        yield from _signal(source, one)
+    for signal in signals:
+        yield from _signal_lines(source, signal)
     if not compare:
-        yield from _left(draft, source)
+        yield from _unused_lines(draft, source)
 
 
-def _signal(source: Source, one: DraftedSignal) -> Iterator[str]:
-    for doubt in one.doubts:
+def _signal_lines(source: Source, drafted: DraftedSignal) -> Iterator[str]:
+    for doubt in drafted.doubts:
         yield from _doubt(doubt)
-    values = source.values[one.column]
+    values = source.values[drafted.column]
     resolution = detect_resolution(values)
-    lines = source.clock.stamp == "instant" and SIGNALS[one.signal].hold_of_instants == LINEAR
-    if lines and resolution and on_change(source.clock.time, values, resolution):
-        yield from _doubt(DoubtCode.ONLY_ON_CHANGE(signal=one.signal).text)
-    note = one.why + (f"; readings in steps of {resolution:g}" if resolution else "")
-    quality = f", quality = {_text(source.quality.get(one.column, ''))}" * (one.column in source.quality)
-    entry = f"signals.{one.signal} = {{ column = {_text(one.column)}, unit = {_text(one.unit)}{quality} }}"
-    yield f"{'' if one.active else '# '}{entry}  # {note}"
+    is_interpolated = source.clock.stamp == "instant" and SIGNALS[drafted.signal].hold_of_instants == LINEAR
+    if is_interpolated and resolution and on_change(source.clock.time, values, resolution):
+        yield from _doubt(DoubtCode.ONLY_ON_CHANGE(signal=drafted.signal).text)
+    note = drafted.why + (f"; readings in steps of {resolution:g}" if resolution else "")
+    quality = f", quality = {_toml_string(source.quality.get(drafted.column, ''))}" * (
+        drafted.column in source.quality
+    )
+    column, unit = _toml_string(drafted.column), _toml_string(drafted.unit)
+    entry = f"signals.{drafted.signal} = {{ column = {column}, unit = {unit}{quality} }}"
+    yield f"{'' if drafted.active else '# '}{entry}  # {note}"
 
 
-def _left(draft: Draft, source: Source) -> Iterator[str]:
-    rest = [f"{one.column} ({one.why})" for one in draft.left if one.file == source.path]
-    if rest:
-        yield from _comment("# not used: " + ", ".join(rest))
+def _unused_lines(draft: Draft, source: Source) -> Iterator[str]:
+    columns = [f"{column.column} ({column.why})" for column in draft.left if column.file == source.path]
+    if columns:
+        yield from _comment("# not used: " + ", ".join(columns))
 
 
-def _text(text: str) -> str:
+def _toml_string(text: str) -> str:
     """A TOML string."""
     return json.dumps(text, ensure_ascii=False)
 
@@ -537,8 +574,8 @@ def _doubt(text: str) -> list[str]:
 
 
 def _comment(text: str) -> list[str]:
-    """Lines of a comment; no text of a file can end it."""
+    """Lines of a TOML comment; line breaks in the text become blanks, so that no text ends the comment."""
     plain = " ".join("".join(c if c.isprintable() else " " for c in text).split())
     return textwrap.wrap(
-        plain, _WIDTH, subsequent_indent="#   ", break_long_words=False, break_on_hyphens=False
+        plain, _COMMENT_WIDTH, subsequent_indent="#   ", break_long_words=False, break_on_hyphens=False
     )

@@ -1,4 +1,4 @@
-"""The stamps of an export: column and format, place in the interval, and what tells their zone."""
+"""The stamps of an export: column and format, meaning within the interval, and evidence of their zone."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ _CENTRAL_EUROPE = re.compile(r"(?<![a-z])(mes?z|ces?t)(?![a-z])", re.IGNORECASE)
 _DATE_ALONE = r"\d{8}|\d{1,4}[-/.]\s?\d{1,2}[-/.]\s?\d{1,4}"
 _HOURS = re.compile(r"hour|hora|heure|stunde|uur|zeit|time|(?<![a-z])(hh?|hr|std)(?![a-z])", re.IGNORECASE)
 _CLOCKS_OF_MAKES = {"MESS_DATUM": ("UTC", "the files of DWD are in UTC")}
-"""Column of stamps, its zone, and why: of services whose files never name their zone."""
+"""Column of stamps -> its zone and the reason, for services whose files never name their zone."""
 
 
 @dataclass(frozen=True)
@@ -48,9 +48,9 @@ class ExportClock:
 
     column: its name. time_format: strptime format, None for ISO 8601. time: [s] (N,) by the clock of the
     file, read as UTC where the stamps have no offset.
-    timezone: of the stamps, None where they carry offsets; zone_assumed: whether nothing tells it.
-    stamp: their meaning. step_s: most frequent step.
-    doubts: choices to confirm. remarks: what was seen and rests on evidence.
+    timezone: of the stamps, None where they carry offsets; zone_assumed: whether there is no evidence of it.
+    stamp: "instant", "start" or "end" of the interval. step_s: most frequent step.
+    doubts: choices to confirm. remarks: conclusions that rest on evidence.
     """
 
     column: str
@@ -65,47 +65,48 @@ class ExportClock:
 
 
 def time_columns(export: Export) -> tuple[str, str | None]:
-    """The column of stamps or dates, and the one of times of day where the two are apart.
+    """The column of stamps or dates, and the column of times of day where the date is in a column of its own.
 
     Raises TableFault where there is none.
     """
     sample = export.cells.iloc[np.linspace(0, len(export.cells) - 1, min(len(export.cells), 200)).astype(int)]
-    found: list[tuple[int, int, str]] = []
+    candidates: list[tuple[int, int, str]] = []
     for name in sample:
-        given = sample[name].dropna()
-        if len(given) < 0.5 * len(sample) or (given.nunique() < 2 and len(sample) > 200):
+        cells = sample[name].dropna()
+        if len(cells) < 0.5 * len(sample) or (cells.nunique() < 2 and len(sample) > 200):
             continue
-        if given.map(is_date).mean() > 0.9:
+        if cells.map(is_date).mean() > 0.9:
             words = name.lower()
-            numeric = given.str.fullmatch(r"[\d.,]+").all() and not given.str.contains(r"\..*\.").any()
-            named = bool(re.search(r"time|date|datum|zeit|stamp|epoch|yyyymmdd|ts\b|_ts|时间", words))
-            if numeric and not named:
+            is_numeric = cells.str.fullmatch(r"[\d.,]+").all() and not cells.str.contains(r"\..*\.").any()
+            is_named = bool(re.search(r"time|date|datum|zeit|stamp|epoch|yyyymmdd|ts\b|_ts|时间", words))
+            if is_numeric and not is_named:
                 continue
-            utc = "utc" in words or "gmt" in words
-            end = bool(re.search(r"\bend|ende\b|bis\b|_end|received|insert", words))
-            found.append((named + utc - end, -len(found), name))
-    if not found:
+            is_utc = "utc" in words or "gmt" in words
+            is_end = bool(re.search(r"\bend|ende\b|bis\b|_end|received|insert", words))
+            candidates.append((is_named + is_utc - is_end, -len(candidates), name))
+    if not candidates:
         raise TableFault(
             "expected a column of stamps such as 2020-12-01 00:00, found none among "
             f"{', '.join(sample)[:200]}"
         )
-    column = max(found)[2]
+    column = max(candidates)[2]
     dates = sample[column].dropna()
     if not dates.str.contains(":").any():
         for name in sample:
-            given = sample[name].dropna()
-            if name == column or not len(given):
+            cells = sample[name].dropna()
+            if name == column or not len(cells):
                 continue
-            if given.map(lambda one: bool(_TIME_ALONE.match(one))).mean() > 0.9:
+            if cells.map(lambda cell: bool(_TIME_ALONE.match(cell))).mean() > 0.9:
                 return column, name
-            hours = given.str.fullmatch(r"1?\d|2[0-4]|0\d").all() and given.nunique() > 2
-            if hours and _HOURS.search(name) and dates.str.fullmatch(_DATE_ALONE).all():
+            is_hours = cells.str.fullmatch(r"1?\d|2[0-4]|0\d").all() and cells.nunique() > 2
+            if is_hours and _HOURS.search(name) and dates.str.fullmatch(_DATE_ALONE).all():
                 return column, name
     return column, None
 
 
 def time_of_day(hours: pandas.Series) -> tuple[pandas.Series, bool]:
-    """Times of day as text, from hours too; and whether these are 1 to 24, the ends of their intervals."""
+    """Times of day as text, converted from hours if need be; and whether the hours are 1 to 24, ends of
+    intervals."""
     if hours.str.contains(":").any():
         return hours, False
     numbers = hours.dropna().astype(int)
@@ -113,16 +114,16 @@ def time_of_day(hours: pandas.Series) -> tuple[pandas.Series, bool]:
 
 
 def as_text(stamps: pandas.Series) -> tuple[pandas.Series, str | None]:
-    """Stamps that a case can read, from Unix seconds or milliseconds; and what they were."""
+    """Stamps in a form that a case can read, and, for converted Unix times, their unit in words."""
     import pandas as pd
 
-    given = stamps.dropna()
-    if not given.str.fullmatch(r"1\d{9}(\.\d*)?|1\d{12}").all():
+    present = stamps.dropna()
+    if not present.str.fullmatch(r"1\d{9}(\.\d*)?|1\d{12}").all():
         return stamps, None
-    milli = given.str.len().median() == 13 and not given.str.contains(".", regex=False).any()
-    number = pd.to_numeric(stamps) * (1 if milli else 1000)
+    is_milliseconds = present.str.len().median() == 13 and not present.str.contains(".", regex=False).any()
+    number = pd.to_numeric(stamps) * (1 if is_milliseconds else 1000)
     text = pd.to_datetime(number.round(), unit="ms").dt.strftime("%Y-%m-%dT%H:%M:%S.%fZ")
-    return text.str.replace(".000000Z", "Z"), f"Unix {'milliseconds' if milli else 'seconds'}"
+    return text.str.replace(".000000Z", "Z"), f"Unix {'milliseconds' if is_milliseconds else 'seconds'}"
 
 
 def clock_of(export: Export, means: bool) -> ExportClock:
@@ -131,7 +132,7 @@ def clock_of(export: Export, means: bool) -> ExportClock:
     means: whether the readings are means over intervals.  Raises TableFault where no format reads the stamps.
     """
     column, text = export.column, export.cells[export.column]
-    forms = _forms(text)
+    forms = _fitting_forms(text)
     if not forms:
         raise TableFault(
             f'column "{column}": expected stamps such as 2020-12-01 00:00 or 01.12.2020 00:00, found '
@@ -143,45 +144,49 @@ def clock_of(export: Export, means: bool) -> ExportClock:
         others = ", ".join(str(one) for one, _ in forms[1:3])
         doubts.append(f"day and month can be exchanged in these stamps; also possible: {others}")
     step, _ = modal_step(np.sort(time[np.isfinite(time)]))
-    holes, whole = _holes(time, step)
+    holes, unbroken = _spring_holes(time, step)
     zone: str | None = None
-    remark, assumed = "", False
+    remark, is_assumed = "", False
     if not (form is None and read_stamps(text.iloc[:50]).naive.sum() < 25):
-        zone, remark, doubt = _zone(export, holes, whole)
+        zone, remark, doubt = _infer_zone(export, holes, unbroken)
         doubts += [doubt] if doubt else []
-        assumed = bool(doubt) and zone == "UTC"
-    stamp, why = _position(column, time, step, holes, means)
-    if stamp != "instant" and not why:
+        is_assumed = bool(doubt) and zone == "UTC"
+    stamp, evidence = _infer_meaning(column, time, step, holes, means)
+    if stamp != "instant" and not evidence:
         doubts.append(
             'means over intervals: the file does not state whether stamps are their "start" or "end"'
         )
-    remarks = tuple(filter(None, (remark, why)))
-    return ExportClock(column, form, time, zone, stamp, step, tuple(doubts), remarks, assumed)
+    remarks = tuple(filter(None, (remark, evidence)))
+    return ExportClock(column, form, time, zone, stamp, step, tuple(doubts), remarks, is_assumed)
 
 
-def _forms(text: pandas.Series) -> list[tuple[str | None, np.ndarray]]:
-    """Formats that read the stamps, with the times [s]; the most regular first."""
+def _fitting_forms(text: pandas.Series) -> list[tuple[str | None, np.ndarray]]:
+    """Formats that read the stamps, with the times [s]; those with the most regular and shortest times
+    only."""
     sample = text.dropna()
     sample = sample.iloc[np.linspace(0, len(sample) - 1, min(len(sample), 300)).astype(int)]
-    found = []
-    for place, form in enumerate(fitting_formats(sample)):
+    ranked = []
+    for order, form in enumerate(fitting_formats(sample)):
         read = read_stamps(text, UTC, time_format=form)
         if read.unreadable.sum() > 0.001 * len(text):
             continue
         moments = np.sort(read.time[np.isfinite(read.time)])
         irregular = 1.0 - modal_step(moments)[1]
         span = moments[-1] - moments[0] if len(moments) else math.inf
-        found.append((round(irregular, 2), round(span / DAY_S), place, form, read.time))
+        ranked.append((round(irregular, 2), round(span / DAY_S), order, form, read.time))
         if form is None:
             break
-    found.sort(key=lambda one: one[:3])
-    return [(one[3], one[4]) for one in found if one[:2] == found[0][:2]]
+    ranked.sort(key=lambda entry: entry[:3])
+    return [(entry[3], entry[4]) for entry in ranked if entry[:2] == ranked[0][:2]]
 
 
 @dataclass(frozen=True)
 class _Hole:
-    """The hour that a clock with summer time skips in spring: its first hour by that clock [h], whether the
-    stamps are ends of intervals, and whether it is an American date."""
+    """The hour that a clock with summer time skips in spring.
+
+    hour: [h] at which it begins by this clock. end: whether stamps are ends of intervals. american: whether
+    the clock changed on the American date.
+    """
 
     hour: int
     end: bool
@@ -191,29 +196,30 @@ class _Hole:
 _ZONES = {1: "Europe/London", 2: "Europe/Berlin", 3: "Europe/Helsinki"}
 
 
-def _holes(time: np.ndarray, step: float) -> tuple[list[_Hole], int]:
-    """Hours missing on dates of change in spring, and the number of such dates without a missing hour."""
+def _spring_holes(time: np.ndarray, step: float) -> tuple[list[_Hole], int]:
+    """Hours missing on the dates when summer time begins, and the number of these dates without a missing
+    hour."""
     moments = np.unique(time[np.isfinite(time)])
     if not step <= HOUR_S or len(moments) < 10:
         return [], 0
-    holes, whole = [], 0
+    holes, unbroken = [], 0
     for start in np.arange(DAY_S * np.floor(moments[0] / DAY_S), moments[-1], DAY_S):
         day, season = change_date(start)
         if season != "spring":
             continue
         european = day.day >= 25
-        near = moments[(moments >= start - HOUR_S) & (moments <= start + 6 * HOUR_S)]
-        gaps = np.flatnonzero(np.diff(near) > 1.5 * step)
-        if len(gaps) == 0 and len(near) > 5 * HOUR_S / step:
-            whole += european
-        elif len(gaps) == 1 and abs(near[gaps[0] + 1] - near[gaps[0]] - HOUR_S - step) < 0.01 * step:
-            missing = (near[gaps[0]] + step - start) / HOUR_S
+        nearby = moments[(moments >= start - HOUR_S) & (moments <= start + 6 * HOUR_S)]
+        gaps = np.flatnonzero(np.diff(nearby) > 1.5 * step)
+        if len(gaps) == 0 and len(nearby) > 5 * HOUR_S / step:
+            unbroken += european
+        elif len(gaps) == 1 and abs(nearby[gaps[0] + 1] - nearby[gaps[0]] - HOUR_S - step) < 0.01 * step:
+            missing = (nearby[gaps[0]] + step - start) / HOUR_S
             holes.append(_Hole(math.floor(missing + 1e-6), missing % 1.0 > 1e-6, not european))
-    return holes, whole
+    return holes, unbroken
 
 
-def _zone(export: Export, holes: Sequence[_Hole], whole: int) -> tuple[str, str, str]:
-    """The zone of stamps without an offset, what speaks for it, and what is doubted of it."""
+def _infer_zone(export: Export, holes: Sequence[_Hole], unbroken: int) -> tuple[str, str, str]:
+    """The zone of stamps without an offset, the evidence for it, and a doubt about it; either may be ""."""
     column = export.column
     heading = " ".join((column, *export.units[:1])).replace("_", " ")
     named, central = zone_in_header(heading), _CENTRAL_EUROPE.search(heading)
@@ -232,15 +238,15 @@ def _zone(export: Export, holes: Sequence[_Hole], whole: int) -> tuple[str, str,
             f'the header "{column}" names Central European Time: {named} is assumed; '
             'state "Europe/Berlin" if the clock follows summer time'
         )
-        return named, "", "" if whole else doubt
-    if holes and not whole:
+        return named, "", "" if unbroken else doubt
+    if holes and not unbroken:
         zone = _ZONES.get(holes[0].hour) if not holes[0].american else None
-        where = f"the hour from {holes[0].hour}:00 is missing where summer time begins"
+        evidence = f"the hour from {holes[0].hour}:00 is missing where summer time begins"
         if zone is not None:
-            return zone, f"{where}: the clock follows the summer time of {zone} or a zone like it", ""
+            return zone, f"{evidence}: the clock follows the summer time of {zone} or a zone like it", ""
         site = "name the IANA zone of the site, such as America/Chicago; UTC is only assumed"
-        return "UTC", "", f"{where}: {site}"
-    if whole and not holes:
+        return "UTC", "", f"{evidence}: {site}"
+    if unbroken and not holes:
         return "UTC", "", (
             "no hour is missing where summer time begins: the clock has a fixed offset, which the file does "
             "not state; UTC is assumed"
@@ -248,11 +254,13 @@ def _zone(export: Export, holes: Sequence[_Hole], whole: int) -> tuple[str, str,
     return "UTC", "", "the file does not state the zone of its stamps; UTC is assumed"
 
 
-def _position(
+def _infer_meaning(
     column: str, time: np.ndarray, step: float, holes: Sequence[_Hole], means: bool
 ) -> tuple[str, str]:
-    """The meaning of the stamps, an instant or the start or end of an interval, and what says so; of means
-    where nothing does, the start and ""."""
+    """The meaning of the stamps, "instant" or "start" or "end" of an interval, and the evidence.
+
+    Without evidence, stamps of means count as starts, and the evidence is "".
+    """
     words = re.sub(r"[_\W]+", " ", column.lower())
     header = f'the header "{column}" says that stamps are at the {{}} of the interval'
     if re.search(r"\b(start|begin|beginning|beginn|von|from)\b", words):
@@ -262,39 +270,41 @@ def _position(
     if not (means and step >= 5.0 * MINUTE_S):
         return "instant", ""
     moments = np.sort(time[np.isfinite(time)])
-    begins, ends = np.round(np.mod(moments[[0, -1]], DAY_S) / MINUTE_S)
+    first_minute, last_minute = np.round(np.mod(moments[[0, -1]], DAY_S) / MINUTE_S)
     minutes = round(step / MINUTE_S) if math.isfinite(step) else 0
     if minutes and holes:
         stamp = "end" if holes[0].end else "start"
         return stamp, f"the stamps missing where summer time begins are {stamp}s of intervals"
-    if minutes and (begins, ends) == (minutes, 0):
-        said = "one step after midnight and ends at midnight: stamps are ends of intervals"
-        return "end", f"the file begins {said}"
-    if minutes and (begins, ends) == (0, round(DAY_S / MINUTE_S) - minutes):
-        said = "at midnight and ends one step before: stamps are starts of intervals"
-        return "start", f"the file begins {said}"
+    if minutes and (first_minute, last_minute) == (minutes, 0):
+        evidence = "one step after midnight and ends at midnight: stamps are ends of intervals"
+        return "end", f"the file begins {evidence}"
+    if minutes and (first_minute, last_minute) == (0, round(DAY_S / MINUTE_S) - minutes):
+        evidence = "at midnight and ends one step before: stamps are starts of intervals"
+        return "start", f"the file begins {evidence}"
     return "start", ""
 
 
 def sun_remark(time: np.ndarray, irradiance: np.ndarray, longitude_deg: float | None) -> str | None:
-    """What the sun says about an unstated offset of a clock; None below five days of sun.
+    """A sentence on a clock's offset from UTC by the course of the sun; None with less than five days of sun.
 
     time: [s] (N,) by the clock. irradiance: [any unit] (N,).  Noon is the mean time of day of the sun's
     energy, by the first harmonic of the day, weighted by the irradiance; the equation of time averages out
     over a year and is at most 0.3 h.
     """
-    good = np.isfinite(time) & np.isfinite(irradiance) & (irradiance > 0.0)
-    if good.sum() < 50 or np.ptp(time[good]) < 5.0 * DAY_S:
+    is_sunny = np.isfinite(time) & np.isfinite(irradiance) & (irradiance > 0.0)
+    if is_sunny.sum() < 50 or np.ptp(time[is_sunny]) < 5.0 * DAY_S:
         return None
-    turn = 2.0 * math.pi * time[good] / DAY_S
-    angle = math.atan2(float(irradiance[good] @ np.sin(turn)), float(irradiance[good] @ np.cos(turn)))
+    phase = 2.0 * math.pi * time[is_sunny] / DAY_S
+    angle = math.atan2(
+        float(irradiance[is_sunny] @ np.sin(phase)), float(irradiance[is_sunny] @ np.cos(phase))
+    )
     noon_h = (angle / (2.0 * math.pi) * 24.0) % 24.0
-    ahead = noon_h - 12.0
+    lead_h = noon_h - 12.0
     if longitude_deg is not None:
-        offset = ahead + longitude_deg / 15.0
+        offset = lead_h + longitude_deg / 15.0
         return (
             f"the sun culminates at {noon_h:.1f} h by this clock: at {longitude_deg:g}° E UTC{offset:+.1f} h"
         )
-    east = -15.0 * ahead
-    shown = ", ".join(f"{offset:+d} h: {east + 15.0 * offset:.0f}° E" for offset in (0, 1, 2))
-    return f"the sun culminates at {noon_h:.1f} h by this clock; that fits UTC{shown}"
+    longitude_at_utc = -15.0 * lead_h
+    listed = ", ".join(f"{offset:+d} h: {longitude_at_utc + 15.0 * offset:.0f}° E" for offset in (0, 1, 2))
+    return f"the sun culminates at {noon_h:.1f} h by this clock; that fits UTC{listed}"

@@ -1,5 +1,4 @@
-"""What the columns of exports are called: quantities, places, and names that a make or a standard has of its
-own."""
+"""Names of columns in exports: quantities, places, and names of a make or a standard."""
 
 from __future__ import annotations
 
@@ -73,7 +72,8 @@ OWN_NAMES: tuple[tuple[str, str, str], ...] = (
     ("ssrd", "global_horizontal_irradiance", "ERA5"),
     ("tcc", "cloud_cover", "ERA5"),
 )
-"""Name without its unit and the word of the mean, the signal, and who calls it so."""
+"""Name without its unit and the word for the mean, the signal, and the makes or standards that use the
+name."""
 
 QUANTITIES: tuple[tuple[str, str], ...] = (
     ("dew_point_temperature", r"dew ?point|tdew|taupunkt| td |露点"),
@@ -98,7 +98,7 @@ QUANTITIES: tuple[tuple[str, str], ...] = (
     ("power", r"active power| power|leistung| pwr |有功"),
     ("temperature", r"temp| tmp |t \d+ ?m | t |温度"),
 )
-"""Quantity (a signal where it needs no place) and the pattern of its words; the first that fits counts."""
+"""Quantity (a signal where it needs no place) and the pattern of its words; the first match counts."""
 
 PLACES: tuple[tuple[str, str, float], ...] = (
     (
@@ -135,7 +135,7 @@ NOT_MEANT = (
     r"|lost|counter|zaehler|timer| tms |visib|density|appliance|light|lamp|screen|vent |cos ?phi|turbulen"
     r"|deviation"
 )
-"""Words of quantities that no signal holds."""
+"""Words of quantities for which there is no signal."""
 _STATISTIC = r" (min|max|std|sd|stddev|stdev|minimum|maximum|stdabw|count|sum|range) "
 _MEAN = r" (avg|ave|mean|average|mittel|mittelwert|mw|smp) "
 _SUFFIX = re.compile(
@@ -149,12 +149,12 @@ _BRACKETS = re.compile(r"[(\[{]([^()\[\]{}]*)[)\]}]")
 
 @dataclass(frozen=True)
 class NamedColumn:
-    """What the name of a column says.
+    """The meaning of a column's name.
 
-    words: of the name, in lower case between blanks. unit: stated in the name or below it, None where not
-    recognised; stated: as it is written.
-    quantity: "temperature", …, or a signal; "" where none is named. place: or "".
-    signal: or "" where the name does not tell. score: how far the name is trusted, 0 to 1. why: in words.
+    words: of the name, in lower case between blanks. unit: in `UNITS`, from the name or the row below it,
+    None where not recognised; stated: the unit as written. quantity: "temperature", …, or a signal; "" where
+    none is named. place: "" where none is named. signal: "" where the name does not determine it. score:
+    trust in the name, 0 to 1. why: in words.
     """
 
     words: str
@@ -168,40 +168,44 @@ class NamedColumn:
 
 
 def name_says(name: str, unit: str = "") -> NamedColumn:
-    """What a header says.
+    """The meaning of a header.
 
     name: of the column. unit: from a row of units, or "".
     """
     if _LOGICAL_NODE.search(name):
         # IEC 61400-25: "WTG07/WTUR1.W.mag.f" is WTUR.W
         name = _DATA_ATTRIBUTE.sub("", _LOGICAL_NODE.sub(r"\1", name))
-    plain, stated, known = _unit_apart(name, unit)
+    plain, stated, unit_name = _split_unit(name, unit)
     words = words_of(plain)
-    unknown = NamedColumn(words, known, stated, "", "", "", 0.0, "no signal of this name")
+    unnamed = NamedColumn(words, unit_name, stated, "", "", "", 0.0, "no signal of this name")
     if re.search(_STATISTIC, words):
-        return replace(unknown, why="a statistic other than the mean")
-    bare = re.sub(r"\s+", " ", re.sub(_MEAN, " ", words)).strip()
-    whole = re.sub(r"\s+", " ", re.sub(_MEAN, " ", words_of(name))).strip()
-    for own, signal, make in OWN_NAMES:
-        with_unit = own == whole != bare
-        if with_unit or (own == bare and (known is None or known in fitting_units(signal))):
-            of_make = replace(unknown, signal=signal, score=1.0, why=f"a name of {make}")
-            return replace(of_make, unit=None, stated="") if with_unit else of_make
-    quantity = next((one for one, pattern in QUANTITIES if re.search(pattern, words)), "")
-    quantity = quantity or _quantity_by_unit(known, stated, words)
+        return replace(unnamed, why="a statistic other than the mean")
+    name_without_mean = re.sub(r"\s+", " ", re.sub(_MEAN, " ", words)).strip()
+    full_name = re.sub(r"\s+", " ", re.sub(_MEAN, " ", words_of(name))).strip()
+    for make_name, signal, make in OWN_NAMES:
+        has_unit_in_name = make_name == full_name != name_without_mean
+        if has_unit_in_name or (
+            make_name == name_without_mean and (unit_name is None or unit_name in fitting_units(signal))
+        ):
+            of_make = replace(unnamed, signal=signal, score=1.0, why=f"a name of {make}")
+            return replace(of_make, unit=None, stated="") if has_unit_in_name else of_make
+    quantity = next((quantity_name for quantity_name, pattern in QUANTITIES if re.search(pattern, words)), "")
+    quantity = quantity or _quantity_by_unit(unit_name, stated, words)
     if re.search(NOT_MEANT, words) or not quantity:
-        return unknown
+        return unnamed
     place, score = place_of(words)
-    part = re.search(PARTS, words) is not None
-    signal = _signal(quantity, place, words)
-    of_part = quantity in ("temperature", "relative_humidity") and place not in OF_AIR
-    if part and (of_part or quantity == "power"):
-        return replace(unknown, place=place, why="a part that is no signal")
+    is_part = re.search(PARTS, words) is not None
+    signal = _signal_of(quantity, place, words)
+    needs_air = quantity in ("temperature", "relative_humidity") and place not in OF_AIR
+    if is_part and (needs_air or quantity == "power"):
+        return replace(unnamed, place=place, why="a part that is no signal")
     if not place and signal:
         score = 0.85 if quantity != "power" else 0.9
     if place == "cabinet":
-        score = 0.5 if part else _cabinet_score(words)
-    return NamedColumn(words, known, stated, quantity, place, signal, score if signal else 0.0, "by its name")
+        score = 0.5 if is_part else _cabinet_score(words)
+    return NamedColumn(
+        words, unit_name, stated, quantity, place, signal, score if signal else 0.0, "by its name"
+    )
 
 
 def words_of(text: str) -> str:
@@ -214,7 +218,7 @@ def words_of(text: str) -> str:
 
 
 def place_of(words: str) -> tuple[str, float]:
-    """The place that words name, and how far it is trusted; ("", 0) where they name none."""
+    """The place that words name, and the trust in it, 0 to 1; ("", 0) where they name no place."""
     for place, pattern, score in PLACES:
         if re.search(pattern, words):
             return place, score
@@ -222,7 +226,7 @@ def place_of(words: str) -> tuple[str, float]:
 
 
 def _cabinet_score(words: str) -> float:
-    """How far a cabinet is that of the converter."""
+    """Trust, 0 to 1, that a cabinet is the converter's."""
     if re.search(r"converter|inverter|umrichter|wechselrichter|变流", words):
         return 0.97
     if re.search(r" top ?box | cont top ", words):
@@ -233,7 +237,7 @@ def _cabinet_score(words: str) -> float:
 
 
 def _quantity_by_unit(unit: str | None, stated: str, words: str) -> str:
-    """The quantity of a unit, where the words name none."""
+    """The quantity that a unit implies, where the words name no quantity; "" without one."""
     if unit == "m/s":
         return "wind_speed" if " wind " in words else ""
     if unit == "rpm":
@@ -245,7 +249,7 @@ def _quantity_by_unit(unit: str | None, stated: str, words: str) -> str:
     return dimension if dimension in ("pressure", "temperature") else ""
 
 
-def _signal(quantity: str, place: str, words: str) -> str:
+def _signal_of(quantity: str, place: str, words: str) -> str:
     if quantity == "power":
         if re.search(r"heater|heiz", words):
             return "heater_power"
@@ -259,27 +263,27 @@ def _signal(quantity: str, place: str, words: str) -> str:
     if quantity in ("temperature", "relative_humidity", "absolute_humidity", "dew_point_temperature"):
         if place == "cabinet" and re.search(r" wall |wand", words):
             place = "cabinet_wall"
-        return named if (named := f"{place}_{quantity}") in SIGNALS else ""
+        return signal if (signal := f"{place}_{quantity}") in SIGNALS else ""
     return quantity
 
 
-def _unit_apart(name: str, below: str) -> tuple[str, str, str | None]:
-    """Name without its unit, the unit as written, and its name in `UNITS`."""
+def _split_unit(name: str, below: str) -> tuple[str, str, str | None]:
+    """Name without its unit, the unit as written, and the unit's name in `UNITS`."""
     if below.strip().strip("[]()-"):
         return name, below, unit_in_export(below)
     for bracket in reversed(list(_BRACKETS.finditer(name))):
-        known = unit_in_export(bracket[1])
-        if known is not None:
-            return name[: bracket.start()] + name[bracket.end() :], bracket[1], known
+        unit = unit_in_export(bracket[1])
+        if unit is not None:
+            return name[: bracket.start()] + name[bracket.end() :], bracket[1], unit
     # loggers: "Temp, °C (LGR S/N: 123, SEN S/N: 123)"
-    after = re.match(r"(.+?),\s*([^,(]+?)\s*(\(.*)?$", name)
-    if after is not None and unit_in_export(after[2]) is not None:
-        label = re.search(r"LBL:\s*([^,)]+)", after[3] or "")
-        return f"{after[1]} {label[1] if label else ''}", after[2], unit_in_export(after[2])
+    logger = re.match(r"(.+?),\s*([^,(]+?)\s*(\(.*)?$", name)
+    if logger is not None and unit_in_export(logger[2]) is not None:
+        label = re.search(r"LBL:\s*([^,)]+)", logger[3] or "")
+        return f"{logger[1]} {label[1] if label else ''}", logger[2], unit_in_export(logger[2])
     if unit_in_export(name) is not None and len(name) > 1:
         return name, name, unit_in_export(name)
     suffix = _SUFFIX.search(name) or re.search(r"[ _](Wm2)$", name)
     if suffix is not None:
         return name[: suffix.start()], suffix[1], unit_in_export(suffix[1])
-    mark = _BRACKETS.findall(name)
-    return name, mark[-1] if mark else "", None
+    brackets = _BRACKETS.findall(name)
+    return name, brackets[-1] if brackets else "", None

@@ -37,7 +37,9 @@ STEP_OF_SE = 0.02
 FLAT_SE = 3.0
 """[ln] a positive parameter whose logarithm has a larger standard error is called not identifiable."""
 LEAST = 1e-10
-"""[1] least eigenvalue of a scaled information."""
+"""[1] least eigenvalue of an information matrix scaled to a diagonal of ones."""
+TRADED = 0.95
+"""[1] absolute correlation above which two parameters are called a trade-off."""
 OPEN = 1e8
 """Variance along a direction that the readings do not determine, in the coordinates' natural units."""
 
@@ -47,7 +49,7 @@ class Uncertainty:
     """Second-order description of an estimate; `names` of the coordinates inside their bounds.
 
     `wald`, `sandwich` (f, f) covariances of the coordinates; `factor` (f,) ratios of their diagonals, at
-    least 1; `flat` names of directions that the data hardly determine.  `curvature` (d, d) observed
+    least 1; `flat` names of coordinates that the data hardly determine.  `curvature` (d, d) observed
     information of all coordinates, including those at a bound.  `parts` (PARTS, f) first-order shift of the
     coordinates if estimated from each part of the readings alone.  `open` (f, m) directions that the readings
     do not determine at all.  `needed`: of coordinates whose sandwich is Wald's because the record is too
@@ -140,53 +142,61 @@ def uncertainty(objective: Objective, estimate: Estimate) -> Uncertainty:
     width = natural_units(estimate.coordinates)
     steps = STEP_OF_SE / np.sqrt(np.maximum(np.diag(expected.information), 1e-12 / width**2))
     curvature = _curvature(objective, estimate.z, np.clip(steps, 1e-7 * width, 0.05 * width))
-    return uncertainty_by(objective, estimate, expected, _curved(curvature, expected.information))
+    return uncertainty_by(
+        objective, estimate, expected, _with_expected_where_flat(curvature, expected.information)
+    )
 
 
 def uncertainty_by(
     objective: Objective, estimate: Estimate, expected: Sensitivities, curvature: np.ndarray | None = None
 ) -> Uncertainty:
-    """The uncertainty of an estimate by its sensitivities with the score of each instant, and the observed
-    information `curvature` (d, d), by default the expected one."""
+    """The uncertainty of an estimate.
+
+    expected: its sensitivities with the score of each instant.  curvature: (d, d) observed information, by
+    default the expected one."""
     coordinates, timeline = estimate.coordinates, objective.likelihood.timeline
     curvature = expected.information if curvature is None else curvature
     inside = np.array([name not in estimate.at_bounds for name in coordinates.names], dtype=bool)
     among = np.ix_(inside, inside)
-    names = tuple(n for n, there in zip(coordinates.names, inside, strict=True) if there)
+    names = tuple(n for n, is_inside in zip(coordinates.names, inside, strict=True) if is_inside)
     units = natural_units(coordinates)[inside]
     undetermined = open_directions(expected.information[among], len(timeline), units)
-    known = positive_inverse(curvature[among], undetermined)
+    covariance = positive_inverse(curvature[among], undetermined)
     prior = coordinates.log_prior(estimate.z)[2][inside]
     scores = expected.scores[:, inside]
-    run = long_run_covariance(scores[np.isfinite(timeline.y).any(axis=1)] @ known)
-    short = run.needed > 1.0
-    sandwich = known if np.isnan(run.covariance).any() else run.covariance + (known * prior) @ known
-    own, robust = np.diag(known), np.diag(sandwich)
-    ratio = np.divide(robust, own, out=np.ones(len(names)), where=(own > 0.0) & (robust > 0.0))
-    shrink = np.where(short, 1.0 / np.sqrt(ratio), 1.0)
+    run = long_run_covariance(scores[np.isfinite(timeline.y).any(axis=1)] @ covariance)
+    is_short = run.needed > 1.0
+    sandwich = (
+        covariance if np.isnan(run.covariance).any() else run.covariance + (covariance * prior) @ covariance
+    )
+    variances, robust = np.diag(covariance), np.diag(sandwich)
+    ratio = np.divide(robust, variances, out=np.ones(len(names)), where=(variances > 0.0) & (robust > 0.0))
+    shrink = np.where(is_short, 1.0 / np.sqrt(ratio), 1.0)
     spread = OPEN * undetermined @ undetermined.T
-    wald = known + spread
+    wald = covariance + spread
     return Uncertainty(
         names,
         wald,
         sandwich * np.outer(shrink, shrink) + spread,
-        np.where(short, 1.0, np.maximum(1.0, ratio)),
-        _flat(coordinates, names, wald),
+        np.where(is_short, 1.0, np.maximum(1.0, ratio)),
+        _undetermined_names(coordinates, names, wald),
         _trade_offs(names, wald),
         curvature,
-        part_shifts(scores, timeline.y, known),
+        part_shifts(scores, timeline.y, covariance),
         undetermined,
         {name: float(n) for name, n in zip(names, run.needed, strict=True) if n > 1.0},
     )
 
 
 def open_directions(information: np.ndarray, count: int, width: np.ndarray) -> np.ndarray:
-    """Directions (f, m) of the coordinates along which an information (f, f), the sum over `count` instants,
-    is rounding alone; of unit length in the coordinates' natural units `width` (f,)."""
+    """Directions (f, m) of the coordinates along which an information matrix (f, f) is rounding alone.
+
+    The matrix is a sum over `count` instants.  Directions have unit length in the natural units `width` (f,).
+    """
     scale, values, vectors = scaled_spectrum(information)
     rounding = max(count, len(values)) * np.finfo(float).eps * float(values.max(initial=0.0))
-    found = vectors[:, values <= rounding] / (scale * width)[:, None]
-    return width[:, None] * found / np.linalg.norm(found, axis=0)
+    directions = vectors[:, values <= rounding] / (scale * width)[:, None]
+    return width[:, None] * directions / np.linalg.norm(directions, axis=0)
 
 
 PARTS = 4
@@ -194,12 +204,11 @@ PARTS = 4
 
 
 def part_shifts(scores: np.ndarray, readings: np.ndarray, covariance: np.ndarray) -> np.ndarray:
-    """Coordinates (PARTS, d) estimated from each part of the readings alone, minus the common ones, to first
-    order.
+    """Coordinates (PARTS, d) estimated from one part of the readings minus those from all, to first order.
 
-    `scores` (T, d) of the instants at the common maximum, `readings` (T, k), `covariance` (d, d) of the
-    whole.  A part with the share w of the readings has the information w/V, so its own maximum is V s/w away.
-    With the right model the variance of the parts is V/w.
+    `scores` (T, d) of the instants at the maximum of all readings, `readings` (T, k), `covariance` V (d, d)
+    of the estimate from all.  A part with the share w of the readings and the score s has the information
+    w/V, so the part's maximum is V s/w away.  With the right model the variance of each part is V/w.
     """
     count = np.cumsum(np.isfinite(readings).sum(axis=1))
     part = np.minimum((count * PARTS) // max(int(count[-1]) + 1, 1), PARTS - 1)
@@ -208,14 +217,14 @@ def part_shifts(scores: np.ndarray, readings: np.ndarray, covariance: np.ndarray
     return PARTS * (sums - sums.mean(axis=0)) @ covariance
 
 
-def parts_scale(found: Uncertainty, name: str) -> float:
-    """Square of Birge's ratio [1]: scatter of the parts' estimates relative to their bounds; about 1 where
+def parts_scale(spread: Uncertainty, name: str) -> float:
+    """Square of Birge's ratio [1]: variance of the parts' estimates over the variance expected; about 1 where
     the bounds hold."""
-    place = found.place(name)
-    if place is None or not len(found.parts):
+    place = spread.place(name)
+    if place is None or not len(spread.parts):
         return 1.0
-    expected = PARTS * found.wald[place, place] * found.factor[place]
-    return float(np.sum(found.parts[:, place] ** 2) / ((PARTS - 1) * expected))
+    expected = PARTS * spread.wald[place, place] * spread.factor[place]
+    return float(np.sum(spread.parts[:, place] ** 2) / ((PARTS - 1) * expected))
 
 
 def _curvature(objective: Objective, z: np.ndarray, steps: np.ndarray) -> np.ndarray:
@@ -223,23 +232,28 @@ def _curvature(objective: Objective, z: np.ndarray, steps: np.ndarray) -> np.nda
 
     def rows(places: range) -> np.ndarray:
         # a likelihood keeps working memory between calls, so each thread needs its own
-        own = Objective(replace(objective.likelihood), objective.coordinates)
-        found = np.empty((len(places), len(z)))
+        thread_objective = Objective(replace(objective.likelihood), objective.coordinates)
+        matrix = np.empty((len(places), len(z)))
         for row, i in enumerate(places):
             up, down = z.copy(), z.copy()
             up[i] += steps[i]
             down[i] -= steps[i]
-            found[row] = -(own.score(up)[1] - own.score(down)[1]) / (2.0 * steps[i])
-        return found
+            matrix[row] = -(thread_objective.score(up)[1] - thread_objective.score(down)[1]) / (
+                2.0 * steps[i]
+            )
+        return matrix
 
     middle = len(z) // 2
-    found = np.concatenate(mapped(rows, (range(middle), range(middle, len(z)))))
-    return 0.5 * (found + found.T)
+    matrix = np.concatenate(mapped(rows, (range(middle), range(middle, len(z)))))
+    return 0.5 * (matrix + matrix.T)
 
 
 def positive_inverse(matrix: np.ndarray, without: np.ndarray | None = None) -> np.ndarray:
-    """Inverse of a symmetric matrix (f, f), on a complement of the directions `without` (f, m) if given;
-    directions without positive curvature get a very large variance instead of a negative one."""
+    """Inverse of a symmetric matrix (f, f), with eigenvalues below `LEAST` of the scaled matrix raised to it.
+
+    Directions without positive curvature so get a very large variance instead of a negative one.  Given the
+    directions `without` (f, m), the inverse is on their complement.
+    """
     basis = np.eye(len(matrix))
     scale, values, vectors = scaled_spectrum(matrix)
     if without is not None and without.size:
@@ -250,73 +264,78 @@ def positive_inverse(matrix: np.ndarray, without: np.ndarray | None = None) -> n
     return (vectors / np.maximum(values, LEAST)) @ vectors.T
 
 
-def _curved(observed: np.ndarray, expected: np.ndarray) -> np.ndarray:
-    """The observed information (d, d), with the expected one along directions without positive curvature, as
-    the readings tell nothing there or the likelihood has edges."""
+def _with_expected_where_flat(observed: np.ndarray, expected: np.ndarray) -> np.ndarray:
+    """The observed information (d, d), with the expected one along directions without positive curvature.
+
+    There the readings say nothing or the likelihood is not smooth.
+    """
     scale, values, vectors = scaled_spectrum(observed)
     if values.min(initial=1.0) > LEAST:
         return observed
-    instead = np.einsum("ij,ik,kj->j", vectors, expected / np.outer(scale, scale), vectors)
-    values = np.where(values > LEAST, values, np.maximum(instead, LEAST))
+    expected_along = np.einsum("ij,ik,kj->j", vectors, expected / np.outer(scale, scale), vectors)
+    values = np.where(values > LEAST, values, np.maximum(expected_along, LEAST))
     return (vectors * values) @ vectors.T * np.outer(scale, scale)
 
 
-def positive(matrix: np.ndarray) -> np.ndarray:
-    """A symmetric matrix made positive: directions without positive curvature get almost none."""
+def with_positive_eigenvalues(matrix: np.ndarray) -> np.ndarray:
+    """A symmetric matrix (d, d) whose eigenvalues below `LEAST`, when scaled, are raised to it."""
     scale, values, vectors = scaled_spectrum(matrix)
     return (vectors * np.maximum(values, LEAST)) @ vectors.T * scale[:, None] * scale[None, :]
 
 
 def scaled_spectrum(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Roots (d,) of a symmetric matrix's diagonal, and eigenvalues and eigenvectors of the matrix scaled by
-    them."""
+    """Scale of a symmetric matrix, the roots (d,) of its diagonal, and the scaled matrix's eigenvalues and
+    eigenvectors."""
     size = np.abs(np.diag(matrix))
     scale = np.sqrt(np.where(size > 1e-150, size, 1.0))
     values, vectors = np.linalg.eigh(matrix / scale[:, None] / scale[None, :])
     return scale, values, vectors
 
 
-def _flat(coordinates: Coordinates, names: tuple[str, ...], covariance: np.ndarray) -> tuple[str, ...]:
-    found = map(coordinates.parameter, names)
-    return tuple(p.name for p, v in zip(found, np.diag(covariance), strict=True) if v > widest(p) ** 2)
+def _undetermined_names(
+    coordinates: Coordinates, names: tuple[str, ...], covariance: np.ndarray
+) -> tuple[str, ...]:
+    parameters = map(coordinates.parameter, names)
+    variances = np.diag(covariance)
+    return tuple(p.name for p, v in zip(parameters, variances, strict=True) if v > largest_se(p) ** 2)
 
 
-def widest(p: Parameter) -> float:
+def largest_se(p: Parameter) -> float:
     """The standard error of a parameter's coordinate above which it is called not identifiable."""
     return FLAT_SE if p.positive else 0.5 * (p.upper - p.lower)
 
 
 def _trade_offs(names: tuple[str, ...], covariance: np.ndarray) -> tuple[tuple[str, str, float], ...]:
-    """Pairs whose estimates are correlated by more than 0.95."""
+    """Pairs whose estimates are correlated by more than `TRADED` in absolute value, and the correlations."""
     sd = np.sqrt(np.diag(covariance))
     correlation = covariance / np.outer(sd, sd)
-    found = [
+    pairs = [
         (names[i], names[j], float(correlation[i, j]))
         for i in range(len(names))
         for j in range(i)
-        if abs(correlation[i, j]) > 0.95
+        if abs(correlation[i, j]) > TRADED
     ]
-    return tuple(sorted(found, key=lambda pair: -abs(pair[2])))
+    return tuple(sorted(pairs, key=lambda pair: -abs(pair[2])))
 
 
 def wald_bounds(
-    estimate: Estimate, found: Uncertainty, name: str, level: float = 0.95, covariance: str = "wider"
+    estimate: Estimate, spread: Uncertainty, name: str, level: float = 0.95, covariance: str = "wider"
 ) -> Bounds:
-    """Bounds from a covariance, symmetric in the parameter's coordinate: "wald", "sandwich" or the "wider" of
+    """Bounds symmetric in the parameter's coordinate, from a covariance: "wald", "sandwich" or the "wider" of
     the two."""
     value = estimate.values[name]
-    place = found.place(name)
+    place = spread.place(name)
     if place is None:
         return Bounds(value, -math.inf, math.inf, level, "none", (FitCode.AT_BOUND_OR_FIXED(),))
     p = estimate.coordinates.parameter(name)
-    if covariance == "sandwich" and name in found.needed:
-        return Bounds(value, *in_unit(p, (None, None)), level, "none", (too_short(found, name),))
-    variances = {"wald": found.wald[place, place], "sandwich": found.sandwich[place, place]}
+    if covariance == "sandwich" and name in spread.needed:
+        return Bounds(value, *in_unit(p, (None, None)), level, "none", (too_short(spread, name),))
+    variances = {"wald": spread.wald[place, place], "sandwich": spread.sandwich[place, place]}
     variances["wider"] = max(variances.values())
     se, method = math.sqrt(variances[covariance]), "wald" if covariance == "wider" else covariance
     z = p.to_coordinate(value)
     reach = normal_quantile(level) * se
-    low, high = (None, None) if se > widest(p) else (z - reach, z + reach)
+    low, high = (None, None) if se > largest_se(p) else (z - reach, z + reach)
     ends = (
         None if low is None or low < p.to_coordinate(p.lower) else low,
         None if high is None or high > p.to_coordinate(p.upper) else high,
@@ -325,9 +344,9 @@ def wald_bounds(
     return Bounds(value, lower, upper, level, method, describe(p.unit, lower, upper, ends))
 
 
-def too_short(found: Uncertainty, name: str) -> Statement:
-    """Why a parameter has no sandwich, and what it takes."""
-    return FitCode.NO_SANDWICH(parameter=name, length=max(found.needed[name], 1.1))
+def too_short(spread: Uncertainty, name: str) -> Statement:
+    """Why a parameter has no sandwich covariance, and how long a record it needs."""
+    return FitCode.NO_SANDWICH(parameter=name, length=max(spread.needed[name], 1.1))
 
 
 def in_unit(p: Parameter, ends: Sequence[float | None]) -> tuple[float, float]:
@@ -338,17 +357,17 @@ def in_unit(p: Parameter, ends: Sequence[float | None]) -> tuple[float, float]:
     return lower, upper
 
 
-def standard_error(estimate: Estimate, found: Uncertainty, name: str) -> float:
+def standard_error(estimate: Estimate, spread: Uncertainty, name: str) -> float:
     """Standard error in the parameter's unit (delta method), from the wider of the two covariances.
 
-    NaN at a bound, and for a parameter that the data do not determine.
+    NaN for a parameter at a bound, and for a parameter that the data do not determine.
     """
-    place = found.place(name)
+    place = spread.place(name)
     if place is None:
         return math.nan
     p = estimate.coordinates.parameter(name)
-    variance = max(found.wald[place, place], found.sandwich[place, place])
-    if math.sqrt(variance) > widest(p):
+    variance = max(spread.wald[place, place], spread.sandwich[place, place])
+    if math.sqrt(variance) > largest_se(p):
         return math.nan
     return abs(p.slope(estimate.values[name])) * math.sqrt(variance)
 
@@ -383,8 +402,8 @@ def normal_quantile(level: float) -> float:
     return NormalDist().inv_cdf(0.5 + 0.5 * level)
 
 
-def student(level: float, freedom: float) -> float:
-    """Two-sided quantile of Student's t."""
+def student_quantile(level: float, freedom: float) -> float:
+    """Two-sided quantile of Student's t with `freedom` degrees of freedom."""
     from scipy.special import stdtrit
 
     return float(stdtrit(freedom, 0.5 + 0.5 * level))

@@ -20,13 +20,13 @@ from hygrokf.estimation.confidence import (
     Bounds,
     Uncertainty,
     expect_level,
+    largest_se,
     normal_quantile,
     positive_inverse,
     scaled_spectrum,
     standard_error,
     uncertainty,
     wald_bounds,
-    widest,
 )
 from hygrokf.estimation.joint_likelihood import AnyLikelihood, records_of
 from hygrokf.estimation.optimiser import Objective, natural_units, shortened
@@ -65,19 +65,19 @@ def confidence_intervals(
 
     source, given: a `Likelihood` and the `Estimate` that `fit_mle` made of it; or a `Fit` and its `Record`,
         where the likelihood of the whole model is first climbed to its maximum from the fit's values.
-    names: of the parameters, or of one.
+    names: of the parameters, or one name.
     method: "profile" re-estimates all other parameters along the way, with a threshold widened by the
         sandwich factor (`profile_likelihood.profile`); "likelihood-ratio" does so with the plain threshold;
         "wald" uses the observed information; "sandwich" uses the covariance that remains valid under a wrong
         model.  The last two are symmetric in the parameter's coordinate, which is the logarithm of a positive
         parameter.
     level: [1] of confidence, between 0 and 1.
-    progress: called with a sentence about each end of a profile, which takes at most `WALK_PASSES` scores.
+    progress: called with a sentence before each end of a profile; an end takes at most `WALK_PASSES` scores.
 
     Returns `lower` and `upper` by name, in the parameters' units.  Where an end is open they are 0 and
     infinity, or the limits of the search of a parameter that is not positive, and `statements` say why.
-    Raises ValueError for an unknown method or level, and for names that are not free parameters, and for
-    anything else, with the call that makes what is missing.
+    Raises ValueError for an unknown method or level, for names that are not free parameters, and for other
+    kinds of `source` or `given`, with the call that makes the expected kind.
     """
     likelihood, estimate = estimated("confidence_intervals", source, given)
     free = estimate.coordinates.names
@@ -90,16 +90,16 @@ def confidence_intervals(
         raise ValueError(f"method: expected one of {', '.join(METHODS)}, found {method!r}{near}")
     expect_level(level)
     objective = Objective(likelihood, estimate.coordinates).at(estimate.z)
-    known = uncertainty(objective, estimate)
+    spread = uncertainty(objective, estimate)
     if method in ("wald", "sandwich"):
-        return {name: wald_bounds(estimate, known, name, level, method) for name in wanted}
+        return {name: wald_bounds(estimate, spread, name, level, method) for name in wanted}
 
-    found = {}
+    bounds = {}
     for count, name in enumerate(wanted, 1):
         place = f"{count} of {len(wanted)}: "
-        say = None if progress is None else lambda text, place=place: progress(place + text)
-        found[name] = profile(objective, estimate, known, name, level, say, method == "profile")
-    return found
+        report = None if progress is None else lambda text, place=place: progress(place + text)
+        bounds[name] = profile(objective, estimate, spread, name, level, report, method == "profile")
+    return bounds
 
 
 @dataclass(frozen=True)
@@ -168,21 +168,21 @@ def modal_time_constants(
         sd = math.sqrt(max(float(slope @ along), 0.0))
         if not 0.0 < sd <= FLAT_SE:
             return [value, value] if sd == 0.0 else [0.0, math.inf]
-        found = []
+        constants = []
         for reach, open_ in ((-normal_quantile(level), 0.0), (normal_quantile(level), math.inf)):
-            there = z.copy()
-            there[inside] += reach / sd * along
-            drop = estimate.objective - objective.value(np.clip(there, lifted[:, 0], lifted[:, 1]))
-            found.append(value * math.exp(reach * sd) if 2.0 * drop >= DROPPED * reach**2 else open_)
-        return found
+            moved = z.copy()
+            moved[inside] += reach / sd * along
+            drop = estimate.objective - objective.value(np.clip(moved, lifted[:, 0], lifted[:, 1]))
+            constants.append(value * math.exp(reach * sd) if 2.0 * drop >= DROPPED * reach**2 else open_)
+        return constants
 
     slopes = []
     for place, step in zip(inside, COORDINATE_STEP * natural_units(coordinates)[inside], strict=True):
-        there = step * (np.arange(len(z)) == place)
-        slopes.append((matrix(z + there) - matrix(z - there)) / (2.0 * step))
+        moved = step * (np.arange(len(z)) == place)
+        slopes.append((matrix(z + moved) - matrix(z - moved)) / (2.0 * step))
     values, left, right = eig(matrix(z), left=True, right=True)
     rounding = len(values) * np.finfo(float).eps * float(np.abs(values).max(initial=0.0))
-    found = []
+    constants = []
     for k in np.flatnonzero(values.imag >= 0.0):
         w, v = left[:, k].conj(), right[:, k]
         overlap = w @ v
@@ -192,13 +192,13 @@ def modal_time_constants(
         ordered = dict(sorted(participation.items(), key=lambda pair: -pair[1]))
         period = 2.0 * math.pi / float(values[k].imag) if values[k].imag > 0.0 else math.inf
         if rate >= -rounding:
-            found.append(ModalTimeConstant(math.inf, math.inf, math.inf, level, period, ordered))
+            constants.append(ModalTimeConstant(math.inf, math.inf, math.inf, level, period, ordered))
             continue
         value, bounds = -1.0 / rate, [math.nan, math.nan]
         if abs(overlap) > ALIKE:
             bounds = ends(value, np.array([-((w @ s @ v) / overlap).real / rate for s in slopes]))
-        found.append(ModalTimeConstant(value, bounds[0], bounds[1], level, period, ordered))
-    return tuple(sorted(found, key=lambda one: -one.value))
+        constants.append(ModalTimeConstant(value, bounds[0], bounds[1], level, period, ordered))
+    return tuple(sorted(constants, key=lambda constant: -constant.value))
 
 
 def operating_point(
@@ -209,15 +209,23 @@ def operating_point(
 ) -> tuple[np.ndarray, dict[str, float]]:
     """State (n,) and inputs at which a model is linearised."""
     model, records = likelihood.model, records_of(likelihood, values)
-    for kind, given, there in (("state", state, model.states), ("inputs", inputs, model.inputs)):
-        unknown = [f"{name}{suggestion(name, there, 1)}" for name in sorted(set(given) - set(there))]
+    for kind, given, known_names in (("state", state, model.states), ("inputs", inputs, model.inputs)):
+        unknown = [
+            f"{name}{suggestion(name, known_names, 1)}" for name in sorted(set(given) - set(known_names))
+        ]
         if unknown:
-            raise ValueError(f"{kind}: expected names of {', '.join(there)}, found {', '.join(unknown)}")
-    mean = np.concatenate([one.trace(own).mean for one, own in records]).mean(axis=0)
+            raise ValueError(
+                f"{kind}: expected names of {', '.join(known_names)}, found {', '.join(unknown)}"
+            )
+    mean = np.concatenate(
+        [likelihood_of_record.trace(record_values).mean for likelihood_of_record, record_values in records]
+    ).mean(axis=0)
     point = np.array([state.get(name, float(m)) for name, m in zip(model.states, mean, strict=True)])
-    lines = [one.timeline for one, _ in records]
-    known = {name: float(np.median(np.concatenate([t.input(name) for t in lines]))) for name in model.inputs}
-    return point, {**known, **inputs}
+    lines = [likelihood_of_record.timeline for likelihood_of_record, _ in records]
+    medians = {
+        name: float(np.median(np.concatenate([t.input(name) for t in lines]))) for name in model.inputs
+    }
+    return point, {**medians, **inputs}
 
 
 @dataclass(frozen=True)
@@ -281,20 +289,22 @@ class ParameterTable:
     def __repr__(self) -> str:
         head = ("parameter", "value", "± se", f"{100.0 * self.level:g} % bounds", "unit", "")
         cells = [head, *(_cells(row) for row in self.rows)]
-        wide = [max(len(row[i]) for row in cells) for i in range(len(head))]
-        lines = ["  ".join(c.ljust(w) for c, w in zip(row, wide, strict=True)).rstrip() for row in cells]
-        return "\n".join(shortened(lines) + shortened([str(one) for one in self.combinations], 8))
+        widths = [max(len(row[i]) for row in cells) for i in range(len(head))]
+        lines = ["  ".join(c.ljust(w) for c, w in zip(row, widths, strict=True)).rstrip() for row in cells]
+        return "\n".join(
+            shortened(lines) + shortened([str(combination) for combination in self.combinations], 8)
+        )
 
 
 def _cells(row: ParameterEstimate) -> tuple[str, ...]:
     prior = "" if row.prior is None else f"prior {row.prior[0]:.4g} ± {row.prior[1]:.2g}"
     at = f"at its {row.at} limit" if row.at in ("lower", "upper") else row.at
-    known = math.isfinite(row.standard_error)
+    is_known = math.isfinite(row.standard_error)
     return (
         row.name,
         f"{row.value:.5g}",
-        f"{row.standard_error:.2g}" if known else "",
-        "" if row.at else f"{row.lower:.4g} … {row.upper:.4g}" if known else "not identifiable",
+        f"{row.standard_error:.2g}" if is_known else "",
+        "" if row.at else f"{row.lower:.4g} … {row.upper:.4g}" if is_known else "not identifiable",
         row.unit,
         ", ".join(filter(None, (at, prior))),
     )
@@ -317,52 +327,56 @@ def parameter_table(source: Source, given: Given | None = None, level: float = 0
         raise ValueError(f"level: expected a probability between 0 and 1, found {level}")
     likelihood, estimate = estimated("parameter_table", source, given)
     coordinates = estimate.coordinates
-    known = uncertainty(Objective(likelihood, coordinates), estimate)
+    spread = uncertainty(Objective(likelihood, coordinates), estimate)
     rows = []
     for p in coordinates.parameters:
         value = estimate.values[p.name]
         prior = None if p.prior is None else p.prior.in_unit()
-        if p.name not in known.names:
+        if p.name not in spread.names:
             free = p.name in coordinates.names
             at = ("lower" if value - p.lower < p.upper - value else "upper") if free else "fixed"
             rows.append(ParameterEstimate(p.name, p.unit, value, math.nan, math.nan, math.nan, prior, at))
             continue
-        b = wald_bounds(estimate, known, p.name, level)
-        se = standard_error(estimate, known, p.name)
+        b = wald_bounds(estimate, spread, p.name, level)
+        se = standard_error(estimate, spread, p.name)
         rows.append(ParameterEstimate(p.name, p.unit, value, se, b.lower, b.upper, prior, ""))
-    sd = np.sqrt(np.diag(known.wald))
-    correlation = known.wald / np.outer(sd, sd)
-    return ParameterTable(tuple(rows), known.names, correlation, _combinations(coordinates, known), level)
+    sd = np.sqrt(np.diag(spread.wald))
+    correlation = spread.wald / np.outer(sd, sd)
+    return ParameterTable(tuple(rows), spread.names, correlation, _combinations(coordinates, spread), level)
 
 
-def _combinations(coordinates: Coordinates, known: Uncertainty) -> tuple[Combination, ...]:
-    parameters = [coordinates.parameter(name) for name in known.names]
-    places = [coordinates.names.index(name) for name in known.names]
-    curvature = known.curvature[np.ix_(places, places)]
+def _combinations(coordinates: Coordinates, spread: Uncertainty) -> tuple[Combination, ...]:
+    parameters = [coordinates.parameter(name) for name in spread.names]
+    places = [coordinates.names.index(name) for name in spread.names]
+    curvature = spread.curvature[np.ix_(places, places)]
     _, values, vectors = scaled_spectrum(curvature)
     # beside the variances along open directions, those of what is determined would be lost to rounding
-    determined = positive_inverse(curvature, known.open)
+    determined = positive_inverse(curvature, spread.open)
     groups: list[set[int]] = []
     for vector in vectors.T[values < POOR]:
         group = set(np.flatnonzero(np.abs(vector) >= SHARE).tolist())
-        groups = [one for one in groups if not one & group] + [group.union(*(g for g in groups if g & group))]
-    found = []
+        groups = [other for other in groups if not other & group] + [
+            group.union(*(g for g in groups if g & group))
+        ]
+    combinations = []
     for group in groups:
-        among = sorted(group)
-        covariance = known.wald[np.ix_(among, among)]
+        members = sorted(group)
+        covariance = spread.wald[np.ix_(members, members)]
         sd = np.sqrt(np.diag(covariance))
         for vector in np.linalg.eigh(covariance / np.outer(sd, sd))[1].T:
             weights = vector / sd
             weights = weights / weights[np.argmax(np.abs(weights))]
-            open_ = OPEN * float(np.sum((weights @ known.open[among]) ** 2)) if known.open.size else 0.0
-            error = math.sqrt(float(weights @ determined[np.ix_(among, among)] @ weights) + open_)
-            named = zip(among, weights.tolist(), vector, strict=True)
-            involved = [(parameters[i], c) for i, c, v in named if abs(v) > 0.1]
+            open_ = OPEN * float(np.sum((weights @ spread.open[members]) ** 2)) if spread.open.size else 0.0
+            error = math.sqrt(float(weights @ determined[np.ix_(members, members)] @ weights) + open_)
+            terms = zip(members, weights.tolist(), vector, strict=True)
+            involved = [(parameters[i], c) for i, c, v in terms if abs(v) > 0.1]
             product = all(p.positive for p, _ in involved)
-            own = {parameters[i].name: float(c) for i, c in zip(among, weights, strict=True)}
-            enough = error <= max(widest(p) for p, _ in involved)
-            found.append(Combination(_text(involved, product), own, error, product, enough))
-    return tuple(sorted(found, key=lambda one: one.standard_error))
+            weights_by_name = {parameters[i].name: float(c) for i, c in zip(members, weights, strict=True)}
+            is_determined = error <= max(largest_se(p) for p, _ in involved)
+            combinations.append(
+                Combination(_text(involved, product), weights_by_name, error, product, is_determined)
+            )
+    return tuple(sorted(combinations, key=lambda other: other.standard_error))
 
 
 def _text(involved: Sequence[tuple[Parameter, float]], product: bool) -> str:
@@ -370,7 +384,7 @@ def _text(involved: Sequence[tuple[Parameter, float]], product: bool) -> str:
     if product:
         above = [_power(p.name, c) for p, c in involved if c > 0.0]
         below = [_power(p.name, -c) for p, c in involved if c < 0.0]
-        return "·".join(above or ["1"]) + "".join(f"/{one}" for one in below)
+        return "·".join(above or ["1"]) + "".join(f"/{power}" for power in below)
     names = [(f"ln {p.name}" if p.positive else p.name, c) for p, c in involved]
     text = " ".join(
         f"{'+' if c > 0.0 else '−'} {'' if abs(abs(c) - 1.0) < 0.05 else f'{abs(c):.1g} '}{name}"

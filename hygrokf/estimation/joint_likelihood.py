@@ -27,8 +27,8 @@ from hygrokf.physics.parameters import Parameter, unique
 class Records:
     """The instants of several records, one record after the other.
 
-    `time` (T,) [h] goes on from record to record after a pause of the longest step; `y` (T, k) readings, NaN
-    where there is none.
+    `time` (T,) [h] continues from record to record after a pause of the longest step; `y` (T, k) readings,
+    NaN where there is none.
     """
 
     time: np.ndarray
@@ -47,12 +47,13 @@ class JointLikelihood:
     """The likelihood of several independent records of one model.
 
     parts: the likelihood of each record; their models have the same parameters, states and outputs.
-    own: parameters of which every record has its own value, such as a sensor's offset; that of the k-th
-        record (from 1) is named `name_k`.
+    own: parameters of which every record has its own value, such as a sensor's offset; the parameter of the
+        k-th record (from 1) is named `name_k`.
 
     `fit_mle`, `confidence_intervals` and `modal_time_constants` (linearised with the first record's own
-    parameters) take it as they take a `Likelihood`.  What concerns one record takes `parts[k]` with
-    `values_of(values, k)`.  Raises ValueError for models that differ, and for unknown parameters in `own`.
+    parameters) take it as they take a `Likelihood`.  Functions of a single record take
+    `parts[k]` with `values_of(values, k)`.  Raises ValueError for models that differ, and for unknown
+    parameters in `own`.
     """
 
     parts: Sequence[Likelihood]
@@ -60,16 +61,16 @@ class JointLikelihood:
 
     def __post_init__(self) -> None:
         # a likelihood keeps working memory between calls: a copy for another thread needs its own parts
-        object.__setattr__(self, "parts", tuple(replace(one) for one in self.parts))
+        object.__setattr__(self, "parts", tuple(replace(part) for part in self.parts))
         object.__setattr__(self, "own", tuple(self.own))
         if not self.parts:
             raise ValueError("parts: expected the likelihood of at least one record, found none")
         first = self.model
         faults = [
             f"part {k}: expected the {kind} of the first part's model, found others"
-            for k, one in enumerate(self.parts)
+            for k, part in enumerate(self.parts)
             for kind in ("parameters", "states", "outputs")
-            if getattr(one.model, kind) != getattr(first, kind)
+            if getattr(part.model, kind) != getattr(first, kind)
         ]
         faults += unknown_names("own", self.own, [p.name for p in first.parameters])
         if faults:
@@ -89,7 +90,7 @@ class JointLikelihood:
 
     @cached_property
     def parameters(self) -> tuple[Parameter, ...]:
-        """The parameters (d,), with one of each record in place of one in `own`."""
+        """The parameters (d,); a parameter in `own` is replaced by one for each record."""
         return unique(
             replace(p, name=name)
             for p in self.model.parameters
@@ -100,11 +101,11 @@ class JointLikelihood:
     def timeline(self) -> Records:
         """Instants and readings of all records."""
         times, end = [], 0.0
-        pause = max(float(one.timeline.steps[:, 0].max()) for one in self.parts)
-        for one in self.parts:
-            times.append(end + one.timeline.time - one.timeline.time[0])
+        pause = max(float(part.timeline.steps[:, 0].max()) for part in self.parts)
+        for part in self.parts:
+            times.append(end + part.timeline.time - part.timeline.time[0])
             end = times[-1][-1] + pause
-        return Records(np.concatenate(times), np.concatenate([one.timeline.y for one in self.parts]))
+        return Records(np.concatenate(times), np.concatenate([part.timeline.y for part in self.parts]))
 
     def values_of(self, values: Mapping[str, float], k: int) -> dict[str, float]:
         """Values of the model's parameters for record k, from 0."""
@@ -114,37 +115,37 @@ class JointLikelihood:
         return f"{name}_{k + 1}" if name in self.own else name
 
     def _places(self, k: int) -> list[int]:
-        """Places (m,) of the parameters of record k among those of the joint likelihood."""
+        """Indices (m,) of the parameters of record k among those of the joint likelihood."""
         names = [p.name for p in self.parameters]
         return [names.index(self._name(p.name, k)) for p in self.model.parameters]
 
     def value(self, values: Mapping[str, float]) -> float:
         """ln L; −inf where the filter of a record breaks down."""
-        return sum(one.value(own) for one, own in records_of(self, values))
+        return sum(part.value(part_values) for part, part_values in records_of(self, values))
 
     def score(self, values: Mapping[str, float]) -> tuple[float, np.ndarray]:
         """ln L and its exact derivatives (d,) with respect to all parameters."""
-        total, slopes = 0.0, np.zeros(len(self.parameters))
-        for k, (one, own) in enumerate(records_of(self, values)):
-            value, share = one.score(own)
+        total, gradient = 0.0, np.zeros(len(self.parameters))
+        for k, (part, part_values) in enumerate(records_of(self, values)):
+            value, part_gradient = part.score(part_values)
             total += value
-            slopes[self._places(k)] += share
-        return total, slopes
+            gradient[self._places(k)] += part_gradient
+        return total, gradient
 
     def sensitivities(
         self, values: Mapping[str, float], directions: np.ndarray, each: bool = False
     ) -> Sensitivities:
         """Score and expected information along directions (d, r), as `Likelihood.sensitivities`; `scores`
         (T, r) record after record."""
-        found = [
-            one.sensitivities(own, directions[self._places(k)], each)
-            for k, (one, own) in enumerate(records_of(self, values))
+        parts = [
+            part.sensitivities(part_values, directions[self._places(k)], each)
+            for k, (part, part_values) in enumerate(records_of(self, values))
         ]
         return Sensitivities(
-            sum(one.loglik for one in found),
-            np.sum([one.score for one in found], axis=0),
-            np.sum([one.information for one in found], axis=0),
-            np.concatenate([one.scores for one in found]),
+            sum(part.loglik for part in parts),
+            np.sum([part.score for part in parts], axis=0),
+            np.sum([part.information for part in parts], axis=0),
+            np.concatenate([part.scores for part in parts]),
         )
 
     @property
@@ -154,17 +155,17 @@ class JointLikelihood:
 
     def scheduled(self, values: Mapping[str, float]) -> JointLikelihood:
         """The likelihood that holds the sub-steps chosen for these values; itself where steps are exact."""
-        parts = [one.scheduled(own) for one, own in records_of(self, values)]
+        parts = [part.scheduled(part_values) for part, part_values in records_of(self, values)]
         return self if all(map(operator.is_, parts, self.parts)) else replace(self, parts=parts)
 
     def discretisation_error(self, values: Mapping[str, float]) -> float:
-        """Largest change of ln L where every sub-step is halved."""
-        return sum(one.discretisation_error(own) for one, own in records_of(self, values))
+        """Sum over the records of the change of ln L where every sub-step is halved."""
+        return sum(part.discretisation_error(part_values) for part, part_values in records_of(self, values))
 
     def steps_per_instant(self, values: Mapping[str, float]) -> float:
         """Filter steps of one pass per instant of all records."""
-        steps = [one.steps_per_instant(own) for one, own in records_of(self, values)]
-        return float(np.average(steps, weights=[len(one.timeline) for one in self.parts]))
+        steps = [part.steps_per_instant(part_values) for part, part_values in records_of(self, values)]
+        return float(np.average(steps, weights=[len(part.timeline) for part in self.parts]))
 
     def jacobian(self, values: Mapping[str, float], mean: np.ndarray, u: Mapping[str, float]) -> np.ndarray:
         """Derivatives (n, n) [1/h] of the states' rates by the states with the first record's parameters."""
@@ -181,4 +182,4 @@ def records_of(
     """The likelihood of every record, with the values of its model's parameters."""
     if isinstance(likelihood, Likelihood):
         return [(likelihood, values)]
-    return [(one, likelihood.values_of(values, k)) for k, one in enumerate(likelihood.parts)]
+    return [(part, likelihood.values_of(values, k)) for k, part in enumerate(likelihood.parts)]

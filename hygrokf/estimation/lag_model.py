@@ -1,12 +1,13 @@
-"""A lag model of two parameters, and the likelihood of every shift of its inputs at once.
+"""A first-order lag model, and its likelihood for every shift of its inputs at once.
 
-Temperature or vapour of the cabinet is a constant plus shares of the ambient value, now and lagged, and of
-the other inputs, lagged; one first-order lag serves all, and the residuals are a second-order autoregression:
+The temperature or the vapour of the cabinet is a constant plus shares of the ambient value, direct and
+lagged, and of the other inputs, lagged.  All inputs have the same first-order lag, and the residuals are a
+second-order autoregression:
 
     y(t) = c + a u₀(t) + Σ bᵢ L uᵢ(t) + e(t),    e(t) = φ₁ e(t−1) + φ₂ e(t−2) + N(0, σ²).
 
-With the lag and φ fixed the model is linear, and shifts of an input only shift its columns: the products of
-least squares for all shifts are correlations, which fast Fourier transforms give together.
+With the lag and φ fixed the model is linear, and a shift of an input only shifts the input's columns: the
+normal equations of all shifts consist of correlations, which one fast Fourier transform gives together.
 
 Shapes: N quarters of an hour, K = 2 REACH + 1 shifts, H lags.
 """
@@ -28,32 +29,33 @@ from hygrokf.data.record import Record, Series
 from hygrokf.data.timestamps import HOUR_S, modal_step
 
 QUARTER_S = 900.0
-"""[s] the grid."""
+"""[s] step of the grid on which records are compared."""
 REACH = 56
 """Quarters of an hour of the largest shift, 14 h: the widest difference between two time zones in use."""
 LAGS_H = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 24.0)
 FEWEST = 14 * 96
 """Quarters of an hour in common, 14 days, below which nothing is compared."""
 LONGEST = 120 * 96
-"""Quarters of an hour that are compared at most; more would tell no more about a clock."""
+"""Largest number of quarters of an hour compared; longer records say no more about a clock."""
 PIECE = 1024 - 2 * REACH
-"""Quarters of an hour of the pieces over which correlations are summed."""
-_FINE = 3
-_BRIDGE_H = 3.0
-_RIDGE = 1e-8
-_EXACT = 1e-9
-"""Share of the target's variance below which what is left is rounding."""
+"""Length [quarters of an hour] of the pieces over which correlations are summed."""
+_SUBDIVISIONS = 3  # interpolated values of each quarter, of which the mean is taken
+_BRIDGE_H = 3.0  # longest gap that is interpolated
+_RIDGE = 1e-8  # keeps collinear columns solvable
+_LEAST_VARIANCE_SHARE = 1e-9
+"""Least residual variance as a share of the target's; a smaller residual variance is rounding."""
 
 
 @dataclass(frozen=True)
 class Relation:
-    """What the cabinet shows and what drives it, as means over quarters of an hour.
+    """A quantity of the cabinet and its inputs, as means over quarters of an hour.
 
-    name: "temperature" or "vapour". time: (N,) [s] middles of the quarters. target: (N,) less its mean; 0
-    where there is no reading. rows: (N,) whether a quarter is compared, and the two before it, `every` apart,
-    are known.
-    inputs: signal -> columns (N, c), standardised, the first of them direct where it is ambient.
-    sources: clock of each input; source: that of the target.
+    name: "temperature" or "vapour". time: (N,) [s] middles of the quarters. target: (N,) the cabinet's
+    quantity minus its mean; 0 where there is no reading. every: quarters between two readings. rows: (N,)
+    whether a quarter is compared: its target, the two targets `every` and twice `every` earlier, and all
+    inputs are present.
+    inputs: signal -> standardised columns (N, c); the first column of an ambient signal also acts direct.
+    sources: the file, and so the clock, of each input; source: the target's file.
     """
 
     name: str
@@ -68,10 +70,13 @@ class Relation:
     @cached_property
     def columns(self) -> dict[float, dict[str, np.ndarray]]:
         """The columns of each input under each lag [h]."""
-        return {lag_h: {s: _lagged(s, one, lag_h) for s, one in self.inputs.items()} for lag_h in LAGS_H}
+        return {
+            lag_h: {signal: _lagged(signal, columns, lag_h) for signal, columns in self.inputs.items()}
+            for lag_h in LAGS_H
+        }
 
     def whitened(self, values: np.ndarray, phi: np.ndarray) -> np.ndarray:
-        """Values (N, ...) less their prediction by the autoregression."""
+        """Values (N, ...) minus their prediction by the autoregression φ (2,)."""
         every = self.every
         result = values.copy()
         result[every:] -= phi[0] * values[:-every]
@@ -80,77 +85,77 @@ class Relation:
 
 
 def _lagged(signal: str, columns: np.ndarray, lag_h: float) -> np.ndarray:
-    """Columns (N, c) of an input under a lag [h], the first of an ambient one also direct."""
-    keep = math.exp(-QUARTER_S / HOUR_S / lag_h)
-    lagged = np.vstack([columns[:1], (1.0 - keep) * columns[1:]])
-    reach = 1
-    while reach < len(lagged):  # Σ keepⁱ of twice as many quarters each time
-        lagged[reach:] += keep**reach * lagged[:-reach]
-        reach *= 2
+    """Columns (N, c) of an input after a lag [h]; an ambient input's first column is also there unlagged."""
+    decay = math.exp(-QUARTER_S / HOUR_S / lag_h)
+    lagged = np.vstack([columns[:1], (1.0 - decay) * columns[1:]])
+    width = 1
+    while width < len(lagged):  # Σ keepⁱ of twice as many quarters each time
+        lagged[width:] += decay**width * lagged[:-width]
+        width *= 2
     return np.hstack([columns[:, :1], lagged]) if signal.startswith("ambient_") else lagged
 
 
 def relations(record: Record) -> tuple[Relation, ...]:
-    """The relations of a record that span at least 14 days: of its temperature, of its vapour."""
+    """The relations of a record's temperature and vapour, each where its data span at least 14 days."""
     if not {"cabinet_temperature", "ambient_temperature"} <= set(record.signals):
         return ()
-    made = [_relation("temperature", record["cabinet_temperature"], _heat_inputs(record))]
+    candidates = [_relation("temperature", record["cabinet_temperature"], _heat_inputs(record))]
     prepared = prepare(record)
     inside, outside = prepared.cabinet_vapour, prepared.ambient_vapour
     if inside is not None and outside is not None:
-        made.append(_relation("vapour", inside, {"ambient_absolute_humidity": [outside]}))
-    return tuple(one for one in made if one is not None)
+        candidates.append(_relation("vapour", inside, {"ambient_absolute_humidity": [outside]}))
+    return tuple(relation for relation in candidates if relation is not None)
 
 
 def _heat_inputs(record: Record) -> dict[str, list[Series]]:
-    found: dict[str, list[Series]] = {}
-    for one in record.series:
-        if len(one.known[0]) < 2:
+    inputs: dict[str, list[Series]] = {}
+    for series in record.series:
+        if len(series.known[0]) < 2:
             continue
-        if one.signal == "active_power":
-            top = float(np.nanmax(np.abs(one.value), initial=1.0))
-            share = one.value / top
-            operating = np.where(one.missing, np.nan, (share > 0.0).astype(float))
-            found[one.signal] = [replace(one, value=v) for v in (share, share**2, operating)]
-        elif one.signal in _HEAT_INPUTS or one.signal.endswith("_duty"):
-            found[one.signal] = [one]
-    return found
+        if series.signal == "active_power":
+            largest = float(np.nanmax(np.abs(series.value), initial=1.0))
+            share = series.value / largest
+            operating = np.where(series.missing, np.nan, (share > 0.0).astype(float))
+            inputs[series.signal] = [replace(series, value=v) for v in (share, share**2, operating)]
+        elif series.signal in _HEAT_INPUTS or series.signal.endswith("_duty"):
+            inputs[series.signal] = [series]
+    return inputs
 
 
 _HEAT_INPUTS = ("ambient_temperature", "global_horizontal_irradiance", "wind_speed")
 
 
 def _relation(name: str, target: Series, inputs: Mapping[str, list[Series]]) -> Relation | None:
-    known = [one.known[0] for one in (target, *(group[0] for group in inputs.values()))]
-    if any(len(one) < 2 for one in known):
+    known_times = [times.known[0] for times in (target, *(group[0] for group in inputs.values()))]
+    if any(len(times) < 2 for times in known_times):
         return None
-    first = math.ceil(max(one[0] for one in known) / QUARTER_S) * QUARTER_S
-    count = int((min(one[-1] for one in known) - first) // QUARTER_S)
+    first = math.ceil(max(times[0] for times in known_times) / QUARTER_S) * QUARTER_S
+    count = int((min(times[-1] for times in known_times) - first) // QUARTER_S)
     if count < FEWEST:
         return None
-    # the middle of a long record
+    # of a long record, only the middle is compared
     spare = max(count - LONGEST, 0)
     first, count = first + spare // 2 * QUARTER_S, count - spare
     every = max(1, round(modal_step(target.known[0])[0] / QUARTER_S))
-    value, there = _means(target, first, count)
-    if every > 1:  # once a reading
-        there &= np.isin(np.arange(count), (centred(target).known[0] - first) // QUARTER_S)
-    rows, columns = there.copy(), {}
+    value, is_present = _means(target, first, count)
+    if every > 1:  # a quarter counts only where a reading falls into it
+        is_present &= np.isin(np.arange(count), (centred(target).known[0] - first) // QUARTER_S)
+    rows, columns = is_present.copy(), {}
     for signal, group in inputs.items():
-        means = [_means(one, first, count) for one in group]
+        means = [_means(times, first, count) for times in group]
         rows &= means[0][1]
-        filled = np.column_stack([_standardised(*one) for one in means])
+        filled = np.column_stack([_standardise(*times) for times in means])
         if len(kept := np.flatnonzero(filled.std(axis=0) > 0.0)):
             columns[signal] = filled[:, kept]
     rows[: REACH + 2 * every] = rows[count - REACH :] = False
-    for before in (every, 2 * every):
-        rows[before:] &= there[:-before]
-    if rows.sum() * every < FEWEST // 2 or not columns or not np.ptp(value[there]) > 0.0:
+    for offset in (every, 2 * every):
+        rows[offset:] &= is_present[:-offset]
+    if rows.sum() * every < FEWEST // 2 or not columns or not np.ptp(value[is_present]) > 0.0:
         return None
     return Relation(
         name,
         first + QUARTER_S * (np.arange(count) + 0.5),
-        np.where(there, value - value[there].mean(), 0.0),
+        np.where(is_present, value - value[is_present].mean(), 0.0),
         rows,
         every,
         columns,
@@ -160,46 +165,50 @@ def _relation(name: str, target: Series, inputs: Mapping[str, list[Series]]) -> 
 
 
 def _means(series: Series, first: float, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Means over quarters of an hour (N,), and where they are known."""
-    fine = first + QUARTER_S / _FINE * (np.arange(count * _FINE) + 0.5)
-    value = at_times(input_path(series), fine, bridge_h(series, _BRIDGE_H)).reshape(count, _FINE).mean(axis=1)
+    """Means over quarters of an hour (N,), and whether each is known."""
+    fine = first + QUARTER_S / _SUBDIVISIONS * (np.arange(count * _SUBDIVISIONS) + 0.5)
+    value = at_times(input_path(series), fine, bridge_h(series, _BRIDGE_H))
+    value = value.reshape(count, _SUBDIVISIONS).mean(axis=1)
     return value, np.isfinite(value)
 
 
-def _standardised(value: np.ndarray, there: np.ndarray) -> np.ndarray:
-    place = np.flatnonzero(there)
-    filled = np.interp(np.arange(len(value)), place, value[place]) if len(place) else np.zeros(len(value))
+def _standardise(value: np.ndarray, is_present: np.ndarray) -> np.ndarray:
+    indices = np.flatnonzero(is_present)
+    filled = (
+        np.interp(np.arange(len(value)), indices, value[indices]) if len(indices) else np.zeros(len(value))
+    )
     spread = float(filled.std())
     return (filled - filled.mean()) / spread if spread > 1e-9 * np.abs(filled).max() else np.zeros(len(value))
 
 
-# -- one likelihood, and those of all shifts ----------------------------------------------------------------
+# -- the likelihood of one shift, and of all shifts ----------------------------------------------------------
 Move = tuple[frozenset[str], int]
-"""Inputs that are shifted together, and by how many more quarters of an hour in summer time."""
+"""Inputs that are shifted together, and the additional shift [quarters of an hour] in summer time."""
 
 
-def moved(columns: np.ndarray, quarters: int, summer: np.ndarray, more: int) -> np.ndarray:
-    """Columns (N, c) stamped later by some quarters of an hour, and by `more` in summer (N,)."""
+def shift_columns(columns: np.ndarray, quarters: int, summer: np.ndarray, more: int) -> np.ndarray:
+    """Columns (N, c) shifted later by `quarters` of an hour, and by another `more` where `summer` (N,)."""
     result = np.roll(columns, quarters, axis=0)
     return np.where(summer[:, None], np.roll(columns, quarters + more, axis=0), result) if more else result
 
 
-def fitted(
+def fit_autoregression(
     relation: Relation,
     lag_h: float,
     move: Move = (frozenset(), 0),
     quarters: int = 0,
     summer: np.ndarray | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """φ (2,) and ln L (N,) of each row, 0 where none is compared, at a lag [h] with some inputs shifted.
+    """φ (2,) and each row's ln L (N,) at a lag [h] with some inputs shifted; ln L is 0 in other rows.
 
-    Least squares and the autoregression take turns.
+    Least squares of the inputs and of the autoregression alternate.
     """
     inputs, more = move
-    season = np.zeros(len(relation.time), dtype=bool) if summer is None else summer
+    is_summer = np.zeros(len(relation.time), dtype=bool) if summer is None else summer
     columns = relation.columns[lag_h]
     shifted = [
-        moved(one, quarters, season, more) if signal in inputs else one for signal, one in columns.items()
+        shift_columns(matrix, quarters, is_summer, more) if signal in inputs else matrix
+        for signal, matrix in columns.items()
     ]
     x = np.hstack([np.ones((len(relation.time), 1)), *shifted])
     y, rows, every = relation.target, relation.rows, relation.every
@@ -209,77 +218,90 @@ def fitted(
         products = wx.T @ wx
         products[np.diag_indices_from(products)] *= 1.0 + _RIDGE
         residual = y - x @ np.linalg.solve(products, wx.T @ wy)
-        past = np.column_stack([np.roll(residual, every)[rows], np.roll(residual, 2 * every)[rows]])
-        memory = past.T @ past
+        lagged_residuals = np.column_stack(
+            [np.roll(residual, every)[rows], np.roll(residual, 2 * every)[rows]]
+        )
+        memory = lagged_residuals.T @ lagged_residuals
         memory[np.diag_indices_from(memory)] *= 1.0 + _RIDGE
-        phi = np.linalg.solve(memory + 1e-300 * np.eye(2), past.T @ residual[rows])
-    error = residual[rows] - past @ phi
-    variance = max(float(error @ error) / len(error), _EXACT * float(y[rows] @ y[rows]) / len(error))
-    each = np.zeros(len(y))
-    each[rows] = -0.5 * (math.log(variance) + error**2 / variance)
-    return phi, each
+        phi = np.linalg.solve(memory + 1e-300 * np.eye(2), lagged_residuals.T @ residual[rows])
+    innovation = residual[rows] - lagged_residuals @ phi
+    variance = max(
+        float(innovation @ innovation) / len(innovation),
+        _LEAST_VARIANCE_SHARE * float(y[rows] @ y[rows]) / len(innovation),
+    )
+    loglik = np.zeros(len(y))
+    loglik[rows] = -0.5 * (math.log(variance) + innovation**2 / variance)
+    return phi, loglik
 
 
-def declared(relation: Relation) -> tuple[np.ndarray, np.ndarray]:
-    """`fitted` without a shift, at the lag of the largest likelihood."""
-    return max((fitted(relation, lag_h) for lag_h in LAGS_H), key=lambda one: float(one[1].sum()))
+def fit_without_shift(relation: Relation) -> tuple[np.ndarray, np.ndarray]:
+    """`fit_autoregression` without a shift, at the lag of the largest likelihood."""
+    return max((fit_autoregression(relation, lag_h) for lag_h in LAGS_H), key=lambda fit: float(fit[1].sum()))
 
 
 def shift_logliks(
     relation: Relation, phi: np.ndarray, moves: set[Move], summer: np.ndarray
 ) -> dict[Move, np.ndarray]:
-    """ln L (K, H) of every shift of each move under every lag, at one autoregression.
+    """ln L (K, H) of every shift of each move at every lag, with the autoregression φ (2,) fixed.
 
-    The products of least squares are correlations of shifted with unshifted columns; those among shifted
-    columns are correlations of their products with the rows that are compared.
+    The normal equations consist of correlations between shifted and unshifted columns.  Products of two
+    shifted columns are correlated with the rows that are compared.
     """
-    found = {move: np.empty((2 * REACH + 1, len(LAGS_H))) for move in moves}
-    for place, lag_h in enumerate(LAGS_H):
+    logliks = {move: np.empty((2 * REACH + 1, len(LAGS_H))) for move in moves}
+    for column, lag_h in enumerate(LAGS_H):
         columns = relation.columns[lag_h]
         for move in moves:
             inputs, more = move
-            still = [one for signal, one in columns.items() if signal not in inputs]
-            fixed = np.hstack([np.ones((len(relation.time), 1)), *still])
+            unshifted = [matrix for signal, matrix in columns.items() if signal not in inputs]
+            fixed = np.hstack([np.ones((len(relation.time), 1)), *unshifted])
             fixed[:, 1:] = relation.whitened(fixed[:, 1:], phi)
-            going = np.hstack([moved(one, 0, summer, more) for s, one in columns.items() if s in inputs])
-            found[move][:, place] = _all_shifts(relation, phi, fixed, relation.whitened(going, phi))
-    return found
+            shifted = np.hstack(
+                [shift_columns(columns[signal], 0, summer, more) for signal in columns if signal in inputs]
+            )
+            logliks[move][:, column] = _all_shifts(relation, phi, fixed, relation.whitened(shifted, phi))
+    return logliks
 
 
-def _all_shifts(relation: Relation, phi: np.ndarray, fixed: np.ndarray, going: np.ndarray) -> np.ndarray:
-    """ln L (K,) with the columns `going` at every shift beside the `fixed` ones."""
+def _all_shifts(relation: Relation, phi: np.ndarray, fixed: np.ndarray, shifted: np.ndarray) -> np.ndarray:
+    """ln L (K,) with the columns `shifted` (N, b) at every shift beside the columns `fixed` (N, a)."""
     rows = relation.rows.astype(float)
     target = relation.whitened(relation.target, phi) * rows
-    kept, still = fixed.shape[1], fixed * rows[:, None]
-    upper = np.triu_indices(going.shape[1])
-    against = _correlations(np.column_stack([still, target]), going)
-    among = _correlations(rows[:, None], going[:, upper[0]] * going[:, upper[1]])[:, 0]
-    products = np.empty((len(against), kept + going.shape[1], kept + going.shape[1]))
-    products[:, :kept, :kept] = still.T @ fixed
-    products[:, :kept, kept:] = against[:, :kept]
-    products[:, kept:, :kept] = against[:, :kept].transpose(0, 2, 1)
-    products[:, kept + upper[0], kept + upper[1]] = products[:, kept + upper[1], kept + upper[0]] = among
-    aims = np.hstack([np.broadcast_to(target @ fixed, (len(against), kept)), against[:, kept]])
+    fixed_count, masked = fixed.shape[1], fixed * rows[:, None]
+    upper = np.triu_indices(shifted.shape[1])
+    with_fixed = _correlations(np.column_stack([masked, target]), shifted)
+    with_shifted = _correlations(rows[:, None], shifted[:, upper[0]] * shifted[:, upper[1]])[:, 0]
+    products = np.empty((len(with_fixed), fixed_count + shifted.shape[1], fixed_count + shifted.shape[1]))
+    products[:, :fixed_count, :fixed_count] = masked.T @ fixed
+    products[:, :fixed_count, fixed_count:] = with_fixed[:, :fixed_count]
+    products[:, fixed_count:, :fixed_count] = with_fixed[:, :fixed_count].transpose(0, 2, 1)
+    products[:, fixed_count + upper[0], fixed_count + upper[1]] = products[
+        :, fixed_count + upper[1], fixed_count + upper[0]
+    ] = with_shifted
+    with_target = np.hstack(
+        [np.broadcast_to(target @ fixed, (len(with_fixed), fixed_count)), with_fixed[:, fixed_count]]
+    )
     diagonal = np.einsum("kii->ki", products)
     diagonal *= 1.0 + _RIDGE
-    explained = np.einsum("ki,ki->k", np.linalg.solve(products, aims[:, :, None])[:, :, 0], aims)
-    least = _EXACT * float(relation.target**2 @ rows)
-    number = rows.sum()
-    return -0.5 * number * np.log(np.maximum(target @ target - explained, least) / number) - 0.5 * number
+    explained = np.einsum(
+        "ki,ki->k", np.linalg.solve(products, with_target[:, :, None])[:, :, 0], with_target
+    )
+    smallest_sse = _LEAST_VARIANCE_SHARE * float(relation.target**2 @ rows)
+    count = rows.sum()
+    return -0.5 * count * np.log(np.maximum(target @ target - explained, smallest_sse) / count) - 0.5 * count
 
 
-def _correlations(one: np.ndarray, other: np.ndarray) -> np.ndarray:
-    """Σ one(t) other(t − shift) of columns (N, a) and (N, b), (K, a, b); the first are 0 within a reach of
-    both ends.
+def _correlations(columns: np.ndarray, shifted: np.ndarray) -> np.ndarray:
+    """Correlations (K, a, b): Σ_t columns(t) shifted(t − shift) of columns (N, a) and shifted (N, b).
 
-    The sum is taken over pieces of the record: what is within reach of a piece is short to transform.
+    The first and last `REACH` rows of `columns` must be 0.  The sum is taken over pieces of the record,
+    because short Fourier transforms are faster.
     """
-    count = -(-len(one) // PIECE)
-    padded = np.zeros((count * PIECE + 2 * REACH, one.shape[1] + other.shape[1]))
-    padded[REACH : REACH + len(one)] = np.hstack([one, other])
+    count = -(-len(columns) // PIECE)
+    padded = np.zeros((count * PIECE + 2 * REACH, columns.shape[1] + shifted.shape[1]))
+    padded[REACH : REACH + len(columns)] = np.hstack([columns, shifted])
     pieces = sliding_window_view(padded, PIECE + 2 * REACH, axis=0)[::PIECE].copy()  # (pieces, a + b, t)
-    pieces[:, : one.shape[1], :REACH] = pieces[:, : one.shape[1], -REACH:] = 0.0
+    pieces[:, : columns.shape[1], :REACH] = pieces[:, : columns.shape[1], -REACH:] = 0.0
     spectra = np.fft.rfft(pieces).transpose(2, 1, 0)
-    first, second = np.split(spectra, [one.shape[1]], axis=1)
-    found = np.fft.irfft(first @ second.conj().transpose(0, 2, 1), PIECE + 2 * REACH, axis=0)
-    return found[np.arange(-REACH, REACH + 1)]
+    first, second = np.split(spectra, [columns.shape[1]], axis=1)
+    correlations = np.fft.irfft(first @ second.conj().transpose(0, 2, 1), PIECE + 2 * REACH, axis=0)
+    return correlations[np.arange(-REACH, REACH + 1)]

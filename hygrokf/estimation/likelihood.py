@@ -59,7 +59,7 @@ Blocks = tuple[list[np.ndarray], list[np.ndarray], list[np.ndarray]]
 
 
 class RatesFault(FloatingPointError, ValueError):
-    """Rates that no step can represent; the message names the state or the steps, and the remedy."""
+    """Rates that no step can represent; the message names the state or the step, and the remedy."""
 
 
 @dataclass(frozen=True)
@@ -68,13 +68,13 @@ class Likelihood:
 
     model, timeline: n states, d parameters; T instants [h] with readings (T, k), NaN where one is missing.
     initial, diffuse_states: "prior" (each mechanism's own), "stationary" (steady state at the first inputs),
-        "diffuse" (exact; of these states nothing is known at the first instant, others keep their prior; by
-        default of no state at the first reading), or a `Gaussian`.
-    square_root: covariances as factors (`engine.square_root`), slower.  A run whose covariances lose their
-        digits without, or their sign, is repeated with them by itself.
+        "diffuse" (exact: nothing is known of the `diffuse_states` at the first instant, and the others keep
+        their prior; by default nothing is known of any state at the first reading), or a `Gaussian`.
+    square_root: covariances as factors (`engine.square_root`), slower.  A run whose plain covariances lose
+        their digits, or become indefinite, is repeated with factors automatically.
     tolerance: [1] largest error of a sub-step, in standard deviations; a search may take a larger one at the
         expense of the last digits.
-    schedule: sub-steps to hold (`scheduled`); by default they are chosen anew for every set of values.
+    schedule: sub-steps to keep fixed (`scheduled`); by default they are chosen anew for every set of values.
 
     `value` gives ln L, `sensitivities` its score and information, `trace` all moments of the filter.  Raises
     ValueError for an unknown `initial`, unknown diffuse states, a schedule of other instants and parameters
@@ -113,7 +113,7 @@ class Likelihood:
 
     @cached_property
     def _unknown(self) -> list[int]:
-        """Places of the states of which nothing is known at the start."""
+        """Indices of the states of which nothing is known at the start."""
         if self.initial != "diffuse":
             return []
         chosen = self.diffuse_states or self.model.states
@@ -125,11 +125,11 @@ class Likelihood:
 
     # -- numbers that the compiled loops start from ----------------------------------------------------------
     def theta(self, values: Mapping[str, float]) -> np.ndarray:
-        """Parameter values (d,) in the model's order, followed by the record's own numbers."""
-        known = [values[p.name] for p in self.model.parameters]
-        theta = np.array([*known, *self.recursion.constants], dtype=float)
-        found = self.recursion.variances
-        found.check(theta, self.recursion.symbols(values, (), self._inputs) if found.doubtful else {})
+        """Parameter values (d,) in the model's order, followed by the recursion's constants."""
+        parameters = [values[p.name] for p in self.model.parameters]
+        theta = np.array([*parameters, *self.recursion.constants], dtype=float)
+        variances = self.recursion.variances
+        variances.check(theta, self.recursion.symbols(values, (), self._inputs) if variances.doubtful else {})
         return theta
 
     @cached_property
@@ -139,9 +139,9 @@ class Likelihood:
 
     # -- sub-steps -------------------------------------------------------------------------------------------
     def scheduled(self, values: Mapping[str, float]) -> Likelihood:
-        """The likelihood that holds the sub-steps chosen for these values; itself where steps are exact."""
-        # with working memory of its own, so that one for another thread is none of this one's
-        return self if self.recursion.exact else replace(self._chosen(values, True, None))
+        """The likelihood with the sub-steps fixed that suit these values; itself where steps are exact."""
+        # a copy has its own working memory: another thread may use it
+        return self if self.recursion.exact else replace(self._with_schedule(values, True, None))
 
     def discretisation_error(self, values: Mapping[str, float]) -> float:
         """Change of ln L where every sub-step is halved; 0 where steps are exact."""
@@ -159,25 +159,26 @@ class Likelihood:
     def _steps(
         self, values: Mapping[str, float], gain: bool = True, start: Gaussian | None = None
     ) -> SubSteps:
-        """Sub-steps of every step; raises RatesFault where no sub-step resolves one."""
+        """Sub-steps of every step; raises RatesFault where no sub-step resolves the rates of a step."""
         if self.recursion.exact:
             return whole_steps(self.timeline)
-        return (self if self.schedule is not None else self._chosen(values, gain, start))._held
+        likelihood = self if self.schedule is not None else self._with_schedule(values, gain, start)
+        return likelihood._sub_steps
 
     @cached_property
-    def _held(self) -> SubSteps:
+    def _sub_steps(self) -> SubSteps:
         assert self.schedule is not None
         return sub_steps(self.timeline, self.schedule)
 
-    def _chosen(self, values: Mapping[str, float], gain: bool, start: Gaussian | None) -> Likelihood:
-        """The likelihood that holds the sub-steps chosen along a run; the last one is kept."""
+    def _with_schedule(self, values: Mapping[str, float], gain: bool, start: Gaussian | None) -> Likelihood:
+        """The likelihood with the sub-steps chosen along a run; the result of the last run is kept."""
         state, theta = self._start(values, start), self.theta(values)
-        point = (theta.tobytes(), state.tobytes(), gain)
-        if self._latest.get("point") != point:
-            schedule = self._walked(values, theta, state, gain)
+        run = (theta.tobytes(), state.tobytes(), gain)  # identifies the run of the schedule kept
+        if self._latest.get("run") != run:
+            schedule = self._schedule_of_run(values, theta, state, gain)
             if schedule is None:
-                schedule = self._in_factors._chosen(values, gain, start).schedule
-            self._latest.update(point=point, held=replace(self, schedule=schedule))
+                schedule = self._in_factors._with_schedule(values, gain, start).schedule
+            self._latest.update(run=run, held=replace(self, schedule=schedule))
         held: Likelihood = self._latest["held"]
         return held
 
@@ -185,73 +186,75 @@ class Likelihood:
     def _latest(self) -> dict[str, Any]:
         return {}
 
-    def _walked(
+    def _schedule_of_run(
         self, values: Mapping[str, float], theta: np.ndarray, state: np.ndarray, gain: bool
     ) -> Schedule | None:
-        """The schedule of a run from packed moments; None where a covariance has lost its sign."""
-        found = []
-        for part in self._pieces(self._whole):
+        """The schedule of a run from packed moments; None where a covariance becomes indefinite."""
+        schedules = []
+        for part in self._pieces(self._span):
             state[:] = self._widened(part.start, state)
-            made = scheduled(self.recursion, theta, self.timeline, part, state, self.tolerance, gain)
-            if isinstance(made, Unresolved):
-                if not self.square_root and self._lost(state):
+            schedule = scheduled(self.recursion, theta, self.timeline, part, state, self.tolerance, gain)
+            if isinstance(schedule, Unresolved):
+                if not self.square_root and self._is_indefinite(state):
                     return None
-                raise RatesFault(self._unresolved(values, made))
-            found.append(made)
-        return joined(found)
+                raise RatesFault(self._unresolved_message(values, schedule))
+            schedules.append(schedule)
+        return joined(schedules)
 
-    def _lost(self, state: np.ndarray) -> bool:
-        """Whether a covariance has lost its sign."""
+    def _is_indefinite(self, state: np.ndarray) -> bool:
+        """Whether the covariance of packed moments has a negative eigenvalue."""
         covariance = self.recursion.covariance_of(state)
         return bool(np.isfinite(covariance).all() and np.linalg.eigvalsh(covariance).min() < 0.0)
 
-    def _unresolved(self, values: Mapping[str, float], where: Unresolved) -> str:
+    def _unresolved_message(self, values: Mapping[str, float], where: Unresolved) -> str:
         t, r = self.timeline, self.recursion
-        lost = (*self.model.states, *self.model.outputs)[where.state]
-        own = self._behind(r.rates if where.state >= r.n else [r.rates[where.state]], values)
+        state = (*self.model.states, *self.model.outputs)[where.state]
+        parameters = self._depends_on(r.rates if where.state >= r.n else [r.rates[where.state]], values)
         hours = float(t.steps[t.key[where.instant], 0])
         return (
-            f"expected rates that sub-steps resolve, found others of {lost} in the step of "
+            f"expected rates that sub-steps resolve, found faster ones of {state} in the step of "
             f"{duration_text(3600.0 * hours)} until {stamp_text(t.origin_s + 3600.0 * t.time[where.instant])}"
-            f"{own}: the state leaves every bound, its rate is not finite there, "
+            f"{parameters}: the state leaves every bound, its rate is not finite there, "
             "or it jumps; narrow the bounds of these parameters, or smooth the jump"
         )
 
-    def _not_finite(self, values: Mapping[str, float]) -> str:
-        """The states without a finite rate, and the parameters that their rates depend on."""
+    def _divergence_message(self, values: Mapping[str, float]) -> str:
+        """The message that names the states without a finite rate, and the parameters of these rates."""
         r, t = self.recursion, self.timeline
-        known = r.symbols(values, (), {name: t.input(name) for name in t.regimes})
+        symbols = r.symbols(values, (), {name: t.input(name) for name in t.regimes})
         with np.errstate(all="ignore"):
-            wide = {name: np.asarray(value, dtype=float) for name, value in known.items()}
-            found = [r.graph.evaluate([r.graph.lift(v) for v in row], wide) for row in r.jacobian]
-        most = 2.0**DOUBLINGS / t.steps[:, 0].max()
-        lost = [i for i, row in enumerate(found) if not all(np.all(np.abs(v) < most) for v in row)]
-        rows = [r.graph.lift(v) for i in lost for v in r.jacobian[i]]
+            arrays = {name: np.asarray(value, dtype=float) for name, value in symbols.items()}
+            jacobian = [r.graph.evaluate([r.graph.lift(v) for v in row], arrays) for row in r.jacobian]
+        largest_rate = 2.0**DOUBLINGS / t.steps[:, 0].max()
+        diverging = [
+            i for i, row in enumerate(jacobian) if not all(np.all(np.abs(v) < largest_rate) for v in row)
+        ]
+        rates = [r.graph.lift(v) for i in diverging for v in r.jacobian[i]]
         return (
-            f"expected finite rates, found others of {', '.join(self.model.states[i] for i in lost)}"
-            f"{self._behind(rows, values)}: narrow the bounds of these parameters, or correct the inputs "
-            "that the states follow"
+            f"expected finite rates, found none for {', '.join(self.model.states[i] for i in diverging)}"
+            f"{self._depends_on(rates, values)}: narrow the bounds of these parameters, or correct the "
+            "inputs that the states follow"
         )
 
-    def _behind(self, rates: Sequence[Expression], values: Mapping[str, float]) -> str:
-        """The parameters that some rates depend on, with their values, in words."""
+    def _depends_on(self, rates: Sequence[Expression], values: Mapping[str, float]) -> str:
+        """The parameters on which rates depend, with their values, as a phrase of a message."""
         nodes = (self.recursion.graph.nodes[k] for k in self.recursion.graph.needed(rates))
         names = [node[1][2:] for node in nodes if node[0] == "symbol" and node[1].startswith("p:")]
-        own = ", ".join(f"{name} = {values[name]:.3g}" for name in names)
-        return f" with {own}" if own else ""
+        listed = ", ".join(f"{name} = {values[name]:.3g}" for name in names)
+        return f" with {listed}" if listed else ""
 
     @cached_property
     def _gaps(self) -> dict[int, np.ndarray]:
         return gap_variances(self.model, self.recursion, self.timeline)
 
     def _pieces(self, part: slice) -> list[slice]:
-        """Stretches of instants that the loops take in one call; every end of a gap begins a new one."""
+        """Pieces of a run that the loops take in one call; every end of a gap begins a new piece."""
         ends = {*self._gaps, *self.recursion.cuts(self.timeline)}
         inner = sorted(k for k in ends if part.start < k < part.stop)
         return [slice(a, b) for a, b in pairwise([part.start, *inner, part.stop])]
 
     def _start(self, values: Mapping[str, float], start: Gaussian | None = None) -> np.ndarray:
-        """The packed moments that a loop starts from and moves."""
+        """The packed moments from which a loop starts; the loop overwrites them."""
         if start is None:
             return self.first_state(values)
         return self.recursion.packed_moments(start.mean, start.covariance)
@@ -275,7 +278,7 @@ class Likelihood:
             first = law(self.initial, self.model, self.recursion, values, self.first_inputs())
         return packed(self.recursion, first, self._unknown, bool(self.diffuse_states))
 
-    def _first_with_slopes(self, values: Mapping[str, float]) -> tuple[np.ndarray, np.ndarray]:
+    def _first_with_derivatives(self, values: Mapping[str, float]) -> tuple[np.ndarray, np.ndarray]:
         """The packed moments before the first reading, and their derivatives (d, w)."""
         expect_values(self.model.parameters, values)
         if isinstance(self.initial, Gaussian):
@@ -288,8 +291,8 @@ class Likelihood:
     def jacobian(self, values: Mapping[str, float], mean: np.ndarray, u: Mapping[str, float]) -> np.ndarray:
         """Derivatives (n, n) [1/h] of the states' rates by the states, at `mean` (n,) and inputs `u`."""
         r = self.recursion
-        known = r.symbols(values, mean, u)
-        return np.array([r.graph.evaluate(row, known) for row in r.jacobian])
+        symbols = r.symbols(values, mean, u)
+        return np.array([r.graph.evaluate(row, symbols) for row in r.jacobian])
 
     def _loop(
         self,
@@ -302,32 +305,33 @@ class Likelihood:
         gain: bool = True,
         controls: tuple[Control, ...] = (),
     ) -> None:
-        """Run a compiled loop over a piece, which moves `state` through it; `further` are its own
-        arguments."""
-        t, own = self.timeline, steps.of(part)
-        table = np.empty(max(table_room(self.recursion, kind), len(own.keys) * len(self.recursion.key_nodes)))
+        """Run a compiled loop over a piece of the run, with `further` arguments of its kind; overwrites
+        `state` with the moments at the end."""
+        t, steps = self.timeline, steps.of(part)
+        table = np.empty(
+            max(table_room(self.recursion, kind), len(steps.keys) * len(self.recursion.key_nodes))
+        )
         filter_loop(self.recursion, kind, gain, controls)(
-            kind, len(own.key), len(own.keys), self.theta(values), own.keys, own.times, table, own.key,
-            own.offset, own.row, own.within, t.u[1:][part], t.y[part], t.reset[part], state, state.copy(),
-            *further,
+            kind, len(steps.key), len(steps.keys), self.theta(values), steps.keys, steps.times, table,
+            steps.key, steps.offset, steps.row, steps.within, t.u[1:][part], t.y[part], t.reset[part], state,
+            state.copy(), *further,
         )  # fmt: skip
-        if own.times.min(initial=0) < 0:
-            raise RatesFault(self._not_finite(values))
+        if steps.times.min(initial=0) < 0:
+            raise RatesFault(self._divergence_message(values))
 
     @property
-    def _whole(self) -> slice:
+    def _span(self) -> slice:
         return slice(0, len(self.timeline))
 
     def _widened(self, k: int, state: np.ndarray) -> np.ndarray:
-        """The state in front of instant k, with the variance that the end of a gap adds."""
+        """Packed moments before instant k, with the variance that the end of a gap adds."""
         if k not in self._gaps:
             return state
-        return self.recursion.with_covariance(
-            state, self.recursion.covariance_of(state) + np.diag(self._gaps[k])
-        )
+        covariance = self.recursion.covariance_of(state) + np.diag(self._gaps[k])
+        return self.recursion.with_covariance(state, covariance)
 
-    def _widening(self, k: int, state: np.ndarray) -> np.ndarray:
-        """Derivatives (w, w) of the state in front of instant k by that before; rows of the latter."""
+    def _gap_jacobian(self, k: int, state: np.ndarray) -> np.ndarray:
+        """Derivatives (w, w) of `_widened`; row i is by entry i of `state`."""
         eye = np.eye(len(state))
         if k not in self._gaps or not self.square_root:
             return eye
@@ -340,7 +344,7 @@ class Likelihood:
         return np.empty((2 * len(self.timeline), len(r.state)))
 
     def _loglik(self, sums: Sequence[np.ndarray]) -> float:
-        """ln L of the pieces of a run; NaN asks for a run in factors."""
+        """ln L from the sums of a run's pieces; NaN where the run must be repeated with factors."""
         return checked_loglik(sums, self.model.outputs, self.square_root)
 
     @cached_property
@@ -351,27 +355,27 @@ class Likelihood:
     # -- verbs -----------------------------------------------------------------------------------------------
     def value(self, values: Mapping[str, float]) -> float:
         """ln L; −inf where the filter breaks down (a variance that is not positive)."""
-        value = self._through(values, self.first_state(values))
+        value = self._loglik_of_run(values, self.first_state(values))
         return self._in_factors.value(values) if math.isnan(value) else value
 
     def end(self, values: Mapping[str, float]) -> End:
-        """ln L and the Gaussian to continue from: those of the `trace`, without what lies between."""
+        """ln L and the Gaussian to continue from, as in `trace`, without the moments at each instant."""
         state = self.first_state(values)
-        value, r = self._through(values, state), self.recursion
+        value, r = self._loglik_of_run(values, state), self.recursion
         if math.isnan(value):
             return self._in_factors.end(values)
         last = Gaussian(state[: r.n].copy(), covariances(r, state), float(self.timeline.time[-1]))
         return End(value, last)
 
-    def _through(self, values: Mapping[str, float], state: np.ndarray) -> float:
-        """ln L, NaN where the run has to be repeated in factors; moves `state` through it."""
+    def _loglik_of_run(self, values: Mapping[str, float], state: np.ndarray) -> float:
+        """ln L of a run, NaN where it must be repeated with factors; moves `state` to its end."""
         steps = self._steps(values)
-        return self._loglik([self._run(values, steps, part, state) for part in self._pieces(self._whole)])
+        return self._loglik([self._run(values, steps, part, state) for part in self._pieces(self._span)])
 
     def _run(
         self, values: Mapping[str, float], steps: SubSteps, part: slice, state: np.ndarray
     ) -> np.ndarray:
-        """Sums of a piece; moves `state` through it."""
+        """Sums of a piece of a run; moves `state` to its end."""
         state[:], sums = self._widened(part.start, state), self._sums()
         self._loop("value", values, steps, state, part, sums)
         return sums
@@ -383,35 +387,37 @@ class Likelihood:
     def controlled(
         self, values: Mapping[str, float], controls: Mapping[Control, tuple[float, float]], idle: np.ndarray
     ) -> np.ndarray:
-        """Positions (T, c) of controls in the step to each instant, in a free run that they drive themselves.
+        """Positions (T, c) of controls in the step to each instant, in a free run that the controls drive.
 
-        `controls` maps each control to its two levels; `idle` (T,) is True at standstill.  Of the inputs that
-        the controls set, only the values at the instant before the first are used.
+        `controls` maps each control to its two levels; `idle` (T,) is True at standstill.  Of the
+        inputs that the controls set, the timeline gives only the values at the instant before the first.
         """
         n, count = len(self.model.states), len(self.timeline)
         state = self.first_state(values)
         state[n:] = 0.0
-        found = np.zeros((count, len(controls)))
-        levels, still = np.array(list(controls.values()), dtype=float), np.asarray(idle, dtype=float)
+        positions = np.zeros((count, len(controls)))
+        levels, standstill = np.array(list(controls.values()), dtype=float), np.asarray(idle, dtype=float)
         columns = [self.timeline.varying.index(control.input) for control in controls]
         # the loop writes the positions into the inputs, so it gets a copy
-        own = replace(self, timeline=replace(self.timeline, u=self.timeline.u.copy()))
-        vars(own)["recursion"] = traced(self.model, len(self._unknown))  # not by matrices
+        copied = replace(self, timeline=replace(self.timeline, u=self.timeline.u.copy()))
+        vars(copied)["recursion"] = traced(
+            self.model, len(self._unknown)
+        )  # this loop exists without matrices only
         steps = whole_steps(self.timeline)
         for part in self._parts():
             state[:] = self._widened(part.start, state)
-            further = still[part], levels, found[part], tags(), np.array([self.tolerance])
-            own._loop(
-                "controlled", values, steps, state, part, *further, gain=False, controls=tuple(controls)
+            arguments = standstill[part], levels, positions[part], tags(), np.array([self.tolerance])
+            copied._loop(
+                "controlled", values, steps, state, part, *arguments, gain=False, controls=tuple(controls)
             )
-            own.timeline.u[part.stop, columns] = found[part.stop - 1]
-        return found
+            copied.timeline.u[part.stop, columns] = positions[part.stop - 1]
+        return positions
 
     def score(self, values: Mapping[str, float]) -> tuple[float, np.ndarray]:
         """ln L and its exact derivatives (d,) with respect to all parameters, by one backward pass."""
-        state, first_slopes = self._first_with_slopes(values)
+        state, first_slopes = self._first_with_derivatives(values)
         steps = self._steps(values)
-        pieces = self._pieces(self._whole)
+        pieces = self._pieces(self._span)
         states = [state]
         for part in pieces[:-1]:
             state = state.copy()
@@ -420,19 +426,19 @@ class Likelihood:
         sums: list[np.ndarray] = []
         r, theta_bar, state_bar = self.recursion, np.zeros(len(self.recursion.p)), np.zeros(len(state))
         keys = max(1, len(steps.keys) * len(r.key_nodes))
-        most = max(int(np.diff(steps.offset).max(initial=1)), len(r.updates)) + 1
-        buffer, levels = np.empty((most, len(state))), np.empty(level_room(r))
+        rows = max(int(np.diff(steps.offset).max(initial=1)), len(r.updates)) + 1
+        buffer, levels = np.empty((rows, len(state))), np.empty(level_room(r))
         for part, state in zip(reversed(pieces), reversed(states), strict=True):
             entered = self._widened(part.start, state).copy()
-            own = np.zeros_like(theta_bar)
+            part_bar = np.zeros_like(theta_bar)
             sums.append(self._sums())
             self._loop(
-                "adjoint", values, steps, entered, part, sums[-1], self._store, np.zeros(keys), own,
+                "adjoint", values, steps, entered, part, sums[-1], self._store, np.zeros(keys), part_bar,
                 state_bar, buffer, levels,
             )  # fmt: skip
-            theta_bar = theta_bar + own
+            theta_bar = theta_bar + part_bar
             if part.start in self._gaps:
-                state_bar = self._widening(part.start, state) @ state_bar
+                state_bar = self._gap_jacobian(part.start, state) @ state_bar
         loglik = self._loglik(sums)
         if math.isnan(loglik):
             return self._in_factors.score(values)
@@ -454,15 +460,15 @@ class Likelihood:
         scores = np.zeros((len(self.timeline) if each else 0, count))
         steps = self._steps(values)
         for part in self._chunks:
-            e, s, de, ds, found = self._tangent_part(values, steps, part, blocks, gain=True)
-            sums.extend(found)
-            # few instants may have a reading
-            read = np.flatnonzero(np.isfinite(self.timeline.y[part]).any(axis=1))
-            de, ds = (np.take(one, read, axis=1) for one in (de, ds))
-            by_instant, added = summed(e[read], s[read], de, ds, self.recursion.square)
+            e, s, de, ds, part_sums = self._tangent_part(values, steps, part, blocks, gain=True)
+            sums.extend(part_sums)
+            # only the instants with a reading contribute
+            rows = np.flatnonzero(np.isfinite(self.timeline.y[part]).any(axis=1))
+            de, ds = (np.take(array, rows, axis=1) for array in (de, ds))
+            by_instant, added = summed(e[rows], s[rows], de, ds, self.recursion.square)
             score += by_instant.sum(axis=0)[:count]
             if each:
-                scores[part.start + read] = by_instant[:, :count]
+                scores[part.start + rows] = by_instant[:, :count]
             information += added[:count, :count]
         loglik = self._loglik(sums)
         if math.isnan(loglik):
@@ -474,7 +480,7 @@ class Likelihood:
         blocks = range(0, max(count, 1), LANES)
         padded = np.zeros((directions.shape[0], len(blocks) * LANES))
         padded[:, :count] = directions
-        first, first_slopes = self._first_with_slopes(values)
+        first, first_slopes = self._first_with_derivatives(values)
         slopes = first_slopes.T @ padded
         states = [first.copy() for _ in blocks]
         dots = [np.ascontiguousarray(slopes[:, b : b + LANES]) for b in blocks]
@@ -482,28 +488,28 @@ class Likelihood:
         return states, dots, seeds
 
     def slopes(self, values: Mapping[str, float], directions: np.ndarray) -> np.ndarray:
-        """Slopes (T, k, r) of the innovations along directions (d, r) of the parameters."""
-        return self._along(values, directions, True)[1]
+        """Derivatives (T, k, r) of the innovations along directions (d, r) of the parameters."""
+        return self._tangents(values, directions, True)[1]
 
     def residuals(self, values: Mapping[str, float], directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Free-run residuals (T, k), NaN without reading, and slopes (T, k, r) along directions (d, r)."""
-        e, de = self._along(values, directions, False)
+        """Free-run residuals (T, k), NaN without reading; derivatives (T, k, r) along directions (d, r)."""
+        e, de = self._tangents(values, directions, False)
         return np.where(np.isfinite(self.timeline.y), e, np.nan), de
 
-    def _along(
+    def _tangents(
         self, values: Mapping[str, float], directions: np.ndarray, gain: bool
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Innovations (T, k) and their slopes (T, k, r) along directions (d, r)."""
+        """Innovations (T, k) and their derivatives (T, k, r) along directions (d, r)."""
         blocks, steps = self._tangent_start(values, directions), self._steps(values, gain)
-        found = [self._tangent_part(values, steps, part, blocks, gain) for part in self._chunks]
-        e, _, de, _, sums = zip(*found, strict=True)
-        if gain and math.isnan(self._loglik([one for part in sums for one in part])):
-            return self._in_factors._along(values, directions, gain)
+        parts = [self._tangent_part(values, steps, part, blocks, gain) for part in self._chunks]
+        e, _, de, _, sums = zip(*parts, strict=True)
+        if gain and math.isnan(self._loglik([piece_sums for part in sums for piece_sums in part])):
+            return self._in_factors._tangents(values, directions, gain)
         slopes = np.concatenate(list(np.concatenate(de, axis=1)), axis=-1)
         return np.concatenate(e), slopes[..., : directions.shape[1]]
 
     def _parts(self) -> Iterator[slice]:
-        """The pieces of a run, a chunk at a time."""
+        """The pieces of all chunks of the run, in order."""
         return (piece for chunk in self._chunks for piece in self._pieces(chunk))
 
     @property
@@ -519,7 +525,8 @@ class Likelihood:
         blocks: Blocks,
         gain: bool,
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, list[np.ndarray]]:
-        """Innovations, variances (t, k), derivatives of both (blocks, t, k, `LANES`), sums of instants."""
+        """Innovations and their variances (t, k), the derivatives (blocks, t, k, `LANES`) of both, and the
+        sums of every piece."""
         r = self.recursion
         count, outputs = part.stop - part.start, len(r.updates)
         de, ds = np.zeros((2, len(blocks[0]), count, outputs, LANES))
@@ -528,12 +535,14 @@ class Likelihood:
             key_dot = np.empty(max(1, len(steps.keys) * len(r.key_nodes)) * LANES)
             for piece in self._pieces(part):
                 if piece.start in self._gaps:
-                    dot[:] = self._widening(piece.start, state).T @ dot
+                    dot[:] = self._gap_jacobian(piece.start, state).T @ dot
                 state[:] = self._widened(piece.start, state)
-                own, out = slice(piece.start - part.start, piece.stop - part.start), self._sums()
-                rows = (e[own], s[own], de[block, own], ds[block, own])
-                self._loop("tangent", values, steps, state, piece, out, seed, dot, key_dot, *rows, gain=gain)
-                sums.append(out)
+                rows, totals = slice(piece.start - part.start, piece.stop - part.start), self._sums()
+                arrays = (e[rows], s[rows], de[block, rows], ds[block, rows])
+                self._loop(
+                    "tangent", values, steps, state, piece, totals, seed, dot, key_dot, *arrays, gain=gain
+                )
+                sums.append(totals)
         return e, s, de, ds, sums
 
     def trace(self, values: Mapping[str, float], gain: bool = True, start: Gaussian | None = None) -> Trace:
@@ -542,20 +551,20 @@ class Likelihood:
 
         `start` is a Gaussian at the instant before the timeline's first (a checkpoint).
         """
-        return self._traced(values, gain, start)[0]
+        return self._filtered(values, gain, start)[0]
 
     def with_roots(self, values: Mapping[str, float]) -> tuple[Trace, np.ndarray, np.ndarray]:
-        """The trace; W (T, n, n), W W' the covariance after an instant but for what is infinite; and the
-        directions (T, n, d) of the state of which nothing is known there."""
-        found, r, moments = self._traced(values)
-        return found, r.root_of(moments), r.unknown_of(moments)
+        """The trace; factors W (T, n, n) of the finite part W W' of the covariance after each instant; and
+        the directions (T, n, d) of the state of which nothing is known there."""
+        trace, r, moments = self._filtered(values)
+        return trace, r.root_of(moments), r.unknown_of(moments)
 
-    def _traced(
+    def _filtered(
         self, values: Mapping[str, float], gain: bool = True, start: Gaussian | None = None
     ) -> tuple[Trace, Recursion, np.ndarray]:
-        """The trace, and the moments (T, w) after each instant as the loops of the recursion keep them."""
+        """The trace, its recursion, and the packed moments (T, w) after each instant."""
         if start is not None and self._unknown:
-            return replace(self, initial=start)._traced(values, gain)
+            return replace(self, initial=start)._filtered(values, gain)
         r = self.recursion
         n, outputs = r.n, len(r.updates)
         state = self._start(values, start)
@@ -564,15 +573,15 @@ class Likelihood:
         transition, noise = np.split(rows[:, 2 * width + 2 * outputs :], [n * n], axis=1)
         steps, sums = self._steps(values, gain, start), []
         for part in self._parts():
-            k, out = part.start, self._sums()
+            k, piece_sums = part.start, self._sums()
             state[:] = self._widened(k, state)
-            self._loop("trace", values, steps, state, part, out, rows[part], gain=gain)
-            sums.append(out)
+            self._loop("trace", values, steps, state, part, piece_sums, rows[part], gain=gain)
+            sums.append(piece_sums)
             if k in self._gaps:
                 f = transition[k].reshape(n, n)
                 noise[k] += pack((f * self._gaps[k]) @ f.T)
         before, after = rows[:, :width], rows[:, width + 2 * outputs : 2 * width + 2 * outputs]
-        found = Trace(
+        trace = Trace(
             prior_mean=before[:, :n],
             prior_covariance=covariances(r, before),
             prediction=rows[:, width : width + 2 * outputs : 2],
@@ -584,8 +593,8 @@ class Likelihood:
             loglik=self._loglik(sums) if gain else loglik_of(sums),
             last=Gaussian(state[:n].copy(), covariances(r, state), float(self.timeline.time[-1])),
         )
-        if not self.square_root and (math.isnan(found.loglik) or found.lost):
-            return self._in_factors._traced(values, gain, start)
+        if not self.square_root and (math.isnan(trace.loglik) or trace.lost):
+            return self._in_factors._filtered(values, gain, start)
         if r.unknown:
-            found.variance[np.isnan(found.variance)] = math.inf
-        return found, r, after
+            trace.variance[np.isnan(trace.variance)] = math.inf
+        return trace, r, after

@@ -1,4 +1,4 @@
-"""What a run of the filter gives: Gaussians, traces, sensitivities, and ln L with a check of its digits.
+"""Results of a filter run: Gaussians, traces, sensitivities, and ln L with a check of its digits.
 
 Shapes: T instants, n states, k outputs, d parameters.
 """
@@ -17,7 +17,7 @@ from hygrokf.physics.model import Model
 
 INITIAL = ("prior", "stationary", "diffuse")
 ROUNDING = 1e-9
-"""[1] asymmetry, and negative eigenvalue, of a covariance in its own scale that rounding explains."""
+"""[1] asymmetry, and negative eigenvalue, of a scaled covariance that rounding explains."""
 
 
 # -- a state as a normal distribution ------------------------------------------------------------------------
@@ -29,7 +29,7 @@ class Gaussian:
     covariance: (n, n) in products of these units, symmetric, without negative eigenvalues.
     time_h: [h] the instant.
 
-    A likelihood that starts from it raises ValueError for other shapes and for what is no covariance.
+    A likelihood that starts from a Gaussian raises ValueError for other shapes and for an invalid covariance.
     """
 
     mean: np.ndarray
@@ -41,7 +41,7 @@ def expect_initial(model: Model, initial: object, diffuse_states: Sequence[str])
     """Check a likelihood's first state; raises ValueError that lists every fault."""
     faults = unknown_names("diffuse_states", diffuse_states, model.states)
     if isinstance(initial, Gaussian):
-        faults += _no_gaussian(initial, len(model.states))
+        faults += _gaussian_faults(initial, len(model.states))
     elif initial not in INITIAL:
         near = suggestion(initial, INITIAL, 1) if isinstance(initial, str) else ""
         faults.append(f"initial: expected one of {INITIAL} or a Gaussian, found {initial!r}{near}")
@@ -51,7 +51,7 @@ def expect_initial(model: Model, initial: object, diffuse_states: Sequence[str])
         raise ValueError("; ".join(faults))
 
 
-def _no_gaussian(initial: Gaussian, n: int) -> list[str]:
+def _gaussian_faults(initial: Gaussian, n: int) -> list[str]:
     mean, covariance = np.asarray(initial.mean), np.asarray(initial.covariance)
     if mean.shape != (n,) or covariance.shape != (n, n):
         return [
@@ -72,10 +72,10 @@ def _no_gaussian(initial: Gaussian, n: int) -> list[str]:
 
 
 DIGITS = 1e9
-"""[1] ratio of an output's innovation variances from which plain covariances have lost too many digits: what
-is left of ln L is good to 1e-7."""
+"""[1] ratio of an output's innovation variances from which plain covariances have lost too many digits; below
+it ln L is accurate to 1e-7."""
 FACTORS = 1e24
-"""[1] the same for factors, whose digits are those of a square root."""
+"""[1] this ratio for covariances as factors, square roots that keep twice as many digits."""
 
 
 # -- what a run gives ----------------------------------------------------------------------------------------
@@ -123,8 +123,8 @@ class Trace:
 
     @property
     def lost(self) -> bool:
-        """Whether a variance lies below zero, or readings of an instant took so much of it that digits of the
-        rest are lost."""
+        """Whether a variance is negative, or the readings of an instant reduced a variance so much that its
+        digits are lost."""
         before, after = (np.einsum("tii->ti", p) for p in (self.prior_covariance, self.covariance))
         floor = np.where(np.isfinite(before), before, 0.0) / DIGITS
         return bool((before < 0.0).any() or (after < floor).any())
@@ -139,30 +139,30 @@ def loglik_of(sums: Sequence[np.ndarray]) -> float:
 def checked_loglik(sums: Sequence[np.ndarray], outputs: Sequence[str], factored: bool) -> float:
     """ln L of a run, −∞ where it breaks down; NaN where plain covariances have lost their digits.
 
-    A reading cannot correct by more than the ratio of its innovation's variance before to that after, so that
-    the largest and the smallest variance of each output bound the loss.  Raises DigitsFault where those of
-    factors are too far apart.
+    A reading reduces a variance by at most the ratio of its innovation's variance before and after, so that
+    the largest and the smallest innovation variance of each output bound the loss of digits.  Raises
+    DigitsFault where these variances are too far apart even for factors.
     """
     value, parts = loglik_of(sums), [part[3:].tolist() for part in sums]
-    sound, count = math.isfinite(value), len(outputs)
+    is_finite, count = math.isfinite(value), len(outputs)
     for c, name in enumerate(outputs):
         low, high = min(part[c] for part in parts), max(part[count + c] for part in parts)
-        if not factored and (low <= 0.0 or (sound and high > DIGITS * low)):
+        if not factored and (low <= 0.0 or (is_finite and high > DIGITS * low)):
             return math.nan
-        if factored and sound and high > FACTORS * low:
+        if factored and is_finite and high > FACTORS * low:
             raise DigitsFault(
                 f"expected variances of the innovations of {name} within a factor of {FACTORS:.0e}, found "
                 f"{low:.3g} to {high:.3g}: no digit of a covariance is left; state a narrower start, or "
                 "'diffuse', or more noise of the readings"
             )
-    return value if sound else -math.inf
+    return value if is_finite else -math.inf
 
 
 def covariances(recursion: Recursion, moments: np.ndarray) -> np.ndarray:
     """Covariances (…, n, n) of packed moments (…, w), infinite where the start is unknown."""
-    found = recursion.covariance_of(moments)
+    finite = recursion.covariance_of(moments)
     if not recursion.unknown:
-        return found
+        return finite
     unknown = recursion.unknown_of(moments)
     infinite = unknown @ np.swapaxes(unknown, -1, -2)
-    return np.where(infinite != 0.0, np.copysign(math.inf, infinite), found)
+    return np.where(infinite != 0.0, np.copysign(math.inf, infinite), finite)

@@ -8,12 +8,12 @@ the exact score g,
 with λ after Levenberg and Marquardt.  Far from the maximum M is the expected information of the innovations'
 sensitivities (Fisher scoring).  Near it, where the expected information would converge linearly or zigzag, M
 follows the exact score by secants (Broyden, Fletcher, Goldfarb and Shanno), which converges superlinearly.
-Coordinates at a bound that the score pushes outwards are held there. A climb has converged where ½ g' M⁻¹ g
-of the others is below the tolerance.  It ends when its budget of filter steps is spent: where a time constant
-becomes far shorter than the interval between readings, every pass takes many sub-steps.
+Coordinates at a bound that the score pushes outwards stay there. A climb has converged where ½ g' M⁻¹ g of
+the other coordinates is below the tolerance.  It ends when its budget of filter steps is spent: where a time
+constant becomes far shorter than the interval between readings, every pass takes many sub-steps.
 
-A model that contains another one is fitted from that parent's maximum as well: the likelihood has several
-maxima, and the larger model must not end below the smaller one. Shapes: d free parameters.
+A model that contains another model, its parent, is fitted from the parent's maximum as well: the likelihood
+has several maxima, and the larger model must not end below the smaller one. Shapes: d free parameters.
 """
 
 from __future__ import annotations
@@ -37,17 +37,17 @@ then within 5e-5 of its standard error."""
 NEAR = 1.0
 """Promised gain in log-likelihood below which the curvature follows the exact score."""
 SCORING_PASSES = 25
-"""Passes of scoring after which it does so anyway: far from the maximum the expected information can
-mislead."""
+"""Passes of scoring after which the curvature follows the exact score at any distance: far from the maximum
+the expected information can mislead."""
 MAXIMUM_PASSES = 200
 ROUNDING = 1e-8
-"""[1] share of the log-likelihood below which a gain is measured by the score, as a difference of two values
-would be rounding."""
+"""[1] share of the log-likelihood; smaller gains are computed from the score, because the difference of two
+values would be rounding."""
 BUDGET = 3_000.0
 """Filter steps per instant of the record after which a climb is stopped; the fit of the demo's cabinet takes
 at most 76."""
 SHARE = 1.0 / 30.0
-"""[1] share of a search range that compares with 1 of a logarithm."""
+"""[1] share of a search range that counts as much as a step of 1 in a logarithm."""
 REACH = 1.5
 """Least half width of the box of one step, in the coordinates' natural units."""
 AT_LIMIT = 1e-9
@@ -60,7 +60,7 @@ INEXACT = 1e-3
 NOISE_SPREAD = 5.0
 """[ln] width of the range over which further starts vary a noise parameter: a factor of 12 up or down."""
 OTHER_SPREAD = 3.0
-"""[ln] the same for other positive parameters: a factor of 4.5."""
+"""[ln] width of this range for other positive parameters: a factor of 4.5 up or down."""
 
 
 @dataclass(frozen=True)
@@ -106,7 +106,7 @@ class Estimate:
 
 
 def shortened(lines: list[str], most: int = 30) -> list[str]:
-    """Lines that fit a screen, with the number of those left out."""
+    """The first `most` lines, and a line with the number of lines left out."""
     return lines if len(lines) <= most else [*lines[:most], f"  … and {len(lines) - most} more"]
 
 
@@ -127,8 +127,8 @@ class Objective:
         self._place = coordinates.positions()
 
     def at(self, z: np.ndarray) -> Objective:
-        """The objective that holds the sub-steps chosen at this point; itself where none resolve a step
-        there."""
+        """The objective with the sub-steps fixed that suit z (d,); itself where no sub-steps resolve the
+        rates there."""
         try:
             return Objective(self.likelihood.scheduled(self.coordinates.values(z)), self.coordinates)
         except FloatingPointError:
@@ -151,37 +151,39 @@ class Objective:
         """l, its gradient (d,) and the expected information (d, d), including that of the prior; with `each`,
         also each instant's share (T, d) of the score, without the prior."""
         directions = self.coordinates.directions(z)
-        found = self.likelihood.sensitivities(self.coordinates.values(z), directions, each)
+        sensitivities = self.likelihood.sensitivities(self.coordinates.values(z), directions, each)
         prior, slope, curvature = self.coordinates.log_prior(z)
-        information = found.information + np.diag(curvature)
-        return Sensitivities(found.loglik + prior, found.score + slope, information, found.scores)
+        information = sensitivities.information + np.diag(curvature)
+        return Sensitivities(
+            sensitivities.loglik + prior, sensitivities.score + slope, information, sensitivities.scores
+        )
 
 
 class _Metered:
-    """An objective during one climb: holds its sub-steps, counts its filter steps and keeps the best point
-    met."""
+    """An objective during one climb: keeps the sub-steps fixed, counts the filter steps and remembers the
+    best point."""
 
     def __init__(self, objective: Objective, start: np.ndarray, budget: float) -> None:
         self.coordinates = objective.coordinates
-        self._free, self._held = objective, objective.at(start)
-        self._budget = self._left = budget
+        self._base, self._fixed = objective, objective.at(start)
+        self._budget = self._remaining = budget
         self.best = (-math.inf, np.empty(0))
 
-    def renewed(self, z: np.ndarray) -> bool:
-        """Hold the sub-steps chosen at this point; False where they are those held already."""
-        before, self._held = self._held.likelihood, self._free.at(z)
-        return self._held.likelihood is not before
+    def renew_sub_steps(self, z: np.ndarray) -> bool:
+        """Fix the sub-steps that suit z (d,); False where these are fixed already."""
+        before, self._fixed = self._fixed.likelihood, self._base.at(z)
+        return self._fixed.likelihood is not before
 
     def value(self, z: np.ndarray) -> float:
         self._spend(z)
-        value = self._held.value(z)
+        value = self._fixed.value(z)
         self._keep(z, value)
         return value
 
     def score(self, z: np.ndarray) -> tuple[float, np.ndarray]:
         self._spend(z)
         try:
-            value, gradient = self._held.score(z)
+            value, gradient = self._fixed.score(z)
         except FloatingPointError:
             return -math.inf, np.zeros_like(z)
         if not (math.isfinite(value) and np.isfinite(gradient).all()):
@@ -191,17 +193,17 @@ class _Metered:
 
     def information(self, z: np.ndarray) -> Sensitivities:
         self._spend(z)
-        found = self._held.information(z)
-        self._keep(z, found.loglik)
-        return found
+        sensitivities = self._fixed.information(z)
+        self._keep(z, sensitivities.loglik)
+        return sensitivities
 
     def _spend(self, z: np.ndarray) -> None:
         try:
-            steps = self._held.likelihood.steps_per_instant(self.coordinates.values(z))
+            steps = self._fixed.likelihood.steps_per_instant(self.coordinates.values(z))
         except FloatingPointError:  # without finite rates there are no steps to count
             steps = 1.0
-        self._left -= steps
-        if self._left < 0.0:
+        self._remaining -= steps
+        if self._remaining < 0.0:
             raise _BudgetSpent(FitCode.BUDGET_SPENT(budget=self._budget, steps=steps))
 
     def _keep(self, z: np.ndarray, value: float) -> None:
@@ -216,11 +218,11 @@ def climb(
     tolerance: float = TOLERANCE,
     budget: float = BUDGET,
 ) -> Optimum:
-    """A bounded climb from one start (d,), see the module's text.
+    """A bounded climb from one start (d,), as the module's text describes.
 
-    It has converged where two points in succession promise less than `tolerance` of log-likelihood.  After
-    `passes` steps, or `budget` filter steps per instant of the record, it ends, not converged, with the best
-    point that it met.  Sub-steps are held on the way, and chosen anew at the end point until it stays.
+    The climb has converged where two points in succession promise less than `tolerance` of log-likelihood.
+    After `passes` steps, or `budget` filter steps per instant of the record, the climb ends, not converged,
+    at its best point.  Sub-steps are fixed on the way, and chosen anew at the end until the end point stays.
     """
     metered = _Metered(objective, start, budget)
     try:
@@ -233,52 +235,52 @@ def climb(
 def _climb(objective: _Metered, start: np.ndarray, passes: int, tolerance: float) -> Optimum:
     lower, upper = objective.coordinates.lower, objective.coordinates.upper
     z = np.clip(start, lower, upper)
-    at = objective.information(z)
-    if not math.isfinite(at.loglik):
+    sensitivities = objective.information(z)
+    if not math.isfinite(sensitivities.loglik):
         return Optimum(z, -math.inf, False, FitCode.START_NOT_FINITE())
-    value, gradient, curvature = at.loglik, at.score, at.information
-    damping, settled, fresh = 1e-3, False, True
+    value, gradient, curvature = sensitivities.loglik, sensitivities.score, sensitivities.information
+    damping, was_small, is_expected = 1e-3, False, True
     for count in range(passes + 1):
         free = ~(((z <= lower) & (gradient <= 0)) | ((z >= upper) & (gradient >= 0)))
         if not free.any():
             return Optimum(z, value, True, FitCode.CONVERGED_AT_BOUNDS())
         reach = reach_of(objective.coordinates, z)
         promised = bounded_step(curvature, gradient, free, z, lower, upper, 1e-9, reach)[1]
-        if promised < tolerance and settled and objective.renewed(z):
+        if promised < tolerance and was_small and objective.renew_sub_steps(z):
             value, gradient = objective.score(z)
             if not math.isfinite(value):
                 return Optimum(z, value, False, FitCode.NO_SUB_STEPS())
             promised = bounded_step(curvature, gradient, free, z, lower, upper, 1e-9, reach)[1]
-        if promised < tolerance and settled:
+        if promised < tolerance and was_small:
             return Optimum(z, value, True, FitCode.CONVERGED())
         if count == passes:
             break
-        settled = promised < tolerance
-        far = promised > NEAR and count < SCORING_PASSES
+        was_small = promised < tolerance
+        is_far = promised > NEAR and count < SCORING_PASSES
         for _ in range(25):
             step, promised = bounded_step(curvature, gradient, free, z, lower, upper, damping, reach)
-            new, slope = (objective.value(z + step), gradient) if far else objective.score(z + step)
+            new, slope = (objective.value(z + step), gradient) if is_far else objective.score(z + step)
             gain = new - value
-            if not far and math.isfinite(new):
+            if not is_far and math.isfinite(new):
                 if promised < ROUNDING * (1.0 + abs(value)):
                     gain = 0.5 * float((gradient + slope) @ step)
                 curvature = secant_update(curvature, step, gradient - slope)
             if gain > 0.05 * promised > 0.0:
                 damping = max(damping / (10.0 if gain > 0.5 * promised else 2.0), 1e-9)
                 break
-            if settled:  # at rounding; the curvature has learnt from the step
+            if was_small:  # the gain is rounding; the curvature is already updated by the step
                 new, slope, step = value, gradient, np.zeros_like(z)
                 break
             damping = max(damping, 1e-6) * 6.0
         else:
-            if fresh:
+            if is_expected:
                 return Optimum(z, value, False, FitCode.NO_STEP_IMPROVES())
-            curvature, fresh, damping = objective.information(z).information, True, 1e-3
+            curvature, is_expected, damping = objective.information(z).information, True, 1e-3
             continue
-        z, value, gradient, fresh = z + step, new, slope, far
-        if far:
-            at = objective.information(z)
-            value, gradient, curvature = at.loglik, at.score, at.information
+        z, value, gradient, is_expected = z + step, new, slope, is_far
+        if is_far:
+            sensitivities = objective.information(z)
+            value, gradient, curvature = sensitivities.loglik, sensitivities.score, sensitivities.information
     return Optimum(z, value, False, FitCode.PASSES_SPENT(passes=passes))
 
 
@@ -298,7 +300,7 @@ def natural_units(coordinates: Coordinates) -> np.ndarray:
 
 
 def reach_of(coordinates: Coordinates, z: np.ndarray) -> np.ndarray:
-    """Half widths (d,) of the box that one step from z stays in: wider far from the parameters' starts."""
+    """Half widths (d,) of the trust box of one step from z; wider far from the parameters' starts."""
     return np.maximum(REACH * natural_units(coordinates), 0.5 * np.abs(z - coordinates.start()))
 
 
@@ -315,10 +317,10 @@ def bounded_step(
     """The damped step within the bounds and a trust box of half width `reach` (d,), and the gain that the
     quadratic model promises for it.
 
-    The step is the most promising of three: coordinates that would leave the box held at its edge and the
-    others solved again; the whole step shortened; the steepest ascent.  Shortening alone would let a flat
-    direction, whose full step is unbounded, shrink the steps of all other coordinates to nothing and so
-    simulate convergence.
+    The step is the most promising of three: the full step with coordinates that would leave the box set to
+    its edge and the other coordinates solved again; the full step shortened; the steepest ascent.  Shortening
+    alone would let a flat direction, whose full step is unbounded, shrink the steps of all other coordinates
+    to nothing and so simulate convergence.
     """
     low, high = np.maximum(lower - z, -reach), np.minimum(upper - z, reach)
     held, moving = np.zeros_like(z), free.copy()
@@ -334,25 +336,27 @@ def bounded_step(
         held[beyond] = np.clip(held[beyond], low[beyond], high[beyond])
         moving &= ~beyond
 
-    tried = []
+    candidates = []
     diagonal = np.maximum(np.diag(information), 1e-300)
     steepest = np.where(free, gradient / (diagonal * (1.0 + damping)), 0.0)
     for direction in (held, shortened, np.clip(steepest, low, high)):
         # the box is convex, so any share of the way stays in it; the best share promises no loss
         slope, curvature = float(gradient @ direction), float(direction @ information @ direction)
         share = min(max(slope / max(curvature, 1e-300), 0.0), 1.0)
-        tried.append((share * slope - 0.5 * share**2 * curvature, share * direction))
-    promised, step = max(tried, key=lambda pair: pair[0])
+        candidates.append((share * slope - 0.5 * share**2 * curvature, share * direction))
+    promised, step = max(candidates, key=lambda pair: pair[0])
     return step, promised
 
 
 def _damped_step(
     information: np.ndarray, gradient: np.ndarray, damping: float, unit: np.ndarray
 ) -> np.ndarray:
-    """The solution of the module's equation; coordinates with less than 1e-12 of the information of the best
-    known one, both in their `unit`, count as having that much."""
-    own = np.diag(information)
-    diagonal = np.maximum(own, 1e-12 * max(float(np.max(own * unit**2)), 1e-300) / unit**2)
+    """The solution δ of the module's equation.
+
+    Each coordinate's information, in its `unit`, counts as at least 1e-12 of the largest coordinate's.
+    """
+    curvatures = np.diag(information)
+    diagonal = np.maximum(curvatures, 1e-12 * max(float(np.max(curvatures * unit**2)), 1e-300) / unit**2)
     root = 1.0 / np.sqrt(diagonal)
     scaled = information * root[:, None] * root[None, :] + damping * np.eye(len(gradient))
     try:
@@ -362,11 +366,11 @@ def _damped_step(
 
 
 def starts(coordinates: Coordinates, values: Mapping[str, float] | None, count: int) -> list[np.ndarray]:
-    """The given start and `count`−1 more: each varies the noise parameters, every second one all parameters.
+    """The given start and `count`−1 further starts; each varies the noise parameters, every second all
+    parameters.
 
-    They fill their ranges evenly by an additive recurrence with the generalised golden ratio (Roberts 2018):
-    the k-th start has the shares ½ + k φ^−j mod 1, φ^(d+1) = φ + 1.
-    """
+    The starts fill their ranges evenly by an additive recurrence with the generalised golden ratio (Roberts
+    2018): the k-th start has the shares ½ + k φ^−j mod 1, φ^(d+1) = φ + 1."""
     first = coordinates.start(values)
     noisy = np.array([p.noise for p in coordinates.free], dtype=bool)
     width = np.array([_start_width(p) for p in coordinates.free])
@@ -394,28 +398,27 @@ def _start_width(p: Parameter) -> float:
 def nested_starts(
     coordinates: Coordinates, values: Mapping[str, float] | None, parent: Estimate
 ) -> list[np.ndarray]:
-    """Starts (d,) of a model at the maximum of a model that it contains.
+    """Starts (d,) of a model at the maximum of its `parent`, a model that it contains.
 
-    Parameters that the parent lacks are at their given start, and in a second start at their null value where
-    all have one.
+    Parameters that the parent lacks take their given start; in a second start they take their null values, if
+    all of them have one.
     """
-    own = [p for p in coordinates.free if p.name not in parent.values]
-    known = {**(values or {}), **parent.values}
-    result = [coordinates.start(known)]
-    nulls = {p.name: p.null for p in own if p.null is not None}
-    if own and len(nulls) == len(own):
-        result.append(coordinates.start({**known, **nulls}))
+    added = [p for p in coordinates.free if p.name not in parent.values]
+    start_values = {**(values or {}), **parent.values}
+    result = [coordinates.start(start_values)]
+    nulls = {p.name: p.null for p in added if p.null is not None}
+    if added and len(nulls) == len(added):
+        result.append(coordinates.start({**start_values, **nulls}))
     return result
 
 
 def least_objective(coordinates: Coordinates, parents: Sequence[Estimate]) -> float:
-    """Lower limit of the penalised log-likelihood at a model's maximum, given the maxima of models that it
-    contains."""
+    """Lower limit of the penalised log-likelihood at a model's maximum, from the maxima of its `parents`."""
     floors = [-math.inf]
     for parent in parents:
-        own = [p for p in coordinates.free if p.name not in parent.values]
+        added = [p for p in coordinates.free if p.name not in parent.values]
         priors = [
-            p.prior.log_density(p.start if p.null is None else p.null) for p in own if p.prior is not None
+            p.prior.log_density(p.start if p.null is None else p.null) for p in added if p.prior is not None
         ]
         floors.append(parent.objective + sum(priors))
     return max(floors)
@@ -439,8 +442,8 @@ def fit_mle(
     values: start values of some parameters, in their units; the others begin at their own start.
     fixed: parameters to hold, with their values in their units.
     count, more_starts: number of starts (see `starts`), and further complete ones in the parameters' units.
-    search: likelihood on a shorter stretch, for the short climbs that run from every start; those that lead
-        to different places are continued to the end on the whole record.
+    search: likelihood on a shorter stretch, for the short climbs that run from every start; short climbs
+        that end at distinct points are continued on the whole record until they converge.
     parents: estimates, on the same readings, of models that this one contains, exactly or as a limit.  Climbs
         also begin from each of them (see `nested_starts`), and an estimate less likely than a parent's is
         never called converged.
@@ -455,48 +458,49 @@ def fit_mle(
     """
     _expect_search(likelihood, count, budget, tolerance)
     coordinates = Coordinates(likelihood.parameters, fixed)
-    further = {f"more_starts[{k}]": one for k, one in enumerate(more_starts)}
-    expect_starts(coordinates.parameters, coordinates.fixed, {"values": values or {}, **further})
+    start_sets = {f"more_starts[{k}]": start for k, start in enumerate(more_starts)}
+    expect_starts(coordinates.parameters, coordinates.fixed, {"values": values or {}, **start_sets})
     if not likelihood.timeline.n_readings:
         raise ValueError(
             "likelihood: expected readings, found none at any instant; give `timeline` readings of "
             f"{', '.join(likelihood.model.outputs) or 'the outputs'}"
         )
     objective = Objective(likelihood, coordinates)
-    scout = objective if search is None else Objective(search, coordinates)
+    short_objective = objective if search is None else Objective(search, coordinates)
     candidates = starts(coordinates, values, count)
     candidates += [coordinates.start(v) for v in more_starts]
     nested = [z for parent in parents for z in nested_starts(coordinates, values, parent)]
     candidates += nested
-    short = []
+    short_optima = []
     for k, z in enumerate(candidates):
         if progress is not None:
             progress(f"start {k + 1} of {len(candidates)}")
-        several = len(candidates) > 1
-        short.append(
-            climb(scout, z, passes=15 if several else 25, tolerance=1e-2, budget=budget)
-            if several or search
+        has_several = len(candidates) > 1
+        short_optima.append(
+            climb(short_objective, z, passes=15 if has_several else 25, tolerance=1e-2, budget=budget)
+            if has_several or search
             else Optimum(z, 0.0, False, FitCode.PASSES_SPENT(passes=0))
         )
-    short.sort(key=lambda o: -o.objective)
+    short_optima.sort(key=lambda optimum: -optimum.objective)
     optima: list[Optimum] = []
     units = natural_units(coordinates)
 
-    def far(a: Optimum, b: Optimum) -> bool:
+    def is_distinct(a: Optimum, b: Optimum) -> bool:
         """Whether two optima differ by more than incomplete climbs explain."""
         return abs(a.objective - b.objective) > 0.5 or float(np.max(np.abs(a.z - b.z) / units)) > 0.7
 
     if progress is not None:
         progress("climb")
-    for k, o in enumerate(short):
+    for k, optimum in enumerate(short_optima):
         # continue the best climb, and others that may still overtake it
-        if k > 0 and (len(optima) >= 3 or o.objective < short[0].objective - 50.0 or not far(o, short[0])):
+        is_behind = optimum.objective < short_optima[0].objective - 50.0
+        if k > 0 and (len(optima) >= 3 or is_behind or not is_distinct(optimum, short_optima[0])):
             continue
-        done = climb(objective, o.z, tolerance=tolerance, budget=budget)
-        if all(far(done, kept) for kept in optima):
-            optima.append(done)
+        end = climb(objective, optimum.z, tolerance=tolerance, budget=budget)
+        if all(is_distinct(end, other) for other in optima):
+            optima.append(end)
     least = least_objective(coordinates, parents)
-    if max(o.objective for o in optima) < least - BETTER:
+    if max(optimum.objective for optimum in optima) < least - BETTER:
         optima += [climb(objective, z, tolerance=tolerance, budget=budget) for z in nested]
     return reject_below(least, estimate_of(likelihood, coordinates, optima))
 
@@ -518,24 +522,25 @@ def _expect_search(likelihood: object, count: int, budget: float, tolerance: flo
         raise ValueError("; ".join(faults))
 
 
-def reject_below(least: float, found: Estimate) -> Estimate:
-    """The estimate, marked as not converged where it is below the maximum of a model that it contains."""
-    short = least - found.objective
-    if not short > BETTER:
-        return found
-    return replace(found, converged=False, message=FitCode.NESTED_MODEL_HIGHER(gain=short))
+def reject_below(least: float, estimate: Estimate) -> Estimate:
+    """The estimate, marked as not converged where its objective is below `least`, a nested model's
+    maximum."""
+    deficit = least - estimate.objective
+    if not deficit > BETTER:
+        return estimate
+    return replace(estimate, converged=False, message=FitCode.NESTED_MODEL_HIGHER(gain=deficit))
 
 
 def refine(likelihood: AnyLikelihood, values: Mapping[str, float]) -> Estimate:
     """The estimate after a climb from values near a maximum."""
     coordinates = Coordinates(likelihood.parameters)
-    found = climb(Objective(likelihood, coordinates), coordinates.start(values))
-    return estimate_of(likelihood, coordinates, [found])
+    optimum = climb(Objective(likelihood, coordinates), coordinates.start(values))
+    return estimate_of(likelihood, coordinates, [optimum])
 
 
 def estimate_of(likelihood: AnyLikelihood, coordinates: Coordinates, optima: list[Optimum]) -> Estimate:
-    """The best of some optima, with the others beside it."""
-    optima = sorted(optima, key=lambda o: -o.objective)
+    """The estimate at the best of several optima, with the other converged optima in `others`."""
+    optima = sorted(optima, key=lambda optimum: -optimum.objective)
     best = optima[0]
     values = coordinates.values(best.z)
     near = AT_LIMIT * natural_units(coordinates)
@@ -554,6 +559,8 @@ def estimate_of(likelihood: AnyLikelihood, coordinates: Coordinates, optima: lis
         converged=best.converged,
         message=message,
         at_bounds=tuple(name for name, at in zip(coordinates.names, ends, strict=True) if at),
-        others=tuple((o.objective, coordinates.values(o.z)) for o in optima[1:] if o.converged),
+        others=tuple(
+            (optimum.objective, coordinates.values(optimum.z)) for optimum in optima[1:] if optimum.converged
+        ),
         discretisation_error=error,
     )

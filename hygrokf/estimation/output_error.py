@@ -17,7 +17,8 @@ from hygrokf.estimation.optimiser import AT_LIMIT
 from hygrokf.physics.parameters import Coordinates
 
 LEAST_DAMPING = 1e-12
-"""Share of the scaled Gauss–Newton matrix that keeps it regular where parameters act alike."""
+"""Least damping, relative to the scaled Gauss–Newton matrix; keeps the matrix regular where parameters act
+alike."""
 TRANSIENT_H = 24.0
 """[h] residuals at the start that are left out, because the initial state is a guess."""
 FEWEST_BLOCKS = 40
@@ -40,8 +41,7 @@ class OutputError:
     unseen: tuple[str, ...] = ()
 
     def bounds(self, name: str, positive: bool, level: float = 0.95) -> tuple[float, float]:
-        """Bounds symmetric in the parameter's coordinate; open where the estimate ended at a bound of its
-        range."""
+        """Bounds symmetric in the parameter's coordinate; open where the estimate ended at a search limit."""
         if name in self.at_bounds:
             return (0.0 if positive else -math.inf), math.inf
         i, value = self.names.index(name), self.values[name]
@@ -59,9 +59,9 @@ def fit_output_error(likelihood: Likelihood, values: dict[str, float], passes: i
     """
     model, time = likelihood.model, likelihood.timeline.time
     counted = time - time[0] >= min(TRANSIENT_H, 0.25 * (time[-1] - time[0]))
-    held = {p.name: values[p.name] for p in model.parameters if p.noise}
+    fixed = {p.name: values[p.name] for p in model.parameters if p.noise}
     unseen = tuple(p.name for p in model.parameters if p.prior is not None)
-    coordinates = Coordinates(model.parameters, held | dict.fromkeys(unseen, 0.0))
+    coordinates = Coordinates(model.parameters, fixed | dict.fromkeys(unseen, 0.0))
     z = coordinates.start(values)
 
     def residuals(z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -71,9 +71,9 @@ def fit_output_error(likelihood: Likelihood, values: dict[str, float], passes: i
     def objective(e: np.ndarray) -> float:
         total = 0.0
         for column in e.T:
-            seen = column[np.isfinite(column)]
-            if len(seen):
-                total += 0.5 * len(seen) * math.log(float(seen @ seen) / len(seen) + 1e-300)
+            present = column[np.isfinite(column)]
+            if len(present):
+                total += 0.5 * len(present) * math.log(float(present @ present) / len(present) + 1e-300)
         return total
 
     e, slopes = residuals(z)
@@ -81,7 +81,7 @@ def fit_output_error(likelihood: Likelihood, values: dict[str, float], passes: i
     for _ in range(passes):
         gradient, matrix, _ = _normal_equations(e, slopes)
         free = ~(((z <= coordinates.lower) & (gradient < 0)) | ((z >= coordinates.upper) & (gradient > 0)))
-        moved = False
+        has_improved = False
         for _ in range(12):
             scale = 1.0 / np.sqrt(np.maximum(np.diag(matrix)[free], 1e-300))
             scaled = matrix[np.ix_(free, free)] * scale[:, None] * scale + damping * np.eye(int(free.sum()))
@@ -92,11 +92,11 @@ def fit_output_error(likelihood: Likelihood, values: dict[str, float], passes: i
             trial, trial_slopes = residuals(new)
             trial_value = objective(trial)
             if math.isfinite(trial_value) and trial_value < value:
-                moved = True
+                has_improved = True
                 break
             damping = max(damping, 1e-6) * 8.0
-        if not moved or value - trial_value < 1e-4:
-            if moved:
+        if not has_improved or value - trial_value < 1e-4:
+            if has_improved:
                 z, e, slopes = new, trial, trial_slopes
             converged = True
             break
@@ -104,19 +104,20 @@ def fit_output_error(likelihood: Likelihood, values: dict[str, float], passes: i
         damping = max(damping / 8.0, LEAST_DAMPING)
     _, matrix, scores = _normal_equations(e, slopes)
     inverse = positive_inverse(matrix)
-    # two days exceed the memory of the disturbances; short records need shorter blocks, to leave enough of
-    # them
+    # two days exceed the memory of the disturbances; short records need shorter blocks for enough blocks
     block_h = min(max((time[-1] - time[0]) / FEWEST_BLOCKS, 12.0), 48.0)
-    spread = long_run_variance(scores, time, block_h)
-    ends = (z <= coordinates.lower + AT_LIMIT) | (z >= coordinates.upper - AT_LIMIT)
-    at = tuple(name for name, there in zip(coordinates.names, ends, strict=True) if there)
-    covariance = inverse @ spread @ inverse
-    return OutputError(coordinates.values(z), coordinates.names, covariance, converged, at, unseen)
+    score_variance = long_run_variance(scores, time, block_h)
+    is_at_bound = (z <= coordinates.lower + AT_LIMIT) | (z >= coordinates.upper - AT_LIMIT)
+    at_bounds = tuple(
+        name for name, ends_at_bound in zip(coordinates.names, is_at_bound, strict=True) if ends_at_bound
+    )
+    covariance = inverse @ score_variance @ inverse
+    return OutputError(coordinates.values(z), coordinates.names, covariance, converged, at_bounds, unseen)
 
 
 def long_run_variance(scores: np.ndarray, time: np.ndarray, block_h: float) -> np.ndarray:
-    """Variance (d, d) of the sum of serially dependent scores (T, d) at `time` [h]: sums over blocks, with
-    Bartlett's weight for neighbouring ones (Newey & West 1987)."""
+    """Variance (d, d) of the sum of serially dependent scores (T, d) at `time` [h], from sums over blocks,
+    with Bartlett's weight for neighbouring blocks (Newey & West 1987)."""
     block = ((time - time[0]) / block_h).astype(int)
     sums = np.zeros((block[-1] + 1, scores.shape[1]))
     np.add.at(sums, block, scores)
@@ -130,10 +131,10 @@ def _normal_equations(e: np.ndarray, slopes: np.ndarray) -> tuple[np.ndarray, np
     shares = np.zeros((len(e), slopes.shape[2]))
     matrix = np.zeros((slopes.shape[2], slopes.shape[2]))
     for j in range(e.shape[1]):
-        there = np.isfinite(e[:, j])
-        if not there.any():
+        is_present = np.isfinite(e[:, j])
+        if not is_present.any():
             continue
-        weight = 1.0 / max(float(np.mean(e[there, j] ** 2)), 1e-300)
-        shares[there] -= weight * e[there, j, None] * slopes[there, j]
-        matrix += weight * slopes[there, j].T @ slopes[there, j]
+        weight = 1.0 / max(float(np.mean(e[is_present, j] ** 2)), 1e-300)
+        shares[is_present] -= weight * e[is_present, j, None] * slopes[is_present, j]
+        matrix += weight * slopes[is_present, j].T @ slopes[is_present, j]
     return shares.sum(axis=0), matrix, shares

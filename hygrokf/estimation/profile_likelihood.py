@@ -1,9 +1,9 @@
 """Profile-likelihood bounds of one parameter; all others are re-estimated along the way.
 
-The bounds are where twice the drop of the profile log-likelihood reaches c χ²₁: with c = 1 those of the
-likelihood-ratio test, with c = max(1, V_S/V_H) of the parameter also where the model is somewhat wrong (Kent
-1982, doi:10.1093/biomet/69.1.19).  Other parameters that reach a search limit on the way may pass it where it
-is a guard, and stay at it where it is physical.
+The bounds are where twice the drop of the profile log-likelihood reaches c χ²₁.  With c = 1 they are those
+of the likelihood-ratio test; with c = max(1, V_S/V_H) of the parameter they also hold where the model is
+somewhat wrong (Kent 1982, doi:10.1093/biomet/69.1.19).  Another parameter that reaches a search limit on the
+way passes the limit where it is a guard, and stays there where the limit is physical.
 
 Shapes: d free coordinates z (see `parameters`), P points.
 """
@@ -24,9 +24,9 @@ from hygrokf.estimation.confidence import (
     describe,
     in_unit,
     normal_quantile,
-    positive,
     positive_inverse,
     too_short,
+    with_positive_eigenvalues,
 )
 from hygrokf.estimation.optimiser import (
     AT_LIMIT,
@@ -48,14 +48,14 @@ WALK_PASSES = 400
 WALK_TOLERANCE = 2e-3
 """Re-estimation along a profile ends when the next step promises less than this much log-likelihood."""
 MATERIAL = 0.05
-"""[1] share of a profile's threshold: a limit counts only if the score promises more than this for passing
-it."""
+"""[1] share of a profile's threshold: a limit counts only if passing it promises a larger gain of twice the
+log-likelihood."""
 
 
 def profile(
     objective: Objective,
     estimate: Estimate,
-    found: Uncertainty,
+    spread: Uncertainty,
     name: str,
     level: float = 0.95,
     progress: Callable[[str], None] | None = None,
@@ -63,7 +63,7 @@ def profile(
 ) -> Bounds:
     """Profile-likelihood bounds of one free parameter [its unit]; all others are re-estimated along the way.
 
-    `objective` is the penalised likelihood with the maximum `estimate`, `found` its `uncertainty`.  The
+    `objective` is the penalised likelihood with the maximum `estimate`, `spread` its `uncertainty`.  The
     bounds are the values at which
         2 (l(θ̂) − max over the others of l) = c χ²₁,    c = max(1, V_S/V_H) of the parameter if `robust`,
         else 1, at the confidence `level`.
@@ -80,37 +80,37 @@ def profile(
     coordinates = estimate.coordinates
     p = coordinates.parameter(name)
     index = coordinates.names.index(name)
-    place = found.place(name)
-    factor = float(found.factor[place]) if place is not None and robust else 1.0
+    place = spread.place(name)
+    factor = float(spread.factor[place]) if place is not None and robust else 1.0
     threshold = factor * normal_quantile(level) ** 2
     width = float(natural_units(coordinates)[index])
-    se = math.sqrt(found.wald[place, place]) if place is not None else 0.3 * width
-    walk = _Walk(objective, estimate, found, index)
+    se = math.sqrt(spread.wald[place, place]) if place is not None else 0.3 * width
+    walk = _Walk(objective, estimate, spread, index)
     points = [(p.from_coordinate(estimate.z[index]), 0.0)]
     ends: list[float | None] = []
     limits: list[Limit] = []
-    cut: list[Statement] = []
+    unfinished: list[Statement] = []
     sides: tuple[tuple[Side, float], ...] = (("lower", -1.0), ("upper", 1.0))
     for side, direction in sides:
         if progress is not None:
             progress(f"profile of {name}, {side} end")
-        first = min(max(se, 1e-4 * width), 1.5 * width) * math.sqrt(threshold)
+        first_offset = min(max(se, 1e-4 * width), 1.5 * width) * math.sqrt(threshold)
         walk.left = WALK_PASSES
-        end, more = _end(walk, p, index, direction, threshold, first)
+        end, more = _end(walk, p, index, direction, threshold, first_offset)
         if walk.left < 0:
             end = None
-            cut.append(FitCode.END_NOT_FOUND(end=side, passes=WALK_PASSES))
+            unfinished.append(FitCode.END_NOT_FOUND(end=side, passes=WALK_PASSES))
         points.extend(more)
         if end is not None:
-            reached = walk.limits(side, end - estimate.z[index], threshold)
-            limits.extend(reached)
-            end = None if any(limit.effect == "open" for limit in reached) else end
+            end_limits = walk.limits(side, end - estimate.z[index], threshold)
+            limits.extend(end_limits)
+            end = None if any(limit.effect == "open" for limit in end_limits) else end
         ends.append(end)
     curve = np.array(sorted(points))
     lower, upper = in_unit(p, ends)
-    statements = [*describe(p.unit, lower, upper, ends, limits), *cut]
-    if robust and name in found.needed and name not in found.flat:
-        statements.append(FitCode.AS_IF_MODEL_RIGHT(why=too_short(found, name)))
+    statements = [*describe(p.unit, lower, upper, ends, limits), *unfinished]
+    if robust and name in spread.needed and name not in spread.flat:
+        statements.append(FitCode.AS_IF_MODEL_RIGHT(why=too_short(spread, name)))
     return Bounds(
         estimate.values[name], lower, upper, level, "profile" if robust else "likelihood-ratio",
         tuple(statements), curve, tuple(limits), walk.better(),
@@ -136,34 +136,34 @@ class _Walk:
     held there, and the others are solved without it.
     """
 
-    def __init__(self, objective: Objective, estimate: Estimate, found: Uncertainty, index: int) -> None:
+    def __init__(self, objective: Objective, estimate: Estimate, spread: Uncertainty, index: int) -> None:
         self.objective, self.estimate, self.index = objective, estimate, index
         self.free = estimate.coordinates.free
         self.others = np.arange(len(self.free)) != index
         bounds = np.array([p.lifted_limits() for p in self.free])
-        own = estimate.coordinates
-        self.units = natural_units(own)
+        coordinates = estimate.coordinates
+        self.units = natural_units(coordinates)
         near = AT_LIMIT * self.units
-        self.lower = np.where(estimate.z <= own.lower + near, own.lower, bounds[:, 0])
-        self.upper = np.where(estimate.z >= own.upper - near, own.upper, bounds[:, 1])
-        self.curvature = positive(found.curvature)
+        self.lower = np.where(estimate.z <= coordinates.lower + near, coordinates.lower, bounds[:, 0])
+        self.upper = np.where(estimate.z >= coordinates.upper - near, coordinates.upper, bounds[:, 1])
+        self.curvature = with_positive_eigenvalues(spread.curvature)
         self.path = np.zeros(len(self.free))
-        inside = np.array([p.name in found.names and i != index for i, p in enumerate(self.free)])
-        if found.place(own.names[index]) is not None and inside.any():
-            block = positive_inverse(found.curvature[np.ix_(inside, inside)])
-            self.path[inside] = -block @ found.curvature[inside, index]
+        inside = np.array([p.name in spread.names and i != index for i, p in enumerate(self.free)])
+        if spread.place(coordinates.names[index]) is not None and inside.any():
+            block = positive_inverse(spread.curvature[np.ix_(inside, inside)])
+            self.path[inside] = -block @ spread.curvature[inside, index]
         self.last = {0.0: (estimate.z, np.zeros_like(estimate.z))}
         self.best = (-BETTER, estimate.z)
         self.left = WALK_PASSES
 
     def drop(self, offset: float) -> float:
         """Twice the drop of the profile log-likelihood at this offset of the fixed coordinate."""
-        near = min(self.last, key=lambda known: abs(known - offset))
+        near = min(self.last, key=lambda visited: abs(visited - offset))
         z = self.last[near][0] + self.path * (offset - near)
         z = np.clip(z, self.lower, self.upper)
         z[self.index] = self.estimate.z[self.index] + offset
-        curvature, informed = self.curvature, False
-        self.objective = self.objective.at(z)  # the sub-steps of this point are held while it is re-estimated
+        curvature, has_information = self.curvature, False
+        self.objective = self.objective.at(z)  # the sub-steps stay fixed while this offset is re-estimated
         value, gradient = self._score(z)
         for _ in range(WALK_STEPS):
             if self.left < 0:
@@ -188,11 +188,10 @@ class _Walk:
                     break
                 step = 0.3 * step
             else:
-                if informed:
+                if has_information:
                     break
-                # the curvature of the estimate is no use here: replace it by the expected information at this
-                # point
-                curvature, informed = self.objective.information(z).information, True
+                # the curvature of the estimate does not apply here: take the expected information at z
+                curvature, has_information = self.objective.information(z).information, True
                 continue
             curvature = secant_update(curvature, step, gradient - new_gradient)
             z, value, gradient = trial, new, new_gradient
@@ -206,32 +205,33 @@ class _Walk:
         return None if drop >= -BETTER else self.objective.coordinates.values(z)
 
     def limits(self, side: Side, offset: float, threshold: float) -> list[Limit]:
-        """Limits of other coordinates that matter at this offset, except those that the estimate is already
-        at."""
-        z, gradient = self.last[min(self.last, key=lambda known: abs(known - offset))]
-        own = self.estimate.coordinates
-        found = []
+        """Limits of other coordinates that act at this offset, except those of the estimate itself."""
+        z, gradient = self.last[min(self.last, key=lambda visited: abs(visited - offset))]
+        coordinates = self.estimate.coordinates
+        limits = []
         for i, p in enumerate(self.free):
             near = AT_LIMIT * self.units[i]
-            above = z[i] > own.upper[i] - near
-            at, lifted = (own.upper[i], self.upper[i]) if above else (own.lower[i], self.lower[i])
-            same = abs(self.estimate.z[i] - at) <= near
-            if i == self.index or same or not (above or z[i] < own.lower[i] + near):
+            above = z[i] > coordinates.upper[i] - near
+            search_limit, lifted = (
+                (coordinates.upper[i], self.upper[i]) if above else (coordinates.lower[i], self.lower[i])
+            )
+            was_at_limit = abs(self.estimate.z[i] - search_limit) <= near
+            if i == self.index or was_at_limit or not (above or z[i] < coordinates.lower[i] + near):
                 continue
             unit = 1.0 if p.positive else p.upper - p.lower
-            pushed = 2.0 * (gradient[i] if above else -gradient[i]) * unit > MATERIAL * threshold
-            at_the_end = abs(z[i] - lifted) <= near and pushed
-            end = p.from_coordinate(lifted)
-            physical = abs(end - p.physical[int(above)]) <= near * p.slope(end)
-            if at_the_end:
+            is_pushed = 2.0 * (gradient[i] if above else -gradient[i]) * unit > MATERIAL * threshold
+            is_at_end = abs(z[i] - lifted) <= near and is_pushed
+            lifted_value = p.from_coordinate(lifted)
+            physical = abs(lifted_value - p.physical[int(above)]) <= near * p.slope(lifted_value)
+            if is_at_end:
                 effect: Effect = "held" if physical else "open"
-            elif abs(z[i] - at) > near:
+            elif abs(z[i] - search_limit) > near:
                 effect = "lifted"
             else:
                 continue
             value, limit = p.from_coordinate(float(z[i])), p.upper if above else p.lower
-            found.append(Limit(side, p.name, p.unit, value, limit, effect))
-        return found
+            limits.append(Limit(side, p.name, p.unit, value, limit, effect))
+        return limits
 
     def _score(self, z: np.ndarray) -> tuple[float, np.ndarray]:
         self.left -= 1
@@ -245,8 +245,8 @@ class _Walk:
 def _end(
     walk: _Walk, p: Parameter, index: int, direction: float, threshold: float, first: float
 ) -> tuple[float | None, list[tuple[float, float]]]:
-    """The coordinate where the profile crosses the threshold on one side; None if it does not cross within
-    the bound."""
+    """The coordinate at which the profile crosses the threshold on one side, None if it does not cross within
+    the search limit; and the points (value, drop) that were evaluated."""
     z = walk.estimate.z[index]
     limit = abs(p.to_coordinate(p.upper if direction > 0 else p.lower) - z)
     points: list[tuple[float, float]] = []

@@ -25,7 +25,7 @@ from hygrokf.physics.holds import between
 TOLERANCE = 1e-12
 """Relative error of the integration over one step."""
 INSIDE = math.nextafter(1.0, 0.0)
-"""[1] the end of a step, before an input that is held from its stamp on changes."""
+"""[1] largest share of a step: just before its end, where an input held from its stamp on changes."""
 
 
 def reference_filter(likelihood: Likelihood, values: Mapping[str, float]) -> tuple[float, list[Gaussian]]:
@@ -43,7 +43,7 @@ def reference_filter(likelihood: Likelihood, values: Mapping[str, float]) -> tup
     m, P, total, states = first.mean.copy(), first.covariance.copy(), 0.0, []
     for k, readings in enumerate(line.y):
         P = P + np.diag(gaps.get(k, np.zeros(len(m))))
-        m, P = predicted(likelihood, values, k, m, P)
+        m, P = predict(likelihood, values, k, m, P)
         for name, y in zip(model.outputs, readings, strict=True):
             if np.isfinite(y):  # a reading that is missing corrects nothing
                 h, H, R = observation(likelihood, values, k, name, m)
@@ -64,11 +64,11 @@ def reference_filter(likelihood: Likelihood, values: Mapping[str, float]) -> tup
     return total, states
 
 
-def predicted(
+def predict(
     likelihood: Likelihood, values: Mapping[str, float], k: int, m: np.ndarray, P: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Mean (n,) and covariance (n, n) at instant k from those at the instant before, by numerical
-    integration."""
+    """Mean (n,) and covariance (n, n) at instant k, integrated numerically from the moments `m` and `P` at
+    the instant before."""
     from scipy.integrate import solve_ivp
 
     model, line, n = likelihood.model, likelihood.timeline, len(m)
@@ -80,7 +80,7 @@ def predicted(
         within = min(share, INSIDE)
         return regimes | {name: between(model.holds[name], a, b, within) for name, a, b in ends}
 
-    def slopes(t: float, moments: np.ndarray) -> np.ndarray:
+    def derivatives(t: float, moments: np.ndarray) -> np.ndarray:
         u, x, C = inputs(t / length), moments[:n], moments[n:].reshape(n, n)
         A = likelihood.jacobian(values, x, u)
         f = np.array(model.evaluate(list(x), u, values).rates, dtype=float)
@@ -91,6 +91,7 @@ def predicted(
         return m, P
     start = np.concatenate([m, P.ravel()])
     end = solve_ivp(
-        slopes, (0.0, length), start, "DOP853", [length], rtol=TOLERANCE, atol=TOLERANCE * (1e-3 + abs(start))
-    ).y[:, -1]
+        derivatives, (0.0, length), start, "DOP853", [length],
+        rtol=TOLERANCE, atol=TOLERANCE * (1e-3 + abs(start)),
+    ).y[:, -1]  # fmt: skip
     return end[:n], end[n:].reshape(n, n)

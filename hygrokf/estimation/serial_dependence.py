@@ -1,4 +1,4 @@
-"""Variance of sums of serially dependent terms, whose memory the terms themselves tell.
+"""Variance of sums of serially dependent terms, with the memory estimated from the terms.
 
 Shapes: n terms in their order, f columns.
 
@@ -22,18 +22,18 @@ import numpy as np
 INSIGNIFICANT = 2.0
 """Autocorrelations below this times √(log₁₀ n / n) are taken as zero: Politis and White's choice."""
 COSINES = 0.4
-"""Number of cosines in n^⅔."""
+"""Number of cosines per n^⅔."""
 FEWEST_COSINES = 4
-"""A series of fewer optimal block lengths is too short, one of so many has so many cosines."""
+"""Least number of cosines; a series of fewer optimal block lengths than this is too short."""
 LONGER = 3.0
-"""Least terms a cosine, in optimal block lengths."""
+"""Least number of terms per cosine, in optimal block lengths."""
 FEWEST_TERMS = 10
 
 
 @dataclass(frozen=True)
 class LongRun:
     """Covariance (f, f) of the sums of columns, for use with normal quantiles; and `needed` (f,): the length
-    of a sufficient series in lengths of this one, above 1 where this one is too short."""
+    of a sufficient series relative to this series, above 1 where this series is too short."""
 
     covariance: np.ndarray
     needed: np.ndarray
@@ -42,9 +42,9 @@ class LongRun:
 def long_run_covariance(terms: np.ndarray) -> LongRun:
     """Covariance of the sums of serially dependent terms (n, f), positive semi-definite.
 
-    Every variance is from its own column's number of cosines B, enlarged by the square of Student's over the
-    normal 95 % quantile; the correlations are from the smallest B.  Columns that are too short (`needed`
-    above 1) have the variance of as many cosines as there are.
+    Every variance comes from the column's own number of cosines B, enlarged by the squared ratio of Student's
+    to the normal 95 % quantile; the correlations come from the smallest B.  For columns that are too short
+    (`needed` above 1) the variance comes from `FEWEST_COSINES`.
     """
     from scipy.fft import dct
     from scipy.special import ndtri, stdtrit
@@ -53,12 +53,12 @@ def long_run_covariance(terms: np.ndarray) -> LongRun:
     if n < FEWEST_TERMS:
         return LongRun(np.full((f, f), np.nan), np.full(f, FEWEST_TERMS / max(n, 1)))
     optimal = np.array([optimal_block(column) for column in (terms - terms.mean(axis=0)).T])
-    most = np.minimum(COSINES * n ** (2.0 / 3.0), n / (LONGER * optimal))
-    count = np.maximum(most.astype(int), FEWEST_COSINES)
+    largest_number = np.minimum(COSINES * n ** (2.0 / 3.0), n / (LONGER * optimal))
+    count = np.maximum(largest_number.astype(int), FEWEST_COSINES)
     cosines = math.sqrt(n) * dct(terms, axis=0, norm="ortho")[1 : count.max() + 1]
     deviations = [
-        stdtrit(own, 0.975) / ndtri(0.975) * math.sqrt(float(column[:own] @ column[:own]) / own)
-        for column, own in zip(cosines.T, count.tolist(), strict=True)
+        stdtrit(number, 0.975) / ndtri(0.975) * math.sqrt(float(column[:number] @ column[:number]) / number)
+        for column, number in zip(cosines.T, count.tolist(), strict=True)
     ]
     common = cosines[: count.min()]
     product = common.T @ common
@@ -69,8 +69,8 @@ def long_run_covariance(terms: np.ndarray) -> LongRun:
 
 
 def optimal_block(terms: np.ndarray) -> float:
-    """Optimal block length of centred terms (n,), at least 1; n where their memory is longer than they can
-    tell."""
+    """Optimal block length of centred terms (n,), at least 1; n where the memory is too long to be
+    estimated."""
     n = len(terms)
     run = max(5, math.ceil(math.sqrt(math.log10(n))))
     most = n // 4
@@ -87,8 +87,8 @@ def optimal_block(terms: np.ndarray) -> float:
     window = np.minimum(1.0, 2.0 * (1.0 - lags / lags[-1]))
     total = covariance[0] + 2.0 * float(window @ covariance[lags])
     # unlike the flat-top window's, the sum with Bartlett's weights is never negative
-    least = covariance[0] + 2.0 * float((1.0 - lags / (lags[-1] + 1.0)) @ covariance[lags])
-    beyond = 2.0 * float((window * lags) @ covariance[lags]) / max(total, least)
+    bartlett_total = covariance[0] + 2.0 * float((1.0 - lags / (lags[-1] + 1.0)) @ covariance[lags])
+    beyond = 2.0 * float((window * lags) @ covariance[lags]) / max(total, bartlett_total)
     return max((1.5 * beyond**2 * n) ** (1.0 / 3.0), 1.0)
 
 

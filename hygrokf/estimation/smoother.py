@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from filterpy.kalman import ExtendedKalmanFilter
 
 SINGULAR = 1e-14
-"""[1] share of the largest singular value below which a direction counts as known."""
+"""[1] share of the largest singular value below which a direction counts as not seen."""
 
 
 def smoothed_states(
@@ -40,88 +40,89 @@ def smoothed_states(
     Backwards from the last instant, with the law of x_k given x_{k+1} and the readings until k,
         x_k = m_k + C (x_{k+1} − m⁻_{k+1}) + D ν,    ν ~ N(0, I),
         m^s_k = m_k + C (m^s_{k+1} − m⁻_{k+1}),    P^s_k = C P^s_{k+1} C' + D D'.
-    Both terms of P^s are squares, so that it keeps its sign.  A running mean passes nothing across its reset.
+    Both terms of P^s are squares, so that P^s stays positive semi-definite.  A running mean carries no
+    information across its reset.
     Source: Rauch, Tung & Striebel 1965, doi:10.2514/3.3166; in square roots Park & Kailath 1995,
     doi:10.1080/00207179508921953.
     """
-    found, roots, directions = likelihood.with_roots(values)
-    count, n = found.mean.shape
-    mean = found.mean.copy()
+    trace, roots, directions = likelihood.with_roots(values)
+    count, n = trace.mean.shape
+    mean = trace.mean.copy()
     matrices = np.empty((count if covariance else 0, n, n))
-    carried = _carried(likelihood)[..., None, :] * np.roll(found.transition, -1, axis=0)
-    noise = square_root(found.noise[1:])
+    carried = _is_continued(likelihood)[..., None, :] * np.roll(trace.transition, -1, axis=0)
+    noise = square_root(trace.noise[1:])
     matrix, unknown = roots[-1] @ roots[-1].T, directions[-1]
-    for first in range((count - 1) // CHUNK * CHUNK, -1, -CHUNK):
-        part = slice(first, min(first + CHUNK, count - 1))
-        gains, spreads, still = _given_next(roots[part], directions[part], carried[part], noise[part])
+    for begin in range((count - 1) // CHUNK * CHUNK, -1, -CHUNK):
+        part = slice(begin, min(begin + CHUNK, count - 1))
+        gains, spreads, unresolved = _given_next(roots[part], directions[part], carried[part], noise[part])
         if covariance and part.stop == count - 1:
             matrices[-1] = _with_infinite(matrix, unknown)
-        for k in range(part.stop - 1, first - 1, -1):
-            gain = gains[k - first]
-            mean[k] += gain @ (mean[k + 1] - found.prior_mean[k + 1])
+        for k in range(part.stop - 1, begin - 1, -1):
+            gain = gains[k - begin]
+            mean[k] += gain @ (mean[k + 1] - trace.prior_mean[k + 1])
             if covariance:
-                matrix = gain @ matrix @ gain.T + spreads[k - first]
+                matrix = gain @ matrix @ gain.T + spreads[k - begin]
                 if unknown.size:
-                    unknown = _sure(gain @ unknown, np.abs(gain) @ np.abs(unknown))
-                    unknown = np.linalg.qr(np.hstack([unknown, still[k - first]]).T)[1].T
+                    unknown = _without_rounding(gain @ unknown, np.abs(gain) @ np.abs(unknown))
+                    unknown = np.linalg.qr(np.hstack([unknown, unresolved[k - begin]]).T)[1].T
                 matrices[k] = _with_infinite(matrix, unknown)
     return likelihood.model.natural(mean, matrices)
 
 
 def _given_next(
-    own: np.ndarray, start: np.ndarray, carried: np.ndarray, noise: np.ndarray
+    root: np.ndarray, start: np.ndarray, carried: np.ndarray, noise: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The law of the states at some instants k given those at k + 1 and the readings until k: C (t, n, n),
     D D' (t, n, n), and the directions (t, n, d) that stay unknown.
 
-    With η the unknown start, x_k = m_k + B η + W ε and x_{k+1} = m⁻ + F (B η + W ε) + V ω.  Across F B the
-    next state tells ε and ω by their regression, along it η.
+    With η the unknown start, x_k = m_k + B η + W ε and x_{k+1} = m⁻ + F (B η + W ε) + V ω.  Along F B the
+    next state determines η; across F B it determines ε and ω by regression.
     """
     n, d = start.shape[1:]
-    wide = np.concatenate([own, np.zeros_like(own)], axis=2)
-    later = np.concatenate([carried @ own, noise], axis=2)
+    error = np.concatenate([root, np.zeros_like(root)], axis=2)
+    later = np.concatenate([carried @ root, noise], axis=2)
     along = carried @ start
     scale = np.sqrt((later**2).sum(axis=2) + (along**2).sum(axis=2))[..., None]
     scale = np.where(scale > 0.0, scale, 1.0)
     later, back = later / scale, np.eye(n) / np.swapaxes(scale, 1, 2)
-    gain, still = np.zeros_like(own), np.zeros_like(start)
+    gain, unresolved = np.zeros_like(root), np.zeros_like(start)
     if d:
         along = along / scale
         size = np.sqrt((along**2).sum(axis=1, keepdims=True))
         size = np.where(size > 0.0, size, 1.0)
-        turn, length, columns = np.linalg.svd(along / size)
-        told = length > SINGULAR
+        left_vectors, length, columns = np.linalg.svd(along / size)
+        is_seen = length > SINGULAR
         reached = (start / size) @ np.swapaxes(columns, 1, 2)
-        still = np.where(told[:, None, :], 0.0, reached)
-        reached = np.where(told[:, None, :], reached / np.where(told, length, 1.0)[:, None, :], 0.0)
-        turned = np.swapaxes(turn, 1, 2)
-        shown = turned @ later
-        gain = reached @ (turned @ back)[:, :d]
-        wide = wide - reached @ shown[:, :d]
-        later = np.concatenate([np.where(told[..., None], 0.0, shown[:, :d]), shown[:, d:]], axis=1)
-        back = turned @ back
-    left, size, right = np.linalg.svd(later)
-    told = size > SINGULAR * size[:, :1]
-    weight = np.where(told, 1.0 / np.where(told, size, 1.0), 0.0)
-    turned = wide @ np.swapaxes(right, 1, 2)
-    gain = gain + (turned[:, :, :n] * weight[:, None, :]) @ np.swapaxes(left, 1, 2) @ back
-    turned[:, :, :n] *= ~told[:, None, :]
-    return gain, turned @ np.swapaxes(turned, 1, 2), still
+        unresolved = np.where(is_seen[:, None, :], 0.0, reached)
+        reached = np.where(is_seen[:, None, :], reached / np.where(is_seen, length, 1.0)[:, None, :], 0.0)
+        rotation = np.swapaxes(left_vectors, 1, 2)
+        rotated = rotation @ later
+        gain = reached @ (rotation @ back)[:, :d]
+        error = error - reached @ rotated[:, :d]
+        later = np.concatenate([np.where(is_seen[..., None], 0.0, rotated[:, :d]), rotated[:, d:]], axis=1)
+        back = rotation @ back
+    left_directions, size, right = np.linalg.svd(later)
+    is_seen = size > SINGULAR * size[:, :1]
+    weight = np.where(is_seen, 1.0 / np.where(is_seen, size, 1.0), 0.0)
+    rotation = error @ np.swapaxes(right, 1, 2)
+    gain = gain + (rotation[:, :, :n] * weight[:, None, :]) @ np.swapaxes(left_directions, 1, 2) @ back
+    rotation[:, :, :n] *= ~is_seen[:, None, :]
+    return gain, rotation @ np.swapaxes(rotation, 1, 2), unresolved
 
 
 def _with_infinite(matrix: np.ndarray, unknown: np.ndarray) -> np.ndarray:
     """A covariance (n, n), infinite along the directions `unknown` (n, d)."""
-    infinite = _sure(unknown @ unknown.T, np.abs(unknown) @ np.abs(unknown.T))
+    infinite = _without_rounding(unknown @ unknown.T, np.abs(unknown) @ np.abs(unknown.T))
     return np.where(infinite != 0.0, np.copysign(np.inf, infinite), matrix)
 
 
-def _sure(found: np.ndarray, terms: np.ndarray) -> np.ndarray:
-    """Sums of products, 0 where rounding alone is left of their `terms`."""
-    return np.where(np.abs(found) > UNSEEN * terms, found, 0.0)
+def _without_rounding(sums: np.ndarray, terms: np.ndarray) -> np.ndarray:
+    """Sums of products, set to 0 where they are rounding of their `terms`, the sums of absolute products."""
+    return np.where(np.abs(sums) > UNSEEN * terms, sums, 0.0)
 
 
-def _carried(likelihood: Likelihood) -> np.ndarray:
-    """(T, n) 1 where a state continues from an instant, 0 where it restarts."""
+def _is_continued(likelihood: Likelihood) -> np.ndarray:
+    """(T, n) 1 where a state continues after an instant, 0 where the state is reset there."""
     states, resets = likelihood.model.states, likelihood.model.resets
     result = np.ones((len(likelihood.timeline), len(states)))
     for bit, state in enumerate(resets):
@@ -138,11 +139,11 @@ def to_filterpy(source: Source, given: Given | None = None) -> ExtendedKalmanFil
     `advance(k)` predicts to instant k; `observe(k)` applies the readings of instant k one after the other
     (missing ones are left out) and returns their log-likelihood.  All matrix algebra is filterpy's; the
     nonlinear prediction, its Jacobian F and the noise Q come from the model.  Raises ValueError for
-    a diffuse start, which filterpy cannot hold, and for anything else, with the call that makes what is
-    missing.
+    a diffuse start, which filterpy cannot represent, and for other kinds of `source` or `given`, with the
+    call that makes the expected kind.
     """
-    found = subject("to_filterpy", source, given)
-    likelihood, values = found.likelihood, found.values
+    checked = subject("to_filterpy", source, given)
+    likelihood, values = checked.likelihood, checked.values
     if likelihood.initial == "diffuse":
         raise ValueError(
             "initial: filterpy's filter starts from finite variances, found a diffuse start; state another "
@@ -172,7 +173,7 @@ def to_filterpy(source: Source, given: Given | None = None) -> ExtendedKalmanFil
                     spread, error = float(row @ self.P @ row) + variance, z - prediction
                     bound, distance = likelihood.model.bound, abs(error) / np.sqrt(spread)
                     term = distance**2
-                    if distance > bound:  # its noise is larger by as much as puts the reading at the bound
+                    if distance > bound:  # a larger noise variance puts the reading at the bound
                         variance += spread * (distance / bound - 1.0)
                         term = bound**2 * (1.0 + 2.0 * np.log(distance / bound))
                     total -= 0.5 * (np.log(2.0 * np.pi * spread) + term)
@@ -189,10 +190,10 @@ def to_filterpy(source: Source, given: Given | None = None) -> ExtendedKalmanFil
                     self.P[:, state] = 0.0
             return total
 
-    made = ModelFilter(dim_x=len(likelihood.model.states), dim_z=1)
+    filter_ = ModelFilter(dim_x=len(likelihood.model.states), dim_z=1)
     first = likelihood.first_gaussian(values)
-    made.x, made.P = first.mean.copy(), first.covariance.copy()
-    return made
+    filter_.x, filter_.P = first.mean.copy(), first.covariance.copy()
+    return filter_
 
 
 def transition(
@@ -204,16 +205,16 @@ def transition(
     part = part.with_readings(np.full_like(part.y, np.nan))
     n = len(mean)
     start = Gaussian(mean, np.zeros((n, n)))
-    held = likelihood.schedule and likelihood.schedule.window(k, k + 1)
-    found = replace(likelihood, timeline=part, schedule=held).trace(values, start=start)
-    return found.prior_mean[0].copy(), found.transition[0].copy(), found.prior_covariance[0].copy()
+    schedule = likelihood.schedule and likelihood.schedule.window(k, k + 1)
+    trace = replace(likelihood, timeline=part, schedule=schedule).trace(values, start=start)
+    return trace.prior_mean[0].copy(), trace.transition[0].copy(), trace.prior_covariance[0].copy()
 
 
 def observation(
     likelihood: Likelihood, values: Mapping[str, float], k: int, name: str, mean: np.ndarray
 ) -> tuple[float, np.ndarray, float]:
-    """Prediction of an output at instant k, its slopes (n,), and the variance of its noise."""
+    """Prediction of an output at instant k, its derivatives (n,) by the states, and its noise variance."""
     model, t = likelihood.model, likelihood.timeline
-    u = {one: float(t.input(one)[k]) for one in model.inputs}
+    u = {signal: float(t.input(signal)[k]) for signal in model.inputs}
     prediction, variance = model.evaluate(list(mean), u, values).outputs[name]
     return float(prediction), state_derivatives(model, name, values, mean, u), float(variance)

@@ -1,4 +1,5 @@
-"""What a verb works on: a model on its data with the values of its parameters, from a fit or a likelihood.
+"""The subject of a verb such as `simulate`: a model on its data with the values of its parameters, from a fit
+or a likelihood.
 
 Shapes: d parameters, r uncertain ones, N draws.
 """
@@ -68,27 +69,28 @@ class Spread:
         values: Mapping[str, float],
         covariance: tuple[Sequence[str], np.ndarray],
     ) -> Spread:
-        """From a covariance (r, r) in the parameters' units; parameters that are not listed are known."""
-        own = {p.name: p for p in parameters}
-        there = [i for i, name in enumerate(covariance[0]) if name in own]
-        names = tuple(covariance[0][i] for i in there)
-        scale = np.array([1.0 / own[name].slope(values[name]) for name in names])
-        matrix = covariance[1][np.ix_(there, there)] * np.outer(scale, scale)
+        """From names and their covariance (r, r) in the parameters' units; other parameters count as
+        exact."""
+        by_name = {p.name: p for p in parameters}
+        places = [i for i, name in enumerate(covariance[0]) if name in by_name]
+        names = tuple(covariance[0][i] for i in places)
+        scale = np.array([1.0 / by_name[name].slope(values[name]) for name in names])
+        matrix = covariance[1][np.ix_(places, places)] * np.outer(scale, scale)
         return cls(tuple(parameters), values, names, matrix)
 
     def drawn(self, draws: np.ndarray) -> dict[str, Any]:
         """Values of all parameters for standard normal draws (N, r): arrays (N,) of the uncertain ones, which
         stay within their search limits."""
-        found: dict[str, Any] = dict(self.values)
+        drawn: dict[str, Any] = dict(self.values)
         values, vectors = np.linalg.eigh(self.covariance)
         moves = draws @ (vectors * np.sqrt(np.maximum(values, 0.0))).T
-        own = {p.name: p for p in self.parameters}
+        by_name = {p.name: p for p in self.parameters}
         for name, move in zip(self.names, moves.T, strict=True):
-            p = own[name]
+            p = by_name[name]
             ends = p.to_coordinate(p.lower), p.to_coordinate(p.upper)
             z = np.clip(p.to_coordinate(self.values[name]) + move, *ends)
-            found[name] = np.exp(z) if p.positive else z
-        return found
+            drawn[name] = np.exp(z) if p.positive else z
+        return drawn
 
 
 @dataclass(frozen=True)
@@ -109,15 +111,15 @@ class Subject:
             return Spread.in_units(parameters, self.values, self.fit.covariance)
         if self.estimate is None:
             return Spread(parameters, self.values, (), np.empty((0, 0)))
-        found = uncertainty(Objective(self.likelihood, self.estimate.coordinates), self.estimate)
-        return Spread(parameters, self.values, found.names, found.wider)
+        uncertain = uncertainty(Objective(self.likelihood, self.estimate.coordinates), self.estimate)
+        return Spread(parameters, self.values, uncertain.names, uncertain.wider)
 
 
 def subject(verb: str, source: Source, given: object, part: str = WHOLE) -> Subject:
-    """What a verb works on, from (a fit, a record) or (a likelihood, its estimate or values).
+    """The subject of a verb, from a fit and a record, or from a likelihood and its estimate or values.
 
-    part: of the record.  Raises ValueError that names the call which makes what is missing, and for values
-    that do not belong to the model.
+    part: `IDENTIFICATION` or `WHOLE`, of the record.  Raises ValueError for other arguments, with the call
+    that makes the expected ones, and for values that do not belong to the model.
     """
     if isinstance(source, JointLikelihood):
         raise ValueError(
@@ -137,21 +139,21 @@ def subject(verb: str, source: Source, given: object, part: str = WHOLE) -> Subj
 
 
 def estimated(verb: str, source: Source, given: object) -> tuple[AnyLikelihood, Estimate]:
-    """The likelihood and its maximum: for a fit that of its whole model on the identification period of the
-    record, from the fit's values."""
+    """The likelihood and its maximum; for a fit, the likelihood of the full model on the identification
+    period of the record is climbed from the fit's values."""
     if isinstance(source, JointLikelihood) and isinstance(given, Estimate):
         _expect_own(verb, source, given)
         return source, given
-    found = subject(verb, source, given, IDENTIFICATION)
-    if found.estimate is not None:
-        return found.likelihood, found.estimate
-    if found.fit is None:
+    checked = subject(verb, source, given, IDENTIFICATION)
+    if checked.estimate is not None:
+        return checked.likelihood, checked.estimate
+    if checked.fit is None:
         raise ValueError(
             f"{verb}: expected the Estimate of this likelihood, found values, which need not be its maximum: "
             "fit_mle(likelihood, values, count=1) makes one"
         )
-    start = within_limits(found.likelihood.parameters, found.values)
-    return found.likelihood, fit_mle(found.likelihood, start, found.fit.fixed, count=1)
+    start = within_limits(checked.likelihood.parameters, checked.values)
+    return checked.likelihood, fit_mle(checked.likelihood, start, checked.fit.fixed, count=1)
 
 
 def covariances(source: Source, given: Given | None = None) -> Uncertainty:
@@ -162,7 +164,7 @@ def covariances(source: Source, given: Given | None = None) -> Uncertainty:
     Returns `names` (f,) with the covariances `wald` and `sandwich` (f, f) of their coordinates (the
     parameter in its unit, or the logarithm of a positive one), `wider` of both, `flat` directions and
     strongly correlated `trade_offs`.
-    Raises ValueError for anything else, with the call that makes what is missing.
+    Raises ValueError for other arguments, with the call that makes the expected ones.
     """
     likelihood, estimate = estimated("covariances", source, given)
     return uncertainty(Objective(likelihood, estimate.coordinates), estimate)
@@ -183,12 +185,13 @@ def _is_likelihood(source: object) -> TypeGuard[Likelihood]:
 
 
 def is_fit(source: object) -> TypeGuard[Fitted]:
-    """Whether it offers what the verbs need of a fit."""
+    """Whether `source` has the values and the likelihood that the verbs need of a fit."""
     return hasattr(source, "values") and callable(getattr(source, "likelihood", None))
 
 
 def _refusal(verb: str, source: object, given: object) -> str:
-    """What was expected, what was found, and the calls that make it."""
+    """The message for unsuitable arguments: expected kinds, kinds found, and the calls that make the
+    expected."""
     makers = filter(None, (maker_of(source, fit=True), maker_of(given), MAKERS))
     return (
         f"{verb}: expected a Fit and a Record, or a Likelihood and its Estimate or values, in this order, "

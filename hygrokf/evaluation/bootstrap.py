@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hygrokf.data.timestamps import HOUR_S
-from hygrokf.estimation.confidence import student
+from hygrokf.estimation.confidence import student_quantile
 from hygrokf.estimation.serial_dependence import autocovariance
 
 LEVEL = 0.95
@@ -145,7 +145,7 @@ class Resampled:
         if self.blocks < FEWEST_BLOCKS:
             return None
         spread = float(np.std(draws)) * math.sqrt(self.blocks / (self.blocks - 1.0) / (1.0 - self.lost))
-        return student(LEVEL, self.blocks - 1.0) * spread
+        return student_quantile(LEVEL, self.blocks - 1.0) * spread
 
 
 def resampled(

@@ -28,7 +28,7 @@ import numpy as np
 from hygrokf.data.files import write_text_whole
 from hygrokf.data.result_file import read_result, result_text
 from hygrokf.errors import HygrokfError
-from hygrokf.estimation.confidence import normal_quantile, student
+from hygrokf.estimation.confidence import normal_quantile, student_quantile
 from hygrokf.identification.fit import Fit
 from hygrokf.identification.verdict import inherited
 from hygrokf.identification.verdict_terms import PARAMETER_OF
@@ -174,8 +174,8 @@ def pool_types(fits: Sequence[Fit], name: str = "") -> TurbineType:
             continue
         y, v = np.array(pairs).T
         mean, se, spread = random_effects(y, v)
-        reach = student(0.95, len(y) - 1) * se
-        ahead = student(0.95, min(len(y) - 1, max(len(y) - 2, 2))) * math.hypot(spread, se)
+        reach = student_quantile(0.95, len(y) - 1) * se
+        ahead = student_quantile(0.95, min(len(y) - 1, max(len(y) - 2, 2))) * math.hypot(spread, se)
         found[parameter] = Pooled(
             unit=known[parameter].unit,
             logarithmic=known[parameter].positive,

@@ -23,15 +23,15 @@ from hygrokf.data.table_readers import file_bytes
 MOST_BYTES = 2**31
 """Largest file, packed or unpacked [bytes]: a decade of hourly fields on one country's grid is 1 GB."""
 MOST_RATIO = 200.0
-"""Largest ratio of unpacked to packed size: text packs to a tenth, packed fields hardly at all, a ZIP bomb to
-a thousandth."""
+"""Largest ratio of unpacked to packed size: text shrinks to a tenth, packed fields hardly at all, a ZIP bomb
+to a thousandth."""
 RATIO_FROM = 2**20
-"""Size from which the ratio is checked [bytes]: a small file may hold a single value, and does no harm."""
+"""Size from which the ratio is checked [bytes]: a small file with a repeated value does no harm."""
 MOST_MEMBERS = 400
-"""Most files in an archive: a year of daily files."""
-_PIECE = 2**20
+"""Largest number of files in an archive: a year of daily files."""
+_PIECE = 2**20  # bytes unpacked at a time
 FORMATS_OF_KINDS = {"netcdf4": "era5", "netcdf3": "era5", "epw": "epw", "json": "open_meteo"}
-"""Kind of a file that has one format of weather files alone, and this format."""
+"""Kinds of file that determine the format of a weather file, and this format."""
 T = TypeVar("T")
 
 
@@ -67,33 +67,34 @@ def contents(path: Path) -> tuple[tuple[FileContent, ...], str]:
     return (FileContent("", kind_of(data), data),), digest
 
 
-def read_each(found: Sequence[FileContent], read: Callable[[FileContent], T]) -> list[T]:
-    """What is read from each content.  Raises TableFault with the faults of all, those of members named."""
-    made, faults = [], []
-    for one in found:
+def read_each(file_contents: Sequence[FileContent], read: Callable[[FileContent], T]) -> list[T]:
+    """The results of `read` for all contents.  Raises TableFault with all faults, each with its member's
+    name."""
+    results, faults = [], []
+    for content in file_contents:
         try:
-            made.append(read(one))
+            results.append(read(content))
         except TableFault as broken:
-            faults += [f"{one.member}: {fault}" if one.member else fault for fault in broken.faults]
+            faults += [f"{content.member}: {fault}" if content.member else fault for fault in broken.faults]
     if faults:
         raise TableFault(*faults)
-    return made
+    return results
 
 
 def only_content(path: Path, kinds: Sequence[str], what: str) -> tuple[FileContent, str]:
-    """The content of some kinds, which may stand beside others in an archive, and the SHA-256 of the file.
+    """The only content of the given kinds in a file or archive, and the SHA-256 of the file.
 
-    what: such a file in words.  Raises TableFault where there is none, or several.
+    what: a content of these kinds, in words.  Raises TableFault where there is none, or more than one.
     """
-    found, digest = contents(path)
-    own = [one for one in found if one.kind in kinds]
-    if not own:
-        form = FORMATS_OF_KINDS.get(found[0].kind)
-        remedy = f'; state format = "{form}"' if form else ""
-        raise TableFault(f"expected {what}, found {found[0].kind}{remedy}")
-    if len(own) > 1:
-        raise TableFault(f"holds {len(own)} such files; expected one: unpack that of the site")
-    return own[0], digest
+    file_contents, digest = contents(path)
+    matching = [content for content in file_contents if content.kind in kinds]
+    if not matching:
+        file_format = FORMATS_OF_KINDS.get(file_contents[0].kind)
+        remedy = f'; state format = "{file_format}"' if file_format else ""
+        raise TableFault(f"expected {what}, found {file_contents[0].kind}{remedy}")
+    if len(matching) > 1:
+        raise TableFault(f"holds {len(matching)} such files; expected one: unpack the site's file")
+    return matching[0], digest
 
 
 def kind_of(data: bytes) -> str:
@@ -119,9 +120,9 @@ def kind_of(data: bytes) -> str:
     if head.lstrip()[:1] in (b"{", b"[") and b'"hourly' in data:
         return "json"
     if head.lstrip()[:1] in (b"<", b"{"):
-        begin = " ".join(head[:200].decode("utf-8", "replace").split())[:60]
+        beginning = " ".join(head[:200].decode("utf-8", "replace").split())[:60]
         raise TableFault(
-            f'expected weather data, found "{begin}…": an error page saved in place of the file?'
+            f'expected weather data, found "{beginning}…": an error page saved in place of the file?'
         )
     if b"\x00" in head:
         raise TableFault("expected NetCDF, CSV, EPW or a ZIP archive of these, found other bytes")
@@ -160,33 +161,33 @@ def _members(packed: bytes) -> tuple[FileContent, ...]:
     except (zipfile.BadZipFile, struct.error, ValueError, OSError) as broken:
         raise TableFault(f"is a damaged ZIP archive ({broken}); fetch it again") from None
     with archive:
-        inside = [one for one in archive.infolist() if not one.is_dir()]
-        if len(inside) > MOST_MEMBERS:
-            raise TableFault(f"holds {len(inside)} files; expected no more than {MOST_MEMBERS}")
-        found, faults, left = [], [], MOST_BYTES
-        for one in inside:
+        members = [member for member in archive.infolist() if not member.is_dir()]
+        if len(members) > MOST_MEMBERS:
+            raise TableFault(f"holds {len(members)} files; expected no more than {MOST_MEMBERS}")
+        file_contents, faults, bytes_left = [], [], MOST_BYTES
+        for member in members:
             try:
-                data = _member(archive, one, left)
-                found.append(FileContent(one.filename, kind_of(data), data))
-                left -= len(data)
+                data = _member(archive, member, bytes_left)
+                file_contents.append(FileContent(member.filename, kind_of(data), data))
+                bytes_left -= len(data)
             except TableFault as broken:
-                faults += [f"{one.filename}: {fault}" for fault in broken.faults]
+                faults += [f"{member.filename}: {fault}" for fault in broken.faults]
                 if len(faults) > 4:
                     break
     if faults:
         raise TableFault(*faults)
-    if not found:
+    if not file_contents:
         raise TableFault("is a ZIP archive without a file in it; fetch it again")
-    return tuple(found)
+    return tuple(file_contents)
 
 
-def _member(archive: zipfile.ZipFile, one: zipfile.ZipInfo, most: int) -> bytes:
-    if one.flag_bits & 1:
+def _member(archive: zipfile.ZipFile, member: zipfile.ZipInfo, most: int) -> bytes:
+    if member.flag_bits & 1:
         raise TableFault("is encrypted; unpack it first")
     try:
-        with archive.open(one) as stream:
-            return _bounded(stream, one.compress_size, most)
+        with archive.open(member) as stream:
+            return _bounded(stream, member.compress_size, most)
     except (zipfile.BadZipFile, zlib.error, EOFError, OSError) as broken:
         raise TableFault(f"is damaged ({broken}); fetch the archive again") from None
-    except (NotImplementedError, RuntimeError) as unknown:
-        raise TableFault(f"cannot be unpacked here ({unknown}); unpack it first") from None
+    except (NotImplementedError, RuntimeError) as unsupported:
+        raise TableFault(f"cannot be unpacked here ({unsupported}); unpack it first") from None

@@ -23,8 +23,8 @@ from hygrokf.weather.site_weather import (
     SiteWeather,
     Variable,
     WeatherField,
-    complete,
     dew_point_of,
+    require_temperature,
     short_name,
 )
 
@@ -40,15 +40,15 @@ _VARIABLES = {
     "diffuse_radiation": Variable("diffuse_horizontal_irradiance", "W/m²", mean=True),
     "direct_normal_irradiance": Variable("direct_normal_irradiance", "W/m²", mean=True),
     "precipitation": Variable("rain", "mm", mean=True),
-    # a straight line between two directions may turn the wrong way: they hold
+    # no interpolation: a straight line between two directions may turn the wrong way
     "speed": Variable("wind_speed", "km/h"),
     "direction": Variable("wind_direction", "°"),
 }
-"""Today's names of the service, with those before 2023; speed and direction are of the chosen height."""
+"""The service's names of fields, with `names` from before 2023; speed and direction are at one height."""
 _META = ("latitude", "longitude", "elevation", "utc_offset_seconds")
 _WIND = re.compile(r"wind_?(speed|direction)_(\d+)m")
 PREFERRED_WIND_M = 100.0
-"""[m] of several heights of the wind the nearest to this one, on a logarithmic scale, is taken."""
+"""[m] preferred height of the wind; of several, the nearest on a logarithmic scale is read."""
 
 
 def read_open_meteo(path: str | os.PathLike[str]) -> Record:
@@ -66,28 +66,28 @@ def read_open_meteo(path: str | os.PathLike[str]) -> Record:
     Raises TableFault with every fault.
     """
     file = Path(path)
-    one, digest = only_content(file, ("json", "csv"), "JSON or CSV of Open-Meteo")
-    weather = (_of_json if one.kind == "json" else _of_csv)(file.name, one.data)
+    content, digest = only_content(file, ("json", "csv"), "JSON or CSV of Open-Meteo")
+    weather = (_weather_of_json if content.kind == "json" else _weather_of_csv)(file.name, content.data)
     value = weather.value
     if "dew_point_2m" not in value and {"temperature_2m", "relative_humidity_2m"} <= set(value):
-        humid = dew_point_of(value["relative_humidity_2m"], value["temperature_2m"])
-        weather.add("ambient_dew_point_temperature", humid, "relative_humidity_2m")
+        dew_point = dew_point_of(value["relative_humidity_2m"], value["temperature_2m"])
+        weather.add("ambient_dew_point_temperature", dew_point, "relative_humidity_2m")
     record = weather.record(digest)
     lacking = "no temperature_2m: ask for it in hourly=…"
-    return complete(record, lacking, "dew_point_2m or relative_humidity_2m")
+    return require_temperature(record, lacking, "dew_point_2m or relative_humidity_2m")
 
 
 # --- layouts ---------------------------------------------------------------------------------
 
 
-def _of_json(file: str, data: bytes) -> SiteWeather:
+def _weather_of_json(file: str, data: bytes) -> SiteWeather:
     try:
-        found = json.loads(data.decode("utf-8-sig"))
+        content = json.loads(data.decode("utf-8-sig"))
     except (ValueError, RecursionError) as broken:
         raise TableFault(f"cannot be read as JSON ({broken}): cut short? fetch it again") from None
-    if isinstance(found, list):
-        raise TableFault(f"holds {len(found)} places; expected one: write each into a file of its own")
-    hourly, units = found.get("hourly"), found.get("hourly_units")
+    if isinstance(content, list):
+        raise TableFault(f"holds {len(content)} places; expected one: write each into a file of its own")
+    hourly, units = content.get("hourly"), content.get("hourly_units")
     if not isinstance(hourly, dict) or not isinstance(units, dict) or "time" not in hourly:
         raise TableFault("expected hourly and hourly_units with time in them; ask for hourly=…")
     columns = {str(name): column for name, column in hourly.items() if isinstance(column, list)}
@@ -99,11 +99,11 @@ def _of_json(file: str, data: bytes) -> SiteWeather:
     ]
     if faults:
         raise TableFault(*faults)
-    meta = [found.get(name) for name in _META]
+    meta = [content.get(name) for name in _META]
     return _weather(file, meta, columns, {str(name): str(unit) for name, unit in units.items()})
 
 
-def _of_csv(file: str, data: bytes) -> SiteWeather:
+def _weather_of_csv(file: str, data: bytes) -> SiteWeather:
     rows = [cells for _, cells in csv_rows(data, "utf-8-sig")]
     head = [cell.strip() for cell in rows[0]] if rows else []
     if "location_id" in head:
@@ -115,24 +115,24 @@ def _of_csv(file: str, data: bytes) -> SiteWeather:
         )
     stated = dict(zip(head, rows[1], strict=False))
     meta = [stated.get(name) for name in _META]
-    begin = next((i for i, row in enumerate(rows[2:], 2) if row and row[0].strip() == "time"), None)
-    if begin is None:
+    top = next((i for i, row in enumerate(rows[2:], 2) if row and row[0].strip() == "time"), None)
+    if top is None:
         raise TableFault("no line that begins with time: ask for hourly=…")
     names, unit = [], {}
-    for cell in rows[begin]:
+    for cell in rows[top]:
         name, _, rest = cell.strip().partition(" (")
         names.append(name)
         unit[name] = rest.removesuffix(")")
     # further blocks, such as daily values, follow after an empty line
-    end = next((i for i in range(begin + 1, len(rows)) if not any(rows[i])), len(rows))
-    body = rows[begin + 1 : end]
+    end = next((i for i in range(top + 1, len(rows)) if not any(rows[i])), len(rows))
+    body = rows[top + 1 : end]
     wrong = [i for i, row in enumerate(body) if len(row) != len(names)]
     if wrong:
         raise TableFault(
-            f"line {begin + 2 + wrong[0]}: expected {len(names)} cells, found {len(body[wrong[0]])}: "
+            f"line {top + 2 + wrong[0]}: expected {len(names)} cells, found {len(body[wrong[0]])}: "
             "cut short? fetch the file again"
         )
-    columns = {name: [row[place] for row in body] for place, name in enumerate(names)}
+    columns = {name: [row[column] for row in body] for column, name in enumerate(names)}
     return _weather(file, meta, columns, unit)
 
 
@@ -142,7 +142,7 @@ def _weather(
     columns: Mapping[str, Sequence[Any]],
     unit: Mapping[str, str],
 ) -> SiteWeather:
-    """The weather of latitude, longitude, elevation and offset of the clock, and of the columns used."""
+    """The weather from `meta`, latitude, longitude, elevation and offset of the clock, and from columns."""
     import pandas as pd
 
     try:
@@ -161,10 +161,10 @@ def _weather(
     if len(stamps) and unix.notna().all():
         stamps, offset = pd.to_datetime(unix, unit="s"), 0.0
     used = {name: short for name in columns if (short := short_name(_VARIABLES, name)) is not None}
-    winds = {name: found for name in columns if (found := _WIND.fullmatch(name))}
-    heights = {int(found[2]) for found in winds.values() if found[1] == "speed"}
-    height = min(heights, key=lambda one: abs(math.log(one / PREFERRED_WIND_M)), default=None)
-    used |= {name: found[1] for name, found in winds.items() if int(found[2]) == height}
+    winds = {name: match for name in columns if (match := _WIND.fullmatch(name))}
+    heights = {int(match[2]) for match in winds.values() if match[1] == "speed"}
+    height = min(heights, key=lambda height_m: abs(math.log(height_m / PREFERRED_WIND_M)), default=None)
+    used |= {name: match[1] for name, match in winds.items() if int(match[2]) == height}
     frame = pd.DataFrame({name: columns[name] for name in used}, index=range(len(stamps)))
     places = Places("row", lambda rows: [int(row) + 1 for row in rows])
     notation = Notation(timezone="UTC", decimal=".")

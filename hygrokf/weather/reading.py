@@ -19,10 +19,10 @@ from hygrokf.data.record import Record, Series, Site
 from hygrokf.data.timestamps import modal_step
 from hygrokf.texts.wording import duration_text, stamp_text
 from hygrokf.weather.archive import kind_of
-from hygrokf.weather.joining import joined
+from hygrokf.weather.joining import join_records
 from hygrokf.weather.open_meteo import read_open_meteo
 from hygrokf.weather.reanalysis import read_era5, read_merra2
-from hygrokf.weather.site_weather import LAPSE_RATE, SAID_FROM_M, at_altitude, distance_km, place_text
+from hygrokf.weather.site_weather import LAPSE_RATE, WARNED_FROM_M, at_altitude, distance_km, place_text
 from hygrokf.weather.typical_years import is_try, read_epw, read_try
 
 _READERS: Mapping[str, Callable[[Path, Site | None, int | None, int], Record]] = {
@@ -36,11 +36,11 @@ FORMATS = tuple(_READERS)
 TYPICAL = ("epw", "try")
 """Formats of typical years, whose hours are assigned to a calendar year."""
 NEEDED = ("ambient_temperature", "ambient_dew_point_temperature")
-SHOWN_GAPS = 3
+MOST_GAPS_LISTED = 3
 FAR_KM = 50.0
 """[km] distance between the site and the point of the weather above which there is a warning."""
 _HEAD = 2**14
-"""Bytes of a file by which its format is known."""
+"""Number of bytes at the beginning of a file that determine its format."""
 
 
 def read_weather_file(
@@ -58,7 +58,7 @@ def read_weather_file(
 
     path: of one of the `FORMATS`. form: its format; None: by `form_of`.
     site: of the cabinet; the nearest cell of a grid is used, with a warning if it is far away.
-    year: calendar year of a typical year. years: in how many from it on it is repeated.
+    year: calendar year of a typical year. years: number of calendar years from `year` on that repeat it.
     altitude_m: [m] height of the weather, where the file states none or a wrong one.
     to_site_altitude: move temperature, dew point and pressure to the site's altitude, see `at_altitude`;
         otherwise a difference above 100 m gives a warning. lapse_rate: [K/m] for this.
@@ -66,17 +66,17 @@ def read_weather_file(
     Raises TableFault with every fault.
     """
     file = Path(path)
-    kind = form or form_of(file) or "era5"  # whose reader says what it found
+    kind = form or form_of(file) or "era5"  # the reader of ERA5 reports the faults of unknown files
     if kind not in FORMATS:
         raise ValueError(f'form must be one of {", ".join(FORMATS)}, found "{kind}"')
     record, station_m = _READERS[kind](file, site, year, years), altitude_m
-    if (point := record.site) is not None:
-        at = point.latitude_deg, point.longitude_deg
-        if site is not None and distance_km(*at, site) > FAR_KM:
-            far = f"its point lies at {place_text(*at, site)}: is it the weather of this site?"
-            record = dataclasses.replace(record, warnings=(*record.warnings, far))
-        station_m = point.altitude_m if altitude_m is None else altitude_m
-        record = dataclasses.replace(record, site=Site(*at, station_m))
+    if (weather_site := record.site) is not None:
+        point_deg = weather_site.latitude_deg, weather_site.longitude_deg
+        if site is not None and distance_km(*point_deg, site) > FAR_KM:
+            warning = f"its point lies at {place_text(*point_deg, site)}: is it the weather of this site?"
+            record = dataclasses.replace(record, warnings=(*record.warnings, warning))
+        station_m = weather_site.altitude_m if altitude_m is None else altitude_m
+        record = dataclasses.replace(record, site=Site(*point_deg, station_m))
     record = mask(record, within_range=True)  # such as codes of missing values
     wanted_m = None if site is None else site.altitude_m
     if to_site_altitude:
@@ -92,14 +92,14 @@ def read_weather_file(
         if wanted_m is None or station_m is None:
             raise TableFault(*faults)
         return at_altitude(record, wanted_m, station_m, lapse_rate)
-    if wanted_m is not None and station_m is not None and abs(wanted_m - station_m) > SAID_FROM_M:
+    if wanted_m is not None and station_m is not None and abs(wanted_m - station_m) > WARNED_FROM_M:
         colder = 6.5e-3 * (wanted_m - station_m)
-        said = (
+        warning = (
             f"its height is {station_m:.0f} m, the site's {wanted_m:.0f} m: the site will be about "
             f"{abs(colder):.1f} K {'colder' if colder > 0 else 'warmer'}; to_site_altitude = true corrects "
             "this"
         )
-        record = dataclasses.replace(record, warnings=(*record.warnings, said))
+        record = dataclasses.replace(record, warnings=(*record.warnings, warning))
     return record
 
 
@@ -178,7 +178,7 @@ def read_weather(
 
     Raises TableFault with the faults of every file; ValueError for numbers out of range.
     """
-    files = [Path(paths)] if isinstance(paths, str | os.PathLike) else [Path(one) for one in paths]
+    files = [Path(paths)] if isinstance(paths, str | os.PathLike) else [Path(path) for path in paths]
     if not files:
         raise ValueError("paths: expected one weather file at least, found none")
     if years < 1:
@@ -211,7 +211,7 @@ def read_weather(
             faults += [f"{file.name}: {fault}" for fault in broken.faults]
     if faults:
         raise TableFault(*faults)
-    record = joined(
+    record = join_records(
         records, files[0].name if len(files) == 1 else f"{files[0].name} and {len(files) - 1} more"
     )
     warnings = list(record.warnings)
@@ -222,18 +222,18 @@ def read_weather(
 
 
 def gaps_text(series: Series) -> list[str]:
-    """One sentence on the gaps of a series, steps between known readings above three usual ones; or none."""
+    """One sentence on the gaps of a series, or none; a gap is longer than three usual steps."""
     time, _ = series.known
     step, _ = modal_step(series.time)
     length = np.diff(time)
-    wide = np.flatnonzero(length > 3.01 * step)  # none where the step is unknown
-    if not len(wide):
+    gaps = np.flatnonzero(length > 3.01 * step)  # none where the step is unknown
+    if not len(gaps):
         return []
-    longest = wide[np.argsort(length[wide])[::-1][:SHOWN_GAPS]]
-    listed = ", ".join(f"{duration_text(length[one])} from {stamp_text(time[one])}" for one in longest)
-    missing = float(np.sum(length[wide] - step))
+    longest = gaps[np.argsort(length[gaps])[::-1][:MOST_GAPS_LISTED]]
+    listed = ", ".join(f"{duration_text(length[gap])} from {stamp_text(time[gap])}" for gap in longest)
+    missing = float(np.sum(length[gaps] - step))
     return [
-        f"{series.signal}: {len(wide)} gaps, {duration_text(missing)} in all; longest {listed}"
-        if len(wide) > 1
+        f"{series.signal}: {len(gaps)} gaps, {duration_text(missing)} in all; longest {listed}"
+        if len(gaps) > 1
         else f"{series.signal}: a gap of {listed}"
     ]

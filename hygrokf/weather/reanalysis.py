@@ -3,8 +3,8 @@ product), and MERRA-2 of NASA, hourly means of tavg1_2d_slv_Nx (M2T1NXSLV) and i
 
 New layout of the Climate Data Store (since September 2024): time axis `valid_time`, `number` and `expver` as
 coordinates that need no dimension.  Legacy layout: `time` in hours since 1900, and where a request reaches
-into the last months a dimension `expver` whose two halves, final and preliminary, are NaN where the other has
-values.
+into the last months a dimension `expver`: each of its two entries, final and preliminary, is NaN where the
+other has values.
 """
 
 from __future__ import annotations
@@ -27,14 +27,14 @@ from hygrokf.data.timestamps import DAY_S, HOUR_S, MINUTE_S, modal_step
 from hygrokf.physics.psychrometrics import dew_point, vapour_pressure_from_specific_humidity
 from hygrokf.texts.wording import duration_text, stamp_text
 from hygrokf.weather.archive import FORMATS_OF_KINDS, MOST_BYTES, FileContent, contents, read_each
-from hygrokf.weather.joining import joined
+from hygrokf.weather.joining import join_records
 from hygrokf.weather.site_weather import (
     GRAVITY,
     SiteWeather,
     Variable,
     WeatherField,
-    complete,
     place_text,
+    require_temperature,
     short_name,
     unit_in_weather,
 )
@@ -51,7 +51,7 @@ _PRELIMINARY = ("5", "0005")
 GROUND = Variable(
     "ambient_pressure", "m2 s-2", part=True, names=("geopotential", "geopotential_at_surface", "PHIS")
 )
-"""The geopotential of the ground, by which its height is known."""
+"""The geopotential of the ground, which gives the ground's height."""
 
 
 # -- fields at one point -------------------------------------------------------------------------------------
@@ -103,8 +103,8 @@ def point_weather(
     """Fields of a data set at the site.
 
     dataset: with a time axis (`valid_time` or `time`, decoded) and latitude and longitude as scalars or axes;
-        other axes must have one entry, except `expver`, whose halves are merged. Names short (t2m) or long
-        (2m_temperature).
+        other axes must have length 1, except `expver`, whose entries are merged.  Names are short (t2m) or
+        long (2m_temperature).
     file: name for messages. variables: of the format. shift_s: [s] from a stamp to the time of its value.
     site: the nearest grid cell with data is used; may be None for a single cell.
 
@@ -122,28 +122,30 @@ def point_weather(
     )
     if time_name not in dataset.dims and dataset[time_name].ndim == 0:
         dataset = dataset.expand_dims(time_name)
-    dataset, preliminary = _merged_versions(dataset, time_name)
-    dataset = _without_single_axes(dataset, {time_name, latitude, longitude})
+    dataset, preliminary = _merge_versions(dataset, time_name)
+    dataset = _drop_single_axes(dataset, {time_name, latitude, longitude})
     warnings = []
     if preliminary:
         warnings.append(
             f"{preliminary} hours are preliminary (ERA5T): ask again in three months for the final ones"
         )
-    at: tuple[float, float] | None = None
+    point: tuple[float, float] | None = None
     if latitude is not None and longitude is not None:
-        dataset, at = _nearest(dataset, latitude, longitude, site, used)
+        dataset, point = _select_nearest_cell(dataset, latitude, longitude, site, used)
     stamps = _stamps(dataset, time_name)
     fields, altitude_m = {}, None
     for name, short in used.items():
-        one = dataset[name]
-        unit = one.attrs.get("units")
+        field = dataset[name]
+        unit = field.attrs.get("units")
         if short == "z":
-            altitude_m = _altitude(one.values, unit)
-        elif one.dims == (time_name,):
-            fields[short] = WeatherField(one.values.astype(float), name, None if unit is None else str(unit))
+            altitude_m = _altitude(field.values, unit)
+        elif field.dims == (time_name,):
+            fields[short] = WeatherField(
+                field.values.astype(float), name, None if unit is None else str(unit)
+            )
     return SiteWeather(
         file, stamps, fields, variables,
-        site=None if at is None else point_site(*at, altitude_m), near=site, shift_s=shift_s,
+        site=None if point is None else point_site(*point, altitude_m), near=site, shift_s=shift_s,
         warnings=warnings,
     )  # fmt: skip
 
@@ -152,54 +154,57 @@ def _altitude(value: np.ndarray, unit: str | None) -> float | None:
     """Height of the reanalysis' ground [m] from its geopotential, or None."""
     finite = np.asarray(value, dtype=float).ravel()
     finite = finite[np.isfinite(finite)]
-    known = {None: 1 / GRAVITY, "m**2 s**-2": 1 / GRAVITY, "m2 s-2": 1 / GRAVITY, "m": 1.0}
-    height = known.get(unit, math.nan) * float(np.median(finite)) if len(finite) else math.nan
+    metres_per_unit = {None: 1 / GRAVITY, "m**2 s**-2": 1 / GRAVITY, "m2 s-2": 1 / GRAVITY, "m": 1.0}
+    height = metres_per_unit.get(unit, math.nan) * float(np.median(finite)) if len(finite) else math.nan
     return height if -500.0 <= height <= 9000.0 else None
 
 
 def _time_name(dataset: xarray.Dataset) -> str:
-    """The axis of time. Raises TableFault where there is none, or where its units are missing."""
-    there = [name for name in _TIMES if name in dataset.variables]
-    if not there:
+    """The name of the time axis.  Raises TableFault where there is none, or where its units are missing."""
+    time_names = [name for name in _TIMES if name in dataset.variables]
+    if not time_names:
         listed = ", ".join(f"{name} ({size})" for name, size in dataset.sizes.items()) or "none"
         raise TableFault(f"no time axis: expected valid_time or time, found the axes {listed}")
-    for name in there:
+    for name in time_names:
         if dataset[name].dims in ((name,), ()):
             if np.issubdtype(dataset[name].dtype, np.datetime64):
                 return name
-            found = dataset[name].attrs.get("units", "no unit")
+            unit = dataset[name].attrs.get("units", "no unit")
             raise TableFault(
-                f'{name}: expected times such as "hours since 1900-01-01", found {found} and no calendar time'
+                f'{name}: expected times such as "hours since 1900-01-01", found {unit} and no calendar time'
             )
+    axes = ", ".join(map(str, dataset[time_names[0]].dims))
     raise TableFault(
-        f"{there[0]} has the axes {', '.join(map(str, dataset[there[0]].dims))}; expected one axis of "
-        "time: ask for NetCDF, not for a converted forecast with steps"
+        f"{time_names[0]} has the axes {axes}; expected one axis of time: "
+        "ask for NetCDF, not for a converted forecast with steps"
     )
 
 
 def _stamps(dataset: xarray.Dataset, time_name: str) -> np.ndarray:
-    """Times [s] (T,) of the fields; for a forecast `valid_time` = `time` + `step`."""
-    at = dataset[time_name]
-    if "valid_time" in dataset.variables and dataset["valid_time"].dims == at.dims:
-        at = dataset["valid_time"]
-    values = np.atleast_1d(at.values).astype("datetime64[us]")
-    lost = int(np.isnat(values).sum())
-    if lost:
-        raise TableFault(f"{at.name}: {lost} of {len(values)} stamps are missing; fetch the file again")
+    """Times [s] (T,) of the fields; `valid_time` is preferred, which in forecasts is `time` + `step`."""
+    times = dataset[time_name]
+    if "valid_time" in dataset.variables and dataset["valid_time"].dims == times.dims:
+        times = dataset["valid_time"]
+    values = np.atleast_1d(times.values).astype("datetime64[us]")
+    missing = int(np.isnat(values).sum())
+    if missing:
+        raise TableFault(f"{times.name}: {missing} of {len(values)} stamps are missing; fetch the file again")
     return values.astype(np.int64) / 1e6
 
 
-def _merged_versions(dataset: xarray.Dataset, time_name: str) -> tuple[xarray.Dataset, int]:
+def _merge_versions(dataset: xarray.Dataset, time_name: str) -> tuple[xarray.Dataset, int]:
     """The data set without the axis `expver`, and the number of preliminary hours."""
     if "expver" not in dataset.variables and "expver" not in dataset.dims:
         return dataset, 0
     if "expver" not in dataset.dims:
         version = dataset["expver"]
-        many = version.dims == (time_name,)
-        number = sum(_label(one) in _PRELIMINARY for one in np.atleast_1d(version.values)) if many else 0
+        has_labels = version.dims == (time_name,)
+        number = (
+            sum(_label(label) in _PRELIMINARY for label in np.atleast_1d(version.values)) if has_labels else 0
+        )
         return dataset.drop_vars("expver"), int(number)
     labels = (
-        [_label(one) for one in dataset["expver"].values]
+        [_label(label) for label in dataset["expver"].values]
         if "expver" in dataset.variables
         else [str(number) for number in range(dataset.sizes["expver"])]
     )
@@ -211,7 +216,7 @@ def _merged_versions(dataset: xarray.Dataset, time_name: str) -> tuple[xarray.Da
         merged = merged.fillna(part)
     name = next(iter(merged.data_vars))
     filled = merged[name].notnull() & parts[0][name].isnull()
-    others = [one for one in filled.dims if one != time_name]
+    others = [axis for axis in filled.dims if axis != time_name]
     return merged, int(filled.any(others).sum())
 
 
@@ -220,10 +225,13 @@ def _label(version: object) -> str:
     return (version.decode("ascii", "replace") if isinstance(version, bytes) else str(version)).strip()
 
 
-def _without_single_axes(dataset: xarray.Dataset, kept: set[str | None]) -> xarray.Dataset:
-    """The data set without further axes of one entry. Raises TableFault for axes of several."""
+def _drop_single_axes(dataset: xarray.Dataset, kept: set[str | None]) -> xarray.Dataset:
+    """The data set without those axes of length 1 that are not in `kept`.
+
+    Raises TableFault for an axis of greater length that is not in `kept`.
+    """
     faults = []
-    for name in [one for one in dataset.dims if one not in kept]:
+    for name in [axis for axis in dataset.dims if axis not in kept]:
         size = dataset.sizes[name]
         if size == 1:
             dataset = dataset.isel({name: 0}, drop=True)
@@ -241,7 +249,7 @@ def _without_single_axes(dataset: xarray.Dataset, kept: set[str | None]) -> xarr
     return dataset
 
 
-def _nearest(
+def _select_nearest_cell(
     dataset: xarray.Dataset, latitude: str, longitude: str, site: Site | None, used: dict[str, str]
 ) -> tuple[xarray.Dataset, tuple[float, float]]:
     """The data set at the nearest cell with a temperature, and its latitude and longitude [deg]."""
@@ -260,19 +268,19 @@ def _nearest(
         east = (columns - site.longitude_deg + 180.0) % 360.0 - 180.0
         north = rows - site.latitude_deg
         outside = []
-        for name, off, values in ((latitude, north, rows), (longitude, east, columns)):
+        for name, distance, values in ((latitude, north, rows), (longitude, east, columns)):
             step = float(np.median(np.abs(np.diff(values)))) if len(values) > 1 else math.inf
-            if len(values) > 1 and np.abs(off).min() > 0.75 * step:
+            if len(values) > 1 and np.abs(distance).min() > 0.75 * step:
                 outside.append(f"{name} {values.min():g} … {values.max():g}")
         if outside:
             raise TableFault(
                 f"the site at {place_text(site.latitude_deg, site.longitude_deg)} lies outside of "
                 f"the grid ({', '.join(outside)}): ask for an area around it, or correct [site]"
             )
-        narrowing = math.cos(math.radians(site.latitude_deg))
-        away = np.hypot(north[:, None], narrowing * east[None, :])
-        filled = _filled(dataset, latitude, longitude, used, away.shape)
-        nearest = np.unravel_index(int(np.argmin(np.where(filled, away, np.inf))), away.shape)
+        cos_latitude = math.cos(math.radians(site.latitude_deg))
+        distances = np.hypot(north[:, None], cos_latitude * east[None, :])
+        has_data = _cells_with_temperature(dataset, latitude, longitude, used, distances.shape)
+        nearest = np.unravel_index(int(np.argmin(np.where(has_data, distances, np.inf))), distances.shape)
         row, column = (int(place) for place in nearest)
     chosen = {
         name: int(place) for name, place in ((latitude, row), (longitude, column)) if name in dataset.dims
@@ -280,18 +288,20 @@ def _nearest(
     return dataset.isel(chosen), (float(rows[row]), float(columns[column]))
 
 
-def _filled(
+def _cells_with_temperature(
     dataset: xarray.Dataset, latitude: str, longitude: str, used: dict[str, str], shape: tuple[int, int]
 ) -> np.ndarray:
-    """Cells (rows, columns) that have a temperature: land reanalyses have none over the sea."""
+    """Whether each cell (rows, columns) has a temperature: land reanalyses have no values over the sea."""
     name = next((name for name, short in used.items() if short in ("t2m", "T2M")), None)
     if name is None or not {latitude, longitude} <= set(dataset[name].dims):
         return np.ones(shape, dtype=bool)
-    there = (
-        dataset[name].notnull().any([one for one in dataset[name].dims if one not in (latitude, longitude)])
+    has_value = (
+        dataset[name]
+        .notnull()
+        .any([axis for axis in dataset[name].dims if axis not in (latitude, longitude)])
     )
-    filled = there.transpose(latitude, longitude).values
-    return filled if filled.any() else np.ones(shape, dtype=bool)
+    has_data = has_value.transpose(latitude, longitude).values
+    return has_data if has_data.any() else np.ones(shape, dtype=bool)
 
 
 _SUN = "global_horizontal_irradiance"
@@ -303,7 +313,7 @@ MERRA2 = {
     "SWGDN": Variable(_SUN, "W/m2", mean=True),
     "CLDTOT": Variable("cloud_cover", "1", mean=True),
     **dict.fromkeys(("PRECTOTCORR", "PRECTOT"), Variable("rain", "kg m-2 s-1", mean=True)),
-    # a fraction, as that of the mass is
+    # read as a fraction [1] by the signal cloud_cover, because the humidity by mass is a fraction too
     "QV2M": Variable("cloud_cover", "kg kg-1", mean=True, part=True),
     **{
         f"{way}{height}M": Variable("wind_speed", "m/s", mean=True, part=True)
@@ -355,17 +365,17 @@ def read_merra2(path: str | os.PathLike[str], site: Site | None = None) -> Recor
     Raises TableFault with every fault and, for an archive, its member.
     """
 
-    def weather_of(one: FileContent, file: str, alone: bool) -> SiteWeather:
-        if not one.kind.startswith("netcdf"):
-            raise TableFault(f"expected NetCDF of MERRA-2, found {one.kind}")
+    def weather_of(content: FileContent, file: str, is_only: bool) -> SiteWeather:
+        if not content.kind.startswith("netcdf"):
+            raise TableFault(f"expected NetCDF of MERRA-2, found {content.kind}")
         # a stamp is the middle of its hour; a record has ends
-        dataset = open_dataset(one.data, one.kind)
+        dataset = open_dataset(content.data, content.kind)
         weather = point_weather(dataset, file, MERRA2, site, 30.0 * MINUTE_S)
         derive_merra2(weather)
         return weather
 
     record = _read(Path(path), weather_of)
-    return complete(record, "no temperature T2M: ask for the collection M2T1NXSLV", "QV2M and PS")
+    return require_temperature(record, "no temperature T2M: ask for the collection M2T1NXSLV", "QV2M and PS")
 
 
 def read_era5(path: str | os.PathLike[str], site: Site | None = None) -> Record:
@@ -386,16 +396,16 @@ def read_era5(path: str | os.PathLike[str], site: Site | None = None) -> Record:
     Raises TableFault with every fault and, for an archive, its member.
     """
 
-    def weather_of(one: FileContent, file: str, alone: bool) -> SiteWeather | None:
-        if (form := FORMATS_OF_KINDS.get(one.kind, "era5")) != "era5":
-            raise TableFault(f'expected a file of ERA5, found {one.kind}; state format = "{form}"')
-        if one.kind == "csv":
-            weather = _csv_weather(one.data, file, site, alone)
+    def weather_of(content: FileContent, file: str, is_only: bool) -> SiteWeather | None:
+        if (file_format := FORMATS_OF_KINDS.get(content.kind, "era5")) != "era5":
+            raise TableFault(f'expected a file of ERA5, found {content.kind}; state format = "{file_format}"')
+        if content.kind == "csv":
+            weather = _csv_weather(content.data, file, site, is_only)
         else:
-            dataset = open_dataset(one.data, one.kind)
+            dataset = open_dataset(content.data, content.kind)
             if "QV2M" in dataset.data_vars:
                 raise TableFault('is a file of MERRA-2; state format = "merra2"')
-            if not alone and not any(short_name(ERA5, str(name)) for name in dataset.data_vars):
+            if not is_only and not any(short_name(ERA5, str(name)) for name in dataset.data_vars):
                 return None  # such as one of waves
             weather = point_weather(dataset, file, ERA5, site)
         if weather is not None:
@@ -404,51 +414,55 @@ def read_era5(path: str | os.PathLike[str], site: Site | None = None) -> Record:
 
     record = _read(Path(path), weather_of)
     lacking = "no 2 m temperature (t2m, 2m_temperature): ask for it in the request"
-    return complete(record, lacking, "2m_dewpoint_temperature (d2m) in the request")
+    return require_temperature(record, lacking, "2m_dewpoint_temperature (d2m) in the request")
 
 
 def _read(path: Path, weather_of: Callable[[FileContent, str, bool], SiteWeather | None]) -> Record:
-    """The record of a file or of the members of an archive; None for a member without a known field."""
-    found, digest = contents(path)
+    """The record of a file or of an archive's members, without members for which `weather_of` returns
+    None."""
+    file_contents, digest = contents(path)
 
-    def record(one: FileContent) -> Record | None:
-        weather = weather_of(one, path.name, len(found) == 1)
+    def record(content: FileContent) -> Record | None:
+        weather = weather_of(content, path.name, len(file_contents) == 1)
         return None if weather is None else weather.record(digest)
 
-    known = [one for one in read_each(found, record) if one is not None]
-    return joined(known, path.name) if known else Record(path.name, ())
+    records = [
+        member_record for member_record in read_each(file_contents, record) if member_record is not None
+    ]
+    return join_records(records, path.name) if records else Record(path.name, ())
 
 
-def _csv_weather(data: bytes, file: str, site: Site | None, alone: bool) -> SiteWeather | None:
-    """The point product's CSV: `valid_time`, fields, `latitude`, `longitude`; None as in `_read`."""
+def _csv_weather(data: bytes, file: str, site: Site | None, is_only: bool) -> SiteWeather | None:
+    """Weather of the point product's CSV: `valid_time`, fields, `latitude`, `longitude`; None for an
+    archive's member without a known field."""
     head = data.partition(b"\n")[0].decode("utf-8-sig", "replace")
     names = [name.strip().strip('"') for name in head.split(",")]
     time_name = next((name for name in ("valid_time", "time", "datetime") if name in names), None)
     used = {name: short for name in names if (short := short_name(ERA5, name)) not in (None, "z")}
     if time_name is None or not used:
-        if not alone and time_name is not None:
+        if not is_only and time_name is not None:
             return None
         raise TableFault(
             "expected the point product's CSV with valid_time and fields such as t2m, d2m, sp; found the "
             f"columns {', '.join(names[:12])}: name another table as a plain source, with its columns"
         )
-    spots = [name for name in ("latitude", "longitude") if name in names]
+    coordinates = [name for name in ("latitude", "longitude") if name in names]
     # stamps carry no offset, and are in UTC
-    columns = dict.fromkeys([*used, *spots], UNKNOWN)
+    columns = dict.fromkeys([*used, *coordinates], UNKNOWN)
     table = table_in(data, "", columns, time_name, Notation(timezone="UTC", decimal="."))
     fields = {str(short): WeatherField(table.values[name], name) for name, short in used.items()}
-    if len(spots) < 2:
+    if len(coordinates) < 2:
         return SiteWeather(file, table.time, fields, ERA5, warnings=table.warnings)
-    at = np.unique(np.column_stack([table.values[name] for name in spots]), axis=0)
-    if np.isnan(at).any():
-        lost = np.isnan(table.values["latitude"] + table.values["longitude"])
+    points = np.unique(np.column_stack([table.values[name] for name in coordinates]), axis=0)
+    if np.isnan(points).any():
+        is_missing = np.isnan(table.values["latitude"] + table.values["longitude"])
         raise TableFault(
-            f"no latitude and longitude at {stamp_text(table.time[lost][0])}: the file is damaged or cut "
-            "short; fetch it again"
+            f"no latitude and longitude at {stamp_text(table.time[is_missing][0])}: the file is damaged or "
+            "cut short; fetch it again"
         )
-    if len(at) > 1:
-        raise TableFault(f"holds {len(at)} points; expected one: write each into a file of its own")
-    point = point_site(*map(float, at[0]))
+    if len(points) > 1:
+        raise TableFault(f"holds {len(points)} points; expected one: write each into a file of its own")
+    point = point_site(*map(float, points[0]))
     return SiteWeather(file, table.time, fields, ERA5, site=point, near=site, warnings=table.warnings)
 
 
@@ -456,15 +470,15 @@ def _csv_weather(data: bytes, file: str, site: Site | None, alone: bool) -> Site
 
 
 def derive_merra2(weather: SiteWeather) -> None:
-    """Add the humidity and the wind; the faults of stamps that are not those of hourly means."""
+    """Add the humidity and the wind; add faults where the stamps are not the middles of hours."""
     value = weather.value
     if weather.repeated:
         merged = "stamps occur more than once: the files of two days or versions were merged wrongly"
         weather.faults.append(merged)
-    off = np.mod(weather.time + 1.0, HOUR_S) > 2.0
-    if off.any():
+    is_off = np.mod(weather.time + 1.0, HOUR_S) > 2.0
+    if is_off.any():
         weather.faults.append(
-            f"{int(off.sum())} of {len(off)} stamps are not half past the hour; expected hourly means "
+            f"{int(is_off.sum())} of {len(is_off)} stamps are not half past the hour; expected hourly means "
             "(tavg1_…), not instants (inst…) or means over three hours: ask for M2T1NXSLV"
         )
     if {"QV2M", "PS"} <= set(value):
@@ -477,14 +491,14 @@ def derive_merra2(weather: SiteWeather) -> None:
 
 def derive_era5(weather: SiteWeather) -> None:
     """Add diffuse radiation and wind; make sums since midnight those of single hours."""
-    value, name = weather.value, {short: one.name for short, one in weather.fields.items()}
+    value, name = weather.value, {short: field.name for short, field in weather.fields.items()}
     for short in value:
         weather.faults += _power_for_energy(weather, short)
-    accumulated = [one for one in ("ssrd", "fdir", "tp") if one in value]
-    daily = {one: _since_midnight(weather.time, value[one]) for one in accumulated}
-    for short, told in daily.items():
+    accumulated = [field for field in ("ssrd", "fdir", "tp") if field in value]
+    daily = {field: _since_midnight(weather.time, value[field]) for field in accumulated}
+    for short, is_daily in daily.items():
         # a field that hardly ever changes is written as the others of its file
-        if told or (told is None and True in daily.values()):
+        if is_daily or (is_daily is None and True in daily.values()):
             step = modal_step(weather.time)[0]
             if step > HOUR_S:
                 weather.faults.append(
@@ -500,29 +514,31 @@ def derive_era5(weather: SiteWeather) -> None:
 
 
 def _power_for_energy(weather: SiteWeather, short: str) -> list[str]:
-    """The fault of radiation in W/m² that is taken for J/m² and becomes 3600 times too small."""
-    variable, one, time = weather.variables[short], weather.fields[short], weather.time
+    """The fault of radiation in W/m² that is read as J/m² and so becomes 3600 times too small, if any."""
+    variable, field, time = weather.variables[short], weather.fields[short], weather.time
     known_units = (None, ("W/m2", 1.0))
-    if variable.signal != _SUN or unit_in_weather(one.unit or variable.unit, _SUN) in known_units:
+    if variable.signal != _SUN or unit_in_weather(field.unit or variable.unit, _SUN) in known_units:
         return []
-    known = weather.value[short][np.isfinite(weather.value[short])]
-    highest = float(known.max()) if len(known) else 0.0
-    # even under the clouds of a winter at 60 degrees some hour in three days has more than 1 W/m²
+    finite = weather.value[short][np.isfinite(weather.value[short])]
+    highest = float(finite.max()) if len(finite) else 0.0
+    # even under winter clouds at 60 degrees of latitude, one hour in three days has more than 1 W/m²
     if not 1e-3 < highest < 1.0 or time[-1] - time[0] < 3.0 * DAY_S:
         return []
-    said = f'the file states "{one.unit}"' if one.unit else "it has no unit, so J/m² of an hour was taken"
+    stated = (
+        f'the file states "{field.unit}"' if field.unit else "it has no unit, so J/m² of an hour was taken"
+    )
     return [
-        f"{one.name}: the radiation would reach {highest:.2g} W/m² only; {said}, and its numbers look like "
-        "W/m²: correct the unit or multiply by 3600"
+        f"{field.name}: the radiation would reach {highest:.2g} W/m² only; {stated}, and its numbers look "
+        "like W/m²: correct the unit or multiply by 3600"
     ]
 
 
 def _since_midnight(time: np.ndarray, value: np.ndarray) -> bool | None:
     """Whether an accumulated field is summed since 00:00 UTC; None where it hardly ever changes.
 
-    time: [s] (T,) increasing. value: (T,).  Sums since 00:00 fall at the end of the day alone, and within it
-    by no more than the noise of their packing (16 bits, whose step grows with the field's range); sums of
-    single hours fall at every hour.  The squares of both falls, over the whole field, tell which it is.
+    time: [s] (T,) increasing. value: (T,).  Sums since 00:00 decrease at the end of the day only, and during
+    the day by no more than the noise of packing (16 bits, whose step grows with the field's range); hourly
+    sums decrease at any hour.  The squared decreases at and before the ends of days, over all days, decide.
     """
     steps = np.nan_to_num(np.diff(value))
     falls = np.square(np.minimum(steps, 0.0))
@@ -533,15 +549,15 @@ def _since_midnight(time: np.ndarray, value: np.ndarray) -> bool | None:
 
 
 def _day_of(time: np.ndarray) -> np.ndarray:
-    """Number of the day (T,) whose sum a stamp [s] belongs to: that at 00:00 is the last of the day before,
-    that at 01:00 the first of the new one."""
+    """Number of the day (T,) to whose sum a stamp [s] belongs: the stamp at 00:00 is the last of the day
+    before, the stamp at 01:00 the first of the new day."""
     return np.ceil(np.round(time) / DAY_S)
 
 
 def _hourly_sums(time: np.ndarray, value: np.ndarray) -> np.ndarray:
     """Sums of each hour from sums since 00:00 UTC; NaN after a gap.
 
-    A rise that a later sum of the day takes back is noise of the packing.
+    An increase that a later sum of the day reverses is noise of the packing.
     """
     days = np.split(value, np.flatnonzero(np.diff(_day_of(time))) + 1)
     least = np.concatenate([np.fmin.accumulate(day[::-1])[::-1] for day in days])

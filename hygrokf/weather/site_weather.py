@@ -1,5 +1,5 @@
-"""The weather of a site in the making: the fields of a file, what they hold, and the series that they become;
-and the move from the height of a station or grid cell to that of the site."""
+"""The weather of a site: the fields of a file, their meaning, and the series made of them; and the conversion
+from the height of a station or grid cell to the height of the site."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from hygrokf.physics.psychrometrics import (
 
 EARTH_RADIUS_KM = 6371.0
 LOW_WIND_M = 50.0
-"""[m] height up to which a wind is said not to be that at the hub."""
+"""[m] height up to which a warning says that the wind is not measured at hub height."""
 _FURTHER_UNITS: dict[str, tuple[str, float]] = {
     **dict.fromkeys(("degree_celsius", "degrees_celsius"), ("degC", 1.0)),
     **dict.fromkeys(("m/s", "ms-1"), ("m/s", 1.0)),
@@ -41,22 +41,24 @@ _FURTHER_UNITS: dict[str, tuple[str, float]] = {
     "tenths": ("1", 0.1),
     "eighths": ("1", 0.125),
 }
-"""Units of weather files, in lower case and without blanks, * and ^: a name in `UNITS`, and how many of it.
-Energies and rates are those of an hour."""
+"""Units of weather files, in lower case and without blanks, * and ^: the name of a unit in `UNITS`, and the
+factor to that unit.  Energies and rates are those of an hour."""
 
 
 def unit_in_weather(text: str, signal: str) -> tuple[str, float] | None:
-    """A unit that fits a signal, and how many of it a weather file's unit is; None where it does not fit."""
+    """The unit in `UNITS` and the factor to it for a weather file's unit; None where the unit does not
+    fit."""
     unit, count = _FURTHER_UNITS.get(re.sub(r"[\s*^]", "", text).lower(), (unit_named(text), 1.0))
     return (unit, count) if unit is not None and unit in fitting_units(signal) else None
 
 
 class Variable(NamedTuple):
-    """What a field of a format holds.
+    """The meaning of a field of a format.
 
-    signal: that it is, or in whose unit it is read. unit: where the file states none. mean: whether it is the
-    mean or the sum of the hour that ends at the stamp. part: whether signals are only derived from it.
-    missing: code from which on nines mean that there is no value. names: other names of the field.
+    signal: of the field, or the signal whose unit the field has. unit: assumed where the file states none.
+    mean: whether values are means or sums of the hour that ends at the stamp. part: whether signals are only
+    derived from the field. missing: numbers of nines from this one on mean that there is no value. names:
+    other names of the field.
     """
 
     signal: str
@@ -76,19 +78,21 @@ class WeatherField(NamedTuple):
 
 
 def short_name(variables: Mapping[str, Variable], name: str) -> str | None:
-    """The name among the variables of a format of a field, such as "t2m" for "2m_temperature"; None for one
-    that is not used."""
-    either = {name, name.lower()}
-    return next((short for short, one in variables.items() if either & {short, *one.names}), None)
+    """The key in `variables` of a field's name, such as "t2m" for "2m_temperature"; None for unused
+    fields."""
+    spellings = {name, name.lower()}
+    return next(
+        (short for short, variable in variables.items() if spellings & {short, *variable.names}), None
+    )
 
 
 class SiteWeather:
-    """Fields of one file at one place, and the series that are made of them.
+    """Fields of one file at one place, and the series made of them.
 
     file: its name. time: [s] (T,) since 1970-01-01T00:00Z, in any order, repeats allowed. fields: by the name
-    of their format. variables: name -> what it holds. site: the place, or None. near: the site of the
-    cabinet, whose distance is told. height_m: [m] of the wind. shift_s: [s] from a stamp to the time that it
-    stands for.
+    of their format. variables: by this name. site: the place, or None. near: the site of the cabinet, whose
+    distance from the place `source` states. height_m: [m] of the wind. shift_s: [s] from a stamp to the time
+    of the value.
     """
 
     def __init__(
@@ -108,53 +112,53 @@ class SiteWeather:
         self.repeated = len(time) - len(stamps)
         if self.repeated:
             self.warnings.append(f"{self.repeated} stamps occur more than once; the first of each kept")
-        for name, one in fields.items():
-            raw = np.asarray(one.value, dtype=float)[rows]
-            if (endless := np.isinf(raw)).any():
-                said = f"{int(endless.sum())} values are infinite, taken as missing"
-                self.warnings.append(f"{one.name}: {said}")
-            self.value[name] = self._converted(name, np.where(endless, np.nan, raw))
+        for name, field in fields.items():
+            raw = np.asarray(field.value, dtype=float)[rows]
+            if (is_infinite := np.isinf(raw)).any():
+                message = f"{int(is_infinite.sum())} values are infinite, taken as missing"
+                self.warnings.append(f"{field.name}: {message}")
+            self.value[name] = self._to_si(name, np.where(is_infinite, np.nan, raw))
 
-    def _converted(self, name: str, value: np.ndarray) -> np.ndarray:
+    def _to_si(self, name: str, value: np.ndarray) -> np.ndarray:
         """Values (T,) of a field in the SI unit of its signal; NaN, and a fault, for an unknown unit."""
-        variable, one = self.variables[name], self.fields[name]
-        unit = variable.unit if one.unit is None else one.unit
-        if (known := unit_in_weather(unit, variable.signal)) is not None:
-            return to_si(known[1] * value, known[0], variable.signal)
+        variable, field = self.variables[name], self.fields[name]
+        unit = variable.unit if field.unit is None else field.unit
+        if (unit_and_factor := unit_in_weather(unit, variable.signal)) is not None:
+            return to_si(unit_and_factor[1] * value, unit_and_factor[0], variable.signal)
         fitting = fitting_units(variable.signal)
         further = (text for text, (other, _) in _FURTHER_UNITS.items() if other in fitting)
         listed = ", ".join(dict.fromkeys((*fitting, *further)))
-        self.faults.append(f'{one.name}: unknown unit "{unit}"; expected one of {listed}')
+        self.faults.append(f'{field.name}: unknown unit "{unit}"; expected one of {listed}')
         return np.full(len(value), math.nan)
 
     def add(self, signal: str, value: np.ndarray, *names: str) -> None:
         """Add a series; or a warning where there is no value, or a fault where the values are impossible.
 
-        value: (T,) [SI unit], NaN = missing. names: of the fields that it is made of.
+        value: (T,) [SI unit], NaN = missing. names: of the fields from which the series is made.
         """
-        known, row = value[np.isfinite(value)], signal_named(signal)
+        finite, properties = value[np.isfinite(value)], signal_named(signal)
         fields, variables = [self.fields[name] for name in names], [self.variables[name] for name in names]
-        named = " and ".join(one.name for one in fields)
-        if not len(known):
-            self.warnings.append(f"{named}: no value at this point, {signal} is left out")
+        listed = " and ".join(field.name for field in fields)
+        if not len(finite):
+            self.warnings.append(f"{listed}: no value at this point, {signal} is left out")
             return
-        low, high = np.quantile(known, [0.02, 0.98])
-        if not (row.low <= low and high <= row.high):
-            unit = "" if row.display == "1" else f" {row.display}"
-            low, high = from_si(np.array([low, high]), row.display, row)
+        low, high = np.quantile(finite, [0.02, 0.98])
+        if not (properties.low <= low and high <= properties.high):
+            unit = "" if properties.display == "1" else f" {properties.display}"
+            low, high = from_si(np.array([low, high]), properties.display, properties)
             stated = (
-                f'the unit "{one.unit}"' if one.unit else f"no unit, so {variable.unit} was taken"
-                for one, variable in zip(fields, variables, strict=True)
+                f'the unit "{field.unit}"' if field.unit else f"no unit, so {variable.unit} was taken"
+                for field, variable in zip(fields, variables, strict=True)
             )  # fmt: skip
             self.faults.append(
-                f"{named}: {signal} would lie at {low:.4g} … {high:.4g}{unit}, which is impossible: the file "
-                f"states {' and '.join(dict.fromkeys(stated))}; correct it, or fetch the file again if its "
-                "columns are shifted"
+                f"{listed}: {signal} would lie at {low:.4g} … {high:.4g}{unit}, which is impossible: the "
+                f"file states {' and '.join(dict.fromkeys(stated))}; correct it, or fetch the file again if "
+                "its columns are shifted"
             )
             return
-        if row.dimension == "irradiance" or signal == "rain":
+        if properties.dimension == "irradiance" or signal == "rain":
             value = np.maximum(value, 0.0)  # NaN stays NaN
-        column = named if named.startswith("column ") else f'column "{named}"'
+        column = listed if listed.startswith("column ") else f'column "{listed}"'
         source = f"{self.file}, {column}" + (f" at {self.place}" if self.place else "")
         interval_s = HOUR_S if variables[0].mean else 0.0
         height_m = self.height_m if signal.startswith("wind_") else None
@@ -175,33 +179,33 @@ class SiteWeather:
                 return
 
     def record(self, sha256: str) -> Record:
-        """The record, with the fields that are signals themselves where none is derived; sha256: of the file.
+        """The record of the added series, and of each field whose signal was not added; sha256: of the file.
         Raises TableFault with every fault."""
         for name, (signal, _, _, part, *_) in self.variables.items():
-            if name in self.value and not part and all(one.signal != signal for one in self.series):
+            if name in self.value and not part and all(series.signal != signal for series in self.series):
                 self.add(signal, self.value[name], name)
         if self.faults:
             raise TableFault(*self.faults)
-        of = {one.signal: one for one in self.series}
-        if {"ambient_temperature", "ambient_dew_point_temperature"} <= set(of):
-            above = of["ambient_dew_point_temperature"].value - of["ambient_temperature"].value
-            share = np.mean(above[np.isfinite(above)] > 0.5) if np.isfinite(above).any() else 0.0
+        by_signal = {series.signal: series for series in self.series}
+        if {"ambient_temperature", "ambient_dew_point_temperature"} <= set(by_signal):
+            excess = by_signal["ambient_dew_point_temperature"].value - by_signal["ambient_temperature"].value
+            share = np.mean(excess[np.isfinite(excess)] > 0.5) if np.isfinite(excess).any() else 0.0
             if share > 0.01:
                 self.warnings.append(
                     f"the dew point lies above the temperature for {100 * share:.0f} % of the hours: are the "
                     "two swapped?"
                 )
-        if "wind_speed" in of and (self.height_m or math.inf) <= LOW_WIND_M:
-            mean = "; speed of the hour's mean wind" * (of["wind_speed"].interval_s > 0.0)
+        if "wind_speed" in by_signal and (self.height_m or math.inf) <= LOW_WIND_M:
+            mean = "; speed of the hour's mean wind" * (by_signal["wind_speed"].interval_s > 0.0)
             self.warnings.append(f"wind_speed is measured at {self.height_m:g} m, not at hub height{mean}")
         files = ((self.file, sha256),)
         return Record(self.file, tuple(self.series), self.site, warnings=tuple(self.warnings), files=files)
 
 
-def complete(record: Record, no_temperature: str, ask: str) -> Record:
-    """A record with a temperature; a warning, with what to ask for, where it has no humidity.
+def require_temperature(record: Record, no_temperature: str, ask: str) -> Record:
+    """The record, with a warning that names the fields to `ask` for where it has no humidity.
 
-    Raises TableFault with `no_temperature`.
+    Raises TableFault with the message `no_temperature` where it has no temperature.
     """
     if "ambient_temperature" not in record:
         raise TableFault(no_temperature)
@@ -214,10 +218,10 @@ def complete(record: Record, no_temperature: str, ask: str) -> Record:
 def dew_point_of(share: np.ndarray, temperature: np.ndarray) -> np.ndarray:
     """Dew point over water (T,) [K] from relative humidity [1] and temperature [K].
 
-    A relative humidity of 0 has none, and one above 1 is a rounding of it.
+    A relative humidity of 0 has no dew point; one above 1 is a rounding error and counts as 1.
     """
-    known = np.where(share > 0.0, np.minimum(share, 1.0), np.nan)
-    return np.asarray(dew_point(vapour_pressure(known, temperature)))
+    humidity = np.where(share > 0.0, np.minimum(share, 1.0), np.nan)
+    return np.asarray(dew_point(vapour_pressure(humidity, temperature)))
 
 
 # --- the place -------------------------------------------------------------------------------
@@ -225,10 +229,13 @@ def dew_point_of(share: np.ndarray, temperature: np.ndarray) -> np.ndarray:
 
 def distance_km(latitude_deg: float, longitude_deg: float, site: Site) -> float:
     """Distance on the sphere from a point [deg] to a site [km], by the haversine formula."""
-    one, other = math.radians(latitude_deg), math.radians(site.latitude_deg)
-    across = math.radians(site.longitude_deg - longitude_deg)
-    half = math.sin(0.5 * (other - one)) ** 2 + math.cos(one) * math.cos(other) * math.sin(0.5 * across) ** 2
-    return 2.0 * EARTH_RADIUS_KM * math.asin(min(1.0, math.sqrt(half)))
+    latitude, site_latitude = math.radians(latitude_deg), math.radians(site.latitude_deg)
+    longitude_difference = math.radians(site.longitude_deg - longitude_deg)
+    haversine = (
+        math.sin(0.5 * (site_latitude - latitude)) ** 2
+        + math.cos(latitude) * math.cos(site_latitude) * math.sin(0.5 * longitude_difference) ** 2
+    )
+    return 2.0 * EARTH_RADIUS_KM * math.asin(min(1.0, math.sqrt(haversine)))
 
 
 def place_text(latitude_deg: float, longitude_deg: float, site: Site | None = None) -> str:
@@ -247,8 +254,8 @@ GRAVITY = 9.80665
 """[m/s²] standard acceleration of free fall; reanalyses use it for geopotential too."""
 LAPSE_RATE = 0.0065
 """[K/m] decrease of temperature with height in the standard atmosphere (ICAO)."""
-SAID_FROM_M = 100.0
-"""[m] difference of height from which an uncorrected record has a warning: 0.65 K."""
+WARNED_FROM_M = 100.0
+"""[m] difference of height from which a record that is not converted has a warning: 0.65 K."""
 
 
 def pressure_ratio(temperature: np.ndarray, rise_m: float, lapse_rate: float = LAPSE_RATE) -> np.ndarray:
@@ -285,21 +292,23 @@ def at_altitude(record: Record, altitude_m: float, from_m: float, lapse_rate: fl
         raise ValueError(f"lapse_rate must lie within -0.02 … 0.02 K/m, found {lapse_rate:g}")
     rise = altitude_m - from_m
     site = record.site and Site(record.site.latitude_deg, record.site.longitude_deg, altitude_m)
-    moved, warnings = [], []
-    for one in record.series:
-        value = one.value
-        if one.signal == "ambient_temperature":
+    converted, warnings = [], []
+    for series in record.series:
+        value = series.value
+        if series.signal == "ambient_temperature":
             value = value - lapse_rate * rise
-        elif one.signal in ("ambient_pressure", "ambient_dew_point_temperature"):
-            known = record["ambient_temperature"].known
-            before = np.interp(one.time, *known) if len(known[0]) else np.full(len(one), np.nan)
-            ratio = pressure_ratio(before, rise, lapse_rate)
-        if one.signal == "ambient_pressure":
+        elif series.signal in ("ambient_pressure", "ambient_dew_point_temperature"):
+            temperature = record["ambient_temperature"].known
+            air_temperature = (
+                np.interp(series.time, *temperature) if len(temperature[0]) else np.full(len(series), np.nan)
+            )
+            ratio = pressure_ratio(air_temperature, rise, lapse_rate)
+        if series.signal == "ambient_pressure":
             value = value * ratio
-        elif one.signal == "ambient_dew_point_temperature":
+        elif series.signal == "ambient_dew_point_temperature":
             vapour = saturation_pressure_water(value) * ratio
-            # supersaturation in the source, by rounding or packing, is no condensation on the way
-            limit = before - lapse_rate * rise + np.fmax(value - before, 0.0)
+            # supersaturation in the source, by rounding or packing, does not count as condensation
+            limit = air_temperature - lapse_rate * rise + np.fmax(value - air_temperature, 0.0)
             condensed = dew_point(vapour) > limit
             value = np.where(condensed, limit, dew_point(vapour))
             if condensed.any():
@@ -307,11 +316,12 @@ def at_altitude(record: Record, altitude_m: float, from_m: float, lapse_rate: fl
                     f"during the conversion to {altitude_m:g} m the air became saturated in "
                     f"{100 * np.mean(condensed):.1f} % of the hours"
                 )
-        moved.append(dataclasses.replace(one, value=value))
+        converted.append(dataclasses.replace(series, value=value))
     warnings.insert(
         0,
         f"converted from {from_m:g} m to {altitude_m:g} m: {-1e3 * lapse_rate:+g} K/km, hydrostatic "
-        "pressure, "
-        "mixing ratio kept",
+        "pressure, mixing ratio kept",
     )
-    return dataclasses.replace(record, series=tuple(moved), site=site, warnings=(*record.warnings, *warnings))
+    return dataclasses.replace(
+        record, series=tuple(converted), site=site, warnings=(*record.warnings, *warnings)
+    )

@@ -24,7 +24,13 @@ from hygrokf.physics.psychrometrics import (
     vapour_pressure_from_humidity_ratio,
 )
 from hygrokf.weather.archive import only_content
-from hygrokf.weather.site_weather import SiteWeather, Variable, WeatherField, complete, dew_point_of
+from hygrokf.weather.site_weather import (
+    SiteWeather,
+    Variable,
+    WeatherField,
+    dew_point_of,
+    require_temperature,
+)
 
 WIND_HEIGHT_M = 10.0
 """[m] height of the wind in files of typical years."""
@@ -76,19 +82,19 @@ def read_epw(path: str | os.PathLike[str], year: int | None = None, years: int =
     if faults:
         raise TableFault(*faults)
     stamps = table[:, :4].astype(int)
-    written = np.unique(stamps[:, 0])
-    if year is None and len(written) > 1:
+    stated = np.unique(stamps[:, 0])
+    if year is None and len(stated) > 1:
         raise TableFault(
-            f"is a typical year composed of months from {written[0]} … {written[-1]}; state the calendar "
+            f"is a typical year composed of months from {stated[0]} … {stated[-1]}; state the calendar "
             "year to assign to it, such as year = 2019"
         )
-    same = year is None or (years == 1 and list(written) == [year])
-    own = "" if same else f"{written[0]} … {written[-1]}"
+    is_own_year = year is None or (years == 1 and list(stated) == [year])
+    own_years = "" if is_own_year else f"{stated[0]} … {stated[-1]}"
     columns = {f"column {place}": column for place, column in enumerate(table.T, 1)}
-    weather = _weather(file.name, stamps, columns, _EPW, site, zone_h, year, years, own, _HEADER)
+    weather = _weather(file.name, stamps, columns, _EPW, site, zone_h, year, years, own_years, _HEADER)
     _add_epw_dew_point(weather)
     lacking = "no dry-bulb temperature: all values of column 7 are missing"
-    return complete(weather.record(digest), lacking, "a file with dew points or relative humidity")
+    return require_temperature(weather.record(digest), lacking, "a file with dew points or relative humidity")
 
 
 def _weather(
@@ -97,12 +103,12 @@ def _weather(
 ) -> SiteWeather:  # fmt: skip
     """The weather of hours, moved to calendar years.  Raises TableFault where they are not consecutive.
 
-    stamps, columns, years, own: as for `placed_in_years`; year: too, or None for the years as written.
-    zone_h: [h] of the clock. header: number of its lines.
+    stamps, columns, year, years, own: as for `place_in_years`; year None keeps the years as written.
+    zone_h: [h] of the clock. header: number of lines above the hours.
     """
     warnings: list[str] = []
     if year is not None:
-        stamps, columns, warnings = placed_in_years(stamps, columns, year, years, own)
+        stamps, columns, warnings = place_in_years(stamps, columns, year, years, own)
     time = local_seconds(stamps) - zone_h * HOUR_S
     if (np.diff(time) <= 0.0).any():
         repeated = int(np.argmax(np.diff(time) <= 0.0)) + 1
@@ -110,17 +116,17 @@ def _weather(
     fields = {}
     for name, variable in variables.items():
         if name in columns:
-            # codes vary in their number of nines; other large values point to a wrong unit
-            codes = [one for one in _NINES if one >= variable.missing - 1e-9]
-            absent = np.isclose(columns[name][:, None], codes, rtol=0.0, atol=1e-6).any(axis=1)
-            value = np.where(absent, np.nan, columns[name])
+            # codes vary in their number of nines; other large values stay and reveal a wrong unit
+            codes = [code for code in _NINES if code >= variable.missing - 1e-9]
+            is_missing = np.isclose(columns[name][:, None], codes, rtol=0.0, atol=1e-6).any(axis=1)
+            value = np.where(is_missing, np.nan, columns[name])
             if np.isfinite(value).any():
                 fields[name] = WeatherField(value, name)
     return SiteWeather(file, time, fields, variables, site=site, height_m=WIND_HEIGHT_M, warnings=warnings)
 
 
 def _location(row: Sequence[str], faults: list[str]) -> tuple[Site | None, float]:
-    """Site and time zone [h] of the first line."""
+    """Site and time zone [h] of the first line; adds its faults."""
     cells = [cell.strip() for cell in row]
     names = ("latitude", "longitude", "time zone", "elevation")
     try:
@@ -141,7 +147,7 @@ def _location(row: Sequence[str], faults: list[str]) -> tuple[Site | None, float
 
 
 def _hours(rows: list[list[str]], faults: list[str]) -> np.ndarray:
-    """The columns (T, C), of which the first are year, month, day, hour 1…24; adds their faults."""
+    """The columns (T, C), beginning with year, month, day, hour 1…24; adds their faults."""
     nothing = np.zeros((0, _FEWEST_COLUMNS))
     periods = next((row for row in rows[:_HEADER] if row and row[0].strip().upper() == "DATA PERIODS"), None)
     if periods is None:
@@ -178,28 +184,30 @@ def _expected_hours(periods: Sequence[str]) -> int | None:
 
 
 def _add_epw_dew_point(weather: SiteWeather) -> None:
-    """Add the dew points, missing ones from relative humidity."""
-    nothing = np.full(len(weather.time), math.nan)
-    warm, own, share = (weather.value.get(f"column {number}", nothing) for number in (7, 8, 9))
-    made = dew_point_of(share, warm)
-    lacking = np.isnan(own) & np.isfinite(made)
-    if not lacking.any():
+    """Add the dew points; missing dew points are computed from relative humidity."""
+    missing = np.full(len(weather.time), math.nan)
+    temperature, dew_points, humidity = (
+        weather.value.get(f"column {number}", missing) for number in (7, 8, 9)
+    )
+    computed = dew_point_of(humidity, temperature)
+    is_filled = np.isnan(dew_points) & np.isfinite(computed)
+    if not is_filled.any():
         return
-    highest = 100.0 * float(np.nanmax(share))
+    highest = 100.0 * float(np.nanmax(humidity))
     if highest <= 1.5:
         weather.faults.append(
             f"column 9: relative humidity reaches {highest:.3g} only, expected per cent: its numbers look "
             "like fractions"
         )
     weather.warnings.append(
-        f"{int(lacking.sum())} dew points are missing; they were computed from relative humidity over water"
+        f"{int(is_filled.sum())} dew points are missing; they were computed from relative humidity over water"
     )
     name = "column 8" if "column 8" in weather.fields else "column 9"
-    weather.add(_DEW_POINT, np.where(lacking, made, own), name)
+    weather.add(_DEW_POINT, np.where(is_filled, computed, dew_points), name)
 
 
 ZONE_H = 1.0
-"""[h] Central European Time against UTC, in summer too."""
+"""[h] Central European Time minus UTC, in summer too."""
 HOURS = 8760
 END_OF_HEADER = "***"
 _NEEDED = ("MM", "DD", "HH", "t", "p", "x", "RF")
@@ -239,36 +247,40 @@ def read_try(path: str | os.PathLike[str], year: int | None = None, years: int =
     Raises TableFault with every fault.
     """
     file = Path(path)
-    one, digest = only_content(file, ("csv",), "a test reference year as text (.dat)")
-    lines = one.data.decode("latin-1").splitlines()
-    end = next((i for i, line in enumerate(lines) if line.strip().startswith(END_OF_HEADER)), 0)
-    if end == 0:
+    content, digest = only_content(file, ("csv",), "a test reference year as text (.dat)")
+    lines = content.data.decode("latin-1").splitlines()
+    header_end = next((i for i, line in enumerate(lines) if line.strip().startswith(END_OF_HEADER)), 0)
+    if header_end == 0:
         raise TableFault(f"expected a header that ends in {END_OF_HEADER}, found none: is this a TRY file?")
     if year is None:
         raise TableFault(
             "is a typical year without a calendar year of its own; state the one to assign to it, such as "
             "year = 2019"
         )
-    names = lines[end - 1].split()
+    names = lines[header_end - 1].split()
     faults = [f'no column "{name}" above {END_OF_HEADER}' for name in _NEEDED if name not in names]
     warnings: list[str] = []
-    site = _site(lines[:end], faults, warnings)
+    site = _site(lines[:header_end], faults, warnings)
     if faults:
         raise TableFault(*faults)
-    table = _table(lines, end, names, faults)
+    table = _table(lines, header_end, names, faults)
     if faults:
         raise TableFault(*faults)
     column = {name: table[:, place] for place, name in enumerate(names)}
-    stamps = np.column_stack([np.full(len(table), year), *(column[one] for one in ("MM", "DD", "HH"))])
-    own = "a test reference year"
-    weather = _weather(file.name, stamps.astype(int), column, _TRY, site, ZONE_H, year, years, own, end + 1)
+    stamps = np.column_stack([np.full(len(table), year), *(column[name] for name in ("MM", "DD", "HH"))])
+    own_years = "a test reference year"
+    weather = _weather(
+        file.name, stamps.astype(int), column, _TRY, site, ZONE_H, year, years, own_years, header_end + 1
+    )
     weather.warnings[:0] = warnings
     value = weather.value
     if {"B", "D"} <= set(value):
         weather.add("global_horizontal_irradiance", value["B"] + value["D"], "B", "D")
     if {"x", "RF", "p", "t"} <= set(value):
         weather.add(_DEW_POINT, _try_dew_point(weather), "x", "RF", "p", "t")
-    return complete(weather.record(digest), "no temperature: all values of t are missing", "x and RF")
+    return require_temperature(
+        weather.record(digest), "no temperature: all values of t are missing", "x and RF"
+    )
 
 
 def _table(lines: list[str], end: int, names: list[str], faults: list[str]) -> np.ndarray:
@@ -290,60 +302,64 @@ def _try_dew_point(weather: SiteWeather) -> np.ndarray:
     """Dew point over water (T,) [K] from mixing ratio or relative humidity, whichever is rounded more
     finely."""
     x, rf, pressure, kelvin = (weather.value[name] for name in ("x", "RF", "p", "t"))
-    ratio, share = np.where(x > 0.0, 1e-3 * x, math.nan), np.where(rf > 0.0, rf, math.nan)
+    ratio, humidity = np.where(x > 0.0, 1e-3 * x, math.nan), np.where(rf > 0.0, rf, math.nan)
     by_ratio = np.asarray(vapour_pressure_from_humidity_ratio(ratio, pressure))
-    by_share = np.asarray(vapour_pressure(np.minimum(share, 1.0), kelvin))
-    apart = np.abs(by_ratio / by_share - 1.0)
-    apart = apart[np.isfinite(apart)]
-    if len(apart) and float(np.median(apart)) > 0.05:
+    by_humidity = np.asarray(vapour_pressure(np.minimum(humidity, 1.0), kelvin))
+    differences = np.abs(by_ratio / by_humidity - 1.0)
+    differences = differences[np.isfinite(differences)]
+    if len(differences) and float(np.median(differences)) > 0.05:
         weather.warnings.append(
-            f"x and RF differ by {100 * float(np.median(apart)):.0f} % in the vapour pressure: are the "
+            f"x and RF differ by {100 * float(np.median(differences)):.0f} % in the vapour pressure: are the "
             "columns shifted?"
         )
     # x is written to 0.1 g/kg, RF to 1 %
     finer = np.where(np.isfinite(by_ratio), 0.1 / np.fmax(x, 1e-3), math.inf) < 0.01 / np.fmax(rf, 1e-5)
-    return np.asarray(dew_point(np.where(finer | ~np.isfinite(by_share), by_ratio, by_share)))
+    return np.asarray(dew_point(np.where(finer | ~np.isfinite(by_humidity), by_ratio, by_humidity)))
 
 
 # --- hours of typical years -----------------------------------------------------------------
 
 
-def placed_in_years(
+def place_in_years(
     stamps: np.ndarray, columns: Mapping[str, np.ndarray], year: int, years: int, own: str
 ) -> tuple[np.ndarray, dict[str, np.ndarray], list[str]]:
     """Hours moved to each of several calendar years: their stamps, their columns, and warnings.
 
-    stamps: (T, 4) year, month, day, hour 1…24 as written. columns: of numbers (T,). year: the first one,
-    1900 … 2200. years: how many. own: the years of the file in words, "" where it is that year.
+    stamps: (T, 4) year, month, day, hour 1…24 as written. columns: of numbers (T,). year: the first calendar
+    year, 1900 … 2200. years: number of calendar years. own: the years of the file in words, "" where no
+    warning is needed because they are the calendar year.
 
-    29 February is a repetition of the 28th where a year needs it and the file has none; it is left out
-    where the year has none.  Raises TableFault for a year out of range.
+    In a leap year 28 February is repeated as 29 February where the file has none; in other years the file's
+    29 February is left out.  Raises TableFault for a year out of range.
     """
     last = year + years - 1
     if not 1900 <= year <= last <= 2200:
         raise TableFault(f"year must lie within 1900 … 2200, found {year if last > 2200 >= year else last}")
     months, days = stamps[:, 1], stamps[:, 2]
     leap_day = (months == 2) & (days == 29)
-    before = np.flatnonzero((months == 2) & (days == 28))
-    rows, placed, repeated, said = [], [], [], []
-    for one in range(year, last + 1):
+    february_28 = np.flatnonzero((months == 2) & (days == 28))
+    rows, dates, repeated, warnings = [], [], [], []
+    for calendar_year in range(year, last + 1):
         keep, day = np.arange(len(days)), days
-        if calendar.isleap(one) and not leap_day.any() and len(before) == 24:
-            keep, day = np.insert(keep, before[-1] + 1, before), np.insert(day, before[-1] + 1, 24 * [29])
-            repeated.append(str(one))
-        elif not calendar.isleap(one) and leap_day.any():
+        if calendar.isleap(calendar_year) and not leap_day.any() and len(february_28) == 24:
+            keep, day = (
+                np.insert(keep, february_28[-1] + 1, february_28),
+                np.insert(day, february_28[-1] + 1, 24 * [29]),
+            )
+            repeated.append(str(calendar_year))
+        elif not calendar.isleap(calendar_year) and leap_day.any():
             keep, day = keep[~leap_day], day[~leap_day]
-            said.append(f"{one} is not a leap year: 29 February is left out")
+            warnings.append(f"{calendar_year} is not a leap year: 29 February is left out")
         rows.append(keep)
-        placed.append(np.column_stack([np.full(len(day), one), months[keep], day, stamps[keep, 3]]))
+        dates.append(np.column_stack([np.full(len(day), calendar_year), months[keep], day, stamps[keep, 3]]))
     if own:
         span = f"{year}" if years == 1 else f"{year} … {last}"
-        said.append(f"hours of {own} stand in {span}: a typical year, not the weather of {span}")
+        warnings.append(f"hours of {own} stand in {span}: a typical year, not the weather of {span}")
     if repeated:
         leap = "is a leap year" if len(repeated) == 1 else "are leap years"
-        said.insert(0, f"{', '.join(repeated)} {leap}: 28 February is repeated as 29 February")
+        warnings.insert(0, f"{', '.join(repeated)} {leap}: 28 February is repeated as 29 February")
     kept = np.concatenate(rows)
-    return np.concatenate(placed), {name: one[kept] for name, one in columns.items()}, said
+    return np.concatenate(dates), {name: column[kept] for name, column in columns.items()}, warnings
 
 
 def local_seconds(stamps: np.ndarray) -> np.ndarray:
@@ -361,13 +377,13 @@ def hours_table(
     faults: list[str],
     exact: bool = False,
 ) -> np.ndarray:
-    """The hours (T, columns) of lines, NaN where a cell is empty; the faults of the first lines are added.
+    """The hours (T, columns) of lines, NaN where a cell is empty; adds the faults of the first three lines.
 
-    lines: number and cells. width: of a line at least, or with `exact` of every line.
-    used: columns of numbers. date: year, month, day and hour 1 … 24 of a row.
+    lines: number and cells of each. width: least number of cells of a line, with `exact` the number itself.
+    used: columns to read as numbers. date: gives year, month, day and hour 1 … 24 of a row.
     """
     table = np.full((len(lines), max([width, *(len(cells) for _, cells in lines)])), np.nan)
-    wrong = []
+    messages = []
     for row, (number, cells) in zip(table, lines, strict=True):
         try:
             if len(cells) < width or (exact and len(cells) > width):
@@ -377,7 +393,7 @@ def hours_table(
                     row[column] = float(cells[column])
                     if not np.isfinite(row[column]):
                         raise ValueError(f"cell {column + 1}: expected a number, found {cells[column]}")
-            year, month, day, hour = (int(one) for one in date(row))
+            year, month, day, hour = map(int, date(row))
             if not 1 <= hour <= 24:
                 raise ValueError(f"expected an hour 1 … 24, found {hour}")
             if not (1 <= month <= 12 and 1 <= day <= 31 and 1800 <= year <= 2300):
@@ -385,9 +401,9 @@ def hours_table(
             if day > (29 if month == 2 else calendar.monthrange(year, month)[1]):
                 raise ValueError(f"month {month} has no day {day}")
         except ValueError as reason:
-            wrong.append(f"line {number}: {reason}")
-    more = f" (and {len(wrong) - 3} more lines)" if len(wrong) > 3 else ""
-    faults += [*wrong[:2], *(one + more for one in wrong[2:3])]
+            messages.append(f"line {number}: {reason}")
+    more = f" (and {len(messages) - 3} more lines)" if len(messages) > 3 else ""
+    faults += [*messages[:2], *(message + more for message in messages[2:3])]
     return table
 
 
@@ -395,15 +411,15 @@ def hours_table(
 
 
 def _site(header: list[str], faults: list[str], warnings: list[str]) -> Site | None:
-    """The place from Rechtswert, Hochwert and Hoehenlage; None where the header has none, as that of 2011."""
-    found = {}
+    """The place from Rechtswert, Hochwert and Hoehenlage; None where the header states none, as in 2011."""
+    coordinates = {}
     for line in header:
         if match := re.match(r"\s*(Rechtswert|Hochwert|H\S*henlage)\s*:\s*(-?[\d.]+)\s*Meter", line):
-            found[match[1]] = float(match[2])
-    if not {"Rechtswert", "Hochwert"} <= set(found):
+            coordinates[match[1]] = float(match[2])
+    if not {"Rechtswert", "Hochwert"} <= set(coordinates):
         warnings.append("the header states no place by Rechtswert and Hochwert: it is that of a region")
         return None
-    east, north = found.pop("Rechtswert"), found.pop("Hochwert")
+    east, north = coordinates.pop("Rechtswert"), coordinates.pop("Hochwert")
     latitude, longitude = geographic(east, north)
     if not (46.0 < latitude < 56.0 and 4.0 < longitude < 17.0):
         faults.append(
@@ -411,7 +427,7 @@ def _site(header: list[str], faults: list[str], warnings: list[str]) -> Site | N
             f"{longitude:.1f}° E; expected a place in Germany in the projection of the files"
         )
         return None
-    return Site(latitude, longitude, next(iter(found.values()), None))
+    return Site(latitude, longitude, next(iter(coordinates.values()), None))
 
 
 def geographic(easting_m: float, northing_m: float) -> tuple[float, float]:
@@ -424,7 +440,7 @@ def geographic(easting_m: float, northing_m: float) -> tuple[float, float]:
     """
     radius, flattening = 6378137.0, 1.0 / 298.257222101
     e = math.sqrt(flattening * (2.0 - flattening))
-    first, second, origin, meridian = (math.radians(one) for one in (35.0, 65.0, 52.0, 10.0))
+    first, second, origin, meridian = (math.radians(degrees) for degrees in (35.0, 65.0, 52.0, 10.0))
 
     def scale(angle: float) -> float:
         return math.cos(angle) / math.sqrt(1.0 - (e * math.sin(angle)) ** 2)

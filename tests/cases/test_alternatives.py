@@ -21,7 +21,7 @@ from hygrokf.estimation.lag_model import (
     LAGS_H,
     REACH,
     Relation,
-    fitted,
+    fit_autoregression,
     relations,
     shift_logliks,
 )
@@ -196,10 +196,10 @@ def test_all_shifts_together_are_each_shift_alone(quarters: int, more: int) -> N
     one = relation()
     summer = np.arange(len(one.time)) > len(one.time) // 2
     move = (frozenset({"ambient_temperature"}), more)
-    phi = fitted(one, 2.0)[0]
+    phi = fit_autoregression(one, 2.0)[0]
     together = shift_logliks(one, phi, {move}, summer)[move]
     # the autoregression is estimated anew for each shift alone, which can only gain
-    alone = fitted(one, 2.0, move, quarters, summer)[1].sum()
+    alone = fit_autoregression(one, 2.0, move, quarters, summer)[1].sum()
     assert together.shape == (2 * REACH + 1, len(LAGS_H))
     gap = alone - together[REACH + quarters, LAGS_H.index(2.0)]
     assert -0.5 < gap < 0.05 * abs(alone)

@@ -330,7 +330,7 @@ def test_rates_that_no_reading_resolves_cost_no_more(joint: object) -> None:
 
 def test_a_time_constant_of_zero_is_a_rate_that_is_not_finite(thermal: object) -> None:
     """As where a profile takes another parameter to its physical limit."""
-    with pytest.raises(RatesFault, match=r"expected finite rates, found others of .*time_constant = 0"):
+    with pytest.raises(RatesFault, match=r"expected finite rates, found none for .*time_constant = 0"):
         Likelihood(thermal.model, many_gaps(thermal, 40)).value(
             thermal.values | {"thermal_time_constant": 0.0}
         )

@@ -24,7 +24,7 @@ from hygrokf.identification.turbine_type import (
     random_effects,
     read_type,
     restricted_maximum_likelihood,
-    student,
+    student_quantile,
     write_type,
 )
 from hygrokf.modelling.design import Design
@@ -56,7 +56,7 @@ def test_published_numbers_of_the_bcg_trials() -> None:
     assert spread**2 == pytest.approx(0.3132, abs=5e-5)
     assert mean == pytest.approx(-0.7145, abs=5e-5)
     assert se == pytest.approx(0.1808, abs=5e-5)
-    reach = student(0.95, 12) * se
+    reach = student_quantile(0.95, 12) * se
     assert (mean - reach, mean + reach) == pytest.approx((-1.1084, -0.3206), abs=5e-5)
 
 

@@ -11,7 +11,7 @@ import pytest
 
 from hygrokf.data.columns import TableFault
 from hygrokf.data.record import Record, Series, Site
-from hygrokf.weather.joining import joined
+from hygrokf.weather.joining import join_records
 from hygrokf.weather.reading import gaps_text, read_weather, read_weather_file
 
 SITE = Site(48.48, 5.57, 311.0)
@@ -89,16 +89,16 @@ def test_records_of_different_places_are_not_joined() -> None:
         series = Series("ambient_temperature", start + 3600.0 * np.arange(3), np.full(3, 280.0))
         return Record(f"{latitude}", (series,), Site(latitude, 5.0))
 
-    assert len(joined([at(48.0, 0.0), at(48.0, 7200.0)], "x")["ambient_temperature"]) == 5
+    assert len(join_records([at(48.0, 0.0), at(48.0, 7200.0)], "x")["ambient_temperature"]) == 5
     with pytest.raises(TableFault, match="different places"):
-        joined([at(48.0, 0.0), at(49.0, 1e5)], "x")
+        join_records([at(48.0, 0.0), at(49.0, 1e5)], "x")
 
 
 def test_contradicting_files_are_masked_and_said() -> None:
     time = 3600.0 * np.arange(3)
     one = Record("a", (Series("ambient_temperature", time, np.array([280.0, 281.0, 282.0])),))
     other = Record("b", (Series("ambient_temperature", time, np.array([280.0, 281.5, 282.0])),))
-    record = joined([one, other], "x")
+    record = join_records([one, other], "x")
     assert list(record["ambient_temperature"].missing) == [False, True, False]
     assert "contradicting ones masked" in record.warnings[0]
 
@@ -115,7 +115,7 @@ def test_the_rounding_of_packed_files_is_no_contradiction() -> None:
 
     one, other = packed(0, 250), packed(190, 400)
     assert np.any(one["ambient_temperature"].value[190:] != other["ambient_temperature"].value[:60])
-    record = joined([one, other], "x")
+    record = join_records([one, other], "x")
     assert not record["ambient_temperature"].missing.any()
     np.testing.assert_allclose(record["ambient_temperature"].value, truth, atol=3e-4)
 
@@ -157,5 +157,5 @@ def test_winds_at_two_heights_are_not_put_together() -> None:
         for h in (10.0, 100.0)
     ]
     with pytest.raises(TableFault, match="wind_speed: at 10 m and 100 m in different files"):
-        joined(parts, "both")
-    assert joined(parts[:1] * 2, "one")["wind_speed"].height_m == 10.0
+        join_records(parts, "both")
+    assert join_records(parts[:1] * 2, "one")["wind_speed"].height_m == 10.0
