@@ -28,7 +28,7 @@ SLOWER = 4.0
 POSSIBLE = math.log(0.05)
 """ln p above which the scatter of the days does not matter any more."""
 EDGE = 0.05
-"""[1] share of the record at either end in which no change is looked for."""
+"""[1] share of the readings at either end among which no change is looked for."""
 INTERVAL = 4.0
 """Statistic by which one explanation must lead another to be clearly better: that of a 95 % interval."""
 
@@ -159,13 +159,14 @@ class Whitened:
         ahead = told[::-1]
         direct = np.cumsum(ahead, axis=0)
         sums = np.stack([direct, direct - left * lfilter([1.0], [1.0, -left], ahead, axis=0)], axis=1)[::-1]
-        first = round(EDGE * count)
+        read = np.flatnonzero(np.isfinite(self.error))
+        margin = round(EDGE * len(read))
+        within = read[margin : len(read) - margin]
+        first = min(round(EDGE * count), int(within[0]))
         place = np.arange(count)
         step, stray = (place >= first)[:, None].astype(float), (place == first)[:, None].astype(float)
         steady = filtered(self.known.course, self.known.variances, np.zeros(count))
         white = steady.whitened(np.column_stack([step, self.low_passed(step), stray]))[first:]
-        within = place[first : count - first]
-        within = within[np.isfinite(self.error[within])]
         square = np.cumsum(white[:, :2] ** 2, axis=0)[count - 1 - within]
         square = square - (sums[within, :, 1:] ** 2).sum(axis=2)
         safe = np.where(square > 0.0, square, np.inf)

@@ -148,6 +148,15 @@ def test_a_step_far_below_the_errors_is_found_to_the_reading() -> None:
     assert sum(found) >= 5
 
 
+def test_a_step_is_found_where_most_of_the_record_is_a_gap() -> None:
+    """Each part is shorter than a twentieth of the record: the margins are shares of the readings."""
+    values = np.full(20000, np.nan)
+    values[:800], values[-800:] = smooth_errors(20, 800), smooth_errors(21, 800)
+    values[19500:] += 6.0
+    p, place, size = changed(values)
+    assert p < 1e-3 and abs(place - 19500) <= 2 and abs(size - 6.0) < 1.5
+
+
 def test_no_step_is_found_where_there_is_none_even_with_missing_readings() -> None:
     p = []
     for seed in range(30, 60):
