@@ -1,9 +1,10 @@
 """Candidates of a search: a form of a cause fitted beside a parent, its evidence, and its rivals.
 
-Evidence of a cause is what it gains in −2 ln L, less k ln N for its k constants in each quantity and 2 ln of
-the number of settings that were tried.  Gains are differences of maxima: parent and child are fitted until
-the same rule stops them.  Evidence in days divides it by how much the days' sums of the cause's own scores
-vary beyond independent readings.
+A parent is the model that a round starts from; a child is the parent with a form of one more cause.  The
+evidence of a cause is its gain in −2 ln L minus k ln N for its k constants in each quantity and minus 2 ln of
+the number of settings that were tried.  Gains are differences of maxima: the same rule stops the fits of
+parent and child.  Evidence in days is the evidence divided by the ratio of the variance of the scores' daily
+sums to that with independent readings.
 """
 
 from __future__ import annotations
@@ -35,24 +36,25 @@ from hygrokf.physics.parameters import Parameter
 THRESHOLD = 10.0
 """Evidence from which a cause is accepted."""
 SWEEPS, FOLLOWED, WORSE = 3, 2, 10.0
-"""Sweeps of jumps, jumps of a sweep that are fitted, and by how much −2 ln L one may be worse at first."""
+"""Number of sweeps of jumps, jumps of a sweep that are fitted, and the largest rise of −2 ln L by a jump
+before the fit."""
 CLOSE_Z = 2.0
-"""Standard errors of its days by which a rival may stay behind."""
+"""Largest lag of a rival behind the best candidate, in standard errors over the days."""
 SENSOR = "humidity_sensor_drift"
 WATER = ("internal_moisture_source", "moisture_sorption", "condensation")
 WATER_SHARE = 0.5
-"""Share of the evidence of the sensor's error, in days, from which water is told with it."""
+"""Evidence of water as a share of that of the sensor's error, both in days, from which water is reported with
+the sensor's error."""
 
 
 @dataclass(frozen=True)
 class Candidate:
-    """A form of a cause at its maximum beside a parent: gains in −2 ln L by quantity, evidence of the best of
-    so many settings that were searched.
+    """A form of a cause at its maximum beside a parent.
 
-    lacking: whether a quantity does not gain that must; alike: the cause's other forms that the
-    record cannot tell from it.
-    judged: what held-out readings say of it; rivals: of the round in which it was accepted; lead: by how much
-    the best of all others stayed behind there, in days.
+    gains: in −2 ln L by quantity; searched: number of settings of the cause that were tried; lacking: whether
+    a quantity that must gain does not; alike: codes of the cause's other forms that the record cannot
+    distinguish from this form; judged: the test on held-out readings; rivals: candidates of the same round
+    that the record cannot distinguish; lead: evidence in days minus that of the best other cause.
     """
 
     form: Form
@@ -75,22 +77,22 @@ class Candidate:
 
     @property
     def acts(self) -> set[str]:
-        """The quantities that it acts on."""
+        """The quantities that the form acts on."""
         return acts(self.form, self.estimate.quantities)
 
     @property
     def wet(self) -> bool:
-        """Whether an error of the humidity sensor is told together with water."""
+        """Whether the cause is an error of the humidity sensor with water among its rivals."""
         return self.cause == SENSOR and any(rival.cause in WATER for rival in self.rivals)
 
     @property
     def strength(self) -> float:
-        """The smaller of both evidences, by which candidates are ordered and accepted."""
+        """The smaller of evidence and evidence in days, by which candidates are ordered and accepted."""
         return min(self.evidence, self.in_days)
 
     @property
     def factor(self) -> float:
-        """Evidence by evidence in days."""
+        """Ratio of evidence to evidence in days."""
         return self.evidence / self.in_days if self.in_days > 0.0 else 1.0
 
 
@@ -105,7 +107,7 @@ def acts(form: Form, quantities: Sequence[str]) -> set[str]:
 
 
 def brought(form: Form, simulator: Simulator) -> frozenset[str]:
-    """The parameters that a form's own mechanisms have in a simulator."""
+    """The parameters of a form's own mechanisms in a simulator."""
     mechanisms = {name for name, _ in (*form.heat, *form.vapour)}
     return frozenset(
         p.name
@@ -124,92 +126,94 @@ def estimated(
     effort: tuple[int, float],
     kept: Columns | None = None,
 ) -> Calibration:
-    """A form beside a parent, fitted from values; what it does not act on stays as it is."""
+    """A form beside a parent, fitted from start values in the quantities on which the form acts."""
     wider = widened(parent, form, setting)
     sizes = frozenset(p.name for p in amplitudes(added(parent, wider)))
     theta = wider.vector({**parent.values, **values})
-    one = estimate_at(wider, parent.errors, theta, parent.linear | sizes, parent.variances)
-    return fitted(one, acting(one, acts(form, one.quantities)), effort, kept)
+    start = estimate_at(wider, parent.errors, theta, parent.linear | sizes, parent.variances)
+    return fitted(start, acting(start, acts(form, start.quantities)), effort, kept)
 
 
 def candidate(
-    parent: Calibration, one: Calibration, form: Form, setting: Setting, searched: int
+    parent: Calibration, child: Calibration, form: Form, setting: Setting, searched: int
 ) -> Candidate:
-    """What a child is worth beside its parent; evidence in days only where the evidence would do."""
-    new = added(parent, one.simulator)
-    gains, number, lacking = {}, 0, False
+    """The candidate of a child beside its parent; evidence in days equals the evidence below `THRESHOLD`."""
+    added_parameters = added(parent, child.simulator)
+    gains, total_constants, lacking = {}, 0, False
     evidence = -2.0 * math.log(max(searched, 1)) - setting.price
-    for q in one.quantities:
-        gains[q] = float(parent.deviances[q] - one.deviances[q])
-        constants = sum(one.simulator.affects(p.name)[0] == q for p in new)
+    for q in child.quantities:
+        gains[q] = float(parent.deviances[q] - child.deviances[q])
+        constants = sum(child.simulator.affects(p.name)[0] == q for p in added_parameters)
         constants += (bool(form.clock) and q == "temperature") + (bool(form.freed) and q == "vapour")
-        readings = int(np.isfinite(one.residual(q)).sum())
-        paid = gains[q] - constants * math.log(max(readings, 2))
-        lacking |= form.together and constants > 0 and paid <= 0.0
-        number += constants
-        evidence += max(0.0, paid)
-    factor = day_factor(parent, one) if evidence >= THRESHOLD else 1.0
-    return Candidate(form, setting, one, gains, number, searched, evidence, evidence / factor, lacking)
+        readings = int(np.isfinite(child.residual(q)).sum())
+        net_gain = gains[q] - constants * math.log(max(readings, 2))
+        lacking |= form.together and constants > 0 and net_gain <= 0.0
+        total_constants += constants
+        evidence += max(0.0, net_gain)
+    factor = day_factor(parent, child) if evidence >= THRESHOLD else 1.0
+    return Candidate(
+        form, setting, child, gains, total_constants, searched, evidence, evidence / factor, lacking
+    )
 
 
-def day_factor(parent: Calibration, one: Calibration) -> float:
-    """tr(H⁻¹ J)/k of the k added parameters, at least 1: H their information beside all others, J the sum of
-    squares of the days' scores."""
-    new = {p.name for p in added(parent, one.simulator)}
-    if not new:
-        return _factor_of_gains(parent, one)
-    f = frame(one.simulator.parameters, set(one.simulator.names), one.linear)
-    mine = np.array([one.simulator.names[i] in new for i in f.place])
-    information, spread = np.zeros((2, mine.sum(), mine.sum()))
-    for q, columns in slopes(one, f).items():
-        white, error = weighted(one, q, columns)
+def day_factor(parent: Calibration, child: Calibration) -> float:
+    """tr(H⁻¹ J)/k of the k added parameters, at least 1: H is their information given all other parameters, J
+    the sum of squares of the daily scores."""
+    added_names = {p.name for p in added(parent, child.simulator)}
+    if not added_names:
+        return _factor_of_gains(parent, child)
+    coordinates = frame(child.simulator.parameters, set(child.simulator.names), child.linear)
+    is_added = np.array([child.simulator.names[i] in added_names for i in coordinates.place])
+    information, spread = np.zeros((2, is_added.sum(), is_added.sum()))
+    for q, columns in slopes(child, coordinates).items():
+        white, error = weighted(child, q, columns)
         white = white / np.maximum(np.sqrt((white**2).sum(axis=0)), 1e-300)
-        rest = white[:, ~mine]
-        rest = rest[:, rest.any(axis=0)]
-        basis = np.linalg.qr(rest)[0] if rest.shape[1] else rest
-        x = white[:, mine] - basis @ (basis.T @ white[:, mine])
-        daily = one.simulator.scene.readings[q].by_day(x * error[:, None])
-        information += x.T @ x
+        other_columns = white[:, ~is_added]
+        other_columns = other_columns[:, other_columns.any(axis=0)]
+        basis = np.linalg.qr(other_columns)[0] if other_columns.shape[1] else other_columns
+        own_part = white[:, is_added] - basis @ (basis.T @ white[:, is_added])
+        daily = child.simulator.scene.readings[q].by_day(own_part * error[:, None])
+        information += own_part.T @ own_part
         spread += daily.T @ daily
-    return max(1.0, float(np.trace(np.linalg.pinv(information, rcond=1e-8) @ spread)) / mine.sum())
+    return max(1.0, float(np.trace(np.linalg.pinv(information, rcond=1e-8) @ spread)) / is_added.sum())
 
 
-def _factor_of_gains(parent: Calibration, one: Calibration) -> float:
-    """The same of a child without parameters of its own, from the days' gains: with independent readings the
+def _factor_of_gains(parent: Calibration, child: Calibration) -> float:
+    """The day factor of a child without added parameters, from the daily gains: with independent readings the
     variance of their sum is four times the sum."""
-    gains = [_daily(one, parent, q) for q in one.quantities]
+    gains = [_daily(child, parent, q) for q in child.quantities]
     total = sum(float(g.sum()) for g in gains)
     spread = sum(float(((g - g.mean()) ** 2).sum()) for g in gains)
     return max(1.0, spread / (4.0 * total)) if total > 0.0 else 1.0
 
 
 def jumped(parent: Calibration, best: Candidate) -> Candidate:
-    """The candidate after jumps of its size, its shapes and its settings, while they improve it.
+    """The candidate improved by jumps of its amplitudes, its other parameters and its settings.
 
-    All jumps are run; those that promise to be no worse, if all other parameters follow by one chord step,
-    are fitted.
+    All jumps are simulated; those that are hardly worse after one chord step (`chord_gains`) of the other
+    parameters are fitted.
     """
     steps = dict(best.form.steps)
     for _ in range(SWEEPS):
-        before, here = best.estimate.deviance, parent_of(best.estimate)
+        deviance_before, parent_at_best = best.estimate.deviance, parent_of(best.estimate)
         promising = []
         for setting, values in _jumps(parent, best, steps):
             wider = widened(parent, best.form, setting)
-            gain = chord_gains(here, wider, wider.vector(values)[:, None], {}, best.acts)[0]
+            gain = chord_gains(parent_at_best, wider, wider.vector(values)[:, None], {}, best.acts)[0]
             promising.append((float(gain), setting, values))
-        promising.sort(key=lambda one: -one[0])
+        promising.sort(key=lambda jump: -jump[0])
         for gain, setting, values in promising[:FOLLOWED]:
             if gain < -WORSE:
                 break
-            light = estimated(parent, best.form, setting, values, LIGHT, here.columns)
-            if light.deviance < best.estimate.deviance + 0.5 * WORSE:
-                one = fitted(light, acting(light, best.acts), POLISH)
-                if one.deviance < best.estimate.deviance - 0.1:
+            trial = estimated(parent, best.form, setting, values, LIGHT, parent_at_best.columns)
+            if trial.deviance < best.estimate.deviance + 0.5 * WORSE:
+                fit = fitted(trial, acting(trial, best.acts), POLISH)
+                if fit.deviance < best.estimate.deviance - 0.1:
                     best = replace(
-                        candidate(parent, one, best.form, setting, best.searched), alike=best.alike
+                        candidate(parent, fit, best.form, setting, best.searched), alike=best.alike
                     )
         steps = {key: 0.5 * step for key, step in steps.items()}
-        if not best.estimate.deviance < before - 1.0 and not steps:
+        if not best.estimate.deviance < deviance_before - 1.0 and not steps:
             break
     return best
 
@@ -218,14 +222,14 @@ def _jumps(
     parent: Calibration, best: Candidate, steps: Mapping[tuple[str, str], float]
 ) -> Iterator[tuple[Setting, dict[str, float]]]:
     values, setting = best.estimate.values, best.setting
-    new = added(parent, best.estimate.simulator)
-    sizes = amplitudes(new)
-    # an effect on two quantities may be right in one and stuck in the other
+    added_parameters = added(parent, best.estimate.simulator)
+    sizes = amplitudes(added_parameters)
+    # the amplitude in one quantity may be right while that in the other is at a wrong maximum
     for moved in [sizes, *([p] for p in sizes if len(sizes) > 1)]:
         for factor in (2.5, 0.4) if moved else ():
-            grown = {p.name: (p.null or 0.0) + factor * (values[p.name] - (p.null or 0.0)) for p in moved}
-            yield setting, values | {p.name: _within(p, grown[p.name]) for p in moved}
-    for p in new:
+            scaled = {p.name: (p.null or 0.0) + factor * (values[p.name] - (p.null or 0.0)) for p in moved}
+            yield setting, values | {p.name: _within(p, scaled[p.name]) for p in moved}
+    for p in added_parameters:
         for sign in (1.0, -1.0) if p not in sizes else ():
             further = 1.5**sign if p.positive else 1.0
             shift = 0.0 if p.positive else sign * 0.1 * min(p.upper - p.lower, 20.0)
@@ -235,12 +239,14 @@ def _jumps(
             if feature == "clock":
                 yield replace(setting, shift_s=setting.shift_s + sign * step), values
                 continue
-            # a date outside the record would be another constant
-            first = best.form.steps[feature, key]
-            tried = [one.features[feature][key] for one in best.form.grid]
+            # the effect of a date outside the record would be constant
+            first_step = best.form.steps[feature, key]
+            grid_values = [point.features[feature][key] for point in best.form.grid]
             settings = dict(setting.features[feature])
-            wanted = settings[key] + sign * step
-            settings[key] = float(np.clip(wanted, min(tried) - first, max(tried) + first))
+            target = settings[key] + sign * step
+            settings[key] = float(
+                np.clip(target, min(grid_values) - first_step, max(grid_values) + first_step)
+            )
             yield replace(setting, features={**setting.features, feature: settings}), values
 
 
@@ -248,17 +254,22 @@ def _within(p: Parameter, value: float) -> float:
     return float(np.clip(value, p.lower if p.null is None else min(p.lower, p.null), p.upper))
 
 
-def grafted(parent: Calibration, one: Candidate) -> Calibration:
-    """A candidate of an earlier parent beside one that differs in the other quantity alone."""
-    wider = widened(parent, one.form, one.setting)
-    own = {n: v for n, v in one.estimate.values.items() if set(one.estimate.simulator.affects(n)) & one.acts}
-    theta = wider.vector({**parent.values, **own})
-    variances = {**parent.variances, **{q: one.estimate.variances[q] for q in one.acts}}
-    return estimate_at(wider, parent.errors, theta, parent.linear | one.estimate.linear, variances)
+def grafted(parent: Calibration, candidate: Candidate) -> Calibration:
+    """A candidate of an earlier parent, moved to a parent that differs from it in the other quantity only."""
+    wider = widened(parent, candidate.form, candidate.setting)
+    own_values = {
+        n: v
+        for n, v in candidate.estimate.values.items()
+        if set(candidate.estimate.simulator.affects(n)) & candidate.acts
+    }
+    theta = wider.vector({**parent.values, **own_values})
+    variances = {**parent.variances, **{q: candidate.estimate.variances[q] for q in candidate.acts}}
+    return estimate_at(wider, parent.errors, theta, parent.linear | candidate.estimate.linear, variances)
 
 
 def alike(best: Candidate, rival: Candidate) -> bool:
-    """Whether a rival explains the days' readings of a quantity that both act on as well (Vuong by days)."""
+    """Whether a rival explains the readings of the shared quantities as well as the best candidate (Vuong's
+    test on daily sums)."""
     shared = best.acts & rival.acts
     if not shared or rival.evidence < THRESHOLD:
         return False
@@ -269,7 +280,7 @@ def alike(best: Candidate, rival: Candidate) -> bool:
 
 
 def _daily(best: Calibration, rival: Calibration, quantity: str) -> np.ndarray:
-    """(days,) by how much −2 ln L of the rival exceeds that of the best."""
+    """(days,) −2 ln L of the rival minus that of the best."""
     terms = rival.filtered[quantity].terms - best.filtered[quantity].terms
     return best.simulator.scene.readings[quantity].by_day(terms)
 
@@ -279,7 +290,7 @@ def water(best: Candidate, rival: Candidate) -> bool:
     return best.cause == SENSOR and rival.cause in WATER and rival.in_days >= WATER_SHARE * best.in_days
 
 
-def lead(best: Candidate, found: Sequence[Candidate]) -> float:
-    """By how much the best of all other causes on the same quantities stays behind, in days."""
-    others = [c.in_days for c in found if c.cause != best.cause and c.acts & best.acts]
+def lead(best: Candidate, candidates: Sequence[Candidate]) -> float:
+    """Evidence in days minus that of the best other cause on any of the same quantities."""
+    others = [c.in_days for c in candidates if c.cause != best.cause and c.acts & best.acts]
     return best.in_days - max([0.0, *others])

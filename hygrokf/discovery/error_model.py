@@ -1,18 +1,18 @@
-"""The error of a simulation as a process: heat or vapour flow with a free spectrum, through the cabinet's own
-low pass, and white noise of the readings.
+"""The error of a simulation as a process: a flow of heat or vapour with a free spectrum, filtered by the low
+pass of the cabinet, plus white noise of the readings.
 
     y = simulation + n + w,    w ~ N(0, R),
     τ dn/dt = −n + Σ u_j + white flow,    θ_j du_j/dt = −u_j + white,    θ_j = 0.5, 2, 8, 32, 128 h,
 
-with all variances free: s_j² those of the parts u_j, s_w² that which white flow alone would give n.  At rest
+with free variances: s_j² of the parts u_j, and s_w² of n under white flow alone.  In the stationary state
 
     Var n = Σ s_j² θ_j/(θ_j+τ) + s_w²,    Cov(u_j, n) = s_j² θ_j/(θ_j+τ),    Cov(u_j, u_l) = 0 (j ≠ l).
 
-A slow disturbance then costs a cause its evidence, and a fast one does not buy it any.  −2 ln L counts e² of
-a standardised innovation up to a bound and grows linearly beyond it (Huber), so that single readings decide
-nothing.
+The likelihood then attributes slow and fast disturbances to this process instead of to a cause.  −2 ln L
+counts the square of a standardised innovation up to a bound and grows linearly beyond it (Huber's loss), so
+that single readings decide nothing.
 
-Shapes: T instants, m = 5 parts, n = m + 1 states (u_1 … u_m, n), LANES runs side by side, c columns.
+Shapes: T instants, m = 5 parts, n = m + 1 states (u_1 … u_m, n), LANES parallel runs, c columns.
 """
 
 from __future__ import annotations
@@ -34,32 +34,33 @@ TIMES_H = (0.5, 2.0, 8.0, 32.0, 128.0)
 HUBER = 4.0
 """Standard deviations from which an innovation counts linearly."""
 FEWEST_STEPS = 0.6
-"""Median steps of the readings that a part's correlation time must last."""
+"""Shortest correlation time of a part that readings resolve, in median steps of the readings."""
 LONGEST_SHARE = 1.0 / 3.0
-"""Share of the record that it may last."""
+"""Longest correlation time of a part that readings resolve, as a share of the record's length."""
 LEAST = 1e-6
-"""Smallest variance, as a share of the readings'."""
+"""Smallest variance, as a share of the variance of the readings."""
 VARIANCES = len(TIMES_H) + 2
-"""R, s_w² and those of the parts, in this order."""
+"""Number of variances: R, s_w² and those of the parts, in this order."""
 _STATES = len(TIMES_H) + 1
 _COEFFICIENTS = 2 * len(TIMES_H) + 1
 _MOVE = 1e-3
+"""Step of a log variance for the numerical gradient."""
 _STEP = 3.0
 """Largest change of a log variance in one step."""
 _GAIN = 0.02
-"""Gain in −2 ln L of a step at which scoring ends."""
+"""Gain in −2 ln L of a step below which scoring ends."""
 _STEPS = 60
 
 
 @dataclass(frozen=True)
 class Instants:
-    """When an error is seen, and what its law needs of that.
+    """The instants at which an error is observed, with the coefficients of the process between them.
 
-    time_h: (T,) [h]; tau_h: [h] time constant of the low pass; added: (T,) variance that Var n has beside the
-    stationary one at an instant, where the state begins anew or an input's time is not known; key, table:
-    the row (T,) of the distinct steps' coefficients (d, 2m+1); there: (m,) which parts the readings resolve;
-    shape: (T,) variance of each reading's noise as a multiple of R; largest: variance of the readings, which
-    no part may exceed at the output.
+    time_h: (T,) [h]; tau_h: [h] time constant of the low pass; added: (T,) variance of n beyond the
+    stationary one, where the state is unknown (at the start, after a gap) or an input's time is uncertain;
+    key: (T,) row of each step in `table` (d, 2m+1), the coefficients of the distinct steps; there: (m,)
+    whether the readings resolve a part; shape: (T,) noise variance of each reading as a multiple of R;
+    largest: variance of the readings, the limit of each part at the output.
     """
 
     time_h: np.ndarray
@@ -76,7 +77,8 @@ def course(
     time_h: np.ndarray, tau_h: float, added: np.ndarray, shape: np.ndarray | None = None,
     there: np.ndarray | None = None, largest: float = math.inf,
 ) -> Instants:  # fmt: skip
-    """The course of an error at instants (T,) [h]; `added`, `shape` (T,), `largest` as in `Instants`."""
+    """`Instants` with the coefficients of their steps, and the parts that they resolve unless `there` is
+    given."""
     steps = np.round(np.diff(time_h, prepend=time_h[0]) * 3.6e6) / 3.6e6
     lengths, key = np.unique(steps, return_inverse=True)
     if there is None:
@@ -89,48 +91,48 @@ def course(
 
 
 def coefficients(step_h: float, tau_h: float) -> np.ndarray:
-    """(2m+1,) of a step [h]: u_j ← a_j u_j, n ← a n + Σ g_j u_j; in the order a_j, g_j, a.
+    """(2m+1,) coefficients of a step [h] in the order a_j, g_j, a of u_j ← a_j u_j, n ← a n + Σ g_j u_j.
 
-    a_j = e^(−dt/θ_j), a = e^(−dt/τ), g_j = a (dt/τ)(e^δ − 1)/δ with δ = dt (1/τ − 1/θ_j): no case θ_j = τ is
-    singular.
+    a_j = e^(−dt/θ_j), a = e^(−dt/τ), g_j = a (dt/τ)(e^δ − 1)/δ with δ = dt (1/τ − 1/θ_j): regular also for
+    θ_j = τ.
     """
-    times = np.array(TIMES_H)
-    own = math.exp(-step_h / tau_h)
-    delta = step_h * (1.0 / tau_h - 1.0 / times)
+    times_h = np.array(TIMES_H)
+    low_pass = math.exp(-step_h / tau_h)
+    delta = step_h * (1.0 / tau_h - 1.0 / times_h)
     safe = np.where(np.abs(delta) < 1e-12, 1.0, delta)
     # a (e^δ − 1) = e^(−dt/θ) − e^(−dt/τ), written so that neither factor overflows
-    fading = np.exp(-step_h / times)
+    decay = np.exp(-step_h / times_h)
     ratio = np.where(
-        np.abs(delta) < 1e-12, own,
+        np.abs(delta) < 1e-12, low_pass,
         np.where(
-            delta < 0.0, own * np.expm1(np.minimum(safe, 0.0)), -fading * np.expm1(np.minimum(-safe, 0.0))
+            delta < 0.0, low_pass * np.expm1(np.minimum(safe, 0.0)), -decay * np.expm1(np.minimum(-safe, 0.0))
         )
         / safe,
     )  # fmt: skip
-    return np.concatenate([fading, step_h / tau_h * ratio, [own]])
+    return np.concatenate([decay, step_h / tau_h * ratio, [low_pass]])
 
 
 def shares(tau_h: float) -> np.ndarray:
-    """(m,) of a part's variance that reaches the output: θ_j/(θ_j+τ)."""
+    """(m,) share θ_j/(θ_j+τ) of a part's variance that passes the low pass."""
     return np.array(TIMES_H) / (np.array(TIMES_H) + tau_h)
 
 
 def stationary(variances: Sequence[Expression], share: Sequence[Expression]) -> Matrix:
-    """Covariance (n, n) at rest, of traced variances (R, s_w², s_1² …) and `shares`."""
+    """Stationary covariance (n, n) of the state, from traced variances (R, s_w², s_1² …) and `shares`."""
     flow, parts = variances[1], variances[2:]
     covariance: Matrix = [[0.0] * _STATES for _ in range(_STATES)]
     total: Expression | float = flow
-    for j, (part, one) in enumerate(zip(parts, share, strict=True)):
+    for j, (part, gain) in enumerate(zip(parts, share, strict=True)):
         covariance[j][j] = part
-        covariance[j][-1] = covariance[-1][j] = part * one
-        total = total + part * one
+        covariance[j][-1] = covariance[-1][j] = part * gain
+        total = total + part * gain
     covariance[-1][-1] = total
     return covariance
 
 
 # -- compiled passes -----------------------------------------------------------------------------------------
 class _Traced:
-    """One step of the filter as expressions."""
+    """The expressions of one filter step."""
 
     def __init__(self) -> None:
         g = self.graph = Graph()
@@ -155,30 +157,30 @@ class _Traced:
         self.transition = transition
         self.resting = stationary(self.variances, self.share)
 
-    def moved(self) -> list[Expression]:
-        """The state after a step."""
+    def predicted_state(self) -> list[Expression]:
+        """The state predicted after a step."""
         return [row[0] for row in product(self.transition, [[x] for x in self.x])]
 
-    def spread(self) -> Matrix:
-        """P∞ + F (P − P∞) F', and what is added."""
-        full: Matrix = [[0.0] * _STATES for _ in range(_STATES)]
+    def predicted_covariance(self) -> Matrix:
+        """P∞ + F (P − P∞) F' plus the added variance of n."""
+        excess: Matrix = [[0.0] * _STATES for _ in range(_STATES)]
         for (i, j), value in zip(self.places, self.p, strict=True):
-            full[i][j] = full[j][i] = value - self.resting[i][j]
-        moved = add(self.resting, product(product(self.transition, full), transpose(self.transition)))
-        moved[-1][-1] = moved[-1][-1] + self.added
-        return moved
+            excess[i][j] = excess[j][i] = value - self.resting[i][j]
+        predicted = add(self.resting, product(product(self.transition, excess), transpose(self.transition)))
+        predicted[-1][-1] = predicted[-1][-1] + self.added
+        return predicted
 
 
 _ARRAYS = ("key", "table", "variances", "share", "residual", "seen", "added", "shape")
 
 
 class _FilterEmission:
-    """Text of the passes: the same recursion, with numbers or with vectors of LANES."""
+    """LLVM text of a pass: the recursion with scalars, or with vectors of LANES (`wide`)."""
 
     def __init__(self, name: str, arguments: Sequence[str], wide: bool) -> None:
         self.traced = _Traced()
         self.wide = wide
-        self.w = Writer(name, [("i64", "count"), *(("ptr", one) for one in arguments)])
+        self.w = Writer(name, [("i64", "count"), *(("ptr", argument) for argument in arguments)])
         self.kind = self.w.vector if wide else SCALAR
 
     def load(self, array: str, place: str | int, kind: str | None = None) -> str:
@@ -188,15 +190,16 @@ class _FilterEmission:
     def values(
         self, outputs: Sequence[Expression], leaves: dict[int, str], vectors: Sequence[int]
     ) -> list[str]:
-        made = self.w.block(self.traced.graph, outputs, leaves, vectors)
-        return [self.w.as_vector(kind, name) if self.wide else name for kind, name in made]
+        """Names of the computed outputs; leaves: symbol index → name of its value."""
+        computed = self.w.block(self.traced.graph, outputs, leaves, vectors)
+        return [self.w.as_vector(kind, name) if self.wide else name for kind, name in computed]
 
     def step(self, instant: str) -> dict[int, str]:
         key = self.w.value(f"sext i32 {self.load('key', instant, 'i32')} to i64")
         row = self.w.integer("mul", key, _COEFFICIENTS)
         return {
-            one.index: self.load("table", self.w.integer("add", row, c), SCALAR)
-            for c, one in enumerate(self.traced.coefficients)
+            symbol.index: self.load("table", self.w.integer("add", row, c), SCALAR)
+            for c, symbol in enumerate(self.traced.coefficients)
         }
 
 
@@ -209,92 +212,94 @@ def _filter_text(name: str, wide: bool) -> str:
     outputs = ("innovation", "variance", *(() if wide else ("reach", "predicted", "state")))
     e = _FilterEmission(name, (*_ARRAYS, *outputs), wide)
     t, w = e.traced, e.w
-    known = {one.index: e.load("variances", i) for i, one in enumerate(t.variances)}
-    known |= {one.index: e.load("share", j, SCALAR) for j, one in enumerate(t.share)}
-    wide_leaves = [one.index for one in (*t.variances, *t.x, *t.p)] if wide else []
+    constants = {symbol.index: e.load("variances", i) for i, symbol in enumerate(t.variances)}
+    constants |= {symbol.index: e.load("share", j, SCALAR) for j, symbol in enumerate(t.share)}
+    wide_leaves = [symbol.index for symbol in (*t.variances, *t.x, *t.p)] if wide else []
     zero = "zeroinitializer" if wide else "0.0"
-    state = {one.index: w.slot(e.kind, zero) for one in t.x}
-    resting = e.values([t.graph.lift(t.resting[i][j]) for i, j in t.places], known, wide_leaves)
-    spread = {one.index: w.slot(e.kind, value) for one, value in zip(t.p, resting, strict=True)}
+    state = {symbol.index: w.slot(e.kind, zero) for symbol in t.x}
+    resting = e.values([t.graph.lift(t.resting[i][j]) for i, j in t.places], constants, wide_leaves)
+    spread = {symbol.index: w.slot(e.kind, value) for symbol, value in zip(t.p, resting, strict=True)}
     with w.loop("%count") as k:
-        leaves = known | e.step(k)
+        leaves = constants | e.step(k)
         leaves |= {i: w.load(e.kind, slot) for i, slot in (state | spread).items()}
         leaves |= {
             t.residual.index: e.load("residual", k, SCALAR), t.seen.index: e.load("seen", k, SCALAR),
             t.added.index: e.load("added", k, SCALAR), t.shape.index: e.load("shape", k, SCALAR),
         }  # fmt: skip
-        moved, covariance = t.moved(), t.spread()
-        innovation = t.residual - moved[-1]
+        predicted, covariance = t.predicted_state(), t.predicted_covariance()
+        innovation = t.residual - predicted[-1]
         variance = t.variances[0] * t.shape + covariance[-1][-1]
         share = t.seen / variance
-        after = [x + covariance[i][-1] * (share * innovation) for i, x in enumerate(moved)]
-        left = [covariance[i][j] - covariance[i][-1] * (share * covariance[j][-1]) for i, j in t.places]
-        told = [innovation, variance]
-        told += [] if wide else [*(row[-1] for row in covariance), moved[-1]]
-        made = e.values([*told, *after, *left], leaves, wide_leaves)
-        w.store(e.kind, made[0], w.at(e.kind, "%innovation", k))
-        w.store(e.kind, made[1], w.at(e.kind, "%variance", k))
+        state_after = [x + covariance[i][-1] * (share * innovation) for i, x in enumerate(predicted)]
+        covariance_after = [
+            covariance[i][j] - covariance[i][-1] * (share * covariance[j][-1]) for i, j in t.places
+        ]
+        reported = [innovation, variance]
+        reported += [] if wide else [*(row[-1] for row in covariance), predicted[-1]]
+        values = e.values([*reported, *state_after, *covariance_after], leaves, wide_leaves)
+        w.store(e.kind, values[0], w.at(e.kind, "%innovation", k))
+        w.store(e.kind, values[1], w.at(e.kind, "%variance", k))
         if not wide:
             row = w.integer("mul", k, _STATES)
             for i in range(_STATES):
-                w.store(SCALAR, made[2 + i], w.at(SCALAR, "%reach", w.integer("add", row, i)))
-            w.store(SCALAR, made[2 + _STATES], w.at(SCALAR, "%predicted", k))
+                w.store(SCALAR, values[2 + i], w.at(SCALAR, "%reach", w.integer("add", row, i)))
+            w.store(SCALAR, values[2 + _STATES], w.at(SCALAR, "%predicted", k))
             for i in range(_STATES):
-                w.store(SCALAR, made[len(told) + i], w.at(SCALAR, "%state", w.integer("add", row, i)))
-        kept = made[len(told) :]
-        for slot, value in zip([*state.values(), *spread.values()], kept, strict=True):
+                w.store(SCALAR, values[len(reported) + i], w.at(SCALAR, "%state", w.integer("add", row, i)))
+        for slot, value in zip([*state.values(), *spread.values()], values[len(reported) :], strict=True):
             w.store(e.kind, value, slot)
     return w.text()
 
 
 def _whiten_text() -> str:
-    """`whiten(count, key, table, gain, scale, columns)`: innovations, in place, of LANES columns (T, LANES)
-    under known gains (T, n), times `scale` (T,)."""
+    """`whiten(count, key, table, gain, scale, columns)`: replaces LANES columns (T, LANES) by their
+    innovations under known gains (T, n), times `scale` (T,)."""
     e = _FilterEmission("whiten", ("key", "table", "gain", "scale", "columns"), True)
     t, w = e.traced, e.w
-    state = {one.index: w.slot(e.kind, "zeroinitializer") for one in t.x}
+    state = {symbol.index: w.slot(e.kind, "zeroinitializer") for symbol in t.x}
     vectors = [t.residual.index, *state]
     with w.loop("%count") as k:
         row = w.integer("mul", k, _STATES)
         leaves = e.step(k) | {i: w.load(e.kind, slot) for i, slot in state.items()}
         leaves |= {
-            one.index: e.load("gain", w.integer("add", row, i), SCALAR) for i, one in enumerate(t.gain)
+            symbol.index: e.load("gain", w.integer("add", row, i), SCALAR) for i, symbol in enumerate(t.gain)
         }
         leaves |= {t.residual.index: e.load("columns", k), t.scale.index: e.load("scale", k, SCALAR)}
-        moved = t.moved()
-        innovation = t.residual - moved[-1]
-        after = [x + one * innovation for x, one in zip(moved, t.gain, strict=True)]
-        made = e.values([innovation * t.scale, *after], leaves, vectors)
-        w.store(e.kind, made[0], w.at(e.kind, "%columns", k))
-        for slot, value in zip(state.values(), made[1:], strict=True):
+        predicted = t.predicted_state()
+        innovation = t.residual - predicted[-1]
+        state_after = [x + symbol * innovation for x, symbol in zip(predicted, t.gain, strict=True)]
+        values = e.values([innovation * t.scale, *state_after], leaves, vectors)
+        w.store(e.kind, values[0], w.at(e.kind, "%columns", k))
+        for slot, value in zip(state.values(), values[1:], strict=True):
             w.store(e.kind, value, slot)
     return w.text()
 
 
 def _smooth_text() -> str:
-    """`smooth(count, key, table, gain, share, innovation, reach, smoothed)`: adds to the predicted errors in
-    `smoothed` (T,) what later readings tell, backwards."""
+    """`smooth(count, key, table, gain, share, innovation, reach, smoothed)`: a backward pass that adds the
+    corrections by later readings to the predicted errors in `smoothed` (T,)."""
     e = _FilterEmission("smooth", ("key", "table", "gain", "share", "innovation", "reach", "smoothed"), False)
     t, w = e.traced, e.w
-    state = {one.index: w.slot(SCALAR, "0.0") for one in t.x}
+    state = {symbol.index: w.slot(SCALAR, "0.0") for symbol in t.x}
     reach = [t.graph.symbol(f"c{i}") for i in range(_STATES)]
     with w.loop("%count", backwards=True) as k:
         row = w.integer("mul", k, _STATES)
         leaves = e.step(k) | {i: w.load(SCALAR, slot) for i, slot in state.items()}
         for array, symbols in (("gain", t.gain), ("reach", reach)):
             leaves |= {
-                one.index: e.load(array, w.integer("add", row, i), SCALAR) for i, one in enumerate(symbols)
+                symbol.index: e.load(array, w.integer("add", row, i), SCALAR)
+                for i, symbol in enumerate(symbols)
             }
         leaves |= {t.residual.index: e.load("innovation", k), t.scale.index: e.load("share", k)}
-        # r ← H' e/S + (I − K H)' r, then F' r for the instant before
-        taken = sum((one * x for one, x in zip(t.gain, t.x, strict=True)), t.graph.constant(0.0))
-        later = [*t.x[:-1], t.x[-1] - taken + t.scale * t.residual]
-        gained = sum((one * x for one, x in zip(reach, later, strict=True)), t.graph.constant(0.0))
-        before = [row[0] for row in product(transpose(t.transition), [[x] for x in later])]
-        made = e.values([gained, *before], leaves, [])
+        # adjoint r ← H' e/S + (I − K H)' r, then F' r for the preceding instant
+        corrected = sum((symbol * x for symbol, x in zip(t.gain, t.x, strict=True)), t.graph.constant(0.0))
+        adjoint = [*t.x[:-1], t.x[-1] - corrected + t.scale * t.residual]
+        change = sum((symbol * x for symbol, x in zip(reach, adjoint, strict=True)), t.graph.constant(0.0))
+        adjoint_before = [row[0] for row in product(transpose(t.transition), [[x] for x in adjoint])]
+        values = e.values([change, *adjoint_before], leaves, [])
         at = w.at(SCALAR, "%smoothed", k)
-        w.store(SCALAR, w.real("fadd", w.load(SCALAR, at), made[0]), at)
-        for slot, value in zip(state.values(), made[1:], strict=True):
+        w.store(SCALAR, w.real("fadd", w.load(SCALAR, at), values[0]), at)
+        for slot, value in zip(state.values(), values[1:], strict=True):
             w.store(SCALAR, value, slot)
     return w.text()
 
@@ -305,14 +310,14 @@ def _code() -> CompiledCode:
     return CompiledCode(declarations() + "".join(texts), ["scores", "filter", "whiten", "smooth"])
 
 
-# -- what follows from them ----------------------------------------------------------------------------------
+# -- filter, likelihood, scoring -----------------------------------------------------------------------------
 @dataclass(frozen=True)
 class Filtered:
     """An error (T,) filtered under variances (7,) (R, s_w², s_1² …).
 
-    innovation, variance: (T,), the innovation NaN where there is no reading; reach: (T, n) covariance of the
-    state with the error before each reading; predicted: (T,) the error before it; state: (T, n) the state
-    after it.
+    innovation, variance: (T,) of the readings, the innovation NaN without a reading; reach: (T, n) P H', the
+    predicted covariance of the state with the error; predicted: (T,) predicted error; state: (T, n) state
+    after each reading.
     """
 
     course: Instants
@@ -339,13 +344,13 @@ class Filtered:
 
     @property
     def terms(self) -> np.ndarray:
-        """(T,) what each reading adds to −2 ln L; 0 without one."""
+        """(T,) contribution of each reading to −2 ln L; 0 without a reading."""
         e = self.standardised
         return np.where(np.isfinite(e), np.log(self.variance) + loss(e, self.bound), 0.0)
 
     @property
     def weight(self) -> np.ndarray:
-        """(T,) by which an innovation counts in least squares; 0 without one."""
+        """(T,) weight of each innovation in least squares; 0 without a reading."""
         e = np.abs(self.standardised)
         return np.where(np.isfinite(e), np.minimum(1.0, self.bound / np.maximum(e, 1e-300)), 0.0)
 
@@ -384,7 +389,7 @@ class Filtered:
 
 
 def loss(e: np.ndarray, bound: float = HUBER) -> np.ndarray:
-    """e² up to the bound, 2 b |e| − b² beyond."""
+    """Huber's loss: e² up to the bound b, 2 b |e| − b² beyond."""
     size = np.abs(e)
     counted = np.minimum(size, bound)
     return counted * (2.0 * size - counted)
@@ -404,62 +409,62 @@ def filtered(course: Instants, variances: np.ndarray, residual: np.ndarray, boun
 def _given(
     course: Instants, variances: np.ndarray, residual: np.ndarray
 ) -> tuple[tuple[np.ndarray, ...], np.ndarray]:
-    seen = np.isfinite(residual)
+    is_present = np.isfinite(residual)
     arrays = (
         course.key, course.table, np.ascontiguousarray(variances, dtype=float), shares(course.tau_h),
-        np.where(seen, residual, 0.0), seen.astype(float), course.added, course.shape,
+        np.where(is_present, residual, 0.0), is_present.astype(float), course.added, course.shape,
     )  # fmt: skip
-    return arrays, seen
+    return arrays, is_present
 
 
 def start_variances(course: Instants, residual: np.ndarray) -> np.ndarray:
-    """(7,) a twentieth of the error's variance as noise, the rest spread over the flow."""
+    """Start values (7,): 0.05 of the error's variance as noise, 0.1 as white flow, the rest in equal shares
+    over the resolved parts."""
     total = max(float(np.nanvar(residual)), 1e-12)
-    found = np.zeros(VARIANCES)
-    found[:2] = 0.05 * total, 0.1 * total
-    found[2:] = np.where(course.there, 0.85 * total / max(course.there.sum(), 1) / shares(course.tau_h), 0.0)
-    return found
+    variances = np.zeros(VARIANCES)
+    variances[:2] = 0.05 * total, 0.1 * total
+    variances[2:] = np.where(
+        course.there, 0.85 * total / max(course.there.sum(), 1) / shares(course.tau_h), 0.0
+    )
+    return variances
 
 
 def maximised(course: Instants, residual: np.ndarray, start: np.ndarray | None = None) -> np.ndarray:
-    """Variances (7,) of the greatest likelihood of an error (T,), by Fisher scoring.
-
-    The eight lanes are the point and each log variance moved.
-    """
+    """Variances (7,) that maximise the likelihood of an error (T,), by Fisher scoring."""
     upper = np.full(VARIANCES, course.largest)
     upper[2:] = course.largest / shares(course.tau_h)
     active = np.append([True, True], course.there)
     common = start_variances(course, residual)
-    begun = common if start is None else start
+    initial = common if start is None else start
     lowest = np.log(LEAST * upper)
-    usual = np.log(np.maximum(common, LEAST * upper))
-    z = np.clip(np.log(np.maximum(np.where(active, begun, 1.0), 1e-300)), lowest, np.log(upper))
+    log_common = np.log(np.maximum(common, LEAST * upper))
+    z = np.clip(np.log(np.maximum(np.where(active, initial, 1.0), 1e-300)), lowest, np.log(upper))
     damping, value, gradient, information = 1e-3, *_scores(course, residual, z, active)
-    near = False
+    is_near = False
     for _ in range(_STEPS):
         outward = ((z <= lowest + 1e-9) & (gradient > 0)) | ((z >= np.log(upper) - 1e-9) & (gradient < 0))
         free = active & ~outward
         if not free.any():
             break
         matrix = information[np.ix_(free, free)]
-        # slope and information of a small variance fall with it and its square: so does what holds it back
-        # from rising, else it would stay where it is
-        held = 0.5 * np.where(gradient < 0.0, np.minimum(1.0, np.exp(z - usual)), 1.0)[free] ** 2
-        matrix = matrix + np.diag(damping * np.diag(matrix) + held)
+        # the gradient of a small variance vanishes with the variance and its information with the square: the
+        # prior weight must vanish alike, or the variance could not grow
+        prior_weight = 0.5 * np.where(gradient < 0.0, np.minimum(1.0, np.exp(z - log_common)), 1.0)[free] ** 2
+        matrix = matrix + np.diag(damping * np.diag(matrix) + prior_weight)
         step = np.zeros(VARIANCES)
         step[free] = np.clip(-np.linalg.solve(matrix, gradient[free]), -_STEP, _STEP)
-        if near and step.max() < _STEP:
+        if is_near and step.max() < _STEP:
             break
-        moved = np.clip(z + step, lowest, np.log(upper))
-        trial = _scores(course, residual, moved, active)
-        if not trial[0] < value:
+        trial_z = np.clip(z + step, lowest, np.log(upper))
+        trial_scores = _scores(course, residual, trial_z, active)
+        if not trial_scores[0] < value:
             damping *= 8.0
             if damping > 1e6:
                 break
             continue
-        gained = value - trial[0]
-        z, (value, gradient, information) = moved, trial
-        near = gained < _GAIN and damping < 0.05
+        gain = value - trial_scores[0]
+        z, (value, gradient, information) = trial_z, trial_scores
+        is_near = gain < _GAIN and damping < 0.05
         damping = max(damping / 5.0, 1e-6)
     return np.where(active, np.exp(z), 0.0)
 
@@ -467,7 +472,10 @@ def maximised(course: Instants, residual: np.ndarray, start: np.ndarray | None =
 def _scores(
     course: Instants, residual: np.ndarray, z: np.ndarray, active: np.ndarray, bound: float = HUBER
 ) -> tuple[float, np.ndarray, np.ndarray]:
-    """−2 ln L, its gradient (7,) and its expected information (7, 7) in the log variances."""
+    """−2 ln L, its gradient (7,) and its expected information (7, 7) in the log variances.
+
+    The eight lanes run at z and at z with each log variance increased by `_MOVE`.
+    """
     lanes = np.repeat(np.where(active, np.exp(z), 0.0)[:, None], LANES, axis=1)
     lanes[np.arange(VARIANCES), np.arange(1, LANES)] *= math.exp(_MOVE)
     count = len(residual)
@@ -486,7 +494,7 @@ def _scores(
     return value, gradient, information
 
 
-def ahead(course: Instants, horizon_h: np.ndarray) -> np.ndarray:
-    """(h, n) weights of the state in the error expected after times (h,) [h]."""
-    rows = np.stack([coefficients(float(one), course.tau_h) for one in horizon_h])
+def forecast_weights(course: Instants, horizon_h: np.ndarray) -> np.ndarray:
+    """Weights (k, n) of the state's components in the error that is expected after k horizons [h]."""
+    rows = np.stack([coefficients(float(hours), course.tau_h) for hours in horizon_h])
     return np.column_stack([rows[:, len(TIMES_H) : -1], rows[:, -1]])

@@ -1,10 +1,11 @@
 """Maximum likelihood of a simulation: its parameters by Gauss–Newton, the variances of its error by scoring.
 
 The objective is −2 ln L of the identification readings under the error model, summed over the quantities,
-plus (z − mean)²/sd² of priors.  Trial steps of all dampings run side by side, so that one pass finds the best
-of them.
+plus (z − mean)²/sd² of priors.  The steps with all dampings are simulated together, and the best is taken.
+An estimate is `linear` in a parameter whose coordinate is the value itself instead of its logarithm, and
+`plain` where the error model is white noise (least squares).
 
-Shapes: T readings of a quantity, P parameters, d free ones.
+Shapes: T readings of a quantity, P parameters, d free parameters.
 """
 
 from __future__ import annotations
@@ -33,20 +34,20 @@ TIME_CONSTANT = {"temperature": "thermal_time_constant", "vapour": "hygric_k"}
 """Parameter that is the time constant [h] of a quantity's low pass."""
 DAMPINGS = (0.0, 1e-3, 1e-2, 0.1, 1.0, 10.0, 100.0, 1000.0)
 LARGEST_STEP = 1.5
-"""Largest change of a logarithm in one step."""
+"""Largest change of a logarithmic coordinate in one step."""
 MOVE = 1e-3
-"""Change of a logarithm, share of a prior's deviation by fifty and of a range by ten, for slopes."""
+"""Step of the numerical Jacobian: change of a logarithm; fifty times this share of a prior's standard
+deviation; a tenth of this share of a range."""
 STEPS = 3
 """Gauss–Newton steps between two estimates of the variances."""
 LIGHT, POLISH = (3, 0.3), (10, 0.05)
-"""Rounds at most, and the gain in −2 ln L below which they end."""
+"""Effort of a fit: largest number of rounds, and the gain in −2 ln L below which they end."""
 
 
 @dataclass(frozen=True)
 class Calibration:
-    """Parameters and variances of a simulator: theta (P,); the course of the error, its variances (7,)
-    and simulated readings (T,) by quantity; linear: parameters that are estimated as they are, whatever their
-    coordinate elsewhere."""
+    """Parameters `theta` (P,) of a simulator; by quantity, the instants of the error, its variances (7,) and
+    the simulated readings (T,); linear: parameters whose coordinate is never the logarithm."""
 
     simulator: Simulator
     errors: Mapping[str, Instants]
@@ -80,11 +81,11 @@ class Calibration:
     def deviances(self) -> dict[str, float]:
         """−2 ln L of each quantity, the priors of its parameters included."""
         return {
-            q: one.deviance + sum(
+            q: reference.deviance + sum(
                 _prior_term(p, x) for p, x in zip(self.simulator.parameters, self.theta, strict=True)
                 if q in self.simulator.affects(p.name)
             )
-            for q, one in self.filtered.items()
+            for q, reference in self.filtered.items()
         }  # fmt: skip
 
     @property
@@ -95,13 +96,14 @@ class Calibration:
 def _prior_term(p: Parameter, value: float) -> float:
     if p.prior is None:
         return 0.0
-    at = math.log(value) if p.prior.logarithmic else value
-    return ((at - p.prior.mean) / p.prior.sd) ** 2
+    coordinate = math.log(value) if p.prior.logarithmic else value
+    return ((coordinate - p.prior.mean) / p.prior.sd) ** 2
 
 
 @dataclass(frozen=True)
 class Frame:
-    """Free parameters in their coordinates: place (d,) among all, whether each is a logarithm, and limits."""
+    """Coordinates of the free parameters (each (d,)): their places among all parameters, whether a coordinate
+    is the logarithm, its limits, and its `move` for the numerical Jacobian."""
 
     place: np.ndarray
     logarithmic: np.ndarray
@@ -113,24 +115,27 @@ class Frame:
         x = theta[self.place]
         return np.where(self.logarithmic, np.log(np.maximum(x, 1e-300)), x)
 
-    def theta(self, before: np.ndarray, z: np.ndarray) -> np.ndarray:
-        made = before.copy()
-        made[self.place] = np.where(self.logarithmic, np.exp(np.where(self.logarithmic, z, 0.0)), z)
-        return made
+    def theta(self, start: np.ndarray, z: np.ndarray) -> np.ndarray:
+        theta = start.copy()
+        theta[self.place] = np.where(self.logarithmic, np.exp(np.where(self.logarithmic, z, 0.0)), z)
+        return theta
 
 
 def frame(parameters: Sequence[Parameter], free: Collection[str], linear: Collection[str]) -> Frame:
     place = np.array([i for i, p in enumerate(parameters) if p.name in free], dtype=int)
-    chosen = [parameters[i] for i in place]
-    logs = np.array([p.positive and p.name not in linear for p in chosen], dtype=bool)
-    lower = [math.log(p.lower) if log else (min(p.lower, p.null or 0.0) if p.positive else p.lower)
-             for p, log in zip(chosen, logs, strict=True)]  # fmt: skip
-    upper = [math.log(p.upper) if log else p.upper for p, log in zip(chosen, logs, strict=True)]
-    move = [
-        MOVE if log else 50.0 * MOVE * p.prior.sd if p.prior else 0.1 * MOVE * min(p.upper - p.lower, 50.0)
-        for p, log in zip(chosen, logs, strict=True)
+    free_parameters = [parameters[i] for i in place]
+    logarithmic = np.array([p.positive and p.name not in linear for p in free_parameters], dtype=bool)
+    lower = [math.log(p.lower) if is_log else (min(p.lower, p.null or 0.0) if p.positive else p.lower)
+             for p, is_log in zip(free_parameters, logarithmic, strict=True)]  # fmt: skip
+    upper = [
+        math.log(p.upper) if is_log else p.upper
+        for p, is_log in zip(free_parameters, logarithmic, strict=True)
     ]
-    return Frame(place, logs, np.array(lower), np.array(upper), np.array(move))
+    move = [
+        MOVE if is_log else 50.0 * MOVE * p.prior.sd if p.prior else 0.1 * MOVE * min(p.upper - p.lower, 50.0)
+        for p, is_log in zip(free_parameters, logarithmic, strict=True)
+    ]
+    return Frame(place, logarithmic, np.array(lower), np.array(upper), np.array(move))
 
 
 def estimate_at(
@@ -138,177 +143,189 @@ def estimate_at(
     linear: frozenset[str] = frozenset(), variances: Mapping[str, np.ndarray] | None = None,
     plain: bool = False,
 ) -> Calibration:  # fmt: skip
-    """The estimate at given parameters, its variances maximised unless they are given."""
+    """The calibration at given parameters; without `variances`, with those of the greatest likelihood."""
     simulated = {q: simulator.simulated(theta[:, None], q)[:, 0] for q in errors}
-    made = Calibration(simulator, errors, theta, variances or {}, simulated, linear, plain)
-    return made if variances else with_variances(made)
+    calibration = Calibration(simulator, errors, theta, variances or {}, simulated, linear, plain)
+    return calibration if variances else with_variances(calibration)
 
 
-def with_variances(one: Calibration, block: Sequence[str] | None = None) -> Calibration:
-    """The estimate with the variances of some quantities (all) at their maximum."""
-    found = dict(one.variances)
-    for q in one.quantities if block is None else block:
-        residual = one.residual(q)
-        if one.plain:
-            found[q] = np.zeros(VARIANCES)
-            found[q][0] = max(float(np.nanmean(residual**2)), 1e-12)
+def with_variances(estimate: Calibration, quantities: Sequence[str] | None = None) -> Calibration:
+    """The estimate with the variances of the quantities (None: all) at their maximum likelihood."""
+    variances = dict(estimate.variances)
+    for q in estimate.quantities if quantities is None else quantities:
+        residual = estimate.residual(q)
+        if estimate.plain:
+            variances[q] = np.zeros(VARIANCES)
+            variances[q][0] = max(float(np.nanmean(residual**2)), 1e-12)
         else:
-            start = one.variances.get(q)
-            found[q] = maximised(one.errors[q], residual, start)
-    return replace(one, variances=found)
+            start = estimate.variances.get(q)
+            variances[q] = maximised(estimate.errors[q], residual, start)
+    return replace(estimate, variances=variances)
 
 
 Columns = Mapping[str, Mapping[str, np.ndarray]]
-"""Slopes (T,) by quantity and parameter."""
+"""Columns (T,) of the Jacobian by quantity and parameter."""
 
 
 def fitted(
-    one: Calibration,
+    estimate: Calibration,
     free: Collection[str] | None = None,
     effort: tuple[int, float] = POLISH,
     kept: Columns | None = None,
 ) -> Calibration:
-    """The estimate with the free parameters (all) and the variances at their maximum.
+    """The estimate with the free parameters (None: all) and the variances at their maximum likelihood.
 
-    Quantities that share no parameter are fitted one after the other.  kept: slopes of a point nearby that
-    serve for all steps.
+    Quantities that share no parameter are fitted one after the other.  kept: columns of the Jacobian at a
+    nearby point, used in all steps.
     """
-    names = set(one.simulator.names) if free is None else set(free)
-    for block in _blocks(one, names):
+    names = set(estimate.simulator.names) if free is None else set(free)
+    for block in _blocks(estimate, names):
         rounds, tolerance = effort
         for _ in range(rounds):
-            before = sum(one.deviances[q] for q in block)
-            one = with_variances(_stepped(one, names, block, kept or {}), block)
-            if not sum(one.deviances[q] for q in block) < before - tolerance:
+            deviance_before = sum(estimate.deviances[q] for q in block)
+            estimate = with_variances(_stepped(estimate, names, block, kept or {}), block)
+            if not sum(estimate.deviances[q] for q in block) < deviance_before - tolerance:
                 break
-    return one
+    return estimate
 
 
-def acting(one: Calibration, quantities: Collection[str]) -> list[str]:
-    """The parameters that act on some quantities."""
-    return [name for name in one.simulator.names if set(one.simulator.affects(name)) & set(quantities)]
+def acting(estimate: Calibration, quantities: Collection[str]) -> list[str]:
+    """The parameters that act on any of the quantities."""
+    return [
+        name for name in estimate.simulator.names if set(estimate.simulator.affects(name)) & set(quantities)
+    ]
 
 
-def _blocks(one: Calibration, free: set[str]) -> list[tuple[str, ...]]:
-    """The quantities that free parameters act on, together where one acts on several."""
-    acting = [set(one.simulator.affects(name)) & set(one.quantities) for name in free]
-    if any(len(group) > 1 for group in acting):
-        return [one.quantities]
-    return [(q,) for q in one.quantities if {q} in acting]
+def _blocks(estimate: Calibration, free: set[str]) -> list[tuple[str, ...]]:
+    """The quantities that free parameters act on, as one block if any parameter acts on several of them."""
+    acted_on = [set(estimate.simulator.affects(name)) & set(estimate.quantities) for name in free]
+    if any(len(group) > 1 for group in acted_on):
+        return [estimate.quantities]
+    return [(q,) for q in estimate.quantities if {q} in acted_on]
 
 
-def _stepped(one: Calibration, free: set[str], block: tuple[str, ...], kept: Columns) -> Calibration:
+def _stepped(estimate: Calibration, free: set[str], block: tuple[str, ...], kept: Columns) -> Calibration:
     """Up to `STEPS` Gauss–Newton steps under fixed variances."""
-    mine = {name for name in free if set(one.simulator.affects(name)) & set(block)}
+    acting_names = {name for name in free if set(estimate.simulator.affects(name)) & set(block)}
     for _ in range(STEPS):
-        f = frame(one.simulator.parameters, mine, one.linear)
-        matrix, gradient = _normal_equations(one, f, block, kept)
-        z = f.coordinates(one.theta)
+        f = frame(estimate.simulator.parameters, acting_names, estimate.linear)
+        matrix, gradient = _normal_equations(estimate, f, block, kept)
+        z = f.coordinates(estimate.theta)
         steps = [_step(matrix, gradient, z, f, damping) for damping in DAMPINGS]
-        moved = np.column_stack([f.theta(one.theta, np.clip(z + s, f.lower, f.upper)) for s in steps])
-        deviance, runs = _trials(one, moved, block)
+        trials = np.column_stack([f.theta(estimate.theta, np.clip(z + s, f.lower, f.upper)) for s in steps])
+        deviance, runs = _trials(estimate, trials, block)
         best = int(np.argmin(deviance))
-        gained = sum(one.deviances[q] for q in block) - deviance[best]
-        if not gained > 0.0:
+        gain = sum(estimate.deviances[q] for q in block) - deviance[best]
+        if not gain > 0.0:
             break
         simulated = {q: y[:, best] for q, y in runs.items()}
-        one = replace(one, theta=moved[:, best].copy(), simulated={**one.simulated, **simulated})
-        if gained < 0.1:
+        estimate = replace(
+            estimate, theta=trials[:, best].copy(), simulated={**estimate.simulated, **simulated}
+        )
+        if gain < 0.1:
             break
-    return one
+    return estimate
 
 
 def _trials(
-    one: Calibration, theta: np.ndarray, block: Sequence[str]
+    estimate: Calibration, theta: np.ndarray, block: Sequence[str]
 ) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-    """−2 ln L (n,), infinite where they diverge, and readings (T, n) of runs with parameters (P, n) under the
-    estimate's variances."""
+    """−2 ln L (n,) under the estimate's variances, and the readings (T, n), of runs with parameters (P, n);
+    −2 ln L is infinite where a run diverges."""
     total = np.zeros(theta.shape[1])
     simulated = {}
     for q in block:
-        known, r = one.filtered[q], one.simulator.scene.readings[q]
+        reference, r = estimate.filtered[q], estimate.simulator.scene.readings[q]
         with np.errstate(over="ignore", invalid="ignore"):
-            y = simulated[q] = one.simulator.simulated(theta, q)
-            e = known.whitened(np.where(r.identified[:, None], r.value[:, None] - y, np.nan))
-            total += loss(e, known.bound).sum(axis=0) + float(
-                np.log(known.variance[np.isfinite(known.innovation)]).sum()
+            trial_readings = simulated[q] = estimate.simulator.simulated(theta, q)
+            errors = reference.whitened(
+                np.where(r.identified[:, None], r.value[:, None] - trial_readings, np.nan)
             )
-        for i, p in enumerate(one.simulator.parameters):
-            if p.prior is not None and q in one.simulator.affects(p.name):
+            total += loss(errors, reference.bound).sum(axis=0) + float(
+                np.log(reference.variance[np.isfinite(reference.innovation)]).sum()
+            )
+        for i, p in enumerate(estimate.simulator.parameters):
+            if p.prior is not None and q in estimate.simulator.affects(p.name):
                 total += np.array([_prior_term(p, x) for x in theta[i]])
     return np.where(np.isfinite(total), total, math.inf), simulated
 
 
 def slopes(
-    one: Calibration, f: Frame, block: Sequence[str] | None = None, kept: Columns | None = None
+    estimate: Calibration, coordinates: Frame, block: Sequence[str] | None = None, kept: Columns | None = None
 ) -> dict[str, np.ndarray]:
-    """(T, d) slopes of the simulated readings in the coordinates, by quantity (all); those that are `kept`
-    are not run again."""
-    block = one.quantities if block is None else block
-    z = f.coordinates(one.theta)
-    names = [one.simulator.names[i] for i in f.place]
-    found = {q: np.zeros((len(one.simulated[q]), len(z))) for q in block}
+    """The Jacobian (T, d) of the simulated readings in the coordinates, by quantity (None: all); columns in
+    `kept` are used as they are."""
+    block = estimate.quantities if block is None else block
+    z = coordinates.coordinates(estimate.theta)
+    names = [estimate.simulator.names[i] for i in coordinates.place]
+    jacobian = {q: np.zeros((len(estimate.simulated[q]), len(z))) for q in block}
     for q in block:
-        known = (kept or {}).get(q, {})
+        kept_columns = (kept or {}).get(q, {})
         for i, name in enumerate(names):
-            if name in known:
-                found[q][:, i] = known[name]
-        there = [i for i, n in enumerate(names) if n not in known and q in one.simulator.affects(n)]
-        if not there:
+            if name in kept_columns:
+                jacobian[q][:, i] = kept_columns[name]
+        to_run = [
+            i for i, n in enumerate(names) if n not in kept_columns and q in estimate.simulator.affects(n)
+        ]
+        if not to_run:
             continue
-        move = np.where(z + f.move > f.upper, -f.move, f.move)
-        moved = [f.theta(one.theta, z + move * (np.arange(len(z)) == i)) for i in there]
-        y = one.simulator.simulated(np.column_stack(moved), q)
-        found[q][:, there] = (y - one.simulated[q][:, None]) / move[there]
-    return found
+        move = np.where(z + coordinates.move > coordinates.upper, -coordinates.move, coordinates.move)
+        moved_theta = [coordinates.theta(estimate.theta, z + move * (np.arange(len(z)) == i)) for i in to_run]
+        moved_readings = estimate.simulator.simulated(np.column_stack(moved_theta), q)
+        jacobian[q][:, to_run] = (moved_readings - estimate.simulated[q][:, None]) / move[to_run]
+    return jacobian
 
 
-def weighted(one: Calibration, quantity: str, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Whitened columns (T, c) and errors (T,), both times the roots of the readings' weights."""
-    known = one.filtered[quantity]
-    root = np.sqrt(known.weight)
+def weighted(estimate: Calibration, quantity: str, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Whitened columns (T, c) and whitened errors (T,), each times the roots of the readings' weights."""
+    reference = estimate.filtered[quantity]
+    root = np.sqrt(reference.weight)
     with np.errstate(invalid="ignore", over="ignore"):
-        white = known.whitened(np.nan_to_num(columns)) * root[:, None]
-    return white, np.nan_to_num(known.standardised) * root
+        white = reference.whitened(np.nan_to_num(columns)) * root[:, None]
+    return white, np.nan_to_num(reference.standardised) * root
 
 
 def _normal_equations(
-    one: Calibration, f: Frame, block: Sequence[str], kept: Columns
+    estimate: Calibration, coordinates: Frame, block: Sequence[str], kept: Columns
 ) -> tuple[np.ndarray, np.ndarray]:
     """Gauss–Newton matrix (d, d) and gradient (d,) of half of −2 ln L."""
-    d = len(f.place)
+    d = len(coordinates.place)
     matrix, gradient = np.zeros((d, d)), np.zeros(d)
-    for q, columns in slopes(one, f, block, kept).items():
-        known = one.filtered[q]
-        there = np.flatnonzero(columns.any(axis=0))
-        white = known.whitened(columns[:, there])
-        e, w = np.nan_to_num(known.standardised), known.weight
-        matrix[np.ix_(there, there)] += white.T @ (white * w[:, None])
-        gradient[there] -= white.T @ (w * e)
-    information, slope = of_priors(one, f)
+    for q, columns in slopes(estimate, coordinates, block, kept).items():
+        reference = estimate.filtered[q]
+        nonzero = np.flatnonzero(columns.any(axis=0))
+        white = reference.whitened(columns[:, nonzero])
+        e, w = np.nan_to_num(reference.standardised), reference.weight
+        matrix[np.ix_(nonzero, nonzero)] += white.T @ (white * w[:, None])
+        gradient[nonzero] -= white.T @ (w * e)
+    information, slope = of_priors(estimate, coordinates)
     matrix += np.diag(information)
     gradient -= slope
     return matrix, gradient
 
 
-def of_priors(one: Calibration, f: Frame) -> tuple[np.ndarray, np.ndarray]:
-    """(d,) information of the priors in the coordinates, and slopes of their log densities."""
-    information, slope = np.zeros((2, len(f.place)))
-    for i, place in enumerate(f.place):
-        prior, value = one.simulator.parameters[place].prior, float(one.theta[place])
+def of_priors(estimate: Calibration, coordinates: Frame) -> tuple[np.ndarray, np.ndarray]:
+    """(d,) information of the priors in the coordinates, and the gradient of their log densities."""
+    information, gradient = np.zeros((2, len(coordinates.place)))
+    for i, place in enumerate(coordinates.place):
+        prior, value = estimate.simulator.parameters[place].prior, float(estimate.theta[place])
         if prior is not None:
-            unit = value if f.logarithmic[i] else 1.0
-            information[i], slope[i] = (
+            unit = value if coordinates.logarithmic[i] else 1.0
+            information[i], gradient[i] = (
                 prior.information(value) * unit**2,
                 prior.log_density_derivative(value) * unit,
             )
-    return information, slope
+    return information, gradient
 
 
-def _step(matrix: np.ndarray, gradient: np.ndarray, z: np.ndarray, f: Frame, damping: float) -> np.ndarray:
-    """A damped step; parameters at a limit that pull outward stay."""
+def _step(
+    matrix: np.ndarray, gradient: np.ndarray, z: np.ndarray, coordinates: Frame, damping: float
+) -> np.ndarray:
+    """A damped Gauss–Newton step; coordinates at a limit with an outward gradient stay there."""
     step = np.zeros(len(z))
-    free = ~(((z <= f.lower) & (gradient > 0)) | ((z >= f.upper) & (gradient < 0))) & (np.diag(matrix) > 0)
+    free = ~(((z <= coordinates.lower) & (gradient > 0)) | ((z >= coordinates.upper) & (gradient < 0))) & (
+        np.diag(matrix) > 0
+    )
     for _ in range(len(z) + 1):
         if not free.any():
             break
@@ -316,19 +333,20 @@ def _step(matrix: np.ndarray, gradient: np.ndarray, z: np.ndarray, f: Frame, dam
         scaled = matrix[np.ix_(free, free)] * scale[:, None] * scale + (damping + 1e-9) * np.eye(free.sum())
         step[:] = 0.0
         step[free] = -scale * np.linalg.solve(scaled, scale * gradient[free])
-        # a step that meets a limit is taken again with that parameter held there
+        # a step across a limit is computed again with that coordinate fixed
         beyond = free & (
-            (z + step < f.lower) & (z <= f.lower + 1e-12) | (z + step > f.upper) & (z >= f.upper - 1e-12)
+            (z + step < coordinates.lower) & (z <= coordinates.lower + 1e-12)
+            | (z + step > coordinates.upper) & (z >= coordinates.upper - 1e-12)
         )
         if not beyond.any():
             break
         free &= ~beyond
-    reach = np.where(f.logarithmic, LARGEST_STEP, np.inf)
-    return np.clip(step, -reach, reach)
+    largest = np.where(coordinates.logarithmic, LARGEST_STEP, np.inf)
+    return np.clip(step, -largest, largest)
 
 
 def errors_of(simulator: Simulator, theta: np.ndarray, quantities: Sequence[str]) -> dict[str, Instants]:
-    """The courses of the errors in a round: the low pass has the time constants of parameters (P,)."""
+    """The instants of the errors by quantity; their low pass has the time constants of parameters (P,)."""
     values = dict(zip(simulator.names, theta.tolist(), strict=True))
     courses = {}
     for q in quantities:

@@ -1,9 +1,9 @@
 """A user's own causes: loaded from a file or an installed package into a library, and tried.
 
-A file is executed: load only files that you trust.  Checked are sentences and names, forms, and that a cause
-is nested in the base models.  Everything is tried on a small record with every signal of the table (30 days,
-hourly, made of sines).  At the null value of a mechanism the simulation of the extended model must be that of
-the base; away from it the simulation must change.
+A file is executed: load only files that you trust.  The checks cover sentences, names and forms, and whether
+a cause is nested in the base models.  They use a small record with every signal (30 days, hourly, made of
+sines).  At the null value of a mechanism the extended model must give the simulation of the base; at other
+values the simulation must change.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ from hygrokf.physics.model import SUMS, Mechanism
 GROUP = "hygrokf.causes"
 """Entry points of this group name a `Cause`, or a module with causes at its top level."""
 SAME = 1e-5
-"""[1] largest difference of two simulations that count as equal, as a share of the spread of the base's."""
+"""[1] largest difference of two equal simulations, as a share of the standard deviation of the base's."""
 DAYS = 30
 IDENTIFIER = re.compile(r"[a-z][a-z0-9_]*")
 _RANGES: Mapping[str, tuple[float, float]] = {
@@ -87,7 +87,7 @@ def trial_record() -> Record:
 
 @lru_cache(maxsize=2)
 def trial_estimate(library: Library = LIBRARY) -> Calibration:
-    """The base model on the trial record, at its start values: nothing is estimated."""
+    """The base model on the trial record at its start values, without estimation."""
     record = trial_record()
     heat, vapour = base_designs(record, library)
     simulator = Simulator(scene_of(record, heat, vapour), heat, vapour)
@@ -97,7 +97,7 @@ def trial_estimate(library: Library = LIBRARY) -> Calibration:
 
 
 def trial_ground() -> Ground:
-    """The ground on which forms are tried."""
+    """The ground (record and base designs) for which causes give their forms on the trial record."""
     simulator = trial_estimate().simulator
     return ground_of(simulator.scene.record, simulator.heat, simulator.vapour)
 
@@ -114,7 +114,7 @@ def declared_faults(cause: Cause) -> list[str]:
         faults.append(
             f"name: expected an identifier in small letters such as damp_wall, found {cause.name!r}"
         )
-    if cause.name in {one.name for one in CAUSES}:
+    if cause.name in {known.name for known in CAUSES}:
         faults.append("the package has a cause of that name; choose another name")
     odd = [word for word in ("mechanisms", "features") if not isinstance(getattr(cause, word), Mapping)]
     if odd:
@@ -143,38 +143,39 @@ def _factory_faults(
     name: str, factory: Callable[..., Mechanism], features: Mapping[str, object]
 ) -> Iterator[str]:
     try:
-        made = factory()
+        mechanism = factory()
     except Exception as fault:
         yield f"mechanism {name!r}: its factory, called without arguments, fails: {exception_text(fault)}"
         return
-    if not isinstance(made, Mechanism) or made.name != name:
-        found = f"one named {made.name!r}" if isinstance(made, Mechanism) else repr(made)
+    if not isinstance(mechanism, Mechanism) or mechanism.name != name:
+        found = f"one named {mechanism.name!r}" if isinstance(mechanism, Mechanism) else repr(mechanism)
         yield f"mechanism {name!r}: expected its factory to return a Mechanism of that name, found {found}"
         return
-    absent = [one for one in made.features if one not in features]
+    absent = [feature for feature in mechanism.features if feature not in features]
     if absent:
         yield (
             f"mechanism {name!r}: expected its features {', '.join(absent)} in features= of the Cause too, "
             "found none there; state them, or make the cause with cause_of"
         )
-    known = {*HOLDS, *features, *made.features}
-    for one in made.inputs:
-        if one not in known:
+    known_names = {*HOLDS, *features, *mechanism.features}
+    for signal in mechanism.inputs:
+        if signal not in known_names:
             yield (
-                f"mechanism {name!r}: unknown input {one!r}: no signal and no feature{suggestion(one, known)}"
+                f"mechanism {name!r}: unknown input {signal!r}: no signal and no feature"
+                f"{suggestion(signal, known_names)}"
             )
-    brought = _package_names()
-    taken = sorted({*(p.name for p in made.parameters), *made.states} & brought)
+    package_names = _package_names()
+    taken = sorted({*(p.name for p in mechanism.parameters), *mechanism.states} & package_names)
     if taken:
         yield (
             f"mechanism {name!r}: the package has parameters or states named {', '.join(taken)}; rename them"
         )
-    if not made.null:
+    if not mechanism.null:
         yield (
             f"mechanism {name!r}: expected a parameter with a null value at which it has no effect, found "
             "none; give one of its parameters null=0.0"
         )
-    for p in made.parameters:
+    for p in mechanism.parameters:
         if p.null is not None and not (p.lower <= p.null <= p.upper or (p.positive and p.null == 0.0)):
             yield f"mechanism {name!r}: the null value {p.null:g} of {p.name} is outside of its bounds"
         if not p.meaning or not p.unit:
@@ -184,9 +185,9 @@ def _factory_faults(
 @lru_cache(maxsize=1)
 def _package_names() -> frozenset[str]:
     """Parameters and states of the base models and of the package's further mechanisms."""
-    models = [m for one in trial_estimate().simulator.designs for m in one.model.mechanisms]
-    brought = [factory for cause in CAUSES for factory in cause.mechanisms.values()]
-    models += [factory() for factory in (*LOGGED, *FURTHER, *brought)]
+    models = [m for design in trial_estimate().simulator.designs for m in design.model.mechanisms]
+    factories = [factory for cause in CAUSES for factory in cause.mechanisms.values()]
+    models += [factory() for factory in (*LOGGED, *FURTHER, *factories)]
     return frozenset(name for m in models for name in (*(p.name for p in m.parameters), *m.states))
 
 
@@ -214,7 +215,7 @@ def form_faults(cause: Cause, library: Library) -> list[str]:
 
 
 def _faults_of(form: Form, library: Library) -> list[str]:
-    one = trial_estimate(library)
+    trial = trial_estimate(library)
     faults = [f"feature {fault}" for s in form.grid for fault in feature_faults(s.features, library.features)]
     faults += [
         f"unknown mechanism {name!r}: name one of the package, or add it to the cause's mechanisms"
@@ -231,40 +232,41 @@ def _faults_of(form: Form, library: Library) -> list[str]:
     if faults or not (form.heat or form.vapour):
         return faults
     try:
-        wider = widened(one, form, form.grid[0])
-        own = {p.name: p for p in added(one, wider)}
+        wider = widened(trial, form, form.grid[0])
+        own_parameters = {p.name: p for p in added(trial, wider)}
         unknown = sorted({*form.limits, *(name for s in form.grid for name in s.values)} - set(wider.names))
         if unknown:
             faults.append(
-                f"values of unknown parameters {', '.join(unknown)}; it has {', '.join(sorted(own))}"
+                f"values of unknown parameters {', '.join(unknown)}; "
+                f"it has {', '.join(sorted(own_parameters))}"
             )
-        faults += _nesting_faults(one, wider, form, start_values(one, wider, form.grid[0]))
+        faults += _nesting_faults(trial, wider, form, start_values(trial, wider, form.grid[0]))
     except Exception as fault:
         faults.append(exception_text(fault))
     return faults
 
 
 def _nesting_faults(
-    one: Calibration, wider: Simulator, form: Form, start: Mapping[str, float]
+    trial: Calibration, wider: Simulator, form: Form, start: Mapping[str, float]
 ) -> Iterator[str]:
-    """Faults of a form that is not nested in the base, or has no effect beside it."""
-    own = added(one, wider)
-    null = {p.name: p.null for p in own if p.null is not None}
-    other = {p.name: _away(p.start, p.lower, p.upper, p.positive) for p in own}
-    for given in ({**start, **null}, {**start, **other, **null}):
-        found = max(_departures(one, wider, given).values())
-        if not found <= SAME:
-            at = ", ".join(f"{name} = {value:g}" for name, value in null.items())
-            differs = f"differs by {100.0 * found:.3g} % of its spread"
+    """Faults of a form that is not nested in the base, or does not change the simulation of the base."""
+    own_parameters = added(trial, wider)
+    null = {p.name: p.null for p in own_parameters if p.null is not None}
+    changed = {p.name: _away(p.start, p.lower, p.upper, p.positive) for p in own_parameters}
+    for values in ({**start, **null}, {**start, **changed, **null}):
+        deviation = max(_deviations(trial, wider, values).values())
+        if not deviation <= SAME:
+            null_values = ", ".join(f"{name} = {value:g}" for name, value in null.items())
+            differs = f"differs by {100.0 * deviation:.3g} % of its spread"
             yield (
-                f"expected the base model at the null value ({at}), found a simulation that "
-                f"{differs if found < math.inf else 'is not finite'}; every effect must vanish there"
+                f"expected the base model at the null value ({null_values}), found a simulation that "
+                f"{differs if deviation < math.inf else 'is not finite'}; every effect must vanish there"
             )
             return
-    acting = {**start, **{name: other[name] for name in null}}
-    moved = replace(wider, scene=_with_waves(wider), _cells={})
-    still = replace(one, simulated=_simulated(moved, {**start, **null}))
-    changes = _departures(still, moved, acting)
+    with_effect = {**start, **{name: changed[name] for name in null}}
+    waved = replace(wider, scene=_with_waves(wider), _cells={})
+    without_effect = replace(trial, simulated=_simulated(waved, {**start, **null}))
+    changes = _deviations(without_effect, waved, with_effect)
     for quantity, mechanisms in (("temperature", form.heat), ("vapour", form.vapour)):
         if mechanisms and not changes[quantity] < math.inf:
             yield (
@@ -283,19 +285,19 @@ def _simulated(simulator: Simulator, values: Mapping[str, float]) -> dict[str, n
     return {q: simulator.simulated(theta, q)[:, 0] for q in simulator.scene.readings}
 
 
-def _departures(one: Calibration, wider: Simulator, values: Mapping[str, float]) -> dict[str, float]:
-    """Largest difference of each quantity's simulation from the base's, as a share of that one's spread;
-    infinite where a simulation is not finite."""
-    made, found = _simulated(wider, values), {}
-    for q, base in one.simulated.items():
-        share = float(np.max(np.abs(made[q] - base)) / np.std(base))
-        found[q] = share if math.isfinite(share) else math.inf
-    return found
+def _deviations(trial: Calibration, wider: Simulator, values: Mapping[str, float]) -> dict[str, float]:
+    """Largest difference of each quantity's simulation from that of the base, as a share of the standard
+    deviation of the base's simulation; infinite if a simulation is not finite."""
+    simulated, shares = _simulated(wider, values), {}
+    for q, base in trial.simulated.items():
+        share = float(np.max(np.abs(simulated[q] - base)) / np.std(base))
+        shares[q] = share if math.isfinite(share) else math.inf
+    return shares
 
 
 def _with_waves(simulator: Simulator) -> Scene:
-    """The scene with waves for features that are constant in it: a threshold that this record never reaches,
-    a late date."""
+    """The scene with waves in place of features that are constant in it, such as a threshold that the trial
+    record never reaches."""
     scene, waves = simulator.scene, []
     for design in simulator.designs:
         for name in design.features:
@@ -315,11 +317,12 @@ def _away(start: float, lower: float, upper: float, positive: bool) -> float:
 
 _PACKAGE = str(Path(__file__).parents[1])
 _FUNCTOOLS = functools.__file__
-"""Its frames stand between the package and a user's code where the package caches a property."""
+"""File of the frames between the package and a user's code where the package caches a property."""
 
 
 def exception_text(fault: BaseException, file: str | None = None) -> str:
-    """An exception in a user's code as a phrase: its kind, its text, and the last line of that code."""
+    """An exception in a user's code as a phrase: its type, its text, and the last line of the code that it
+    passed."""
     if isinstance(fault, LibraryFault) and fault.__cause__:  # of a guarded function
         fault = fault.__cause__
     frames = traceback.extract_tb(fault.__traceback__)
@@ -333,14 +336,14 @@ def exception_text(fault: BaseException, file: str | None = None) -> str:
 
 # -- a library -----------------------------------------------------------------------------------------------
 def expect_usable(library: Library) -> None:
-    """Try the causes of a library that bring mechanisms or features and are not the package's own.
+    """Check the user's causes of a library that bring mechanisms or features.
 
     Raises LibraryFault that lists all faults.
     """
-    new = [one for one in library.own if one.mechanisms or one.features]
-    faults = [f"cause {one.name!r}: {fault}" for one in new for fault in declared_faults(one)]
+    new = [cause for cause in library.own if cause.mechanisms or cause.features]
+    faults = [f"cause {cause.name!r}: {fault}" for cause in new for fault in declared_faults(cause)]
     faults = faults or [
-        f"cause {one.name!r}: {fault}" for one in new for fault in form_faults(one, library)
+        f"cause {cause.name!r}: {fault}" for cause in new for fault in form_faults(cause, library)
     ]
     if faults:
         raise LibraryFault(faults)
@@ -358,25 +361,25 @@ def load_library(*files: str | Path, installed: bool = False, library: Library =
     of a model with their mechanisms.  Raises LibraryFault that lists all faults of all files.
     """
     faults: list[str] = []
-    found: list[tuple[str, Cause, Origin]] = []
+    loaded: list[tuple[str, Cause, Origin]] = []
     paths = list(dict.fromkeys(Path(file).resolve() for file in files))
     for path in paths:
         try:
             causes, origin = _causes_in(path)
-            found += [(path.name, _guarded(cause, path), origin) for cause in causes]
+            loaded += [(path.name, _guarded(cause, path), origin) for cause in causes]
         except LibraryFault as fault:
-            faults += [f"{path.name}: {one}" for one in fault.faults]
+            faults += [f"{path.name}: {text}" for text in fault.faults]
     for entry in entry_points(group=GROUP) if installed else ():
         label, origin = _origin_of(entry)
         try:
-            found += [(label, _guarded(cause), origin) for cause in _causes_of(entry)]
+            loaded += [(label, _guarded(cause), origin) for cause in _causes_of(entry)]
         except LibraryFault as fault:
-            faults += [f"{label}: {one}" for one in fault.faults]
-    faults += duplicates([(source, cause) for source, cause, _ in found])
-    said = [declared_faults(cause) for _, cause, _ in found]
-    for (_, cause, origin), wrong in zip(found, said, strict=True):
+            faults += [f"{label}: {text}" for text in fault.faults]
+    faults += duplicates([(source, cause) for source, cause, _ in loaded])
+    declared = [declared_faults(cause) for _, cause, _ in loaded]
+    for (_, cause, origin), wrong in zip(loaded, declared, strict=True):
         library = library if wrong else library.joined(cause, origin)
-    for (source, cause, _), wrong in zip(found, said, strict=True):
+    for (source, cause, _), wrong in zip(loaded, declared, strict=True):
         wrong = wrong or form_faults(cause, library)
         faults += [f"{source}: cause {cause.name!r}: {fault}" for fault in wrong]
     if faults:
@@ -410,8 +413,8 @@ def _causes_in(path: Path) -> tuple[list[Cause], Origin]:
 
 
 def _causes_at_top(module: object) -> list[Cause]:
-    found = {id(one): one for one in vars(module).values() if isinstance(one, Cause)}
-    own = [one for one in found.values() if all(one is not known for known in CAUSES)]
+    causes = {id(value): value for value in vars(module).values() if isinstance(value, Cause)}
+    own = [cause for cause in causes.values() if all(cause is not known for known in CAUSES)]
     if not own:
         text = "expected a hygrokf.Cause at the top level, found none: NAME = hygrokf.cause_of(…), "
         raise LibraryFault([text + "docs/how_to/own_cause.md"])

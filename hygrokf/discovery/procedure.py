@@ -1,5 +1,5 @@
-"""From a record to its discovery: the errors of the simulation, their cause, the extended model, its gain,
-and what is told of a cause."""
+"""From a record to its discovery: errors of the simulation, their cause, the extended model, its gain, and
+the report of each cause."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from hygrokf.data.record import Record
 from hygrokf.data.signals import SIGNALS
 from hygrokf.data.timestamps import DAY_S
 from hygrokf.discovery.candidates import Candidate, brought
-from hygrokf.discovery.conclusion import Conclusion, concluded, what_is_left
+from hygrokf.discovery.conclusion import Conclusion, conclude, remaining_lines
 from hygrokf.discovery.estimate import Calibration
 from hygrokf.discovery.final_set import FinalSet, fit_of
 from hygrokf.discovery.findings import findings
@@ -53,7 +53,7 @@ from hygrokf.version import __version__
 BUDGET = 40_000
 """Simulations after which no further cause is tried."""
 MOVING = ("cabinet_temperature", "cabinet_relative_humidity", "cabinet_absolute_humidity")
-"""Readings that a simulation explains."""
+"""Signals whose readings the simulation explains, so that they must vary."""
 WET_SENSOR = ReasonCode.SENSOR_OR_WATER()
 
 
@@ -99,10 +99,10 @@ def expect_movement(early: Record) -> None:
     """
     still = []
     for series in early.series:
-        known = series.value[np.isfinite(series.value)]
-        if series.signal in MOVING and len(known) and np.ptp(np.quantile(known, (0.01, 0.99))) == 0.0:
+        readings = series.value[np.isfinite(series.value)]
+        if series.signal in MOVING and len(readings) and np.ptp(np.quantile(readings, (0.01, 0.99))) == 0.0:
             unit = SIGNALS[series.signal].unit
-            value = f"{known[0]:.6g}" if unit == "1" else f"{known[0]:.6g} {unit}"
+            value = f"{readings[0]:.6g}" if unit == "1" else f"{readings[0]:.6g} {unit}"
             still.append(
                 f"{series.signal}: expected readings that move, found {value} throughout the identification "
                 "period"
@@ -118,76 +118,78 @@ def _discovered(record: Record, library: Library, say: Progress, budget: int) ->
     start = base_estimate(record, library)
     ground = ground_of(record, start.simulator.heat, start.simulator.vapour)
     forms = {cause.name: possible(cause.forms(ground), ground) for cause in library.causes}
-    found = Search(start, [form for one in forms.values() for form in one], say, budget).run()
+    all_forms = [form for forms_of_cause in forms.values() for form in forms_of_cause]
+    search = Search(start, all_forms, say, budget).run()
     say("parameters of the base and of the extended model")
-    ended = concluded(found)
-    base = fit_of(record, ended.base, say)
+    conclusion = conclude(search)
+    base = fit_of(record, conclusion.base, say)
     before = after = residuals(base, record)
     extended = None
-    if ended.extended is not None:
-        against = (WET_SENSOR,) if any(one.wet for one in ended.accepted) else ()
-        extended = fit_of(record, ended.extended, say, against)
-        after = residuals(extended, shifted(record, *ended.extended.estimate.simulator.scene.shifts))
+    if conclusion.extended is not None:
+        against = (WET_SENSOR,) if any(candidate.wet for candidate in conclusion.accepted) else ()
+        extended = fit_of(record, conclusion.extended, say, against)
+        after = residuals(extended, shifted(record, *conclusion.extended.estimate.simulator.scene.shifts))
     say("what is left")
-    left = what_is_left(ended)
+    lines = remaining_lines(conclusion)
     results = DiscoveryResults(
         name=base.results.name,
         version=__version__,
-        verdict=verdict(ended, left),
+        verdict=verdict(conclusion, lines),
         baseline=_scores(base),
         provenance=base.results.provenance,
         extended=None if extended is None else _scores(extended),
-        estimator=ended.base.estimator,
-        gains=gains(ended, before, after),
+        estimator=conclusion.base.estimator,
+        gains=gains(conclusion, before, after),
         held_out_days=len(np.unique(np.floor(before.time_s[before.validation] / DAY_S))),
-        causes=tuple(cause_found(one, ended, library) for one in ended.accepted),
-        rejected=tuple(_rejected(found, ended, library, forms)),
-        refuted=tuple(_told(one, "refuted") for one in ended.refuted),
-        lines=tuple(left),
-        work=SearchCost(start.simulator.work.simulations, budget, tuple(found.not_judged)),
+        causes=tuple(cause_found(candidate, conclusion, library) for candidate in conclusion.accepted),
+        rejected=tuple(_rejected(search, conclusion, library, forms)),
+        refuted=tuple(_rejection(candidate, "refuted") for candidate in conclusion.refuted),
+        lines=tuple(lines),
+        work=SearchCost(start.simulator.work.simulations, budget, tuple(search.not_judged)),
         repeated={name: tuple(spans) for name, spans in repeated.items()},
         saturated=saturated,
         findings=tuple(findings(before)),
         left=() if extended is None else tuple(findings(after)),
-        doubts=unique(one for part in PARTS for one in base.results.doubts_about(part)),
+        doubts=unique(doubt for part in PARTS for doubt in base.results.doubts_about(part)),
     )
     return Discovery(results, before, after if extended else None, base=base, extended=extended)
 
 
-def verdict(ended: Conclusion, left: Sequence[SpectralLine]) -> Verdict:
-    """What is left overrules a name; a name with rivals is ambiguous."""
-    if left:
+def verdict(conclusion: Conclusion, lines: Sequence[SpectralLine]) -> Verdict:
+    """The verdict: spectral lines that remain overrule a name, and a name with rivals is ambiguous."""
+    if lines:
         return "unexplained"
-    if ended.accepted:
-        return "ambiguous" if any(one.rivals for one in ended.accepted) else "named"
-    return "refuted" if ended.refuted else "none"
+    if conclusion.accepted:
+        return "ambiguous" if any(candidate.rivals for candidate in conclusion.accepted) else "named"
+    return "refuted" if conclusion.refuted else "none"
 
 
 def _rejected(
-    found: Search, ended: Conclusion, library: Library, forms: Mapping[str, Sequence[object]]
+    search: Search, conclusion: Conclusion, library: Library, forms: Mapping[str, Sequence[object]]
 ) -> list[Rejected]:
-    """The causes that were left out: those that were estimated beside the last model first."""
-    rest: dict[str, Rejected] = {}
-    for one in found.left:
-        rest.setdefault(one.cause, _told(one, "later_gone"))
-    for one in sorted(found.beside, key=lambda c: -c.evidence):
-        weak = one.evidence < needed(one, ended.accepted)
-        rest.setdefault(one.cause, _told(one, "weak" if weak else "weak_by_days"))
+    """The causes that were left out: displaced ones first, then those estimated in the last round, then the
+    rest of the library."""
+    rejected: dict[str, Rejected] = {}
+    for candidate in search.left:
+        rejected.setdefault(candidate.cause, _rejection(candidate, "later_gone"))
+    for candidate in sorted(search.beside, key=lambda candidate: -candidate.evidence):
+        is_weak = candidate.evidence < needed(candidate, conclusion.accepted)
+        rejected.setdefault(candidate.cause, _rejection(candidate, "weak" if is_weak else "weak_by_days"))
     for cause in library.causes:
         reason: Exclusion = "no_effect" if forms[cause.name] else "no_form"
-        reason = "left_to_budget" if cause.name in found.not_judged else reason
-        rest.setdefault(cause.name, Rejected(cause.name, reason=reason))
-    told = {one.cause for one in (*ended.accepted, *ended.refuted)}
-    return [one for name, one in rest.items() if name not in told]
+        reason = "left_to_budget" if cause.name in search.not_judged else reason
+        rejected.setdefault(cause.name, Rejected(cause.name, reason=reason))
+    decided = {candidate.cause for candidate in (*conclusion.accepted, *conclusion.refuted)}
+    return [rejection for name, rejection in rejected.items() if name not in decided]
 
 
-def _told(one: Candidate, reason: Exclusion) -> Rejected:
-    return Rejected(one.cause, one.form.code, evidence_of(one), reason, one.judged)
+def _rejection(candidate: Candidate, reason: Exclusion) -> Rejected:
+    return Rejected(candidate.cause, candidate.form.code, evidence_of(candidate), reason, candidate.judged)
 
 
 def _scores(fit: Fit) -> ModelScores:
-    found = fit.results
-    return ModelScores(found.rmse, found.baselines, found.time_constants)
+    results = fit.results
+    return ModelScores(results.rmse, results.baselines, results.time_constants)
 
 
 def _saturated(record: Record) -> float:
@@ -199,129 +201,147 @@ def _saturated(record: Record) -> float:
     return humidity.saturated / count if count else math.nan
 
 
-# -- what is told of a cause ---------------------------------------------------------------------------------
+# -- the report of a cause -----------------------------------------------------------------------------------
 CONFIDENCE = (-1.26, 0.531, 0.00118)
-"""Constant, weight of ln of the evidence in days, and weight of its lead in days: of the logistic
-confidence."""
+"""Coefficients of the logistic confidence: constant, weight of ln of the evidence in days, weight of the lead
+in days."""
 
 
-def cause_found(one: Candidate, ended: Conclusion, library: Library) -> CauseFound:
-    """A named cause: its evidence and parameters, and how sure its name is."""
-    cause = library.cause(one.cause)
+def cause_found(candidate: Candidate, conclusion: Conclusion, library: Library) -> CauseFound:
+    """A named cause with its evidence, its parameters, and the confidence of its name."""
+    cause = library.cause(candidate.cause)
     entry = None if cause in LIBRARY.causes else cause
-    rivals = tuple(dict.fromkeys(rival.cause for rival in one.rivals))
-    settings = _settings(one, ended.base.estimate.simulator.scene.record)
-    assert ended.extended is not None
+    rivals = tuple(dict.fromkeys(rival.cause for rival in candidate.rivals))
+    settings = _settings(candidate, conclusion.base.estimate.simulator.scene.record)
+    assert conclusion.extended is not None
     return CauseFound(
-        cause=one.cause,
-        form=one.form.code,
-        forms_alike=one.alike,
-        confidence=confidence(one.in_days, one.lead),
-        parameters=_parameters(one, ended.base, ended.extended),
+        cause=candidate.cause,
+        form=candidate.form.code,
+        forms_alike=candidate.alike,
+        confidence=confidence(candidate.in_days, candidate.lead),
+        parameters=_parameters(candidate, conclusion.base, conclusion.extended),
         settings=settings,
-        chosen=tuple(chosen(one.form, one.setting)),
-        evidence=evidence_of(one),
-        held_out=one.judged,
+        chosen=tuple(chosen(candidate.form, candidate.setting)),
+        evidence=evidence_of(candidate),
+        held_out=candidate.judged,
         ambiguous_with=rivals,
         own=None if entry is None else CauseWords(entry.meaning, entry.remedy, entry.separate_by),
     )
 
 
 def confidence(in_days: float, lead: float) -> float:
-    """How often [1] a name with such evidence is right: logistic in ln of the evidence in days and in its
-    lead in days."""
+    """The probability [1] that a name is right: logistic in ln of the evidence in days and in the lead over
+    the best rival, in days."""
     from scipy.special import expit
 
     constant, by_evidence, by_lead = CONFIDENCE
     return float(expit(constant + by_evidence * math.log(max(in_days, 1.0)) + by_lead * lead))
 
 
-def evidence_of(one: Candidate) -> CauseEvidence:
-    """The evidence of a candidate."""
-    return CauseEvidence(dict(one.gains), one.constants, one.searched, one.evidence, one.in_days, one.lead)
+def evidence_of(candidate: Candidate) -> CauseEvidence:
+    """The evidence of a candidate as a record of the results."""
+    return CauseEvidence(
+        dict(candidate.gains),
+        candidate.constants,
+        candidate.searched,
+        candidate.evidence,
+        candidate.in_days,
+        candidate.lead,
+    )
 
 
-def _settings(one: Candidate, record: Record) -> Settings:
-    """What the search chose: settings of features, and the shift of a clock [s] against another where there
-    are only two."""
-    found = {key: value for settings in one.setting.features.values() for key, value in settings.items()}
-    if one.form.clock:
-        found |= {"source": one.form.clock, "shift_s": one.setting.shift_s, "summer": one.form.summer}
-        others = [name for name in sources(record) if name != one.form.clock]
-        found |= {"relative_to": others[0]} if len(others) == 1 else {}
-    return found
+def _settings(candidate: Candidate, record: Record) -> Settings:
+    """The settings of a candidate's features and the shift [s] of its clock; the shift is relative to the
+    other clock where the record has two."""
+    chosen_settings = {
+        key: value for settings in candidate.setting.features.values() for key, value in settings.items()
+    }
+    if candidate.form.clock:
+        chosen_settings |= {
+            "source": candidate.form.clock,
+            "shift_s": candidate.setting.shift_s,
+            "summer": candidate.form.summer,
+        }
+        others = [name for name in sources(record) if name != candidate.form.clock]
+        chosen_settings |= {"relative_to": others[0]} if len(others) == 1 else {}
+    return chosen_settings
 
 
 def chosen(form: Form, setting: Setting) -> Iterator[str]:
-    """The settings that the search chose from a form's grid; the levels of a controller are parameters."""
-    for feature, found in setting.features.items():
-        for key, value in found.items() if feature not in CONTROLLED else ():
-            if any(point.features[feature].get(key) != value for point in form.grid):
+    """Names of the settings that differ within a form's grid, so that the search chose them; the levels of a
+    controller are parameters, not settings."""
+    for feature, feature_settings in setting.features.items():
+        for key, value in feature_settings.items() if feature not in CONTROLLED else ():
+            if any(setting_of_grid.features[feature].get(key) != value for setting_of_grid in form.grid):
                 yield key
     if form.clock:
         yield "shift_s"
 
 
-def _parameters(one: Candidate, base: FinalSet, extended: FinalSet) -> dict[str, ParameterRow]:
+def _parameters(candidate: Candidate, base: FinalSet, extended: FinalSet) -> dict[str, ParameterRow]:
     """The cause's own parameters in the extended model, with bounds."""
-    mine = set(one.estimate.simulator.names) - set(base.estimate.simulator.names)
-    simulator, own = extended.estimate.simulator, {}
+    added = set(candidate.estimate.simulator.names) - set(base.estimate.simulator.names)
+    simulator, rows = extended.estimate.simulator, {}
     for p in simulator.parameters:
-        level = p.name.rpartition("_")[0] in one.setting.features
-        if (p.name in mine and (p.name in brought(one.form, simulator) or level)) or p.name == one.form.freed:
+        level = p.name.rpartition("_")[0] in candidate.setting.features
+        if (
+            p.name in added and (p.name in brought(candidate.form, simulator) or level)
+        ) or p.name == candidate.form.freed:
             lower, upper = (b if math.isfinite(b) else math.nan for b in extended.bounds(p.name))
             value, se = extended.estimate.values[p.name], extended.deviation(p.name)
-            own[p.name] = ParameterRow(value, p.unit, se, lower, upper, p.meaning)
-    return own
+            rows[p.name] = ParameterRow(value, p.unit, se, lower, upper, p.meaning)
+    return rows
 
 
 # -- errors --------------------------------------------------------------------------------------------------
 QUANTITY = {"temperature": "temperature", "humidity": "vapour"}
-"""A quantity of residuals → of the search."""
+"""Name of a quantity in residuals → its name in the search."""
 
 
-def gains(ended: Conclusion, before: Residuals, after: Residuals) -> tuple[ErrorGain, ...]:
-    """The gains by quantity: on held-out readings where there are any, else on those that identified.
+def gains(conclusion: Conclusion, before: Residuals, after: Residuals) -> tuple[ErrorGain, ...]:
+    """The gains by quantity: on held-out readings where there are any, else on the identification readings.
 
-    before, after: residuals of both models' free runs; the same ones without an extended model.
+    before, after: residuals of the free runs of the base and of the extended model; without an extended
+    model, those of the base twice.
     """
-    spans = _openings(ended)
-    # a corrected clock moves the instants of one model: no differences remain
-    together = np.array_equal(before.time_s, after.time_s)
-    found = []
+    spans = _openings(conclusion)
+    # a corrected clock shifts the instants of the extended model: then there are no pairs of errors
+    same_instants = np.array_equal(before.time_s, after.time_s)
+    quantity_gains = []
     for quantity in QUANTITIES:
         old = _outside(before.time_s, before.error[quantity], spans)
         new = _outside(after.time_s, after.error[quantity], spans)
         for period, held_out in (("validation", True), ("identification", False)):
-            first, later = before.validation == held_out, after.validation == held_out
-            pair = old[first], new[later]
-            if not all(np.isfinite(one).any() for one in pair):
+            period_before, period_after = before.validation == held_out, after.validation == held_out
+            pair = old[period_before], new[period_after]
+            if not all(np.isfinite(errors).any() for errors in pair):
                 continue
             bounds = math.nan, math.nan
-            if together:
-                bounds = _bounds(*pair, np.floor(before.time_s[first] / DAY_S))
-            driven = _driven(ended, QUANTITY[quantity], held_out, spans)
-            a, b = map(root_mean_square, pair)
-            found.append(ErrorGain(quantity, period, a, b, *bounds, *driven))
+            if same_instants:
+                bounds = _bounds(*pair, np.floor(before.time_s[period_before] / DAY_S))
+            driven = _driven(conclusion, QUANTITY[quantity], held_out, spans)
+            rmse_before, rmse_after = map(root_mean_square, pair)
+            quantity_gains.append(ErrorGain(quantity, period, rmse_before, rmse_after, *bounds, *driven))
             break
-    return tuple(found)
+    return tuple(quantity_gains)
 
 
-def _openings(ended: Conclusion) -> list[list[float]]:
-    """The stretches [s] in which a door was named, those of the held-out part included."""
+def _openings(conclusion: Conclusion) -> list[list[float]]:
+    """The stretches [s] of named door openings, also outside of the identification period."""
     spans = []
-    for one in ended.accepted:
-        if one.form.windows and ended.extended is not None:
-            whole = foreseen(ended.base.estimate, one)
+    for candidate in conclusion.accepted:
+        if candidate.form.windows and conclusion.extended is not None:
+            full_estimate = foreseen(conclusion.base.estimate, candidate)
             spans += next(
                 design.features["door_open"]["spans"]
-                for design in whole.simulator.designs
+                for design in full_estimate.simulator.designs
                 if "door_open" in design.features
             )
     return spans
 
 
 def _outside(time_s: np.ndarray, error: np.ndarray, spans: Sequence[Sequence[float]]) -> np.ndarray:
+    """The error (T,), NaN inside the spans [s]."""
     inside = np.zeros(len(time_s), bool)
     for first, last in spans:
         inside |= (time_s >= first) & (time_s <= last)
@@ -329,30 +349,31 @@ def _outside(time_s: np.ndarray, error: np.ndarray, spans: Sequence[Sequence[flo
 
 
 def _driven(
-    ended: Conclusion, quantity: str, held_out: bool, spans: Sequence[Sequence[float]]
+    conclusion: Conclusion, quantity: str, held_out: bool, spans: Sequence[Sequence[float]]
 ) -> tuple[float, float]:
-    """RMSE of the vapour of both models on the measured temperature; NaN of the temperature."""
+    """RMSE of the vapour of the base and of the extended model, driven by the measured temperature; NaN for
+    the temperature."""
     if quantity == "temperature":
         return math.nan, math.nan
 
-    def error(one: Calibration) -> float:
-        r = one.simulator.scene.readings[quantity]
-        chosen = np.where(r.identified != held_out, r.value - one.simulated[quantity], np.nan)
-        return root_mean_square(_outside(r.time_s, chosen, spans))
+    def error(estimate: Calibration) -> float:
+        r = estimate.simulator.scene.readings[quantity]
+        residual = np.where(r.identified != held_out, r.value - estimate.simulated[quantity], np.nan)
+        return root_mean_square(_outside(r.time_s, residual, spans))
 
-    return error(ended.base.estimate), error((ended.extended or ended.base).estimate)
+    return error(conclusion.base.estimate), error((conclusion.extended or conclusion.base).estimate)
 
 
 def _bounds(old: np.ndarray, new: np.ndarray, day: np.ndarray) -> tuple[float, float]:
-    """95 % bounds of the fall of the root mean square at common instants: days are independent, the mean
-    square's change is normal."""
-    both = np.isfinite(old) & np.isfinite(new)
-    _, which = np.unique(day[both], return_inverse=True)
-    if not len(which) or which.max() < 1:
+    """95 % bounds of the decrease of the root mean square error at common instants, for independent days and
+    a normally distributed change of the mean square."""
+    in_both = np.isfinite(old) & np.isfinite(new)
+    _, day_index = np.unique(day[in_both], return_inverse=True)
+    if not len(day_index) or day_index.max() < 1:
         return math.nan, math.nan
     # by the delta method: d rmse = d (mean square) / (2 rmse)
-    a, b = root_mean_square(old[both]), root_mean_square(new[both])
-    each = old[both] ** 2 / max(2.0 * a, 1e-12) - new[both] ** 2 / max(2.0 * b, 1e-12)
-    daily = np.bincount(which, each - each.mean())
-    reach = NORMAL_95 * math.sqrt(float(daily @ daily)) / len(each)
-    return a - b - reach, a - b + reach
+    rmse_old, rmse_new = root_mean_square(old[in_both]), root_mean_square(new[in_both])
+    change = old[in_both] ** 2 / max(2.0 * rmse_old, 1e-12) - new[in_both] ** 2 / max(2.0 * rmse_new, 1e-12)
+    daily = np.bincount(day_index, change - change.mean())
+    half_width = NORMAL_95 * math.sqrt(float(daily @ daily)) / len(change)
+    return rmse_old - rmse_new - half_width, rmse_old - rmse_new + half_width

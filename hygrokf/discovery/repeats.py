@@ -1,5 +1,5 @@
-"""Readings that repeat those of the day before: a fault of the logger.  They are set aside before errors are
-explained by physics."""
+"""Readings that repeat the readings of the previous day, a fault of the logger.  They are removed before the
+search for causes."""
 
 from __future__ import annotations
 
@@ -16,37 +16,37 @@ from hygrokf.texts.statement import Statement, Value
 from hygrokf.texts.wording import day_text
 
 SHORTEST_S = 3600.0
-"""[s] shortest stretch."""
+"""[s] shortest stretch of repeated readings."""
 FEWEST_REPEATED = 6
-"""Fewest readings of a stretch."""
+"""Fewest readings of a stretch of repeated readings."""
 BEYOND = 1.5
-"""A stretch must be this many times as long as the longest that chance makes: that of readings which equal
-readings some steps more or less than a day before."""
+"""Least ratio of a stretch's length to that of the longest chance repetition, which is measured at other lags
+near a day."""
 PAUSE_S = 7200.0
-"""[s] between two stretches that belong to one: readings that were missing a day before."""
+"""[s] longest pause within a stretch: readings that were missing on the previous day."""
 OTHERS = 40
-"""Other lags that show what chance makes."""
+"""Number of other lags at which chance repetitions are measured."""
 MOVING = 0.25
-"""[1] share of steps with a change below which readings stand still: saturated or frozen ones equal each
-other anyway."""
+"""[1] share of steps with a change below which readings stand still: saturated or frozen readings repeat at
+every lag."""
 
 
 def repeats(series: Series) -> list[tuple[float, float]]:
-    """Stretches (first, last) [s] of a series over which its readings are those of 24 h before."""
-    known = ~series.missing
-    time, value = series.time[known], series.value[known]
+    """Stretches (first, last) [s] of a series over which the readings equal the readings 24 h earlier."""
+    is_known = ~series.missing
+    time, value = series.time[is_known], series.value[is_known]
     if len(time) < 3:
         return []
     step = float(np.median(np.diff(time)))
     day = round(DAY_S / step)
-    place = np.round((time - time[0]) / step).astype(np.int64)
-    if day < 2 or abs(day * step - DAY_S) > 1.0 or place[-1] <= day:
+    grid_index = np.round((time - time[0]) / step).astype(np.int64)
+    if day < 2 or abs(day * step - DAY_S) > 1.0 or grid_index[-1] <= day:
         return []
-    grid = np.full(int(place[-1]) + 1, np.nan)
-    grid[place] = value
+    grid = np.full(int(grid_index[-1]) + 1, np.nan)
+    grid[grid_index] = value
     tolerance = 1e-6 * float(np.nanstd(value))
-    others = (day + side * k for k in range(2, 2 + OTHERS // 2) for side in (-1, 1))
-    chance = max((b - a for lag in others for a, b in _equal(grid, lag, tolerance)), default=0)
+    other_lags = (day + side * k for k in range(2, 2 + OTHERS // 2) for side in (-1, 1))
+    chance = max((b - a for lag in other_lags for a, b in _equal(grid, lag, tolerance)), default=0)
     fewest = max(FEWEST_REPEATED, SHORTEST_S / step, BEYOND * chance)
     return [
         (float(time[0] + step * (day + a)), float(time[0] + step * (day + b - 1)))
@@ -56,52 +56,52 @@ def repeats(series: Series) -> list[tuple[float, float]]:
 
 
 def _equal(grid: np.ndarray, lag: int, tolerance: float) -> list[tuple[int, int]]:
-    """Runs [a, b) of moving values that equal those `lag` steps before, counted from `lag` on."""
+    """Runs [a, b) of moving values that equal the values `lag` steps earlier; a, b count from `lag` on."""
     if not 0 < lag < len(grid):
         return []
-    now, then = grid[lag:], grid[:-lag]
+    current, earlier = grid[lag:], grid[:-lag]
     return [
         (a, b)
-        for a, b in run_lengths(np.abs(now - then) < tolerance)
-        if b - a > 1 and np.mean(np.diff(now[a:b]) != 0.0) >= MOVING
+        for a, b in run_lengths(np.abs(current - earlier) < tolerance)
+        if b - a > 1 and np.mean(np.diff(current[a:b]) != 0.0) >= MOVING
     ]
 
 
 def without_repeats(record: Record) -> tuple[Record, dict[str, list[tuple[float, float]]]]:
-    """The record with the cabinet's repeated readings missing, and the stretches [s] by signal.
+    """The record without the cabinet's repeated readings, and the stretches [s] of such readings by signal.
 
-    A logger repeats all that it logs: the stretches of one signal go missing in every signal of its source,
-    with the pauses between them.
+    A logger repeats all its signals: the stretches of one signal, with the pauses between them, are removed
+    from every signal of the same source.
     """
-    own = [series for series in record.series if series.signal.startswith("cabinet_")]
-    spans = {series.signal: found for series in own if (found := repeats(series))}
-    for series in own if spans else ():
+    cabinet_series = [series for series in record.series if series.signal.startswith("cabinet_")]
+    spans = {series.signal: found for series in cabinet_series if (found := repeats(series))}
+    for series in cabinet_series if spans else ():
         value = series.value.copy()
-        mine = [
+        spans_of_source = [
             span
-            for other in own
+            for other in cabinet_series
             if other.source.split(",")[0] == series.source.split(",")[0]
             for span in spans.get(other.signal, ())
         ]
-        for first, last in joined(mine, PAUSE_S):
+        for first, last in joined(spans_of_source, PAUSE_S):
             value[(series.time >= first - 1.0) & (series.time <= last + 1.0)] = np.nan
         record = record.replace_series(replace(series, value=value))
     return record, spans
 
 
 def joined(spans: Iterable[Sequence[float]], pause_s: float = 0.0) -> list[tuple[float, float]]:
-    """Stretches in order; those that overlap, or have a pause of up to `pause_s` between them, are one."""
-    found: list[tuple[float, float]] = []
+    """Stretches in order, merged where they overlap or are separated by at most `pause_s`."""
+    merged: list[tuple[float, float]] = []
     for first, last in sorted(map(tuple, spans)):
-        if found and first - found[-1][1] <= pause_s:
-            found[-1] = (found[-1][0], max(last, found[-1][1]))
+        if merged and first - merged[-1][1] <= pause_s:
+            merged[-1] = (merged[-1][0], max(last, merged[-1][1]))
         else:
-            found.append((first, last))
-    return found
+            merged.append((first, last))
+    return merged
 
 
 def repeated_statement(spans: Mapping[str, Sequence[tuple[float, float]]]) -> Statement:
-    """The repeats of the signal that has most of them."""
+    """The statement of repeated readings, for the signal with most stretches."""
     name, stretches = max(spans.items(), key=lambda pair: len(pair[1]))
     days = tuple(dict.fromkeys(day_text(first) for first, _ in stretches))
     values: dict[str, Value] = {"signal": name, "days": days[:3]}

@@ -1,6 +1,6 @@
-"""Errors of the free run, and all drivers that they may depend on.
+"""Errors of the free run, and all drivers on which the errors may depend.
 
-Shapes: T instants of a fit's series, n bins of an hour.
+Shapes: T instants of a fit's series, n bins.
 """
 
 from __future__ import annotations
@@ -33,30 +33,31 @@ TIME_CONSTANT: Mapping[str, str] = {TEMPERATURE: "thermal_time_constant", HUMIDI
 RESPONSES = ("cabinet_", "converter_")
 """Signals that respond to the cabinet instead of driving it."""
 SAME_AIR = ("ambient_dew_point_temperature", "ambient_absolute_humidity", "ambient_temperature")
-"""Signals that a fit's series have already."""
+"""Ambient signals that are not read from the record, since a fit's series contain temperature and vapour."""
 KNOWN = 0.5
-"""[1] share of the instants at which a driver must be known."""
+"""[1] least share of the instants at which a driver is known."""
 NORMAL_95 = 1.96
-"""[1] standard deviations of a normal variate within which 95 % of its values are."""
+"""[1] standard deviations that contain 95 % of a normal distribution around its mean."""
 PAUSE_H = 3.0
-"""[h] below which a pause does not end an episode."""
+"""[h] shortest pause that ends an episode."""
 LONGEST_DURATION_H = 48.0
-"""[h] longer episodes have no common duration."""
+"""[h] longest episode for which a duration is stated."""
 
 
 @dataclass(frozen=True)
 class Residuals:
-    """Reading minus prediction at the instants of a fit, and the drivers that it may depend on.
+    """Reading minus prediction at the instants of a fit, and the drivers on which the error may depend.
 
     time_h: [h] (T,) since `origin_s` [s] (Unix epoch).
-    error: quantity -> (T,) [K], [g/m³] reading − free run; NaN where there is none, or not scored.
-    drivers: name -> (T,); power relative to the rated one, absolute humidity [g/m³], all else [SI].
-        `cabinet_relative_humidity` and `cabinet_temperature` are the *simulated* ones: an error must not
-        choose the condition under which it is looked at.
-    operating, preheating: (T,) whether; in bins, of a length `step_h` [h], of pre-heating the share of time.
+    error: quantity -> (T,) [K], [g/m³] reading − free run; NaN without a reading, or if not scored.
+    drivers: name -> (T,); power relative to the rated power, absolute humidity [g/m³], all others in SI.
+        `cabinet_relative_humidity` and `cabinet_temperature` are *simulated*: the error of a reading must not
+        select the condition under which it is tested.
+    operating, preheating: (T,) whether the turbine operates, whether pre-heating is on; in bins of a length
+        `step_h` [h], `preheating` is the share of time.
     validation: (T,) bool, True after the end of the identification period.
-    sensor_error: quantity -> (T,) standard deviation [K], [g/m³] that the stated accuracy of the cabinet's
-        and of the ambient sensors brings about.
+    sensor_error: quantity -> (T,) standard deviation [K], [g/m³] of the error due to the stated accuracy of
+        the cabinet's and of the ambient sensors.
     time_constants: quantity -> [h] of the cabinet's low pass.
     measured, simulated, sd: quantity -> (T,) [K], [g/m³]: reading, free run and its standard deviation.
     """
@@ -86,9 +87,9 @@ class Residuals:
 
 
 def root_mean_square(values: np.ndarray) -> float:
-    """Root mean square of the finite values; NaN where there are none."""
-    there = values[np.isfinite(values)]
-    return float(np.sqrt(np.mean(there**2))) if len(there) else math.nan
+    """Root mean square of the finite values; NaN without finite values."""
+    finite = values[np.isfinite(values)]
+    return float(np.sqrt(np.mean(finite**2))) if len(finite) else math.nan
 
 
 def residuals(fit: Fit, record: Record) -> Residuals:
@@ -128,38 +129,40 @@ def residuals(fit: Fit, record: Record) -> Residuals:
 
 
 def _drivers(s: Mapping[str, np.ndarray], record: Record, time: np.ndarray) -> dict[str, np.ndarray]:
-    """Every known signal that varies and is no response of the cabinet."""
-    own = ("ambient_temperature", "ambient_absolute_humidity", "power", "preheating")
-    names = {name: name for name in own} | {
+    """Every signal that varies and is not a response of the cabinet, at the instants [s] of the fit."""
+    fit_signals = ("ambient_temperature", "ambient_absolute_humidity", "power", "preheating")
+    names = {name: name for name in fit_signals} | {
         "cabinet_temperature": "temperature_simulated",
         "cabinet_relative_humidity": "relative_humidity_simulated",
     }
-    found = {name: np.asarray(s[key], dtype=float) for name, key in names.items()}
-    if not np.isfinite(found["ambient_absolute_humidity"]).any():
+    drivers = {name: np.asarray(s[key], dtype=float) for name, key in names.items()}
+    if not np.isfinite(drivers["ambient_absolute_humidity"]).any():
         prepared = prepare(record)
         if prepared.ambient_vapour is not None:
-            found[VAPOUR] = 1e3 * at_times(prepared.path(VAPOUR), time, AMBIENT_BRIDGE_H)
-    for one in record.series:
-        known = one.signal in (*found, *SAME_AIR, "active_power") or one.signal.startswith(RESPONSES)
-        if not known and not one.missing.all():
-            found[one.signal] = at_times(one, time, bridge_h(one, AMBIENT_BRIDGE_H))
-    return {name: value for name, value in found.items() if _varies(value)}
+            drivers[VAPOUR] = 1e3 * at_times(prepared.path(VAPOUR), time, AMBIENT_BRIDGE_H)
+    for series in record.series:
+        is_excluded = series.signal in (*drivers, *SAME_AIR, "active_power") or series.signal.startswith(
+            RESPONSES
+        )
+        if not is_excluded and not series.missing.all():
+            drivers[series.signal] = at_times(series, time, bridge_h(series, AMBIENT_BRIDGE_H))
+    return {name: value for name, value in drivers.items() if _varies(value)}
 
 
 def _varies(value: np.ndarray) -> bool:
-    known = value[np.isfinite(value)]
-    return len(known) >= KNOWN * len(value) and bool(np.ptp(known) > 1e-9 * max(1.0, np.abs(known).max()))
+    finite = value[np.isfinite(value)]
+    return len(finite) >= KNOWN * len(value) and bool(np.ptp(finite) > 1e-9 * max(1.0, np.abs(finite).max()))
 
 
 def _sensor_error(s: Mapping[str, np.ndarray], record: Record) -> dict[str, np.ndarray]:
-    """Standard deviations (T,) that the sensors' accuracy (95 % bound) brings about, inside and outside in
-    quadrature."""
+    """Standard deviations (T,) of the error due to the accuracy (95 % bound) of the cabinet's and of the
+    ambient sensors, added in quadrature."""
 
     def sd(name: str) -> float:
         return accuracy_of(record[name]) / NORMAL_95 if name in record else 0.0
 
     inside, outside = sd("cabinet_temperature"), ambient_sd(record, "ambient_temperature")
-    warm, moist, vapour, air = (
+    cabinet_K, relative_humidity, vapour, ambient_K = (
         np.asarray(s[name], dtype=float)
         for name in (
             "temperature_simulated", "relative_humidity_simulated", "absolute_humidity_simulated",
@@ -167,15 +170,19 @@ def _sensor_error(s: Mapping[str, np.ndarray], record: Record) -> dict[str, np.n
         )
     )  # fmt: skip
     parts = [
-        1e3 * absolute_humidity(1.0, warm) * sd("cabinet_relative_humidity"),
-        1e3 * absolute_humidity_slope_temperature(np.where(np.isfinite(moist), moist, 0.5), warm) * inside,
-        1e3 * absolute_humidity(1.0, air) * ambient_sd(record, "ambient_relative_humidity"),
-        np.full(len(warm), 1e3 * sd("cabinet_absolute_humidity")),
-        np.full(len(warm), 1e3 * ambient_sd(record, "ambient_absolute_humidity")),
+        1e3 * absolute_humidity(1.0, cabinet_K) * sd("cabinet_relative_humidity"),
+        1e3
+        * absolute_humidity_slope_temperature(
+            np.where(np.isfinite(relative_humidity), relative_humidity, 0.5), cabinet_K
+        )
+        * inside,
+        1e3 * absolute_humidity(1.0, ambient_K) * ambient_sd(record, "ambient_relative_humidity"),
+        np.full(len(cabinet_K), 1e3 * sd("cabinet_absolute_humidity")),
+        np.full(len(cabinet_K), 1e3 * ambient_sd(record, "ambient_absolute_humidity")),
     ]
     square = np.sum([part**2 for part in parts], axis=0)
     return {
-        TEMPERATURE: np.full(len(warm), math.hypot(inside, outside)),
+        TEMPERATURE: np.full(len(cabinet_K), math.hypot(inside, outside)),
         HUMIDITY: np.sqrt(np.where(np.isfinite(vapour), square, np.nan)),
     }
 
@@ -187,7 +194,7 @@ _CABINET_SIBLING = {
 
 
 def ambient_sd(record: Record, name: str) -> float:
-    """Standard deviation of an ambient sensor; without a stated accuracy that of the cabinet's sensor."""
+    """Standard deviation of an ambient sensor; without a stated accuracy, that of the cabinet's sensor."""
     if name not in record:
         return 0.0
     stated = accuracy_of(record[name])
@@ -202,12 +209,12 @@ _SYMBOLS = {"degC": "°C", "deg": "°", "W/m2": "W/m²", "g/m3": "g/m³", "1": "
 
 
 def words(driver: str) -> str:
-    """A driver as it stands in a sentence."""
+    """The name of a driver as words of a sentence."""
     return driver.replace("_", " ").replace("cabinet ", "simulated cabinet ")
 
 
 def displayed(driver: str, value: np.ndarray, difference: bool = False) -> tuple[np.ndarray, str]:
-    """(values of a driver, or differences of them, in the unit in which it is displayed; that unit)."""
+    """Values of a driver, or differences of values, in the driver's displayed unit, and that unit."""
     if driver == "power":
         return 100.0 * value, "% of the rated power"
     if driver == "ambient_absolute_humidity":
@@ -226,26 +233,29 @@ def displayed(driver: str, value: np.ndarray, difference: bool = False) -> tuple
 
 
 def binned(residuals: Residuals, least_h: float = 1.0) -> Residuals:
-    """Means over the identification period in bins of a length [h], or of the readings' step where that is
-    longer, at the middles of the bins; of pre-heating the share of the bin."""
+    """Residuals of the identification period averaged over bins, at the middles of the bins; `preheating`
+    becomes the share of time.
+
+    A bin is `least_h` [h] long, or the multiple of it that holds a step of the readings.
+    """
     chosen = ~residuals.validation
     time = residuals.time_s[chosen]
     if not len(time):
         raise ValueError("binned: the period has no instants")
-    read = np.any([np.isfinite(residuals.error[q][chosen]) for q in QUANTITIES], axis=0)
-    step = float(np.median(np.diff(time[read]))) / 3600.0 if read.sum() > 1 else 1.0
+    has_error = np.any([np.isfinite(residuals.error[q][chosen]) for q in QUANTITIES], axis=0)
+    step = float(np.median(np.diff(time[has_error]))) / 3600.0 if has_error.sum() > 1 else 1.0
     length = least_h * max(1, math.ceil(step / least_h - 0.05))
-    place = np.floor(time / (3600.0 * length)).astype(np.int64)
-    first = int(place[0])
-    place -= first
-    count = int(place[-1]) + 1
+    bin_index = np.floor(time / (3600.0 * length)).astype(np.int64)
+    first = int(bin_index[0])
+    bin_index -= first
+    count = int(bin_index[-1]) + 1
 
     def mean(values: np.ndarray) -> np.ndarray:
         values = np.asarray(values, dtype=float)[chosen]
-        there = np.isfinite(values)
-        number = np.bincount(place[there], minlength=count).astype(float)
-        total = np.bincount(place[there], weights=values[there], minlength=count)
-        return np.divide(total, number, out=np.full(count, np.nan), where=number > 0)
+        is_known = np.isfinite(values)
+        count_in_bin = np.bincount(bin_index[is_known], minlength=count).astype(float)
+        total = np.bincount(bin_index[is_known], weights=values[is_known], minlength=count)
+        return np.divide(total, count_in_bin, out=np.full(count, np.nan), where=count_in_bin > 0)
 
     def circular(values: np.ndarray) -> np.ndarray:
         return np.arctan2(mean(np.sin(values)), mean(np.cos(values))) % (2.0 * math.pi)
@@ -267,20 +277,20 @@ def binned(residuals: Residuals, least_h: float = 1.0) -> Residuals:
 
 
 def _carried(values: np.ndarray) -> np.ndarray:
-    """Values with the last known one in the holes."""
-    known = np.isfinite(values)
-    place = np.maximum.accumulate(np.where(known, np.arange(len(values)), 0))
-    return values[place]
+    """Values with each gap filled by the last known value."""
+    is_known = np.isfinite(values)
+    last_known = np.maximum.accumulate(np.where(is_known, np.arange(len(values)), 0))
+    return values[last_known]
 
 
 def run_lengths(flag: np.ndarray) -> list[tuple[int, int]]:
-    """Stretches (first, after last) over which `flag` (n,) holds."""
+    """Stretches [first, end) over which `flag` (n,) is true."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], np.asarray(flag, dtype=int), [0]])))
     return [(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]
 
 
 def closed(inside: np.ndarray, step_h: float) -> np.ndarray:
-    """Hours (n,) of a condition with pauses of less than three hours filled: its episodes."""
+    """The bins (n,) of a condition with pauses of less than `PAUSE_H` filled: its episodes."""
     result = inside.copy()
     for first, last in run_lengths(~inside):
         if first > 0 and last < len(inside) and (last - first) * step_h < PAUSE_H:
@@ -289,21 +299,23 @@ def closed(inside: np.ndarray, step_h: float) -> np.ndarray:
 
 
 def duration_h(error: np.ndarray, episodes: Sequence[tuple[int, int]], step_h: float) -> float:
-    """For how long [h] the episodes' mean course stays above half of its largest value; NaN for long
-    episodes."""
+    """The time [h] for which the mean error over the episodes stays above half of its maximum; NaN if an
+    episode is longer than `LONGEST_DURATION_H`."""
     longest = max(b - a for a, b in episodes)
     if step_h * longest > LONGEST_DURATION_H:
         return math.nan
     table = np.full((len(episodes), longest), np.nan)
     for row, (a, b) in enumerate(episodes):
         table[row, : b - a] = error[a:b]
-    number = np.isfinite(table).sum(axis=0)
-    course = np.divide(np.nansum(table, axis=0), number, out=np.full(longest, -np.inf), where=number > 0)
-    course = course[number >= max(1.0, 0.5 * len(episodes))]
+    episode_count = np.isfinite(table).sum(axis=0)
+    course = np.divide(
+        np.nansum(table, axis=0), episode_count, out=np.full(longest, -np.inf), where=episode_count > 0
+    )
+    course = course[episode_count >= max(1.0, 0.5 * len(episodes))]
     if not len(course):
         return math.nan
     peak = int(np.argmax(course))
-    beyond = course >= 0.5 * course[peak]
-    before = int(np.argmin(np.append(beyond[peak::-1], False)))
-    after = int(np.argmin(np.append(beyond[peak:], False)))
+    above_half = course >= 0.5 * course[peak]
+    before = int(np.argmin(np.append(above_half[peak::-1], False)))
+    after = int(np.argmin(np.append(above_half[peak:], False)))
     return step_h * (before + after - 1)

@@ -1,7 +1,7 @@
-"""A record as a simulation sees it: inputs over cells of equal length, and the readings to compare with.
+"""A record for simulations: inputs over cells of equal length, and the readings to compare with.
 
-Every input is averaged over each cell along the same path that the filter takes (`modelling.inputs`), sampled
-at the edges of `PARTS` parts of a cell.  Readings keep their own times.
+Every input is averaged over each cell along the same path as in the filter (`modelling.inputs`), sampled at
+the edges of `PARTS` parts of a cell.  Readings keep their own times.
 
 Shapes: K cells, F = PARTS K + 1 edges of their parts, T readings of a quantity.
 """
@@ -38,16 +38,16 @@ from hygrokf.physics.holds import LINEAR
 from hygrokf.physics.psychrometrics import absolute_humidity
 
 PARTS = 8
-"""Parts of a cell: a change of the power in 10-minute means then acts at most a minute off."""
+"""Parts of a cell: a change of the power in 10-minute means then acts at most a minute early or late."""
 SHORTEST_S, LONGEST_S = 180.0, 1200.0
 """[s] shortest and longest cell."""
 MOST_CELLS = 33_000
 SATURATED, DRY = 0.995, 0.005
 """Relative humidities beyond which a reading is at the end of its sensor's range."""
 UNKNOWN_K = 25.0
-"""[K²] variance of the temperature's error where a run begins or goes on after a gap."""
+"""[K²] variance of the temperature's error at the start of a run and after a gap."""
 UNKNOWN_SHARE = 0.3
-"""The same standard deviation of the vapour, as a share of its mean."""
+"""Standard deviation of the vapour's error at the start of a run and after a gap, as a share of the mean."""
 AMBIENT_HUMIDITIES = (
     "ambient_absolute_humidity", "ambient_relative_humidity", "ambient_dew_point_temperature",
 )  # fmt: skip
@@ -70,10 +70,11 @@ SIGNAL_OF = {
 class SceneReadings:
     """Readings of a quantity: T instants.
 
-    time_s: (T,) [s] ends of the intervals of means; value: (T,) [K] or [g/m³], NaN where it is left out;
-    saturated: (T,) [g/m³] by which a simulated relative humidity becomes vapour, else 1; begin, end: (T,)
-    places [cells] of the interval, equal for an instant; identified: (T,) whether it may be used to choose;
-    added: (T,) variance of the error that begins anew.
+    time_s: (T,) [s] instants, or ends of averaging intervals; value: (T,) [K] or [g/m³], NaN if left out;
+    saturated: (T,) factor of the output: saturation vapour [g/m³] for a relative humidity, else 1; begin,
+    end: (T,) positions [cells] of the averaging interval, equal for an instant; identified: (T,) whether the
+    reading belongs to the identification period; added: (T,) added variance of the error at the start and
+    after gaps.
     """
 
     time_s: np.ndarray
@@ -94,16 +95,16 @@ class SceneReadings:
         return np.floor(self.time_h / 24.0).astype(int)
 
     def by_day(self, values: np.ndarray) -> np.ndarray:
-        """(days, …) sums of values (T, …)."""
-        found = np.zeros((self.day.max() + 1, *values.shape[1:]))
-        np.add.at(found, self.day, values)
-        return found
+        """Daily sums (days, …) of values (T, …)."""
+        sums = np.zeros((self.day.max() + 1, *values.shape[1:]))
+        np.add.at(sums, self.day, values)
+        return sums
 
     def sampled(self, shown: np.ndarray) -> np.ndarray:
-        """(T, lanes) of what is shown at the ends of the cells (K, lanes)."""
+        """The readings (T, lanes) of a sensor with outputs (K, lanes) at the ends of the cells."""
         if np.array_equal(self.begin, self.end):
             return _between(shown, self.end) * self.saturated[:, None]
-        # the first cell counts as what is shown at its end; a moved interval stays within the cells
+        # the first cell counts with the output at its end; a shifted interval stays within the cells
         parts = [np.zeros_like(shown[:1]), shown[:1], 0.5 * (shown[1:] + shown[:-1])]
         total = np.cumsum(np.concatenate(parts), axis=0)
         width = self.end - self.begin
@@ -113,22 +114,23 @@ class SceneReadings:
 
 
 def _between(values: np.ndarray, place: np.ndarray) -> np.ndarray:
-    """Values (K, lanes) at the ends of cells, at places (T,) in cells from the first beginning."""
-    at = np.clip(place - 1.0, 0.0, len(values) - 1.0)
-    whole = np.minimum(at.astype(int), len(values) - 2)
-    share = (at - whole)[:, None]
+    """Values (K, lanes) at the ends of cells, interpolated at positions (T,) [cells] from the start of the
+    first cell."""
+    position = np.clip(place - 1.0, 0.0, len(values) - 1.0)
+    cell = np.minimum(position.astype(int), len(values) - 2)
+    share = (position - cell)[:, None]
     if not share.any():
-        return values[whole]
-    return values[whole] * (1.0 - share) + values[whole + 1] * share
+        return values[cell]
+    return values[cell] * (1.0 - share) + values[cell + 1] * share
 
 
 @dataclass(frozen=True)
 class Scene:
     """A record on its cells.
 
-    first_s: [s] their beginning; cell_h: [h] their length; count: K.  heat, vapour: the base designs, by
-    whose rules the inputs are made; readings: by quantity; drive: (F,) [K] temperature on which the vapour
-    runs.
+    first_s: [s] start of the first cell; cell_h: [h] length of a cell; count: K.  heat, vapour: the base
+    designs, whose rules define the inputs; readings: by quantity; drive: (F,) [K] temperature that drives
+    the vapour.
     """
 
     record: PreparedRecord
@@ -149,26 +151,26 @@ class Scene:
         return np.round(self.first_s + edges, 3)
 
     def _base(self) -> tuple[dict[str, np.ndarray], np.ndarray]:
-        """Inputs of the base designs at the edges of parts, and where one is unknown."""
+        """Inputs of the base designs at the edges of parts, and whether any of them is unknown there."""
         if "" not in self._cache:
             design = self.vapour or self.heat
             time, wanted = self.edges_s, {"exchange_factor"}
             ambient = courses(design, self.record)
-            # a gap of the cabinet's own temperature is one of the vapour's inputs alone
+            # a gap of the cabinet's temperature matters for the vapour only
             ambient.pop(TEMPERATURE, None)
-            found, unknown = ambient_inputs(ambient, time, wanted)
+            inputs, unknown = ambient_inputs(ambient, time, wanted)
             power, operating, unknown_power = power_inputs(self.heat, self.record, time)
-            found |= power
+            inputs |= power
             if "preheating" in self.record:
-                found["preheating"] = np.nan_to_num(bridged(self.record, "preheating", time))
-            if "operating" not in found:
-                found["operating"] = operating.astype(float)
-            found[IDLE] = 1.0 - found["operating"]
-            self._cache[""] = found, unknown | unknown_power
+                inputs["preheating"] = np.nan_to_num(bridged(self.record, "preheating", time))
+            if "operating" not in inputs:
+                inputs["operating"] = operating.astype(float)
+            inputs[IDLE] = 1.0 - inputs["operating"]
+            self._cache[""] = inputs, unknown | unknown_power
         return self._cache[""]
 
     def unknown(self, signal: str) -> np.ndarray:
-        """(F,) where an input is unknown on which readings of a signal depend."""
+        """(F,) whether an input on which a signal depends is unknown."""
         unknown = self._base()[1]
         if signal == TEMPERATURE:
             return unknown
@@ -176,22 +178,22 @@ class Scene:
         return unknown | np.isnan(at_times(path, self.edges_s, bridge_h(path, AMBIENT_BRIDGE_H)))
 
     def at_edges(self, name: str, design: Design) -> np.ndarray:
-        """(F,) an input at the edges of parts; that of a mean over the part that ends there."""
+        """(F,) an input at the edges of parts; for a series of means, that over the part that ends there."""
         value = self._unmoved(name, design)
-        mine = [one for one in self.shifts if one.source == self.source(name)]
-        if not mine:
+        own_shifts = [shift for shift in self.shifts if shift.source == self.source(name)]
+        if not own_shifts:
             return value
-        later = sum(self._later(one, self.edges_s) for one in mine)
-        return np.interp(self.edges_s - later, self.edges_s, value)
+        delay = sum(self._delay(shift, self.edges_s) for shift in own_shifts)
+        return np.interp(self.edges_s - delay, self.edges_s, value)
 
-    def _later(self, shift: Shift, time_s: np.ndarray) -> np.ndarray:
-        """By how much a correction moves stamps at times (n,) [s]."""
+    def _delay(self, shift: Shift, time_s: np.ndarray) -> np.ndarray:
+        """The delay (n,) [s] of stamps at times (n,) [s] by a clock correction."""
         if not shift.summer:
             return np.full(len(time_s), shift.seconds)
         return shift.seconds * summer_time(time_s, in_america(self.record))
 
     def source(self, name: str) -> str:
-        """The source whose clock stamps an input; empty where there is none."""
+        """The source whose clock stamps an input; empty for an input without a signal."""
         signal = SIGNAL_OF.get(name, "active_power" if name.startswith("power_") else name)
         if name == "ambient_absolute_humidity":
             humid = [one for one in AMBIENT_HUMIDITIES if one in self.record]
@@ -254,7 +256,7 @@ class Scene:
             return made
         readings = {}
         for q, one in self.readings.items():
-            cells = self._later(shift, one.time_s) / (HOUR_S * self.cell_h)
+            cells = self._delay(shift, one.time_s) / (HOUR_S * self.cell_h)
             readings[q] = replace(one, begin=one.begin + cells, end=one.end + cells)
         return replace(made, readings=readings)
 

@@ -1,8 +1,8 @@
-"""Screening: what every setting of every form would gain at most, at first order and then by real runs.
+"""Screening: the largest gain of every setting of every form, first linearised and then simulated.
 
-Of each setting one run with a small effect gives a column; whitened by the parent's filter and with the
-parent's own columns projected out, it tells the gain to first order.  Where an effect is large that ranks
-wrongly, so that the best settings of a form are run at several sizes.
+One simulation with a small effect gives the column (sensitivity) of a setting.  Whitened by the parent's
+filter and projected off the parent's own columns, the column gives the linearised gain.  The linear ranking
+is wrong for large effects, so that the best settings of a form are simulated at several sizes.
 
 Shapes: T readings of a quantity, n settings, d parameters of the parent.
 """
@@ -28,17 +28,19 @@ from hygrokf.physics.switches import CONTROLLED, Throttle
 SMALL = 0.1
 """Share of an effect's usual size at which its column is taken."""
 SIZES = (1.0, 2.5, 0.4, 6.0)
+"""Multiples of the linearised amplitude at which the best settings are simulated."""
 FOLLOWED = 3
-"""Settings of a form that are run, and of a cause that are estimated."""
+"""Settings of a form that are simulated, and of a cause that are estimated."""
 LEAST = 6.0
+"""Gain in −2 ln L below which a setting is dropped."""
 AT_LIMIT = 1e-3
 """Share of a coordinate's range within which a parameter is at its limit."""
 
 
 @dataclass(frozen=True)
 class Screened:
-    """A setting of a form that may be worth an estimate: start values of its own parameters, gain in
-    −2 ln L."""
+    """A setting of a form that may be worth an estimate, with start values of the form's own parameters and
+    its gain in −2 ln L."""
 
     form: Form
     setting: Setting
@@ -48,8 +50,11 @@ class Screened:
 
 @dataclass(frozen=True)
 class Parent:
-    """An estimate, and what its own parameters can imitate: an orthonormal basis (T, d) by quantity, of
-    whitened columns times the roots of their weights; columns: its slopes."""
+    """An estimate, and the errors that its own parameters can imitate.
+
+    basis: by quantity, an orthonormal basis (T, d) of the whitened columns times the roots of the readings'
+    weights; error: (T,) whitened errors times the same roots; columns: the Jacobian by parameter.
+    """
 
     estimate: Calibration
     basis: Mapping[str, np.ndarray]
@@ -57,91 +62,104 @@ class Parent:
     columns: Columns
 
     @cached_property
-    def left(self) -> dict[str, float]:
-        """By quantity, the squared errors that the parent's own parameters cannot imitate."""
-        return {q: float((_free_of(basis, self.error[q]) ** 2).sum()) for q, basis in self.basis.items()}
+    def remaining_squares(self) -> dict[str, float]:
+        """By quantity, the sum of squared errors that the parent's own parameters cannot imitate."""
+        return {
+            q: float((_orthogonal_part(basis, self.error[q]) ** 2).sum()) for q, basis in self.basis.items()
+        }
 
 
-def parent_of(one: Calibration, quantities: Sequence[str] | None = None) -> Parent:
-    """A parent's own columns, by quantity (all); those of parameters that are held at a limit imitate
-    nothing."""
-    f = frame(one.simulator.parameters, set(one.simulator.names), one.linear)
-    z = f.coordinates(one.theta)
-    near = AT_LIMIT * (f.upper - f.lower)
-    basis, error, kept = {}, {}, {}
-    for q, columns in slopes(one, f, quantities).items():
-        kept[q] = {one.simulator.names[i]: columns[:, c] for c, i in enumerate(f.place)}
-        white, error[q] = weighted(one, q, columns)
-        pull = white.T @ error[q]
-        held = ((z <= f.lower + near) & (pull < 0.0)) | ((z >= f.upper - near) & (pull > 0.0))
+def parent_of(estimate: Calibration, quantities: Sequence[str] | None = None) -> Parent:
+    """An estimate with the columns of its parameters for the quantities (None: all); parameters that the
+    gradient holds at a limit are left out of the basis."""
+    f = frame(estimate.simulator.parameters, set(estimate.simulator.names), estimate.linear)
+    z = f.coordinates(estimate.theta)
+    margin = AT_LIMIT * (f.upper - f.lower)
+    basis, error, columns_of = {}, {}, {}
+    for q, columns in slopes(estimate, f, quantities).items():
+        columns_of[q] = {estimate.simulator.names[i]: columns[:, c] for c, i in enumerate(f.place)}
+        white, error[q] = weighted(estimate, q, columns)
+        gradient = white.T @ error[q]
+        held = ((z <= f.lower + margin) & (gradient < 0.0)) | ((z >= f.upper - margin) & (gradient > 0.0))
         white = white[:, columns.any(axis=0) & ~held]
         scale = np.maximum(np.sqrt((white**2).sum(axis=0)), 1e-300)
         basis[q] = np.linalg.qr(white / scale)[0] if white.shape[1] else white
-    return Parent(one, basis, error, kept)
+    return Parent(estimate, basis, error, columns_of)
 
 
-def _free_of(basis: np.ndarray, columns: np.ndarray) -> np.ndarray:
+def _orthogonal_part(basis: np.ndarray, columns: np.ndarray) -> np.ndarray:
     return columns - basis @ (basis.T @ columns)
 
 
-def widened(parent: Calibration, form: Form, setting: Setting, own: tuple[str, ...] = ()) -> Simulator:
-    """The simulator with a form of a cause."""
-    before = parent.simulator
-    heat = _wider(before.heat, form.heat, setting.features)
-    vapour = before.vapour
+def widened(parent: Calibration, form: Form, setting: Setting, own_inputs: tuple[str, ...] = ()) -> Simulator:
+    """The parent's simulator, extended by a form of a cause; each run has its own columns of `own_inputs`."""
+    simulator = parent.simulator
+    heat = _wider(simulator.heat, form.heat, setting.features)
+    vapour = simulator.vapour
     if vapour is not None:
         if form.altered:
-            altered = ((name, {**known, **form.altered.get(name, {})}) for name, known in vapour.mechanisms)
+            altered = (
+                (name, {**settings, **form.altered.get(name, {})}) for name, settings in vapour.mechanisms
+            )
             vapour = replace(vapour, mechanisms=tuple(altered))
         vapour = _wider(vapour, form.vapour, setting.features)
         if form.freed:
             vapour = replace(vapour, priors={**vapour.priors, form.freed: (0.0, FREE[form.freed], False)})
-    scene = before.scene
+    scene = simulator.scene
     if form.clock:
         scene = scene.moved(Shift(form.clock, setting.shift_s, form.summer))
-    return Simulator(scene, heat, vapour, own, {**before.limits, **form.limits}, before.work)
+    return Simulator(scene, heat, vapour, own_inputs, {**simulator.limits, **form.limits}, simulator.work)
 
 
 def _wider(base: Design, additions: Sequence[MechanismSettings], features: Mapping[str, Settings]) -> Design:
-    made = extended(base, additions)
-    read = set(made.model.inputs)
-    return replace(made, features={**made.features, **{k: v for k, v in features.items() if k in read}})
+    extended_design = extended(base, additions)
+    model_inputs = set(extended_design.model.inputs)
+    return replace(
+        extended_design,
+        features={
+            **extended_design.features,
+            **{name: settings for name, settings in features.items() if name in model_inputs},
+        },
+    )
 
 
 FREE = {
     "breathed_gain": 0.3, "breathed_humidity_offset": 0.3, "humidity_scale_error": 0.3,
     "cabinet_temperature_offset": 5.0,
 }  # fmt: skip
-"""Standard deviation of a freed parameter's prior, wide in its place, in its unit."""
+"""Standard deviation of the wide prior of a freed parameter, in the parameter's unit."""
 
 
 def _freed(parent: Parent, form: Form) -> list[Screened]:
-    one = parent.estimate
-    if form.freed not in one.simulator.names:
+    """The gain of a form that widens the prior of one of the parent's parameters."""
+    estimate = parent.estimate
+    if form.freed not in estimate.simulator.names:
         return []
-    place = one.simulator.names.index(form.freed)
-    p = one.simulator.parameters[place]
+    index = estimate.simulator.names.index(form.freed)
+    p = estimate.simulator.parameters[index]
     if p.prior is None or p.prior.sd >= FREE[form.freed]:
         return []
-    gain = ((one.values[form.freed] - p.prior.mean) / p.prior.sd) ** 2
-    for q in one.simulator.affects(form.freed):
-        # beyond the limit where its accuracy holds it
-        x = weighted(one, q, parent.columns[q][form.freed][:, None])[0]
-        free = _free_of(parent.basis[q], x)[:, 0]
-        square = float(free @ free)
+    gain = ((estimate.values[form.freed] - p.prior.mean) / p.prior.sd) ** 2
+    for q in estimate.simulator.affects(form.freed):
+        # the linearised gain beyond the limit that the sensor's accuracy sets
+        column = weighted(estimate, q, parent.columns[q][form.freed][:, None])[0]
+        remainder = _orthogonal_part(parent.basis[q], column)[:, 0]
+        square = float(remainder @ remainder)
         gain += (
-            float(free @ parent.error[q]) ** 2 / square if square > 1e-9 * float(x[:, 0] @ x[:, 0]) else 0.0
+            float(remainder @ parent.error[q]) ** 2 / square
+            if square > 1e-9 * float(column[:, 0] @ column[:, 0])
+            else 0.0
         )
     return [Screened(form, form.grid[0], {}, gain)] if gain > LEAST else []
 
 
 def added(parent: Calibration, wider: Simulator) -> tuple[Parameter, ...]:
-    known = set(parent.simulator.names)
-    return tuple(p for p in wider.parameters if p.name not in known)
+    parent_names = set(parent.simulator.names)
+    return tuple(p for p in wider.parameters if p.name not in parent_names)
 
 
 def amplitudes(parameters: Sequence[Parameter]) -> tuple[Parameter, ...]:
-    """Those that are the size of an effect: they have a null."""
+    """The parameters that are the size of an effect: those with a null value."""
     return tuple(p for p in parameters if p.null is not None)
 
 
@@ -152,7 +170,7 @@ def size_of(p: Parameter) -> float:
 
 
 def start_values(parent: Calibration, wider: Simulator, setting: Setting) -> dict[str, float]:
-    """Values of all parameters at a setting, without an effect."""
+    """Values of all parameters at a setting, with the amplitudes at their null values."""
     values = {p.name: p.start for p in added(parent, wider)} | parent.values
     values |= {p.name: p.null for p in amplitudes(added(parent, wider)) if p.null is not None}
     for name, settings in setting.features.items():
@@ -163,8 +181,8 @@ def start_values(parent: Calibration, wider: Simulator, setting: Setting) -> dic
 
 
 def screened(parent: Parent, form: Form) -> list[Screened]:
-    """The settings of a form that gain most."""
-    one = parent.estimate
+    """The settings of a form that gain most, at most `FOLLOWED`, the best first."""
+    estimate = parent.estimate
     if form.clock:
         return _clocks(parent, form)
     if form.freed:
@@ -172,70 +190,74 @@ def screened(parent: Parent, form: Form) -> list[Screened]:
     if form.windows:
         return _windows(parent, form)
     varied = _varied(form)
-    wider = widened(one, form, form.grid[0], varied)
-    sizes = amplitudes(added(one, wider))
+    wider = widened(estimate, form, form.grid[0], varied)
+    sizes = amplitudes(added(estimate, wider))
     if not sizes:
         return []
-    rows = [start_values(one, wider, setting) for setting in form.grid]
+    rows = [start_values(estimate, wider, setting) for setting in form.grid]
     columns = {name: [wider.column(name, s.features[name]) for s in form.grid] for name in varied}
-    given = {p.name: SMALL * size_of(p) for p in sizes}
-    theta = np.column_stack([wider.vector({**row, **_sized(sizes, given)}) for row in rows])
-    gain, found = np.zeros(len(rows)), {p.name: np.zeros(len(rows)) for p in sizes}
+    trial = {p.name: SMALL * size_of(p) for p in sizes}
+    theta = np.column_stack([wider.vector({**row, **_sized(sizes, trial)}) for row in rows])
+    gain, amplitude = np.zeros(len(rows)), {p.name: np.zeros(len(rows)) for p in sizes}
     for p in sizes:
         for q in wider.affects(p.name):
-            y = wider.simulated(theta, q, columns)
-            x = weighted(one, q, y - one.simulated[q][:, None])[0]
-            free = _free_of(parent.basis[q], x)
-            square = np.maximum((free**2).sum(axis=0), 1e-300)
-            share = free.T @ parent.error[q] / square
+            simulated = wider.simulated(theta, q, columns)
+            white = weighted(estimate, q, simulated - estimate.simulated[q][:, None])[0]
+            remainder = _orthogonal_part(parent.basis[q], white)
+            square = np.maximum((remainder**2).sum(axis=0), 1e-300)
+            share = remainder.T @ parent.error[q] / square
             share = np.where(np.isfinite(share), share, 0.0)
             if p.lower >= (p.null or 0.0) or p.positive:
                 share = np.maximum(share, 0.0)
             share = np.where(square > 1e-12, share, 0.0)
             gain += share**2 * square
-            found[p.name] += share * given[p.name]
+            amplitude[p.name] += share * trial[p.name]
     order = [i for i in np.argsort(-gain)[:FOLLOWED] if gain[i] >= LEAST]
-    return _run(parent, form, wider, sizes, order, rows, columns, found)
+    return _run(parent, form, wider, sizes, order, rows, columns, amplitude)
 
 
 def _varied(form: Form) -> tuple[str, ...]:
-    """Features whose settings differ within the grid and that no controller gives."""
-    names = {name for s in form.grid for name in s.features if name not in CONTROLLED}
+    """Features whose settings differ within the grid, except those of controllers."""
+    names = {name for setting in form.grid for name in setting.features if name not in CONTROLLED}
     return tuple(
-        sorted(n for n in names if any(s.features.get(n) != form.grid[0].features.get(n) for s in form.grid))
+        sorted(
+            name
+            for name in names
+            if any(setting.features.get(name) != form.grid[0].features.get(name) for setting in form.grid)
+        )
     )
 
 
-def _sized(sizes: Sequence[Parameter], found: Mapping[str, float]) -> dict[str, float]:
+def _sized(sizes: Sequence[Parameter], changes: Mapping[str, float]) -> dict[str, float]:
     return {
-        p.name: float(np.clip((p.null or 0.0) + found[p.name], min(p.lower, p.null or 0.0), p.upper))
+        p.name: float(np.clip((p.null or 0.0) + changes[p.name], min(p.lower, p.null or 0.0), p.upper))
         for p in sizes
     }
 
 
 def _run(
-    parent: Parent, form: Form, wider: Simulator, sizes: Sequence[Parameter], order: Sequence[int],
-    rows: Sequence[Mapping[str, float]], columns: Mapping[str, Sequence[np.ndarray]],
-    found: Mapping[str, np.ndarray],
+    parent: Parent, form: Form, wider: Simulator, sizes: Sequence[Parameter], best_settings: Sequence[int],
+    starts: Sequence[Mapping[str, float]], columns: Mapping[str, Sequence[np.ndarray]],
+    amplitude: Mapping[str, np.ndarray],
 ) -> list[Screened]:  # fmt: skip
-    """Real runs of the best settings at several sizes; the parent follows by one chord step."""
-    if not order:
+    """Simulate the best settings at several sizes, with one linear step of the parent's parameters each."""
+    if not best_settings:
         return []
-    one, made, owned = parent.estimate, [], []
-    for i in order:
+    estimate, vectors, setting_of_run = parent.estimate, [], []
+    for i in best_settings:
         for factor in SIZES:
-            size = {p.name: factor * float(found[p.name][i]) for p in sizes}
-            made.append(wider.vector({**rows[i], **_sized(sizes, size)}))
-            owned.append(i)
-    theta = np.column_stack(made)
-    own = {name: [part[i] for i in owned] for name, part in columns.items()}
-    gain = chord_gains(parent, wider, theta, own, {q for p in sizes for q in wider.affects(p.name)})
-    own_places = {p.name: wider.names.index(p.name) for p in added(one, wider)}
+            size = {p.name: factor * float(amplitude[p.name][i]) for p in sizes}
+            vectors.append(wider.vector({**starts[i], **_sized(sizes, size)}))
+            setting_of_run.append(i)
+    theta = np.column_stack(vectors)
+    run_columns = {name: [part[i] for i in setting_of_run] for name, part in columns.items()}
+    gain = chord_gains(parent, wider, theta, run_columns, {q for p in sizes for q in wider.affects(p.name)})
+    index_of = {p.name: wider.names.index(p.name) for p in added(estimate, wider)}
     result = []
-    for place, i in enumerate(order):
-        part = slice(place * len(SIZES), (place + 1) * len(SIZES))
+    for block, i in enumerate(best_settings):
+        part = slice(block * len(SIZES), (block + 1) * len(SIZES))
         best = part.start + int(np.argmax(gain[part]))
-        values = {name: float(theta[at, best]) for name, at in own_places.items()}
+        values = {name: float(theta[index, best]) for name, index in index_of.items()}
         result.append(Screened(form, form.grid[i], values, float(gain[best])))
     return sorted(result, key=lambda s: -s.gain)
 
@@ -244,78 +266,88 @@ def chord_gains(
     parent: Parent, wider: Simulator, theta: np.ndarray, columns: Mapping[str, Sequence[np.ndarray]],
     quantities: set[str],
 ) -> np.ndarray:  # fmt: skip
-    """(n,) gain in −2 ln L of runs with parameters (P, n), where the parent follows by one chord step."""
-    one, gain = parent.estimate, np.zeros(theta.shape[1])
+    """(n,) gain in −2 ln L of runs with parameters (P, n), after one chord step of the parent's parameters
+    (a linear step with the Jacobian at the parent's estimate)."""
+    estimate, gain = parent.estimate, np.zeros(theta.shape[1])
     for q in sorted(quantities):
-        y = wider.simulated(theta, q, columns)
-        e = parent.error[q][:, None] - weighted(one, q, y - one.simulated[q][:, None])[0]
-        left = _free_of(parent.basis[q], e)
-        # what the parent's own step would gain is no gain of theirs
-        gain += parent.left[q] - (left**2).sum(axis=0)
+        simulated = wider.simulated(theta, q, columns)
+        error = (
+            parent.error[q][:, None] - weighted(estimate, q, simulated - estimate.simulated[q][:, None])[0]
+        )
+        remainder = _orthogonal_part(parent.basis[q], error)
+        # the gain of the same step without the effect belongs to the parent, hence its remaining squares
+        gain += parent.remaining_squares[q] - (remainder**2).sum(axis=0)
     return np.where(np.isfinite(gain), gain, -np.inf)
 
 
 def _clocks(parent: Parent, form: Form) -> list[Screened]:
-    """The shifts that gain most, with the parent's parameters refitted to first order at each.
+    """The clock shifts that gain most, each with the parent's parameters refitted to first order.
 
-    Their slopes are those of the shifted inputs: an input whose clock is an hour off may have no effect left
-    in the parent."""
-    one, found = parent.estimate, []
-    mine = [q for q in one.quantities if form.clock in one.simulator.clocks(q)]
-    before = sum(parent.left[q] for q in mine)
+    The Jacobian is that of the shifted inputs: in the parent, an input whose clock is an hour off may have
+    lost its effect."""
+    estimate, shifts = parent.estimate, []
+    affected = [q for q in estimate.quantities if form.clock in estimate.simulator.clocks(q)]
+    squares_before = sum(parent.remaining_squares[q] for q in affected)
     for setting in form.grid:
-        wider = widened(one, form, setting)
-        moved = parent_of(estimate_at(wider, one.errors, one.theta, one.linear, one.variances), mine)
-        found.append(Screened(form, setting, {}, before - sum(moved.left.values())))
-    return sorted((s for s in found if s.gain >= LEAST), key=lambda s: -s.gain)[:FOLLOWED]
+        wider = widened(estimate, form, setting)
+        shifted_parent = parent_of(
+            estimate_at(wider, estimate.errors, estimate.theta, estimate.linear, estimate.variances), affected
+        )
+        shifts.append(
+            Screened(form, setting, {}, squares_before - sum(shifted_parent.remaining_squares.values()))
+        )
+    return sorted((s for s in shifts if s.gain >= LEAST), key=lambda s: -s.gain)[:FOLLOWED]
 
 
 WINDOWS_H = (1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0, 128.0, 256.0)
 """[h] lengths of the windows in which a door may stand open."""
 EVERY_S = 900.0
+"""[s] grid on which windows begin and end."""
 MOST_WINDOWS = 12
 
 
 EDGES_H = (-4.0, -2.0, -1.0, -0.5, -0.25, 0.25, 0.5, 1.0, 2.0)
-"""[h] by which the edges of a window are moved."""
+"""[h] shifts of a window's edges that are tried."""
 EXCHANGES = (0.5, 3.0, 15.0)
 """Sizes of an open door's exchange at which windows are run, in units of the cabinet's own."""
 
 
 def _windows(parent: Parent, form: Form) -> list[Screened]:
-    one = parent.estimate
-    spans, price = openings(one, form, identified=True)
+    estimate = parent.estimate
+    spans, price = openings(estimate, form, identified=True)
     if not spans:
         return []
-    spans, sizes, gain = _edged(one, form, spans)
+    spans, sizes, gain = _move_edges(estimate, form, spans)
     setting = Setting({"door_open": {"spans": spans}}, price=price * len(spans))
     return [Screened(form, setting, sizes, gain)] if gain > LEAST else []
 
 
-def _edged(
-    one: Calibration, form: Form, spans: list[list[float]]
+def _move_edges(
+    estimate: Calibration, form: Form, spans: list[list[float]]
 ) -> tuple[list[list[float]], dict[str, float], float]:
-    """Windows whose edges are those of the best real runs, with the sizes and the gain there: a matched
-    filter sees an opening late, and as if its effect were there at once."""
-    wider = widened(one, form, form.grid[0], ("door_open",))
-    sizes = amplitudes(added(one, wider))
-    rest = start_values(one, wider, form.grid[0])
+    """Windows with the edges of the best simulations, the amplitudes and the gain in −2 ln L.
+
+    The matched filter takes an effect for immediate and therefore finds an opening too late.
+    """
+    wider = widened(estimate, form, form.grid[0], ("door_open",))
+    sizes = amplitudes(added(estimate, wider))
+    start = start_values(estimate, wider, form.grid[0])
 
     def gains(trials: list[list[list[float]]]) -> dict[str, np.ndarray]:
-        """(sizes, trials) of each amplitude."""
+        """Amplitude → gains (sizes, trials) in −2 ln L."""
         columns = {"door_open": [wider.column("door_open", {"spans": spans}) for spans in trials]}
-        found = {}
+        gain_of = {}
         for p in sizes:
-            found[p.name] = np.zeros((len(EXCHANGES), len(trials)))
+            gain_of[p.name] = np.zeros((len(EXCHANGES), len(trials)))
             for i, size in enumerate(EXCHANGES):
-                theta = wider.vector({**rest, p.name: size})[:, None].repeat(len(trials), axis=1)
+                theta = wider.vector({**start, p.name: size})[:, None].repeat(len(trials), axis=1)
                 for q in wider.affects(p.name):
-                    known, r = one.filtered[q], one.simulator.scene.readings[q]
-                    read = np.where(r.identified, r.value, np.nan)[:, None]
-                    white = known.whitened(read - wider.simulated(theta, q, columns))
-                    before = loss(np.nan_to_num(known.standardised), known.bound).sum()
-                    found[p.name][i] += before - loss(white, known.bound).sum(axis=0)
-        return found
+                    reference, r = estimate.filtered[q], estimate.simulator.scene.readings[q]
+                    identified = np.where(r.identified, r.value, np.nan)[:, None]
+                    white = reference.whitened(identified - wider.simulated(theta, q, columns))
+                    loss_before = loss(np.nan_to_num(reference.standardised), reference.bound).sum()
+                    gain_of[p.name][i] += loss_before - loss(white, reference.bound).sum(axis=0)
+        return gain_of
 
     for edge in (0, 1):
         trials = [spans]
@@ -324,40 +356,44 @@ def _edged(
                 moved = [list(span) for span in spans]
                 moved[i][edge] += 3600.0 * hours
                 trials.append(moved if moved[i][0] < moved[i][1] else spans)
-        total = sum(np.max(one, axis=0) for one in gains(trials).values())
+        total = sum(np.max(gain, axis=0) for gain in gains(trials).values())
         best = [list(span) for span in spans]
         for i in range(len(spans)):
-            mine = slice(1 + i * len(EDGES_H), 1 + (i + 1) * len(EDGES_H))
-            place = mine.start + int(np.argmax(total[mine]))
-            if total[place] > total[0]:
-                best[i] = trials[place][i]
+            own_trials = slice(1 + i * len(EDGES_H), 1 + (i + 1) * len(EDGES_H))
+            best_trial = own_trials.start + int(np.argmax(total[own_trials]))
+            if total[best_trial] > total[0]:
+                best[i] = trials[best_trial][i]
         spans = [list(span) for span in joined(best)]
-    at = gains([spans])
-    chosen = {name: EXCHANGES[int(np.argmax(gain[:, 0]))] for name, gain in at.items()}
-    return spans, chosen, float(sum(gain.max() for gain in at.values()))
+    final = gains([spans])
+    chosen = {name: EXCHANGES[int(np.argmax(gain[:, 0]))] for name, gain in final.items()}
+    return spans, chosen, float(sum(gain.max() for gain in final.values()))
 
 
-def openings(one: Calibration, form: Form, identified: bool) -> tuple[list[list[float]], float]:
-    """Windows [start, end] [s] of the identification period, or of the rest, in which innovations ask for
-    more exchange, by a matched filter; their price in −2 ln L each.
+def openings(estimate: Calibration, form: Form, identified: bool) -> tuple[list[list[float]], float]:
+    """Windows [start, end] [s] in which a matched filter of the innovations finds more exchange, and the
+    price of a window in −2 ln L; `identified`: in the identification period, else outside of it.
 
-    The response within a window is taken as that to a lasting effect, cut to the window: a filter forgets
+    The response within a window is that to a lasting effect, cut to the window, since the filter forgets
     within hours.  Every quantity must gain.
     """
-    wider = widened(one, form, form.grid[0])
-    sizes = amplitudes(added(one, wider))
+    wider = widened(estimate, form, form.grid[0])
+    sizes = amplitudes(added(estimate, wider))
     given = {p.name: SMALL * size_of(p) for p in sizes}
-    row = start_values(one, wider, form.grid[0])
+    row = start_values(estimate, wider, form.grid[0])
     theta = wider.vector({**row, **_sized(sizes, given)})[:, None]
-    scene = one.simulator.scene
+    scene = estimate.simulator.scene
     count = int(scene.count * scene.cell_h * 3600.0 / EVERY_S) + 2
-    products, squares = np.zeros((2, len(one.quantities), count))
-    for i, q in enumerate(one.quantities):
+    products, squares = np.zeros((2, len(estimate.quantities), count))
+    for i, q in enumerate(estimate.quantities):
         r = scene.readings[q]
-        there = r.identified == identified
-        known = filtered(one.errors[q], one.variances[q], np.where(there, r.value - one.simulated[q], np.nan))
-        x = known.whitened(wider.simulated(theta, q) - one.simulated[q][:, None])[:, 0]
-        e = np.nan_to_num(known.standardised) * known.weight
+        in_period = r.identified == identified
+        reference = filtered(
+            estimate.errors[q],
+            estimate.variances[q],
+            np.where(in_period, r.value - estimate.simulated[q], np.nan),
+        )
+        x = reference.whitened(wider.simulated(theta, q) - estimate.simulated[q][:, None])[:, 0]
+        e = np.nan_to_num(reference.standardised) * reference.weight
         place = np.clip(((r.time_s - scene.first_s) / EVERY_S).astype(int), 0, count - 1)
         np.add.at(products[i], place, e * x)
         np.add.at(squares[i], place, x * x)
@@ -366,10 +402,11 @@ def openings(one: Calibration, form: Form, identified: bool) -> tuple[list[list[
     candidates = []
     for hours in WINDOWS_H:
         width = int(hours * 3600.0 / EVERY_S)
-        p, square = (s[:, width:] - s[:, :-width] for s in sums)
-        gains = np.where((p > 0) & (square > 1e-12), p * p / np.maximum(square, 1e-12), 0.0)
-        total = np.where((gains > 1.0).all(axis=0), gains.sum(axis=0), 0.0)
-        candidates += [(float(total[i]), i, width) for i in np.flatnonzero(total > price)]
+        product, square = (total[:, width:] - total[:, :-width] for total in sums)
+        matched = (product > 0) & (square > 1e-12)
+        gains = np.where(matched, product * product / np.maximum(square, 1e-12), 0.0)
+        gain = np.where((gains > 1.0).all(axis=0), gains.sum(axis=0), 0.0)
+        candidates += [(float(gain[i]), i, width) for i in np.flatnonzero(gain > price)]
     chosen: list[tuple[int, int]] = []
     used = np.zeros(count + 1, bool)
     for _, first, width in sorted(candidates, reverse=True):

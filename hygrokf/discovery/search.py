@@ -1,4 +1,4 @@
-"""The search for what a model lacks: rounds of screening, estimates, acceptance and refutation."""
+"""The search for effects that a model lacks: rounds of screening, estimates, acceptance and refutation."""
 
 from __future__ import annotations
 
@@ -35,25 +35,26 @@ from hygrokf.discovery.screening import (
     screened,
     widened,
 )
-from hygrokf.discovery.starting_model import renewed
+from hygrokf.discovery.starting_model import update_error_models
 from hygrokf.modelling.causes.forms import Form, Setting
 
 FURTHER = 100.0
-"""Evidence from which a cause is accepted in a quantity that has a name."""
+"""Evidence from which a further cause is accepted in a quantity for which a cause is named already."""
 CAUSES, SETTINGS, FORMS, ROUNDS = 4, 3, 4, 6
-"""Causes of a quantity that are estimated, settings of each at least, forms of each at most, and rounds."""
+"""Per round: causes estimated for a quantity, fewest settings and most forms of a cause; number of rounds."""
 NEAR, NEAR_SHARE = 30.0, 0.15
-"""Evidence, and share of the leader's, by which a candidate that is finished may stay behind."""
+"""Largest lag behind the leader's evidence, and the same as a share of that evidence, with which a candidate
+is fitted to its maximum."""
 
 
 class Search:
-    """A search for what a base lacks, through the forms of causes.
+    """A search through the forms of causes for the effects that a base lacks.
 
     A round in which the simulations reach the budget names nothing.
 
-    parent: the base with all accepted causes.  left: causes that later ones displaced; beside: candidates of
-    the last round; not_judged: causes that the budget left out of it; searched: cause → settings that are
-    tried.
+    parent: the base with all accepted causes; left: causes that later causes displaced; beside: candidates of
+    the last round; not_judged: causes that the budget left out of the last round; searched: cause → number of
+    settings that are tried.
     """
 
     def __init__(
@@ -67,7 +68,9 @@ class Search:
         self.forms: dict[str, list[Form]] = {}
         for form in forms:
             self.forms.setdefault(form.cause, []).append(form)
-        self.searched = {cause: sum(len(f.grid) for f in one) for cause, one in self.forms.items()}
+        self.searched = {
+            cause: sum(len(form.grid) for form in of_cause) for cause, of_cause in self.forms.items()
+        }
         self.parent = base
         self.accepted: list[Candidate] = []
         self._refuted: list[Candidate] = []
@@ -81,7 +84,7 @@ class Search:
 
     @property
     def names(self) -> frozenset[str]:
-        return frozenset(one.cause for one in self.accepted)
+        return frozenset(candidate.cause for candidate in self.accepted)
 
     def run(self) -> Search:
         for _ in range(ROUNDS):
@@ -93,11 +96,11 @@ class Search:
 
     @property
     def refuted(self) -> list[Candidate]:
-        """The best refuted form of each cause that has no name in the end."""
+        """The best refuted form of each cause that is not accepted."""
         best: dict[str, Candidate] = {}
-        for one in sorted(self._refuted, key=lambda c: -c.strength):
-            if one.cause not in self.names:
-                best.setdefault(one.cause, one)
+        for refuted in sorted(self._refuted, key=lambda c: -c.strength):
+            if refuted.cause not in self.names:
+                best.setdefault(refuted.cause, refuted)
         return list(best.values())
 
     @property
@@ -105,147 +108,160 @@ class Search:
         return self.base.simulator.work.simulations >= self.budget
 
     def _mark(self, cause: str) -> object:
-        """What the work on a cause depends on: its forms, and the parents of the quantities they act on."""
+        """The state on which the work on a cause depends: its forms, and the versions of the parent in the
+        quantities that they act on."""
         forms, quantities = self.forms[cause], self.parent.quantities
-        mine = set[str]().union(*(acts(form, quantities) for form in forms))
-        return [form.code for form in forms], [self._version[q] for q in quantities if q in mine]
+        acted_on = set[str]().union(*(acts(form, quantities) for form in forms))
+        return [form.code for form in forms], [self._version[q] for q in quantities if q in acted_on]
 
     def _recalled(self, kind: str, cause: str) -> Any:
-        """What was kept of a cause, while it is valid; else None."""
-        mark, found = self._kept.get((kind, cause), (None, None))
-        return found if mark == self._mark(cause) else None
+        """The stored result of a cause; None where there is none or the cause's state has changed."""
+        mark, result = self._kept.get((kind, cause), (None, None))
+        return result if mark == self._mark(cause) else None
 
-    def _keep(self, kind: str, cause: str, found: Any) -> None:
-        self._kept[kind, cause] = self._mark(cause), found
+    def _keep(self, kind: str, cause: str, result: Any) -> None:
+        self._kept[kind, cause] = self._mark(cause), result
 
     def _round(self) -> bool:
-        """Accept the best cause, then the best of the other quantity; returns whether any was accepted."""
-        found = self.beside = self.candidates()
+        """Accept the best cause, then the best cause of the other quantity; return whether another round may
+        find more: a cause was accepted, or a form refuted."""
+        candidates = self.beside = self.candidates()
         if self.not_judged:
-            # the best of those that were judged might not be the best
+            # the best cause may be among those that were not judged
             return False
-        before, taken, again = scores(levelled(self.parent)), set[str](), False
-        for one in found:
-            if one.acts & taken or not self._earns(one) or self.names | {one.cause} in self.visited:
+        scores_before, named_quantities, was_refuted = scores(levelled(self.parent)), set[str](), False
+        for best in candidates:
+            cause = best.cause
+            if best.acts & named_quantities or not self._earns(best) or self.names | {cause} in self.visited:
                 continue
-            if taken:
-                one = replace(one, estimate=grafted(self.parent, one))
-            one = replace(one, judged=self._judged(before, one))
-            if one.judged.reason:
-                # another form of the cause may hold what this one does not
-                self._refuted.append(one)
-                self.forms[one.cause] = [f for f in self.forms[one.cause] if f.code != one.form.code]
-                again = True
+            if named_quantities:
+                best = replace(best, estimate=grafted(self.parent, best))
+            best = replace(best, judged=self._judged(scores_before, best))
+            if best.judged.reason:
+                # held-out readings may bear out another form of the cause
+                self._refuted.append(best)
+                self.forms[cause] = [form for form in self.forms[cause] if form.code != best.form.code]
+                was_refuted = True
                 continue
-            rivals = tuple(c for c in found if c.cause != one.cause and (alike(one, c) or water(one, c)))
-            self.accepted.append(replace(one, rivals=rivals, lead=lead(one, found)))
-            self.say(f"{one.cause}: evidence {one.evidence:.0f}, in days {one.in_days:.0f}")
-            self.parent = one.estimate
-            taken |= one.acts
-        if taken:
-            self.parent = renewed(self.parent, taken)
-            self._version.update(taken)
-        return bool(taken) or again
+            rivals = tuple(c for c in candidates if c.cause != cause and (alike(best, c) or water(best, c)))
+            self.accepted.append(replace(best, rivals=rivals, lead=lead(best, candidates)))
+            self.say(f"{cause}: evidence {best.evidence:.0f}, in days {best.in_days:.0f}")
+            self.parent = best.estimate
+            named_quantities |= best.acts
+        if named_quantities:
+            self.parent = update_error_models(self.parent, named_quantities)
+            self._version.update(named_quantities)
+        return bool(named_quantities) or was_refuted
 
-    def _earns(self, one: Candidate) -> bool:
-        others = [a for a in self.accepted if a.cause != one.cause]
-        return not one.lacking and one.strength >= needed(one, others)
+    def _earns(self, candidate: Candidate) -> bool:
+        others = [a for a in self.accepted if a.cause != candidate.cause]
+        return not candidate.lacking and candidate.strength >= needed(candidate, others)
 
-    def _judged(self, before: Mapping[str, Scores], one: Candidate) -> HeldOutTest:
-        after = scores(levelled(foreseen(self.parent, one)))
-        return tested({q: before[q] for q in one.acts}, {q: after[q] for q in one.acts}, one, self.accepted)
+    def _judged(self, before: Mapping[str, Scores], candidate: Candidate) -> HeldOutTest:
+        after = scores(levelled(foreseen(self.parent, candidate)))
+        return tested(
+            {q: before[q] for q in candidate.acts},
+            {q: after[q] for q in candidate.acts},
+            candidate,
+            self.accepted,
+        )
 
     def _judge_again(self) -> None:
-        """Leave causes that no longer earn their place beside the others, under the renewed error models."""
-        for one in list(self.accepted):
+        """Drop accepted causes whose evidence beside the others is too small under the new error models."""
+        for tried in list(self.accepted):
             if self.spent:
                 break
-            others = [a for a in self.accepted if a is not one]
-            without = composed(self.base, others, self.parent, one.acts)
-            again = candidate(without, self.parent, one.form, one.setting, one.searched)
-            if self._earns(again):
+            others = [a for a in self.accepted if a is not tried]
+            without = composed(self.base, others, self.parent, tried.acts)
+            refitted = candidate(without, self.parent, tried.form, tried.setting, tried.searched)
+            if self._earns(refitted):
                 continue
-            self.left.append(again)
-            self.accepted, self.parent = others, renewed(without, one.acts)
-            self._version.update(one.acts)
+            self.left.append(refitted)
+            self.accepted, self.parent = others, update_error_models(without, tried.acts)
+            self._version.update(tried.acts)
 
     def candidates(self) -> list[Candidate]:
         """The causes' best candidates beside the parent, the strongest first."""
         parent = parent_of(self.parent)
         self._columns = parent.columns
-        seen: dict[str, list[Screened]] = {}
+        screened_of: dict[str, list[Screened]] = {}
         self.not_judged = []
         for cause, forms in self.forms.items():
             if cause in self.names or not forms:
                 continue
             self.say(f"screening of {cause}")
-            found = self._recalled("screened", cause)
-            if found is None:
+            screened_settings = self._recalled("screened", cause)
+            if screened_settings is None:
                 if self.spent:
                     self.not_judged.append(cause)
                     continue
-                found = [s for form in forms for s in screened(parent, form)]
-                found.sort(key=lambda s: -s.gain)
-                self._keep("screened", cause, found)
-            seen[cause] = found
+                screened_settings = [s for form in forms for s in screened(parent, form)]
+                screened_settings.sort(key=lambda s: -s.gain)
+                self._keep("screened", cause, screened_settings)
+            screened_of[cause] = screened_settings
         best: dict[str, Candidate] = {}
-        for cause in self._first(seen):
+        for cause in self._first(screened_of):
             if self.spent:
                 self.not_judged.append(cause)
                 continue
             self.say(f"estimate of {cause}")
-            best[cause] = self._candidate(cause, seen[cause])
+            best[cause] = self._candidate(cause, screened_of[cause])
         for q in self.parent.quantities:
-            mine = [one for one in best.values() if q in one.acts]
-            if not mine:
+            rivals = [c for c in best.values() if q in c.acts]
+            if not rivals:
                 continue
-            leader = max(mine, key=lambda one: one.evidence)
-            for one in mine:
-                if one.evidence > leader.evidence - max(NEAR, NEAR_SHARE * leader.evidence):
-                    best[one.cause] = self._finished(one, one is leader)
+            leader = max(rivals, key=lambda c: c.evidence)
+            for rival in rivals:
+                if rival.evidence > leader.evidence - max(NEAR, NEAR_SHARE * leader.evidence):
+                    best[rival.cause] = self._finish(rival, rival is leader)
         return sorted(best.values(), key=lambda c: -c.strength)
 
-    def _first(self, seen: Mapping[str, Sequence[Screened]]) -> list[str]:
-        """The causes that promise most, of each quantity by itself: gains of the two are not alike in
-        size."""
-        ranked = sorted((cause for cause in seen if seen[cause]), key=lambda c: -seen[c][0].gain)
+    def _first(self, screened_of: Mapping[str, Sequence[Screened]]) -> list[str]:
+        """The causes with the largest screened gains, ranked within each quantity, since gains of temperature
+        and vapour differ in size."""
+        ranked = sorted(
+            (cause for cause in screened_of if screened_of[cause]), key=lambda c: -screened_of[c][0].gain
+        )
         first: dict[str, None] = {}
         for q in self.parent.quantities:
-            mine = [c for c in ranked if q in acts(seen[c][0].form, self.parent.quantities)]
-            first |= dict.fromkeys(mine[:CAUSES])
-        # water must not be explained away by an error of its sensor
-        return [*first, *(c for c in WATER if SENSOR in first and c not in first and seen.get(c))]
+            acting_causes = [c for c in ranked if q in acts(screened_of[c][0].form, self.parent.quantities)]
+            first |= dict.fromkeys(acting_causes[:CAUSES])
+        # an error of the humidity sensor must not take the place of water
+        return [*first, *(c for c in WATER if SENSOR in first and c not in first and screened_of.get(c))]
 
     def _candidate(self, cause: str, seen: Sequence[Screened]) -> Candidate:
-        found: Candidate | None = self._recalled("candidate", cause)
-        if found is None:
-            made = []
+        result: Candidate | None = self._recalled("candidate", cause)
+        if result is None:
+            tried = []
             for s in _to_estimate(seen):
-                one = estimated(self.parent, s.form, s.setting, s.values, LIGHT, self._columns)
-                made.append(candidate(self.parent, one, s.form, s.setting, self.searched[cause]))
-            best = max(made, key=lambda one: one.evidence)
-            near = (c.form.code for c in made if c.form is not best.form and alike(best, c))
-            found = replace(best, alike=tuple(dict.fromkeys(near)))
-            self._keep("candidate", cause, found)
-        if set(found.estimate.simulator.names) >= set(self.parent.simulator.names):
-            return found
-        return replace(found, estimate=grafted(self.parent, found))
+                child = estimated(self.parent, s.form, s.setting, s.values, LIGHT, self._columns)
+                tried.append(candidate(self.parent, child, s.form, s.setting, self.searched[cause]))
+            best = max(tried, key=lambda c: c.evidence)
+            near = (c.form.code for c in tried if c.form is not best.form and alike(best, c))
+            result = replace(best, alike=tuple(dict.fromkeys(near)))
+            self._keep("candidate", cause, result)
+        if set(result.estimate.simulator.names) >= set(self.parent.simulator.names):
+            return result
+        return replace(result, estimate=grafted(self.parent, result))
 
-    def _finished(self, one: Candidate, leads: bool) -> Candidate:
-        """A candidate at its maximum; the one that leads a quantity jumps."""
-        if self._recalled("finished", one.cause) in (True, leads):
-            return one
-        made = fitted(one.estimate, acting(one.estimate, one.acts), POLISH)
-        one = replace(candidate(self.parent, made, one.form, one.setting, one.searched), alike=one.alike)
-        if leads and one.evidence > 0.0:
-            one = jumped(self.parent, one)
-        self._keep("candidate", one.cause, one)
-        self._keep("finished", one.cause, leads)
-        return one
+    def _finish(self, finished: Candidate, leads: bool) -> Candidate:
+        """Fit a candidate to its maximum; the leader of a quantity is also improved by jumps."""
+        if self._recalled("finished", finished.cause) in (True, leads):
+            return finished
+        child = fitted(finished.estimate, acting(finished.estimate, finished.acts), POLISH)
+        finished = replace(
+            candidate(self.parent, child, finished.form, finished.setting, finished.searched),
+            alike=finished.alike,
+        )
+        if leads and finished.evidence > 0.0:
+            finished = jumped(self.parent, finished)
+        self._keep("candidate", finished.cause, finished)
+        self._keep("finished", finished.cause, leads)
+        return finished
 
 
 def _to_estimate(seen: Sequence[Screened]) -> list[Screened]:
-    """The best setting of each form, then the best of the others: forms differ more than settings."""
+    """The best setting of each form, then the best remaining settings: forms differ more than settings."""
     first: dict[str, Screened] = {}
     for s in seen:
         first.setdefault(s.form.code, s)
@@ -254,65 +270,79 @@ def _to_estimate(seen: Sequence[Screened]) -> list[Screened]:
 
 
 def composed(
-    base: Calibration, causes: Sequence[Candidate], near: Calibration, moved: Collection[str]
+    base: Calibration, causes: Sequence[Candidate], larger: Calibration, quantities: Collection[str]
 ) -> Calibration:
-    """The base with some causes, fitted from a larger model's values under the same error models in the
-    quantities that moved."""
-    one = base
+    """The base with some of the causes, fitted in the given quantities from the values of a larger model,
+    under the error models of that model."""
+    extended = base
     for cause in causes:
-        one = replace(one, simulator=widened(one, cause.form, cause.setting))
-    theta = one.simulator.vector(near.values)
-    made = estimate_at(one.simulator, near.errors, theta, near.linear, near.variances)
-    return fitted(made, acting(made, moved))
+        extended = replace(extended, simulator=widened(extended, cause.form, cause.setting))
+    theta = extended.simulator.vector(larger.values)
+    start = estimate_at(extended.simulator, larger.errors, theta, larger.linear, larger.variances)
+    return fitted(start, acting(start, quantities))
 
 
-def foreseen(parent: Calibration, one: Candidate) -> Calibration:
-    """The candidate's estimate with the openings of the held-out part, which nothing foresees: those that
-    make its readings likelier by more than the price of finding them."""
-    if not one.form.windows:
-        return one.estimate
-    whole = replace(one.form, grid=(Setting({"door_open": {"spans": [[-1e18, 1e18]]}}),))
-    known, e = one.setting.features["door_open"]["spans"], one.estimate
-    spans, price = openings(parent, whole, identified=False)
-    kept: list[list[float]] = []
-    best = _held_out_deviance(e)
+def foreseen(parent: Calibration, candidate: Candidate) -> Calibration:
+    """The candidate's estimate with door openings of the held-out part, which cannot be predicted: those that
+    raise the likelihood of the held-out readings by more than the price of a window."""
+    if not candidate.form.windows:
+        return candidate.estimate
+    whole_form = replace(candidate.form, grid=(Setting({"door_open": {"spans": [[-1e18, 1e18]]}}),))
+    identified_spans, estimate = candidate.setting.features["door_open"]["spans"], candidate.estimate
+    spans, price = openings(parent, whole_form, identified=False)
+    held_out_spans: list[list[float]] = []
+    best_deviance = _held_out_deviance(estimate)
     for span in spans:
-        trial = _opened(parent, one, sorted([*known, *kept, span]))
-        if _held_out_deviance(trial) < best - price:
-            kept.append(span)
-            best = _held_out_deviance(trial)
-    return _opened(parent, one, sorted([*known, *kept]))
+        trial = _opened(parent, candidate, sorted([*identified_spans, *held_out_spans, span]))
+        if _held_out_deviance(trial) < best_deviance - price:
+            held_out_spans.append(span)
+            best_deviance = _held_out_deviance(trial)
+    return _opened(parent, candidate, sorted([*identified_spans, *held_out_spans]))
 
 
-def _opened(parent: Calibration, one: Candidate, spans: Sequence[Sequence[float]]) -> Calibration:
-    wider, e = widened(parent, one.form, Setting({"door_open": {"spans": spans}})), one.estimate
-    return estimate_at(wider, e.errors, wider.vector(e.values), e.linear, e.variances)
+def _opened(parent: Calibration, candidate: Candidate, spans: Sequence[Sequence[float]]) -> Calibration:
+    wider, estimate = (
+        widened(parent, candidate.form, Setting({"door_open": {"spans": spans}})),
+        candidate.estimate,
+    )
+    return estimate_at(
+        wider, estimate.errors, wider.vector(estimate.values), estimate.linear, estimate.variances
+    )
 
 
-def _held_out_deviance(one: Calibration) -> float:
-    return sum(score.deviance for score in scores(one).values())
+def _held_out_deviance(estimate: Calibration) -> float:
+    return sum(score.deviance for score in scores(estimate).values())
 
 
-def needed(one: Candidate, accepted: Sequence[Candidate]) -> float:
-    """The evidence that a candidate needs: more if a quantity on which it acts has a name already, since what
-    is left there is more often that one's misfit than another cause."""
-    return FURTHER if any(one.acts & a.acts for a in accepted) else THRESHOLD
+def needed(candidate: Candidate, accepted: Sequence[Candidate]) -> float:
+    """The evidence that a candidate needs: more if a cause is named for a quantity on which it acts, since
+    the remaining errors are then more often the misfit of the named cause than another cause."""
+    return FURTHER if any(candidate.acts & a.acts for a in accepted) else THRESHOLD
 
 
 def tested(
-    before: Mapping[str, Scores], after: Mapping[str, Scores], one: Candidate, accepted: Sequence[Candidate]
+    before: Mapping[str, Scores],
+    after: Mapping[str, Scores],
+    candidate: Candidate,
+    accepted: Sequence[Candidate],
 ) -> HeldOutTest:
-    """What held-out readings say of a candidate beside earlier names."""
-    return judged(before, after, one.in_days - needed(one, accepted), one.factor, one.in_days < FURTHER)
+    """The test of a candidate on held-out readings, beside the accepted causes."""
+    return judged(
+        before,
+        after,
+        candidate.in_days - needed(candidate, accepted),
+        candidate.factor,
+        candidate.in_days < FURTHER,
+    )
 
 
 def effect_of(form: Form, parent: Calibration, child: Calibration, after: Mapping[str, Scores]) -> float:
-    """The difference that a cause itself makes to the readings (`difference`); infinite for one without a
-    size."""
+    """The squared `difference` that a cause makes to the readings; infinite for a form without an
+    amplitude."""
     names = {p.name: p.null for p in amplitudes(added(parent, child.simulator)) if p.null is not None}
-    mine = brought(form, child.simulator)
-    if not mine & set(names):
+    own_names = brought(form, child.simulator)
+    if not own_names & set(names):
         return math.inf
-    theta = child.simulator.vector({**child.values, **{n: v for n, v in names.items() if n in mine}})
-    without = scores(estimate_at(child.simulator, child.errors, theta, child.linear, child.variances))
-    return sum(float(square.sum()) for square in difference(after, without).values())
+    theta = child.simulator.vector({**child.values, **{n: v for n, v in names.items() if n in own_names}})
+    scores_without = scores(estimate_at(child.simulator, child.errors, theta, child.linear, child.variances))
+    return sum(float(square.sum()) for square in difference(after, scores_without).values())

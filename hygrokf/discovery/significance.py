@@ -1,13 +1,14 @@
 """Whether errors depend on a condition: score tests under the error model, and false discoveries.
 
-What a simulation misses is a stationary process with a free spectrum behind the cabinet's low pass
-(`error_model`).  Standardised innovations e of such an error are white.  A condition whose columns become x
-in the same filter leaves in them
+The error of a simulation is a stationary process with a free spectrum, filtered by the cabinet's low pass
+(`error_model`).  Its standardised innovations e are white.  With x, the columns of a condition after the same
+filter, an effect β of the condition gives
 
     e = x β + white,    (x'e)' (x'x)⁻¹ (x'e) ~ χ²(k) without an effect.
 
-Innovations beyond the Huber bound count as the bound.  Where the scores of whole days scatter more than this
-law says, because errors are livelier under the condition, the statistic is divided by the excess.
+Innovations beyond the Huber bound count as the bound.  Where the daily sums of the scores vary more than
+under this law, because the error's variance is larger under the condition, the statistic is divided by the
+ratio.  Nuisance columns are those of effects that are already explained.
 
 Shapes: n bins of equal length, k columns of a condition, q nuisance columns, J tests.
 
@@ -24,29 +25,29 @@ import numpy as np
 from hygrokf.discovery.error_model import HUBER, Filtered, course, filtered, maximised
 
 SLOWER = 4.0
-"""[1] time constant of a slower mass over that of the low pass."""
+"""[1] ratio of the time constant of a slower mass to that of the low pass."""
 POSSIBLE = math.log(0.05)
-"""ln p above which the scatter of the days does not matter any more."""
+"""ln p above which the statistic is not corrected for the scatter of the days."""
 EDGE = 0.05
-"""[1] share of the readings at either end among which no change is looked for."""
+"""[1] share of the readings at either end among which no change is searched."""
 INTERVAL = 4.0
-"""Statistic by which one explanation must lead another to be clearly better: that of a 95 % interval."""
-
+"""Difference in the χ² statistic from which one explanation is clearly better than another (95 %
+interval)."""
 ROUNDING = 1e-12
-"""Share of a column's square beside the nuisance that is rounding."""
+"""Share of a column's square up to which the part orthogonal to the nuisance is rounding error."""
 NEAR = 2
-"""Bins around a change within which something that does not last may explain it."""
+"""Bins around a change in which an outlier or a shock may explain it instead."""
 SHARP_H = 1.0
-"""[h] longest interval of a date that is sure."""
+"""[h] longest confidence interval of a date that counts as certain."""
 
 
 @dataclass(frozen=True)
 class Whitened:
-    """An error (n,) in standardised innovations, beside nuisance columns (n, q).
+    """The standardised innovations of an error (n,), orthogonal to nuisance columns (n, q).
 
-    error: NaN without a reading; step_h, tau_h: [h] length of a bin, time constant of
-    the low pass; basis: (n, q) of the whitened nuisance, orthonormal; e: (n,) innovations beside it, 0
-    without a reading.
+    error: NaN without a reading; step_h, tau_h: [h] length of a bin, time constant of the low pass; basis:
+    (n, q) orthonormal basis of the whitened nuisance; e: (n,) innovations orthogonal to the basis, 0 without
+    a reading.
     """
 
     error: np.ndarray
@@ -59,7 +60,7 @@ class Whitened:
 
     @classmethod
     def of(cls, error: np.ndarray, step_h: float, tau_h: float) -> Whitened:
-        """Under the variances of the greatest likelihood, beside a constant."""
+        """The error whitened under its maximum-likelihood variances, with a constant as nuisance."""
         error = error - np.nanmean(error)
         largest = max(float(np.nanvar(error)), 1e-12)
         time = step_h * np.arange(len(error))
@@ -81,47 +82,50 @@ class Whitened:
         )
 
     def columns(self, condition: np.ndarray, flow: bool) -> np.ndarray:
-        """Columns (n, k) of a condition (n, m), NaN = unknown, less their means; with `flow` also those that
-        it leaves if it acts as a flow on the air, or on a slower mass."""
-        there = np.isfinite(condition)
-        known = np.where(there, condition, 0.0)
-        mean = known.sum(axis=0) / np.maximum(there.sum(axis=0), 1)
-        centred = np.where(there, known - mean, 0.0)
+        """Columns (n, k) of a condition (n, m), NaN = unknown, minus their means; with `flow` also the
+        responses of the air and of a slower mass to a flow with the course of the condition."""
+        is_known = np.isfinite(condition)
+        values = np.where(is_known, condition, 0.0)
+        mean = values.sum(axis=0) / np.maximum(is_known.sum(axis=0), 1)
+        centred = np.where(is_known, values - mean, 0.0)
         if not flow:
             return centred
         return np.column_stack([centred, self.low_passed(centred), self.low_passed(centred, SLOWER)])
 
     def low_passed(self, columns: np.ndarray, slower: float = 1.0) -> np.ndarray:
-        """Columns (n, k) behind the low pass: τ dz/dt = −z + column, with τ by so much longer."""
+        """Columns (n, k) filtered by the low pass τ dz/dt = −z + column, whose τ is `slower` times the
+        error's time constant."""
         from scipy.signal import lfilter
 
-        left = np.exp(-self.step_h / (slower * self.tau_h))
-        return lfilter([1.0 - left], [1.0, -left], columns, axis=0)
+        decay = np.exp(-self.step_h / (slower * self.tau_h))
+        return lfilter([1.0 - decay], [1.0, -decay], columns, axis=0)
 
     def whitened(self, columns: np.ndarray) -> np.ndarray:
-        """Columns (n, k) in the innovations, without the nuisance."""
+        """Columns (n, k) whitened by the filter and orthogonal to the nuisance."""
         white = self.known.whitened(columns)
-        before = np.einsum("ni,ni->i", white, white)
+        squares_before = np.einsum("ni,ni->i", white, white)
         white -= self.basis @ (self.basis.T @ white)
-        white[:, np.einsum("ni,ni->i", white, white) <= ROUNDING * before] = 0.0
+        white[:, np.einsum("ni,ni->i", white, white) <= ROUNDING * squares_before] = 0.0
         return white
 
     def log_p(self, white: np.ndarray, full: bool = False) -> float:
-        """ln p that the error is free of a condition, of its whitened columns (n, k); full: innovations count
-        in full."""
+        """ln p of the hypothesis that the error does not depend on a condition with whitened columns (n, k);
+        full: without the Huber bound."""
         root = _root(white)
         if root is None:
             return 0.0
         e, rank = self.e if full else _clipped(self.e), root.shape[1]
-        size = _square(root.T @ (white.T @ e))
-        if _log_tail(size, rank) > POSSIBLE:
-            return _log_tail(size, rank)
-        left = _clipped(self.e - white @ (root @ (root.T @ (white.T @ self.e))))
-        daily = np.add.reduceat(white * left[:, None], np.arange(0, len(left), round(24.0 / self.step_h)))
-        return _log_tail(size / max(1.0, _square(daily @ root) / rank), rank)
+        statistic = _square(root.T @ (white.T @ e))
+        if _log_tail(statistic, rank) > POSSIBLE:
+            return _log_tail(statistic, rank)
+        remainder = _clipped(self.e - white @ (root @ (root.T @ (white.T @ self.e))))
+        daily = np.add.reduceat(
+            white * remainder[:, None], np.arange(0, len(remainder), round(24.0 / self.step_h))
+        )
+        return _log_tail(statistic / max(1.0, _square(daily @ root) / rank), rank)
 
     def effect(self, columns: np.ndarray) -> np.ndarray:
-        """(n,) what columns (n, k) explain of the error, by generalised least squares."""
+        """The part (n,) of the error that columns (n, k) explain, by generalised least squares."""
         white = self.whitened(columns)
         root = _root(white)
         if root is None:
@@ -129,61 +133,66 @@ class Whitened:
         return columns @ (root @ (root.T @ (white.T @ self.e)))
 
     def rejudged(self, columns: np.ndarray) -> Whitened:
-        """The same under variances of the error without what columns (n, k) explain: an effect feigns a
-        memory, which would hide it."""
-        rest = self.error - self.effect(columns)
-        variances = maximised(self.known.course, rest, self.known.variances)
+        """The same error under the variances of its part that columns (n, k) do not explain: the effect would
+        otherwise raise the slow variances, which then hide it."""
+        remainder = self.error - self.effect(columns)
+        variances = maximised(self.known.course, remainder, self.known.variances)
         return self._with(self.error, variances, self.nuisance)
 
     def without(self, columns: np.ndarray, kin: np.ndarray) -> Whitened:
-        """The error without what columns (n, k) explain; they and their `kin` (n, c) are nuisance from here
-        on."""
-        rest = self.error - self.effect(columns)
-        variances = maximised(self.known.course, rest, self.known.variances)
-        return self._with(rest, variances, np.column_stack([self.nuisance, columns, kin]))
+        """The error minus the part that columns (n, k) explain; these columns and `kin` (n, c) join the
+        nuisance."""
+        remainder = self.error - self.effect(columns)
+        variances = maximised(self.known.course, remainder, self.known.variances)
+        return self._with(remainder, variances, np.column_stack([self.nuisance, columns, kin]))
 
     def change(self) -> tuple[int, bool, int, bool]:
-        """The likeliest lasting change: from which bin on, whether of a flow (else of the readings), how many
-        were tried, and whether the date is sure to the hour.
+        """The likeliest lasting change: its first bin, whether it is one of a flow (else of the readings),
+        the number of changes that were tried, and whether the date is certain to the hour.
 
-        The adjoint filter gives the scores of all dates in one pass: a change from bin t on meets the sum of
-        what is behind t.  Its information is that in a record without holes.  Innovations count in full;
-        dates near which a stray reading, or a shock that the process itself forgets, explains them clearly
-        better are left out.
+        The adjoint filter gives the scores of all dates in one pass: the score of a change at bin t is the
+        sum of the contributions from bin t on.  The information is that of a record without gaps.
+        Innovations count without the Huber bound.  Dates near which an outlier, or a shock to the process
+        itself, explains the innovations clearly better are left out.
         """
         from scipy.ndimage import maximum_filter1d
         from scipy.signal import lfilter
 
-        count, left = len(self.e), np.exp(-self.step_h / self.tau_h)
-        told = np.column_stack([self._adjoint(one) for one in (self.e, *self.basis.T)])
-        ahead = told[::-1]
-        direct = np.cumsum(ahead, axis=0)
-        sums = np.stack([direct, direct - left * lfilter([1.0], [1.0, -left], ahead, axis=0)], axis=1)[::-1]
+        count, decay = len(self.e), np.exp(-self.step_h / self.tau_h)
+        contributions = np.column_stack([self._adjoint(column) for column in (self.e, *self.basis.T)])
+        reversed_contributions = contributions[::-1]
+        direct = np.cumsum(reversed_contributions, axis=0)
+        sums = np.stack(
+            [direct, direct - decay * lfilter([1.0], [1.0, -decay], reversed_contributions, axis=0)], axis=1
+        )[::-1]
         read = np.flatnonzero(np.isfinite(self.error))
         margin = round(EDGE * len(read))
-        within = read[margin : len(read) - margin]
-        first = min(round(EDGE * count), int(within[0]))
-        place = np.arange(count)
-        step, stray = (place >= first)[:, None].astype(float), (place == first)[:, None].astype(float)
+        dates = read[margin : len(read) - margin]
+        first = min(round(EDGE * count), int(dates[0]))
+        bin_index = np.arange(count)
+        step, outlier = (
+            (bin_index >= first)[:, None].astype(float),
+            (bin_index == first)[:, None].astype(float),
+        )
         steady = filtered(self.known.course, self.known.variances, np.zeros(count))
-        white = steady.whitened(np.column_stack([step, self.low_passed(step), stray]))[first:]
-        square = np.cumsum(white[:, :2] ** 2, axis=0)[count - 1 - within]
-        square = square - (sums[within, :, 1:] ** 2).sum(axis=2)
+        white = steady.whitened(np.column_stack([step, self.low_passed(step), outlier]))[first:]
+        square = np.cumsum(white[:, :2] ** 2, axis=0)[count - 1 - dates]
+        square = square - (sums[dates, :, 1:] ** 2).sum(axis=2)
         safe = np.where(square > 0.0, square, np.inf)
-        value = sums[within, :, 0] ** 2 / safe
-        shock = np.maximum(self.e**2, told[:, 0] ** 2 / _square(white[:, 2]))
-        value[value < maximum_filter1d(shock, 2 * NEAR + 1)[within, None] - INTERVAL] = 0.0
-        best, flow = np.unravel_index(np.argmax(value), value.shape)
-        likely = int((value[:, flow] > value[best, flow] - INTERVAL).sum())
-        return int(within[best]), bool(flow), value.size, likely * self.step_h <= SHARP_H
+        statistic = sums[dates, :, 0] ** 2 / safe
+        shock = np.maximum(self.e**2, contributions[:, 0] ** 2 / _square(white[:, 2]))
+        statistic[statistic < maximum_filter1d(shock, 2 * NEAR + 1)[dates, None] - INTERVAL] = 0.0
+        best, flow = np.unravel_index(np.argmax(statistic), statistic.shape)
+        likely_bins = int((statistic[:, flow] > statistic[best, flow] - INTERVAL).sum())
+        return int(dates[best]), bool(flow), statistic.size, likely_bins * self.step_h <= SHARP_H
 
     def _adjoint(self, white: np.ndarray) -> np.ndarray:
-        """(n,) what each reading adds to the product of whitened readings with a vector (n,)."""
-        seen = np.isfinite(self.known.innovation)
-        innovation = np.where(seen, white * np.sqrt(self.known.variance), np.nan)
-        told = replace(self.known, innovation=innovation, predicted=np.zeros(len(white))).smoothed()
+        """(n,) contribution of each reading to the product of the whitened readings with a vector (n,)."""
+        is_present = np.isfinite(self.known.innovation)
+        innovation = np.where(is_present, white * np.sqrt(self.known.variance), np.nan)
+        smoothed = replace(self.known, innovation=innovation, predicted=np.zeros(len(white))).smoothed()
         noise = self.known.variances[0] * self.known.course.shape
-        return np.where(seen, (innovation - told) / noise, 0.0)
+        return np.where(is_present, (innovation - smoothed) / noise, 0.0)
 
 
 def _square(values: np.ndarray) -> float:
@@ -195,8 +204,7 @@ def _clipped(e: np.ndarray) -> np.ndarray:
 
 
 def _root(white: np.ndarray) -> np.ndarray | None:
-    """R (k, r) that makes columns (n, k) orthonormal in the directions that they resolve; None without
-    any."""
+    """R (k, r) that makes columns (n, k) orthonormal in their r independent directions; None for r = 0."""
     gram = white.T @ white
     scale = np.sqrt(np.diag(gram))
     used = scale > 1e-9 * max(float(scale.max(initial=0.0)), 1e-9)
@@ -209,7 +217,7 @@ def _root(white: np.ndarray) -> np.ndarray | None:
 
 
 def _log_tail(value: float, freedom: int) -> float:
-    """ln of the chance that χ² with so many degrees of freedom exceeds a value."""
+    """ln of the probability that χ² with `freedom` degrees of freedom exceeds a value."""
     from scipy.special import chdtrc, gammaln
 
     p = float(chdtrc(freedom, value))
@@ -219,12 +227,11 @@ def _log_tail(value: float, freedom: int) -> float:
 
 
 def benjamini_hochberg(p: np.ndarray, weights: np.ndarray | None = None) -> np.ndarray:
-    """q (J,): the share of false discoveries among all that are at least as significant.
+    """q (J,): the share of false discoveries among all tests that are at least as significant.
 
-    weights: (J,) fixed beforehand, of mean 1 (they are scaled to it); p is divided by them.  Holds for
-    independent and for positively dependent tests.  Here overlapping conditions share hours, so the squares
-    of the statistics rise and fall together: positive dependence, which needs no factor Σ 1/j (Benjamini &
-    Yekutieli 2001, doi:10.1214/aos/1013699998).
+    weights: (J,) fixed beforehand, scaled to mean 1; p is divided by them.  Valid for independent and for
+    positively dependent tests.  Overlapping conditions share hours, so that their statistics are positively
+    dependent and need no factor Σ 1/j (Benjamini & Yekutieli 2001, doi:10.1214/aos/1013699998).
 
     Source: Genovese, Roeder & Wasserman 2006, doi:10.1093/biomet/93.3.509 (weights).
     """

@@ -1,7 +1,7 @@
-"""Simulations of a model on a scene, many at a time: the readings that each set of parameters gives.
+"""Simulations of a model on a scene, many at a time: the readings for each set of parameters.
 
-The temperature follows from the model of heat alone, the vapour from the model of vapour on the temperature
-that drives the scene; a controller connects both.  `SimulationWork` counts runs.
+The temperature follows from the model of heat alone.  The vapour follows from the model of vapour, driven by
+the temperature of the scene.  A controller connects both models.  `SimulationWork` counts runs.
 
 Shapes: T readings of a quantity, P parameters, n runs, F edges of parts of cells.
 """
@@ -30,13 +30,13 @@ OUTPUT = {
 
 
 ACCURACY = 2.0
-"""Standard deviations of a prior within which an offset stays."""
+"""Largest deviation of an offset from the mean of its prior, in standard deviations of the prior."""
 
 
 @dataclass
 class SimulationWork:
-    """Simulations so far, and the cell models that all simulators of a search share: tracing one takes as
-    long as ten runs."""
+    """The number of simulations so far, and the cell models that all simulators of a search share, since
+    tracing a model takes as long as ten runs."""
 
     simulations: int = 0
     models: dict[tuple[object, ...], tuple[CellModel, tuple[Model, ...]]] = field(default_factory=dict)
@@ -44,7 +44,7 @@ class SimulationWork:
 
 @dataclass(frozen=True)
 class Simulator:
-    """Models of heat and of vapour on a scene; own: inputs of which each run has a column of its own."""
+    """Models of heat and of vapour on a scene; own: inputs for which each run has a separate column."""
 
     scene: Scene
     heat: Design
@@ -61,10 +61,13 @@ class Simulator:
     @cached_property
     def parameters(self) -> tuple[Parameter, ...]:
         """All parameters that a run depends on, the levels of controllers included."""
-        known = {
-            p.name: self._limited(p) for one in self.designs for p in one.model.parameters if not p.noise
+        parameter_of = {
+            p.name: self._limited(p)
+            for design in self.designs
+            for p in design.model.parameters
+            if not p.noise
         }
-        return (*known.values(), *(p for name in self.controls for p in self._levels(name)))
+        return (*parameter_of.values(), *(p for name in self.controls for p in self._levels(name)))
 
     def _limited(self, p: Parameter) -> Parameter:
         low, high = self.limits.get(p.name, (p.lower, p.upper))
@@ -82,16 +85,16 @@ class Simulator:
 
     @cached_property
     def controls(self) -> tuple[str, ...]:
-        inputs = {name for one in self.designs for name in one.model.inputs}
+        inputs = {name for design in self.designs for name in design.model.inputs}
         return tuple(name for name in CONTROLLED if name in inputs)
 
     def _switch(self, name: str) -> Throttle:
-        return Throttle(**next(one.features[name] for one in self.designs if name in one.features))
+        return Throttle(**next(design.features[name] for design in self.designs if name in design.features))
 
     def _levels(self, name: str) -> tuple[Parameter, Parameter]:
         switch = self._switch(name)
-        warm = switch.reads == TEMPERATURE
-        low, high, unit = (200.0, 400.0, "K") if warm else (-0.5, 1.5, "1")
+        is_temperature = switch.reads == TEMPERATURE
+        low, high, unit = (200.0, 400.0, "K") if is_temperature else (-0.5, 1.5, "1")
         first, second = (
             Parameter(
                 f"{name}_{word}", unit, level, low, high, meaning=f"reading at which the controller {does}"
@@ -103,36 +106,40 @@ class Simulator:
         return first, second
 
     def _steering(self, name: str) -> tuple[float, float]:
-        """Whether a controller follows the humidity, and acts at standstill only."""
+        """Whether (1.0 or 0.0) a controller reads the humidity, and whether it acts at standstill only."""
         switch = self._switch(name)
         return float(switch.reads == HUMIDITY), float(switch.idle)
 
     def affects(self, name: str) -> tuple[str, ...]:
         """The quantities that a parameter acts on."""
-        by = {
+        parameters_of = {
             "temperature": [p.name for p in self.heat.model.parameters],
             "vapour": [] if self.vapour is None else [p.name for p in self.vapour.model.parameters],
         }
-        found = [quantity for quantity, names in by.items() if name in names]
-        if not found:
+        quantities = [quantity for quantity, names in parameters_of.items() if name in names]
+        if not quantities:
             control = name.rpartition("_")[0]
-            found = [q for q, one in zip(by, self.designs, strict=False) if control in one.model.inputs]
-        return tuple(found)
+            quantities = [
+                q
+                for q, design in zip(parameters_of, self.designs, strict=False)
+                if control in design.model.inputs
+            ]
+        return tuple(quantities)
 
     def clocks(self, quantity: str) -> set[str]:
-        """The sources whose clocks a quantity's inputs and its readings have."""
+        """The sources of a quantity's inputs and readings; each source has its own clock."""
         inputs = self.cell_model(quantity).inputs
         return {self.scene.source(name) for name in (TEMPERATURE, *inputs)}
 
     # -- runs ------------------------------------------------------------------------------------------------
     def cell_model(self, quantity: str) -> CellModel:
-        """The models that a quantity needs."""
-        damp = any(self._steering(c)[0] for c in self.controls)
-        models = tuple(one.model for one in self.designs)
-        key = (quantity, damp, self.own, *map(id, models))
+        """The traced cell models that a quantity needs."""
+        reads_humidity = any(self._steering(c)[0] for c in self.controls)
+        models = tuple(design.model for design in self.designs)
+        key = (quantity, reads_humidity, self.own, *map(id, models))
         if key not in self.work.models:
-            # the entry keeps the models, so that their identities stay their own
-            self.work.models[key] = self._cell_model(quantity, damp), models
+            # the key holds identities of models; the entry keeps the models alive, so that none is reused
+            self.work.models[key] = self._cell_model(quantity, reads_humidity), models
         return self.work.models[key][0]
 
     def _cell_model(self, quantity: str, damp: bool) -> CellModel:
@@ -140,10 +147,10 @@ class Simulator:
         steered = {c for c in self.controls if c in (vapour.inputs if vapour else ())}
         if quantity == "temperature" and not damp:
             vapour = None
-        made = CellModel(heat, vapour) if quantity != "vapour" or steered else CellModel(None, vapour)
-        inputs = {name for one in made.models for name in one.inputs}
+        model = CellModel(heat, vapour) if quantity != "vapour" or steered else CellModel(None, vapour)
+        inputs = {name for part_model in model.models for name in part_model.inputs}
         return replace(
-            made,
+            model,
             controls=tuple(name for name in self.controls if name in inputs),
             own=tuple(name for name in self.own if name in inputs),
         )
@@ -160,31 +167,31 @@ class Simulator:
         columns: Mapping[str, Sequence[np.ndarray]] | None = None,
         driven: bool = True,
     ) -> np.ndarray:
-        """(K, n) of what the sensor of a quantity shows at the ends of cells, for parameters (P, n).
+        """(K, n) output of a quantity's sensor at the ends of cells, for parameters (P, n).
 
-        columns: own input → its (K,) means over the cells for each run.  driven: whether vapour runs on the
-        scene's temperature; else on the simulated one.
+        columns: own input → its (K,) means over the cells for each run.  driven: whether the temperature of
+        the scene drives the vapour; else the simulated temperature does.
         """
         model = self.cell_model(quantity if driven else "both")
         cells, count = self.cells(model), theta.shape[1]
-        place = {name: i for i, name in enumerate(self.names)}
+        row_of = {name: i for i, name in enumerate(self.names)}
         result = np.empty((len(cells), count))
         output = next(i for i, name in enumerate(model.outputs) if name in OUTPUT[quantity])
         self.work.simulations += count
         for first in range(0, count, LANES):
-            part = theta[:, first : first + LANES]
-            width = part.shape[1]
-            full = np.zeros((len(model.parameters), LANES))
+            block = theta[:, first : first + LANES]
+            width = block.shape[1]
+            lanes = np.zeros((len(model.parameters), LANES))
             for i, name in enumerate(model.parameters):
-                if name in place:
-                    full[i, :width], full[i, width:] = part[place[name]], part[place[name], -1]
+                if name in row_of:
+                    lanes[i, :width], lanes[i, width:] = block[row_of[name]], block[row_of[name], -1]
             for name in model.controls:
                 for word, value in zip(CONTROL[2:], self._steering(name), strict=True):
-                    full[model.parameters.index(f"{name}_{word}")] = value
-            free = quantity == "temperature" or not driven
-            full[model.parameters.index(SIMULATED)] = float(free)
-            own = [_lanes(columns or {}, name, first) for name in model.own]
-            out = run(model, cells, full, self._start(model, cells, full), own)
+                    lanes[model.parameters.index(f"{name}_{word}")] = value
+            is_simulated = quantity == "temperature" or not driven
+            lanes[model.parameters.index(SIMULATED)] = float(is_simulated)
+            own_columns = [_lanes(columns or {}, name, first) for name in model.own]
+            out = run(model, cells, lanes, self._start(model, cells, lanes), own_columns)
             result[:, first : first + width] = out[:, output, :width]
         return result
 
@@ -202,27 +209,28 @@ class Simulator:
         inputs: dict[str, Any] = {name: cells.edges[0, c] for c, name in enumerate(model.inputs)}
         inputs |= dict.fromkeys((*model.own, *model.controls), 0.0)
         values: dict[str, Any] = {name: theta[i] for i, name in enumerate(model.parameters)}
-        values |= {p.name: 0.0 for one in model.models for p in one.parameters if p.noise}
-        begun = [x for one in model.models for x in one.initial(values, inputs)[0]]
-        return np.stack([np.broadcast_to(np.asarray(x, float), LANES) for x in begun])
+        values |= {p.name: 0.0 for part_model in model.models for p in part_model.parameters if p.noise}
+        states = [x for part_model in model.models for x in part_model.initial(values, inputs)[0]]
+        return np.stack([np.broadcast_to(np.asarray(x, float), LANES) for x in states])
 
     def vector(self, values: Mapping[str, float]) -> np.ndarray:
-        """(P,) of values by name; a parameter without one has no effect, or its start."""
+        """The parameter vector (P,) of values by name; a parameter without a value has its null, or else its
+        start value."""
         return np.array([values.get(p.name, p.start if p.null is None else p.null) for p in self.parameters])
 
     def owner(self, name: str) -> Design:
-        """The design whose input this is."""
-        return next((one for one in self.designs if name in one.model.inputs), self.heat)
+        """The design that has this input; the design of heat if none has."""
+        return next((design for design in self.designs if name in design.model.inputs), self.heat)
 
     def column(self, name: str, settings: Mapping[str, Any]) -> np.ndarray:
-        """(K,) means over the cells of an own input under some settings of its feature."""
+        """(K,) means over the cells of an own input, computed with these settings of its feature."""
         owner = self.owner(name)
-        made = replace(owner, features={**owner.features, name: settings})
-        return self.scene.column(name, made)
+        design = replace(owner, features={**owner.features, name: settings})
+        return self.scene.column(name, design)
 
 
 def _lanes(columns: Mapping[str, Sequence[np.ndarray]], name: str, first: int) -> np.ndarray:
-    """Own columns of a block of runs (K, LANES); zeros (1, LANES) where none is given."""
+    """Columns (K, LANES) of an own input for the runs from `first` on; zeros (1, LANES) without columns."""
     part = list(columns.get(name, ()))[first : first + LANES]
     if not part:
         return np.zeros((1, LANES))
@@ -230,7 +238,7 @@ def _lanes(columns: Mapping[str, Sequence[np.ndarray]], name: str, first: int) -
 
 
 def _silent(design: Design) -> Model:
-    """The model without what only disturbs it, read at instants."""
+    """The model without mechanisms that have nothing but noise parameters."""
     kept = [
         m for m in design.model.mechanisms
         if not m.parameters or m.outputs or m.corrections or not all(p.noise for p in m.parameters)

@@ -1,4 +1,4 @@
-"""The base model as a simulator at its maximum, and the temperature on which its vapour runs."""
+"""The base model as a simulator at its maximum likelihood, and the temperature that drives its vapour."""
 
 from __future__ import annotations
 
@@ -27,23 +27,24 @@ from hygrokf.modelling.design import CASCADE, TEMPERATURE, Design, accuracy_of, 
 from hygrokf.modelling.library import LIBRARY, Library
 
 GAIN_SD = 0.015
-"""Standard deviation of the share by which the ambient sensors' accuracy lets the vapour outside be wrong."""
+"""Standard deviation of the relative error of the ambient vapour within the accuracy of its sensors."""
 SCALE_SD = 0.02
-"""The same of the humidity sensor's scale."""
+"""Standard deviation of the relative error of the humidity sensor's scale."""
 LONGEST_RESPONSE_H, SHORTEST_RESPONSE_H = 0.5, 0.002
+"""[h] limits of the humidity sensor's response time where none is stated."""
 ACCURACY_SHARE = 1.0 / 6.0
-"""Noise of a temperature reading, as a share of the stated accuracy, above which a smoother would smooth the
-temperature itself."""
+"""Largest noise of a temperature reading, as a share of the stated accuracy: with more, the smoother would
+remove variations of the temperature itself."""
 RESPONSE = "cabinet_relative_humidity_response"
 
 
 def base_designs(record: Record, library: Library = LIBRARY) -> tuple[Design, Design | None]:
-    """The designs of heat and of vapour for a record's identification period; none of vapour without
-    humidity.
+    """The designs of heat and of vapour for a record's identification period; without humidity readings the
+    design of vapour is None.
 
-    Beside the base model's own parameters, the vapour has the errors that sensors have within their accuracy:
-    a gain of the ambient's vapour, an offset of its relative humidity, a scale and a response time of the
-    humidity sensor.
+    Besides the base model's parameters, the vapour has errors that the sensors' accuracy allows: a gain of
+    the ambient vapour, an offset of its relative humidity, a scale and a response time of the humidity
+    sensor.
     """
     early = prepare(record.identification())
     regression = heat_release_regression(early)
@@ -77,8 +78,8 @@ def base_designs(record: Record, library: Library = LIBRARY) -> tuple[Design, De
 def base_estimate(record: Record, library: Library = LIBRARY) -> Calibration:
     """The base model of a record at its maximum of the likelihood.
 
-    Starts are the parameters' own and the least free-run error; of their maxima the one of the greatest
-    likelihood counts among those whose free run errs no more than the readings vary.
+    The search starts at the parameters' start values and at the minimum of the free-run error.  Of the
+    maxima whose free-run error is at most the standard deviation of the readings, the likeliest is chosen.
     """
     heat, vapour = base_designs(record, library)
     scene = scene_of(record, heat, vapour)
@@ -86,82 +87,90 @@ def base_estimate(record: Record, library: Library = LIBRARY) -> Calibration:
     simulator = Simulator(scene, heat, vapour, limits=limits, work=SimulationWork())
     quantities = tuple(scene.readings)
     guess = simulator.vector({p.name: p.start for p in simulator.parameters})
-    begun = errors_of(simulator, guess, quantities)
-    plain = fitted(estimate_at(simulator, begun, guess, plain=True), effort=LIGHT)
-    later = errors_of(simulator, plain.theta, quantities)
-    found = min(
-        (_best(simulator, one, (plain.theta, guess)) for one in (later, begun)), key=lambda one: one.deviance
-    )
-    return _driven(renewed(found))
+    start_errors = errors_of(simulator, guess, quantities)
+    plain = fitted(estimate_at(simulator, start_errors, guess, plain=True), effort=LIGHT)
+    fitted_errors = errors_of(simulator, plain.theta, quantities)
+    fits = [_best(simulator, errors, (plain.theta, guess)) for errors in (fitted_errors, start_errors)]
+    best = min(fits, key=lambda fit: fit.deviance)
+    return _drive_vapour(update_error_models(best))
 
 
 def _best(simulator: Simulator, errors: Mapping[str, Instants], starts: Sequence[np.ndarray]) -> Calibration:
-    """The best maximum of each quantity over the starts."""
-    reached = [fitted(estimate_at(simulator, errors, start)) for start in starts]
-    theta = reached[0].theta.copy()
+    """The maximum that has, for each quantity, the parameters of the best fit over the starts."""
+    fits = [fitted(estimate_at(simulator, errors, start)) for start in starts]
+    theta = fits[0].theta.copy()
     for q in errors:
-        sound = [one for one in reached if free_run_error(one, q) <= np.sqrt(errors[q].largest)]
-        best = min(sound or reached, key=lambda one: one.deviances[q] if sound else free_run_error(one, q))
-        mine = [i for i, name in enumerate(simulator.names) if q in simulator.affects(name)]
-        theta[mine] = best.theta[mine]
+        plausible = [fit for fit in fits if free_run_error(fit, q) <= np.sqrt(errors[q].largest)]
+        best = min(
+            plausible or fits, key=lambda fit: fit.deviances[q] if plausible else free_run_error(fit, q)
+        )
+        own_places = [i for i, name in enumerate(simulator.names) if q in simulator.affects(name)]
+        theta[own_places] = best.theta[own_places]
     return fitted(estimate_at(simulator, errors, theta))
 
 
-def free_run_error(one: Calibration, quantity: str) -> float:
-    """Root mean squared error of the simulation in the identification period."""
-    return float(np.sqrt(np.nanmean(one.residual(quantity) ** 2)))
+def free_run_error(estimate: Calibration, quantity: str) -> float:
+    """Root mean square error of a quantity's simulation in the identification period."""
+    return float(np.sqrt(np.nanmean(estimate.residual(quantity) ** 2)))
 
 
-def _driven(one: Calibration) -> Calibration:
-    """The estimate whose vapour runs on the smoothed temperature."""
-    simulator = one.simulator
-    if "vapour" not in one.quantities:
-        return one
-    scene = driven(simulator.scene, smoothed_temperature(one))
-    return renewed(replace(one, simulator=replace(simulator, scene=scene, _cells={})))
+def _drive_vapour(estimate: Calibration) -> Calibration:
+    """Refit the estimate with its vapour driven by the smoothed temperature."""
+    simulator = estimate.simulator
+    if "vapour" not in estimate.quantities:
+        return estimate
+    scene = driven(simulator.scene, smoothed_temperature(estimate))
+    return update_error_models(replace(estimate, simulator=replace(simulator, scene=scene, _cells={})))
 
 
-def renewed(one: Calibration, moved: Collection[str] | None = None) -> Calibration:
-    """The estimate at its maximum, under error models with its own time constants where these are likelier.
+def update_error_models(estimate: Calibration, quantities: Collection[str] | None = None) -> Calibration:
+    """Refit an estimate, under error models with its own time constants where these are likelier.
 
-    moved: quantities to which this is done (all).  A time constant that ends at a limit is no low pass of
-    the disturbances.
+    quantities: those whose error models may change (None: all).  A time constant that ended at a limit may
+    not be the low pass of the disturbances: the earlier error model stays where it is likelier.
     """
-    mine = [q for q in one.quantities if moved is None or q in moved]
-    own, free = errors_of(one.simulator, one.theta, one.quantities), acting(one, mine)
+    chosen = [q for q in estimate.quantities if quantities is None or q in quantities]
+    new_errors = errors_of(estimate.simulator, estimate.theta, estimate.quantities)
+    free = acting(estimate, chosen)
 
-    def under(courses: Mapping[str, Instants], theta: np.ndarray) -> Calibration:
-        errors = {**one.errors, **courses}
-        return fitted(estimate_at(one.simulator, errors, theta, one.linear, one.variances), free)
+    def refit(changed: Mapping[str, Instants], theta: np.ndarray) -> Calibration:
+        errors = {**estimate.errors, **changed}
+        start = estimate_at(estimate.simulator, errors, theta, estimate.linear, estimate.variances)
+        return fitted(start, free)
 
-    both = [under({}, one.theta), under({q: own[q] for q in mine}, one.theta)]
-    better = {q: int(both[1].deviances[q] < both[0].deviances[q]) for q in mine}
-    if len(set(better.values())) == 1:
-        return both[better[mine[0]]]
-    theta = both[0].theta.copy()
-    for i, name in enumerate(one.simulator.names):
-        if all(better.get(q) for q in one.simulator.affects(name)):
-            theta[i] = both[1].theta[i]
-    return under({q: both[i].errors[q] for q, i in better.items()}, theta)
+    old = refit({}, estimate.theta)
+    new = refit({q: new_errors[q] for q in chosen}, estimate.theta)
+    improved = {q: new.deviances[q] < old.deviances[q] for q in chosen}
+    if all(improved.values()):
+        return new
+    if not any(improved.values()):
+        return old
+    theta = old.theta.copy()
+    for i, name in enumerate(estimate.simulator.names):
+        if all(improved.get(q, False) for q in estimate.simulator.affects(name)):
+            theta[i] = new.theta[i]
+    return refit({q: new.errors[q] if improved[q] else old.errors[q] for q in chosen}, theta)
 
 
-def smoothed_temperature(one: Calibration) -> np.ndarray:
+def smoothed_temperature(estimate: Calibration) -> np.ndarray:
     """(F,) [K] the simulated temperature plus its smoothed error, at the edges of parts of cells.
 
-    Up to the end of the identification period it uses identification readings only.  The readings' noise is
-    at most that of their sensor: what varies faster, such as a heater's cycles, is temperature.
+    Up to the end of the identification period the smoother uses identification readings only.  The noise of
+    the readings is at most that of the sensor, so that fast variations such as a heater's cycles remain.
     """
-    scene: Scene = one.simulator.scene
+    scene: Scene = estimate.simulator.scene
     readings = scene.readings["temperature"]
     series = scene.record[TEMPERATURE]
-    own = series.resolution**2 / 12.0 + (ACCURACY_SHARE * accuracy_of(series)) ** 2
-    variances = one.variances["temperature"].copy()
-    variances[0] = min(variances[0], own) if own > 0.0 else variances[0]
-    course = one.errors["temperature"]
-    error = readings.value - one.simulated["temperature"]
-    early = filtered(course, variances, np.where(readings.identified, error, np.nan)).smoothed()
-    whole = filtered(course, variances, error).smoothed()
-    shown = one.simulator.shown(one.theta[:, None], "temperature")[:, 0]
+    sensor_variance = series.resolution**2 / 12.0 + (ACCURACY_SHARE * accuracy_of(series)) ** 2
+    variances = estimate.variances["temperature"].copy()
+    variances[0] = min(variances[0], sensor_variance) if sensor_variance > 0.0 else variances[0]
+    course = estimate.errors["temperature"]
+    error = readings.value - estimate.simulated["temperature"]
+    early_error = filtered(course, variances, np.where(readings.identified, error, np.nan)).smoothed()
+    full_error = filtered(course, variances, error).smoothed()
+    shown = estimate.simulator.shown(estimate.theta[:, None], "temperature")[:, 0]
     at_edges = np.interp(scene.edges_s, scene.edges_s[::PARTS], np.append(shown[:1], shown))
-    middle = 0.5 * (readings.begin + readings.end) * (3600.0 * scene.cell_h) + scene.first_s
-    return at_edges + np.interp(scene.edges_s, middle, np.where(readings.identified, early, whole))
+    middle_s = 0.5 * (readings.begin + readings.end) * (3600.0 * scene.cell_h) + scene.first_s
+    return at_edges + np.interp(
+        scene.edges_s, middle_s, np.where(readings.identified, early_error, full_error)
+    )

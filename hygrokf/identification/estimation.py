@@ -43,12 +43,12 @@ LEVEL = 0.95
 """[1] probability of the bounds of the time constants."""
 TIME_CONSTANTS = ("thermal_time_constant", "hygric_k")
 SEARCH_DAYS = 30.0
-"""[d] stretch of the record on which starts and forms are tried."""
+"""[d] stretch of a long record on which starts and forms are tried first."""
 
 
 @dataclass(frozen=True)
 class DesignEstimate:
-    """One likelihood with its maximum, before its uncertainty is known."""
+    """A design on a record with its maximum of the likelihood, before the uncertainty is computed."""
 
     base: Design
     run: Run
@@ -61,12 +61,13 @@ class DesignEstimate:
 
 @dataclass(frozen=True)
 class Stage(DesignEstimate):
-    """One identified likelihood.
+    """A maximum of a likelihood with its uncertainty.
 
-    `bounds`: of its time constants, by the profile likelihood; `clock`: effect of the other sources' clocks
-    on them; `sampling`: their change (ln) with half as many ambient readings; `forms`: all competing forms,
-    including the chosen one; `response_stated`: whether the response time of the humidity sensor is stated;
-    `without`: the best model in which the input of each time constant does not act.
+    `bounds`: of the time constants, by the profile likelihood; `clock`: effect of the other sources' clocks
+    on the time constants; `sampling`: change of their logarithms with half as many ambient readings; `forms`:
+    all competing forms, including the chosen form; `response_stated`: whether the response time of the
+    humidity sensor is stated; `without`: the best model in which the input of each time constant does not
+    act.
     """
 
     uncertainty: Uncertainty
@@ -81,39 +82,38 @@ class Stage(DesignEstimate):
 def identify_stage(early: Record, base: Design, starts: int, profiles: bool, say: Progress) -> Stage:
     """Estimate a design on the identification period `early`, in the form that the record supports, with its
     uncertainty."""
-    found, forms = select_form(estimate_design(early, base, starts, say), say)
-    return assess_stage(found, profiles, say, forms)
+    initial, forms = select_form(estimate_design(early, base, starts, say), say)
+    return assess_stage(initial, profiles, say, forms)
 
 
-def select_form(
-    found: DesignEstimate, say: Progress
-) -> tuple[DesignEstimate, tuple[FittedForm, ...]]:
+def select_form(initial: DesignEstimate, say: Progress) -> tuple[DesignEstimate, tuple[FittedForm, ...]]:
     """The form that the evidence of a record selects, and all forms with their weights.
 
     A form with more than `ADOPTED` of the evidence becomes the base, and its share is divided among the forms
-    that compete with it, until no further form is adopted.  A form is not adopted when one of its own
-    parameters ends at a limit of its range, there or beside a form adopted later, because this indicates
-    another cause.
+    that extend it, until no further form is adopted.  A form is not adopted if one of its further parameters
+    ends at a limit of its range, alone or together with a form adopted later: a sign of another cause.
     """
     say("forms of the model")
-    forms = weigh_forms(found.base, found.run, found.estimate, TIME_CONSTANTS, _search(found.likelihood))
+    forms = weigh_forms(
+        initial.base, initial.run, initial.estimate, TIME_CONSTANTS, _search(initial.likelihood)
+    )
     chosen = next((form for form in forms if form.adoptable and form.weight > ADOPTED), None)
     if chosen is None:
-        return found, forms
-    likelihood = Likelihood(chosen.design.model, found.run.timeline)
+        return initial, forms
+    likelihood = Likelihood(chosen.design.model, initial.run.timeline)
     estimate = fit_mle(likelihood, chosen.estimate.values, count=1)
-    least = least_objective(estimate.coordinates, (found.estimate,))
-    adopted = DesignEstimate(chosen.design, found.run, reject_below(least, estimate))
+    limit = least_objective(estimate.coordinates, (initial.estimate,))
+    adopted = DesignEstimate(chosen.design, initial.run, reject_below(limit, estimate))
     last, further = select_form(adopted, say)
-    if ended_at_limits(last.estimate, found.estimate):
-        return found, forms
+    if ended_at_limits(last.estimate, initial.estimate):
+        return initial, forms
     return last, (*(form for form in forms if form is not chosen), *(form.within(chosen) for form in further))
 
 
 def estimate_design(
     early: Record, base: Design, starts: int, say: Progress, values: Mapping[str, float] | None = None
 ) -> DesignEstimate:
-    """Maximum likelihood of one design; `values`: of the first start."""
+    """Maximum likelihood of a design; `values`: parameters of the first start."""
     run = model_inputs(base, early)
     likelihood = Likelihood(base.model, run.timeline)
     begin = within_limits(base.model.parameters, values or {})
@@ -122,38 +122,40 @@ def estimate_design(
 
 
 def assess_stage(
-    found: DesignEstimate, profiles: bool, say: Progress, forms: tuple[FittedForm, ...] = ()
+    initial: DesignEstimate, profiles: bool, say: Progress, forms: tuple[FittedForm, ...] = ()
 ) -> Stage:
     """Uncertainty, bounds of the time constants, and their sensitivity to clocks and sampling.
 
-    Where a profile meets a higher likelihood than the estimate's, the estimate is first refitted from there.
+    If a profile meets a higher likelihood than that of the estimate, the estimate is refitted from there.
     """
-    spread, bounds = _bounded(found, profiles, say)
-    better = next((b.better for b in bounds.values() if b.better is not None), None)
-    if better is not None:
+    covariance, bounds = _bounded(initial, profiles, say)
+    better_point = next((bound.better for bound in bounds.values() if bound.better is not None), None)
+    if better_point is not None:
         say("climb from a better point of the profile")
-        found = replace(found, estimate=refine(found.likelihood, better))
-        spread, bounds = _bounded(found, profiles, say)
-    base, run, estimate = found.base, found.run, found.estimate
-    clock = clock_offsets(base, run, estimate, spread)
-    sampling = _sampling(found, tuple(bounds), say)
-    moist = run.record[base.humidity] if base.humidity is not None and base.humidity in run.record else None
-    stated = moist is not None and moist.response_time_s is not None
+        initial = replace(initial, estimate=refine(initial.likelihood, better_point))
+        covariance, bounds = _bounded(initial, profiles, say)
+    base, run, estimate = initial.base, initial.run, initial.estimate
+    clock = clock_offsets(base, run, estimate, covariance)
+    sampling = _sampling(initial, tuple(bounds), say)
+    humidity = (
+        run.record[base.humidity] if base.humidity is not None and base.humidity in run.record else None
+    )
+    stated = humidity is not None and humidity.response_time_s is not None
     say("models without the input")
     without = {name: without_input(name, base.model, run, estimate) for name in bounds}
-    return Stage(base, run, estimate, spread, bounds, clock, sampling, forms, stated, without)
+    return Stage(base, run, estimate, covariance, bounds, clock, sampling, forms, stated, without)
 
 
-def _bounded(found: DesignEstimate, profiles: bool, say: Progress) -> tuple[Uncertainty, dict[str, Bounds]]:
+def _bounded(initial: DesignEstimate, profiles: bool, say: Progress) -> tuple[Uncertainty, dict[str, Bounds]]:
     """Uncertainty of an estimate, and bounds of its time constants."""
-    estimate = found.estimate
-    objective = Objective(found.likelihood, estimate.coordinates)
+    estimate = initial.estimate
+    objective = Objective(initial.likelihood, estimate.coordinates)
     say("observed information")
-    spread = uncertainty(objective, estimate)
-    return spread, {
-        name: profile(objective, estimate, spread, name, LEVEL, say)
+    covariance = uncertainty(objective, estimate)
+    return covariance, {
+        name: profile(objective, estimate, covariance, name, LEVEL, say)
         if profiles
-        else wald_bounds(estimate, spread, name, LEVEL)
+        else wald_bounds(estimate, covariance, name, LEVEL)
         for name in TIME_CONSTANTS
         if name in estimate.coordinates.names
     }
@@ -167,32 +169,29 @@ def _search(likelihood: Likelihood) -> Likelihood | None:
     return Likelihood(likelihood.model, t.window(0, int(np.searchsorted(t.time, 24.0 * SEARCH_DAYS))))
 
 
-def _sampling(old: DesignEstimate, names: tuple[str, ...], say: Progress) -> dict[str, float] | None:
+def _sampling(initial: DesignEstimate, names: tuple[str, ...], say: Progress) -> dict[str, float] | None:
     """Change of the log time constants with half as many ambient readings.
 
-    The course of the ambient between its readings is reconstructed; the change shows how much an error in it
-    could matter.
+    The ambient between its readings is interpolated; the change shows the effect of interpolation errors.
     """
-    record = old.run.record
-    sparse = [thinned(s) for s in record.series if s.signal.startswith("ambient_")]
-    if not sparse or not all(len(s) > 2 for s in sparse):
+    record = initial.run.record
+    sparse = [thinned(series) for series in record.series if series.signal.startswith("ambient_")]
+    if not sparse or not all(len(series) > 2 for series in sparse):
         return None
     say("ambient sampling")
-    estimate, run = old.estimate, model_inputs(old.base, record.replace_series(*sparse))
-    likelihood = Likelihood(old.base.model, run.timeline)
-    found = climb(Objective(likelihood, estimate.coordinates), estimate.z, passes=8, tolerance=0.05)
-    values = estimate.coordinates.values(found.z)
+    estimate, run = initial.estimate, model_inputs(initial.base, record.replace_series(*sparse))
+    likelihood = Likelihood(initial.base.model, run.timeline)
+    optimum = climb(Objective(likelihood, estimate.coordinates), estimate.z, passes=8, tolerance=0.05)
+    values = estimate.coordinates.values(optimum.z)
     shifts = {name: math.log(values[name] / estimate.values[name]) for name in names}
     return {"step_h": reading_step_h(sparse[0]) / 2.0, **shifts}
 
 
-def smoothed_temperature(
-    base: Design, run: Run, values: Mapping[str, float], humidity: str
-) -> Series:
-    """The cabinet air temperature given all its readings [K], at the run's instants and the times of the
-    humidity.
+def smoothed_temperature(base: Design, run: Run, values: Mapping[str, float], humidity: str) -> Series:
+    """The cabinet air temperature [K] given all temperature readings, at the run's instants and at the times
+    of the humidity readings.
 
-    `base` is a thermal design with its run and its parameters; `humidity` is the signal of the
+    `base` is a thermal design, `run` and `values` its run and parameters; `humidity` is the signal of the
     cabinet's humidity.
 
     The hygric model divides by e_s(T).  The noise of raw readings would attenuate that dependence, as errors
@@ -204,37 +203,37 @@ def smoothed_temperature(
     mean, _ = smoothed_states(Likelihood(base.model, t), values, covariance=False)
     air, _ = project(base.model, t, values, mean, None, "cabinet_air_temperature")
     seconds = t.seconds
-    raw, moist = run.record["cabinet_temperature"], run.record[humidity]
-    time = np.union1d(seconds, moist.time[~moist.missing])
+    raw, humidity_series = run.record["cabinet_temperature"], run.record[humidity]
+    time = np.union1d(seconds, humidity_series.time[~humidity_series.missing])
     time = time[(time >= seconds[0]) & (time <= seconds[-1])]
     return replace(raw, time=time, value=np.interp(time, seconds, air), hold=LINEAR, interval_s=0.0)
 
 
 def output_errors(early: Record, base: Design, values: Mapping[str, float]) -> dict[str, OutputError]:
-    """Output-error estimates: the thermal model on temperature, the hygric one on the measured
-    temperature."""
-    fitted: dict[str, Design] = {}
+    """Output-error estimates by time constant: of the thermal model on the temperature readings, of the
+    hygric model on the humidity readings with the measured temperature as input."""
+    designs: dict[str, Design] = {}
     if "thermal_network" in [name for name, _ in base.mechanisms]:
-        fitted["thermal_time_constant"] = replace(
+        designs["thermal_time_constant"] = replace(
             base,
             mechanisms=tuple(m for m in base.mechanisms if m[0] in _THERMAL_PLAIN),
             humidity=None,
             averaged={k: v for k, v in base.averaged.items() if k == "cabinet_temperature"},
-            priors={},  # priors from other turbines have no place in this criterion
+            priors={},  # the output error does not use priors from other turbines
         )
     if base.humidity is not None and "cabinet_temperature" in early:
         plain = design(early, kind=CASCADE, coloured=False)
-        own = {name: settings for name, settings in base.mechanisms if name.endswith("humidity_sensor")}
-        made = tuple((name, own.get(name, settings)) for name, settings in plain.mechanisms)
-        fitted["hygric_k"] = replace(plain, mechanisms=made)
+        sensors = {name: settings for name, settings in base.mechanisms if name.endswith("humidity_sensor")}
+        mechanisms = tuple((name, sensors.get(name, settings)) for name, settings in plain.mechanisms)
+        designs["hygric_k"] = replace(plain, mechanisms=mechanisms)
 
-    def free_run(one: Design) -> OutputError:
-        start = {p.name: values.get(p.name, p.start) for p in one.model.parameters}
-        run = settled(one, start, model_inputs(one, early))
-        known = run.timeline.with_readings(np.where(run.scored[:, None], run.timeline.y, np.nan))
-        return fit_output_error(Likelihood(one.model, known), start)
+    def free_run(plain_design: Design) -> OutputError:
+        start = {p.name: values.get(p.name, p.start) for p in plain_design.model.parameters}
+        run = settled(plain_design, start, model_inputs(plain_design, early))
+        scored = run.timeline.with_readings(np.where(run.scored[:, None], run.timeline.y, np.nan))
+        return fit_output_error(Likelihood(plain_design.model, scored), start)
 
-    return dict(zip(fitted, mapped(free_run, fitted.values()), strict=True))
+    return dict(zip(designs, mapped(free_run, designs.values()), strict=True))
 
 
 _THERMAL_PLAIN = (

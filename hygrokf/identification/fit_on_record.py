@@ -54,7 +54,7 @@ class SimulationSummary:
 class Evaluation(Scored):
     """The scores of the model `fit` on `record`, with the verdicts on the time constants they rest on.
 
-    `statements`: what fit and record do not share.
+    `statements`: the differences between the record and that of the fit.
     """
 
     fit: Name = ""

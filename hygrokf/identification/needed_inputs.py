@@ -1,15 +1,14 @@
 """Whether a record needs the input through which a time constant acts.
 
-A time constant is the memory between an input and a reading.  A record in which that input does not act
-shows no such memory, and the estimate is then that of something else, such as of the disturbance, or of the
-cabinet's temperature in a humidity that is regulated.  The fit is therefore compared with the models in which
-the input does not act, the disturbances refitted in each:
+A time constant describes how a reading follows an input.  If the input does not act in a record, the estimate
+describes something else: the disturbance, or the cabinet's temperature where the humidity is regulated.  The
+fit is therefore compared with models in which the input does not act, with their disturbances refitted:
 
-- hygric: the vapour outside is its mean; or the humidity is held, so that the content follows
-  φ v_sat(T_cab) at once, with its mean level φ;
-- thermal: every input is its mean.
+- hygric: the ambient vapour is constant at its mean; or the relative humidity is regulated to its mean φ, so
+  that the vapour content follows φ v_sat(T_cab) without delay;
+- thermal: every input is constant at its mean.
 
-Twice its gain in ln L must exceed what chance gives to as many parameters as the fit has (χ², `CHANCE`).
+Twice the gain of the fit in ln L must exceed the χ² quantile of the fit's number of parameters (`CHANCE`).
 """
 
 from __future__ import annotations
@@ -31,21 +30,21 @@ from hygrokf.texts.fit import FitCode
 from hygrokf.texts.statement import Statement
 
 CHANCE = 1e-3
-"""[1] probability with which chance alone gives the gain that is required."""
+"""[1] probability that chance alone gives the required gain."""
 PASSES = 15
 """Scoring passes of a model without the input: from the fit's values most end after six."""
 TOLERANCE = 0.5
-"""Gain in ln L of a further step below which they end; what is required is some ten times as much."""
+"""Expected gain in ln L below which scoring ends: about a tenth of the required gain."""
 TRIED_DAYS = 10.0
-"""[d] stretch of the record that is tried first: an input that is needed there is needed."""
+"""[d] first stretch of the record, tried alone at first: an input that is needed there is needed in all."""
 STEP_TOLERANCE = 1e-4
-"""[1] `tolerance` of these models' sub-steps: ln L is right to a few hundredths."""
+"""[1] `tolerance` of these models' sub-steps: the error of ln L is a few hundredths."""
 
 
 @dataclass(frozen=True)
 class WithoutInput:
-    """The best `model` in which an input does not act: twice the `gain` in ln L by which the fit exceeds it,
-    and the gain `required`."""
+    """The best `model` in which an input does not act; `gain`: twice the ln L of the fit minus that of the
+    model; `required`: the least gain with which the fit needs the input."""
 
     model: Statement
     gain: float = math.nan
@@ -65,53 +64,53 @@ def without_input(name: str, model: Model, run: Run, estimate: Estimate) -> With
     from scipy.special import chdtri
 
     required = float(chdtri(len(estimate.z), CHANCE))
-    whole, known = run.timeline, measured(run)
-    inputs = {one: whole.input(one) for one in whole.varying}
-    courses = whole.time, known["temperature_K"], known["absolute_humidity_g_m3"]
-    others = list(alternatives(name, inputs, *courses))
+    timeline, readings = run.timeline, measured(run)
+    inputs = {signal: timeline.input(signal) for signal in timeline.varying}
+    time_and_readings = timeline.time, readings["temperature_K"], readings["absolute_humidity_g_m3"]
+    models = list(alternatives(name, inputs, *time_and_readings))
 
     def best(count: int) -> WithoutInput:
-        part = whole.window(0, count)
-        own = Objective(Likelihood(model, part, tolerance=STEP_TOLERANCE), estimate.coordinates).value(
-            estimate.z
-        )
-        found = []
-        for code, inputs, fixed in others:
-            timeline = part.with_inputs({name: value[:count] for name, value in inputs.items()})
+        window = timeline.window(0, count)
+        fit_objective = Objective(
+            Likelihood(model, window, tolerance=STEP_TOLERANCE), estimate.coordinates
+        ).value(estimate.z)
+        without = []
+        for code, inputs, fixed in models:
+            without_it = window.with_inputs({name: value[:count] for name, value in inputs.items()})
             coordinates = Coordinates(model.parameters, fixed)
-            objective = Objective(Likelihood(model, timeline, tolerance=STEP_TOLERANCE), coordinates)
+            objective = Objective(Likelihood(model, without_it, tolerance=STEP_TOLERANCE), coordinates)
             end = climb(objective, coordinates.start(estimate.values), PASSES, TOLERANCE)
-            found.append(WithoutInput(code(), 2.0 * (own - end.objective), required))
-        return min(found, key=lambda one: one.gain)
+            without.append(WithoutInput(code(), 2.0 * (fit_objective - end.objective), required))
+        return min(without, key=lambda result: result.gain)
 
-    tried = best(int(np.searchsorted(whole.time, whole.time[0] + 24.0 * TRIED_DAYS)))
-    return tried if tried.enough else best(len(whole))
+    on_short = best(int(np.searchsorted(timeline.time, timeline.time[0] + 24.0 * TRIED_DAYS)))
+    return on_short if on_short.enough else best(len(timeline))
 
 
 def alternatives(
-    name: str, inputs: Mapping[str, np.ndarray], time_h: np.ndarray, warm: np.ndarray, vapour: np.ndarray
+    name: str, inputs: Mapping[str, np.ndarray], time_h: np.ndarray, cabinet_K: np.ndarray, vapour: np.ndarray
 ) -> Iterator[tuple[FitCode, dict[str, np.ndarray], dict[str, float]]]:
     """The models in which the input of a time constant does not act: code, inputs (T,), fixed parameters.
 
-    inputs (T,) by name at times (T,) [h]; warm, vapour: (T,) the cabinet's readings [K], [g/m³], or NaN.
+    inputs (T,) by name at times (T,) [h]; cabinet_K, vapour: (T,) the cabinet's readings [K], [g/m³], or NaN.
     """
     if name == "hygric_k":
         outside = inputs["ambient_absolute_humidity"]
         yield FitCode.CONSTANT_VAPOUR, {"ambient_absolute_humidity": _mean(outside)}, {}
-        there, read = np.isfinite(warm), np.isfinite(vapour)
-        if read.any():
-            warm = np.interp(time_h, time_h[there], warm[there])
-            saturated = 1e3 * absolute_humidity(1.0, warm)
-            held = saturated * np.nanmean(vapour / saturated) * warm / inputs["ambient_temperature"]
-            step = float(np.median(np.diff(time_h[read])))
-            yield FitCode.HELD_HUMIDITY, {"ambient_absolute_humidity": held}, {name: 0.5 * step}
+        is_warm_known, is_vapour_known = np.isfinite(cabinet_K), np.isfinite(vapour)
+        if is_vapour_known.any():
+            cabinet_K = np.interp(time_h, time_h[is_warm_known], cabinet_K[is_warm_known])
+            saturated = 1e3 * absolute_humidity(1.0, cabinet_K)
+            regulated = saturated * np.nanmean(vapour / saturated) * cabinet_K / inputs["ambient_temperature"]
+            step = float(np.median(np.diff(time_h[is_vapour_known])))
+            yield FitCode.HELD_HUMIDITY, {"ambient_absolute_humidity": regulated}, {name: 0.5 * step}
         return
-    still = {one: _mean(value) for one, value in inputs.items()}
-    if "exchange_factor" in inputs:  # a joint model: the vapour outside stays what it is
+    means = {signal: _mean(value) for signal, value in inputs.items()}
+    if "exchange_factor" in inputs:  # a joint model: the ambient vapour stays as it is
         vapour = inputs["ambient_absolute_humidity"] * inputs["ambient_temperature"]
-        still["ambient_absolute_humidity"] = vapour / still["ambient_temperature"]
-        still["exchange_factor"] = inputs["exchange_factor"]
-    yield FitCode.CONSTANT_INPUTS, still, {}
+        means["ambient_absolute_humidity"] = vapour / means["ambient_temperature"]
+        means["exchange_factor"] = inputs["exchange_factor"]
+    yield FitCode.CONSTANT_INPUTS, means, {}
 
 
 def _mean(value: np.ndarray) -> np.ndarray:

@@ -32,7 +32,7 @@ from hygrokf.texts.fit import FitCode
 from hygrokf.texts.statement import Statement
 
 TIME_CONSTANTS = 3.0
-"""[1] length of periods in thermal time constants, where enough periods are that long."""
+"""[1] length of periods in thermal time constants, unless too few periods would be that long."""
 SHORTEST_H = 1.0
 """[h] shortest period; periods also last at least two steps of the slowest series."""
 LONGEST_H = 12.0

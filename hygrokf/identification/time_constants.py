@@ -1,4 +1,7 @@
-"""The two time constants as reported: value, bounds, conditions, and contradicting evidence."""
+"""The two time constants as reported: value, bounds, conditions, and contradicting evidence.
+
+The free run is the simulation without corrections by the readings, whose output error is minimised.
+"""
 
 from __future__ import annotations
 
@@ -42,13 +45,14 @@ OPEN = 1e3
 
 
 def reference_temperatures(run: Run) -> tuple[float, float]:
-    """Mean cabinet and ambient temperature [K] over the instants with a temperature reading (else all)."""
-    known = measured(run)["temperature_K"]
+    """Mean cabinet and ambient temperature [K] over the instants with a cabinet temperature reading; without
+    any reading, twice the mean ambient temperature."""
+    cabinet = measured(run)["temperature_K"]
     ambient = run.timeline.input("ambient_temperature")
-    there = np.isfinite(known)
-    if not there.any():
+    is_present = np.isfinite(cabinet)
+    if not is_present.any():
         return float(ambient.mean()), float(ambient.mean())
-    return float(known[there].mean()), float(ambient[there].mean())
+    return float(cabinet[is_present].mean()), float(ambient[is_present].mean())
 
 
 def thermal_entry(stage: Stage, simulated: Mapping[str, OutputError]) -> TimeConstant | None:
@@ -58,13 +62,13 @@ def thermal_entry(stage: Stage, simulated: Mapping[str, OutputError]) -> TimeCon
     entry = _entry(stage, THERMAL, 1.0, simulated)
     exponent = stage.estimate.values.get("convection_exponent", 0.0)
     quantiles = _differences_K(stage.run)
-    courses = None
+    range_h = None
     if exponent > 0:
-        at = dict(stage.base.mechanisms)["natural_convection"]["difference_K"]
-        courses = tuple(small_signal(entry.value_h, exponent, at, d) for d in quantiles)
+        reference_K = dict(stage.base.mechanisms)["natural_convection"]["difference_K"]
+        range_h = tuple(small_signal(entry.value_h, exponent, reference_K, d) for d in quantiles)
     return replace(
         entry,
-        range_h=None if _unbounded(entry) else courses,
+        range_h=None if _unbounded(entry) else range_h,
         difference_K=quantiles,
         resistance_capacity=_resistance_capacity(stage, entry, exponent),
         modes=tuple(thermal_poles(stage.base, stage.estimate.values)),
@@ -78,16 +82,19 @@ def hygric_entry(stage: Stage, simulated: Mapping[str, OutputError]) -> TimeCons
     cabinet, ambient = reference_temperatures(stage.run)
     scale = float(hygric_time_constant(1.0, cabinet, ambient))
     entry = _entry(stage, HYGRIC, scale, simulated)
-    known = measured(stage.run)["temperature_K"]
-    there = np.isfinite(known)
-    factor = known[there] * exchange_factor(stage.run.timeline.input("ambient_temperature")[there])
-    k = stage.estimate.values[HYGRIC]
+    readings = measured(stage.run)["temperature_K"]
+    is_present = np.isfinite(readings)
+    ambient_present = stage.run.timeline.input("ambient_temperature")[is_present]
+    range_h = None
+    if is_present.any() and not _unbounded(entry):
+        # the hygric time constant at an instant is the parameter divided by this product
+        product = readings[is_present] * exchange_factor(ambient_present)
+        parameter = stage.estimate.values[HYGRIC]
+        range_h = float(parameter / product.max()), float(parameter / product.min())
     return replace(
         entry,
         mean_temperatures=MeanTemperatures(cabinet, ambient),
-        range_h=(float(k / factor.max()), float(k / factor.min()))
-        if there.any() and not _unbounded(entry)
-        else None,
+        range_h=range_h,
         response=_response(stage),
         modes=(entry.value_h,),
     )
@@ -96,15 +103,20 @@ def hygric_entry(stage: Stage, simulated: Mapping[str, OutputError]) -> TimeCons
 def _differences_K(run: Run) -> tuple[float, ...]:
     """10, 50 and 90 % quantiles of the difference [K] between cabinet and ambient over the readings, at least
     `STILL_K`."""
-    apart = measured(run)["temperature_K"] - run.timeline.input("ambient_temperature")
-    apart = np.abs(apart[np.isfinite(apart)])
-    return tuple(np.maximum(np.quantile(apart, (0.1, 0.5, 0.9)), STILL_K).tolist()) if len(apart) else ()
+    differences = measured(run)["temperature_K"] - run.timeline.input("ambient_temperature")
+    differences = np.abs(differences[np.isfinite(differences)])
+    return (
+        tuple(np.maximum(np.quantile(differences, (0.1, 0.5, 0.9)), STILL_K).tolist())
+        if len(differences)
+        else ()
+    )
 
 
 def _resistance_capacity(stage: Stage, entry: TimeConstant, exponent: float) -> Interval:
-    """(R_AT+R_IC) C at the median difference, over all forms: (1+n) times the constant of small changes."""
+    """(R_AT+R_IC) C at the median temperature difference over all forms: (1+n) times the time constant of
+    small changes, with the exponent n of natural convection."""
     value = entry.value_h * (1.0 + exponent)
-    sources = {one.source: one.sd_ln**2 for one in entry.composition[1:] if one.source != "forms"}
+    sources = {step.source: step.sd_ln**2 for step in entry.composition[1:] if step.source != "forms"}
     variance = _variance(stage, THERMAL)
     if stage.forms:
         forms = []
@@ -125,7 +137,8 @@ def _resistance_capacity(stage: Stage, entry: TimeConstant, exponent: float) -> 
 
 
 def _response(stage: Stage) -> SensorResponse:
-    """The humidity sensor's response time, which affects the constant: stated, included or estimated."""
+    """The response time of the humidity sensor, which affects the hygric time constant: stated, included in
+    that constant, or estimated."""
     sensors = {name: settings for name, settings in stage.base.mechanisms if name.endswith("humidity_sensor")}
     settings = next(iter(sensors.values()), {})
     stated = settings.get("response_h", 0.0)
@@ -135,8 +148,8 @@ def _response(stage: Stage) -> SensorResponse:
         return SensorResponse("stated" if stage.response_stated else "included", 0.0)
     name = next(p for p in stage.estimate.values if p.endswith("_response"))
     value, variance = stage.estimate.values[name], _variance(stage, name)
-    reach = normal_quantile(LEVEL) * math.sqrt(variance)
-    return SensorResponse("estimated", 60.0 * value, *ANY.around(60.0 * value, reach))
+    half_width = normal_quantile(LEVEL) * math.sqrt(variance)
+    return SensorResponse("estimated", 60.0 * value, *ANY.around(60.0 * value, half_width))
 
 
 def _unbounded(entry: TimeConstant) -> bool:
@@ -144,7 +157,8 @@ def _unbounded(entry: TimeConstant) -> bool:
 
 
 def _resolved(stage: Stage, name: str) -> Resolved:
-    """The time constants [h] that a stage's readings and length can tell apart."""
+    """The range of time constants [h] that a stage's readings resolve: from a tenth of their median step to
+    ten times their length."""
     t = stage.run.timeline
     output = TEMPERATURE if name == THERMAL else stage.base.humidity
     steps = np.diff(t.time[np.isfinite(t.reading(output))]) if output in t.outputs else t.time[:0]
@@ -154,124 +168,133 @@ def _resolved(stage: Stage, name: str) -> Resolved:
 
 def _variance(stage: Stage, name: str) -> float:
     """Variance of a positive parameter's logarithm, by the wider of both covariances; 0 at a bound."""
-    found = stage.uncertainty
-    place = found.place(name)
-    return 0.0 if place is None else float(found.wald[place, place] * found.factor[place])
+    uncertainty = stage.uncertainty
+    place = uncertainty.place(name)
+    return 0.0 if place is None else float(uncertainty.wald[place, place] * uncertainty.factor[place])
 
 
 def _entry(stage: Stage, name: str, scale: float, simulated: Mapping[str, OutputError]) -> TimeConstant:
-    """What was found about one time constant; `scale` [h] per unit of its parameter."""
-    b = stage.bounds[name]
+    """The report of one time constant; `scale` [h] per unit of its parameter."""
+    bounds = stage.bounds[name]
     place = stage.uncertainty.place(name)
     factor = float(stage.uncertainty.factor[place]) if place is not None else 1.0
-    other = simulated.get(name)
-    free = _by_free_run(other, name)
+    free_run = simulated.get(name)
+    alternative = _by_free_run(free_run, name)
     resolved, without = _resolved(stage, name), stage.without.get(name)
-    sources = _sources(stage, name, free)
-    value, low, high = (scale * one for one in (b.value, b.lower, b.upper))
-    steps = compose_interval(value, (low, high), b.level, sources, resolved)
-    shown = (steps[-1].lower_h, steps[-1].upper_h)
+    sources = _sources(stage, name, alternative)
+    value, low, high = (scale * end for end in (bounds.value, bounds.lower, bounds.upper))
+    steps = compose_interval(value, (low, high), bounds.level, sources, resolved)
+    reported = (steps[-1].lower_h, steps[-1].upper_h)
     if without is not None and not without.enough:
-        shown = (0.0, math.nan)
+        reported = (0.0, math.nan)
     sampling = stage.sampling
     return TimeConstant(
         value_h=value,
-        lower_h=shown[0],
-        upper_h=shown[1],
-        level=b.level,
-        method="composed" if b.method == "profile" else b.method,
+        lower_h=reported[0],
+        upper_h=reported[1],
+        level=bounds.level,
+        method="composed" if bounds.method == "profile" else bounds.method,
         composition=steps,
-        forms=tuple(_form(form, name, scale, b.level, resolved) for form in stage.forms),
+        forms=tuple(_form(form, name, scale, bounds.level, resolved) for form in stage.forms),
         parts_scatter=_parts_scatter(stage, name),
-        limited_by=b.limited_by,
+        limited_by=bounds.limited_by,
         factor=factor,
-        threshold=factor * normal_quantile(b.level) ** 2,
-        curve=np.array([[float(x) * scale, float(y)] for x, y in b.curve]).reshape(-1, 2),
+        threshold=factor * normal_quantile(bounds.level) ** 2,
+        curve=np.array([[float(x) * scale, float(y)] for x, y in bounds.curve]).reshape(-1, 2),
         clock=stage.clock.sources or None,
         sampling=None if sampling is None else Sampling(sampling["step_h"], sampling[name]),
-        simulation=None if other is None else _simulation(other, free, name, scale, resolved),
-        criteria_disagree=other is not None and free is not None and _disagree(b, other, name),
+        simulation=None if free_run is None else _simulation(free_run, alternative, name, scale, resolved),
+        criteria_disagree=free_run is not None
+        and alternative is not None
+        and _disagree(bounds, free_run, name),
         without_input=without,
     )
 
 
 def _sources(stage: Stage, name: str, free: AlternativeEstimate | None) -> dict[str, float]:
-    """The variances by which sources of uncertainty widen a profile's bounds."""
+    """Source of uncertainty → variance of the logarithm that the source adds to the bounds of a profile."""
     place = stage.uncertainty.place(name)
     if place is None:
         return {}
     value, variance = math.log(stage.estimate.values[name]), _variance(stage, name)
-    found = {"parts": of_parts(parts_scale(stage.uncertainty, name), variance)}
+    variances = {"parts": of_parts(parts_scale(stage.uncertainty, name), variance)}
     if stage.forms:
         alternatives = [
             AlternativeEstimate(math.log(form.estimate.values[name]), form.variance({name: 1.0}), form.weight)
             for form in stage.forms
         ]
-        found["forms"] = of_forms(value, variance, alternatives)
+        variances["forms"] = of_forms(value, variance, alternatives)
     if free is not None:
-        found["free run"] = of_free_run(value, variance, free)
+        variances["free run"] = of_free_run(value, variance, free)
     if stage.clock.sources:
         factor = float(stage.uncertainty.factor[place])
-        found["clocks"] = factor * stage.clock.variance[name] + stage.clock.shift[name] ** 2
+        variances["clocks"] = factor * stage.clock.variance[name] + stage.clock.shift[name] ** 2
     if stage.sampling is not None:
-        found["sampling"] = stage.sampling[name] ** 2 / 3.0
-    return found
+        variances["sampling"] = stage.sampling[name] ** 2 / 3.0
+    return variances
 
 
-def _by_free_run(found: OutputError | None, name: str) -> AlternativeEstimate | None:
+def _by_free_run(free_run: OutputError | None, name: str) -> AlternativeEstimate | None:
     """The free run's own estimate; None where its bounds are uninformative."""
-    if found is None or name not in found.names or name in found.at_bounds:
+    if free_run is None or name not in free_run.names or name in free_run.at_bounds:
         return None
-    place = found.names.index(name)
-    variance = float(found.covariance[place, place])
-    # a singular information matrix leaves a variance of any sign
-    told = 0.0 < variance and 2.0 * normal_quantile(LEVEL) * math.sqrt(variance) <= math.log(OPEN)
-    return AlternativeEstimate(math.log(found.values[name]), variance) if told else None
+    place = free_run.names.index(name)
+    variance = float(free_run.covariance[place, place])
+    # with a singular information matrix the variance may be negative
+    is_informative = 0.0 < variance and 2.0 * normal_quantile(LEVEL) * math.sqrt(variance) <= math.log(OPEN)
+    return AlternativeEstimate(math.log(free_run.values[name]), variance) if is_informative else None
 
 
 def _simulation(
-    found: OutputError, free: AlternativeEstimate | None, name: str, scale: float, resolved: Resolved
+    free_run: OutputError, free: AlternativeEstimate | None, name: str, scale: float, resolved: Resolved
 ) -> Interval:
     """The free run's estimate of a time constant."""
-    value = found.values[name] * scale
+    value = free_run.values[name] * scale
     if free is None:
         return Interval(value, 0.0)
-    low, high = found.bounds(name, positive=True)
+    low, high = free_run.bounds(name, positive=True)
     return Interval(value, *resolved.bounds(low * scale, high * scale))
 
 
-def _disagree(b: Bounds, other: OutputError, name: str) -> bool:
-    """Whether the free run and the one-step predictions are further apart than both uncertainties explain."""
-    low, high = other.bounds(name, positive=True)
-    apart = abs(math.log(other.values[name] / b.value))
-    own = 0.5 * math.log(max(b.upper / max(b.lower, 1e-9), 1.0 + 1e-9)) if math.isfinite(b.upper) else 50.0
-    return apart > math.hypot(0.5 * math.log(max(high / low, 1.0 + 1e-9)), own)
+def _disagree(bounds: Bounds, free_run: OutputError, name: str) -> bool:
+    """Whether the estimates from the free run and from one-step predictions differ by more than their
+    combined uncertainty."""
+    low, high = free_run.bounds(name, positive=True)
+    distance = abs(math.log(free_run.values[name] / bounds.value))
+    half_width = (
+        0.5 * math.log(max(bounds.upper / max(bounds.lower, 1e-9), 1.0 + 1e-9))
+        if math.isfinite(bounds.upper)
+        else 50.0
+    )
+    return distance > math.hypot(0.5 * math.log(max(high / low, 1.0 + 1e-9)), half_width)
 
 
 def _form(form: FittedForm, name: str, scale: float, level: float, resolved: Resolved) -> FormEstimate:
     value = form.estimate.values[name] * scale
-    reach = normal_quantile(level) * math.sqrt(form.variance({name: 1.0}))
-    return FormEstimate(value, *resolved.around(value, reach), form.name, form.weight, form.gain)
+    half_width = normal_quantile(level) * math.sqrt(form.variance({name: 1.0}))
+    return FormEstimate(value, *resolved.around(value, half_width), form.name, form.weight, form.gain)
 
 
 def _parts_scatter(stage: Stage, name: str) -> float:
-    """Scatter [1] of the estimates from quarters of the readings against their bounds."""
+    """Ratio [1] of the scatter of the estimates from quarters of the readings to the scatter that their
+    bounds predict."""
     if stage.uncertainty.place(name) is None or not len(stage.uncertainty.parts):
         return math.nan
     return math.sqrt(parts_scale(stage.uncertainty, name))
 
 
 def by_simulation(entry: TimeConstant | None) -> TimeConstant | None:
-    """The entry with the output-error estimate as its value and the likelihood's as an addition."""
+    """The entry with the output-error estimate as its value; the maximum-likelihood estimate moves to the
+    field `likelihood`."""
     if entry is None or entry.simulation is None:
         return entry
-    free, without = entry.simulation, entry.without_input
+    free_run, without = entry.simulation, entry.without_input
     needed = without is None or without.enough
     return replace(
         entry,
-        value_h=free.value_h,
-        lower_h=free.lower_h if needed else 0.0,
-        upper_h=free.upper_h if needed else math.nan,
+        value_h=free_run.value_h,
+        lower_h=free_run.lower_h if needed else 0.0,
+        upper_h=free_run.upper_h if needed else math.nan,
         method="output error, sandwich",
         likelihood=Interval(entry.value_h, entry.lower_h, entry.upper_h),
     )

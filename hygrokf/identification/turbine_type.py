@@ -47,7 +47,7 @@ AMBIENT_SLOPES = {
     "heat_release_operation": "heat_release_operation_ambient",
     "heat_release_standstill": "heat_release_standstill_ambient",
 }
-"""Levels of the heat release at the design's reference temperature, and their slopes over the ambient
+"""Level of the heat release at the design's reference temperature → its derivative by the ambient
 temperature."""
 
 
@@ -59,9 +59,9 @@ class TypeFault(HygrokfError, ValueError):
 class Pooled:
     """One parameter over K turbines, on its scale (`logarithmic`: ln θ).
 
-    `mean`, `se` (Hartung & Knapp) of the type; `lower`, `upper` its 95 % bounds; `spread` τ between turbines;
-    `next_sd` the sd of the normal distribution whose 95 % interval is that of the prediction for the next
-    turbine.
+    `mean`, `se` of the type with its standard error (Hartung & Knapp); `lower`, `upper` 95 % bounds of the
+    mean; `spread` the standard deviation τ between turbines; `next_sd` the standard deviation of the normal
+    distribution that has the 95 % prediction interval of a further turbine.
     """
 
     unit: Unit

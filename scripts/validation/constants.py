@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from types import FunctionType
 
-from hygrokf.discovery.conclusion import Conclusion, concluded, what_is_left
+from hygrokf.discovery.conclusion import Conclusion, conclude, remaining_lines
 from hygrokf.discovery.procedure import verdict
 from hygrokf.discovery.search import Search
 from hygrokf.discovery.starting_model import base_estimate
@@ -98,7 +98,7 @@ def told(case: dict, ended: Conclusion) -> dict:
     return {
         "first": bool(names and case["asked"]) and first_right(line),
         "false": len(false_names(line)),
-        "verdict": verdict(ended, what_is_left(ended)),
+        "verdict": verdict(ended, remaining_lines(ended)),
     }
 
 
@@ -116,7 +116,7 @@ def one(group: str, cell: str, seed: int) -> dict:
             if variant.factor != 1.0 and variant.name not in AFTER_THE_SEARCH:
                 own = base_estimate(record) if variant.name == "HUBER" else base
                 again = Search(own, forms).run()
-            rows[variant.key] = told(case, concluded(again))
+            rows[variant.key] = told(case, conclude(again))
     return {**case, "variants": rows}
 
 

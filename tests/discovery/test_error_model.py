@@ -20,10 +20,10 @@ from hygrokf.discovery.error_model import (
     VARIANCES,
     Filtered,
     Instants,
-    ahead,
     coefficients,
     course,
     filtered,
+    forecast_weights,
     loss,
     maximised,
     shares,
@@ -156,7 +156,7 @@ def test_forecasts_are_the_conditional_mean_given_the_readings_so_far(tau_h):
     there = np.flatnonzero(one.seen[: last + 1])
     root = one.root[: len(there), : len(there)]
     weights = np.linalg.solve(root.T, np.linalg.solve(root, one.error[there]))
-    found = ahead(one.course, horizons) @ one.filtered.state[last]
+    found = forecast_weights(one.course, horizons) @ one.filtered.state[last]
     assert_allclose(found, full[last + 1 :, there] @ weights, rtol=0, atol=1e-9)
 
 

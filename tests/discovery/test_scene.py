@@ -250,7 +250,7 @@ def test_a_clock_that_is_off_in_summer_time_moves_summer_alone():
     one = scene(record())
     end = 1603587600.0
     turned = replace(one, first_s=end - 0.5 * one.count * one.cell_h * HOUR_S)
-    later = turned._later(Shift("SCADA", -3600.0, summer=True), turned.edges_s)
+    later = turned._delay(Shift("SCADA", -3600.0, summer=True), turned.edges_s)
     assert (later[turned.edges_s < end] == -3600.0).all() and (later[turned.edges_s >= end] == 0.0).all()
 
 
