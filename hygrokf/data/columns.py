@@ -138,7 +138,6 @@ def table_of(
     Rows without a stamp are left out, with a warning. Raises TableFault with every fault found.
     """
     faults = list(faults)
-    zone = None
     try:
         zone = None if notation.timezone is None else zone_named(notation.timezone)
     except ValueError as unknown:
@@ -162,7 +161,7 @@ def table_of(
             points = evidence(frame[name], ".")
             if points in ("thousands", "either"):
                 messages = faults if points == "thousands" else warnings
-                messages.append(_two_readings(name, frame[name], places))
+                messages.append(_ambiguous_points(name, frame[name], places))
         if is_text.any():
             faults.append(_text_fault(name, frame[name], is_text, places, reasons, stated))
     time, summer_time = np.full(len(frame), np.nan), False
@@ -172,15 +171,14 @@ def table_of(
         rows = np.array([*values.values()]).reshape(len(values), len(frame))
         unchanged = (rows[:, 1:] == rows[:, :-1]) | (np.isnan(rows[:, 1:]) & np.isnan(rows[:, :-1]))
         repeated = np.append(False, np.all(unchanged, axis=0))[: len(frame)]
-        time, stamp_warnings, stamp_faults, summer_time = _stamps_read(
+        time, stamp_warnings, stamp_faults, summer_time = _read_times(
             stamps, stamps_named, places, zone, notation, repeated
         )
         warnings += stamp_warnings
         faults += stamp_faults
         has_stamp = stamps.notna().to_numpy()
-        without_stamp = ~has_stamp & np.any(
-            [np.isfinite(readings) for readings in values.values()] or [~has_stamp], axis=0
-        )
+        has_reading = np.isfinite(rows).any(axis=0) | (len(values) == 0)
+        without_stamp = has_reading & ~has_stamp
         if count := int(without_stamp.sum()):
             where = numbered(places.label, places.numbers(np.flatnonzero(without_stamp)[:_SHOWN]), count)
             row_count = "1 row" if count == 1 else f"{count} rows"
@@ -195,7 +193,7 @@ def table_of(
     return FileColumns(time[keep], kept_values, tuple(warnings), sha256, header, judged, summer_time)
 
 
-def _two_readings(name: str, column: pandas.Series, places: Places) -> str:
+def _ambiguous_points(name: str, column: pandas.Series, places: Places) -> str:
     """The message that the points of a column may divide thousands, with an example."""
     example = column.dropna().astype(str).str.extract(PARTED)[0].dropna().iloc[0]
     return (
@@ -204,7 +202,7 @@ def _two_readings(name: str, column: pandas.Series, places: Places) -> str:
     )
 
 
-def _stamps_read(
+def _read_times(
     stamps: pandas.Series,
     stamps_named: str,
     places: Places,
