@@ -65,7 +65,7 @@ def input_path(series: Series, noise: tuple[float, float] | None = None) -> Seri
     """
     if series.hold == LINEAR:
         return series
-    return _through_means(series, noise) if series.hold == MEAN else _held(series)
+    return _path_through_means(series, noise) if series.hold == MEAN else _path_of_held_values(series)
 
 
 def without_response(series: Series) -> Series:
@@ -144,7 +144,7 @@ def _weights(count: int, edge: float, block: int | None, noise_share: float) -> 
     return np.linalg.solve(system, np.append(target_covariance, 1.0))[:count]
 
 
-def _held(series: Series) -> Series:
+def _path_of_held_values(series: Series) -> Series:
     """The path of values that hold from their stamps on: constant, with steep pieces after the changes."""
     time, value, longest_s = series.held
     if not len(time):
@@ -160,7 +160,7 @@ def _held(series: Series) -> Series:
     return replace(series, time=times[order], value=values[order], hold=LINEAR, longest_hold_s=None, lost=())
 
 
-def _through_means(series: Series, noise: tuple[float, float] | None) -> Series:
+def _path_through_means(series: Series, noise: tuple[float, float] | None) -> Series:
     time, value = series.known
     width = series.interval_s
     if len(time) < 2:
@@ -171,7 +171,7 @@ def _through_means(series: Series, noise: tuple[float, float] | None) -> Series:
         return replace(centred(series), time=time - 0.5 * width, value=value)
     times, values = [], []
     for stretch in np.split(np.arange(len(time)), np.flatnonzero(gap_s > JOINED_S) + 1):
-        ends, nodes = _stretch(time[stretch], value[stretch], width, share)
+        ends, nodes = _nodes_of_stretch(time[stretch], value[stretch], width, share)
         times.append(ends)
         values.append(nodes)
     path_time, path_value = np.concatenate(times), np.concatenate(values)
@@ -179,7 +179,9 @@ def _through_means(series: Series, noise: tuple[float, float] | None) -> Series:
     return replace(series, time=path_time[is_new], value=path_value[is_new], hold=LINEAR, interval_s=0.0)
 
 
-def _stretch(time: np.ndarray, mean: np.ndarray, width: float, share: float) -> tuple[np.ndarray, np.ndarray]:
+def _nodes_of_stretch(
+    time: np.ndarray, mean: np.ndarray, width: float, share: float
+) -> tuple[np.ndarray, np.ndarray]:
     """Times [s] and values of the path's nodes: the edges of adjacent means (n,) and nodes in between."""
     count = len(mean)
     if count == 1:
@@ -192,7 +194,7 @@ def _stretch(time: np.ndarray, mean: np.ndarray, width: float, share: float) -> 
     edges[inner_edges] = sum(
         w * mean[inner_edges - AROUND + i] for i, w in enumerate(edge_weights(AROUND, AROUND, share))
     )
-    interval_mean = mean if share == 0.0 else _denoised(mean, share)
+    interval_mean = mean if share == 0.0 else _denoise_means(mean, share)
     # n straight pieces between points of the quadratic would lose 1/n² of the area above its chord
     pieces = max(2, math.ceil(width / PIECE_S))
     fraction = np.arange(pieces) / pieces
@@ -203,7 +205,7 @@ def _stretch(time: np.ndarray, mean: np.ndarray, width: float, share: float) -> 
     return np.append(times.ravel(), time[-1]), np.append(nodes.ravel(), edges[-1])
 
 
-def _denoised(mean: np.ndarray, share: float) -> np.ndarray:
+def _denoise_means(mean: np.ndarray, share: float) -> np.ndarray:
     count = len(mean)
     result = np.empty(count)
     for k in range(count):

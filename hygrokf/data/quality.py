@@ -78,7 +78,7 @@ class QualityVocabulary:
         if key is None:
             return GOOD
         if not self.name and isinstance(key, int):
-            outcomes = {known.judge(key) for known in VOCABULARIES.values() if known.defines(key)}
+            outcomes = {option.judge(key) for option in VOCABULARIES.values() if option.defines(key)}
             return outcomes.pop() if len(outcomes) == 1 else AMBIGUOUS
         if isinstance(key, int):
             return self.outcomes.get(key & self.mask, self.rest)
@@ -110,8 +110,8 @@ def stated_vocabulary(value: object) -> QualityVocabulary:
         return QualityVocabulary(
             "its list", {key: GOOD for mark in value if (key := _key(mark)) is not None}, rest=BAD
         )
-    known = ", ".join(f'"{name}"' for name in VOCABULARIES)
-    raise ValueError(f"expected one of {known} or a list of good marks such as [1], found {value!r}")
+    names = ", ".join(f'"{name}"' for name in VOCABULARIES)
+    raise ValueError(f"expected one of {names} or a list of good marks such as [1], found {value!r}")
 
 
 def fitting(marks: Iterable[object]) -> tuple[str, ...]:

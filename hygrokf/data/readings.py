@@ -144,7 +144,7 @@ def mask_out_of_range(series: Series) -> tuple[Series, tuple[str, ...]]:
     if not is_outside.any():
         return series, ()
     statement = range_statement(RecordCode.OUT_OF_RANGE_MASKED, series, is_outside)
-    return _masked(series, is_outside), (statement.text,)
+    return _without(series, is_outside), (statement.text,)
 
 
 def range_statement(code: Code, series: Series, outside: np.ndarray) -> Statement:
@@ -196,7 +196,7 @@ def mask_saturated(series: Series) -> tuple[Series, tuple[str, ...]]:
         f"{100.0 * limit:.4g} % masked{hours} ({_period(series, saturated)}); they are censored and "
         "excluded from the likelihood"
     )
-    masked = dataclasses.replace(_masked(series, saturated), saturated=int(saturated.sum()))
+    masked = dataclasses.replace(_without(series, saturated), saturated=int(saturated.sum()))
     return masked, (sentence,)
 
 
@@ -262,7 +262,7 @@ def mask_gated(series: Series) -> tuple[Series, tuple[str, ...]]:
         else:
             is_masked[present[frozen]] = True
             warnings.append(f"{_label(series)}: frozen sensor, {runs}; {_readings(frozen)} masked")
-    return (_masked(series, is_masked) if is_masked.any() else series), tuple(warnings)
+    return (_without(series, is_masked) if is_masked.any() else series), tuple(warnings)
 
 
 def _frozen_sentence(series: Series, time: np.ndarray, value: np.ndarray, frozen: np.ndarray) -> str:
@@ -277,7 +277,7 @@ def _frozen_sentence(series: Series, time: np.ndarray, value: np.ndarray, frozen
     )
 
 
-def _masked(series: Series, where: np.ndarray) -> Series:
+def _without(series: Series, where: np.ndarray) -> Series:
     return dataclasses.replace(series, value=np.where(where, np.nan, series.value))
 
 

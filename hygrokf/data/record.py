@@ -80,8 +80,10 @@ class Series:
         row = SIGNALS.get(self.signal)
         if row is None:
             faults.append(f'unknown signal "{self.signal}"{suggestion(self.signal, SIGNALS)}')
-        time = _numbers("time", self.time, _SECONDS, faults)
-        value = _numbers("value", self.value, "numbers" if row is None else f"numbers in {row.unit}", faults)
+        time = _float_array("time", self.time, _SECONDS, faults)
+        value = _float_array(
+            "value", self.value, "numbers" if row is None else f"numbers in {row.unit}", faults
+        )
         if time is not None and value is not None:
             faults += _reading_faults(time, value, row)
         if self.hold == BY_SIGNAL:
@@ -150,14 +152,14 @@ class Series:
 
     @cached_property
     def held_s(self) -> np.ndarray:
-        """How long [s] each reading that is not missing holds at most, if it holds from its stamp on."""
+        """The longest time [s] for which each reading that is not missing holds, from its stamp on."""
         time, _ = self.known
-        held = np.full(len(time), math.inf if self.longest_hold_s is None else self.longest_hold_s)
+        longest_s = np.full(len(time), math.inf if self.longest_hold_s is None else self.longest_hold_s)
         if self.longest_hold_s is None and len(time) > 1:
             steps = np.concatenate([np.full(USUAL_STEPS - 1, np.nan), np.diff(time)])
             windows = np.lib.stride_tricks.sliding_window_view(steps, USUAL_STEPS)
-            held[1:] = AGE_STEPS * np.nanmedian(windows, axis=1)
-        return held
+            longest_s[1:] = AGE_STEPS * np.nanmedian(windows, axis=1)
+        return longest_s
 
     @cached_property
     def held(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -243,15 +245,15 @@ def _reading_faults(time: np.ndarray, value: np.ndarray, row: Signal | None) -> 
             first = int(np.argmax(time[1:] <= time[:-1])) + 1
             faults.append(f"time must increase strictly; reading {first} does not")
     elif len(time) and not (EARLIEST_S < time[0] and time[-1] < LATEST_S):
-        faults.append(_no_seconds(time))
+        faults.append(_seconds_fault(time))
     if np.isinf(value).any():
         faults.append("value must be finite, or NaN where a reading is missing")
-    elif row is not None and (other := _other_unit(value, row)):
+    elif row is not None and (other := _unit_fault(value, row)):
         faults.append(other)
     return faults
 
 
-def _numbers(name: str, given: object, expected: str, faults: list[str]) -> np.ndarray | None:
+def _float_array(name: str, given: object, expected: str, faults: list[str]) -> np.ndarray | None:
     """A copy as floating-point numbers, or None with a fault added.
 
     Dates are refused: as plain numbers they would count nanoseconds or microseconds without a zone.
@@ -284,7 +286,7 @@ _REMEDIES = {
 }
 
 
-def _no_seconds(time: np.ndarray) -> str:
+def _seconds_fault(time: np.ndarray) -> str:
     """The fault of times (T,) beyond the accepted range, with the unit that they seem to be in."""
     for factor, unit in ((1e3, "milliseconds"), (1e6, "microseconds"), (1e9, "nanoseconds")):
         if 0.0 < time[0] / factor and time[-1] / factor < LATEST_S:
@@ -295,7 +297,7 @@ def _no_seconds(time: np.ndarray) -> str:
     return f"time: expected seconds since 1970-01-01T00:00Z, found {time[0]:.6g} … {time[-1]:.6g}; {remedy}"
 
 
-def _other_unit(value: np.ndarray, row: Signal) -> str | None:
+def _unit_fault(value: np.ndarray, row: Signal) -> str | None:
     """The fault of readings whose unit is certainly not the signal's, or None.
 
     value: [SI unit] (T,).  Most readings lie outside the physical range, and would lie within it in the other

@@ -177,7 +177,7 @@ def lines_of(text: str) -> dict[TablePath, int]:
     for number, line in enumerate(text.splitlines(), 1):
         head, key = _HEAD.match(line), _KEY.match(line)
         if head is not None:
-            table = _numbered(_split(head[2]), counts, head[1] == "[[")
+            table = _table_path(_split(head[2]), counts, head[1] == "[[")
             lines.setdefault(table, number)
         elif key is not None:
             names = _split(key[1])
@@ -190,7 +190,7 @@ def _split(names: str) -> list[str]:
     return [name.strip("\"'") for name in re.findall(_NAME, names)]
 
 
-def _numbered(names: list[str], counts: dict[TablePath, int], begins: bool) -> TablePath:
+def _table_path(names: list[str], counts: dict[TablePath, int], begins: bool) -> TablePath:
     """The path of a table's head; [[name]] counts as the newest of its name, with `begins` as a new one."""
     path: TablePath = ()
     for place, name in enumerate(names, 1):
@@ -359,9 +359,9 @@ def _value(name: str, value: Any, kind: Any, stated: Key, place: Place) -> Any:
             return read_form(kind, value, place.inside(name))
         raise ValueError(f"{name} must be a table{place.table(name)}, found {value!r}")
     if get_origin(kind) is Mapping and inner[1] is not Any:
-        return _named(name, value, inner[1], place)
+        return _read_named_tables(name, value, inner[1], place)
     if inner and (_is_form(inner[0]) or get_origin(inner[0]) is Mapping):
-        return _rows(name, value, inner[0], place)
+        return _read_tables(name, value, inner[0], place)
     try:
         converted = stated.read(value) if stated.read is not None else _plain(value, kind, stated)
         if (stated.fits is None or stated.fits(converted)) and (
@@ -375,10 +375,10 @@ def _value(name: str, value: Any, kind: Any, stated: Key, place: Place) -> Any:
     near = suggestion(value, stated.choices) if isinstance(value, str) else ""
     value_text = f'"{value}"' if stated.choices and isinstance(value, str) else shown(value)
     remedy = f"; {stated.remedy}" if stated.remedy else ""
-    raise ValueError(f"{name} must be {_words(kind, stated)}, found {value_text}{near}{remedy}")
+    raise ValueError(f"{name} must be {_expected_value(kind, stated)}, found {value_text}{near}{remedy}")
 
 
-def _rows(name: str, value: Any, form: Any, place: Place) -> tuple[Any, ...]:
+def _read_tables(name: str, value: Any, form: Any, place: Place) -> tuple[Any, ...]:
     """The tables [[name]], as mappings or as forms; a single table [name] is a fault, but is read too."""
     rows = [value] if isinstance(value, Mapping) else value
     is_list_of_tables = isinstance(rows, list) and all(isinstance(row, Mapping) for row in rows)
@@ -393,7 +393,7 @@ def _is_form(kind: object) -> bool:
     return isinstance(kind, type) and dataclasses.is_dataclass(kind)
 
 
-def _named(name: str, value: Any, form: Any, place: Place) -> Mapping[str, Any]:
+def _read_named_tables(name: str, value: Any, form: Any, place: Place) -> Mapping[str, Any]:
     """The named tables under a key, without those whose name is at fault."""
     if not isinstance(value, Mapping):
         raise ValueError(f"{name} must be a table{place.table(name)}, found {value!r}")
@@ -440,7 +440,7 @@ def _plain(value: Any, kind: Any, stated: Key) -> Any:
     return value
 
 
-def _words(kind: Any, stated: Key) -> str:
+def _expected_value(kind: Any, stated: Key) -> str:
     """Description of a valid value."""
     inner = get_args(kind)
     if stated.expected or stated.choices:
