@@ -53,7 +53,7 @@ def read_case(path: str | os.PathLike[str], *, cabinet: bool = True, ambient: bo
     try:
         text, content = read_toml(file, CaseFault)
     except CaseFault as fault:
-        other = _other_than_case(file)
+        other = _not_a_case(file)
         raise CaseFault(file, [other] if other else fault.faults) from None
     case = stated_case({"name": file.stem, **content}, Place(file=file.name, lines=lines_of(text)))
 
@@ -61,7 +61,7 @@ def read_case(path: str | os.PathLike[str], *, cabinet: bool = True, ambient: bo
         return read_table(file.parent / source.file, source.meanings, source.time, source, source.quality)
 
     def weather(stated: StatedWeather) -> Record:
-        return _weather(stated, file.parent, case)
+        return _weather_record(stated, file.parent, case)
 
     record = record_of(case, table, str(path), weather=weather, cabinet=cabinet, ambient=ambient)
     return dataclasses.replace(record, warnings=(*_open_doubts(file.name, text), *record.warnings))
@@ -104,7 +104,7 @@ def record_of(
 
     Raises CaseFault with all faults.
     """
-    faults = [*case.place.faults, *_undeclared(case, cabinet, ambient)]
+    faults = [*case.place.faults, *_declaration_faults(case, cabinet, ambient)]
     period = case.form.identification
     series: list[Series] = []
     compared: list[Series] = []
@@ -131,7 +131,7 @@ def record_of(
         all_read = all_read and not source_faults
     reads: list[tuple[StatedWeather, Record]] = []
     if weather is not None:
-        reads, weather_warnings, weather_faults = _weathers(case, weather)
+        reads, weather_warnings, weather_faults = _weather_records(case, weather)
         warnings += weather_warnings
         faults += weather_faults
         all_read = all_read and not weather_faults
@@ -162,7 +162,7 @@ def record_of(
     if period.start_s is not None:
         record = record.window(period.start_s, math.inf)
     raw, record = record, mask(record)
-    faults = _emptied(raw, record, cabinet, ambient)
+    faults = _faults_of_mask(raw, record, cabinet, ambient)
     if faults:
         raise CaseFault(head, faults)
     return record
@@ -198,7 +198,7 @@ def _split_probes(case: StatedCase, headers: Mapping[str, tuple[str, ...]]) -> I
             )  # fmt: skip
 
 
-def _undeclared(case: StatedCase, cabinet: bool, ambient: bool) -> list[str]:
+def _declaration_faults(case: StatedCase, cabinet: bool, ambient: bool) -> list[str]:
     """Faults of a case that lacks the signals a model needs."""
     name, faults = case.place.file, []
     has_no_ambient = "ambient_temperature" not in case.declared and all(
@@ -213,7 +213,7 @@ def _undeclared(case: StatedCase, cabinet: bool, ambient: bool) -> list[str]:
     return faults
 
 
-def _weathers(
+def _weather_records(
     case: StatedCase, weather: Callable[[StatedWeather], Record]
 ) -> tuple[list[tuple[StatedWeather, Record]], list[str], list[str]]:
     """Records of the weather files, with consecutive files joined, warnings and faults."""
@@ -251,7 +251,7 @@ def _weathers(
 _TABLES = (".csv", ".tsv", ".txt", ".dat", ".parquet", ".nc", ".xlsx")
 
 
-def _other_than_case(file: Path) -> str:
+def _not_a_case(file: Path) -> str:
     """What a file that is not TOML seems to be (a result, JSON or a table), as a fault; "" if unclear."""
     kind = "a table, expected a case file that names it" * (file.suffix.lower() in _TABLES and file.is_file())
     with suppress(OSError, ValueError, RecursionError):
@@ -261,7 +261,7 @@ def _other_than_case(file: Path) -> str:
     return f"is {kind} (docs/reference/case_file.md)" if kind else ""
 
 
-def _weather(stated: StatedWeather, folder: Path, case: StatedCase) -> Record:
+def _weather_record(stated: StatedWeather, folder: Path, case: StatedCase) -> Record:
     """The record of a weather file, with sources named as in the case file."""
     read = read_weather_file(
         folder / stated.file,
@@ -381,7 +381,7 @@ def _period_faults(record: Record, case: StatedCase) -> list[str]:
     return faults
 
 
-def _emptied(raw: Record, record: Record, cabinet: bool, ambient: bool) -> list[str]:
+def _faults_of_mask(raw: Record, record: Record, cabinet: bool, ambient: bool) -> list[str]:
     """Faults of needed signals of which the mask left no reading; `raw` is the record before the mask."""
     faults = []
     needed = [("ambient_temperature",)] * ambient + [IDENTIFIABLE] * cabinet

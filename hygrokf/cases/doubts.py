@@ -52,7 +52,7 @@ def all_doubts(
     readings = alternative_readings(record) if read is None else read
     return (
         *clock_doubts(clocks, is_southern),
-        *_uncompared(record, clocks),
+        *_doubts_of_comparison(record, clocks),
         *record.doubts,
         *(finding.doubt() for finding in readings.findings),
         *_doubts_of_readings(record),
@@ -64,7 +64,7 @@ def all_doubts(
     )
 
 
-def _uncompared(record: Record, clocks: Sequence[ClockError]) -> Iterator[Statement]:
+def _doubts_of_comparison(record: Record, clocks: Sequence[ClockError]) -> Iterator[Statement]:
     """Files for comparison that share too little time with the sources that are used."""
     compared = {alignment.signal for error in clocks for alignment in error.alignments}
     files: dict[str, list[str]] = {}

@@ -77,11 +77,11 @@ def read_frames(
     Raises CaseFault with all faults.
     """
     faults = [
-        f'unknown option "{key}"{_instead(key)}'
+        f'unknown option "{key}"{_advice_on_option(key)}'
         for key in settings
         if key not in FRAME_KEYS and key not in COLUMN_OPTIONS
     ]
-    by_name, frame_faults = _named(frames)
+    by_name, frame_faults = _frames_by_name(frames)
     if frame_faults:
         raise CaseFault(_HEAD, [*faults, *frame_faults])
     by_frame = {key: settings[key] for key in FRAME_KEYS if settings.get(key) is not None}
@@ -116,7 +116,7 @@ def read_frames(
     )
 
 
-def _instead(key: str) -> str:
+def _advice_on_option(key: str) -> str:
     """The end of an unknown option's message: what to write in its place, or the options there are."""
     for table, form in (("identification", StatedPeriod), ("site", Site)):
         if key in keys_of(form):
@@ -128,7 +128,7 @@ def _instead(key: str) -> str:
     return suggestion(key, options) or f"; expected {', '.join(dict.fromkeys(options))}"
 
 
-def _named(frames: Any) -> tuple[dict[str, pandas.DataFrame], list[str]]:
+def _frames_by_name(frames: Any) -> tuple[dict[str, pandas.DataFrame], list[str]]:
     """Frames by name, and the faults of anything that is not a frame."""
     import pandas as pd
 
