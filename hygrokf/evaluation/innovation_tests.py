@@ -175,7 +175,7 @@ def _autocorrelation(
         p_value, value = float(p[k - 1]), float(values[worst])
         statement = FitCode.AUTOCORRELATED(
             output=name, longest_h=k * step, p=p_value, lag_h=(worst + 1) * step,
-            size=_against(value, limit_all), remarks=_small(value),
+            size=_correlation_and_limit(value, limit_all), remarks=_remark_on_size(value),
         )  # fmt: skip
         tests.append(InnovationTest(name, "autocorrelation", lag_h=k * step, p=p_value, statement=statement))
     return autocorrelation, tests
@@ -292,7 +292,7 @@ def _cross_correlation(
     lead = (FitCode.READINGS_LEAD(input=source),) if worst_lag_h < 0 else ()
     statement = FitCode.CORRELATED_WITH_INPUT(
         output=name, input=source, lag_h=worst_lag_h,
-        size=_against(value, limit_all), remarks=_small(value) or lead,
+        size=_correlation_and_limit(value, limit_all), remarks=_remark_on_size(value) or lead,
     )  # fmt: skip
     correlation = CrossCorrelation(
         _rounded(lag[shown] * step),
@@ -349,12 +349,12 @@ def _rounded(values: np.ndarray) -> tuple[float, ...]:
     return tuple(float(f"{value:.6g}") for value in np.asarray(values, dtype=float))
 
 
-def _against(r: float, limit: float) -> Statement:
+def _correlation_and_limit(r: float, limit: float) -> Statement:
     """A correlation and its limit, with enough digits to distinguish them."""
     near = round(abs(r), 2) == round(limit, 2)
     return (FitCode.CORRELATION_NEAR_LIMIT if near else FitCode.CORRELATION)(r=r, limit=limit)
 
 
-def _small(r: float) -> tuple[Statement, ...]:
+def _remark_on_size(r: float) -> tuple[Statement, ...]:
     """The remark on a correlation that explains little."""
     return (FitCode.SMALL_SHARE(share=r * r),) if abs(r) < SMALL else ()

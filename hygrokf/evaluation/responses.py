@@ -161,8 +161,8 @@ def bode(
             with np.errstate(divide="ignore", invalid="ignore"):
                 ratio = of_draws[(slice(None), *index)] / exact[index]
                 drawn_phases = phase_value + np.degrees(np.angle(ratio))
-        magnitude[pair] = _banded(gain, drawn_gains, level)
-        phase[pair] = _banded(phase_value, drawn_phases, level)
+        magnitude[pair] = _with_bounds(gain, drawn_gains, level)
+        phase[pair] = _with_bounds(phase_value, drawn_phases, level)
     return FrequencyResponse(level, system, grid, magnitude, phase)
 
 
@@ -200,7 +200,7 @@ def step_response(
     if len(spread.names):
         of_draws = _steps(system_of(spread.drawn(_normal(len(spread.names)))), grid)
     value = {
-        pair: _banded(exact[index], None if of_draws is None else of_draws[(slice(None), *index)], level)
+        pair: _with_bounds(exact[index], None if of_draws is None else of_draws[(slice(None), *index)], level)
         for pair, index in _places(system).items()
     }
     return StepResponse(level, system, grid, value)
@@ -283,7 +283,7 @@ def _normal(count: int) -> np.ndarray:
     return np.asarray(qmc.MultivariateNormalQMC(np.zeros(count), seed=1).random(DRAWS))
 
 
-def _banded(value: np.ndarray, draws: np.ndarray | None, level: float) -> Answer:
+def _with_bounds(value: np.ndarray, draws: np.ndarray | None, level: float) -> Answer:
     """A value (T,) with the percentiles of its draws (N, T)."""
     if draws is None:
         unknown = np.full(len(value), np.nan)

@@ -153,7 +153,7 @@ def guesses(run: Run) -> dict[str, dict[str, np.ndarray]]:
         rule_values["ambient"] = {"absolute_humidity_g_m3": ambient}
         ratio = t.input("ambient_temperature") / observed["temperature_K"]
         rule_values["ambient_pressure_balance"] = {"absolute_humidity_g_m3": ambient * ratio}
-    static = _static(run, observed["temperature_K"], masks["identification"])
+    static = _without_dynamics(run, observed["temperature_K"], masks["identification"])
     if static is not None:
         rule_values["no_dynamics"] = {"temperature_K": static}
     return rule_values
@@ -171,7 +171,7 @@ def baselines(run: Run) -> RuleScores:
     )
 
 
-def _static(run: Run, temperature: np.ndarray, in_period: np.ndarray) -> np.ndarray | None:
+def _without_dynamics(run: Run, temperature: np.ndarray, in_period: np.ndarray) -> np.ndarray | None:
     """The rule `no_dynamics` (T,), fitted to the instants in a period (T,); None if they are too few."""
     t = run.timeline
     ambient = t.input("ambient_temperature")

@@ -57,13 +57,15 @@ def measured(run: Run) -> dict[str, np.ndarray]:
         humidity = t.reading("cabinet_relative_humidity")
         result["relative_humidity"] = humidity
         if temperature is not None:
-            result["absolute_humidity_g_m3"] = 1e3 * absolute_humidity(humidity, _filled(t.time, temperature))
+            result["absolute_humidity_g_m3"] = 1e3 * absolute_humidity(
+                humidity, _interpolated(t.time, temperature)
+            )
     elif "cabinet_absolute_humidity" in t.outputs:
         result["absolute_humidity_g_m3"] = t.reading("cabinet_absolute_humidity")
     return result
 
 
-def _filled(time: np.ndarray, value: np.ndarray) -> np.ndarray:
+def _interpolated(time: np.ndarray, value: np.ndarray) -> np.ndarray:
     """Readings interpolated over at most half an hour, NaN beyond."""
     is_present = np.isfinite(value)
     if is_present.sum() < 2:
@@ -216,25 +218,25 @@ def free_run(
     directions[[place[name] for name in names], np.arange(len(names))] = 1.0
     # with readings of zero, the residuals of the free run are minus the predictions at every instant
     zeros = run.timeline.with_readings(np.zeros_like(run.timeline.y))
-    _, slopes = replace(likelihood, timeline=zeros).residuals(values, directions)
-    rows = {name: -slopes[:, j] for j, name in enumerate(design.model.outputs)}
-    warm = rows.get("cabinet_temperature")
-    moist = rows.get("cabinet_relative_humidity")
-    vapour = rows.get("cabinet_absolute_humidity")
+    _, derivatives = replace(likelihood, timeline=zeros).residuals(values, directions)
+    jacobian_of = {name: -derivatives[:, j] for j, name in enumerate(design.model.outputs)}
+    of_temperature = jacobian_of.get("cabinet_temperature")
+    of_relative = jacobian_of.get("cabinet_relative_humidity")
+    of_absolute = jacobian_of.get("cabinet_absolute_humidity")
     relative, absolute = prediction.relative_humidity, prediction.absolute_humidity
-    if absolute is not None and relative is not None and moist is not None:
-        vapour = (absolute[0] / relative[0])[:, None] * moist
-        if prediction.temperature is not None and warm is not None:
+    if absolute is not None and relative is not None and of_relative is not None:
+        of_absolute = (absolute[0] / relative[0])[:, None] * of_relative
+        if prediction.temperature is not None and of_temperature is not None:
             slope = 1e3 * absolute_humidity_slope_temperature(relative[0], prediction.temperature[0])
-            vapour = vapour + slope[:, None] * warm
+            of_absolute = of_absolute + slope[:, None] * of_temperature
     return Prediction(
-        _wider(prediction.temperature, warm, matrix),
-        _wider(relative, moist, matrix),
-        _wider(absolute, vapour, matrix),
+        _with_parameter_variance(prediction.temperature, of_temperature, matrix),
+        _with_parameter_variance(relative, of_relative, matrix),
+        _with_parameter_variance(absolute, of_absolute, matrix),
     )
 
 
-def _wider(
+def _with_parameter_variance(
     pair: tuple[np.ndarray, np.ndarray] | None, jacobian: np.ndarray | None, matrix: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray] | None:
     """The prediction with its variance increased by that of the parameters, J V J'."""
