@@ -219,7 +219,7 @@ def design(
     used_actuators = [actuator for actuator in actuators(record) if actuator.used]
     if kind != CASCADE:
         mechanisms.append(("thermal_network", {}))
-        release, mean, remarks = _release(record, scale, power_order, reference, heat_start or {})
+        release, mean, remarks = _release_settings(record, scale, power_order, reference, heat_start or {})
         mechanisms.append(("heat_release", release))
         statements += remarks
         mechanisms += [
@@ -285,7 +285,7 @@ def _correlation_bounds(series: Series, record: Record) -> dict[str, float]:
     return {"shortest_h": shortest, "longest_h": max(min(length / 10.0, 200.0), 4.0 * shortest)}
 
 
-def _release(
+def _release_settings(
     record: Record,
     scale: float | None,
     order: int,

@@ -89,7 +89,7 @@ def model_inputs(design: Design, record: Record, *, beyond: bool = False) -> Run
     """
     model, record = design.model, prepare(expect_record(record, "model_inputs"))
     outputs = [name for name in model.outputs if name in record]
-    _same_intervals(design, record, outputs)
+    _check_intervals(design, record, outputs)
     inputs_of = set(model.inputs)
     ambient = courses(design, record)
     first, last = common_span(record, ambient, beyond)
@@ -179,7 +179,7 @@ def _readings(
         values[unknown] = np.nan
         readings[name] = values
         if name in design.averaged:
-            start = _beginnings(series, first)
+            start = _interval_starts(series, first)
             # a mean over an interval with unknown inputs cannot be predicted
             count = np.append(0, np.cumsum(unknown))
             interval_start = np.searchsorted(time, np.nan_to_num(start, nan=first))
@@ -191,7 +191,7 @@ def _readings(
     return readings, resets
 
 
-def _same_intervals(design: Design, record: Record, outputs: list[str]) -> None:
+def _check_intervals(design: Design, record: Record, outputs: list[str]) -> None:
     faults = []
     for name in outputs:
         stated_h, interval_h = design.averaged.get(name, 0.0), record[name].interval_s / 3600.0
@@ -204,7 +204,7 @@ def _same_intervals(design: Design, record: Record, outputs: list[str]) -> None:
         raise ValueError("; ".join(faults) + " (0 s: instants); use `read_as(design, record)`")
 
 
-def _beginnings(series: Series, first: float) -> np.ndarray:
+def _interval_starts(series: Series, first: float) -> np.ndarray:
     """Start times of the intervals of averaged readings [s]; NaN for readings that cannot be predicted.
 
     A reading cannot be predicted if it is missing, if its interval begins before the run, or if its interval

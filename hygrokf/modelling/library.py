@@ -69,7 +69,7 @@ class Library:
             {name: definition for name, definition in definitions.items() if name in self.origins}
             for definitions in (self.mechanisms, self.features)
         ]
-        return _unpickled, (*user_definitions, dict(self.origins))
+        return _unpickle, (*user_definitions, dict(self.origins))
 
     @property
     def own(self) -> tuple[Cause, ...]:
@@ -112,7 +112,7 @@ class Library:
     def joined(self, cause: Cause, origin: Origin) -> Library:
         """The library with one further cause, without a check of its names."""
         return replace(
-            self._holding(mapping(cause.mechanisms), mapping(cause.features), origin),
+            self._with_definitions(mapping(cause.mechanisms), mapping(cause.features), origin),
             causes=(*self.causes, cause),
         )
 
@@ -128,9 +128,9 @@ class Library:
         faults = name_faults(mechanisms, features or {})
         if faults:
             raise ValueError("; ".join(faults))
-        return self._holding(mechanisms, features or {}, {"python": factories[0].__module__})
+        return self._with_definitions(mechanisms, features or {}, {"python": factories[0].__module__})
 
-    def _holding(
+    def _with_definitions(
         self, mechanisms: Mapping[str, Factory], features: Mapping[str, Any], origin: Origin
     ) -> Library:
         with_hold = {
@@ -165,7 +165,7 @@ class Library:
         return [f"the model needs {', '.join(names)} {text}" for text, names in names_by_text.items()]
 
 
-def _unpickled(
+def _unpickle(
     mechanisms: Mapping[str, Factory], features: Mapping[str, Feature], origins: Mapping[str, Origin]
 ) -> Library:
     if not origins:
