@@ -53,7 +53,7 @@ def read_case(path: str | os.PathLike[str], *, cabinet: bool = True, ambient: bo
     try:
         text, content = read_toml(file, CaseFault)
     except CaseFault as fault:
-        other = _other_than_case(file)
+        other = _not_a_case(file)
         raise CaseFault(file, [other] if other else fault.faults) from None
     case = stated_case({"name": file.stem, **content}, Place(file=file.name, lines=lines_of(text)))
 
@@ -61,30 +61,30 @@ def read_case(path: str | os.PathLike[str], *, cabinet: bool = True, ambient: bo
         return read_table(file.parent / source.file, source.meanings, source.time, source, source.quality)
 
     def weather(stated: StatedWeather) -> Record:
-        return _weather(stated, file.parent, case)
+        return _weather_record(stated, file.parent, case)
 
     record = record_of(case, table, str(path), weather=weather, cabinet=cabinet, ambient=ambient)
     return dataclasses.replace(record, warnings=(*_open_doubts(file.name, text), *record.warnings))
 
 
 _REMARK = re.compile(r"#(?!\s?(\[|[\w.\"'-]+\s*=))")
-"""A comment that is no table or key of TOML taken out of force."""
+"""A comment in words, not a TOML table or key that is commented out."""
 
 
 def _open_doubts(name: str, text: str) -> tuple[str, ...]:
-    """A warning about the doubts of a draft that stand above lines in force, with their line numbers."""
-    lines = [one.strip() for one in text.splitlines()]
-    found = []
+    """The warning that names the lines of a draft's doubts about settings that are not commented out."""
+    lines = [line.strip() for line in text.splitlines()]
+    numbers = []
     for number, line in enumerate(lines, 1):
-        below = next((one for one in lines[number:] if one and not _REMARK.match(one)), "#")
-        if line.startswith(DRAFT_DOUBT) and not below.startswith("#"):
-            found.append(str(number))
-    if not found:
+        next_line = next((below for below in lines[number:] if below and not _REMARK.match(below)), "#")
+        if line.startswith(DRAFT_DOUBT) and not next_line.startswith("#"):
+            numbers.append(str(number))
+    if not numbers:
         return ()
-    one_or_more = f"a doubt of its draft is open, line {found[0]}"
-    if len(found) > 1:
-        one_or_more = f"{len(found)} doubts of its draft are open, lines {', '.join(found)}"
-    return (f'{name}: {one_or_more}: settle what is doubted, then delete the comment "{DRAFT_DOUBT}…"',)
+    open_doubts = f"a doubt of its draft is open, line {numbers[0]}"
+    if len(numbers) > 1:
+        open_doubts = f"{len(numbers)} doubts of its draft are open, lines {', '.join(numbers)}"
+    return (f'{name}: {open_doubts}: check the doubted setting, then delete the comment "{DRAFT_DOUBT}…"',)
 
 
 def record_of(
@@ -96,7 +96,7 @@ def record_of(
     cabinet: bool,
     ambient: bool,
 ) -> Record:
-    """Record of a stated case, from files or frames: units in SI, clocks in UTC, doubtful readings masked.
+    """Make the record of a stated case from files or frames: SI units, UTC, doubtful readings masked.
 
     case: as stated. table: reads a source; raises TableFault. head: first words of a CaseFault's message.
     weather: reads a weather file, for cases that name any; raises TableFault.
@@ -104,7 +104,7 @@ def record_of(
 
     Raises CaseFault with all faults.
     """
-    faults = [*case.place.faults, *_undeclared(case, cabinet, ambient)]
+    faults = [*case.place.faults, *_declaration_faults(case, cabinet, ambient)]
     period = case.form.identification
     series: list[Series] = []
     compared: list[Series] = []
@@ -112,49 +112,49 @@ def record_of(
     files: dict[str, str] = {}
     headers: dict[str, tuple[str, ...]] = {}
     doubts: list[Statement] = []
-    whole = True
+    all_read = True
     for source in case.sources:
         try:
             read = table(source)
         except TableFault as broken:
             faults += [f"{source.file}: {fault}" for fault in broken.faults]
-            whole = False
+            all_read = False
             continue
         headers[source.file] = read.header
         if read.sha256:
             files[source.file] = read.sha256
-        found, said, wrong = _source_series(source, read, case.form.rated_power_W)
-        warnings += [f"{source.file}: {one}" for one in said]
+        source_series, source_warnings, source_faults = _source_series(source, read, case.form.rated_power_W)
+        warnings += [f"{source.file}: {warning}" for warning in source_warnings]
         doubts += _quality_doubts(source, read)
-        faults += [f"{source.file}: {one}" for one in wrong]
-        (compared if source.compare else series).extend(found)
-        whole = whole and not wrong
+        faults += [f"{source.file}: {fault}" for fault in source_faults]
+        (compared if source.compare else series).extend(source_series)
+        all_read = all_read and not source_faults
     reads: list[tuple[StatedWeather, Record]] = []
     if weather is not None:
-        reads, said, wrong = _weathers(case, weather)
-        warnings += said
-        faults += wrong
-        whole = whole and not wrong
-    for stated, brought in reads:
-        files.update(brought.files)
-        used = set(case.declared) | {one.signal for one in series}
-        series += [one for one in brought.series if not stated.compare and one.signal not in used]
-        compared += [one for one in brought.series if stated.compare or one.signal in used]
-    unique = {one.signal: one for one in series}
-    second = {one.signal: one for one in reversed(compared)}
-    merged = tuple(unique.values())
-    faults += [one.text for one in (*no_overlap(merged), *copies(merged))]
+        reads, weather_warnings, weather_faults = _weather_records(case, weather)
+        warnings += weather_warnings
+        faults += weather_faults
+        all_read = all_read and not weather_faults
+    for stated, weather_record in reads:
+        files.update(weather_record.files)
+        used = set(case.declared) | {item.signal for item in series}
+        series += [item for item in weather_record.series if not stated.compare and item.signal not in used]
+        compared += [item for item in weather_record.series if stated.compare or item.signal in used]
+    by_signal = {item.signal: item for item in series}
+    compared_by_signal = {item.signal: item for item in reversed(compared)}
+    merged = tuple(by_signal.values())
+    faults += [doubt.text for doubt in (*no_overlap(merged), *copies(merged))]
     record = Record(
         case.form.name or "record",
         merged,
         case.form.site,
         case.form.rated_power_W,
         warnings=tuple(warnings),
-        compared=tuple(second.values()),
+        compared=tuple(compared_by_signal.values()),
         doubts=(*doubts, *_split_probes(case, headers)),
         provenance=case.form.provenance,
     )
-    if whole and series:
+    if all_read and series:
         faults += _period_faults(record, case)
     if faults:
         raise CaseFault(head, faults)
@@ -162,7 +162,7 @@ def record_of(
     if period.start_s is not None:
         record = record.window(period.start_s, math.inf)
     raw, record = record, mask(record)
-    faults = _emptied(raw, record, cabinet, ambient)
+    faults = _faults_of_mask(raw, record, cabinet, ambient)
     if faults:
         raise CaseFault(head, faults)
     return record
@@ -170,13 +170,13 @@ def record_of(
 
 def _quality_doubts(source: StatedSource, read: FileColumns) -> Iterator[Statement]:
     """Doubts about the marks of quality beside a source's readings."""
-    for one in source.columns:
-        if one.column in read.judged and (doubt := read.judged[one.column].doubt):
-            yield DoubtCode.QUALITY_DOUBTED(signal=one.signal.name, file=source.file, doubt=doubt)
+    for column in source.columns:
+        if column.column in read.judged and (doubt := read.judged[column.column].doubt):
+            yield DoubtCode.QUALITY_DOUBTED(signal=column.signal.name, file=source.file, doubt=doubt)
 
 
 def _split_probes(case: StatedCase, headers: Mapping[str, tuple[str, ...]]) -> Iterator[Statement]:
-    """Doubts of places whose humidity is of one probe and whose temperature of another one."""
+    """Doubts about places whose humidity and temperature come from different probes."""
     used = {
         column.signal.name: (source.file, column.column)
         for source in reversed(case.sources)
@@ -184,36 +184,39 @@ def _split_probes(case: StatedCase, headers: Mapping[str, tuple[str, ...]]) -> I
         for column in source.columns
     }
     for place in ("cabinet", "ambient"):
-        warm, moist = used.get(f"{place}_temperature"), used.get(f"{place}_relative_humidity")
-        if warm is None or moist is None:
+        temperature, humidity = used.get(f"{place}_temperature"), used.get(f"{place}_relative_humidity")
+        if temperature is None or humidity is None:
             continue
-        file = moist[0]
-        own = temperatures_of(moist[1], headers.get(file, ()))
-        if len(own) == 1 and warm != (file, own[0]):
+        file = humidity[0]
+        candidates = temperatures_of(humidity[1], headers.get(file, ()))
+        if len(candidates) == 1 and temperature != (file, candidates[0]):
             yield DoubtCode.OTHER_PROBE(
-                temperature=f"{place}_temperature", temperature_file=warm[0], temperature_column=warm[1],
-                humidity=f"{place}_relative_humidity", humidity_file=file, humidity_column=moist[1],
-                own=own[0],
+                temperature=f"{place}_temperature",
+                temperature_file=temperature[0], temperature_column=temperature[1],
+                humidity=f"{place}_relative_humidity", humidity_file=file, humidity_column=humidity[1],
+                own=candidates[0],
             )  # fmt: skip
 
 
-def _undeclared(case: StatedCase, cabinet: bool, ambient: bool) -> list[str]:
+def _declaration_faults(case: StatedCase, cabinet: bool, ambient: bool) -> list[str]:
     """Faults of a case that lacks the signals a model needs."""
     name, faults = case.place.file, []
-    unheard = "ambient_temperature" not in case.declared and all(one.compare for one in case.weather)
-    if ambient and unheard:
+    has_no_ambient = "ambient_temperature" not in case.declared and all(
+        stated.compare for stated in case.weather
+    )
+    if ambient and has_no_ambient:
         faults.append(f"{name}: no source names ambient_temperature, the input that every model needs")
-    if cabinet and not any(one in case.declared for one in IDENTIFIABLE):
+    if cabinet and not any(signal in case.declared for signal in IDENTIFIABLE):
         faults.append(
             f"{name}: nothing in the cabinet to identify; expected one of {', '.join(IDENTIFIABLE)}"
         )
     return faults
 
 
-def _weathers(
+def _weather_records(
     case: StatedCase, weather: Callable[[StatedWeather], Record]
 ) -> tuple[list[tuple[StatedWeather, Record]], list[str], list[str]]:
-    """Records of the weather files, with consecutive files joined; warnings; faults."""
+    """Records of the weather files, with consecutive files joined, warnings and faults."""
     reads: list[tuple[StatedWeather, Record]] = []
     warnings: list[str] = []
     faults: list[str] = []
@@ -223,18 +226,22 @@ def _weathers(
         except TableFault as broken:
             faults += [f"{stated.file}: {fault}" for fault in broken.faults]
             continue
-        warnings += [f"{stated.file}: {one}" for one in read.warnings]
+        warnings += [f"{stated.file}: {warning}" for warning in read.warnings]
         read = dataclasses.replace(read, warnings=())
-        for place, (before, earlier) in enumerate(reads):
+        for place, (earlier_stated, earlier_record) in enumerate(reads):
             # such as one file a year, each continuing the previous one
-            if (before.format, before.compare) == (stated.format, stated.compare) and follows(earlier, read):
+            if (earlier_stated.format, earlier_stated.compare) == (stated.format, stated.compare) and follows(
+                earlier_record, read
+            ):
                 try:
-                    made = join_records((earlier, read), earlier.name)
+                    merged = join_records((earlier_record, read), earlier_record.name)
                 except TableFault as broken:
-                    faults += [f"{before.file} and {stated.file}: {fault}" for fault in broken.faults]
+                    faults += [f"{earlier_stated.file} and {stated.file}: {fault}" for fault in broken.faults]
                     break
-                warnings += [f"{before.file} and {stated.file}: {one}" for one in made.warnings]
-                reads[place] = (before, dataclasses.replace(made, warnings=()))
+                warnings += [
+                    f"{earlier_stated.file} and {stated.file}: {warning}" for warning in merged.warnings
+                ]
+                reads[place] = (earlier_stated, dataclasses.replace(merged, warnings=()))
                 break
         else:
             reads.append((stated, read))
@@ -244,17 +251,17 @@ def _weathers(
 _TABLES = (".csv", ".tsv", ".txt", ".dat", ".parquet", ".nc", ".xlsx")
 
 
-def _other_than_case(file: Path) -> str:
-    """The likely kind of a file that is not TOML, a result or a table; empty where it is unclear."""
+def _not_a_case(file: Path) -> str:
+    """What a file that is not TOML seems to be (a result, JSON or a table), as a fault; "" if unclear."""
     kind = "a table, expected a case file that names it" * (file.suffix.lower() in _TABLES and file.is_file())
     with suppress(OSError, ValueError, RecursionError):
-        if isinstance(held := json.loads(file.read_bytes()), dict):
-            result = {"design", "parameters"} <= set(held)
+        if isinstance(content := json.loads(file.read_bytes()), dict):
+            result = {"design", "parameters"} <= set(content)
             kind = f"{'a result of `hygrokf fit`' if result else 'JSON'}, expected a case file"
     return f"is {kind} (docs/reference/case_file.md)" if kind else ""
 
 
-def _weather(stated: StatedWeather, folder: Path, case: StatedCase) -> Record:
+def _weather_record(stated: StatedWeather, folder: Path, case: StatedCase) -> Record:
     """The record of a weather file, with sources named as in the case file."""
     read = read_weather_file(
         folder / stated.file,
@@ -270,12 +277,12 @@ def _weather(stated: StatedWeather, folder: Path, case: StatedCase) -> Record:
         read,
         series=tuple(
             dataclasses.replace(
-                one,
-                time=one.time + stated.clock_correction_s,
+                series,
+                time=series.time + stated.clock_correction_s,
                 clock_uncertainty_s=stated.clock_uncertainty_s,
-                source=stated.file + one.source.removeprefix(name),
+                source=stated.file + series.source.removeprefix(name),
             )
-            for one in read.series
+            for series in read.series
         ),
         files=tuple((stated.file, digest) for _, digest in read.files),
     )
@@ -284,33 +291,35 @@ def _weather(stated: StatedWeather, folder: Path, case: StatedCase) -> Record:
 def _source_series(
     source: StatedSource, table: FileColumns, rated_W: float | None
 ) -> tuple[list[Series], list[str], list[str]]:
-    """Series of a source; warnings; faults."""
+    """Series of a source, warnings and faults."""
     warnings = list(table.warnings)
-    time, values, said = order_readings(table.time, table.values)
+    time, values, order_warnings = order_readings(table.time, table.values)
     if not table.summer_time:
         warnings += summer_time_holes(np.sort(table.time))
-    warnings += said
+    warnings += order_warnings
     faults: list[str] = []
-    found = []
-    given = {name: np.isfinite(one) for name, one in values.items()}
-    single = np.sum([*given.values()], axis=0) == 1
-    # where readings come one by one, each in a row of its own, an empty cell is no missing reading
-    apart = len(given) > 1 and all(np.sum(single & one) > 0.9 * np.sum(one) for one in given.values())
+    series = []
+    has_reading = {name: np.isfinite(readings) for name, readings in values.items()}
+    has_single_reading = np.sum([*has_reading.values()], axis=0) == 1
+    # where each row holds a single reading, an empty cell is not a missing reading
+    is_row_per_reading = len(has_reading) > 1 and all(
+        np.sum(has_single_reading & is_read) > 0.9 * np.sum(is_read) for is_read in has_reading.values()
+    )
     step, regular = modal_step(time)
-    for one in source.columns:
-        rows = given[one.column] if apart else slice(None)
-        own, raw = time[rows], values[one.column][rows]
-        step, regular = modal_step(own)
-        wrong = unit_mistaken(raw, one.unit, one.signal)
-        if wrong is None and one.signal.name == "active_power" and rated_W is not None:
-            power_W = to_si(raw[np.isfinite(raw)], one.unit, one.signal)
-            times, beside = power_beside_rated(power_W, rated_W)
-            if times > 10.0:
-                wrong = RecordCode.POWER_IN_OTHER_UNIT(unit=one.unit, beside=beside)
-        if wrong is not None:
-            faults.append(f'column "{one.column}": {wrong.text}')
+    for column in source.columns:
+        rows = has_reading[column.column] if is_row_per_reading else slice(None)
+        stamps, raw = time[rows], values[column.column][rows]
+        step, regular = modal_step(stamps)
+        mistake = unit_mistaken(raw, column.unit, column.signal)
+        if mistake is None and column.signal.name == "active_power" and rated_W is not None:
+            power_W = to_si(raw[np.isfinite(raw)], column.unit, column.signal)
+            ratio, explanation = power_beside_rated(power_W, rated_W)
+            if ratio > 10.0:
+                mistake = RecordCode.POWER_IN_OTHER_UNIT(unit=column.unit, beside=explanation)
+        if mistake is not None:
+            faults.append(f'column "{column.column}": {mistake.text}')
             continue
-        hold = source.hold or (one.signal.hold_of_instants if source.stamp == "instant" else MEAN)
+        hold = source.hold or (column.signal.hold_of_instants if source.stamp == "instant" else MEAN)
         length = source.interval_s
         if length is None and (source.stamp != "instant" or hold == MEAN):
             if not regular >= 0.5:
@@ -328,35 +337,35 @@ def _source_series(
         if hold == LINEAR and source.stamp != "instant":
             # a mean that is joined by straight lines is placed in the middle of its interval
             shift -= 0.5 * length
-        moved = own + source.clock_correction_s + shift
-        settings: dict[str, Any] = dict(one.settings)
+        moved = stamps + source.clock_correction_s + shift
+        settings: dict[str, Any] = dict(column.settings)
         if "resolution" not in settings:
-            settings["resolution"] = difference_to_si(detect_resolution(raw), one.unit, one.signal)
+            settings["resolution"] = difference_to_si(detect_resolution(raw), column.unit, column.signal)
         if hold == PREVIOUS:
-            until_next = one.signal.name in SWITCHED and on_change(own, raw)
+            until_next = column.signal.name in SWITCHED and on_change(stamps, raw)
             settings["longest_hold_s"] = source.longest_hold_s or (math.inf if until_next else None)
             settings["lost"] = source.lost
         try:
-            found.append(
+            series.append(
                 Series(
-                    one.signal.name,
+                    column.signal.name,
                     moved,
-                    to_si(raw, one.unit, one.signal),
+                    to_si(raw, column.unit, column.signal),
                     hold,
                     length if hold == MEAN else 0.0,
                     clock_uncertainty_s=source.clock_uncertainty_s,
-                    source=f'{source.file}, column "{one.column}"',
+                    source=f'{source.file}, column "{column.column}"',
                     **settings,
                 )
             )
         except ValueError as impossible:
-            faults.append(f'column "{one.column}": {impossible}')
+            faults.append(f'column "{column.column}": {impossible}')
     if source.interval_s is not None and source.interval_s > 1.5 * step:
         warnings.append(
             f"interval = {duration_text(source.interval_s)} is longer than the step of "
             f"{duration_text(step)}: means of overlapping intervals are not independent readings"
         )
-    return found, warnings, faults
+    return series, warnings, faults
 
 
 def _period_faults(record: Record, case: StatedCase) -> list[str]:
@@ -372,17 +381,17 @@ def _period_faults(record: Record, case: StatedCase) -> list[str]:
     return faults
 
 
-def _emptied(raw: Record, record: Record, cabinet: bool, ambient: bool) -> list[str]:
-    """Faults of a record that has no readings left, of the `raw` ones, of signals a model needs."""
+def _faults_of_mask(raw: Record, record: Record, cabinet: bool, ambient: bool) -> list[str]:
+    """Faults of needed signals of which the mask left no reading; `raw` is the record before the mask."""
     faults = []
     needed = [("ambient_temperature",)] * ambient + [IDENTIFIABLE] * cabinet
     for signals in needed:
-        there = [signal for signal in signals if signal in record]
-        if not any(np.isfinite(record[signal].value).any() for signal in there):
-            named = ", ".join(there if signals is IDENTIFIABLE else signals) or "the cabinet"
-            series = tuple(raw[one] for one in there)
-            alone = dataclasses.replace(raw, series=series, compared=(), warnings=())
-            said = mask(alone).warnings
-            why = f": {'; '.join(said)}" if said else "; the columns hold no number"
+        present = [signal for signal in signals if signal in record]
+        if not any(np.isfinite(record[signal].value).any() for signal in present):
+            named = ", ".join(present if signals is IDENTIFIABLE else signals) or "the cabinet"
+            series = tuple(raw[signal] for signal in present)
+            only_needed = dataclasses.replace(raw, series=series, compared=(), warnings=())
+            mask_warnings = mask(only_needed).warnings
+            why = f": {'; '.join(mask_warnings)}" if mask_warnings else "; the columns hold no number"
             faults.append(f"no reading of {named} can be used{why}")
     return faults

@@ -31,7 +31,7 @@ from hygrokf.weather.clocks import (
 _SHORT_RECORD_D = 14.0
 _SHORT_VALIDATION_D = 7.0
 _MANY_LOST = 0.03
-"""[1] share of readings without known inputs that is worth a doubt."""
+"""[1] share of readings without known inputs above which a doubt is raised."""
 _OLDEST_S = 10 * 365.25 * DAY_S
 """[s] earliest plausible reading: no turbine of the seventies had a logger."""
 IDENTIFIABLE = tuple(f"cabinet_{kind}" for kind in ("temperature", *HUMIDITIES))
@@ -41,20 +41,20 @@ IDENTIFIABLE = tuple(f"cabinet_{kind}" for kind in ("temperature", *HUMIDITIES))
 def all_doubts(
     record: Record, clocks: Sequence[ClockError] | None = None, read: Readings | None = None
 ) -> tuple[Statement, ...]:
-    """Doubts about the compared sources and about the record; a doubt is no fault.
+    """All doubts about a record and its sources for comparison.
 
     clocks, read: clock errors and alternative readings, if already known.
     """
     record = prepare(record)
     if clocks is None:
         clocks = clock_errors(alignments(record))
-    south = record.site is not None and record.site.latitude_deg < 0.0
-    found = alternative_readings(record) if read is None else read
+    is_southern = record.site is not None and record.site.latitude_deg < 0.0
+    readings = alternative_readings(record) if read is None else read
     return (
-        *clock_doubts(clocks, south),
-        *_uncompared(record, clocks),
+        *clock_doubts(clocks, is_southern),
+        *_doubts_of_comparison(record, clocks),
         *record.doubts,
-        *(one.doubt() for one in found.findings),
+        *(finding.doubt() for finding in readings.findings),
         *_doubts_of_readings(record),
         *_doubts_of_gaps(record),
         *_doubts_of_periods(record),
@@ -64,13 +64,13 @@ def all_doubts(
     )
 
 
-def _uncompared(record: Record, clocks: Sequence[ClockError]) -> Iterator[Statement]:
+def _doubts_of_comparison(record: Record, clocks: Sequence[ClockError]) -> Iterator[Statement]:
     """Files for comparison that share too little time with the sources that are used."""
-    done = {one.signal for error in clocks for one in error.alignments}
+    compared = {alignment.signal for error in clocks for alignment in error.alignments}
     files: dict[str, list[str]] = {}
-    for one in record.compared:
-        if one.signal in record and one.signal not in (*done, *NOT_COMPARED):
-            files.setdefault(one.file, []).append(one.signal)
+    for series in record.compared:
+        if series.signal in record and series.signal not in (*compared, *NOT_COMPARED):
+            files.setdefault(series.file, []).append(series.signal)
     for file, signals in files.items():
         yield DoubtCode.NOT_COMPARED(file=file, signals=tuple(signals), fewest_d=FEWEST_D)
 
@@ -80,12 +80,12 @@ def _doubts_of_readings(record: Record) -> Iterator[Statement]:
     readings."""
     for series in (*record.series, *record.compared):
         row = signal_named(series.signal)
-        outside = out_of_range(series)
+        is_outside = out_of_range(series)
         doubt = unit_mistaken(series.value, row.unit, row)
         if series.hold == LINEAR and series.resolution and on_change(*series.known, series.resolution):
             yield DoubtCode.ONLY_ON_CHANGE(signal=series.signal)
-        if doubt is None and outside.any():
-            doubt = range_statement(DoubtCode.OUT_OF_RANGE, series, outside)
+        if doubt is None and is_outside.any():
+            doubt = range_statement(DoubtCode.OUT_OF_RANGE, series, is_outside)
         if doubt is not None:
             yield doubt
     if record.start_s < _OLDEST_S:
@@ -95,44 +95,46 @@ def _doubts_of_readings(record: Record) -> Iterator[Statement]:
 
 def no_overlap(series: Sequence[Series]) -> list[Statement]:
     """Doubts about sources that share no time with the cabinet's readings."""
-    spans = {one.signal: (one.time[0] - one.interval_s, one.time[-1]) for one in series if len(one)}
+    spans = {item.signal: (item.time[0] - item.interval_s, item.time[-1]) for item in series if len(item)}
     cabinet = {signal: span for signal, span in spans.items() if signal in IDENTIFIABLE}
     if not cabinet:
         return []
     first = min(span[0] for span in cabinet.values())
     last = max(span[1] for span in cabinet.values())
-    apart: dict[tuple[str, float, float], list[str]] = {}
-    for one in series:
-        if one.signal in cabinet or one.signal not in spans:
+    without_overlap: dict[tuple[str, float, float], list[str]] = {}
+    for item in series:
+        if item.signal in cabinet or item.signal not in spans:
             continue
-        start, end = spans[one.signal]
+        start, end = spans[item.signal]
         if start > last or end < first:
-            apart.setdefault((one.file if one.source else "", start, end), []).append(one.signal)
+            without_overlap.setdefault((item.file if item.source else "", start, end), []).append(item.signal)
     return [
         DoubtCode.NO_OVERLAP(
             signals=tuple(signals), file=(RecordCode.IN_FILE(file=file),) if file else (),
             period=period(start, end), of_cabinet=period(first, last),
         )
-        for (file, start, end), signals in apart.items()
+        for (file, start, end), signals in without_overlap.items()
     ]  # fmt: skip
 
 
 def _doubts_of_gaps(record: PreparedRecord) -> Iterator[Statement]:
-    """Readings of the cabinet that no fit uses, because the air outside is unknown at their time."""
-    outside = {"temperature": record["ambient_temperature"]} if "ambient_temperature" in record else {}
-    vapour = record.ambient_vapour if outside else None
-    outside |= {} if vapour is None else {"humidity": vapour}
-    for signal in (one for one in IDENTIFIABLE if one in record):
+    """Doubts that gaps in the ambient series exclude many of the cabinet's readings from a fit."""
+    outside_air = {"temperature": record["ambient_temperature"]} if "ambient_temperature" in record else {}
+    vapour = record.ambient_vapour if outside_air else None
+    outside_air |= {} if vapour is None else {"humidity": vapour}
+    for signal in (name for name in IDENTIFIABLE if name in record):
         time = record[signal].known[0]
-        lost, gaps = np.zeros(len(time), dtype=bool), list[str]()
-        for kind, series in outside.items():
-            known = series.known[0]
-            gap = np.isnan(at_times(series, time, bridge_h(series, AMBIENT_BRIDGE_H)))
-            gap &= (time >= known[0]) & (time <= known[-1]) if len(known) else False
-            lost, gaps = lost | gap, [*gaps, kind] if gap.any() else gaps
-        if lost.sum() > _MANY_LOST * len(time):
+        is_lost, gaps = np.zeros(len(time), dtype=bool), list[str]()
+        for kind, series in outside_air.items():
+            times = series.known[0]
+            in_gap = np.isnan(at_times(series, time, bridge_h(series, AMBIENT_BRIDGE_H)))
+            in_gap &= (time >= times[0]) & (time <= times[-1]) if len(times) else False
+            is_lost |= in_gap
+            if in_gap.any():
+                gaps.append(kind)
+        if is_lost.sum() > _MANY_LOST * len(time):
             yield DoubtCode.GAPS_OUTSIDE(
-                signal=signal, lost=int(lost.sum()), n=len(time), unknown=tuple(gaps)
+                signal=signal, lost=int(is_lost.sum()), n=len(time), unknown=tuple(gaps)
             )
 
 
@@ -152,10 +154,11 @@ def _doubts_of_periods(record: Record) -> Iterator[Statement]:
 
 
 def power_beside_rated(power_W: np.ndarray, rated_W: float) -> tuple[float, Statement]:
-    """The 99.5 % quantile of power readings over the rated power, NaN without any; and as a statement."""
+    """The 99.5 % quantile of power readings divided by the rated power (NaN without readings), and the
+    statement of this ratio."""
     high = float(np.quantile(power_W, 0.995)) if len(power_W) else np.nan
-    times = high / rated_W
-    return times, RecordCode.BESIDE_RATED(high_kW=high / 1e3, times=times, rated_kW=rated_W / 1e3)
+    ratio = high / rated_W
+    return ratio, RecordCode.BESIDE_RATED(high_kW=high / 1e3, times=ratio, rated_kW=rated_W / 1e3)
 
 
 def _doubts_of_power(record: Record) -> Iterator[Statement]:
@@ -163,12 +166,12 @@ def _doubts_of_power(record: Record) -> Iterator[Statement]:
         yield DoubtCode.POWER_ABSENT()
         return
     power = record["active_power"]
-    there = power.value[~power.missing]
-    if not len(there):
+    readings = power.value[~power.missing]
+    if not len(readings):
         yield DoubtCode.POWER_UNREAD()
         return
-    standstill = float(np.mean(there <= 0.0))
-    if np.median(there) < 0.0 and -there.min() > 2.0 * max(there.max(), 0.0):
+    standstill = float(np.mean(readings <= 0.0))
+    if np.median(readings) < 0.0 and -readings.min() > 2.0 * max(readings.max(), 0.0):
         yield DoubtCode.POWER_NEGATIVE(share=standstill)
     elif standstill < 0.01:
         yield DoubtCode.NO_STANDSTILL(share=standstill)
@@ -177,9 +180,9 @@ def _doubts_of_power(record: Record) -> Iterator[Statement]:
     if record.rated_power_W is None:
         yield DoubtCode.NO_RATED_POWER()
     else:
-        times, beside = power_beside_rated(there, record.rated_power_W)
-        if times > 1.3 or 0.0 < times < 0.3:
-            yield DoubtCode.POWER_BESIDE_RATED(beside=beside)
+        ratio, comparison = power_beside_rated(readings, record.rated_power_W)
+        if ratio > 1.3 or 0.0 < ratio < 0.3:
+            yield DoubtCode.POWER_BESIDE_RATED(beside=comparison)
     for signal in record.signals:
         if signal.startswith("cabinet_") and len(record[signal]):
             time = record[signal].time
@@ -199,9 +202,9 @@ def _doubts_of_climate(record: PreparedRecord) -> Iterator[Statement]:
         yield DoubtCode.NO_CABINET_HUMIDITY()
     if humid and not any(f"ambient_{kind}" in record for kind in HUMIDITIES):
         yield DoubtCode.NO_AMBIENT_HUMIDITY()
-    for one in record.series:
-        if one.missing.mean() > 0.3:
-            yield DoubtCode.MANY_MISSING(signal=one.signal, share=float(one.missing.mean()))
+    for series in record.series:
+        if series.missing.mean() > 0.3:
+            yield DoubtCode.MANY_MISSING(signal=series.signal, share=float(series.missing.mean()))
     if "ambient_temperature" in record:
         step, _ = modal_step(record["ambient_temperature"].time)
         if step >= 3600.0:
@@ -220,13 +223,16 @@ def _doubts_of_climate(record: PreparedRecord) -> Iterator[Statement]:
             yield DoubtCode.OTHER_VAPOUR(factor=factor)
 
 
-def _pair(one: Series | None, other: Series | None) -> tuple[np.ndarray, np.ndarray] | None:
-    """Values of one series and of the other at the same times, over their common span."""
-    if one is None or other is None:
+def _pair(first: Series | None, second: Series | None) -> tuple[np.ndarray, np.ndarray] | None:
+    """Values of the first series, and of the second interpolated to their times, over the common span."""
+    if first is None or second is None:
         return None
-    (time, value), known = centred(one).known, centred(other).known
-    common = (time >= known[0][0]) & (time <= known[0][-1]) if len(known[0]) else np.zeros(len(time), bool)
-    return (value[common], np.interp(time[common], *known)) if common.any() else None
+    (time, value), reference = centred(first).known, centred(second).known
+    times = reference[0]
+    if not len(times):
+        return None
+    common = (time >= times[0]) & (time <= times[-1])
+    return (value[common], np.interp(time[common], *reference)) if common.any() else None
 
 
 def _doubts_of_clocks(record: Record) -> Iterator[Statement]:

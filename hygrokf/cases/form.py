@@ -33,8 +33,8 @@ def stated_signal(name: object) -> Signal:
 
 def _size(value: Any) -> float:
     """A difference in the unit of the readings."""
-    good = isinstance(value, (int, float)) and not isinstance(value, bool) and 0.0 <= value < float("inf")
-    if not good:
+    is_size = isinstance(value, (int, float)) and not isinstance(value, bool) and 0.0 <= value < float("inf")
+    if not is_size:
         raise ValueError(f"expected a number ≥ 0 in the unit of the readings, found {value!r}")
     return float(value)
 
@@ -51,7 +51,7 @@ def longest_hold(value: Any) -> float:
 
 def _losses(value: Any) -> tuple[tuple[float, float], ...]:
     """Spans (start, end) [s] of a list of pairs of stamps.  Raises ValueError."""
-    if not isinstance(value, list) or not all(isinstance(one, list) and len(one) == 2 for one in value):
+    if not isinstance(value, list) or not all(isinstance(pair, list) and len(pair) == 2 for pair in value):
         raise ValueError(f"expected pairs of stamps such as [[START, END], …], found {value!r}")
     spans = tuple((moment(start), moment(end)) for start, end in value)
     edges = [edge for span in spans for edge in span]
@@ -89,12 +89,12 @@ class StatedSensor:
 
     @property
     def settings(self) -> dict[str, float]:
-        """Stated further arguments of a `Series` [SI]; a new argument takes a field here."""
-        found = {"response_time_s": self.response_time_s}
+        """The optional arguments of a `Series` [SI] that are stated."""
+        arguments = {"response_time_s": self.response_time_s}
         for name in ("accuracy", "resolution"):
             size = getattr(self, name)
-            found[name] = None if size is None else difference_to_si(size, self.unit, self.signal)
-        return {name: value for name, value in found.items() if value is not None}
+            arguments[name] = None if size is None else difference_to_si(size, self.unit, self.signal)
+        return {name: value for name, value in arguments.items() if value is not None}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -134,9 +134,9 @@ class StatedSource(Notation):
 
     @across("decimal", "separator", "thousands")
     def different_marks(self) -> str | None:
-        others = {"separator": self.separator, "thousands": self.thousands}
-        same = next((name for name, one in others.items() if one is not None and one == self.decimal), None)
-        return same and f'{same} and decimal are both "{self.decimal}"; change one of the two'
+        marks = {"separator": self.separator, "thousands": self.thousands}
+        repeated = next((name for name, mark in marks.items() if mark and mark == self.decimal), None)
+        return repeated and f'{repeated} and decimal are both "{self.decimal}"; change one of the two'
 
     @across("interval", "stamp", "hold")
     def place_in_interval(self) -> str | None:
@@ -148,8 +148,8 @@ class StatedSource(Notation):
 
     @across("ignore_offset", "timezone")
     def clock(self) -> str | None:
-        lacking = self.ignore_offset and self.timezone is None
-        return "ignore_offset = true needs the timezone of the clock" if lacking else None
+        lacks_zone = self.ignore_offset and self.timezone is None
+        return "ignore_offset = true needs the timezone of the clock" if lacks_zone else None
 
     @across("signals")
     def any_signal(self) -> str | None:
@@ -162,19 +162,19 @@ class StatedSource(Notation):
 
     @property
     def columns(self) -> tuple[StatedColumn, ...]:
-        """The signals that can be read."""
-        valid = (one for one in self.signals.values() if unit_fault(one.unit, one.signal.name) is None)
-        return tuple(one for one in valid if one.column)
+        """The signals whose column and unit are valid."""
+        named = (column for column in self.signals.values() if column.column)
+        return tuple(column for column in named if unit_fault(column.unit, column.signal.name) is None)
 
     @property
     def meanings(self) -> dict[str, Meaning]:
         """Columns to read, and what their texts stand for."""
-        return {one.column: one.meaning for one in self.columns}
+        return {column.column: column.meaning for column in self.columns}
 
     @property
     def quality(self) -> StatedQuality:
-        """What is stated of the quality of its readings."""
-        columns = {one.column: one.quality for one in self.columns}
+        """What the source states about the quality of its readings."""
+        columns = {column.column: column.quality for column in self.columns}
         return StatedQuality(columns, self.vocabulary, self.use_uncertain)
 
 
@@ -256,8 +256,8 @@ class CaseForm:
 class StatedCase:
     """A case with its sources.
 
-    sources: those that can be read. weather: sources that are weather files. declared: every signal of a
-    source that is used, with the number of its source. place: of its file or call, in messages.
+    sources: tables that can be read. weather: weather files that can be read. declared: every signal of a
+    source that is used, with the number of the source. place: of the file or call in messages.
     """
 
     form: CaseForm
@@ -268,7 +268,7 @@ class StatedCase:
 
 
 def stated_case(content: dict[str, Any], place: Place) -> StatedCase:
-    """The statements of a case; every fault of its form is among those of its place.
+    """The statements of a case; the faults of its form are added to those of `place`.
 
     content: the parsed TOML, or the equivalent made from arguments. place: of the case in messages.
     """
@@ -278,35 +278,35 @@ def stated_case(content: dict[str, Any], place: Place) -> StatedCase:
     tables: dict[int, StatedSource] = {}
     weather: list[StatedWeather] = []
     for block, table in enumerate(form.source):
-        inside = place.inside("source", block)
+        table_place = place.inside("source", block)
         if "format" not in table:
-            tables[block] = read_form(StatedSource, table, inside)
+            tables[block] = read_form(StatedSource, table, table_place)
             continue
-        weather.append(read_form(StatedWeather, table, inside))
+        weather.append(read_form(StatedWeather, table, table_place))
         if weather[-1].to_site_altitude and (form.site is None or form.site.altitude_m is None):
-            inside.fault("to_site_altitude needs altitude_m in [site]", "to_site_altitude")
+            table_place.fault("to_site_altitude needs altitude_m in [site]", "to_site_altitude")
     declared = _declared(tables, place)
-    sources = tuple(one for one in tables.values() if one.file and one.time)
-    readable = tuple(one for one in weather if one.file and one.format)
+    sources = tuple(source for source in tables.values() if source.file and source.time)
+    readable = tuple(source for source in weather if source.file and source.format)
     return StatedCase(form, sources, readable, declared, place)
 
 
 def _declared(tables: Mapping[int, StatedSource], place: Place) -> dict[str, int]:
-    """Every signal that is used, with the number of its source."""
+    """Every signal of a source that is used, with the number of the source."""
     declared: dict[str, int] = {}
     compared: dict[str, int] = {}
 
     def entry(block: int, name: str) -> Place:
         return place.inside("source", block).inside("signals", entry=name)
 
-    for block, one in tables.items():
-        for name in one.signals:
-            before = compared if one.compare else declared
-            if name in before:
+    for block, source in tables.items():
+        for name in source.signals:
+            named = compared if source.compare else declared
+            if name in named:
                 remedy = ": to compare the two, state compare = true in one of the sources"
                 entry(block, name).fault(
-                    f"{name} is named a second time (first: {entry(before[name], name).at()}); a record has "
-                    f"one series of a signal{remedy * (before is declared)}"
+                    f"{name} is named a second time (first: {entry(named[name], name).at()}); a record has "
+                    f"one series of a signal{remedy * (named is declared)}"
                 )
-            before.setdefault(name, block)
+            named.setdefault(name, block)
     return declared

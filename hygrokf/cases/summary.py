@@ -29,7 +29,7 @@ _GAP_STEPS = 3.0
 
 @dataclass(frozen=True)
 class Span:
-    """First and last stamp (UTC) and length [d]; no stamps where there is no reading."""
+    """First and last stamp (UTC), None without readings, and length [d]."""
 
     start: Instant | None
     end: Instant | None
@@ -70,11 +70,10 @@ class SignalSummary:
 class RecordSummary:
     """The contents of a record, as `hygrokf check` shows them.
 
-    `provenance` of the readings; `days` [d] from `start` to `end` (UTC); `rated_power_kW` NaN where it is not
-    stated; `identification` and
-    `validation` None where they are empty; `actuators`: whether and how a model uses each that is logged;
-    `comparisons` of sources for the same signal; `untold`: what the record cannot tell of its clocks;
-    `files`: that it was read from, with their SHA-256.
+    `provenance` of the readings; `days` [d] from `start` to `end` (UTC); `rated_power_kW` NaN if it is not
+    stated; `identification` and `validation` None if they are empty; `actuators`: whether and how a model
+    uses each logged actuator; `comparisons` of sources for the same signal; `untold`: what the record cannot
+    show about its clocks; `files`: names and SHA-256 of the files that were read.
     """
 
     name: Name
@@ -95,12 +94,12 @@ class RecordSummary:
     files: tuple[tuple[Source, Digest], ...]
 
     def to_frame(self) -> pandas.DataFrame:
-        """One row a signal, stamps as times in UTC; `unit` is that of the readings, further units are in
-        `attrs["units"]`."""
+        """A pandas frame with a row for each signal and stamps in UTC; the column `unit` is the unit of the
+        readings, `attrs["units"]` holds those of the other columns."""
         import pandas as pd
 
-        columns = [one.name for one in fields(SignalSummary)]
-        frame = pd.DataFrame([asdict(one) for one in self.signals], columns=columns)
+        columns = [field.name for field in fields(SignalSummary)]
+        frame = pd.DataFrame([asdict(summary) for summary in self.signals], columns=columns)
         units = {**units_by_name(columns), "days": "d"}
         return with_units(frame.set_index("signal"), units, ("start", "end"))
 
@@ -108,24 +107,24 @@ class RecordSummary:
 def describe(record: Record) -> RecordSummary:
     """The summary of a record for `hygrokf check`: spans, steps, gaps, clocks, doubts."""
     record = prepare(record)
-    clocks, read = clock_errors(alignments(record)), alternative_readings(record)
-    whole = _span(record.start_s, record.end_s)
+    clocks, alternatives = clock_errors(alignments(record)), alternative_readings(record)
+    span = _span(record.start_s, record.end_s)
     return RecordSummary(
         record.name,
         record.provenance,
-        whole.start,
-        whole.end,
-        whole.days,
+        span.start,
+        span.end,
+        span.days,
         record.site,
         math.nan if record.rated_power_W is None else record.rated_power_W / 1e3,
         _period_of(record.identification()),
         _period_of(record.validation()),
         tuple(_describe_series(series) for series in record.series),
-        tuple(one.statement for one in actuators(record.identification())),
+        tuple(actuator.statement for actuator in actuators(record.identification())),
         clocks,
         record.warnings,
-        all_doubts(record, clocks, read),
-        read.untold,
+        all_doubts(record, clocks, alternatives),
+        alternatives.untold,
         record.files,
     )
 
@@ -150,15 +149,15 @@ def _number(value: float | None, digits: int = 6) -> float:
 def _describe_series(series: Series) -> SignalSummary:
     row = signal_named(series.signal)
     step, regular = modal_step(series.time)
-    there = series.value[~series.missing]
+    readings = series.value[~series.missing]
     times = series.time[~series.missing]
     expected = len(series)
     if math.isfinite(step) and regular > 0.5:
         expected = max(expected, round((series.time[-1] - series.time[0]) / step) + 1)
-    gaps = np.diff(times)
-    long = gaps > (_GAP_STEPS + 0.01) * step if math.isfinite(step) else np.zeros(0, dtype=bool)
-    widest = int(np.argmax(gaps)) if len(gaps) else None
-    shown = from_si(there, row.display, row)
+    steps = np.diff(times)
+    is_gap = steps > (_GAP_STEPS + 0.01) * step if math.isfinite(step) else np.zeros(0, dtype=bool)
+    longest = int(np.argmax(steps)) if len(steps) else None
+    shown = from_si(readings, row.display, row)
     accuracy = row.default_accuracy if series.accuracy is None else series.accuracy
     span = _span(series.time[0], series.time[-1]) if len(series) else _span(math.nan, math.nan)
     return SignalSummary(
@@ -167,12 +166,12 @@ def _describe_series(series: Series) -> SignalSummary:
         start=span.start,
         end=span.end,
         days=span.days,
-        readings=len(there),
-        missing_share=_number(1.0 - len(there) / expected if expected else math.nan),
+        readings=len(readings),
+        missing_share=_number(1.0 - len(readings) / expected if expected else math.nan),
         step_s=_number(step),
         clock_uncertainty_s=_number(series.clock_uncertainty_s),
-        gaps=int(long.sum()),
-        longest_gap_s=math.nan if widest is None else _number(gaps[widest]),
+        gaps=int(is_gap.sum()),
+        longest_gap_s=math.nan if longest is None else _number(steps[longest]),
         hold=series.hold,
         interval_s=series.interval_s,
         unit=row.display,

@@ -45,8 +45,8 @@ class SyntheticParameters:
     preheating_release_K: [K] added while the pre-heating is on.
     heat_disturbance_K, heat_correlation_h: standard deviation [K] and correlation time [h] of
         the coloured disturbance in the heat release.
-    vapour_disturbance_kg_m3, vapour_correlation_h: the same for the vapour flow, as the excess
-        concentration [kg/m3] that it holds up at the record's mean temperatures.
+    vapour_disturbance_kg_m3, vapour_correlation_h: the same for the vapour flow, expressed as the
+        stationary excess concentration [kg/m3] at the record's mean temperatures.
     temperature_diffusion_K: [K/sqrt(h)] white diffusion of T_conv.
     humidity_diffusion_kg_m3: [kg/(m3 sqrt(h))] white diffusion of c*.
     """
@@ -75,7 +75,7 @@ class SyntheticTruth:
     converter_temperature, cabinet_temperature, ambient_temperature: [K].
     equivalent_humidity (c*), cabinet_absolute_humidity, ambient_absolute_humidity: [kg/m3].
     active_power: [W]. preheating: [-]. heat_release: [K] without the disturbance.
-    hygric_constant_s: [s] k of equation (4), with 273 K taken as 273 K.
+    hygric_constant_s: [s] k of equation (4), with a reference temperature of exactly 273 K.
     sensor_bias: ((file.column, bias in the column's unit), ...).
     """
 
@@ -131,7 +131,7 @@ class SyntheticTurbine:
 
 
 def _recursion(gain: float, drive: np.ndarray, start: float) -> np.ndarray:
-    """x[0] = start, x[n + 1] = gain x[n] + drive[n]; one entry more than `drive`."""
+    """The sequence x[0] = start, x[n + 1] = gain x[n] + drive[n], one element longer than `drive`."""
     from scipy.signal import lfilter  # takes longer to load than most commands need
 
     return lfilter([1.0], [1.0, -gain], np.append(start, drive))
@@ -140,8 +140,8 @@ def _recursion(gain: float, drive: np.ndarray, start: float) -> np.ndarray:
 def _ornstein_uhlenbeck(random: np.random.Generator, steps: int, correlation_h: float) -> np.ndarray:
     """Stationary Ornstein-Uhlenbeck process of unit variance, exact at each minute, (steps,)."""
     gain = math.exp(-MINUTE_H / correlation_h)
-    kicks = math.sqrt(1.0 - gain * gain) * random.standard_normal(steps - 1)
-    return _recursion(gain, kicks, float(random.standard_normal()))
+    noise = math.sqrt(1.0 - gain * gain) * random.standard_normal(steps - 1)
+    return _recursion(gain, noise, float(random.standard_normal()))
 
 
 def _low_pass(drive: np.ndarray, lag_h: float) -> np.ndarray:
@@ -220,9 +220,9 @@ def _operation(
 
 def _step_with_ramp(rate: np.ndarray, before: np.ndarray, after: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Gain and drive of dx/dt = rate (u - x) over a minute in which u is linear."""
-    turns = rate * MINUTE_H
-    gain = np.exp(-turns)
-    ramp = 1.0 + np.expm1(-turns) / turns
+    decay = rate * MINUTE_H
+    gain = np.exp(-decay)
+    ramp = 1.0 + np.expm1(-decay) / decay
     return gain, (1.0 - gain) * before + ramp * (after - before)
 
 
@@ -236,20 +236,22 @@ def _cabinet_temperature(
     """T_conv, T_conv,a [K] by equations (2) and (3), and the undisturbed heat release [K]."""
     coloured, white = (np.random.default_rng(child) for child in seed.spawn(2))
     share = power / parameters.rated_power_W
-    warmer = ambient - _REFERENCE_K
+    difference_K = ambient - _REFERENCE_K
     b0, b1, b2, b3 = parameters.operation_release
     s0, s1 = parameters.standstill_release
-    release = np.where(power > 0.0, b0 + (b1 + b2 * share) * share + b3 * warmer, s0 + s1 * warmer)
+    release = np.where(
+        power > 0.0, b0 + (b1 + b2 * share) * share + b3 * difference_K, s0 + s1 * difference_K
+    )
     release = release + parameters.preheating_release_K * preheating
     disturbance = parameters.heat_disturbance_K * _ornstein_uhlenbeck(
         coloured, ambient.size, parameters.heat_correlation_h
     )
-    held = release[:-1] + 0.5 * (disturbance[:-1] + disturbance[1:])
-    lift = held / parameters.resistance_ratio
+    mean_release = release[:-1] + 0.5 * (disturbance[:-1] + disturbance[1:])
+    rise_K = mean_release / parameters.resistance_ratio
     rate = np.array(1.0 / parameters.thermal_time_constant_h)
-    gain, drive = _step_with_ramp(rate, ambient[:-1] + lift, ambient[1:] + lift)
-    kicks = math.sqrt(MINUTE_H) * parameters.temperature_diffusion_K
-    drive = drive + kicks * white.standard_normal(drive.size)
+    gain, drive = _step_with_ramp(rate, ambient[:-1] + rise_K, ambient[1:] + rise_K)
+    noise_sd = math.sqrt(MINUTE_H) * parameters.temperature_diffusion_K
+    drive = drive + noise_sd * white.standard_normal(drive.size)
     start = ambient[0] + float(release[0] + disturbance[0]) / parameters.resistance_ratio
     converter = _recursion(float(gain), drive, start)
     ratio = parameters.resistance_ratio
@@ -265,23 +267,23 @@ def _cabinet_humidity(
     """c* [kg/m3] by equation (4), and k [s] such that R_D* V* is as stated at the means."""
     coloured, white = (np.random.default_rng(child) for child in seed.spawn(2))
     ambient_K = weather["temperature"]
-    mean_speed = cabinet_K.mean() * ambient_K.mean() ** 0.8
-    constant_h = parameters.hygric_time_constant_h * mean_speed / 273.0**1.8
-    rate = cabinet_K * ambient_K**0.8 / (constant_h * 273.0**1.8)
+    relative_rate = cabinet_K.mean() * ambient_K.mean() ** 0.8
+    rate_constant_h = parameters.hygric_time_constant_h * relative_rate / 273.0**1.8
+    rate = cabinet_K * ambient_K**0.8 / (rate_constant_h * 273.0**1.8)
     rate = 0.5 * (rate[:-1] + rate[1:])
     disturbance = parameters.vapour_disturbance_kg_m3 * _ornstein_uhlenbeck(
         coloured, ambient_K.size, parameters.vapour_correlation_h
     )
-    # The disturbance is a vapour flow: per volume it does not grow with the exchange rate.
-    flow = 0.5 * (disturbance[:-1] + disturbance[1:]) / parameters.hygric_time_constant_h
+    # the disturbance is a vapour flow per volume, which does not depend on the exchange rate
+    inflow = 0.5 * (disturbance[:-1] + disturbance[1:]) / parameters.hygric_time_constant_h
     outside = weather["absolute_humidity"]
-    gain, drive = _step_with_ramp(rate, outside[:-1] + flow / rate, outside[1:] + flow / rate)
-    kicks = math.sqrt(MINUTE_H) * parameters.humidity_diffusion_kg_m3
-    drive = drive + kicks * white.standard_normal(drive.size)
+    gain, drive = _step_with_ramp(rate, outside[:-1] + inflow / rate, outside[1:] + inflow / rate)
+    noise_sd = math.sqrt(MINUTE_H) * parameters.humidity_diffusion_kg_m3
+    drive = drive + noise_sd * white.standard_normal(drive.size)
     start = float(outside[0] + disturbance[0])
     pairs = zip(gain.tolist(), drive.tolist(), strict=True)
     states = accumulate(pairs, lambda state, step: step[0] * state + step[1], initial=start)
-    return np.array(list(states)), constant_h * 3600.0
+    return np.array(list(states)), rate_constant_h * 3600.0
 
 
 def _stops(random: np.random.Generator, time: np.ndarray, lengths_h: Sequence[float]) -> np.ndarray:

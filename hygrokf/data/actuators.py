@@ -15,11 +15,11 @@ from hygrokf.texts.statement import Statement
 from hygrokf.texts.terms import Name
 
 FEWEST_EACH_SIDE = 10
-"""Readings needed on either side of half of an actuator's span for its effect to be identifiable."""
+"""Readings needed above and below the middle of an actuator's span for its effect to be identifiable."""
 TOP = 0.999
-"""Quantile of a power that counts as full power."""
+"""Quantile of the power readings that counts as full power."""
 Chosen = tuple[Name, Mapping[str, Any]]
-"""A mechanism of the library: its name and the settings that make it."""
+"""A mechanism of the library: its name and its settings."""
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,9 @@ class Actuator:
         """How a model uses the actuator, or why it does not."""
         if self.reason is not None:
             return FitCode.ACTUATOR_UNUSED(signal=self.signal, why=self.reason)
-        networks = tuple(n for n, one in (("thermal", self.thermal), ("hygric", self.hygric)) if one)
+        networks = tuple(
+            name for name, mechanism in (("thermal", self.thermal), ("hygric", self.hygric)) if mechanism
+        )
         return FitCode.ACTUATOR_USED(signal=self.signal, networks=networks)
 
 
@@ -66,19 +68,19 @@ HEATERS = ("preheating", "heater_power", "heater_duty", "dehumidifier_duty")
 def actuators(record: Record) -> tuple[Actuator, ...]:
     """All logged actuators of a record, used or not, in the order of `ACTUATORS`.
 
-    An actuator is used where at least ten readings lie above half of its span and ten below: an actuator that
-    never changes is part of the network's constants.  Where both a heater's power and its duty are logged,
-    the power is used.
+    An actuator is used if at least `FEWEST_EACH_SIDE` readings lie above the middle of its span and as many
+    below: an actuator that never changes is part of the network's constants.  If both the power and the duty
+    of a heater are logged, the power is used.
     """
-    found = [_actuator(record[signal]) for signal in ACTUATORS if signal in record]
-    if any(one.signal == "heater_power" and one.used for one in found):
-        found = [
-            replace(one, reason=FitCode.HEATER_POWER_LOGGED())
-            if one.signal == "heater_duty"
-            else one
-            for one in found
+    logged = [_actuator(record[signal]) for signal in ACTUATORS if signal in record]
+    if any(actuator.signal == "heater_power" and actuator.used for actuator in logged):
+        logged = [
+            replace(actuator, reason=FitCode.HEATER_POWER_LOGGED())
+            if actuator.signal == "heater_duty"
+            else actuator
+            for actuator in logged
         ]
-    return tuple(found)
+    return tuple(logged)
 
 
 def _actuator(series: Series) -> Actuator:
@@ -96,11 +98,11 @@ def _actuator(series: Series) -> Actuator:
         None if thermal is None else (thermal, settings),
         None if hygric is None else (hygric, {}),
         0.5 * float(value.min() + value.max()) if len(value) else 0.5,
-        _why_not(value),
+        _unused_reason(value),
     )
 
 
-def _why_not(value: np.ndarray) -> Statement | None:
+def _unused_reason(value: np.ndarray) -> Statement | None:
     """Why the readings (n,) of an actuator cannot show its effect; None where they can."""
     if not len(value):
         return FitCode.ACTUATOR_UNREAD()

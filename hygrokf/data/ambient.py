@@ -2,8 +2,7 @@
 
 Noisy readings used as an input attenuate the estimated effects, as errors in a regressor do: 0.05 K of noise
 on the ambient temperature shifts the resistance ratio and the time constants by several times their standard
-error.  The mean of the true course given all readings avoids this.  It is computed here under a local level
-model,
+error.  The mean of the true course given all readings avoids this.  It is computed under a local level model,
 
     x(t+Δ) = x(t) + N(0, q Δ),    reading = x + N(0, r),
 
@@ -28,7 +27,8 @@ from hygrokf.physics.psychrometrics import absolute_humidity, absolute_humidity_
 AMBIENT_BRIDGE_H = 6.0
 """[h] longest gap of the ambient series that is bridged linearly; readings in longer gaps are left out."""
 MOST_VAPOUR = SIGNALS["ambient_absolute_humidity"].high
-"""[kg/m³] a temperature in another unit makes more, which no air holds and a series refuses."""
+"""[kg/m³] limit of derived concentrations: a temperature in a wrong unit would yield impossible values, for
+which a series raises ValueError."""
 FEWEST_FOR_NOISE = 200
 """Number of readings below which no noise is estimated."""
 
@@ -37,18 +37,18 @@ def reading_noise(series: Series) -> tuple[float, float] | None:
     """(q, r): variance of the level's increments per second and variance of a reading's noise; None where
     they cannot be estimated.
 
-    Irregular or short series, and means whose intervals are not adjacent, give None and are used unsmoothed.
+    Irregular or short series, and means whose intervals are not adjacent, give None: they are not smoothed.
     """
-    there = ~series.missing
-    time, value = series.time[there], series.value[there]
+    is_present = ~series.missing
+    time, value = series.time[is_present], series.value[is_present]
     if len(time) < FEWEST_FOR_NOISE:
         return None
-    step = np.diff(time)
-    usual = float(np.median(step))
-    regular = np.abs(step - usual) < 0.1 * usual
-    if regular.sum() < FEWEST_FOR_NOISE // 2:
+    step_s = np.diff(time)
+    usual_s = float(np.median(step_s))
+    is_regular = np.abs(step_s - usual_s) < 0.1 * usual_s
+    if is_regular.sum() < FEWEST_FOR_NOISE // 2:
         return None
-    increment = np.where(regular, np.diff(value), np.nan)
+    increment = np.where(is_regular, np.diff(value), np.nan)
     # weather fronts are not noise: increments beyond eight times the usual spread are left out
     spread = 1.4826 * float(np.nanmedian(np.abs(increment - np.nanmedian(increment))))
     if not spread > 0:
@@ -59,27 +59,27 @@ def reading_noise(series: Series) -> tuple[float, float] | None:
         return None
     gamma = [float(np.nanmean(product)) for product in products]
     if series.interval_s > 0:
-        if abs(series.interval_s - usual) > 0.01 * usual:
+        if abs(series.interval_s - usual_s) > 0.01 * usual_s:
             return None
         level = gamma[0] + 2.0 * gamma[1] - 3.0 * gamma[2]
         noise = level / 6.0 - (gamma[1] - gamma[2])
     else:
         noise = gamma[2] - gamma[1]
         level = gamma[0] - 2.0 * noise
-    # both autocovariances have the standard error γ₀/√T; three times that is required
+    # γ₁ and γ₂ each have the standard error γ₀/√T; the noise must exceed three standard errors
     if noise <= 3.0 * np.sqrt(2.0 / np.isfinite(increment).sum()) * gamma[0] or level <= 0:
         return None
-    return level / usual, noise
+    return level / usual_s, noise
 
 
 def smoothed(series: Series, noise: tuple[float, float] | None) -> Series:
-    """The mean of the true course at the times of the readings, given all readings; gaps remain gaps."""
+    """The mean of the true course given all readings, at the times of the readings; gaps remain."""
     if noise is None or series.hold != LINEAR:
         return series
     from scipy.linalg import solveh_banded
 
-    there = ~series.missing
-    time, value = series.time[there], series.value[there]
+    is_present = ~series.missing
+    time, value = series.time[is_present], series.value[is_present]
     if len(time) < 3:
         return series
     q, r = noise
@@ -90,7 +90,7 @@ def smoothed(series: Series, noise: tuple[float, float] | None) -> Series:
     bands[1, 1:] += coupling
     bands[0, 1:] = -coupling
     result = series.value.copy()
-    result[there] = solveh_banded(bands, value)
+    result[is_present] = solveh_banded(bands, value)
     return replace(series, value=result)
 
 
@@ -106,17 +106,17 @@ def absolute_humidity_at(record: Record, place: str) -> Series | None:
     ):
         if {f"{place}_{kind}", f"{place}_temperature"} <= set(record.signals):
             series = without_response(record[f"{place}_{kind}"])
-            outside = centred(without_response(record[f"{place}_temperature"]))
-            temperature = at_times(outside, centred(series).time, bridge_h(outside, AMBIENT_BRIDGE_H))
+            local = centred(without_response(record[f"{place}_temperature"]))
+            temperature = at_times(local, centred(series).time, bridge_h(local, AMBIENT_BRIDGE_H))
             value = np.minimum(convert(series.value, temperature), MOST_VAPOUR)
-            # what is stated of the sensor does not hold for what is derived
+            # properties of the sensor do not apply to the derived quantity
             series = replace(series, resolution=0.0, accuracy=None, response_time_s=None, saturated=0)
             return replace(series, signal=name, value=value)
     return None
 
 
 def bridge_h(series: Series, limit_h: float) -> float:
-    """Longest gap to bridge [h]: the limit, but at least the gap that the series' own usual step leaves."""
+    """Longest gap to bridge [h]: `limit_h`, but at least 1.5 times the usual step of the series."""
     steps = series.steps_s
     if not len(steps):
         return limit_h
@@ -129,26 +129,26 @@ def middle(ordered: np.ndarray) -> float:
 
 
 def at_times(series: Series, time: np.ndarray, bridge_h: float) -> np.ndarray:
-    """A series at other times [s] by its own hold; NaN outside it, inside gaps longer than `bridge_h` [h],
+    """A series at other times [s], by its hold; NaN outside the series, in gaps longer than `bridge_h` [h],
     and where a value that holds from its stamp on is too old."""
-    known, value = series.known
-    if len(known) == 0:
+    times, value = series.known
+    if len(times) == 0:
         return np.full(len(time), np.nan)
     if series.hold == PREVIOUS:
         return series.held_at(time)
     linear = series.hold == LINEAR
     if linear:
-        result = np.interp(time, known, value, left=np.nan, right=np.nan)
+        result = np.interp(time, times, value, left=np.nan, right=np.nan)
         if np.all(series.steps_s[-1:] <= bridge_h * 3600.0):  # most series have no gap
             return result
-    after = np.minimum(known.searchsorted(time, side="left"), len(known) - 1)
-    before = np.maximum(known.searchsorted(time, side="right") - 1, 0)
+    following = np.minimum(times.searchsorted(time, side="left"), len(times) - 1)
+    preceding = np.maximum(times.searchsorted(time, side="right") - 1, 0)
     if linear:
-        wide = known[after] - known[before] > bridge_h * 3600.0
-        return np.where(wide, np.nan, result)
+        in_gap = times[following] - times[preceding] > bridge_h * 3600.0
+        return np.where(in_gap, np.nan, result)
     # a mean holds over (end − interval, end]; the previous value bridges a gap after it
-    inside = (time > known[after] - max(series.interval_s, 1e-6)) & (time <= known[after])
-    result = np.where(inside, value[after], value[before])
-    gap = np.where(inside, 0.0, known[after] - series.interval_s - known[before])
-    outside = (time > known[-1] + bridge_h * 3600.0) | (time <= known[0] - max(series.interval_s, 1e-6))
-    return np.where((gap > bridge_h * 3600.0) | outside, np.nan, result)
+    in_interval = (time > times[following] - max(series.interval_s, 1e-6)) & (time <= times[following])
+    result = np.where(in_interval, value[following], value[preceding])
+    gap_s = np.where(in_interval, 0.0, times[following] - series.interval_s - times[preceding])
+    outside = (time > times[-1] + bridge_h * 3600.0) | (time <= times[0] - max(series.interval_s, 1e-6))
+    return np.where((gap_s > bridge_h * 3600.0) | outside, np.nan, result)

@@ -12,8 +12,7 @@ from hygrokf.data.timestamps import summer_time
 
 @dataclass(frozen=True)
 class Shift:
-    """A correction of one source's stamps: `seconds` later, all year or, with `summer`, in summer time
-    only."""
+    """A correction of one source's stamps: `seconds` are added, with `summer` only during summer time."""
 
     source: str
     seconds: float
@@ -21,25 +20,25 @@ class Shift:
 
 
 def sources(record: Record) -> dict[str, tuple[str, ...]]:
-    """Files of a record and the signals that each of them brings; the signals of a file share a clock."""
-    found: dict[str, list[str]] = {}
+    """Files of a record and the signals of each file, which share a clock."""
+    signals_by_file: dict[str, list[str]] = {}
     for series in record.series:
-        found.setdefault(series.file, []).append(series.signal)
-    return {name: tuple(signals) for name, signals in found.items()}
+        signals_by_file.setdefault(series.file, []).append(series.signal)
+    return {name: tuple(signals) for name, signals in signals_by_file.items()}
 
 
 def shifted(record: Record, *shifts: Shift) -> Record:
     """The record with its sources' stamps corrected."""
     for shift in shifts:
         signals = sources(record).get(shift.source, ())
-        record = record.replace_series(*(_moved(record[name], record, shift) for name in signals))
+        record = record.replace_series(*(_shift_series(record[name], record, shift) for name in signals))
     return record
 
 
-def _moved(series: Series, record: Record, shift: Shift) -> Series:
+def _shift_series(series: Series, record: Record, shift: Shift) -> Series:
     if not shift.summer:
         return replace(series, time=series.time + shift.seconds)
-    # stamps are local: where they run ahead, summer time ends an hour late by them
+    # by stamps that run ahead, summer time would end too late: they are corrected before the look-up
     local = series.time + min(shift.seconds, 0.0)
     time = series.time + shift.seconds * summer_time(local, in_america(record))
     new = np.concatenate([[True], time[1:] > np.maximum.accumulate(time)[:-1]])

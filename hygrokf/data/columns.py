@@ -80,7 +80,7 @@ class Places:
 
     label: "line" of a text file, "row" counted from 1, "iloc" counted from 0.
     numbers: rows of the frame, counted from 0 (K,) -> their numbers under that label.
-    here: where the reader states an option, as a phrase: " in this source" for a case file.
+    here: phrase in remedies for where the user states an option, such as " in this source" of a case file.
     """
 
     label: str
@@ -127,72 +127,74 @@ def table_of(
     """Readings of a frame: its columns as numbers, its stamps in UTC [s].
 
     frame: rows in the order of the source. columns: of numbers, and what their texts stand for; `faults`
-        must already name those that the frame lacks.
+        must already name the columns that the frame lacks.
     stamps: of the rows, or None where `faults` already explains why. stamps_named: their name in messages,
         such as 'column "time"'.
     places: how messages name rows. notation: of stamps and numbers.
-    beside: column of numbers -> column of the frame with its quality.  Readings that it excludes, by what is
-        stated of `quality`, are missing, whatever their cells hold.
-    faults: found before, raised together with those found here. sha256: of the file, where there is one.
+    beside: column of numbers -> column of the frame with its quality.  Readings that the marks of quality
+        exclude, as `quality` states, are missing, whatever their cells hold.
+    faults: earlier faults of the source, raised together with those of the table. sha256: of a file.
 
     Rows without a stamp are left out, with a warning. Raises TableFault with every fault found.
     """
     faults = list(faults)
-    zone = None
     try:
         zone = None if notation.timezone is None else zone_named(notation.timezone)
     except ValueError as unknown:
         faults.append(str(unknown))
-        zone = UTC  # with which further faults are found
+        zone = UTC  # any zone serves to find the remaining faults
     values = {}
     judged = {
-        name: quality.judged(name, of, frame[of])
-        for name, of in (beside or {}).items()
-        if name in frame and of in frame
+        name: quality.judged(name, quality_name, frame[quality_name])
+        for name, quality_name in (beside or {}).items()
+        if name in frame and quality_name in frame
     }
-    warnings = [said for one in judged.values() for said in one.warnings]
+    warnings = [warning for judgement in judged.values() for warning in judgement.warnings]
     stated = notation.marks
-    for name, meaning in ((one, meaning) for one, meaning in columns.items() if one in frame):
-        numbers, wrong, reasons = _numbers(frame[name], stated or POINT, notation.missing, meaning)
+    for name, meaning in ((column, meaning) for column, meaning in columns.items() if column in frame):
+        numbers, is_text, reasons = _numbers(frame[name], stated or POINT, notation.missing, meaning)
         if name in judged:
-            wrong = wrong & judged[name].usable
+            is_text = is_text & judged[name].usable
             numbers = np.where(judged[name].usable, numbers, np.nan)
         values[name] = numbers
         if stated is None and frame[name].dtype.kind == "O":
             points = evidence(frame[name], ".")
             if points in ("thousands", "either"):
-                told = faults if points == "thousands" else warnings
-                told.append(_two_readings(name, frame[name], places))
-        if wrong.any():
-            faults.append(_text_fault(name, frame[name], wrong, places, reasons, stated))
+                messages = faults if points == "thousands" else warnings
+                messages.append(_ambiguous_points(name, frame[name], places))
+        if is_text.any():
+            faults.append(_text_fault(name, frame[name], is_text, places, reasons, stated))
     time, summer_time = np.full(len(frame), np.nan), False
     if stamps is not None:
         if stamps.dtype == object:  # databases export a time without bounds as a word
             stamps = stamps.mask(stamps.isin(("infinity", "-infinity")))
         rows = np.array([*values.values()]).reshape(len(values), len(frame))
-        same = (rows[:, 1:] == rows[:, :-1]) | (np.isnan(rows[:, 1:]) & np.isnan(rows[:, :-1]))
-        repeated = np.append(False, np.all(same, axis=0))[: len(frame)]
-        time, said, amiss, summer_time = _stamps_read(stamps, stamps_named, places, zone, notation, repeated)
-        warnings += said
-        faults += amiss
-        given = stamps.notna().to_numpy()
-        lost = ~given & np.any([np.isfinite(one) for one in values.values()] or [~given], axis=0)
-        if count := int(lost.sum()):
-            where = numbered(places.label, places.numbers(np.flatnonzero(lost)[:_SHOWN]), count)
-            rows_of = "1 row" if count == 1 else f"{count} rows"
-            warnings.append(f"{rows_of} without a stamp left out: {where}")
+        unchanged = (rows[:, 1:] == rows[:, :-1]) | (np.isnan(rows[:, 1:]) & np.isnan(rows[:, :-1]))
+        repeated = np.append(False, np.all(unchanged, axis=0))[: len(frame)]
+        time, stamp_warnings, stamp_faults, summer_time = _read_times(
+            stamps, stamps_named, places, zone, notation, repeated
+        )
+        warnings += stamp_warnings
+        faults += stamp_faults
+        has_stamp = stamps.notna().to_numpy()
+        has_reading = np.isfinite(rows).any(axis=0) | (len(values) == 0)
+        without_stamp = has_reading & ~has_stamp
+        if count := int(without_stamp.sum()):
+            where = numbered(places.label, places.numbers(np.flatnonzero(without_stamp)[:_SHOWN]), count)
+            row_count = "1 row" if count == 1 else f"{count} rows"
+            warnings.append(f"{row_count} without a stamp left out: {where}")
     if faults:
         raise TableFault(*faults)
     keep = np.isfinite(time)
     if not keep.any():
         raise TableFault("expected readings, found no row with a stamp that can be used")
-    kept = {name: array[keep] for name, array in values.items()}
+    kept_values = {name: array[keep] for name, array in values.items()}
     header = tuple(frame.attrs.get(HEADER, ()))
-    return FileColumns(time[keep], kept, tuple(warnings), sha256, header, judged, summer_time)
+    return FileColumns(time[keep], kept_values, tuple(warnings), sha256, header, judged, summer_time)
 
 
-def _two_readings(name: str, column: pandas.Series, places: Places) -> str:
-    """That the points of a column may divide thousands, by an example."""
+def _ambiguous_points(name: str, column: pandas.Series, places: Places) -> str:
+    """The message that the points of a column may divide thousands, with an example."""
     example = column.dropna().astype(str).str.extract(PARTED)[0].dropna().iloc[0]
     return (
         f'column "{name}": "{example}" may be {example.replace(".", "")} or {float(example):g}, as texts '
@@ -200,7 +202,7 @@ def _two_readings(name: str, column: pandas.Series, places: Places) -> str:
     )
 
 
-def _stamps_read(
+def _read_times(
     stamps: pandas.Series,
     stamps_named: str,
     places: Places,
@@ -208,61 +210,64 @@ def _stamps_read(
     notation: Notation,
     repeated: np.ndarray,
 ) -> tuple[np.ndarray, list[str], list[str], bool]:
-    """Times (N,) [s] of stamps, NaN where there is none; warnings; faults; whether warnings are about summer
-    time.  Arguments as for `table_of` and `read_stamps`."""
+    """Times (N,) [s] of stamps (NaN: unusable), warnings, faults, whether warnings are about summer time.
+
+    Arguments as for `table_of` and `read_stamps`.
+    """
     time_format, ignore_offset = notation.time_format, notation.ignore_offset
     options: dict[str, Any] = dict(time_format=time_format, ignore_offset=ignore_offset, repeated=repeated)
     if fault := time_format_fault(time_format or ""):
         return np.full(len(stamps), np.nan), [], [f"{stamps_named}: {fault}"], False
     warnings: list[str] = []
     faults: list[str] = []
-    found = read_stamps(stamps, zone, **options)
+    read = read_stamps(stamps, zone, **options)
     header = zone_in_header(str(stamps.name or ""))
-    if found.naive.any() and header is not None:
+    if read.naive.any() and header is not None:
         warnings.append(f'{stamps_named}: stamps without an offset are read at "{header}", which it names')
-        found = read_stamps(stamps, zone_named(header), **options)
-    time = found.time
-    if found.unreadable.any():
-        where = _where(np.flatnonzero(found.unreadable), stamps, places)
+        read = read_stamps(stamps, zone_named(header), **options)
+    time = read.time
+    if read.unreadable.any():
+        where = _where(np.flatnonzero(read.unreadable), stamps, places)
         faults.append(
             f"{stamps_named}: expected ISO 8601 stamps"
             + (f' or "{time_format}"' if time_format else "")
-            + f", found {int(found.unreadable.sum())} of {len(stamps)} rows otherwise: {where}"
-            + _stamp_remedy(stamps, found.unreadable, places.here, time_format)
+            + f", found {int(read.unreadable.sum())} of {len(stamps)} rows otherwise: {where}"
+            + _stamp_remedy(stamps, read.unreadable, places.here, time_format)
         )
-    if found.naive.any():
-        rows = np.flatnonzero(found.naive)
+    if read.naive.any():
+        rows = np.flatnonzero(read.naive)
         faults.append(
             f"{stamps_named}: {len(rows)} of {len(stamps)} stamps have no offset "
             f"({_where(rows[:1], stamps, places)}); state their zone{places.here}: "
             'timezone = "UTC", a fixed offset such as "+01:00", or a name such as "Europe/Berlin"'
         )
-    elif zone is not None and not ignore_offset and found.aware:
+    elif zone is not None and not ignore_offset and read.aware:
         warnings.append(f'timezone = "{notation.timezone}" is not used: the stamps carry offsets')
-    warnings += found.warnings
-    beyond = np.isfinite(time) & ~((time > EARLIEST_S) & (time < LATEST_S))
-    if beyond.any():
-        odd = (
-            f"{int(beyond.sum())} before 1850 or after 2200: {_where(np.flatnonzero(beyond), stamps, places)}"
-        )
-        if beyond.sum() < 0.5 * len(time):
-            warnings.append(f"rows with an impossible stamp left out: {odd}")
-            time = np.where(beyond, np.nan, time)
+    warnings += read.warnings
+    out_of_range = np.isfinite(time) & ~((time > EARLIEST_S) & (time < LATEST_S))
+    if out_of_range.any():
+        where = _where(np.flatnonzero(out_of_range), stamps, places)
+        description = f"{int(out_of_range.sum())} before 1850 or after 2200: {where}"
+        if out_of_range.sum() < 0.5 * len(time):
+            warnings.append(f"rows with an impossible stamp left out: {description}")
+            time = np.where(out_of_range, np.nan, time)
         else:
             remedy = "correct or remove these rows"
-            faults.append(f"{stamps_named}: expected stamps of our time, found {odd}; {remedy}")
-    return time, warnings, faults, bool(found.warnings)
+            faults.append(f"{stamps_named}: expected stamps of our time, found {description}; {remedy}")
+    return time, warnings, faults, bool(read.warnings)
 
 
-def column_fault(name: str, found: Sequence[str], holder: str) -> str:
-    """The fault of a missing column, with the existing columns; holder: their owner in words, such as "the
-    file has"."""
-    shown = ", ".join(f'"{one}"' for one in found[:40]) + (" …" if len(found) > 40 else "")
-    return f'no column "{name}" ({holder} {shown}){suggestion(name, found)}'
+def column_fault(name: str, names: Sequence[str], holder: str) -> str:
+    """The fault of a missing column, with the existing columns.
+
+    holder: what has these columns, with its verb, such as "the file has".
+    """
+    shown = ", ".join(f'"{column}"' for column in names[:40]) + (" …" if len(names) > 40 else "")
+    return f'no column "{name}" ({holder} {shown}){suggestion(name, names)}'
 
 
 def places_of(columns: Iterable[str], names: Sequence[str], holder: str, faults: list[str]) -> dict[str, int]:
-    """The places of columns among the names of a table; adds the faults of those that are not there once."""
+    """The positions of columns among the names of a table; a column absent or repeated adds a fault."""
     counts = {name: names.count(name) for name in columns}
     for name, count in counts.items():
         if count == 0:
@@ -275,32 +280,32 @@ def places_of(columns: Iterable[str], names: Sequence[str], holder: str, faults:
 def _numbers(
     column: pandas.Series, marks: Marks, missing: tuple[str, ...], meaning: Meaning
 ) -> tuple[np.ndarray, np.ndarray, list[Unread]]:
-    """Numbers of a column, True where a cell holds text instead, and why that cannot be read."""
+    """Numbers of a column, True where a cell is no number, and the reasons."""
     import pandas as pd
 
-    nothing = np.zeros(len(column), dtype=bool)
+    no_text = np.zeros(len(column), dtype=bool)
     if pd.api.types.is_numeric_dtype(column.dtype) and not pd.api.types.is_complex_dtype(column.dtype):
         numbers = column.to_numpy(dtype=float, na_value=np.nan)
         # an infinite reading counts as missing
-        return np.where(np.isinf(numbers), np.nan, numbers), nothing, []
+        return np.where(np.isinf(numbers), np.nan, numbers), no_text, []
     if pd.api.types.is_datetime64_any_dtype(column.dtype) or pd.api.types.is_timedelta64_dtype(column.dtype):
         return np.full(len(column), np.nan), column.notna().to_numpy(), []
     plain = column.astype(object).map(_cell)
     absent = plain.isna() | plain.isin([*MISSING, *missing])
     values, refused = values_in(plain.where(~absent, None), marks, meaning)
-    wrong = plain.isin(list(refused)) & ~absent
-    return np.where(np.isinf(values), np.nan, values), wrong.to_numpy(), list(refused.values())
+    is_text = plain.isin(list(refused)) & ~absent
+    return np.where(np.isinf(values), np.nan, values), is_text.to_numpy(), list(refused.values())
 
 
-def _cell(one: object) -> object:
+def _cell(cell: object) -> object:
     """A cell as a number, None where it is empty, else as text without surrounding blanks."""
     import pandas as pd
 
-    if isinstance(one, str):
-        return one.strip()
-    if one is None or isinstance(one, Real | Decimal):
-        return one
-    return None if pd.api.types.is_scalar(one) and pd.isna(one) else str(one)
+    if isinstance(cell, str):
+        return cell.strip()
+    if cell is None or isinstance(cell, Real | Decimal):
+        return cell
+    return None if pd.api.types.is_scalar(cell) and pd.isna(cell) else str(cell)
 
 
 def _text_fault(
@@ -311,21 +316,21 @@ def _text_fault(
     reasons: Sequence[Unread],
     stated: Marks | None,
 ) -> str:
-    """Text in a column of numbers: its places, its content and the likely remedy."""
+    """The fault of text in a column of numbers: its places, its content and the likely remedy."""
     rows = np.flatnonzero(texts)
-    found = {"M": "dates", "m": "durations"}.get(column.dtype.kind, "text")
-    words = [str(one).strip() for one in column[texts].iloc[:1000]]
-    told = next((one for one in reasons if one.kind != "no number"), None)
-    commas = evidence(column, ",") if found == "text" and stated is None else "none"
+    kind = {"M": "dates", "m": "durations"}.get(column.dtype.kind, "text")
+    words = [str(cell).strip() for cell in column[texts].iloc[:1000]]
+    specific_reason = next((reason for reason in reasons if reason.kind != "no number"), None)
+    commas = evidence(column, ",") if kind == "text" and stated is None else "none"
     mark = "." if stated is not None and stated.decimal != "." else ","
-    if told is not None:
-        remedy = str(told)
+    if specific_reason is not None:
+        remedy = str(specific_reason)
     elif commas != "none":
         remedies = {"decimal": 'decimal = ","', "thousands": 'thousands = ","'}
         remedy = f"state {remedies.get(commas, ' or '.join(remedies.values()))}{places.here}"
     elif stated is not None and any(re.fullmatch(rf"[+-]?\d*[{mark}]\d*", word) for word in words):
         remedy = f'"{mark}" cannot divide thousands here: state decimal = "{mark}"{places.here}'
-    elif found != "text":
+    elif kind != "text":
         remedy = "name another column"
     elif name in words:
         remedy = "the header is repeated among the rows: remove these lines"
@@ -338,7 +343,7 @@ def _text_fault(
             f"missing = [{listed}]{places.here}"
         )
     return (
-        f'column "{name}": expected numbers, found {found} in {len(rows)} of {len(column)} rows: '
+        f'column "{name}": expected numbers, found {kind} in {len(rows)} of {len(column)} rows: '
         f"{_where(rows, column, places)}; {remedy}"
     )
 
@@ -362,10 +367,10 @@ def numbered(label: str, numbers: Sequence[int], total: int) -> str:
 
 
 def _stamp_remedy(column: pandas.Series, unreadable: np.ndarray, here: str, stated: str | None) -> str:
-    words = [str(one).strip() for one in column[unreadable].iloc[:200]]
+    words = [str(cell).strip() for cell in column[unreadable].iloc[:200]]
     if column.name in words:
         return "; the header is repeated among the rows: remove these lines"
-    forms = [one for one in fitting_formats(column[unreadable].iloc[:200]) if one not in (None, stated)]
+    forms = [form for form in fitting_formats(column[unreadable].iloc[:200]) if form not in (None, stated)]
     if forms:
         others = f" (or {' or '.join(map(repr, forms[1:3]))})" * (len(forms) > 1)
         return f'; state time_format = "{forms[0]}"{others}{here}'

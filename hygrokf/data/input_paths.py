@@ -7,7 +7,7 @@ modelled as Brownian with noisy readings,
 
 and the filter is given the mean of that path conditional on the surrounding readings.  Between instants this
 path is straight.  Through interval means it is a quadratic in every interval that keeps the interval's mean
-(the derivative of the cubic spline through the cumulated means).  Two means on either side of an edge
+(the derivative of the cubic spline through the cumulative means).  Two means on either side of an edge
 determine its value to within 1 % of the variance that all means would give (`edge_weights`), so a path
 depends only on the readings around it.  The quadratic is approximated by straight pieces of at most a quarter
 of an hour, which keep the interval's mean too.
@@ -34,43 +34,43 @@ from hygrokf.physics.holds import LINEAR, MEAN
 AROUND = 2
 """Number of means on each side of an edge that determine its value."""
 JOINED_S = 1.0
-"""[s] intervals count as adjacent when their edges are closer than this; held values change within it."""
+"""[s] intervals are adjacent if their edges are closer than this; a held value takes this long to change."""
 PIECE_S = 900.0
 """[s] longest straight piece of a path within an interval; there are at least two pieces."""
 SLOPE_REACH_S = 6 * 3600.0
-"""[s] no slope is taken between readings further apart than this."""
+"""[s] no derivative is computed between readings farther apart than this."""
 
 
 def on_change(time: np.ndarray, value: np.ndarray, resolution: float = 0.0) -> bool:
-    """Whether readings come only when the value changes: irregular times [s], no successive (N,) equal ones.
+    """Whether readings (N,) come only when the value changes: at irregular times [s], no two in a row equal.
 
-    resolution: the values' grid; 0 for a switched signal, which regular readings repeat nearly always.  A
-        measured value stays at least as often as it moves one step up, or down: the chance that m such
-        readings never stay is (2/3)^m, and must be below one in a thousand.
+    resolution: the values' grid; 0 for a switched signal, whose regular readings nearly always repeat.  A
+        measured value repeats at least as often as it moves one step up, or one step down.  The probability
+        that m such readings never repeat is at most (2/3)^m, and must be below 0.001.
     """
-    there = np.isfinite(value)
-    move = np.abs(np.diff(value[there]))
-    if len(move) < 2 or not move.all() or modal_step(time[there])[1] > 0.5:
+    is_present = np.isfinite(value)
+    steps = np.abs(np.diff(value[is_present]))
+    if len(steps) < 2 or not steps.all() or modal_step(time[is_present])[1] > 0.5:
         return False
-    return resolution == 0.0 or bool((2.0 / 3.0) ** np.count_nonzero(move < 1.5 * resolution) < 1e-3)
+    return resolution == 0.0 or bool((2.0 / 3.0) ** np.count_nonzero(steps < 1.5 * resolution) < 1e-3)
 
 
 def input_path(series: Series, noise: tuple[float, float] | None = None) -> Series:
     """The most likely path given the readings, as a series of straight pieces.
 
     `noise` (q [unit²/s], r [unit²]) is that of means to be smoothed; noisy instants are smoothed beforehand
-    (`ambient.smoothed`).  Missing readings end a stretch.  A mean without neighbours is placed in the middle
-    of its interval, and so are means whose intervals overlap.  A value that holds from its stamp on takes the
-    place of the one before within `JOINED_S` after it.
+    (`ambient.smoothed`).  Missing readings end a stretch of adjacent means.  A mean without neighbours is
+    placed in the middle of its interval, and so are means whose intervals overlap.  A value that holds from
+    its stamp on replaces the previous value within `JOINED_S` after the stamp.
     """
     if series.hold == LINEAR:
         return series
-    return _through_means(series, noise) if series.hold == MEAN else _held(series)
+    return _path_through_means(series, noise) if series.hold == MEAN else _path_of_held_values(series)
 
 
 def without_response(series: Series) -> Series:
-    """The readings of a sensor with a stated response time θ corrected for it: y + θ dy/dt, the slope over
-    both neighbours.
+    """The readings y corrected for the sensor's stated response time θ: y + θ dy/dt, where the derivative is
+    the difference quotient of the two neighbours.
 
     A series without a stated response time, or with one of 0, is returned unchanged.
     """
@@ -78,10 +78,10 @@ def without_response(series: Series) -> Series:
     time, value = series.known
     if response <= 0 or len(time) < 2:
         return series
-    place = np.arange(len(time))
-    before, after = np.maximum(place - 1, 0), np.minimum(place + 1, len(time) - 1)
-    before = np.where(time - time[before] > SLOPE_REACH_S, place, before)
-    after = np.where(time[after] - time > SLOPE_REACH_S, place, after)
+    index = np.arange(len(time))
+    before, after = np.maximum(index - 1, 0), np.minimum(index + 1, len(time) - 1)
+    before = np.where(time - time[before] > SLOPE_REACH_S, index, before)
+    after = np.where(time[after] - time > SLOPE_REACH_S, index, after)
     span = time[after] - time[before]
     slope = (value[after] - value[before]) / np.where(span > 0, span, np.inf)
     result = series.value.copy()
@@ -103,13 +103,13 @@ def thinned(series: Series) -> Series:
         return replace(series, time=series.time[::2], value=series.value[::2])
     count = len(series) // 2
     first, second = series.time[: 2 * count : 2], series.time[1 : 2 * count : 2]
-    joined = np.abs(second - first - series.interval_s) <= JOINED_S
+    adjacent = np.abs(second - first - series.interval_s) <= JOINED_S
     mean = 0.5 * (series.value[: 2 * count : 2] + series.value[1 : 2 * count : 2])
-    return replace(series, time=second[joined], value=mean[joined], interval_s=2.0 * series.interval_s)
+    return replace(series, time=second[adjacent], value=mean[adjacent], interval_s=2.0 * series.interval_s)
 
 
 def readings_ahead(interval_s: float, response_time_s: float) -> int:
-    """Number of readings after a time, besides the next one, that the path at that time depends on."""
+    """Number of readings, after the next one, on which the path at a time depends."""
     return (AROUND if interval_s > 0 else 0) + (1 if response_time_s > 0 else 0)
 
 
@@ -124,8 +124,7 @@ def edge_weights(before: int, after: int, noise_share: float = 0.0) -> np.ndarra
 
 @cache
 def mean_weights(before: int, after: int, noise_share: float) -> np.ndarray:
-    """Weights (before+1+after,) of adjacent means in one interval's mean, freed of the noise of its
-    reading."""
+    """Weights (before+1+after,) of adjacent means in the noise-free mean of one interval."""
     return _weights(before + 1 + after, 0.0, before, noise_share)
 
 
@@ -134,53 +133,55 @@ def _weights(count: int, edge: float, block: int | None, noise_share: float) -> 
 
     The start of the path is unknown, so the weights sum to 1 (ordinary kriging).
     """
-    place = np.arange(count)
+    index = np.arange(count)
     # covariance (n, n) of the means of a Brownian path that starts at 0 with q = 1
-    known = np.minimum.outer(place, place) + 0.5
-    np.fill_diagonal(known, place + 1.0 / 3.0)
-    wanted = known[block] if block is not None else np.minimum(place + 0.5, edge)
+    covariance = np.minimum.outer(index, index) + 0.5
+    np.fill_diagonal(covariance, index + 1.0 / 3.0)
+    target_covariance = covariance[block] if block is not None else np.minimum(index + 0.5, edge)
     system = np.ones((count + 1, count + 1))
-    system[:count, :count] = known + noise_share * np.eye(count)
+    system[:count, :count] = covariance + noise_share * np.eye(count)
     system[count, count] = 0.0
-    return np.linalg.solve(system, np.append(wanted, 1.0))[:count]
+    return np.linalg.solve(system, np.append(target_covariance, 1.0))[:count]
 
 
-def _held(series: Series) -> Series:
-    """The path of values that hold from their stamps on: level, with steep pieces after their changes."""
-    time, value, held = series.held
+def _path_of_held_values(series: Series) -> Series:
+    """The path of values that hold from their stamps on: constant, with steep pieces after the changes."""
+    time, value, longest_s = series.held
     if not len(time):
         return series
     gap = np.append(np.diff(time), np.inf)
-    held = np.minimum(held, 30 * DAY_S)  # a path has an end
-    ends = gap > held
+    longest_s = np.minimum(longest_s, 30 * DAY_S)  # a path has an end
+    ends = gap > longest_s
     changes = np.append(False, (value[1:] != value[:-1]) & ~ends[:-1])
-    steep = np.minimum(JOINED_S, 0.5 * np.minimum(gap, held))
-    times = np.concatenate([time[changes], time + np.where(changes, steep, 0.0), (time + held)[ends]])
+    steep = np.minimum(JOINED_S, 0.5 * np.minimum(gap, longest_s))
+    times = np.concatenate([time[changes], time + np.where(changes, steep, 0.0), (time + longest_s)[ends]])
     order = np.argsort(times, kind="stable")
     values = np.concatenate([value[np.flatnonzero(changes) - 1], value, value[ends]])
     return replace(series, time=times[order], value=values[order], hold=LINEAR, longest_hold_s=None, lost=())
 
 
-def _through_means(series: Series, noise: tuple[float, float] | None) -> Series:
+def _path_through_means(series: Series, noise: tuple[float, float] | None) -> Series:
     time, value = series.known
     width = series.interval_s
     if len(time) < 2:
         return centred(series)
-    gaps = np.diff(time) - width
+    gap_s = np.diff(time) - width
     share = 0.0 if noise is None else noise[1] / (noise[0] * width)
-    if np.any(gaps < -JOINED_S):  # running means overlap and have no edges
+    if np.any(gap_s < -JOINED_S):  # running means overlap and have no edges
         return replace(centred(series), time=time - 0.5 * width, value=value)
     times, values = [], []
-    for stretch in np.split(np.arange(len(time)), np.flatnonzero(gaps > JOINED_S) + 1):
-        ends, nodes = _stretch(time[stretch], value[stretch], width, share)
+    for stretch in np.split(np.arange(len(time)), np.flatnonzero(gap_s > JOINED_S) + 1):
+        ends, nodes = _nodes_of_stretch(time[stretch], value[stretch], width, share)
         times.append(ends)
         values.append(nodes)
-    joined, course = np.concatenate(times), np.concatenate(values)
-    kept = np.append(True, np.diff(joined) > JOINED_S)
-    return replace(series, time=joined[kept], value=course[kept], hold=LINEAR, interval_s=0.0)
+    path_time, path_value = np.concatenate(times), np.concatenate(values)
+    is_new = np.append(True, np.diff(path_time) > JOINED_S)
+    return replace(series, time=path_time[is_new], value=path_value[is_new], hold=LINEAR, interval_s=0.0)
 
 
-def _stretch(time: np.ndarray, mean: np.ndarray, width: float, share: float) -> tuple[np.ndarray, np.ndarray]:
+def _nodes_of_stretch(
+    time: np.ndarray, mean: np.ndarray, width: float, share: float
+) -> tuple[np.ndarray, np.ndarray]:
     """Times [s] and values of the path's nodes: the edges of adjacent means (n,) and nodes in between."""
     count = len(mean)
     if count == 1:
@@ -189,22 +190,22 @@ def _stretch(time: np.ndarray, mean: np.ndarray, width: float, share: float) -> 
     for k in {*range(min(AROUND, count + 1)), *range(max(count + 1 - AROUND, 0), count + 1)}:
         before, after = min(k, AROUND), min(count - k, AROUND)
         edges[k] = edge_weights(before, after, share) @ mean[k - before : k + after]
-    inner = np.arange(AROUND, count + 1 - AROUND)
-    edges[inner] = sum(
-        w * mean[inner - AROUND + i] for i, w in enumerate(edge_weights(AROUND, AROUND, share))
+    inner_edges = np.arange(AROUND, count + 1 - AROUND)
+    edges[inner_edges] = sum(
+        w * mean[inner_edges - AROUND + i] for i, w in enumerate(edge_weights(AROUND, AROUND, share))
     )
-    own = mean if share == 0.0 else _denoised(mean, share)
-    # straight pieces through the quadratic itself would lose 1/n² of its area above the chord
+    interval_mean = mean if share == 0.0 else _denoise_means(mean, share)
+    # n straight pieces between points of the quadratic would lose 1/n² of the area above its chord
     pieces = max(2, math.ceil(width / PIECE_S))
-    place = np.arange(pieces) / pieces
-    peak = 1.5 * (own - 0.5 * (edges[1:] + edges[:-1])) / (1.0 - pieces**-2.0)
-    inside = edges[:-1, None] * (1.0 - place) + edges[1:, None] * place
-    inside += peak[:, None] * (4.0 * place * (1.0 - place))
-    times = (time - width)[:, None] + width * place
-    return np.append(times.ravel(), time[-1]), np.append(inside.ravel(), edges[-1])
+    fraction = np.arange(pieces) / pieces
+    peak = 1.5 * (interval_mean - 0.5 * (edges[1:] + edges[:-1])) / (1.0 - pieces**-2.0)
+    nodes = edges[:-1, None] * (1.0 - fraction) + edges[1:, None] * fraction
+    nodes += peak[:, None] * (4.0 * fraction * (1.0 - fraction))
+    times = (time - width)[:, None] + width * fraction
+    return np.append(times.ravel(), time[-1]), np.append(nodes.ravel(), edges[-1])
 
 
-def _denoised(mean: np.ndarray, share: float) -> np.ndarray:
+def _denoise_means(mean: np.ndarray, share: float) -> np.ndarray:
     count = len(mean)
     result = np.empty(count)
     for k in range(count):

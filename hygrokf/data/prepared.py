@@ -1,8 +1,8 @@
-"""A record with what models read of it, each computed once: vapour, noise, and the paths of its inputs.
+"""A record with the derived series that models read, each computed once: vapour, noise, paths of the inputs.
 
-The way of an input from its file to the filter: readings (`record`); without the sensor's response, and as a
-path between the readings (`input_paths`); the ambient's vapour, its noise, and the course behind it
-(`ambient`): all held here; then the instants of a run (`modelling.inputs`).
+An input passes these stages from its file to the filter: readings (`record`); corrected for the sensor's
+response and as a path between the readings (`input_paths`); for the ambient, the vapour, the noise and the
+smoothed course (`ambient`); the instants of a run (`modelling.inputs`).  This module keeps all but the last.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ Noise = tuple[float, float]
 class PreparedRecord(Record):
     """A record whose derived series are computed when they are first read, and kept.
 
-    A record made from this one (`replace_series`, `window`) computes its own.
+    A record made from it (`replace_series`, `window`) computes its derived series anew.
     """
 
     _paths: dict[tuple[object, ...], Series] = field(default_factory=dict, init=False, compare=False)
@@ -43,27 +43,27 @@ class PreparedRecord(Record):
 
     @cached_property
     def noise(self) -> Mapping[str, Noise]:
-        """Noise of the ambient readings that a model reads, by input; for humidity, that of the vapour
-        computed from them."""
+        """Noise of the ambient inputs of a model, by input; for humidity, the noise of the vapour computed
+        from the readings."""
         series = {"ambient_temperature": self["ambient_temperature"], VAPOUR: self.ambient_vapour}
-        estimated = {name: reading_noise(one) for name, one in series.items() if one is not None}
+        estimated = {name: reading_noise(item) for name, item in series.items() if item is not None}
         return {name: noise for name, noise in estimated.items() if noise is not None}
 
     @cached_property
     def scales(self) -> dict[str, tuple[float, float, float, float]]:
-        """The numbers of the gate's scale of every series that has one."""
-        known = {one.signal: scale_of(one.signal, *one.known, one.resolution) for one in self.series}
-        return {signal: astuple(scale) for signal, scale in known.items() if scale is not None}
+        """The numbers of the `gate.Scale` of every series that has one, by signal."""
+        scales = {s.signal: scale_of(s.signal, *s.known, s.resolution) for s in self.series}
+        return {signal: astuple(scale) for signal, scale in scales.items() if scale is not None}
 
     def path(self, name: str) -> Series:
-        """The path of a signal's readings as they are, or of the ambient's vapour."""
+        """The path of a signal's readings, or of the ambient's vapour, without any correction."""
         if (name,) not in self._paths:
             self._paths[name,] = input_path(self._vapour_or(name))
         return self._paths[name,]
 
     def course(self, name: str, noise: Noise | None = None) -> Series:
-        """The path of a signal or of the ambient's vapour as it drives a model: without the sensor's response
-        and, where a design states their `noise`, without that of the readings."""
+        """The path of a signal, or of the ambient's vapour, that drives a model: corrected for the sensor's
+        response and, if a design states the `noise` of the readings, smoothed."""
         if (name, noise) not in self._paths:
             series = smoothed(without_response(self._vapour_or(name)), noise)
             self._paths[name, noise] = input_path(series, noise)
@@ -75,7 +75,7 @@ class PreparedRecord(Record):
 
 
 def prepare(record: Record) -> PreparedRecord:
-    """The record prepared; one that is prepared already is returned as it is."""
+    """The record as a `PreparedRecord`; unchanged if it is one already."""
     if isinstance(record, PreparedRecord):
         return record
-    return PreparedRecord(**{one.name: getattr(record, one.name) for one in fields(Record)})
+    return PreparedRecord(**{item.name: getattr(record, item.name) for item in fields(Record)})

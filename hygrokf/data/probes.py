@@ -1,7 +1,7 @@
 """Probes: temperature, humidity and dew point of one probe belong to one place.
 
-A file, logger or controller may hold several probes; their columns differ in what remains of a name without
-its words of quantity and unit.  Dew points are told by two words, "dew point", so that a logger's is found.
+A file, logger or controller may hold several probes.  The words of a column's name that name neither its
+quantity nor its unit identify the probe.
 """
 
 from __future__ import annotations
@@ -31,62 +31,69 @@ _UNITS = r"deg( ?[cf])?|degrees?|celsius|fahrenheit|c|f|k|pct|percent"
 
 
 def probe_of(name: str) -> tuple[str, str]:
-    """What tells a column's probe from others of its file, and its quantity; "" where it is none of a
-    probe's."""
+    """The words that distinguish a column's probe from others of its file, and the column's quantity, "" if
+    it is none of `QUANTITIES`."""
     words = re.sub(r"([a-z])([A-Z])", r"\1 \2", re.sub(r"[(\[{][^)\]}]*[)\]}]", " ", name)).lower()
     words = re.sub(r"(?<=[a-z])(?=\d)|(?<=\d)(?=[a-z])", " ", words)
     words = f" {re.sub(r'[^0-9a-zäöü]+', ' ', words).strip()} "
-    quantity = next((one for one, words_of in QUANTITIES if re.search(f" ({words_of}) ", words)), "")
+    quantity = next(
+        (quantity_name for quantity_name, words_of in QUANTITIES if re.search(f" ({words_of}) ", words)), ""
+    )
     for pattern in (*(words_of for _, words_of in QUANTITIES), _UNITS):
         words = re.sub(f" ({pattern})(?= )", " ", words)
     return re.sub(r"\s+", " ", words).strip(), quantity
 
 
 def temperatures_of(probe: str, columns: Iterable[str]) -> list[str]:
-    """Columns of the temperature of the probe that a column is of."""
-    return [one for one in columns if probe_of(one) == (probe_of(probe)[0], "temperature")]
+    """Columns that hold the temperature of the same probe as the column `probe`."""
+    return [column for column in columns if probe_of(column) == (probe_of(probe)[0], "temperature")]
 
 
 def copies(series: Sequence[Series]) -> Iterator[Statement]:
-    """Doubts about series of the ambient that are the cabinet's own."""
-    of = {one.signal: one for one in series}
+    """Doubts about ambient series that copy the cabinet's series or follow from them."""
+    by_signal = {item.signal: item for item in series}
     for kind in ("temperature", *HUMIDITIES):
-        inside, outside = of.get(f"cabinet_{kind}"), of.get(f"ambient_{kind}")
+        inside, outside = by_signal.get(f"cabinet_{kind}"), by_signal.get(f"ambient_{kind}")
         if inside is not None and outside is not None and _same_readings(inside, outside):
             yield DoubtCode.SAME_READINGS(
                 inside=inside.signal, inside_source=inside.source,
                 signal=outside.signal, source=outside.source,
             )  # fmt: skip
-    warm, moist = of.get("cabinet_temperature"), of.get("cabinet_relative_humidity")
+    temperature, humidity = by_signal.get("cabinet_temperature"), by_signal.get("cabinet_relative_humidity")
     for kind in ("absolute_humidity", "dew_point_temperature"):
-        outside = of.get(f"ambient_{kind}")
-        if warm is not None and moist is not None and outside is not None and _derived(warm, moist, outside):
+        outside = by_signal.get(f"ambient_{kind}")
+        if temperature is None or humidity is None or outside is None:
+            continue
+        if _follows(outside, temperature, humidity):
             yield DoubtCode.COMPUTED_FROM_CABINET(
-                signal=outside.signal, source=outside.source, temperature_source=warm.source,
-                humidity_source=moist.source, instead=f"cabinet_{kind}",
+                signal=outside.signal, source=outside.source, temperature_source=temperature.source,
+                humidity_source=humidity.source, instead=f"cabinet_{kind}",
             )  # fmt: skip
 
 
-def _same_readings(one: Series, other: Series) -> bool:
+def _same_readings(inside: Series, outside: Series) -> bool:
     """Whether two varying series agree to rounding at nearly all their common times."""
-    _, i, j = np.intersect1d(one.time, other.time, return_indices=True)
-    there = ~(one.missing[i] | other.missing[j])
-    first, second = one.value[i][there], other.value[j][there]
-    if len(first) < FEWEST_IN_COMMON or not np.ptp(first) > 0.0:
+    _, i, j = np.intersect1d(inside.time, outside.time, return_indices=True)
+    is_present = ~(inside.missing[i] | outside.missing[j])
+    inside_values, outside_values = inside.value[i][is_present], outside.value[j][is_present]
+    if len(inside_values) < FEWEST_IN_COMMON or not np.ptp(inside_values) > 0.0:
         return False
-    return bool(np.mean(np.isclose(first, second, rtol=1e-9, atol=0.0)) > 0.99)
+    return bool(np.mean(np.isclose(inside_values, outside_values, rtol=1e-9, atol=0.0)) > 0.99)
 
 
-def _derived(warm: Series, moist: Series, vapour: Series) -> bool:
+def _follows(vapour: Series, temperature: Series, humidity: Series) -> bool:
     """Whether a dew point or an absolute humidity follows from a temperature and a relative humidity at
     nearly all their common times, although it varies by much more than rounding."""
-    time = np.intersect1d(np.intersect1d(warm.time, moist.time), vapour.time)
-    t, rh, other = (one.value[np.searchsorted(one.time, time)] for one in (warm, moist, vapour))
+    time = np.intersect1d(np.intersect1d(temperature.time, humidity.time), vapour.time)
+    temperature_K, relative, derived = (
+        series.value[np.searchsorted(series.time, time)] for series in (temperature, humidity, vapour)
+    )
     if vapour.signal.endswith("dew_point_temperature"):
-        other = absolute_humidity_from_dew_point(other, t)
+        derived = absolute_humidity_from_dew_point(derived, temperature_K)
     with np.errstate(divide="ignore", invalid="ignore"):
-        own, ratio = np.log(absolute_humidity(rh, t)), np.log(other / absolute_humidity(rh, t))
-    there = np.isfinite(own) & np.isfinite(ratio)
-    if there.sum() < FEWEST_IN_COMMON or np.std(own[there]) < 5.0 * ROUNDING:
+        expected = absolute_humidity(relative, temperature_K)
+        log_vapour, log_ratio = np.log(expected), np.log(derived / expected)
+    is_present = np.isfinite(log_vapour) & np.isfinite(log_ratio)
+    if is_present.sum() < FEWEST_IN_COMMON or np.std(log_vapour[is_present]) < 5.0 * ROUNDING:
         return False
-    return bool(np.mean(np.abs(ratio[there] - np.median(ratio[there])) < ROUNDING) > 0.95)
+    return bool(np.mean(np.abs(log_ratio[is_present] - np.median(log_ratio[is_present])) < ROUNDING) > 0.95)

@@ -1,4 +1,4 @@
-"""The steps of a long computation, told to a caller, or shown as one line that changes."""
+"""Progress of a long computation: each step is passed to a caller's function or shown on one line."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ Progress: TypeAlias = Callable[[str], None]
 
 @contextmanager
 def reporting(progress: Progress | bool | None, name: str) -> Iterator[Progress]:
-    """The function that tells the steps of the computation `name` within this context.
+    """A context with a function that reports the steps of the computation `name`.
 
-    progress: a function: that one.  True: one line with the present step and the time taken, in a notebook by
-        IPython's display, else on standard error.  None, False: nothing is told.
+    progress: a function: it receives the steps.  True: one line with the current step and the elapsed time,
+        in a notebook by IPython's display, else on standard error.  None, False: nothing is reported.
     """
     if callable(progress) or not progress:
         yield progress if callable(progress) else lambda text: None
@@ -38,7 +38,7 @@ def reporting(progress: Progress | bool | None, name: str) -> Iterator[Progress]
 
 
 Line: TypeAlias = Callable[[str, bool], None]
-"""Shows a text in the place of the one before; the second argument: whether it is the last."""
+"""Shows a text in place of the previous one; the second argument: whether the text is the last."""
 
 
 def _notebook() -> Line | None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 import re
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -30,13 +31,15 @@ _FURTHER_NAMES = ("status", "flag", "valid", "ok", "q")
 
 
 def _key(mark: object) -> int | str | None:
-    """A mark as a whole number or a text in lower case; None where nothing is said."""
+    """A mark as a whole number or a text in lower case; None for an empty mark."""
     text = str(mark).strip().lower()
     try:
         number = float(int(text, 16)) if text.startswith("0x") else float(text)
     except ValueError:
         return None if text in ("", "none", "null", "<na>", "nat") else text
-    return int(number) if number.is_integer() else None if number != number else text
+    if math.isnan(number):
+        return None
+    return int(number) if number.is_integer() else text
 
 
 def _of_opc_da(number: int) -> bool:
@@ -45,7 +48,7 @@ def _of_opc_da(number: int) -> bool:
 
 
 def _of_opc_ua(number: int) -> bool:
-    """Whether a number, perhaps with a sign, has the form of a StatusCode of OPC UA, part 4, 7.39."""
+    """Whether a signed or unsigned number has the form of a StatusCode of OPC UA, part 4, 7.39."""
     code = number % 2**32
     form = code < 0xC0000000 and not code & 0x30000000 and (not code & 0xFFFF or code & 0x0C00 == 0x0400)
     return form and -(2**31) <= number < 2**32
@@ -59,8 +62,8 @@ def _is_flag(number: int) -> bool:
 class QualityVocabulary:
     """Which marks mean good, uncertain or bad.
 
-    outcomes: of a number after `mask`, or of a text. defines: whether the standard defines a number; a stated
-    vocabulary judges other numbers too, but these speak against it. rest: outcome of further marks.
+    outcomes: outcome of each number, after `mask`, or text. defines: whether the standard defines a number; a
+    stated vocabulary judges undefined numbers too, but they raise a doubt. rest: outcome of all other marks.
     """
 
     name: str
@@ -70,17 +73,20 @@ class QualityVocabulary:
     rest: str = AMBIGUOUS
 
     def judge(self, mark: object) -> str:
-        """The outcome of a mark; good where nothing is said."""
+        """The outcome of a mark; an empty mark is good."""
         key = _key(mark)
         if key is None:
             return GOOD
         if not self.name and isinstance(key, int):
-            found = {one.judge(key) for one in VOCABULARIES.values() if one.defines(key)}
-            return found.pop() if len(found) == 1 else AMBIGUOUS
-        if isinstance(key, int) or self.rest == BAD:
-            return self.outcomes.get(key & self.mask if isinstance(key, int) else key, self.rest)
-        begins = (one for one in (GOOD, UNCERTAIN, BAD) if key.startswith(one))  # such as Bad_SensorFailure
-        return _WORDS.get(key) or next(begins, AMBIGUOUS)
+            outcomes = {option.judge(key) for option in VOCABULARIES.values() if option.defines(key)}
+            return outcomes.pop() if len(outcomes) == 1 else AMBIGUOUS
+        if isinstance(key, int):
+            return self.outcomes.get(key & self.mask, self.rest)
+        if self.rest == BAD:
+            return self.outcomes.get(key, self.rest)
+        # such as Bad_SensorFailure
+        by_prefix = (outcome for outcome in (GOOD, UNCERTAIN, BAD) if key.startswith(outcome))
+        return _WORDS.get(key) or next(by_prefix, AMBIGUOUS)
 
 
 VOCABULARIES = {
@@ -102,34 +108,37 @@ def stated_vocabulary(value: object) -> QualityVocabulary:
         return VOCABULARIES[value]
     if isinstance(value, list | tuple) and value:
         return QualityVocabulary(
-            "its list", {key: GOOD for one in value if (key := _key(one)) is not None}, rest=BAD
+            "its list", {key: GOOD for mark in value if (key := _key(mark)) is not None}, rest=BAD
         )
-    known = ", ".join(f'"{one}"' for one in VOCABULARIES)
-    raise ValueError(f"expected one of {known} or a list of good marks such as [1], found {value!r}")
+    names = ", ".join(f'"{name}"' for name in VOCABULARIES)
+    raise ValueError(f"expected one of {names} or a list of good marks such as [1], found {value!r}")
 
 
 def fitting(marks: Iterable[object]) -> tuple[str, ...]:
     """Names of the vocabularies that define all numbers among the marks and find a good one."""
-    numbers = {one for one in map(_key, marks) if isinstance(one, int)}
-    fits = {name: one for name, one in VOCABULARIES.items() if all(map(one.defines, numbers))}
-    return tuple(name for name, one in fits.items() if GOOD in map(one.judge, numbers))
+    numbers = {key for key in map(_key, marks) if isinstance(key, int)}
+    candidates = {
+        name: vocabulary for name, vocabulary in VOCABULARIES.items() if all(map(vocabulary.defines, numbers))
+    }
+    return tuple(name for name, vocabulary in candidates.items() if GOOD in map(vocabulary.judge, numbers))
 
 
 def advice(marks: Iterable[object]) -> Statement:
     """What to state for a column of marks."""
-    seen = sorted({_key(one) for one in marks} - {None}, key=lambda one: (isinstance(one, str), one))
-    shown = tuple(map(str, seen[:8]))
-    more = (RecordCode.AND_MORE(),) if len(seen) > 8 else ()
-    if fits := tuple(f'"{one}"' for one in fitting(seen)):
+    # numbers before texts
+    keys = sorted({_key(mark) for mark in marks} - {None}, key=lambda key: (isinstance(key, str), key))
+    shown = tuple(map(str, keys[:8]))
+    more = (RecordCode.AND_MORE(),) if len(keys) > 8 else ()
+    if fits := tuple(f'"{name}"' for name in fitting(keys)):
         return RecordCode.VOCABULARY_FITS(fits=fits, marks=shown, more=more)
     return RecordCode.NO_VOCABULARY_FITS(marks=shown, more=more)
 
 
 def misfit(stated: QualityVocabulary, marks: Sequence[object]) -> Statement | None:
-    """A doubt about a vocabulary that does not tell what all marks of a column mean."""
+    """The doubt about a vocabulary that does not define all marks of a column; None if it does."""
     fits = fitting(marks)
-    wrong = bool(fits) and stated.name in VOCABULARIES and stated.name not in fits
-    if not wrong and AMBIGUOUS not in map(stated.judge, marks):
+    contradicts_stated = bool(fits) and stated.name in VOCABULARIES and stated.name not in fits
+    if not contradicts_stated and AMBIGUOUS not in map(stated.judge, marks):
         return None
     return RecordCode.QUALITY_MISFIT(advice=advice(marks))
 
@@ -143,34 +152,39 @@ def _bare(name: str) -> str:
 def quality_columns(names: Sequence[str], columns: Iterable[str]) -> dict[str, str]:
     """Column of readings -> the column among `names` that, by its name, holds their quality.
 
-    That is one named after it ("Cabinet Temp Quality", "q_Tcab"), else the only one called quality, or the
-    next one on its right if there are several.
+    The quality column is named after the column of readings ("Cabinet Temp Quality", "q_Tcab").  Otherwise it
+    is the only column called quality or, of several, the one directly to the right of the readings.
     """
-    bare = {_bare(name): name for name in reversed(names)}
-    alone = [name for name in names if _bare(name) in (*_NAMES, "q")]
-    right = dict(itertools.pairwise(names))
-    found: dict[str, str | None] = {}
+    name_by_letters = {_bare(name): name for name in reversed(names)}
+    called_quality = [name for name in names if _bare(name) in (*_NAMES, "q")]
+    next_column = dict(itertools.pairwise(names))
+    quality_of: dict[str, str | None] = {}
     for column in columns:
         stem, words = _bare(column), (*_NAMES, *_FURTHER_NAMES)
-        named = (bare[one] for word in words for one in (stem + word, word + stem) if one in bare)
-        beside = alone[0] if len(alone) == 1 else right.get(column)
-        found[column] = next(named, beside if beside in alone else None)
-    return {column: name for column, name in found.items() if name is not None and name != column}
+        named_after = (
+            name_by_letters[candidate]
+            for word in words
+            for candidate in (stem + word, word + stem)
+            if candidate in name_by_letters
+        )
+        beside = called_quality[0] if len(called_quality) == 1 else next_column.get(column)
+        quality_of[column] = next(named_after, beside if beside in called_quality else None)
+    return {column: name for column, name in quality_of.items() if name is not None and name != column}
 
 
 def seems_quality(name: str, marks: Sequence[object]) -> bool:
-    """Whether a column's marks are those of a vocabulary, or at least its name is certain."""
-    known = AMBIGUOUS not in map(UNSTATED.judge, marks) or bool(fitting(marks))
-    return len(marks) > 0 and (known or any(word in _bare(name) for word in _NAMES))
+    """Whether a column holds marks of quality: a vocabulary defines its marks, or its name says so."""
+    fits_vocabulary = AMBIGUOUS not in map(UNSTATED.judge, marks) or bool(fitting(marks))
+    return len(marks) > 0 and (fits_vocabulary or any(word in _bare(name) for word in _NAMES))
 
 
 def unstated(column: str, name: str, marks: Sequence[object]) -> Statement | None:
-    """The doubt about a quality that nobody stated; None where all marks are good, or where it is none."""
+    """The doubt about a quality column that is not stated; None if all its marks are good."""
     outcomes = set(map(UNSTATED.judge, marks))
     if outcomes == {GOOD} or not seems_quality(name, marks):
         return None
-    further = (RecordCode.FURTHER_ADVICE(advice=advice(marks)),) if AMBIGUOUS in outcomes else ()
-    return RecordCode.QUALITY_UNSTATED(column=column, name=name, advice=further)
+    more_advice = (RecordCode.FURTHER_ADVICE(advice=advice(marks)),) if AMBIGUOUS in outcomes else ()
+    return RecordCode.QUALITY_UNSTATED(column=column, name=name, advice=more_advice)
 
 
 def drafted(
@@ -178,21 +192,23 @@ def drafted(
 ) -> tuple[dict[str, str], QualityVocabulary, tuple[Statement, ...]]:
     """Column of readings -> column of its quality, by names and marks; the vocabulary that fits; doubts.
 
-    marks: different cells of every column of a table.
+    marks: the distinct cells of every column of a table.
     """
-    beside = quality_columns(list(marks), columns)
-    beside = {one: of for one, of in beside.items() if one not in beside.values()}
-    found = {
-        one: of
-        for one, of in beside.items()
-        if seems_quality(of, marks[of]) and (fitting(marks[of]) or not misfit(UNSTATED, marks[of]))
+    quality_of = quality_columns(list(marks), columns)
+    quality_of = {column: name for column, name in quality_of.items() if column not in quality_of.values()}
+    certain = {
+        column: name
+        for column, name in quality_of.items()
+        if seems_quality(name, marks[name]) and (fitting(marks[name]) or not misfit(UNSTATED, marks[name]))
     }
-    doubts = [unstated(one, of, marks[of]) for one, of in beside.items() if one not in found]
-    seen = [mark for of in dict.fromkeys(found.values()) for mark in marks[of]]
-    fits = fitting(seen)
-    if len(fits) > 1 or (fits and {*map(UNSTATED.judge, seen)} == {AMBIGUOUS}):
-        doubts.append(RecordCode.QUALITY_MEANING(advice=advice(seen)))
-    return found, VOCABULARIES[fits[0]] if fits else UNSTATED, tuple(filter(None, doubts))
+    doubts = [
+        unstated(column, name, marks[name]) for column, name in quality_of.items() if column not in certain
+    ]
+    certain_marks = [mark for name in dict.fromkeys(certain.values()) for mark in marks[name]]
+    fits = fitting(certain_marks)
+    if len(fits) > 1 or (fits and {*map(UNSTATED.judge, certain_marks)} == {AMBIGUOUS}):
+        doubts.append(RecordCode.QUALITY_MEANING(advice=advice(certain_marks)))
+    return certain, VOCABULARIES[fits[0]] if fits else UNSTATED, tuple(filter(None, doubts))
 
 
 class MarkedReadings(NamedTuple):
@@ -215,33 +231,35 @@ class StatedQuality:
     use_uncertain: bool = True
 
     def beside(self, names: Sequence[str], columns: Sequence[str]) -> dict[str, str]:
-        """Column of readings -> column of its quality, as stated or, by its name, among those of a table."""
-        found = {one: of for one, of in quality_columns(names, columns).items() if names.count(of) == 1}
-        found |= {one: of for one, of in self.columns.items() if of is not None}
-        return {one: found[one] for one in columns if found.get(one)}
+        """Column of readings -> column of its quality: the stated one, else one of `names` by its name."""
+        by_name = quality_columns(names, columns)
+        quality_of = {column: name for column, name in by_name.items() if names.count(name) == 1}
+        quality_of |= {column: name for column, name in self.columns.items() if name is not None}
+        return {column: quality_of[column] for column in columns if quality_of.get(column)}
 
     def judged(self, column: str, name: str, marks: pandas.Series) -> MarkedReadings:
         """What the quality in a column says of a column of readings.
 
-        marks: (N,).  A quality that nobody stated leaves all readings as they are, with a doubt.
+        marks: (N,).  A quality that is not stated excludes no reading and raises a doubt.
         """
         import pandas as pd
 
-        codes, seen = pd.factorize(marks)
+        codes, distinct = pd.factorize(marks)
         if self.columns.get(column) is None:
-            return MarkedReadings(np.ones(len(marks), dtype=bool), (), unstated(column, name, list(seen)))
-        outcome = np.array([*map(self.vocabulary.judge, seen), GOOD])[codes]
-        counts, used = Counter(outcome.tolist()), (GOOD, UNCERTAIN) if self.use_uncertain else (GOOD,)
-        said = [
-            f"{counts[one]} {one} {'used' if one in used else 'left out'}"
-            for one in (BAD, UNCERTAIN, AMBIGUOUS)
-            if counts[one]
+            return MarkedReadings(np.ones(len(marks), dtype=bool), (), unstated(column, name, list(distinct)))
+        outcome = np.array([*map(self.vocabulary.judge, distinct), GOOD])[codes]
+        counts = Counter(outcome.tolist())
+        used_outcomes = (GOOD, UNCERTAIN) if self.use_uncertain else (GOOD,)
+        counted = [
+            f"{counts[kind]} {kind} {'used' if kind in used_outcomes else 'left out'}"
+            for kind in (BAD, UNCERTAIN, AMBIGUOUS)
+            if counts[kind]
         ]
-        warnings = (f'column "{column}": by "{name}" {", ".join(said)}',) if said else ()
-        doubt = misfit(self.vocabulary, list(seen))
+        warnings = (f'column "{column}": by "{name}" {", ".join(counted)}',) if counted else ()
+        doubt = misfit(self.vocabulary, list(distinct))
         if doubt is not None:
             doubt = RecordCode.QUALITY_OF_COLUMN(column=column, name=name, doubt=doubt)
-        return MarkedReadings(np.isin(outcome, used), warnings, doubt)
+        return MarkedReadings(np.isin(outcome, used_outcomes), warnings, doubt)
 
 
 NOTHING_STATED = StatedQuality()

@@ -17,7 +17,7 @@ from hygrokf.texts.wording import duration_text, period_text, stamp_text
 SATURATED = 0.995
 """[-] relative humidity from which a reading is censored: the sensor cannot show more."""
 SHOWN = 5
-"""Number of departed readings that a warning names."""
+"""Number of outlying readings that a warning names."""
 PILED = 5
 """Ratio of readings at the ceiling to readings below it from which they pile up."""
 PILE_WIDTHS = (0.0, 0.005, 0.01, 0.015)
@@ -25,24 +25,24 @@ PILE_WIDTHS = (0.0, 0.005, 0.01, 0.015)
 
 
 def mask(record: Record, within_range: bool = False) -> Record:
-    """Record in which everything is masked that can be masked safely, with warnings.
+    """The record without readings that are certainly wrong, with warnings.
 
-    record: any, SI units. Readings out of the physical range and, unless `within_range` is all that is asked,
-    those that the gate keeps out and saturated cabinet humidity become missing, in this order.  Series that
-    are only compared are treated alike.
+    record: any, SI units. Readings out of the physical range become missing and then, unless `within_range`,
+    the readings that the gate excludes and saturated cabinet humidity.  Series for comparison are treated in
+    the same way.
     """
     treatments = (mask_out_of_range,) if within_range else (mask_out_of_range, mask_gated, mask_saturated)
     warnings: list[str] = []
 
     def masked(series: Series) -> Series:
         for treat in treatments:
-            series, said = treat(series)
-            warnings.extend(said)
+            series, sentences = treat(series)
+            warnings.extend(sentences)
         return series
 
     series, compared = (tuple(map(masked, group)) for group in (record.series, record.compared))
-    said = record.warnings + tuple(dict.fromkeys(warnings))
-    return dataclasses.replace(record, series=series, compared=compared, warnings=said)
+    all_warnings = record.warnings + tuple(dict.fromkeys(warnings))
+    return dataclasses.replace(record, series=series, compared=compared, warnings=all_warnings)
 
 
 def order_readings(
@@ -53,8 +53,8 @@ def order_readings(
     time: [s] (N,) finite, in any order, repeats allowed.
     values: column -> (N,).
 
-    Of readings with the same stamp, equal ones are kept once, and a missing one yields to a present
-    one. Contradicting readings are masked, since either may be right.
+    Equal readings with the same stamp are kept once, and a present reading replaces a missing one.
+    Contradicting readings are masked, since either may be correct.
     """
     warnings = []
     backward = np.diff(time) < 0.0
@@ -76,24 +76,24 @@ def order_readings(
         return time, values, tuple(warnings)
     starts = np.flatnonzero(fresh)
     counts = np.diff(np.append(starts, len(time)))
-    repeated = time[starts][counts > 1]
-    single = {}
+    repeated_stamps = time[starts][counts > 1]
+    unique_values = {}
     contradictions = []
     for name, array in values.items():
         low = np.fmin.reduceat(array, starts)
         high = np.fmax.reduceat(array, starts)
-        differing = low != high
-        differing &= np.isfinite(low)
-        single[name] = np.where(differing, np.nan, low)
-        if differing.any():
-            contradictions.append(f"{name}: {int(differing.sum())}")
+        is_contradicting = low != high
+        is_contradicting &= np.isfinite(low)
+        unique_values[name] = np.where(is_contradicting, np.nan, low)
+        if is_contradicting.any():
+            contradictions.append(f"{name}: {int(is_contradicting.sum())}")
     sentence = (
-        f"duplicate stamps: {len(repeated)} occur more than once "
-        f"({period_text(repeated[0], repeated[-1])}); equal readings kept once"
+        f"duplicate stamps: {len(repeated_stamps)} occur more than once "
+        f"({period_text(repeated_stamps[0], repeated_stamps[-1])}); equal readings kept once"
     )
     if contradictions:
         sentence += f", contradicting ones masked ({', '.join(contradictions)})"
-    return time[starts], single, (*warnings, sentence)
+    return time[starts], unique_values, (*warnings, sentence)
 
 
 def detect_resolution(values: np.ndarray) -> float:
@@ -114,8 +114,8 @@ def detect_resolution(values: np.ndarray) -> float:
     distance = np.abs(finite - distinct[np.argmax(counts)])
     noise = max(1e-9, 3e-7 * float(np.quantile(np.abs(finite), 0.95)))
     for spacing in _SPACINGS:
-        away = np.abs(distance - spacing * np.round(distance / spacing))
-        if noise <= 0.1 * spacing and np.mean(away <= noise) >= 0.99:
+        deviation = np.abs(distance - spacing * np.round(distance / spacing))
+        if noise <= 0.1 * spacing and np.mean(deviation <= noise) >= 0.99:
             return spacing
     return 0.0
 
@@ -140,24 +140,26 @@ def mask_out_of_range(series: Series) -> tuple[Series, tuple[str, ...]]:
 
     Catches -273 degC, -99, 9999, a relative humidity of 150 %.
     """
-    outside = out_of_range(series)
-    if not outside.any():
+    is_outside = out_of_range(series)
+    if not is_outside.any():
         return series, ()
-    said = range_statement(RecordCode.OUT_OF_RANGE_MASKED, series, outside)
-    return _masked(series, outside), (said.text,)
+    statement = range_statement(RecordCode.OUT_OF_RANGE_MASKED, series, is_outside)
+    return _without(series, is_outside), (statement.text,)
 
 
 def range_statement(code: Code, series: Series, outside: np.ndarray) -> Statement:
-    """A statement of some readings outside of the physical range; outside: (T,) True for these."""
-    row, found = signal_named(series.signal), np.unique(series.value[outside])
-    moments = [float(one) for one in series.time[outside]]
+    """The statement about readings outside of the physical range; outside: (T,) True for these readings."""
+    row, outside_values = signal_named(series.signal), np.unique(series.value[outside])
+    moments = [float(moment) for moment in series.time[outside]]
     return code(
         signal=series.signal,
         label=_label(series),
         n=len(moments),
         low=in_words(row.low, row),
         high=in_words(row.high, row),
-        examples=tuple(in_words(one, row) for one in dict.fromkeys((found[0], found[-1]))),
+        examples=tuple(
+            in_words(value, row) for value in dict.fromkeys((outside_values[0], outside_values[-1]))
+        ),
         when=RecordCode.AT_TIMES(times=tuple(map(stamp_text, moments)))
         if len(moments) <= 3
         else RecordCode.BETWEEN(start=moments[0], end=moments[-1]),
@@ -194,15 +196,15 @@ def mask_saturated(series: Series) -> tuple[Series, tuple[str, ...]]:
         f"{100.0 * limit:.4g} % masked{hours} ({_period(series, saturated)}); they are censored and "
         "excluded from the likelihood"
     )
-    masked = dataclasses.replace(_masked(series, saturated), saturated=int(saturated.sum()))
+    masked = dataclasses.replace(_without(series, saturated), saturated=int(saturated.sum()))
     return masked, (sentence,)
 
 
 def _ceiling(humidity: np.ndarray) -> float:
-    """Lowest of the readings that pile up at the top, else infinity [-].
+    """The lowest of the readings that accumulate at the sensor's ceiling [-]; infinity if there are none.
 
-    They pile up on one value or, where the sensor has noise, in a narrow range: at least `PILED` times as
-    many as in a range of the same width (at least 1 %) just below.
+    They accumulate at one value or, with sensor noise, in a narrow range: at least `PILED` times as many as
+    in a range of the same width (at least 1 %) just below.
     """
     finite = humidity[np.isfinite(humidity)]
     if not len(finite) or finite.max() < 0.95:
@@ -218,10 +220,10 @@ def _ceiling(humidity: np.ndarray) -> float:
 
 
 def mask_gated(series: Series) -> tuple[Series, tuple[str, ...]]:
-    """Series without the readings that the gate keeps out, and warnings that name them.
+    """Series without the readings that the gate excludes, and warnings that name them.
 
-    The first reading of a frozen run is kept.  Where more than half of the readings would be masked, the
-    source repeats readings as a rule: no run is masked, and the warning says so.
+    The first reading of a frozen run is kept.  If more than half of the readings would be masked, the source
+    generally repeats readings: no run is masked, and the warning says so.
     """
     row = signal_named(series.signal)
     present = np.flatnonzero(np.isfinite(series.value))
@@ -229,38 +231,38 @@ def mask_gated(series: Series) -> tuple[Series, tuple[str, ...]]:
     if len(value) < FEWEST or row.idle == (-np.inf, np.inf):
         return series, ()
     if value[0] == value.min() == value.max() and not resting(series.signal, value[:1], np.inf).any():
-        same = in_words(value[0], row)
+        reading = in_words(value[0], row)
         doubt = (
-            f"all {len(value)} readings are {same}: perhaps a frozen sensor; no other signal confirms this"
+            f"all {len(value)} readings are {reading}: perhaps a frozen sensor; no other signal confirms this"
         )
         return series, (f"{_label(series)}: {doubt}",)
     scale = scale_of(series.signal, time, value, series.resolution)
     if scale is None:
         return series, ()
     verdict = judge(series.signal, time, value, scale, in_hindsight=True).verdict
-    said = []
-    masked = np.zeros(len(series), dtype=bool)
+    warnings = []
+    is_masked = np.zeros(len(series), dtype=bool)
     if (departed := verdict == DEPARTED).any():
-        masked[present[departed]] = True
-        places = present[departed]
+        is_masked[present[departed]] = True
+        rows = present[departed]
         named = ", ".join(
-            f"{in_words(series.value[i], row)} at {stamp_text(series.time[i])}" for i in places[:SHOWN]
+            f"{in_words(series.value[i], row)} at {stamp_text(series.time[i])}" for i in rows[:SHOWN]
         )
-        more = f" and {len(places) - SHOWN} more" if len(places) > SHOWN else ""
-        leave = "leaves its course and returns" if len(places) == 1 else "leave their course and return"
-        said.append(
-            f"{_label(series)}: {_readings(departed)} that {leave} within {duration_text(REACH_S)} masked: "
+        more = f" and {len(rows) - SHOWN} more" if len(rows) > SHOWN else ""
+        verb = "leaves its course and returns" if len(rows) == 1 else "leave their course and return"
+        warnings.append(
+            f"{_label(series)}: {_readings(departed)} that {verb} within {duration_text(REACH_S)} masked: "
             f"{named}{more}"
         )
     if (frozen := verdict == FROZEN).any():
         runs = _frozen_sentence(series, time, value, frozen)
         if frozen.sum() > 0.5 * len(value):
             doubt = f"perhaps a frozen sensor: {runs}; not masked, since these are more than half"
-            said.append(f"{_label(series)}: {doubt} of the readings")
+            warnings.append(f"{_label(series)}: {doubt} of the readings")
         else:
-            masked[present[frozen]] = True
-            said.append(f"{_label(series)}: frozen sensor, {runs}; {_readings(frozen)} masked")
-    return (_masked(series, masked) if masked.any() else series), tuple(said)
+            is_masked[present[frozen]] = True
+            warnings.append(f"{_label(series)}: frozen sensor, {runs}; {_readings(frozen)} masked")
+    return (_without(series, is_masked) if is_masked.any() else series), tuple(warnings)
 
 
 def _frozen_sentence(series: Series, time: np.ndarray, value: np.ndarray, frozen: np.ndarray) -> str:
@@ -275,7 +277,7 @@ def _frozen_sentence(series: Series, time: np.ndarray, value: np.ndarray, frozen
     )
 
 
-def _masked(series: Series, where: np.ndarray) -> Series:
+def _without(series: Series, where: np.ndarray) -> Series:
     return dataclasses.replace(series, value=np.where(where, np.nan, series.value))
 
 
@@ -291,5 +293,5 @@ def _readings(where: np.ndarray) -> str:
 def _period(series: Series, where: np.ndarray) -> str:
     moments = series.time[where]
     if len(moments) <= 3:
-        return ", ".join(stamp_text(one) for one in moments)
+        return ", ".join(stamp_text(moment) for moment in moments)
     return f"between {stamp_text(moments[0])} and {stamp_text(moments[-1])}"

@@ -31,7 +31,8 @@ if TYPE_CHECKING:
 BY_SIGNAL = "by the signal"
 """The hold of a series that states none: that of means, else that of its signal's instants."""
 USUAL_STEPS, AGE_STEPS = 11, 3.0
-"""A value holds for the second times the median of the first steps before it, as a tracker knows in time."""
+"""A value holds for AGE_STEPS times the median of the last USUAL_STEPS steps before it.  Only earlier steps
+count, since a live tracker knows no later ones."""
 
 
 @dataclass(frozen=True)
@@ -45,15 +46,15 @@ class Series:
         (time - interval_s, time]; "linear": joined by straight lines. By default that of means with an
         interval, else `Signal.hold_of_instants`. "zoh" and "foh" are previous and linear.
     interval_s: [s] averaging interval; 0 for instants.
-    resolution: [SI unit] spacing of the readings' grid; 0 = none found.
+    resolution: [SI unit] spacing of the readings' grid; 0 where no grid was detected.
     accuracy: [SI unit] stated 95 % accuracy of the sensor; None: the signal table's default.
     clock_uncertainty_s: [s] stated standard uncertainty of the source's clock; None: not stated.
     source: file and column, such as 'scada.csv, column "P"'.
     height_m: [m] height above ground of a wind whose file states it; None: not known.
     response_time_s: [s] stated time constant of the sensor; None: not stated.
     longest_hold_s: [s] age at which a held value becomes unknown (∞: never); None: three usual intervals.
-    lost: [s] spans (start, end) in which its connection was lost, in order: a held value of before is unknown
-        in them.
+    lost: [s] spans (start, end), in order, in which the connection was lost: the last value before a span is
+        unknown within it.
     saturated: readings that were masked because a humidity sensor was at its ceiling.
 
     The arrays are copied and made read-only. Raises ValueError that lists everything wrong.
@@ -79,8 +80,10 @@ class Series:
         row = SIGNALS.get(self.signal)
         if row is None:
             faults.append(f'unknown signal "{self.signal}"{suggestion(self.signal, SIGNALS)}')
-        time = _numbers("time", self.time, _SECONDS, faults)
-        value = _numbers("value", self.value, "numbers" if row is None else f"numbers in {row.unit}", faults)
+        time = _float_array("time", self.time, _SECONDS, faults)
+        value = _float_array(
+            "value", self.value, "numbers" if row is None else f"numbers in {row.unit}", faults
+        )
         if time is not None and value is not None:
             faults += _reading_faults(time, value, row)
         if self.hold == BY_SIGNAL:
@@ -142,49 +145,56 @@ class Series:
     @cached_property
     def known(self) -> tuple[np.ndarray, np.ndarray]:
         """Times [s] and values of the readings that are not missing."""
-        there = ~self.missing
-        return (self.time, self.value) if there.all() else (self.time[there], self.value[there])
+        is_present = ~self.missing
+        return (
+            (self.time, self.value) if is_present.all() else (self.time[is_present], self.value[is_present])
+        )
 
     @cached_property
     def held_s(self) -> np.ndarray:
-        """How long [s] each reading that is not missing holds at most, if it holds from its stamp on."""
+        """The longest time [s] for which each reading that is not missing holds, from its stamp on."""
         time, _ = self.known
-        held = np.full(len(time), math.inf if self.longest_hold_s is None else self.longest_hold_s)
+        longest_s = np.full(len(time), math.inf if self.longest_hold_s is None else self.longest_hold_s)
         if self.longest_hold_s is None and len(time) > 1:
             steps = np.concatenate([np.full(USUAL_STEPS - 1, np.nan), np.diff(time)])
             windows = np.lib.stride_tricks.sliding_window_view(steps, USUAL_STEPS)
-            held[1:] = AGE_STEPS * np.nanmedian(windows, axis=1)
-        return held
+            longest_s[1:] = AGE_STEPS * np.nanmedian(windows, axis=1)
+        return longest_s
 
     @cached_property
     def held(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Times [s] and values from which on a value holds, and how long [s] at most: the readings that are
-        not missing, cut off where the connection is lost, and what they go on with once it is regained."""
-        (time, value), held = self.known, self.held_s
+        """Times [s] from which a value holds, the values, and how long [s] each holds at most.
+
+        These are the readings that are not missing.  Where the connection is lost, the last
+        value ends; it holds again once the connection is regained, if it is not too old by then.
+        """
+        (time, value), longest_s = self.known, self.held_s
         for lost, regained in self.lost:
             last = int(np.searchsorted(time, lost)) - 1
             if last < 0:
                 continue
-            goes_on = regained < min([time[last] + held[last], *time[last + 1 : last + 2]])
-            left_s = held[last] - (regained - time[last]) if goes_on else 0.0
-            held = np.append(held[:last], [min(held[last], lost - time[last]), *held[last + 1 :]])
-            if goes_on:
-                time, value, held = (
-                    np.insert(columns, last + 1, one)
-                    for columns, one in ((time, regained), (value, value[last]), (held, left_s))
+            continues = regained < min([time[last] + longest_s[last], *time[last + 1 : last + 2]])
+            remaining_s = longest_s[last] - (regained - time[last]) if continues else 0.0
+            longest_s = np.append(
+                longest_s[:last], [min(longest_s[last], lost - time[last]), *longest_s[last + 1 :]]
+            )
+            if continues:
+                time, value, longest_s = (
+                    np.insert(array, last + 1, inserted)
+                    for array, inserted in ((time, regained), (value, value[last]), (longest_s, remaining_s))
                 )
-        return time, value, held
+        return time, value, longest_s
 
     def held_at(self, time: np.ndarray) -> np.ndarray:
-        """Values that hold from their stamps on, at other times [s]; NaN before the first, if too old, and
+        """The held values at other times [s]: NaN before the first reading, where the latest is too old, and
         while the connection is lost."""
-        known, value, held = self.held
-        last = np.searchsorted(known, time, side="right") - 1
-        return np.where((last >= 0) & (time - known[last] <= held[last]), value[last], np.nan)
+        times, value, longest_s = self.held
+        last = np.searchsorted(times, time, side="right") - 1
+        return np.where((last >= 0) & (time - times[last] <= longest_s[last]), value[last], np.nan)
 
     def window(self, start_s: float, end_s: float) -> Series | None:
-        """The readings with start_s ≤ time ≤ end_s [s], and one at start_s of a value that is held until
-        then; None where there is none."""
+        """The readings with start_s ≤ time ≤ end_s [s], preceded by the value held at start_s; None where the
+        window has neither."""
         first = np.searchsorted(self.time, start_s, side="left")
         last = np.searchsorted(self.time, end_s, side="right")
         time, value = self.time[first:last], self.value[first:last]
@@ -220,7 +230,7 @@ _SECONDS = "seconds since 1970-01-01T00:00Z as numbers"
 
 
 def _reading_faults(time: np.ndarray, value: np.ndarray, row: Signal | None) -> list[str]:
-    """Faults of the times [s] and the readings of a signal."""
+    """Faults of a signal's times [s] and readings."""
     faults = []
     if time.ndim != 1 or time.shape != value.shape:
         faults.append(
@@ -228,22 +238,22 @@ def _reading_faults(time: np.ndarray, value: np.ndarray, row: Signal | None) -> 
             f"found shapes {time.shape} and {value.shape}"
         )
     elif not (np.isfinite([*time[:1], *time[-1:]]).all() and (time[1:] > time[:-1]).all()):
-        # all between finite ends that increase are finite
+        # increasing times between finite ends are finite
         if not np.isfinite(time).all():
             faults.append("every time must be a finite number of seconds")
         else:
             first = int(np.argmax(time[1:] <= time[:-1])) + 1
             faults.append(f"time must increase strictly; reading {first} does not")
     elif len(time) and not (EARLIEST_S < time[0] and time[-1] < LATEST_S):
-        faults.append(_no_seconds(time))
+        faults.append(_seconds_fault(time))
     if np.isinf(value).any():
         faults.append("value must be finite, or NaN where a reading is missing")
-    elif row is not None and (other := _other_unit(value, row)):
+    elif row is not None and (other := _unit_fault(value, row)):
         faults.append(other)
     return faults
 
 
-def _numbers(name: str, given: object, expected: str, faults: list[str]) -> np.ndarray | None:
+def _float_array(name: str, given: object, expected: str, faults: list[str]) -> np.ndarray | None:
     """A copy as floating-point numbers, or None with a fault added.
 
     Dates are refused: as plain numbers they would count nanoseconds or microseconds without a zone.
@@ -254,15 +264,17 @@ def _numbers(name: str, given: object, expected: str, faults: list[str]) -> np.n
         raw = np.asarray(given)
         if raw.dtype.kind not in "mM":
             return raw.astype(float)
-        found = raw.dtype.name
+        kind = raw.dtype.name
     except (TypeError, ValueError):
-        others = (
-            (one for one in given if not isinstance(one, Real)) if isinstance(given, Iterable) else (given,)
+        not_numbers = (
+            (item for item in given if not isinstance(item, Real))
+            if isinstance(given, Iterable)
+            else (given,)
         )
-        found = type(next(iter(others), given)).__name__
+        kind = type(next(iter(not_numbers), given)).__name__
     remedy = _REMEDIES[name]
     faults.append(
-        f"{name}: expected {expected}, found {found}; convert, such as {remedy}, or pass a frame to "
+        f"{name}: expected {expected}, found {kind}; convert, such as {remedy}, or pass a frame to "
         "hygrokf.read_frames"
     )
     return None
@@ -274,7 +286,7 @@ _REMEDIES = {
 }
 
 
-def _no_seconds(time: np.ndarray) -> str:
+def _seconds_fault(time: np.ndarray) -> str:
     """The fault of times (T,) beyond the accepted range, with the unit that they seem to be in."""
     for factor, unit in ((1e3, "milliseconds"), (1e6, "microseconds"), (1e9, "nanoseconds")):
         if 0.0 < time[0] / factor and time[-1] / factor < LATEST_S:
@@ -285,17 +297,17 @@ def _no_seconds(time: np.ndarray) -> str:
     return f"time: expected seconds since 1970-01-01T00:00Z, found {time[0]:.6g} … {time[-1]:.6g}; {remedy}"
 
 
-def _other_unit(value: np.ndarray, row: Signal) -> str | None:
-    """The fault of readings that are certainly in another unit than the signal's, or None.
+def _unit_fault(value: np.ndarray, row: Signal) -> str | None:
+    """The fault of readings whose unit is certainly not the signal's, or None.
 
     value: [SI unit] (T,).  Most readings lie outside the physical range, and would lie within it in the other
     unit.  Equal readings throughout are not judged, since a dead sensor may show them.
     """
-    inside = (value >= row.low) & (value <= row.high)
-    if not len(value) or 2 * np.count_nonzero(inside) >= len(value):
+    in_range = (value >= row.low) & (value <= row.high)
+    if not len(value) or 2 * np.count_nonzero(in_range) >= len(value):
         return None
     finite = value[np.isfinite(value)]
-    if not len(finite) or 2 * np.count_nonzero(inside) >= len(finite) or np.ptp(finite) == 0.0:
+    if not len(finite) or 2 * np.count_nonzero(in_range) >= len(finite) or np.ptp(finite) == 0.0:
         return None
     if row.unit == "1" and np.median(finite) <= LARGEST_FRACTION:
         return None
@@ -337,8 +349,8 @@ class Site:
 class Provenance(StrEnum):
     """How the readings came about; results carry it.
 
-    Of a simulated record a model computed the readings in the cabinet from measured weather or operation, of
-    a synthetic one a computer made everything.
+    Simulated: a model computed the readings in the cabinet from measured weather or operation.  Synthetic: a
+    computer made all readings.
     """
 
     MEASURED = "measured"
@@ -350,9 +362,9 @@ class Provenance(StrEnum):
         raise ValueError(f"provenance must be one of {', '.join(cls)}, found {value!r}")
 
 
-def least_measured(several: Iterable[Provenance]) -> Provenance:
-    """The provenance of a result that rests on several: measured only where all are."""
-    return max(several, key=list(Provenance).index, default=Provenance.MEASURED)
+def least_measured(provenances: Iterable[Provenance]) -> Provenance:
+    """The provenance of a result of several records: measured only where all records are measured."""
+    return max(provenances, key=list(Provenance).index, default=Provenance.MEASURED)
 
 
 @dataclass(frozen=True)
@@ -366,9 +378,9 @@ class Record:
     until_s: [s] end of the identification period since 1970-01-01T00:00Z; None: the whole record.
     warnings: one sentence for each thing that was masked or repaired.
     files: (file name, SHA-256) of every file read.
-    compared: series of a second source, one for each signal, which no fit uses: `check` compares them with
-        those of the record, which reveals wrong clocks.
-    doubts: about how it was put together, which `check` adds to its own.
+    compared: series of a second source, one for each signal.  No fit uses them: `check` compares them with
+        the record's series of the same signals, which reveals wrong clocks.
+    doubts: about how the record was put together; `check` adds them to its own doubts.
     provenance: measured, simulated or synthetic, as stated.
 
     Raises ValueError for a signal that occurs twice among the series, or twice among those compared, and for
@@ -390,10 +402,12 @@ class Record:
         for name in ("series", "compared", "warnings", "files", "doubts"):
             object.__setattr__(self, name, tuple(getattr(self, name)))
         object.__setattr__(self, "provenance", Provenance(self.provenance))
-        second = [one.signal for one in self.compared]
-        twice = sorted({name for names in (self.signals, second) for name in names if names.count(name) > 1})
-        if twice:
-            raise ValueError(f"record {self.name}: more than one series of {', '.join(twice)}")
+        compared_signals = [series.signal for series in self.compared]
+        repeated = sorted(
+            {name for names in (self.signals, compared_signals) for name in names if names.count(name) > 1}
+        )
+        if repeated:
+            raise ValueError(f"record {self.name}: more than one series of {', '.join(repeated)}")
         if self.until_s is not None and not (
             isinstance(self.until_s, Real) and EARLIEST_S < self.until_s < LATEST_S
         ):
@@ -409,16 +423,15 @@ class Record:
     @cached_property
     def signals(self) -> tuple[str, ...]:
         """Names of the signals in the record."""
-        return tuple(one.signal for one in self.series)
+        return tuple(series.signal for series in self.series)
 
     def __repr__(self) -> str:
         """Name, span and signals, a line each."""
         rows = []
-        for one in self.series:
-            step = duration_text(float(np.median(one.steps_s))) if len(one.steps_s) else "–"
-            rows.append(
-                f"  {one.signal} [{SIGNALS[one.signal].unit}]: {len(one.known[0])} readings, every {step}"
-            )
+        for series in self.series:
+            step = duration_text(float(np.median(series.steps_s))) if len(series.steps_s) else "–"
+            unit, count = SIGNALS[series.signal].unit, len(series.known[0])
+            rows.append(f"  {series.signal} [{unit}]: {count} readings, every {step}")
         until = "" if self.until_s is None else f", identification until {stamp_text(self.until_s)}"
         span = f"{stamp_text(self.start_s)} … {stamp_text(self.end_s)}{until}" if rows else "no series"
         return "\n".join([f"Record {self.name}: {span}", *shortened(rows)])
@@ -427,9 +440,9 @@ class Record:
         return signal in self.signals
 
     def __getitem__(self, signal: str) -> Series:
-        for one in self.series:
-            if one.signal == signal:
-                return one
+        for series in self.series:
+            if series.signal == signal:
+                return series
         raise KeyError(
             f"record {self.name} has no {signal}; it has {', '.join(self.signals) or 'no signals'}"
         )
@@ -437,25 +450,25 @@ class Record:
     @property
     def start_s(self) -> float:
         """Start of the earliest reading (of its interval, for means) [s]; NaN if empty."""
-        starts = [one.time[0] - one.interval_s for one in self.series if len(one)]
+        starts = [series.time[0] - series.interval_s for series in self.series if len(series)]
         return float(min(starts)) if starts else math.nan
 
     @property
     def end_s(self) -> float:
         """Time of the latest reading [s]; NaN if empty."""
-        ends = [one.time[-1] for one in self.series if len(one)]
+        ends = [series.time[-1] for series in self.series if len(series)]
         return float(max(ends)) if ends else math.nan
 
     def window(self, start_s: float, end_s: float) -> Self:
         """The readings with start_s ≤ time ≤ end_s [s].
 
-        A mean belongs to the window that holds the end of its interval. Series without a reading
-        in the window are left out. `until_s` is kept where it lies inside of the window.
+        A mean belongs to the window that contains the end of its interval. Series without a reading
+        in the window are left out. `until_s` is kept where it lies inside the window.
         """
         if not start_s <= end_s:
             raise ValueError(f"window: start {start_s} must not be after end {end_s}")
         series, compared = (
-            tuple(part for one in group if (part := one.window(start_s, end_s)) is not None)
+            tuple(part for series in group if (part := series.window(start_s, end_s)) is not None)
             for group in (self.series, self.compared)
         )
         inside = self.until_s is not None and start_s < self.until_s < end_s
@@ -465,7 +478,7 @@ class Record:
     def to_frames(self) -> dict[str, DataFrame]:
         """Every series as a pandas frame of its own, by signal, as `read_frames` takes them
         (`Series.to_frame`)."""
-        return {one.signal: one.to_frame() for one in self.series}
+        return {series.signal: series.to_frame() for series in self.series}
 
     def identification(self) -> Self:
         """The identification period: readings up to and including `until_s`."""
@@ -480,17 +493,17 @@ class Record:
         return self.window(float(np.nextafter(self.until_s, math.inf)), math.inf)
 
     def replace_series(self, *changed: Series, warnings: tuple[str, ...] = ()) -> Self:
-        """A record in which series are replaced by others of the same signal.
+        """The record with some series replaced by others of the same signals.
 
         changed: the new series. warnings: sentences to add to the record's own.
         Raises KeyError for a signal that the record does not have.
         """
-        new = {one.signal: one for one in changed}
-        for signal in new:
-            self[signal]
+        by_signal = {series.signal: series for series in changed}
+        for signal in by_signal:
+            self[signal]  # raises KeyError
         return dataclasses.replace(
             self,
-            series=tuple(new.get(one.signal, one) for one in self.series),
+            series=tuple(by_signal.get(series.signal, series) for series in self.series),
             warnings=self.warnings + warnings,
         )
 
@@ -500,13 +513,13 @@ LINES = 10
 
 
 def shortened(lines: Sequence[str]) -> list[str]:
-    """At most `LINES` of some lines, the last of which says how many were left out."""
+    """The lines, or the first `LINES` − 1 of them and a line that says how many were left out."""
     rest = len(lines) - LINES + 1
     return list(lines) if rest < 2 else [*lines[: LINES - 1], f"  … and {rest} more"]
 
 
 def kind_of(given: object) -> str:
-    """What something is, in words for a message."""
+    """The kind of an object in words for a message."""
     if isinstance(given, (str, os.PathLike)):
         return f"the path {os.fspath(given)!r}"
     if _is_frame(given):

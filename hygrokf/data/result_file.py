@@ -4,8 +4,8 @@ arrays of series.npz.
 A column states its unit in brackets, as "value [h]", or `frame.attrs["units"]` does, as {column: unit}; where
 the unit changes from row to row, it is the column "unit".
 
-The report stands on a higher floor than all results; none of them imports it, colours or matplotlib: its
-drawing is imported at its first use.
+The report is a higher layer than the results: none of them imports the report, its colours or matplotlib, and
+its drawing functions are imported at their first use.
 """
 
 from __future__ import annotations
@@ -48,14 +48,14 @@ def with_units(frame: DataFrame, units: Mapping[str, str], stamps: Sequence[str]
 
 
 def units_by_name(columns: Sequence[str]) -> dict[str, str]:
-    """The units that the names of columns end in; bounds have those of their value."""
-    found = {}
+    """The units of columns by the endings of their names; bounds have the unit of their value."""
+    units = {}
     for name in columns:
         bare = name.removesuffix("_lower").removesuffix("_upper")
         unit = next((unit for end, unit in ENDINGS.items() if bare.endswith(end)), "")
         if unit:
-            found[name] = unit
-    return found
+            units[name] = unit
+    return units
 
 
 def utc_index(time_s: np.ndarray) -> DatetimeIndex:
@@ -70,9 +70,9 @@ PLOTS = "hygrokf.report.plots"
 
 
 def drawn(result: object, axes: Axes | Sequence[Axes] | None) -> tuple[Axes, ...]:
-    """A result drawn on axes by `hygrokf.report.plots`."""
-    done: tuple[Axes, ...] = import_module(PLOTS).plotted(result, axes)
-    return done
+    """Draw a result on axes by `hygrokf.report.plots`; returns the axes."""
+    axes_drawn: tuple[Axes, ...] = import_module(PLOTS).plotted(result, axes)
+    return axes_drawn
 
 
 T = TypeVar("T")
@@ -82,12 +82,12 @@ FIRST_S, LAST_S = -6.2e10, 2.5e11
 
 # -- files ---------------------------------------------------------------------------------------------------
 class ResultFault(HygrokfError):
-    """A result file that cannot be read, in one message."""
+    """A result file that cannot be read."""
 
 
-def result_text(found: object) -> str:
+def result_text(result: object) -> str:
     """The JSON text of a result; numbers that JSON cannot hold (NaN, ±∞) become null."""
-    return json.dumps(plain(found), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+    return json.dumps(plain(result), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
 
 
 def read_json(path: Path, command: str) -> Any:
@@ -110,31 +110,33 @@ def read_result(kind: type[T], path: Path, command: str) -> T:
         return structured(kind, data)
     except StructureFault as fault:
         version = data.get("version") if isinstance(data, dict) else None
-        found = f"; the file was written by hygrokf {version}" if isinstance(version, str) else ""
+        origin = f"; the file was written by hygrokf {version}" if isinstance(version, str) else ""
         raise ResultFault(
-            f"{path}: expected the results of `{command}`, found: {fault}{found}; run it again"
+            f"{path}: expected the results of `{command}`, found: {fault}{origin}; run it again"
         ) from None
 
 
 def read_arrays(path: Path, command: str) -> dict[str, np.ndarray]:
     """The arrays of an .npz file that `command` wrote.  Raises ResultFault with the reason and the remedy."""
-    again = f"run `{command}` with --out {path.parent} first"
+    remedy = f"run `{command}` with --out {path.parent} first"
     try:
         with open(path, "rb") as stream, np.load(stream, allow_pickle=False) as file:
             return {name: np.asarray(file[name]) for name in file.files}
     except FileNotFoundError:
-        raise ResultFault(f"{path}: no such file; {again}") from None
+        raise ResultFault(f"{path}: no such file; {remedy}") from None
     except (OSError, ValueError, EOFError, KeyError, AttributeError, BadZipFile) as fault:
-        found = f"{path}: expected arrays written by `{command}`, found: {fault}; {again}"
-        raise ResultFault(found) from None
+        message = f"{path}: expected arrays written by `{command}`, found: {fault}; {remedy}"
+        raise ResultFault(message) from None
 
 
 def instants(series: Mapping[str, np.ndarray]) -> np.ndarray:
     """The instants (T,) [s] of series.npz; empty where they are missing, not finite, not increasing or out of
     range."""
     time = np.atleast_1d(np.asarray(series.get("time_s", np.empty(0)), dtype=float))
-    good = time.ndim == 1 and bool(np.all((time > FIRST_S) & (time < LAST_S)) and np.all(np.diff(time) > 0))
-    return time if good else np.empty(0)
+    is_valid = time.ndim == 1 and bool(
+        np.all((time > FIRST_S) & (time < LAST_S)) and np.all(np.diff(time) > 0)
+    )
+    return time if is_valid else np.empty(0)
 
 
 def array(series: Mapping[str, np.ndarray], name: str) -> np.ndarray:

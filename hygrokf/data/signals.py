@@ -32,8 +32,8 @@ class Unit:
 
 
 LARGEST_FRACTION = 1.5
-"""[-] above this, numbers are per cent: no faulty sensor shows 150 %, and no climate stays at 1.5 % for
-long."""
+"""[-] largest plausible fraction: larger numbers are per cent, since no faulty sensor shows 150 % and no
+climate stays at 1.5 % for long."""
 
 UNITS: dict[str, Unit] = {
     unit.name: unit
@@ -228,8 +228,8 @@ def signal_named(name: str | Signal) -> Signal:
 def fitting_units(signal: str | Signal) -> tuple[str, ...]:
     """Names of the units that a case file may give for a signal."""
     row = signal_named(signal)
-    own = tuple(unit.name for unit in UNITS.values() if unit.dimension == row.dimension)
-    return own + row.also
+    of_dimension = tuple(unit.name for unit in UNITS.values() if unit.dimension == row.dimension)
+    return of_dimension + row.also
 
 
 def unit_fault(unit: str, signal: str | Signal) -> str | None:
@@ -238,13 +238,13 @@ def unit_fault(unit: str, signal: str | Signal) -> str | None:
     unit: as written in the case file. signal: a signal of the table, or its name.
     """
     row = signal_named(signal)
-    fitting = fitting_units(row)
-    if unit in fitting:
+    choices = fitting_units(row)
+    if unit in choices:
         return None
-    choice = ", ".join(fitting)
+    choice = ", ".join(choices)
     if unit not in UNITS:
-        known = unit_named(unit)
-        hint = f'; did you mean "{known}"?' if known in fitting else suggestion(unit, fitting)
+        unit_known = unit_named(unit)
+        hint = f'; did you mean "{unit_known}"?' if unit_known in choices else suggestion(unit, choices)
         return f'unknown unit "{unit}" for {row.name}; units that fit: {choice}{hint}'
     return (
         f'unit "{unit}" is one of {UNITS[unit].dimension}, but {row.name} is '
@@ -302,7 +302,7 @@ def difference_from_si(difference: float, unit: str, signal: str | Signal) -> fl
 
 
 def share_in_range(values: np.ndarray, unit: str, signal: str | Signal) -> float:
-    """Share of readings that lie in the signal's physical range if they are in that unit [-].
+    """Share of readings within the signal's physical range if their unit is `unit` [-].
 
     values: [unit] (N,) finite, N > 0. unit, signal: as for `to_si`, and the same errors.
     """
@@ -322,7 +322,7 @@ def better_units(values: np.ndarray, unit: str, signal: str | Signal) -> list[st
 
 
 def unit_mistaken(values: np.ndarray, unit: str, signal: str | Signal) -> Statement | None:
-    """Why readings cannot be in the stated unit; None where they can.
+    """The reason why readings cannot be in the stated unit; None if they can.
 
     values: [unit] (N,); NaN = missing. unit, signal: as for `to_si`, and the same errors.
 
@@ -340,17 +340,17 @@ def unit_mistaken(values: np.ndarray, unit: str, signal: str | Signal) -> Statem
             return DoubtCode.CALLED_PER_CENT(signal=row.name, high=high)
         if unit == "1" and high > LARGEST_FRACTION:
             return DoubtCode.CALLED_FRACTION(signal=row.name, high=high)
-    fits = share_in_range(finite, unit, row)
-    middle = float(np.median(finite))
-    if row.name == "ambient_temperature" and unit == "degC" and fits > 0.5 and middle > 45.0:
-        return DoubtCode.HOTTER_THAN_CLIMATES(signal=row.name, median=middle)
-    if fits >= 0.5:
+    share = share_in_range(finite, unit, row)
+    median = float(np.median(finite))
+    if row.name == "ambient_temperature" and unit == "degC" and share > 0.5 and median > 45.0:
+        return DoubtCode.HOTTER_THAN_CLIMATES(signal=row.name, median=median)
+    if share >= 0.5:
         return None
     better = better_units(finite, unit, row)
-    if fits > 0.0 and not better:
+    if share > 0.0 and not better:
         return None
     return DoubtCode.WRONG_UNIT(
-        signal=row.name, unit=unit, median=middle, low=in_words(row.low, row), high=in_words(row.high, row),
+        signal=row.name, unit=unit, median=median, low=in_words(row.low, row), high=in_words(row.high, row),
         hint=(RecordCode.WOULD_FIT(units=tuple(better)),) if better else (),
     )  # fmt: skip
 

@@ -1,8 +1,8 @@
 """Results as frozen dataclasses, written to and read from plain JSON data by one converter.
 
-The key of an `optional()` field is left out of a file where the value is the default.  In every file null is
-NaN for a number, lists become tuples or arrays, and unknown keys are ignored, because a newer version may add
-some.
+The key of an `optional()` field is left out of a file if the value is the default.  In every file null stands
+for NaN in place of a number, lists become tuples or arrays, and unknown keys are ignored, because a newer
+version may add keys.
 """
 
 from __future__ import annotations
@@ -26,12 +26,10 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 Json: TypeAlias = "bool | int | float | str | Sequence[Json] | Mapping[str, Json] | None"
-"""What a JSON text holds."""
+"""Any value of a JSON text."""
 JsonObject: TypeAlias = dict[str, Json]
-Cell: TypeAlias = (
-    bool | int | float | Name | FaultText | Statement | tuple[Name | Statement, ...] | None
-)
-"""What a cell of a table holds; several names or statements where a turbine has several."""
+Cell: TypeAlias = bool | int | float | Name | FaultText | Statement | tuple[Name | Statement, ...] | None
+"""The content of a table's cell; a tuple where a turbine has several names or statements."""
 OPTIONAL = "optional"
 
 
@@ -62,7 +60,7 @@ def structured(kind: type[T], data: object) -> T:
     except BaseValidationError as fault:
         raise StructureFault(_faults(fault, "")) from None
     except (TypeError, ValueError, KeyError, AttributeError) as fault:
-        raise StructureFault([_words(fault)]) from None
+        raise StructureFault([_message(fault)]) from None
 
 
 def _faults(fault: BaseException, place: str) -> list[str]:
@@ -70,10 +68,10 @@ def _faults(fault: BaseException, place: str) -> list[str]:
     from cattrs import AttributeValidationNote, BaseValidationError, IterableValidationNote
 
     if not isinstance(fault, BaseValidationError):
-        return [f"{place}: {_words(fault)}" if place else _words(fault)]
-    found = []
-    for one in fault.exceptions:
-        notes = getattr(one, "__notes__", ())
+        return [f"{place}: {_message(fault)}" if place else _message(fault)]
+    messages = []
+    for inner_fault in fault.exceptions:
+        notes = getattr(inner_fault, "__notes__", ())
         name = next((str(n.name) for n in notes if isinstance(n, AttributeValidationNote)), None)
         index = next((n.index for n in notes if isinstance(n, IterableValidationNote)), None)
         if isinstance(index, int):
@@ -81,19 +79,19 @@ def _faults(fault: BaseException, place: str) -> list[str]:
         else:
             step = name if index is None else str(index)
             inner = ".".join(filter(None, (place, step)))
-        found += _faults(one, inner)
-    return found
+        messages += _faults(inner_fault, inner)
+    return messages
 
 
-def _words(fault: BaseException) -> str:
-    """The message of a fault; those of cattrs are rewritten in the package's form."""
+def _message(fault: BaseException) -> str:
+    """The message of a fault; messages of cattrs are rewritten in the package's form."""
     if isinstance(fault, KeyError):
         return "expected, and missing"
     text = str(fault)
-    if found := re.fullmatch(r"(.*) not in literal typing\.Literal\[(.*)\]", text):
-        return f"expected one of {found[2]}, found {found[1]!r}"
-    if found := re.match(r"(?:Not enough|Too many) values in (.*) to structure as tuple\[(.*)\]", text):
-        return f"expected {len(found[2].split(', '))} values, found {found[1]}"
+    if match := re.fullmatch(r"(.*) not in literal typing\.Literal\[(.*)\]", text):
+        return f"expected one of {match[2]}, found {match[1]!r}"
+    if match := re.match(r"(?:Not enough|Too many) values in (.*) to structure as tuple\[(.*)\]", text):
+        return f"expected {len(match[2].split(', '))} values, found {match[1]}"
     return text
 
 
@@ -106,15 +104,15 @@ _PLAIN: Mapping[type, tuple[tuple[type, ...], str]] = {
     str: ((str,), "a text"),
     bool: ((bool, np.bool_), "true or false"),
 }
-"""Type of a value -> those of what is read, and words for it."""
+"""Type of a field -> types of JSON values that it accepts, and their name in messages."""
 
 
 def _plain(value: Any, kind: Any) -> Any:
     if kind is float and value is None:
         return math.nan
     types, words = _PLAIN[kind]
-    broken = kind is int and isinstance(value, float) and not value.is_integer()
-    if not isinstance(value, types) or broken or (isinstance(value, bool) and kind is not bool):
+    has_fraction = kind is int and isinstance(value, float) and not value.is_integer()
+    if not isinstance(value, types) or has_fraction or (isinstance(value, bool) and kind is not bool):
         raise ValueError(f"expected {words}, found {shown(value, 60)}")
     return kind(value)
 
@@ -139,9 +137,9 @@ def _listed(value: np.ndarray) -> Any:
     """An array as lists, null where a number is not finite."""
     if value.dtype.kind != "f":
         return value.tolist()
-    shown = value.astype(object)
-    shown[~np.isfinite(value)] = None
-    return shown.tolist()
+    values = value.astype(object)
+    values[~np.isfinite(value)] = None
+    return values.tolist()
 
 
 def _finite(value: float) -> float | None:
@@ -151,7 +149,7 @@ def _finite(value: float) -> float | None:
 def _read(kind: type, converter: Converter) -> Callable[[Any, Any], Any]:
     from cattrs.gen import make_dict_structure_fn
 
-    made: Callable[[Any, Any], Any] = make_dict_structure_fn(kind, converter)
+    structure: Callable[[Any, Any], Any] = make_dict_structure_fn(kind, converter)
     name = kind.__name__
 
     def read(data: Any, _: Any) -> Any:
@@ -159,7 +157,7 @@ def _read(kind: type, converter: Converter) -> Callable[[Any, Any], Any]:
             return data
         if not isinstance(data, dict):
             raise ValueError(f"expected an object ({name}), found {shown(data, 60)}")
-        return made(data, kind)
+        return structure(data, kind)
 
     return read
 
@@ -167,17 +165,17 @@ def _read(kind: type, converter: Converter) -> Callable[[Any, Any], Any]:
 def _write(kind: type, converter: Converter) -> Callable[[Any], Any]:
     from cattrs.gen import make_dict_unstructure_fn, override
 
-    spared = [f for f in dataclasses.fields(kind) if f.metadata.get(OPTIONAL)]
-    left_out: dict[str, Any] = {f.name: override(omit_if_default=True) for f in spared}
-    made: Callable[[Any], Any] = make_dict_unstructure_fn(kind, converter, **left_out)
-    # NaN differs from itself, so that the converter takes it for another value than the default
-    unknown = [f.name for f in spared if isinstance(f.default, float) and math.isnan(f.default)]
-    if not unknown:
-        return made
+    optional_fields = [f for f in dataclasses.fields(kind) if f.metadata.get(OPTIONAL)]
+    left_out: dict[str, Any] = {f.name: override(omit_if_default=True) for f in optional_fields}
+    unstructure: Callable[[Any], Any] = make_dict_unstructure_fn(kind, converter, **left_out)
+    # NaN differs from itself, so the converter does not recognise it as the default
+    default_nan = [f.name for f in optional_fields if isinstance(f.default, float) and math.isnan(f.default)]
+    if not default_nan:
+        return unstructure
 
     def write(value: Any) -> Any:
-        data = made(value)
-        return {key: v for key, v in data.items() if v is not None or key not in unknown}
+        data = unstructure(value)
+        return {key: v for key, v in data.items() if v is not None or key not in default_nan}
 
     return write
 
@@ -188,7 +186,7 @@ def _cell(data: Any, kind: Any) -> Cell:
     if isinstance(data, Mapping):
         return Statement.from_json(data)
     if isinstance(data, list):
-        return tuple(Statement.from_json(one) if isinstance(one, Mapping) else one for one in data)
+        return tuple(Statement.from_json(item) if isinstance(item, Mapping) else item for item in data)
     raise TypeError(f"expected a number, a text or null, found {data!r}")
 
 
@@ -198,28 +196,32 @@ def _has_own_form(kind: Any) -> bool:
 
 @cache
 def _converter() -> Converter:
-    """The converter of all results.  A class with `to_json` and `from_json` is written and read by these."""
+    """The converter of all results; it uses `to_json` and `from_json` of classes that have these methods."""
     from cattrs import Converter
 
-    made = Converter(detailed_validation=True, unstruct_collection_overrides={tuple: list})
+    converter = Converter(detailed_validation=True, unstruct_collection_overrides={tuple: list})
     for kind in _PLAIN:
-        made.register_structure_hook(kind, _plain)
-    made.register_structure_hook(StrEnum, lambda value, kind: kind(value))
-    made.register_structure_hook(np.ndarray, _array)
-    made.register_structure_hook(
+        converter.register_structure_hook(kind, _plain)
+    converter.register_structure_hook(StrEnum, lambda value, kind: kind(value))
+    converter.register_structure_hook(np.ndarray, _array)
+    converter.register_structure_hook(
         float | np.ndarray,
         lambda v, _: _array(v) if isinstance(v, list | tuple | np.ndarray) else _plain(v, float),
     )
-    # with or without what its texts are declared as
-    made.register_structure_hook_func(lambda kind: {bool, Statement} <= set(get_args(kind)), _cell)
-    made.register_unstructure_hook(StrEnum, lambda value: value.value)
-    made.register_unstructure_hook(float, _finite)
-    made.register_unstructure_hook(np.ndarray, _listed)
-    made.register_unstructure_hook(np.floating, lambda value: _finite(float(value)))
-    made.register_unstructure_hook(np.integer, int)
-    made.register_unstructure_hook(np.bool_, bool)
-    made.register_structure_hook_factory(dataclasses.is_dataclass, lambda kind: _read(kind, made))
-    made.register_unstructure_hook_factory(dataclasses.is_dataclass, lambda kind: _write(kind, made))
-    made.register_structure_hook_func(_has_own_form, lambda data, kind: kind.from_json(data))
-    made.register_unstructure_hook_func(_has_own_form, lambda value: made.unstructure(value.to_json()))
-    return made
+    # a `Cell`, whatever its texts are declared as
+    converter.register_structure_hook_func(lambda kind: {bool, Statement} <= set(get_args(kind)), _cell)
+    converter.register_unstructure_hook(StrEnum, lambda value: value.value)
+    converter.register_unstructure_hook(float, _finite)
+    converter.register_unstructure_hook(np.ndarray, _listed)
+    converter.register_unstructure_hook(np.floating, lambda value: _finite(float(value)))
+    converter.register_unstructure_hook(np.integer, int)
+    converter.register_unstructure_hook(np.bool_, bool)
+    converter.register_structure_hook_factory(dataclasses.is_dataclass, lambda kind: _read(kind, converter))
+    converter.register_unstructure_hook_factory(
+        dataclasses.is_dataclass, lambda kind: _write(kind, converter)
+    )
+    converter.register_structure_hook_func(_has_own_form, lambda data, kind: kind.from_json(data))
+    converter.register_unstructure_hook_func(
+        _has_own_form, lambda value: converter.unstructure(value.to_json())
+    )
+    return converter

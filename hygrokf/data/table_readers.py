@@ -50,7 +50,7 @@ def read_table(
     path: text (.csv, .csv.gz, .txt, .tsv) or .parquet (extra `parquet`).
     columns: names of the columns of numbers, and what their texts stand for.
     time_column: name of the column of stamps. Lines above the one that holds this name are skipped.
-    notation: of stamps and numbers. quality: what is stated of that of the readings.
+    notation: of stamps and numbers. quality: what is stated about the quality of the readings.
 
     Rows without a stamp are left out, with a warning. Raises TableFault with every fault found.
     """
@@ -72,17 +72,19 @@ def table_in(
     faults: list[str] = []
     wanted = list(columns)
     if name.lower().endswith(".parquet"):
-        frame, beside = _parquet_source(content, wanted, time_column, quality, faults)
+        frame, quality_of = _parquet_source(content, wanted, time_column, quality, faults)
         places = Places("row", lambda rows: [int(row) + 1 for row in rows])
     else:
-        frame, beside, lines = _csv_source(content, wanted, time_column, notation, quality, faults)
+        frame, quality_of, lines = _csv_source(content, wanted, time_column, notation, quality, faults)
         places = Places("line", lambda rows: [lines[int(row)] for row in rows])
     if len(frame) == 0 and not faults:
         raise TableFault("expected readings, found no row below the header")
     stamps = frame[time_column] if time_column in frame else None
     digest = hashlib.sha256(content).hexdigest()
-    named = f'column "{time_column}"'
-    return table_of(frame, columns, stamps, named, places, notation, quality, beside, faults, digest)
+    description = f'column "{time_column}"'
+    return table_of(
+        frame, columns, stamps, description, places, notation, quality, quality_of, faults, digest
+    )
 
 
 def file_bytes(file: Path) -> bytes:
@@ -92,7 +94,7 @@ def file_bytes(file: Path) -> bytes:
     try:
         content = file.read_bytes()
     except FileNotFoundError:
-        near = [one.name for one in file.parent.iterdir()] if file.parent.is_dir() else []
+        near = [entry.name for entry in file.parent.iterdir()] if file.parent.is_dir() else []
         raise TableFault(f"no such file: {file}{suggestion(file.name, near)}") from None
     except OSError as refused:
         raise TableFault(f"cannot be read: {refused.strerror or refused}") from None
@@ -102,7 +104,7 @@ def file_bytes(file: Path) -> bytes:
 
 
 def unpacked(content: bytes) -> bytes:
-    """The bytes of a file, out of gzip where they are packed.  Raises TableFault."""
+    """The bytes of a file, decompressed if it is gzip.  Raises TableFault."""
     if content[:2] == b"\x1f\x8b":
         try:
             content = gzip.decompress(content)
@@ -124,7 +126,7 @@ _OTHER_KINDS = (
 
 
 def text_of(content: bytes) -> tuple[bytes, str]:
-    """The bytes of a table of text, unpacked, as `decodable` gives them.  Raises TableFault for others."""
+    """The bytes of a table of text and their encoding (see `decodable`).  Raises TableFault for others."""
     content = unpacked(content)
     for mark, kind in _OTHER_KINDS:
         if content.lstrip()[: len(mark)] == mark:
@@ -152,7 +154,7 @@ def csv_rows(content: bytes, encoding: str, separator: str = ",") -> Iterator[tu
 
 
 def too_wide(rows: Iterable[tuple[int, list[str]]], width: int, separator: str, header: str) -> list[str]:
-    """The fault of rows with more cells than the header, whose values would otherwise shift silently.
+    """The fault of rows with more cells than the header, whose values might belong to other columns.
 
     rows: number and cells. header: its place, such as "line 1".
     """
@@ -188,16 +190,18 @@ def _csv_header(
 
 
 def _other_separator(content: bytes, encoding: str, notation: Notation, time_column: str) -> str | None:
-    """The fault of a separator, where another one finds the time column."""
-    for other in SEPARATORS:
+    """The fault of the stated separator, if the header has the time column with another separator."""
+    for candidate in SEPARATORS:
         with suppress(TableFault):
-            found = _csv_header(content, encoding, other, notation.comment, time_column)
-            names = () if found is None else found[1]
-            if found is not None and other != notation.separator and len(names) > 1 and time_column in names:
-                shown = "\\t" if other == "\t" else other
-                comma = ' and, if numbers are written as 1,5, decimal = ","' if other != "," else ""
+            header = _csv_header(content, encoding, candidate, notation.comment, time_column)
+            if header is None or candidate == notation.separator:
+                continue
+            line, names = header
+            if len(names) > 1 and time_column in names:
+                shown = "\\t" if candidate == "\t" else candidate
+                comma = ' and, if numbers are written as 1,5, decimal = ","' if candidate != "," else ""
                 return (
-                    f'line {found[0]}: the columns are separated by "{shown}", not by '
+                    f'line {line}: the columns are separated by "{shown}", not by '
                     f'"{notation.separator}": state separator = "{shown}"{comma} in this source'
                 )
     return None
@@ -211,7 +215,10 @@ def _csv_source(
     quality: StatedQuality,
     faults: list[str],
 ) -> tuple[pandas.DataFrame, dict[str, str], list[int]]:
-    """The wanted columns as texts, missing ones as faults; column -> that of its quality; lines."""
+    """The wanted columns as texts, column -> column of its quality, and the line of each row.
+
+    Missing columns are added to `faults`.
+    """
     import pandas as pd
 
     content, encoding = text_of(content)
@@ -222,13 +229,13 @@ def _csv_source(
         return pd.DataFrame(), {}, []
     line, names = header
     if time_column not in names:
-        other = _other_separator(content, encoding, notation, time_column)
-        faults.append(other or column_fault(time_column, names, f"line {line} has"))
-        if other is not None:
+        separator_fault = _other_separator(content, encoding, notation, time_column)
+        faults.append(separator_fault or column_fault(time_column, names, f"line {line} has"))
+        if separator_fault is not None:
             return pd.DataFrame(), {}, []
-    beside = quality.beside(names, wanted)
-    marks = dict.fromkeys(beside.values())
-    used = [name for name in (time_column, *wanted, *marks) if name != time_column or name in names]
+    quality_of = quality.beside(names, wanted)
+    quality_names = dict.fromkeys(quality_of.values())
+    used = [name for name in (time_column, *wanted, *quality_names) if name != time_column or name in names]
     positions = places_of(used, names, f"line {line} has", faults)
     lines, rows, wide, width = list[int](), list[list[str]](), list[tuple[int, list[str]]](), len(names)
     for number, cells in csv_rows(content, encoding, separator):
@@ -241,15 +248,15 @@ def _csv_source(
         lines.append(number)
         rows.append([cells[place].strip() for place in positions.values()])
     faults += too_wide(wide, width, separator, f"line {line}")
-    # a text that says that there is no reading may say so of its quality too
-    absent = {name: {""} if name in marks else {*MISSING, *notation.missing} for name in positions}
+    # a text for a missing reading may be a mark in a column of quality
+    absent = {name: {""} if name in quality_names else {*MISSING, *notation.missing} for name in positions}
     columns = {
         name: [None if row[place] in absent[name] else row[place] for row in rows]
         for place, name in enumerate(positions)
     }
     frame = pd.DataFrame(columns, dtype=object)
     frame.attrs[HEADER] = names
-    return frame, beside, lines
+    return frame, quality_of, lines
 
 
 def decodable(content: bytes) -> tuple[bytes, str]:
@@ -273,9 +280,9 @@ def decodable(content: bytes) -> tuple[bytes, str]:
 
 
 def parquet_frame(content: bytes, select: Callable[[list[str]], list[str]] | None = None) -> pandas.DataFrame:
-    """A frame of columns of a Parquet file, with the names of all of them.  Raises TableFault.
+    """A frame of columns of a Parquet file, with the names of all its columns.  Raises TableFault.
 
-    select: the columns to read, from the names of all; None: all.
+    select: chooses the columns to read from the names of all columns; None: all.
     """
     try:
         import pyarrow
@@ -299,11 +306,11 @@ def parquet_frame(content: bytes, select: Callable[[list[str]], list[str]] | Non
 def _parquet_source(
     content: bytes, wanted: list[str], time_column: str, quality: StatedQuality, faults: list[str]
 ) -> tuple[pandas.DataFrame, dict[str, str]]:
-    """The wanted columns, missing ones as faults; column -> that of its quality."""
-    beside: dict[str, str] = {}
+    """The wanted columns, and column -> column of its quality; missing columns are added to `faults`."""
+    quality_of: dict[str, str] = {}
 
-    def select(found: list[str]) -> list[str]:
-        beside.update(quality.beside(found, wanted))
-        return [*places_of([time_column, *wanted, *beside.values()], found, "the file has", faults)]
+    def select(names: list[str]) -> list[str]:
+        quality_of.update(quality.beside(names, wanted))
+        return [*places_of([time_column, *wanted, *quality_of.values()], names, "the file has", faults)]
 
-    return parquet_frame(content, select), beside
+    return parquet_frame(content, select), quality_of

@@ -53,7 +53,7 @@ _CAUSES = (
     ("autumn", "spring", "the stamps carry summer-time offsets although the clock has no summer time: "
      "ignore them (ignore_offset = true, timezone = the clock's own fixed offset)"),
 )  # fmt: skip
-"""Season in which a clock lacks an hour, season in which it has one twice, and why."""
+"""Season in which a clock lacks an hour, season in which an hour occurs twice, and the probable cause."""
 
 
 def duration(text: str) -> float:
@@ -61,10 +61,10 @@ def duration(text: str) -> float:
 
     text: a number and one of ms, s, min, h, d. Raises ValueError for anything else.
     """
-    found = _DURATION.match(text) if isinstance(text, str) else None
-    if found is None:
+    match = _DURATION.match(text) if isinstance(text, str) else None
+    if match is None:
         raise ValueError(f'expected a duration such as "30s", "10min" or "1h", found {text!r}')
-    return float(found[1]) * _SECONDS[found[2]]
+    return float(match[1]) * _SECONDS[match[2]]
 
 
 def whole_microseconds(seconds: float) -> float:
@@ -106,16 +106,16 @@ def zone_named(text: str) -> tzinfo:
 
 
 def zone_in_header(text: str) -> str | None:
-    """The zone that the header of a column of stamps names: "+02:00" for "Time (CEST)"; None if none."""
-    found = _HEADER_ZONE.search(text.replace("_", " "))
-    if found is None:
+    """The zone named in the header of a column of stamps, "+02:00" for "Time (CEST)"; None without one."""
+    match = _HEADER_ZONE.search(text.replace("_", " "))
+    if match is None:
         return None
-    hours, minutes = int(found[2] or _CENTRAL_EUROPE_H.get(found[1].upper(), 0)), found[3] or "00"
+    hours, minutes = int(match[2] or _CENTRAL_EUROPE_H.get(match[1].upper(), 0)), match[3] or "00"
     return f"{hours:+03d}:{minutes}" if hours or int(minutes) else "UTC"
 
 
 def time_format_fault(form: str) -> str | None:
-    """The fault of a strptime format that reads the wrong hour, with the remedy; None if it has none."""
+    """The fault of a strptime format that reads the wrong hour, with the remedy; None for other formats."""
     if "%H" in form and "%p" in form:
         return f'time_format = "{form}": %p (AM, PM) is ignored beside %H: write %I for %H'
     if "%I" in form and "%p" not in form:
@@ -124,18 +124,18 @@ def time_format_fault(form: str) -> str | None:
 
 
 def midnight_of(text: str, form: str | None = None) -> str | None:
-    """A stamp at 24:00 as the 00:00 of its day, which is a day earlier; None for any other stamp.
+    """A stamp at 24:00 rewritten as 00:00 of the same day, a day too early; None for any other stamp.
 
     form: its strptime format, None or "" for ISO 8601.
     """
     pattern = r"(.*\d[T ]+)24((?::?00(?::?00(?:\.0+)?)?)?(?:$|[Z+\- ].*))"
     if form:
-        parts = [one for one in re.split(r"(%.)", form) if one]
-        known = {"%Y": r"\d{4}", "%H": ")24(", "%M": "00?", "%S": "00?", "%f": "0+"}
-        pattern = "".join(known.get(one, ".+?" if one[0] == "%" else re.escape(one)) for one in parts)
+        parts = [part for part in re.split(r"(%.)", form) if part]
+        digits_of = {"%Y": r"\d{4}", "%H": ")24(", "%M": "00?", "%S": "00?", "%f": "0+"}
+        pattern = "".join(digits_of.get(part, ".+?" if part[0] == "%" else re.escape(part)) for part in parts)
         pattern = f"({pattern})" if "%H" in form else r"(?!)"
-    found = re.fullmatch(pattern, text.strip())
-    return None if found is None else f"{found[1]}00{found[2]}"
+    match = re.fullmatch(pattern, text.strip())
+    return None if match is None else f"{match[1]}00{match[2]}"
 
 
 def moment(value: Any) -> float:
@@ -193,10 +193,10 @@ def read_stamps(
     ignore_offset: read the stamps without their offset, in `zone`.
     repeated: (N,) True for a row with the readings of the row before; None: for none.
 
-    At the end of summer time, the two passes of the doubled hour are distinguished by the order of the stamps
-    where the file has both: the second begins where they step back, and the end of the hour (03:00) is of the
-    first pass before that.  Ambiguous stamps of that hour, and stamps of the hour that does not exist in
-    spring, are left out (NaN) with a warning.
+    At the end of summer time an hour occurs twice.  If the file has both passes, the order of the stamps
+    distinguishes them: the second pass begins where the stamps step back, and a 03:00 before that ends the
+    first pass.  Ambiguous stamps of this hour, and stamps of the hour that does not exist in spring, are left
+    out (NaN) with a warning.
     """
     import pandas as pd
 
@@ -211,7 +211,8 @@ def read_stamps(
         missing = text.isna().to_numpy()
         if ignore_offset:
             text = text.map(
-                lambda one: _ENDS_IN_OFFSET.sub("", one) if _has_offset(one) else one, na_action="ignore"
+                lambda stamp: _ENDS_IN_OFFSET.sub("", stamp) if _has_offset(stamp) else stamp,
+                na_action="ignore",
             )
         parsed, naive = _parse(text, time_format)
     empty = parsed.isna().to_numpy()
@@ -222,22 +223,22 @@ def read_stamps(
         seconds = _seconds(parsed.dt.tz_convert("UTC").dt.tz_localize(None))
     else:
         seconds = _seconds(parsed)
-    nothing = np.zeros(len(column), dtype=bool)
+    all_false = np.zeros(len(column), dtype=bool)
     if not naive.any():
-        return Stamps(seconds, unreadable, nothing, aware=aware)
+        return Stamps(seconds, unreadable, all_false, aware=aware)
     if zone is None:
         return Stamps(seconds, unreadable, naive)
     local = np.where(naive, seconds, np.nan)
-    utc, warnings = _from_local(local, zone, nothing if repeated is None else repeated)
-    return Stamps(np.where(naive, utc, seconds), unreadable, nothing, warnings)
+    utc, warnings = _from_local(local, zone, all_false if repeated is None else repeated)
+    return Stamps(np.where(naive, utc, seconds), unreadable, all_false, warnings)
 
 
 def fitting_formats(texts: pandas.Series) -> Iterator[str | None]:
     """Formats that read all of these stamps (N,) as times of 1850 to 2200, ISO 8601 (None) first."""
     for form in (None, *FORMATS):
         read = read_stamps(texts, UTC, time_format=form)
-        known = read.time[np.isfinite(read.time)]
-        if not read.unreadable.any() and not np.any((known < EARLIEST_S) | (known > LATEST_S)):
+        seconds = read.time[np.isfinite(read.time)]
+        if not read.unreadable.any() and not np.any((seconds < EARLIEST_S) | (seconds > LATEST_S)):
             yield form
 
 
@@ -249,16 +250,16 @@ def _parse(text: pandas.Series, form: str | None) -> tuple[pandas.Series, np.nda
     failed = (parsed.isna() & text.notna()).to_numpy()
     if failed.any():
         # 24:00 and a trailing "UTC" are common in exports and unambiguous
-        kept = text[failed].astype(str).str.strip()
-        plain = kept.map(lambda one: midnight_of(one, form) or one)
-        midnight = plain != kept
+        unread = text[failed].astype(str).str.strip()
+        rewritten = unread.map(lambda stamp: midnight_of(stamp, form) or stamp)
+        midnight = rewritten != unread
         if form is None:
-            plain = plain.str.replace(r"\s*(?:UTC|GMT)$", "Z", regex=True)
-        repaired, repaired_naive = _parse_as(plain, form)
+            rewritten = rewritten.str.replace(r"\s*(?:UTC|GMT)$", "Z", regex=True)
+        repaired, repaired_naive = _parse_as(rewritten, form)
         if repaired.notna().any():
             repaired = repaired + pd.to_timedelta(midnight.to_numpy().astype(int), unit="D")
             if (parsed.dt.tz is None) != (repaired.dt.tz is None) or parsed.dt.tz is not None:
-                parsed, repaired = (pd.to_datetime(one, utc=True) for one in (parsed, repaired))
+                parsed, repaired = (pd.to_datetime(datetimes, utc=True) for datetimes in (parsed, repaired))
             parsed = parsed.astype(repaired.dtype)
             parsed[failed] = repaired
             naive[failed] = repaired_naive
@@ -317,36 +318,36 @@ def _from_local(local: np.ndarray, zone: tzinfo, repeated: np.ndarray) -> tuple[
         return local - offset.total_seconds(), ()
     # within a doubled hour, summer time is the earlier moment
     first_s, second_s = (_localised(local, zone, summer) for summer in (True, False))
-    # the end of the first pass, which an interval of it may end at: as far behind what comes just before it
+    # 03:00 may also be the end of an interval in the first pass: the instant just before 03:00 locates it
     as_end = np.round(_localised(local - 1e-6, zone, True) + 1e-6, 6)
     ends = (first_s == second_s) & np.isfinite(as_end) & (as_end < first_s)
     warnings = []
-    absent = np.isnan(first_s) & np.isfinite(local)
-    if absent.any():
-        moments = local[absent]
-        days = sorted({stamp_text(one)[:10] for one in moments})
+    in_hole = np.isnan(first_s) & np.isfinite(local)
+    if in_hole.any():
+        moments = local[in_hole]
+        days = sorted({stamp_text(moment)[:10] for moment in moments})
         warnings.append(
-            f"summer-time hole: {absent.sum()} stamps left out, because their hour does not exist "
+            f"summer-time hole: {in_hole.sum()} stamps left out, because their hour does not exist "
             f"in {zone} ({', '.join(days[:4])}{' …' if len(days) > 4 else ''}); if the clock does "
             f'not follow summer time, state its fixed offset, such as timezone = "+01:00"'
         )
     earlier = np.where(ends, as_end, first_s)
     utc = second_s.copy()
-    told_apart, left_out = [], []
+    resolved, left_out = [], []
     doubtful = np.flatnonzero(np.isfinite(first_s) & (earlier != second_s))
     dates = np.flatnonzero(np.abs(np.diff(local[doubtful])) > DAY_S) + 1
     for group in np.split(doubtful, dates) if len(doubtful) else []:
         second, ambiguous = _passes(local, group, repeated), group[~ends[group]]
         if second is not None:
             utc[group[~second]] = earlier[group[~second]]
-            told_apart.append(ambiguous)
+            resolved.append(ambiguous)
         elif len(ambiguous):
             utc[ambiguous] = np.nan
             left_out.append(ambiguous)
-    if told_apart:
-        days = sorted({stamp_text(local[group[0]])[:10] for group in told_apart})
+    if resolved:
+        days = sorted({stamp_text(local[group[0]])[:10] for group in resolved})
         warnings.append(
-            f"summer-time hole: {sum(map(len, told_apart))} stamps of the repeated hour resolved by their "
+            f"summer-time hole: {sum(map(len, resolved))} stamps of the repeated hour resolved by their "
             f"order ({', '.join(days)})"
         )
     if left_out:
@@ -360,25 +361,28 @@ def _from_local(local: np.ndarray, zone: tzinfo, repeated: np.ndarray) -> tuple[
 
 
 def _localised(local: np.ndarray, zone: ZoneInfo, summer: bool) -> np.ndarray:
-    """UTC seconds of local seconds [s], those of a doubled hour in summer time or not; NaN where none is."""
+    """UTC seconds of local seconds [s]; NaN for an hour that does not exist.
+
+    summer: whether stamps of the doubled hour are read in summer time.
+    """
     import pandas as pd
 
     index = pd.DatetimeIndex((local * 1e6).round().astype("datetime64[us]"))
-    found = index.tz_localize(zone, ambiguous=np.full(len(local), summer), nonexistent="NaT")
-    return _seconds(found.tz_convert("UTC").tz_localize(None).to_series())
+    localised = index.tz_localize(zone, ambiguous=np.full(len(local), summer), nonexistent="NaT")
+    return _seconds(localised.tz_convert("UTC").tz_localize(None).to_series())
 
 
 def _passes(local: np.ndarray, group: np.ndarray, repeated: np.ndarray) -> np.ndarray | None:
-    """True for the stamps in the second pass of a doubled hour; None if the order does not tell.
+    """True for the stamps in the second pass of a doubled hour; None if the order does not determine them.
 
-    An equal stamp is a repetition, unless one stamp makes a pass (hourly) and its readings are new.
+    An equal stamp is a repetition, unless the stamps are hourly (one for each pass) and its readings are new.
     """
     steps = np.diff(local[np.isfinite(local)])
     newest_first = len(steps) > 0 and np.median(steps) < 0.0
     rows = group[::-1] if newest_first else group
     steps = np.diff(local[rows])
-    again = repeated[np.maximum(rows[1:], rows[:-1])] | bool(np.any((steps > 0.0) & (steps < HOUR_S)))
-    back = np.flatnonzero((steps < 0.0) | ((steps == 0.0) & ~again))
+    is_repetition = repeated[np.maximum(rows[1:], rows[:-1])] | bool(np.any((steps > 0.0) & (steps < HOUR_S)))
+    back = np.flatnonzero((steps < 0.0) | ((steps == 0.0) & ~is_repetition))
     if len(back) != 1:
         return None
     second = np.arange(len(group)) > back[0]
@@ -403,7 +407,7 @@ def modal_step(time: np.ndarray) -> tuple[float, float]:
 
 
 BY_CHANCE = 0.1
-"""Number of single hours expected to be lost by chance on dates of change above which no warning is given."""
+"""Expected number of chance losses of a single hour on dates of change, above which no warning is given."""
 
 
 def summer_time_holes(time: np.ndarray) -> tuple[str, ...]:
@@ -418,12 +422,12 @@ def summer_time_holes(time: np.ndarray) -> tuple[str, ...]:
         return ()
     steps = np.diff(time)
     gaps = np.flatnonzero(np.abs(steps - (HOUR_S + step)) < 0.01 * step)
-    seen = [change_date(time[index] + step) for index in gaps]
-    other = sum(not season for _, season in seen)
+    gap_dates = [change_date(time[index] + step) for index in gaps]
+    gaps_elsewhere = sum(not season for _, season in gap_dates)
     dates = np.arange(time[0], time[-1], DAY_S)
-    if other * sum(bool(change_date(at)[1]) for at in dates) > BY_CHANCE * len(dates):
-        seen = []
-    gap_days = {name: [day for day, season in seen if season == name] for name in ("spring", "autumn")}
+    if gaps_elsewhere * sum(bool(change_date(moment)[1]) for moment in dates) > BY_CHANCE * len(dates):
+        gap_dates = []
+    gap_days = {name: [day for day, season in gap_dates if season == name] for name in ("spring", "autumn")}
     double_days: dict[str, list[date]] = {"spring": [], "autumn": []}
     doubles = time[1:][steps == 0.0]
     for number in np.unique(np.floor(doubles / DAY_S)):
@@ -432,14 +436,14 @@ def summer_time_holes(time: np.ndarray) -> tuple[str, ...]:
         if season and abs(len(of_day) - HOUR_S / step) < 1.5 and np.ptp(of_day) < HOUR_S:
             double_days[season].append(day)
     warnings = []
-    moved = sorted(set(gap_days["spring"]) & set(double_days["spring"]))
-    if moved:
+    shifted_days = sorted(set(gap_days["spring"]) & set(double_days["spring"]))
+    if shifted_days:
         warnings.append(
-            f"summer-time hole: one hour is missing and the next occurs twice on {_days(moved)}: the "
+            f"summer-time hole: one hour is missing and the next occurs twice on {_days(shifted_days)}: the "
             "export moved the readings of the hour that summer time skips"
         )
     for days in (gap_days["spring"], double_days["spring"]):
-        days[:] = [day for day in days if day not in moved]
+        days[:] = [day for day in days if day not in shifted_days]
     for gap, double, reason in _CAUSES:
         facts = []
         if gap_days[gap]:
@@ -483,12 +487,12 @@ def summer_time(time: np.ndarray, america: bool = False) -> np.ndarray:
 
 @lru_cache(maxsize=64)
 def _turns(year: int, america: bool) -> tuple[float, float]:
-    """Beginning and end of summer time [s]."""
-    turns = ((3, 1, 8.0), (11, 0, 7.0)) if america else ((4, -1, 1.0), (11, -1, 1.0))
-    # a Sunday of a month, counted from 0 on, or the last one of the month before
+    """Beginning and end of summer time in a year [s]."""
+    sundays = ((3, 1, 8.0), (11, 0, 7.0)) if america else ((4, -1, 1.0), (11, -1, 1.0))
+    # (month, offset, hour): offset 0 is the month's first Sunday, −1 the last Sunday of the previous month
     begin, end = (
-        np.busday_offset(f"{year}-{month:02d}-01", which, roll="forward", weekmask="Sun").astype(int) * DAY_S
+        np.busday_offset(f"{year}-{month:02d}-01", offset, roll="forward", weekmask="Sun").astype(int) * DAY_S
         + hour * HOUR_S
-        for month, which, hour in turns
+        for month, offset, hour in sundays
     )
     return float(begin), float(end)

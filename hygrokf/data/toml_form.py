@@ -8,7 +8,8 @@
 value: text, a number, a whole number, true or false, a tuple (a list of these, or of tables [[key]]), a
 dataclass (a table) or a mapping of dataclasses (a table of named tables).  Methods marked by `across` check
 several keys together, if none of them is at fault.  A form's `REFUSED` gives the message for keys that a user
-may expect but that do not exist; its `OF` ends "unknown key …" in place of the table's own phrase.
+may expect but that do not exist.  A form's `OF` completes the message "unknown key …", such as " of [test]",
+and takes precedence over `Place.of`.
 """
 
 from __future__ import annotations
@@ -53,7 +54,7 @@ class FormFault(HygrokfError):
         super().__init__("\n".join([f"{file}: {count}", *listed]))
 
     def __reduce__(self) -> tuple[type[FormFault], tuple[str, tuple[str, ...]]]:
-        return type(self), (self.file, self.faults)  # so that it can return from a worker process
+        return type(self), (self.file, self.faults)  # a worker process can return the fault
 
 
 # --- the keys of a form ----------------------------------------------------------------------
@@ -102,7 +103,7 @@ class Key:
 
 
 def setting(default: Any = MISSING, help: str = "", **stated: Any) -> Any:
-    """A field of a form: default (without one the key is required), meaning, and the rest of its `Key`."""
+    """A field of a form: default (a key without one is required), meaning, further fields of its `Key`."""
     metadata = {STATED: Key(help, **{"empty": isinstance(default, str) and not default, **stated})}
     if isinstance(default, type):
         return dataclasses.field(default_factory=default, metadata=metadata)
@@ -110,56 +111,59 @@ def setting(default: Any = MISSING, help: str = "", **stated: Any) -> Any:
 
 
 def entry_name(read: Callable[[str], Any] = str) -> Any:
-    """A field of a form in a table of named tables that holds the name; `read` raises ValueError."""
+    """The field of a form that holds the name of its named table; `read` converts it, raises ValueError."""
     return dataclasses.field(metadata={OF_ENTRY: True, STATED: Key(read=read)})
 
 
 @dataclass(frozen=True, kw_only=True)
 class FolderKeys:
-    """A table that names files, whose paths are relative to the `folder` of its own file."""
+    """A table that names files; their paths are relative to `folder`, the folder of the TOML file."""
 
     folder: Path = field(default=Path(), metadata={OF_ENTRY: True})
 
     def path(self, key: str) -> Path | None:
-        """The file that a key names; None for none."""
+        """The path of the file that a key names; None where the key is empty."""
         return self.folder / getattr(self, key) if getattr(self, key) else None
 
 
 def across(*keys: str) -> Callable[[Check], Check]:
-    """Mark a method of a form that checks these keys, if none of them is missing or at fault.
+    """Mark a method of a form as a check of these keys; it runs if none of them is missing or at fault.
 
-    The first of them that the table has gives the fault its place.
+    Its faults are reported at the first of these keys that the table has.
     """
 
-    def marked(check: Check) -> Check:
+    def mark(check: Check) -> Check:
         setattr(check, "keys", keys)  # noqa: B010
         return check
 
-    return marked
+    return mark
 
 
 @cache
 def keys_of(form: Any) -> Mapping[str, tuple[dataclasses.Field[Any], Key, Any]]:
     """The keys of a form by their names in the file: field, declaration, type without None.
 
-    A value with its own reader is written with its unit, so its key has no "_s" for seconds.
+    The text of a value with its own reader states the unit ("10min"), so its key has no "_s" for seconds.
     """
-    found, hints = {}, get_type_hints(form)
-    for one in sorted(dataclasses.fields(form), key=lambda one: one.kw_only is True):  # of a base
-        stated = one.metadata.get(STATED, Key())
-        if not one.metadata.get(OF_ENTRY):
-            kinds = [kind for kind in get_args(hints[one.name]) if kind is not type(None)]
-            optional = len(kinds) == 1 and type(None) in get_args(hints[one.name])
-            name = one.name if stated.read is None else one.name.removesuffix("_s")
-            found[name] = (one, stated, kinds[0] if optional else hints[one.name])
-    return found
+    keys, hints = {}, get_type_hints(form)
+    # keyword-only fields are those of a base: they come last
+    for declared in sorted(dataclasses.fields(form), key=lambda declared: declared.kw_only is True):
+        stated = declared.metadata.get(STATED, Key())
+        if not declared.metadata.get(OF_ENTRY):
+            kinds = [kind for kind in get_args(hints[declared.name]) if kind is not type(None)]
+            optional = len(kinds) == 1 and type(None) in get_args(hints[declared.name])
+            name = declared.name if stated.read is None else declared.name.removesuffix("_s")
+            keys[name] = (declared, stated, kinds[0] if optional else hints[declared.name])
+    return keys
 
 
 @cache
 def _checks(form: Any) -> list[tuple[tuple[str, ...], Check]]:
     """The checks across keys of a form, those that it inherits first."""
-    members = [one for kind in reversed(form.__mro__) for one in vars(kind).values() if callable(one)]
-    return [(one.keys, one) for one in members if isinstance(getattr(one, "keys", None), tuple)]
+    members = [
+        member for kind in reversed(form.__mro__) for member in vars(kind).values() if callable(member)
+    ]
+    return [(check.keys, check) for check in members if isinstance(getattr(check, "keys", None), tuple)]
 
 
 # --- places in messages ----------------------------------------------------------------------
@@ -167,27 +171,27 @@ def _checks(form: Any) -> list[tuple[tuple[str, ...], Check]]:
 
 def lines_of(text: str) -> dict[TablePath, int]:
     """The line of each table and key of a TOML text, counted from 1; keys of inline tables are left out."""
-    found: dict[TablePath, int] = {}
+    lines: dict[TablePath, int] = {}
     counts: dict[TablePath, int] = {}
     table: TablePath = ()
     for number, line in enumerate(text.splitlines(), 1):
         head, key = _HEAD.match(line), _KEY.match(line)
         if head is not None:
-            table = _numbered(_split(head[2]), counts, head[1] == "[[")
-            found.setdefault(table, number)
+            table = _table_path(_split(head[2]), counts, head[1] == "[[")
+            lines.setdefault(table, number)
         elif key is not None:
             names = _split(key[1])
             for length in range(len(names)):
-                found.setdefault((*table, *names[: length + 1]), number)
-    return found
+                lines.setdefault((*table, *names[: length + 1]), number)
+    return lines
 
 
 def _split(names: str) -> list[str]:
-    return [one.strip("\"'") for one in re.findall(_NAME, names)]
+    return [name.strip("\"'") for name in re.findall(_NAME, names)]
 
 
-def _numbered(names: list[str], counts: dict[TablePath, int], begins: bool) -> TablePath:
-    """The path of a table's head: of several [[name]] the newest is meant, or with `begins` a new one."""
+def _table_path(names: list[str], counts: dict[TablePath, int], begins: bool) -> TablePath:
+    """The path of a table's head; [[name]] counts as the newest of its name, with `begins` as a new one."""
     path: TablePath = ()
     for place, name in enumerate(names, 1):
         path = (*path, name)
@@ -200,11 +204,11 @@ def _numbered(names: list[str], counts: dict[TablePath, int], begins: bool) -> T
 
 @dataclass(frozen=True)
 class Place:
-    """A table in messages, such as "[test]" or "line 7, [[turbine]] 2", and the faults found so far.
+    """How messages name a table, such as "[test]" or "line 7, [[turbine]] 2", and the faults so far.
 
     name: of the table; empty for the file itself. of: the table as the end of "unknown key …". faults: of the
-    whole file. lines: of the file's tables and keys, where they are named. path: of the table. file: its
-    name, where messages begin with it.
+    whole file. lines: line numbers of tables and keys, if messages give them. path: of the table. file: name
+    of the file, if messages begin with it.
     """
 
     name: str = ""
@@ -215,36 +219,37 @@ class Place:
     file: str = ""
 
     def at(self, *keys: str) -> str:
-        """The place of the first of these keys that is found, or of the table."""
+        """The place of the first of these keys whose line is known, else of the table."""
         around = (self.path[:length] for length in range(len(self.path), 0, -1))
         # a key of an inline table stands on the line of that table
         places = (*((*self.path, key) for key in keys), *around)
-        line = next((self.lines[one] for one in places if one in self.lines), None)
+        line = next((self.lines[place] for place in places if place in self.lines), None)
         return ", ".join(filter(None, (self.file, "" if line is None else f"line {line}", self.name)))
 
     def fault(self, text: str, *keys: str) -> None:
-        """Add a fault with the place of the first of these keys that is found."""
+        """Add a fault at the place that `at` gives for these keys."""
         where = self.at(*keys)
         self.faults.append(f"{where}: {text}" if where else text)
 
     def table(self, key: str) -> str:
-        """The head of the table under a key, such as " [site]", where it has one."""
+        """The head of the table under a key, such as " [site]"; empty inside another table."""
         return "" if self.name else f" [{key}]"
 
     def needs(self, key: str, stated: Key) -> str:
         """The fault of a key that is missing."""
-        said = f"one of {', '.join(stated.choices)}" if stated.choices else stated.help
-        said = said if stated.lacking is None else stated.lacking(self)
-        return f"needs {key}, {said}" if said else f"needs {key}"
+        meaning = f"one of {', '.join(stated.choices)}" if stated.choices else stated.help
+        meaning = meaning if stated.lacking is None else stated.lacking(self)
+        return f"needs {key}, {meaning}" if meaning else f"needs {key}"
 
     def inside(self, key: str, number: int | None = None, entry: str | None = None) -> Place:
-        """The table under a key; `number` counts several [[key]] from 0; `entry` names a table inside it."""
+        """The place of the table under a key; `number` counts the tables [[key]] from 0, `entry` names a
+        table inside."""
         name = f"{self.name} {key}" if self.name else f"[{key}]"
         if number is not None:
             name = f"[[{key}]] {number + 1}"
         elif entry is not None:
             name = f"{name}.{entry}"
-        within = (one for one in (number, entry) if one is not None)
+        within = (step for step in (number, entry) if step is not None)
         return dataclasses.replace(self, name=name, path=(*self.path, key, *within))
 
 
@@ -259,9 +264,9 @@ def read_toml(
     try:
         text = file.read_bytes().decode("utf-8-sig")
     except FileNotFoundError:
-        near = [one.name for one in file.parent.glob("*.toml")] if file.parent.is_dir() else []
-        said = f"cannot be read: No such file; check the path{suggestion(file.name, near)}"
-        raise fault_class(file, [said]) from None
+        near = [form_file.name for form_file in file.parent.glob("*.toml")] if file.parent.is_dir() else []
+        fault = f"cannot be read: No such file; check the path{suggestion(file.name, near)}"
+        raise fault_class(file, [fault]) from None
     except OSError as fault:
         remedies = {IsADirectoryError: "name a file in it", PermissionError: "check its rights"}
         remedy = remedies.get(type(fault), "check path and disk")
@@ -278,12 +283,12 @@ def read_toml(
 
 def syntax_fault(reason: str, text: str) -> str:
     """The fault of invalid TOML, with its line."""
-    found = re.search(r"\(at line (\d+), column (\d+)\)", reason)
+    position = re.search(r"\(at line (\d+), column (\d+)\)", reason)
     reason = re.sub(r"\s*\(at [^)]*\)$", "", reason)
     if twice := re.search(r"\('(\w+)',\)", reason):
         reason += f"; write [[{twice[1]}]] with two brackets, once for each"
-    if found is not None:
-        number, where = int(found[1]), f"line {found[1]}, column {found[2]}"
+    if position is not None:
+        number, where = int(position[1]), f"line {position[1]}, column {position[2]}"
     else:
         # the parser gives no line for a fault at the end of the document
         number = len(text.rstrip().splitlines())
@@ -296,10 +301,10 @@ def syntax_fault(reason: str, text: str) -> str:
 def read_toml_form(form: type[T], path: str | os.PathLike[str]) -> T:
     """The form of a file.  Raises FormFault with every fault."""
     place = Place()
-    found = read_form(form, read_toml(path)[1], place)
+    result = read_form(form, read_toml(path)[1], place)
     if place.faults:
         raise FormFault(path, place.faults)
-    return found
+    return result
 
 
 def read_form(form: type[T], table: Mapping[str, object], place: Place, **named: object) -> T:
@@ -307,43 +312,43 @@ def read_form(form: type[T], table: Mapping[str, object], place: Place, **named:
 
     place: of the table in messages. named: fields that are not in the table.
     """
-    known = keys_of(cast(Any, form))
+    keys = keys_of(cast(Any, form))
     refused: Mapping[str, str] = getattr(form, "REFUSED", {})
     for name in table:
-        if name not in known:
-            of, near = getattr(form, "OF", place.of), suggestion(str(name), known)
-            unknown = f'unknown key "{name}"{of}; expected {", ".join(known)}{near}'
+        if name not in keys:
+            of, near = getattr(form, "OF", place.of), suggestion(str(name), keys)
+            unknown = f'unknown key "{name}"{of}; expected {", ".join(keys)}{near}'
             place.fault(refused.get(name, unknown), name)
-    wrong: set[str] = set()
+    faulty: set[str] = set()
     values = dict(named)
-    for name, (one, stated, kind) in known.items():
+    for name, (declared, stated, kind) in keys.items():
         before = len(place.faults)
-        needed = one.default is MISSING and one.default_factory is MISSING
+        needed = declared.default is MISSING and declared.default_factory is MISSING
         try:
             if name in table:
-                values[one.name] = _value(name, table[name], kind, stated, place)
+                values[declared.name] = _value(name, table[name], kind, stated, place)
             elif needed:
                 place.fault(place.needs(name, stated))
-            elif _is_form(one.default_factory):  # a table that is left out is an empty one
-                values[one.name] = read_form(kind, {}, place.inside(name))
+            elif _is_form(declared.default_factory):  # a table that is left out is an empty one
+                values[declared.name] = read_form(kind, {}, place.inside(name))
         except ValueError as fault:
             place.fault(str(fault), name)
         if len(place.faults) > before:
-            wrong.add(name)
+            faulty.add(name)
             if needed:
-                values.setdefault(one.name, BLANKS.get(kind))
+                values.setdefault(declared.name, BLANKS.get(kind))
     try:
-        made = form(**values)
+        result = form(**values)
     except ValueError as fault:
-        if not wrong:
-            place.fault(str(fault), *known)
+        if not faulty:
+            place.fault(str(fault), *keys)
         return cast(T, None)
-    for keys, check in _checks(cast(Any, form)):
-        if wrong.isdisjoint(keys):
-            said = check(made) or ()
-            for text in [said] if isinstance(said, str) else said:
-                place.fault(text, *(name for name in keys if name in table))
-    return made
+    for checked, check in _checks(cast(Any, form)):
+        if faulty.isdisjoint(checked):
+            messages = check(result) or ()
+            for text in [messages] if isinstance(messages, str) else messages:
+                place.fault(text, *(name for name in checked if name in table))
+    return result
 
 
 def _value(name: str, value: Any, kind: Any, stated: Key, place: Place) -> Any:
@@ -354,46 +359,48 @@ def _value(name: str, value: Any, kind: Any, stated: Key, place: Place) -> Any:
             return read_form(kind, value, place.inside(name))
         raise ValueError(f"{name} must be a table{place.table(name)}, found {value!r}")
     if get_origin(kind) is Mapping and inner[1] is not Any:
-        return _named(name, value, inner[1], place)
+        return _read_named_tables(name, value, inner[1], place)
     if inner and (_is_form(inner[0]) or get_origin(inner[0]) is Mapping):
-        return _rows(name, value, inner[0], place)
+        return _read_tables(name, value, inner[0], place)
     try:
-        made = stated.read(value) if stated.read is not None else _plain(value, kind, stated)
-        if (stated.fits is None or stated.fits(made)) and (stated.read is None or stated.within(made)):
-            return made
+        converted = stated.read(value) if stated.read is not None else _plain(value, kind, stated)
+        if (stated.fits is None or stated.fits(converted)) and (
+            stated.read is None or stated.within(converted)
+        ):
+            return converted
     except ValueError as fault:
         raise ValueError(f"{name}: {fault}") from None
     except (TypeError, OverflowError):
         pass
     near = suggestion(value, stated.choices) if isinstance(value, str) else ""
-    found = f'"{value}"' if stated.choices and isinstance(value, str) else shown(value)
+    value_text = f'"{value}"' if stated.choices and isinstance(value, str) else shown(value)
     remedy = f"; {stated.remedy}" if stated.remedy else ""
-    raise ValueError(f"{name} must be {_words(kind, stated)}, found {found}{near}{remedy}")
+    raise ValueError(f"{name} must be {_expected_value(kind, stated)}, found {value_text}{near}{remedy}")
 
 
-def _rows(name: str, value: Any, form: Any, place: Place) -> tuple[Any, ...]:
-    """The tables [[name]], as they are or as forms; a single table [name] is at fault, but read."""
+def _read_tables(name: str, value: Any, form: Any, place: Place) -> tuple[Any, ...]:
+    """The tables [[name]], as mappings or as forms; a single table [name] is a fault, but is read too."""
     rows = [value] if isinstance(value, Mapping) else value
-    good = isinstance(rows, list) and all(isinstance(one, Mapping) for one in rows)
-    if not good or rows is not value:
+    is_list_of_tables = isinstance(rows, list) and all(isinstance(row, Mapping) for row in rows)
+    if not is_list_of_tables or rows is not value:
         place.fault(f"{name}: write [[{name}]] with two brackets, once for each", name)
-    if not good or not _is_form(form):
-        return tuple(rows) if good else ()
-    return tuple(read_form(form, one, place.inside(name, number)) for number, one in enumerate(rows))
+    if not is_list_of_tables or not _is_form(form):
+        return tuple(rows) if is_list_of_tables else ()
+    return tuple(read_form(form, row, place.inside(name, number)) for number, row in enumerate(rows))
 
 
 def _is_form(kind: object) -> bool:
     return isinstance(kind, type) and dataclasses.is_dataclass(kind)
 
 
-def _named(name: str, value: Any, form: Any, place: Place) -> Mapping[str, Any]:
+def _read_named_tables(name: str, value: Any, form: Any, place: Place) -> Mapping[str, Any]:
     """The named tables under a key, without those whose name is at fault."""
     if not isinstance(value, Mapping):
         raise ValueError(f"{name} must be a table{place.table(name)}, found {value!r}")
-    title = next(one for one in dataclasses.fields(form) if one.metadata.get(OF_ENTRY))
-    needed = (f"{one} = …" for one, (stated, *_) in keys_of(form).items() if stated.default is MISSING)
+    title = next(declared for declared in dataclasses.fields(form) if declared.metadata.get(OF_ENTRY))
+    needed = (f"{key} = …" for key, (stated, *_) in keys_of(form).items() if stated.default is MISSING)
     shape = f"expected {{ {', '.join(needed)} }}"
-    found: dict[str, Any] = {}
+    entries: dict[str, Any] = {}
     for entry, table in value.items():
         inside = place.inside(name, entry=entry)
         try:
@@ -402,38 +409,38 @@ def _named(name: str, value: Any, form: Any, place: Place) -> Mapping[str, Any]:
             inside.fault(str(fault))
             continue
         if isinstance(table, Mapping):
-            found[entry] = read_form(form, table, inside, **named)
+            entries[entry] = read_form(form, table, inside, **named)
         else:
             inside.fault(f"{shape}, found {shown(table)}")
-    return found
+    return entries
 
 
 def _plain(value: Any, kind: Any, stated: Key) -> Any:
     """A value of a plain type.  Raises TypeError for another type."""
     if kind is Any or get_origin(kind) is Mapping:
-        good = kind is Any or isinstance(value, Mapping)
+        is_valid = kind is Any or isinstance(value, Mapping)
     elif stated.choices and kind is str:
-        good = isinstance(value, str) and value in stated.choices
+        is_valid = isinstance(value, str) and value in stated.choices
     elif isinstance(kind, type) and issubclass(kind, StrEnum):
-        good = value in list(kind)
-        value = kind(value) if good else value
+        is_valid = value in list(kind)
+        value = kind(value) if is_valid else value
     elif kind in (float, int):
         number = isinstance(value, numbers.Integral if kind is int else numbers.Real)
-        good = number and not isinstance(value, bool) and math.isfinite(value) and stated.within(value)
-        value = kind(value) if good else value
+        is_valid = number and not isinstance(value, bool) and math.isfinite(value) and stated.within(value)
+        value = kind(value) if is_valid else value
     elif kind in (str, bool):
-        good = isinstance(value, kind) and (value != "" or stated.empty)
+        is_valid = isinstance(value, kind) and (value != "" or stated.empty)
     else:
         inner = get_args(kind)
-        good = isinstance(value, (list, tuple)) and (inner[1] is ... or len(value) == len(inner))
-        value = tuple(_plain(one, inner[0], stated) for one in value) if good else value
-        good = good and (inner[1] is ... or value[0] < value[1])
-    if not good:
+        is_valid = isinstance(value, (list, tuple)) and (inner[1] is ... or len(value) == len(inner))
+        value = tuple(_plain(item, inner[0], stated) for item in value) if is_valid else value
+        is_valid = is_valid and (inner[1] is ... or value[0] < value[1])
+    if not is_valid:
         raise TypeError
     return value
 
 
-def _words(kind: Any, stated: Key) -> str:
+def _expected_value(kind: Any, stated: Key) -> str:
     """Description of a valid value."""
     inner = get_args(kind)
     if stated.expected or stated.choices:

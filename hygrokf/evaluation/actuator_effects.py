@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -33,10 +33,10 @@ class EstimatedChange:
 
 @dataclass(frozen=True)
 class ActuatorEffect:
-    """What a logged actuator changes in the cabinet while it is on.
+    """The change that a logged actuator causes in the cabinet while it is on.
 
-    `used`: whether the model has it; `statement`: how it acts, or why it is left out; `on_share`: share of
-    the time that it is on [1]; `changes`: by quantity, None where the model does not have it.
+    `used`: whether the model has the actuator; `statement`: how it acts, or why the model leaves it out;
+    `on_share`: share of the time during which it is on [1]; `changes`: by quantity, None if it is not used.
     """
 
     signal: Name
@@ -53,16 +53,18 @@ def actuator_effects(
 
     The bounds come from free runs at the bounds of its parameters.
     """
-    mechanisms = {one.name: one for one in design.model.mechanisms}
-    found = []
-    for one in actuators(run.record):
-        names = [pair[0] for pair in (one.thermal, one.hygric) if pair is not None and pair[0] in mechanisms]
-        known = [
-            p for name in names if one.signal in mechanisms[name].inputs for p in mechanisms[name].parameters
-        ]
-        share, changes = _effects(design, values, errors, run, one, known) if known else (math.nan, None)
-        found.append(ActuatorEffect(one.signal, bool(known), one.statement, share, changes))
-    return tuple(found)
+    mechanisms = {mechanism.name: mechanism for mechanism in design.model.mechanisms}
+    effects = []
+    for actuator in actuators(run.record):
+        names = [chosen[0] for chosen in (actuator.thermal, actuator.hygric) if chosen is not None]
+        acting = [mechanisms[name] for name in names if name in mechanisms]
+        parameters = [p for part in acting if actuator.signal in part.inputs for p in part.parameters]
+        effect = ActuatorEffect(actuator.signal, bool(parameters), actuator.statement)
+        if parameters:
+            share, changes = _effects(design, values, errors, run, actuator, parameters)
+            effect = replace(effect, on_share=share, changes=changes)
+        effects.append(effect)
+    return tuple(effects)
 
 
 def _effects(
@@ -70,20 +72,19 @@ def _effects(
     values: Mapping[str, float],
     errors: Mapping[str, float],
     run: Run,
-    one: Actuator,
-    known: Sequence[Parameter],
+    actuator: Actuator,
+    parameters: Sequence[Parameter],
 ) -> tuple[float, dict[str, EstimatedChange]]:
-    """Share of the time that an actuator is on, and the changes that its parameters cause during that
-    time."""
+    """Share of time [1] during which an actuator is on, and the changes that its parameters cause then."""
     step = np.diff(run.timeline.time, prepend=run.timeline.time[0])
-    weight = np.where(run.timeline.input(one.signal) > one.half, step, 0.0)
+    weight = np.where(run.timeline.input(actuator.signal) > actuator.half, step, 0.0)
     share = float(weight.sum() / max(step.sum(), 1e-9))
     if share == 0.0:
         return 0.0, {}
 
-    def means(at: Mapping[str, float]) -> dict[str, float]:
+    def means(changed: Mapping[str, float]) -> dict[str, float]:
         """Mean of each quantity while the actuator is on."""
-        prediction = free_run(design, {**values, **at}, run)
+        prediction = free_run(design, {**values, **changed}, run)
         pairs = {name: prediction.of(name) for name in QUANTITIES}
         return {
             name: float(np.average(pair[0], weights=weight))
@@ -91,21 +92,21 @@ def _effects(
             if pair is not None
         }
 
-    def moved(sign: float) -> dict[str, float]:
+    def at_bound(sign: float) -> dict[str, float]:
         return {
             p.name: min(
                 max(values[p.name] + sign * normal_quantile(LEVEL) * errors[p.name], p.lower), p.upper
             )
-            for p in known
+            for p in parameters
         }
 
-    without, now = means(dict.fromkeys((p.name for p in known), 0.0)), means({})
-    bounded = all(math.isfinite(errors.get(p.name, math.nan)) for p in known)
-    ends = [means(moved(sign)) for sign in (-1.0, 1.0)] if bounded else []
+    without, actual = means(dict.fromkeys((p.name for p in parameters), 0.0)), means({})
+    has_errors = all(math.isfinite(errors.get(p.name, math.nan)) for p in parameters)
+    means_at_bounds = [means(at_bound(sign)) for sign in (-1.0, 1.0)] if has_errors else []
     changes = {}
-    for name in now:
+    for name in actual:
         # two parameters together need not act monotonically
-        reached = [at[name] - without[name] for at in (now, *ends)]
-        bounds = (min(reached), max(reached)) if ends else (math.nan, math.nan)
-        changes[name] = EstimatedChange(reached[0], *bounds)
+        differences = [with_actuator[name] - without[name] for with_actuator in (actual, *means_at_bounds)]
+        bounds = (min(differences), max(differences)) if means_at_bounds else (math.nan, math.nan)
+        changes[name] = EstimatedChange(differences[0], *bounds)
     return share, changes

@@ -1,8 +1,8 @@
-"""Resampling of correlated errors: their memory, blocks of them, and bounds of root mean squared errors.
+"""Block bootstrap of correlated errors, and bounds of root mean squared errors.
 
 The errors of a free run are correlated over half a day and more, so readings are not independent.  Circular
-blocks of the squared errors give the uncertainty of a root mean squared error, and of the difference of two
-on the same instants.
+blocks of the squared errors give the uncertainty of a root mean squared error, and of the difference between
+two root mean squared errors on the same instants.
 
 Shapes: n bins of equal length, T instants, k columns of errors, B draws.
 
@@ -29,29 +29,29 @@ LEAST_BLOCK_H = 24.0
 BLOCKS_PER_TIME = 4.0
 """Length of blocks in integral times."""
 SHORT_HOLE = 6
-"""Longest hole, in bins, that is bridged by a straight line before the memory is estimated."""
+"""Longest hole, in bins, that is interpolated before the correlation time is estimated."""
 DRAWS = 600
 """Draws of blocks for bounds of root mean squared errors."""
 FEWEST_BLOCKS = 4.0
 """Effective number of blocks below which no bounds are given."""
 MOST_LOST = 0.5
-"""Largest share of the variance for which the shortness of blocks is corrected."""
+"""Largest share of the variance by which the bounds are corrected for the finite length of the blocks."""
 
 
 # --- memory ----------------------------------------------------------------------------------
 
 
 def bridged(values: np.ndarray) -> np.ndarray:
-    """Deviations (n,) from the mean; short holes bridged by straight lines, long ones zero."""
-    known = np.isfinite(values)
-    if not known.any():
+    """Deviations (n,) from the mean: short holes are interpolated linearly, longer holes are zero."""
+    is_known = np.isfinite(values)
+    if not is_known.any():
         return np.zeros(len(values))
-    centred = values - float(np.mean(values[known]))
-    place = np.arange(len(values))
-    line = np.interp(place, place[known], centred[known])
-    last = np.maximum.accumulate(np.where(known, place, -len(values)))
-    following = np.minimum.accumulate(np.where(known, place, 2 * len(values))[::-1])[::-1]
-    return np.where(following - last <= SHORT_HOLE, line, np.where(known, centred, 0.0))
+    centred = values - float(np.mean(values[is_known]))
+    index = np.arange(len(values))
+    interpolated = np.interp(index, index[is_known], centred[is_known])
+    last = np.maximum.accumulate(np.where(is_known, index, -len(values)))
+    following = np.minimum.accumulate(np.where(is_known, index, 2 * len(values))[::-1])[::-1]
+    return np.where(following - last <= SHORT_HOLE, interpolated, np.where(is_known, centred, 0.0))
 
 
 def integral_time_h(values: np.ndarray, step_h: float = 1.0) -> float:
@@ -97,8 +97,8 @@ def prediction_error(centred: np.ndarray, known: np.ndarray, phi: np.ndarray) ->
 class Resampled:
     """Root mean squared errors (k,) of columns on the same instants, with B draws (B, k) of them.
 
-    `n` readings; `blocks` effective number of blocks that contain them; `lost` [1] share of the variance that
-    blocks of their length miss.
+    `n` readings; `blocks` effective number of blocks with readings; `lost` [1] share of the variance that is
+    due to correlation beyond the length of a block.
     """
 
     value: np.ndarray
@@ -110,31 +110,31 @@ class Resampled:
     def bounds(self, column: int) -> tuple[float, float] | None:
         """95 % bounds of one error, symmetric in its logarithm; None where there are too few blocks."""
         value = float(self.value[column])
-        reach = self._reach(np.log(np.maximum(self.draws[:, column], 1e-300)))
-        if value <= 0 or reach is None:
+        half_width = self._half_width(np.log(np.maximum(self.draws[:, column], 1e-300)))
+        if value <= 0 or half_width is None:
             return None
-        return value * math.exp(-reach), value * math.exp(reach)
+        return value * math.exp(-half_width), value * math.exp(half_width)
 
     def difference(self, first: int, second: int) -> tuple[float, float, float] | None:
         """The first error minus the second with bounds (value, lower, upper); None where there are too few
         blocks."""
         value = float(self.value[first] - self.value[second])
-        reach = self._reach(self.draws[:, first] - self.draws[:, second])
-        return None if reach is None else (value, value - reach, value + reach)
+        half_width = self._half_width(self.draws[:, first] - self.draws[:, second])
+        return None if half_width is None else (value, value - half_width, value + half_width)
 
     def skill(self, column: int, rule: int) -> tuple[float, float, float] | None:
-        """1 − MSE/MSE of a rule (value, lower, upper), with bounds symmetric in the ratio's logarithm; None
-        as for `bounds`."""
+        """1 − MSE/MSE of a rule as (value, lower, upper), with bounds symmetric in the ratio's logarithm;
+        None where there are too few blocks."""
         if not (self.value[column] > 0 and self.value[rule] > 0):
             return None
         ratio = 2.0 * math.log(self.value[column] / self.value[rule])
         draws = np.log(np.maximum(self.draws, 1e-300))
-        reach = self._reach(2.0 * (draws[:, column] - draws[:, rule]))
-        if reach is None:
+        half_width = self._half_width(2.0 * (draws[:, column] - draws[:, rule]))
+        if half_width is None:
             return None
-        return -math.expm1(ratio), -math.expm1(ratio + reach), -math.expm1(ratio - reach)
+        return -math.expm1(ratio), -math.expm1(ratio + half_width), -math.expm1(ratio - half_width)
 
-    def _reach(self, draws: np.ndarray) -> float | None:
+    def _half_width(self, draws: np.ndarray) -> float | None:
         """Half the width of bounds: Student's quantile for the number of blocks, times the spread of the
         draws; None where there are too few blocks.
 
@@ -155,34 +155,34 @@ def resampled(
 
     Only instants at which every column has an error are used, so that differences are comparable.  `length_h`
     [h] of the blocks; by default four integral times of the slowest column's errors, at least a day and at
-    most a tenth of the span. Hours without errors are drawn too, with zero weight.  None where there is no
-    such instant.
+    most a tenth of the span. Hours without errors are drawn too, with zero weight.  None if no instant has an
+    error in every column.
     """
-    there = np.isfinite(errors).all(axis=1)
-    if not there.any():
+    is_complete = np.isfinite(errors).all(axis=1)
+    if not is_complete.any():
         return None
-    hour = np.floor(time_s[there] / HOUR_S).astype(np.int64)
+    hour = np.floor(time_s[is_complete] / HOUR_S).astype(np.int64)
     hour -= hour.min()
-    size, kept = int(hour.max()) + 1, errors[there]
-    number = np.bincount(hour, minlength=size).astype(float)
-    sums = np.column_stack([np.bincount(hour, column, size) for column in kept.T])
-    squares = np.column_stack([np.bincount(hour, column**2, size) for column in kept.T])
-    means = np.where(number[:, None] > 0, sums / np.maximum(number, 1.0)[:, None], np.nan)
+    size, complete_errors = int(hour.max()) + 1, errors[is_complete]
+    counts = np.bincount(hour, minlength=size).astype(float)
+    sums = np.column_stack([np.bincount(hour, column, size) for column in complete_errors.T])
+    squares = np.column_stack([np.bincount(hour, column**2, size) for column in complete_errors.T])
+    means = np.where(counts[:, None] > 0, sums / np.maximum(counts, 1.0)[:, None], np.nan)
     if length_h is None:
         length_h = max(block_h(column) for column in means.T)
     length = int(min(max(round(length_h), 1), size))
-    groups = np.add.reduceat(number, np.arange(0, size, length))
+    groups = np.add.reduceat(counts, np.arange(0, size, length))
     blocks = float(groups.sum()) ** 2 / float((groups**2).sum())
-    table = np.column_stack([number, squares])
+    columns = np.column_stack([counts, squares])
     running = np.concatenate(
-        [np.zeros((1, table.shape[1])), np.cumsum(np.vstack([table, table[:length]]), axis=0)]
+        [np.zeros((1, columns.shape[1])), np.cumsum(np.vstack([columns, columns[:length]]), axis=0)]
     )
-    whole = running[length : length + size] - running[:size]
+    block_sums = running[length : length + size] - running[:size]
     random = np.random.default_rng(SEED)
     starts = random.integers(0, size, (count, max(round(size / length), 1)))
-    drawn = whole[starts].sum(axis=1)
+    drawn = block_sums[starts].sum(axis=1)
     drawn = drawn[drawn[:, 0] > 0]
-    value = np.sqrt(squares.sum(axis=0) / number.sum())
+    value = np.sqrt(squares.sum(axis=0) / counts.sum())
     draws = np.sqrt(np.maximum(drawn[:, 1:], 0.0) / drawn[:, :1])
     lost = min(max(integral_time_h(column) for column in means.T) / length, MOST_LOST)
-    return Resampled(value, draws, int(number.sum()), blocks, lost)
+    return Resampled(value, draws, int(counts.sum()), blocks, lost)

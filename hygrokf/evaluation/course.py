@@ -44,10 +44,10 @@ class Course:
         return self.value[name], self.sd[name]
 
     def bounds(self, name: str, level: float = 0.95) -> tuple[np.ndarray, np.ndarray]:
-        """Lower and upper end (T,) of the band that holds a share `level` [1]."""
+        """Lower and upper bound (T,) of the central interval with probability `level` [1]."""
         value, sd = self[name]
-        reach = normal_quantile(level) * sd
-        return value - reach, value + reach
+        half_width = normal_quantile(level) * sd
+        return value - half_width, value + half_width
 
     def to_frame(self, level: float = 0.95) -> DataFrame:
         """A pandas frame over time (UTC, or hours where there is no date) with the columns `name`, `name_sd`,
@@ -63,8 +63,8 @@ class Course:
             if name in self.reading:
                 columns[f"{name}_reading"] = self.reading[name]
         frame = DataFrame(columns, index=time_index(self.time_h, self.origin_s))
-        known = {f"{name}{end}": unit for name, unit in self.units.items() for end in ENDS}
-        return with_units(frame, known | {"lead_h": "h"})
+        units = {f"{name}{end}": unit for name, unit in self.units.items() for end in ENDS}
+        return with_units(frame, units | {"lead_h": "h"})
 
     def __repr__(self) -> str:
         lines = [f"{type(self).__name__} of {len(self.time_h)} instants"]
@@ -77,7 +77,7 @@ class Course:
 
 
 ENDS = ("", "_sd", "_lower", "_upper", "_reading")
-"""What follows the name of a quantity in the names of its columns."""
+"""Suffixes of a quantity's name in the names of its columns."""
 
 
 def time_index(time_h: np.ndarray, origin_s: float) -> Index:

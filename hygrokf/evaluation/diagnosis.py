@@ -1,4 +1,4 @@
-"""What the tests of the innovations found, as it stands in `fit.json`.
+"""Results of the tests of the innovations, as `fit.json` stores them.
 
 Shapes: L lags, m frequencies.
 """
@@ -31,7 +31,7 @@ class Autocorrelation:
 
 @dataclass(frozen=True)
 class CrossCorrelation(Autocorrelation):
-    """Correlation of innovations with one whitened input; a positive lag: the innovation comes after the
+    """Correlation of innovations with one whitened input; at a positive lag the innovation is later than the
     input.  `p` [1]: probability under independence."""
 
     p: float = math.nan
@@ -65,7 +65,7 @@ class OutputDiagnosis:
     """Moments and whiteness of one output's standardised innovations.
 
     `n` readings, `step_h` [h] median step, `lags` longest lag in readings; `beyond_3`: share [1] beyond ±3;
-    `cross_correlation`: by input, without inputs that hardly vary.  `remark`: why there is nothing but `n`.
+    `cross_correlation`: by input, without inputs that hardly vary.  `remark`: why only `n` is known.
     """
 
     n: int = 0
@@ -86,15 +86,15 @@ TestName: TypeAlias = Literal[
     "mean", "variance", "normality", "autocorrelation", "cumulative periodogram", "daily cycle", "correlation"
 ]
 WHITENESS: tuple[TestName, ...] = ("autocorrelation", "cumulative periodogram")
-"""Tests of one property."""
+"""Tests of the same property: whiteness."""
 
 
 @dataclass(frozen=True)
 class InnovationTest:
     """One test of an output's innovations: p [1], p adjusted by Holm's method, and whether it rejects.
 
-    `input`: with which a correlation is tested; `lag_h` [h]: up to which an autocorrelation is; `statement`:
-    what was found, where it rejects.
+    `input`: input of a tested correlation; `lag_h` [h]: longest lag of a tested autocorrelation; `statement`:
+    the finding, if the test rejects.
     """
 
     output: Name
@@ -109,14 +109,14 @@ class InnovationTest:
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """All tests of the innovations, which share one probability of any false alarm (`LEVEL`)."""
+    """All tests of the innovations; `LEVEL` is the probability of at least one false alarm among them."""
 
     outputs: Mapping[str, OutputDiagnosis] = field(default_factory=dict)
     tests: tuple[InnovationTest, ...] = ()
 
     @property
     def statements(self) -> tuple[Statement, ...]:
-        """What the tests of each output found; of those of whiteness, only the first that rejects is told."""
+        """The findings for each output; of several rejections of whiteness only the first is included."""
         statements: list[Statement] = []
         for name, output in self.outputs.items():
             tests = [test for test in self.tests if test.output == name]

@@ -1,7 +1,7 @@
 """Tests of the innovations: whiteness, distribution, and remaining correlation with the inputs.
 
-An innovation divided by its own standard deviation, e/√S, is white and of unit variance where the model is
-right, whatever the steps between the readings.  Autocorrelation and spectrum are therefore taken over the
+Innovations divided by their standard deviations, e/√S, are white with unit variance if the model is correct,
+whatever the time steps between the readings.  Autocorrelation and spectrum are therefore computed over the
 *sequence of readings*: a lag is a number of readings, and a gap counts as one step.  Hours are lags times the
 median step.
 
@@ -36,13 +36,14 @@ SMALL = 0.1
 FEWEST_READINGS = 30
 """Fewest readings for a diagnosis."""
 POINTS = 400
-"""Longest list in the result; longer ones are reduced to the value farthest from zero in each stretch."""
+"""Largest number of values in a list of the result: a longer list keeps of each stretch of equal length the
+value farthest from zero."""
 SPECTRUM_POINTS = 120
 """Bands of the periodogram, evenly spaced in the logarithm of the frequency."""
 LARGEST_ORDER = 48
 """Largest order of the autoregression that whitens an input."""
 BEYOND = 3.0
-"""[1] size of a standardised innovation beyond which it counts as an outlier."""
+"""[1] absolute value of a standardised innovation above which it counts as an outlier."""
 LEVEL = 0.05
 """[1] probability of any false alarm among all tests."""
 NOTE = (
@@ -80,14 +81,14 @@ def diagnose(
     outputs: dict[str, OutputDiagnosis] = {}
     for name, values in standardised.items():
         e = np.where(np.isfinite(values), np.asarray(values, dtype=float), np.nan)
-        there = np.isfinite(e)
-        known = {source: np.asarray(u, dtype=float)[there] for source, u in inputs.items()}
-        outputs[name], found = _output(name, time[there], e[there], known, longest_h)
-        tests += found
-    adjusted = _holm([one.p for one in tests])
+        is_read = np.isfinite(e)
+        inputs_at_readings = {source: np.asarray(u, dtype=float)[is_read] for source, u in inputs.items()}
+        outputs[name], output_tests = _output(name, time[is_read], e[is_read], inputs_at_readings, longest_h)
+        tests += output_tests
+    adjusted = _holm([test.p for test in tests])
     rows = tuple(
-        replace(one, p_adjusted=p, rejected=p < LEVEL, statement=one.statement if p < LEVEL else None)
-        for one, p in zip(tests, adjusted, strict=True)
+        replace(test, p_adjusted=p, rejected=p < LEVEL, statement=test.statement if p < LEVEL else None)
+        for test, p in zip(tests, adjusted, strict=True)
     )
     return Diagnosis(outputs, rows)
 
@@ -104,15 +105,15 @@ def _output(
     step = float(np.median(np.diff(time)))
     lags = int(min(max(round(longest_h / step), 1), n // 10))
     moments, tests = _moments(name, e)
-    autocorrelation, found = _autocorrelation(name, e, step, lags)
+    autocorrelation, whiteness_tests = _autocorrelation(name, e, step, lags)
     cumulative, periodogram, spectral = _spectrum(name, e, step)
-    tests += [*found, spectral, *_daily_cycle(name, time, e)]
-    crossed = {}
+    tests += [*whiteness_tests, spectral, *_daily_cycle(name, time, e)]
+    cross_correlations = {}
     for source, values in inputs.items():
         if (pair := _cross_correlation(name, source, e, values, step, lags)) is not None:
-            crossed[source], test = pair
+            cross_correlations[source], test = pair
             tests.append(test)
-    courses = (autocorrelation, cumulative, periodogram, crossed)
+    courses = (autocorrelation, cumulative, periodogram, cross_correlations)
     return OutputDiagnosis(n, step, lags, *moments, *courses), tests
 
 
@@ -127,31 +128,31 @@ def _moments(name: str, e: np.ndarray) -> tuple[tuple[float, float, float, float
     mean, variance = float(e.mean()), float(e.var())
     z = (e - mean) / math.sqrt(variance)
     skewness, kurtosis = float(np.mean(z**3)), float(np.mean(z**4) - 3.0)
-    beyond = float(np.mean(np.abs(e) > BEYOND))
-    # the variance of a sample variance depends on the kurtosis found: heavy tails alone cause no rejection
+    outlier_share = float(np.mean(np.abs(e) > BEYOND))
+    # the sample kurtosis enters the variance of the sample variance: heavy tails alone cause no rejection
     spread = math.sqrt(max(kurtosis + 2.0, 1e-12) / n) * variance
-    biased = FitCode.MEAN_SMALL if abs(mean) < SMALL else FitCode.MEAN_BIASED
-    scaled = FitCode.WIDER_THAN_PREDICTED if variance > 1 else FitCode.NARROWER_THAN_PREDICTED
+    mean_code = FitCode.MEAN_SMALL if abs(mean) < SMALL else FitCode.MEAN_BIASED
+    variance_code = FitCode.WIDER_THAN_PREDICTED if variance > 1 else FitCode.NARROWER_THAN_PREDICTED
     tails = FitCode.TAILS_HEAVY if kurtosis > 0 else FitCode.TAILS_LIGHT
     shape = tails() if abs(kurtosis) >= abs(skewness) else FitCode.SKEWED()
-    found: tuple[tuple[TestName, float, Statement], ...] = (
-        ("mean", _two_sided(mean * math.sqrt(n / variance)), biased(output=name, mean=mean)),
+    rows: tuple[tuple[TestName, float, Statement], ...] = (
+        ("mean", _two_sided(mean * math.sqrt(n / variance)), mean_code(output=name, mean=mean)),
         (
             "variance",
             _two_sided((variance - 1.0) / spread),
-            scaled(output=name, excess=abs(math.sqrt(variance) - 1.0), variance=variance),
+            variance_code(output=name, excess=abs(math.sqrt(variance) - 1.0), variance=variance),
         ),
         (
             "normality",
             float(jarque_bera(e).pvalue),
             FitCode.NOT_NORMAL(
-                output=name, shape=shape, kurtosis=kurtosis, skewness=skewness, beyond=beyond,
+                output=name, shape=shape, kurtosis=kurtosis, skewness=skewness, beyond=outlier_share,
                 expected=_two_sided(BEYOND),
             ),
         ),
     )  # fmt: skip
-    return (mean, variance, kurtosis, beyond), [
-        InnovationTest(name, test, p=p, statement=statement) for test, p, statement in found
+    return (mean, variance, kurtosis, outlier_share), [
+        InnovationTest(name, test, p=p, statement=statement) for test, p, statement in rows
     ]
 
 
@@ -165,21 +166,19 @@ def _autocorrelation(
     _, p = q_stat(values, n)
     hour = int(min(max(round(1.0 / step), 1), lags))
     limit_all = _simultaneous(lags) / math.sqrt(n)
-    kept = _extremes(values)
+    shown = _extremes(values)
     limit = normal_quantile(1.0 - LEVEL) / math.sqrt(n)
-    found = Autocorrelation(_rounded((kept + 1) * step), _rounded(values[kept]), limit, limit_all)
+    autocorrelation = Autocorrelation(_rounded((shown + 1) * step), _rounded(values[shown]), limit, limit_all)
     tests = []
     for k in dict.fromkeys((lags, hour)):
         worst = int(np.argmax(np.abs(values[:k])))
-        chance, value = float(p[k - 1]), float(values[worst])
+        p_value, value = float(p[k - 1]), float(values[worst])
         statement = FitCode.AUTOCORRELATED(
-            output=name, longest_h=k * step, p=chance, lag_h=(worst + 1) * step,
-            size=_against(value, limit_all), remarks=_small(value),
+            output=name, longest_h=k * step, p=p_value, lag_h=(worst + 1) * step,
+            size=_correlation_and_limit(value, limit_all), remarks=_remark_on_size(value),
         )  # fmt: skip
-        tests.append(
-            InnovationTest(name, "autocorrelation", lag_h=k * step, p=chance, statement=statement)
-        )
-    return found, tests
+        tests.append(InnovationTest(name, "autocorrelation", lag_h=k * step, p=p_value, statement=statement))
+    return autocorrelation, tests
 
 
 def _spectrum(
@@ -194,17 +193,19 @@ def _spectrum(
     m = len(power)
     frequency = np.arange(1, m + 1) / (n * step)
     cumulative = np.cumsum(power) / m
-    # under whiteness the first m−1 of them are the order statistics of as many uniform numbers
-    tested = kstest(cumulative[:-1], "uniform")
-    distance, p = float(tested.statistic), float(tested.pvalue)
+    # for white noise the first m−1 values are distributed as the order statistics of m−1 uniform numbers
+    kolmogorov = kstest(cumulative[:-1], "uniform")
+    distance, p = float(kolmogorov.statistic), float(kolmogorov.pvalue)
     limit = float(kstwo.isf(LEVEL, m - 1))
     offset = cumulative - np.arange(1, m + 1) / m
     worst = int(np.argmax(np.abs(offset)))
-    kept = np.unique(np.linspace(0, m - 1, min(m, POINTS)).astype(int))
-    summed = CumulativePeriodogram(_rounded(frequency[kept]), _rounded(cumulative[kept]), distance, limit, p)
+    shown = np.unique(np.linspace(0, m - 1, min(m, POINTS)).astype(int))
+    cumulative_periodogram = CumulativePeriodogram(
+        _rounded(frequency[shown]), _rounded(cumulative[shown]), distance, limit, p
+    )
     edges = np.unique(np.round(np.geomspace(1, m + 1, min(SPECTRUM_POINTS, m) + 1)).astype(int)) - 1
     count = np.diff(edges)
-    banded = Periodogram(
+    periodogram = Periodogram(
         _rounded(np.add.reduceat(frequency, edges[:-1]) / count),
         _rounded(np.add.reduceat(power, edges[:-1]) / count),
         _rounded(chi2.ppf(LEVEL / 2.0, 2 * count) / (2 * count)),
@@ -212,22 +213,23 @@ def _spectrum(
     )
     code = FitCode.SPECTRUM_TOO_HIGH if offset[worst] > 0 else FitCode.SPECTRUM_TOO_LOW
     statement = code(output=name, distance=distance, limit=limit, period_h=float(1.0 / frequency[worst]))
-    return summed, banded, InnovationTest(name, "cumulative periodogram", p=p, statement=statement)
+    test = InnovationTest(name, "cumulative periodogram", p=p, statement=statement)
+    return cumulative_periodogram, periodogram, test
 
 
 def _daily_cycle(name: str, time: np.ndarray, e: np.ndarray) -> list[InnovationTest]:
-    """Least-squares sine of 24 h at the readings' own times, where the record is long enough to separate it
-    from the mean."""
+    """Test of a 24 h sine fitted by least squares; none if the record is too short to separate the sine from
+    the mean."""
     n = len(e)
     angle = 2.0 * math.pi * time / 24.0
     table = np.column_stack([np.ones(n), np.cos(angle), np.sin(angle)])
     if time[-1] - time[0] < 48.0 or np.linalg.matrix_rank(table) < 3:
         return []
-    found, *_ = np.linalg.lstsq(table, e, rcond=None)
-    rest = float(np.sum((e - table @ found) ** 2))
-    explained = 1.0 - rest / float(np.sum((e - e.mean()) ** 2))
-    amplitude = float(math.hypot(found[1], found[2]))
-    # the ratio F with (2, n−3) degrees of freedom has the closed form of a power
+    coefficients, *_ = np.linalg.lstsq(table, e, rcond=None)
+    residual_square = float(np.sum((e - table @ coefficients) ** 2))
+    explained = 1.0 - residual_square / float(np.sum((e - e.mean()) ** 2))
+    amplitude = float(math.hypot(coefficients[1], coefficients[2]))
+    # the survival function of F with (2, n−3) degrees of freedom is a power of the unexplained share
     p = float((1.0 - min(max(explained, 0.0), 1.0)) ** ((n - 3) / 2.0))
     statement = FitCode.DAILY_CYCLE(output=name, amplitude=amplitude, p=p, explained=explained)
     return [InnovationTest(name, "daily cycle", p=p, statement=statement)]
@@ -239,42 +241,44 @@ def _daily_cycle(name: str, time: np.ndarray, e: np.ndarray) -> list[InnovationT
 def whitened(values: np.ndarray) -> tuple[np.ndarray, int]:
     """The prediction errors (n,) of an input (n,) [any unit] by its own autoregression, and its order.
 
-    AIC chooses the order, up to 48, over the Levinson–Durbin recursion.  NaN remains NaN, also at readings
-    predicted from a missing value and at the first ones.
+    AIC selects the order, at most `LARGEST_ORDER`, from the Levinson–Durbin recursion.  The errors are NaN at
+    missing values, at values predicted from missing ones, and at the first values, as many as the order.
     """
     from statsmodels.tsa.stattools import acovf, levinson_durbin
 
-    known = np.isfinite(values)
-    centred = np.where(known, values - float(np.mean(values[known])), 0.0)
+    is_known = np.isfinite(values)
+    centred = np.where(is_known, values - float(np.mean(values[is_known])), 0.0)
     n = len(values)
     largest = int(min(LARGEST_ORDER, max(n // 10, 1)))
     covariance = np.asarray(acovf(centred, fft=True, nlag=largest))
-    _, _, _, spread, phi = levinson_durbin(covariance, nlags=largest, isacov=True)
-    spread = np.concatenate([[covariance[0]], spread[1:]])
-    criterion = n * np.log(np.maximum(spread, 1e-12 * covariance[0])) + 2.0 * np.arange(largest + 1)
+    _, _, _, error_variance, phi = levinson_durbin(covariance, nlags=largest, isacov=True)
+    error_variance = np.concatenate([[covariance[0]], error_variance[1:]])
+    criterion = n * np.log(np.maximum(error_variance, 1e-12 * covariance[0])) + 2.0 * np.arange(largest + 1)
     order = int(np.argmin(criterion))
-    return prediction_error(centred, known, phi[1 : order + 1, order]), order
+    return prediction_error(centred, is_known, phi[1 : order + 1, order]), order
 
 
 def _cross_correlation(
     name: str, source: str, e: np.ndarray, values: np.ndarray, step: float, lags: int
 ) -> tuple[CrossCorrelation, InnovationTest] | None:
-    """The correlation with one input; None where it hardly varies, or its own past predicts it without
-    error."""
-    known = values[np.isfinite(values)]
-    if len(known) < FEWEST_READINGS or float(np.ptp(known)) <= 1e-9 * max(1.0, float(np.max(np.abs(known)))):
+    """The correlation with one input; None where the input hardly varies, or where its past predicts it
+    without error."""
+    known_values = values[np.isfinite(values)]
+    if len(known_values) < FEWEST_READINGS:
+        return None
+    if float(np.ptp(known_values)) <= 1e-9 * max(1.0, float(np.max(np.abs(known_values)))):
         return None
     u, _ = whitened(values)
-    there = np.isfinite(u)
-    n = int(there.sum())
-    total = float(np.sum(u[there] ** 2))
+    is_known = np.isfinite(u)
+    n = int(is_known.sum())
+    total = float(np.sum(u[is_known] ** 2))
     if n < FEWEST_READINGS or total <= 0.0:
         return None
-    u = np.where(there, u - float(u[there].mean()), 0.0)
+    u = np.where(is_known, u - float(u[is_known].mean()), 0.0)
     centred = e - e.mean()
     product = _lagged_products(centred, u, lags)
     r = product / math.sqrt(float(centred @ centred) * float(u @ u))
-    # unequal variances (a few large jumps of an input) are judged by the scatter of the products
+    # under unequal variance (a few large jumps of an input) the scatter of the products scales the test
     scatter = np.sqrt(np.maximum(_lagged_products(centred**2, u**2, lags), 1e-300))
     z = np.minimum(np.abs(r) * math.sqrt(n), np.abs(product) / scatter)
     lag = np.arange(-lags, lags + 1)
@@ -282,21 +286,22 @@ def _cross_correlation(
     single = _two_sided(float(z[worst]))
     p = float(-math.expm1(len(lag) * math.log1p(-single))) if single < 1.0 else 1.0
     limit_all = _simultaneous(len(lag)) / math.sqrt(n)
-    kept = _extremes(r)
-    at = float(lag[worst] * step)
+    shown = _extremes(r)
+    worst_lag_h = float(lag[worst] * step)
     value = float(r[worst])
-    lead = (FitCode.READINGS_LEAD(input=source),) if at < 0 else ()
+    lead = (FitCode.READINGS_LEAD(input=source),) if worst_lag_h < 0 else ()
     statement = FitCode.CORRELATED_WITH_INPUT(
-        output=name, input=source, lag_h=at, size=_against(value, limit_all), remarks=_small(value) or lead
-    )
-    found = CrossCorrelation(
-        _rounded(lag[kept] * step),
-        _rounded(r[kept]),
+        output=name, input=source, lag_h=worst_lag_h,
+        size=_correlation_and_limit(value, limit_all), remarks=_remark_on_size(value) or lead,
+    )  # fmt: skip
+    correlation = CrossCorrelation(
+        _rounded(lag[shown] * step),
+        _rounded(r[shown]),
         normal_quantile(1.0 - LEVEL) / math.sqrt(n),
         limit_all,
         p,
     )
-    return found, InnovationTest(name, "correlation", source, p=p, statement=statement)
+    return correlation, InnovationTest(name, "correlation", source, p=p, statement=statement)
 
 
 def _lagged_products(a: np.ndarray, b: np.ndarray, lags: int) -> np.ndarray:
@@ -330,7 +335,7 @@ def _simultaneous(count: int) -> float:
 
 
 def _extremes(values: np.ndarray) -> np.ndarray:
-    """Indices of at most `POINTS` values: the one farthest from zero in each stretch."""
+    """Indices of at most `POINTS` values: the value farthest from zero in each stretch of equal length."""
     width = math.ceil(len(values) / POINTS)
     if width == 1:
         return np.arange(len(values))
@@ -344,12 +349,12 @@ def _rounded(values: np.ndarray) -> tuple[float, ...]:
     return tuple(float(f"{value:.6g}") for value in np.asarray(values, dtype=float))
 
 
-def _against(r: float, limit: float) -> Statement:
+def _correlation_and_limit(r: float, limit: float) -> Statement:
     """A correlation and its limit, with enough digits to distinguish them."""
     near = round(abs(r), 2) == round(limit, 2)
     return (FitCode.CORRELATION_NEAR_LIMIT if near else FitCode.CORRELATION)(r=r, limit=limit)
 
 
-def _small(r: float) -> tuple[Statement, ...]:
+def _remark_on_size(r: float) -> tuple[Statement, ...]:
     """The remark on a correlation that explains little."""
     return (FitCode.SMALL_SHARE(share=r * r),) if abs(r) < SMALL else ()

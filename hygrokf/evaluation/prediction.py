@@ -1,6 +1,6 @@
-"""What a model makes of its data: free run, forecast, smoothed states, innovations.
+"""Free run, forecast, smoothed states and innovations of a model on its data.
 
-A fit of a cabinet and a user's own likelihood go through the same calls.  Shapes: T instants, n states.
+The functions take a fit of a cabinet or a user's own likelihood.  Shapes: T instants, n states.
 """
 
 from __future__ import annotations
@@ -50,12 +50,12 @@ def simulate(source: Source, given: Given | None = None) -> Course:
     the parameters to first order.  A cabinet's thermostats follow the simulated readings.
     Raises ValueError for anything else, with the call that makes what is missing, and for a diffuse start.
     """
-    found = subject("simulate", source, given)
-    if isinstance(given, Record) and found.fit is not None:
-        design, run = run_on(found.fit.design, found.values, given)
-        predicted = free_run(design, found.values, run, found.fit.covariance)
-        return _course(run.timeline, _by_output(predicted), _readings_of(run))
-    likelihood, t = found.likelihood, found.likelihood.timeline
+    resolved = subject("simulate", source, given)
+    if isinstance(given, Record) and resolved.fit is not None:
+        design, run = run_on(resolved.fit.design, resolved.values, given)
+        free_prediction = free_run(design, resolved.values, run, resolved.fit.covariance)
+        return _course(run.timeline, _by_output(free_prediction), _readings_of(run))
+    likelihood, t = resolved.likelihood, resolved.likelihood.timeline
     if likelihood.initial == "diffuse":
         raise ValueError(
             "simulate: expected a known first state, found a diffuse one; give the likelihood `initial`, "
@@ -66,7 +66,7 @@ def simulate(source: Source, given: Given | None = None) -> Course:
     def predicted_with(values: Mapping[str, float]) -> Pairs:
         return expected_readings(blind.model, t, values, blind.trace(values))
 
-    pairs = _with_parameters(predicted_with(found.values), found.spread, predicted_with)
+    pairs = _with_parameters(predicted_with(resolved.values), resolved.spread, predicted_with)
     return _course(t, pairs, _readings_in(t))
 
 
@@ -81,17 +81,17 @@ def forecast(
     """Forecasts from the filtered state at a reading, with the inputs that the data have after it.
 
     source, given: a `Fit` and a `Record`; or a `Likelihood` and its `Estimate` or values by name.
-    leads_h: [h] how far ahead; None: one forecast, to every later instant of the data.  Beyond the last
-        reading these are the further instants of a record's ambient series, or those that the `timeline` was
-        given with inputs and with NaN as readings.
+    leads_h: [h] how far ahead; None: one forecast, to every later instant of the data.  The instants beyond
+        the last reading are those of a record's ambient series, or the instants of the `timeline` that have
+        inputs and NaN as readings.
     start_h: [h] since the timeline's origin; later readings are not used.  Default: the last reading, or,
         with leads, the first one.
     count: with leads, number of forecasts, spread evenly over the readings from `start_h` on.
 
-    Returns the expected readings and their standard deviations, with the readings that came and the lead [h];
-    with leads one row per forecast and lead.  The state's uncertainty, the disturbances and the noise of a
-    reading make the bands, in a single forecast also that of the parameters of a fit or an estimate, to first
-    order; by lead, where forecasts judge a model on its own data, parameters count as known.
+    Returns the expected readings and their standard deviations, with the observed readings and the lead [h];
+    with leads one row per forecast and lead.  The standard deviations include the state's uncertainty, the
+    disturbances and the noise of a reading.  Those of a single forecast also include the uncertainty of the
+    parameters of a fit or an estimate, to first order; forecasts by lead treat parameters as known.
     Raises ValueError for anything else, with the call that makes what is missing, and where no reading or no
     later instant is left.
     """
@@ -99,44 +99,48 @@ def forecast(
         raise ValueError(f"leads_h: expected leads above 0 h, found {[float(lead) for lead in leads_h]}")
     if count < 1:
         raise ValueError(f"count: expected at least 1 forecast, found {count}")
-    found = subject("forecast", source, given)
-    if isinstance(given, Record) and found.fit is not None:
-        design, run = run_on(found.fit.design, found.values, given, beyond=True)
+    resolved = subject("forecast", source, given)
+    if isinstance(given, Record) and resolved.fit is not None:
+        design, run = run_on(resolved.fit.design, resolved.values, given, beyond=True)
         likelihood = Likelihood(design.model, run.timeline)
         usable = run.scored
     else:
-        likelihood, usable = found.likelihood, np.ones(len(found.likelihood.timeline), dtype=bool)
+        likelihood, usable = resolved.likelihood, np.ones(len(resolved.likelihood.timeline), dtype=bool)
     t = likelihood.timeline
-    read = np.isfinite(t.y).any(axis=1) & usable
-    starts, ends = _origins(t, np.flatnonzero(read), leads_h, start_h, count)
+    is_read = np.isfinite(t.y).any(axis=1) & usable
+    starts, ends = _origins(t, np.flatnonzero(is_read), leads_h, start_h, count)
 
     def pieces(values: Mapping[str, float]) -> Iterator[Pairs]:
         trace = likelihood.trace(values)
-        if likelihood is found.likelihood:
+        if likelihood is resolved.likelihood:
             return _windows(likelihood, values, trace, starts, ends)
-        made = ahead(likelihood, values, run, design, trace, starts, ends)
-        return (_by_output(prediction) for _, prediction in made)
+        predictions = ahead(likelihood, values, run, design, trace, starts, ends)
+        return (_by_output(prediction) for _, prediction in predictions)
 
-    known = _readings_in(t) if likelihood is found.likelihood else _readings_of(run)
-    made = list(pieces(found.values))
+    readings = _readings_in(t) if likelihood is resolved.likelihood else _readings_of(run)
+    pairs_by_start = list(pieces(resolved.values))
     if leads_h is None:
-        made = [_with_parameters(made[0], found.spread, lambda values: next(pieces(values)))]
-    last = int(np.flatnonzero(read)[-1])
+        pairs_by_start = [
+            _with_parameters(pairs_by_start[0], resolved.spread, lambda values: next(pieces(values)))
+        ]
+    last = int(np.flatnonzero(is_read)[-1])
     rows, parts = [], []
-    for start, end, pairs in zip(starts, ends, made, strict=True):
-        inside = np.arange(start + 1, end)
+    for start, end, pairs in zip(starts, ends, pairs_by_start, strict=True):
+        instants = np.arange(start + 1, end)
         if leads_h is not None:
-            there = inside[read[inside] | (inside > last)]
-            inside = _nearest(t.time, there, t.time[start] + np.asarray(leads_h, dtype=float))
-        rows.append((np.full(len(inside), start), inside))
-        place = inside - start - 1
+            observable = instants[is_read[instants] | (instants > last)]
+            instants = _nearest(t.time, observable, t.time[start] + np.asarray(leads_h, dtype=float))
+        rows.append((np.full(len(instants), start), instants))
+        place = instants - start - 1
         parts.append({name: (value[place], sd[place]) for name, (value, sd) in pairs.items()})
-    begun, at = (np.concatenate(column) for column in zip(*rows, strict=True))
+    start_of, instant = (np.concatenate(column) for column in zip(*rows, strict=True))
     value, sd = (
         {name: np.concatenate([part[name][i] for part in parts]) for name in parts[0]} for i in (0, 1)
     )
-    reading = {name: known[name][at] for name in value if name in known}
-    return Course(t.time[at], t.origin_s, value, sd, reading, t.time[at] - t.time[begun], _units(value))
+    reading = {name: readings[name][instant] for name in value if name in readings}
+    return Course(
+        t.time[instant], t.origin_s, value, sd, reading, t.time[instant] - t.time[start_of], _units(value)
+    )
 
 
 @dataclass(frozen=True, repr=False)
@@ -157,13 +161,13 @@ def smooth(source: Source, given: Given | None = None) -> Smoothed:
     source, given: a `Fit` and a `Record`; or a `Likelihood` and its `Estimate` or values by name.
 
     Returns the smoothed states by name in the model's units; `mean` (T, n) and `covariance` (T, n, n) hold
-    all of them; `to_frame()` makes a pandas frame.  Parameters count as known.
+    all of them; `to_frame()` makes a pandas frame.  Parameters are treated as known.
     Raises ValueError for anything else, with the call that makes what is missing.
     Source: Bierman 1973, doi:10.1016/0005-1098(73)90051-4.
     """
-    found = subject("smooth", source, given)
-    likelihood, t = found.likelihood, found.likelihood.timeline
-    mean, covariance = smoothed_states(likelihood, found.values)
+    resolved = subject("smooth", source, given)
+    likelihood, t = resolved.likelihood, resolved.likelihood.timeline
+    mean, covariance = smoothed_states(likelihood, resolved.values)
     sd = np.sqrt(np.maximum(np.diagonal(covariance, axis1=1, axis2=2), 0.0))
     names = likelihood.model.states
     return Smoothed(
@@ -176,7 +180,7 @@ def smooth(source: Source, given: Given | None = None) -> Smoothed:
 class Innovations:
     """One-step prediction errors: `error`, `sd` (T,) by output, NaN without reading; `inputs` (T,) by name.
 
-    `sd` is infinite, and `standardised` NaN, at readings that a diffuse start needs to become known.
+    `sd` is infinite, and `standardised` NaN, at the readings that determine the state of a diffuse start.
     `time_h` (T,) [h] from `origin_s` [s since 1970, UTC; 0 where a timeline states none].
     """
 
@@ -228,13 +232,13 @@ def innovations(source: Source, given: Given | None = None) -> Innovations:
     count in full, also in a model that bounds their influence.
     Raises ValueError for anything else, with the call that makes what is missing.
     """
-    found = subject("innovations", source, given)
-    linear = replace(found.likelihood, model=replace(found.likelihood.model, bound=math.inf))
-    t, trace = linear.timeline, linear.trace(found.values)
-    there = np.isfinite(t.y)
-    error = np.where(there, t.y - trace.prediction, np.nan)
-    sd = np.where(there, np.sqrt(trace.variance), np.nan)
-    errors, deviations = (dict(zip(t.outputs, one.T, strict=True)) for one in (error, sd))
+    resolved = subject("innovations", source, given)
+    linear = replace(resolved.likelihood, model=replace(resolved.likelihood.model, bound=math.inf))
+    t, trace = linear.timeline, linear.trace(resolved.values)
+    is_read = np.isfinite(t.y)
+    error = np.where(is_read, t.y - trace.prediction, np.nan)
+    sd = np.where(is_read, np.sqrt(trace.variance), np.nan)
+    errors, deviations = (dict(zip(t.outputs, array.T, strict=True)) for array in (error, sd))
     inputs = {name: t.input(name) for name in linear.model.inputs}
     return Innovations(t.time, t.origin_s, errors, deviations, inputs)
 
@@ -253,8 +257,8 @@ CABINET = {
 
 def _units(names: Iterable[str]) -> dict[str, str]:
     """The units of a cabinet's readings among some names."""
-    known = {name: UNITS[quantity] for quantity, name in CABINET.items()}
-    return {name: known[name] for name in names if name in known}
+    unit_of = {name: UNITS[quantity] for quantity, name in CABINET.items()}
+    return {name: unit_of[name] for name in names if name in unit_of}
 
 
 def _by_output(predicted: Prediction) -> Pairs:
@@ -270,24 +274,24 @@ def _readings_in(t: Timeline) -> dict[str, np.ndarray]:
 
 
 def _origins(
-    t: Timeline, read: np.ndarray, leads_h: Sequence[float] | None, start_h: float | None, count: int
+    t: Timeline, with_reading: np.ndarray, leads_h: Sequence[float] | None, start_h: float | None, count: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Instants from which forecasts start, and the ends of what they predict."""
+    """Instants from which forecasts start, and the instants before which their predictions end."""
     if leads_h is None:
-        starts = read[t.time[read] <= (math.inf if start_h is None else start_h)][-1:]
+        starts = with_reading[t.time[with_reading] <= (math.inf if start_h is None else start_h)][-1:]
         ends = np.full(len(starts), len(t))
     else:
-        later = read[t.time[read] >= (-math.inf if start_h is None else start_h)]
-        spread = np.linspace(0, len(later) - 1, min(count, len(later)))
-        starts = later[np.unique(spread.astype(int))] if len(later) else later
+        later = with_reading[t.time[with_reading] >= (-math.inf if start_h is None else start_h)]
+        positions = np.linspace(0, len(later) - 1, min(count, len(later)))
+        starts = later[np.unique(positions.astype(int))] if len(later) else later
         ends = np.searchsorted(t.time, t.time[starts] + 1.5 * max(leads_h), side="right")
-    there = ends > starts + 1
-    if not there.any():
+    has_target = ends > starts + 1
+    if not has_target.any():
         raise ValueError(
             f"forecast: expected a reading{'' if start_h is None else f' at {start_h:g} h'} with instants "
             "after it, found none; state an earlier start_h, or give inputs beyond the last reading"
         )
-    return starts[there], ends[there]
+    return starts[has_target], ends[has_target]
 
 
 def _windows(
@@ -299,34 +303,34 @@ def _windows(
         part = t.window(start + 1, end)
         part = part.with_readings(np.full_like(part.y, np.nan))
         state = Gaussian(trace.mean[start], trace.covariance[start], float(t.time[start]))
-        own = replace(likelihood, timeline=part, initial=state, diffuse_states=())
-        yield expected_readings(own.model, part, values, own.trace(values))
+        from_state = replace(likelihood, timeline=part, initial=state, diffuse_states=())
+        yield expected_readings(from_state.model, part, values, from_state.trace(values))
 
 
 SHIFT = 0.1
-"""[standard errors] by which parameters move for the slopes of a prediction: the quotient's error is of the
-order of its square, that of the filter's steps is divided by it."""
+"""[standard errors] step of the central differences.  The truncation error grows with the square of the step;
+errors of the filter's sub-steps are divided by it."""
 
 
 def _with_parameters(
     pairs: Pairs, spread: Spread, predict: Callable[[Mapping[str, float]], Pairs]
 ) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-    """A prediction with the variance of its parameters added, by central differences along the axes of their
-    covariance."""
-    extra: dict[str, np.ndarray | float] = dict.fromkeys(pairs, 0.0)
+    """A prediction whose variance includes that of the parameters, by central differences along the axes of
+    the parameters' covariance."""
+    variance: dict[str, np.ndarray | float] = dict.fromkeys(pairs, 0.0)
     for axis in SHIFT * np.eye(len(spread.names)):
         up, down = (
             predict({name: float(np.squeeze(value)) for name, value in spread.drawn(move[None, :]).items()})
             for move in (axis, -axis)
         )
-        extra = {n: v + ((up[n][0] - down[n][0]) / (2.0 * SHIFT)) ** 2 for n, v in extra.items()}
-    return {name: (value, np.sqrt(sd**2 + extra[name])) for name, (value, sd) in pairs.items()}
+        variance = {n: v + ((up[n][0] - down[n][0]) / (2.0 * SHIFT)) ** 2 for n, v in variance.items()}
+    return {name: (value, np.sqrt(sd**2 + variance[name])) for name, (value, sd) in pairs.items()}
 
 
-def _nearest(time: np.ndarray, there: np.ndarray, wanted: np.ndarray) -> np.ndarray:
-    """Of the instants `there`, those nearest to the wanted times [h], where one lies within half a step."""
-    if not len(there):
-        return there
-    place = there[np.abs(time[there][:, None] - wanted).argmin(axis=0)]
-    step = float(np.median(np.diff(time[there]))) if len(there) > 1 else math.inf
-    return place[np.abs(time[place] - wanted) <= 0.5 * step]
+def _nearest(time: np.ndarray, instants: np.ndarray, wanted: np.ndarray) -> np.ndarray:
+    """The instants nearest to the wanted times [h], without those farther away than half a step."""
+    if not len(instants):
+        return instants
+    nearest = instants[np.abs(time[instants][:, None] - wanted).argmin(axis=0)]
+    step = float(np.median(np.diff(time[instants]))) if len(instants) > 1 else math.inf
+    return nearest[np.abs(time[nearest] - wanted) <= 0.5 * step]

@@ -1,9 +1,9 @@
 """A model as a linear system: its matrices for python-control, frequency and step responses with their
 uncertainty.
 
-Bands are percentiles over draws of the parameters from the covariance of their coordinates, here points of a
-scrambled Sobol' sequence (Owen 1998, doi:10.1006/jcom.1998.0487), which reach with a few thousand points what
-takes random ones some hundred thousand.  Shapes: F frequencies, T times, N draws; k outputs, m inputs.
+Bands are percentiles over draws of the parameters from the covariance of their coordinates.  The draws are
+points of a scrambled Sobol' sequence (Owen 1998, doi:10.1006/jcom.1998.0487): a few thousand are as accurate
+as some hundred thousand random points.  Shapes: F frequencies, T times, N draws; k outputs, m inputs.
 """
 
 from __future__ import annotations
@@ -31,16 +31,16 @@ DRAWS = 4096
 POINTS = 121
 """Frequencies or times of a response whose grid is not stated."""
 REACHED = 1e-9
-"""[1] share of the largest residue below which an input does not reach an output through a mode."""
+"""[1] share of the largest residue at or below which a mode transmits no input to an output."""
 Answer = tuple[np.ndarray, np.ndarray, np.ndarray]
 """A value with its lower and upper bound, (F,) or (T,) each; NaN where no uncertainty is known."""
 
 
 @dataclass(frozen=True)
 class Response:
-    """What the outputs answer to the inputs, one (output, input) pair at a time.
+    """Responses of the outputs to the inputs, by pair (output, input).
 
-    `level` [1] of the bands; `system`: the linear system at the values themselves.
+    `level` [1] of the bands; `system`: the linear system at the parameters' values.
     """
 
     level: float
@@ -75,8 +75,8 @@ class FrequencyResponse(Response):
 
 @dataclass(frozen=True, repr=False)
 class StepResponse(Response):
-    """Answer to a step by one unit of an input at time 0: `time_h` (T,) [h]; `value` [output's unit by
-    input's unit] by (output, input)."""
+    """Response to a unit step of an input at time 0: `time_h` (T,) [h]; `value` [output's unit by input's
+    unit] by (output, input)."""
 
     time_h: np.ndarray
     value: Mapping[tuple[str, str], Answer]
@@ -98,10 +98,10 @@ def to_statespace(
 ) -> control.StateSpace:
     """A model as a `control.StateSpace`, time in hours.
 
-    source, given: a `Fit`, of which the thermal network is taken, equations (2) and (3), with or without a
-        `Record`; or a `Likelihood` and its `Estimate` or values by name.
-    state, inputs: where a nonlinear model of a likelihood is linearised, in its units; values not given there
-        are the means of the filtered states and the medians of the inputs over the data.
+    source, given: a `Fit`, whose thermal network, equations (2) and (3), becomes the system, with or without
+        a `Record`; or a `Likelihood` and its `Estimate` or values by name.
+    state, inputs: the point at which a nonlinear model of a likelihood is linearised, in its units; values
+        that are not given are means of the filtered states and medians of the inputs over the data.
 
     Returns the system with the names of its states, inputs and outputs.  Of a fit: inputs
     `ambient_temperature` and `heat_release` [K] (f_ΔT), output `cabinet_air_temperature` [K], state
@@ -111,11 +111,11 @@ def to_statespace(
     """
     import control
 
-    made, spread = _linear("to_statespace", source, given, state, inputs)
-    found = made(spread.values)
+    system_of, spread = _linear("to_statespace", source, given, state, inputs)
+    system = system_of(spread.values)
     return control.ss(
-        found.A, found.B, found.C, found.D,
-        states=list(found.states), inputs=list(found.inputs), outputs=list(found.outputs), name="model",
+        system.A, system.B, system.C, system.D,
+        states=list(system.states), inputs=list(system.inputs), outputs=list(system.outputs), name="model",
     )  # fmt: skip
 
 
@@ -141,26 +141,28 @@ def bode(
     expect_level(level)
     if omega is not None and not np.min(omega, initial=np.inf) > 0.0:
         raise ValueError(f"omega: expected frequencies above 0 rad/h, found {np.min(omega)}")
-    made, spread = _linear("bode", source, given, state, inputs)
-    system = made(spread.values)
+    system_of, spread = _linear("bode", source, given, state, inputs)
+    system = system_of(spread.values)
     rates = np.abs(_modes(system))
     if omega is None:
         low, high = (rates.min() / 10.0, rates.max() * 10.0) if len(rates) else (0.01, 100.0)
         omega = np.geomspace(low, high, POINTS)
     grid = np.asarray(omega, dtype=float)
-    exact, every = _frequency(system, grid), None
+    exact, of_draws = _frequency(system, grid), None
     if len(spread.names):
-        every = _frequency(made(spread.drawn(_normal(len(spread.names)))), grid)
+        of_draws = _frequency(system_of(spread.drawn(_normal(len(spread.names)))), grid)
     magnitude, phase = {}, {}
     unwrapped = np.degrees(np.unwrap(np.angle(exact), axis=0))
-    for pair, place in _places(system).items():
-        size, angle = np.abs(exact[place]), unwrapped[place]
-        sizes = turns = None
-        if every is not None:
-            sizes = np.abs(every[(slice(None), *place)])
+    for pair, index in _places(system).items():
+        gain, phase_value = np.abs(exact[index]), unwrapped[index]
+        drawn_gains = drawn_phases = None
+        if of_draws is not None:
+            drawn_gains = np.abs(of_draws[(slice(None), *index)])
             with np.errstate(divide="ignore", invalid="ignore"):
-                turns = angle + np.degrees(np.angle(every[(slice(None), *place)] / exact[place]))
-        magnitude[pair], phase[pair] = _banded(size, sizes, level), _banded(angle, turns, level)
+                ratio = of_draws[(slice(None), *index)] / exact[index]
+                drawn_phases = phase_value + np.degrees(np.angle(ratio))
+        magnitude[pair] = _with_bounds(gain, drawn_gains, level)
+        phase[pair] = _with_bounds(phase_value, drawn_phases, level)
     return FrequencyResponse(level, system, grid, magnitude, phase)
 
 
@@ -173,19 +175,19 @@ def step_response(
     state: Mapping[str, float] | None = None,
     inputs: Mapping[str, float] | None = None,
 ) -> StepResponse:
-    """Answer of the outputs to a step by one unit of every input, with the uncertainty of the parameters.
+    """Response of the outputs to a unit step of every input, with the uncertainty of the parameters.
 
     source, given, state, inputs: as `to_statespace` takes them, in the model's units.
-    time_h: (T,) [h] from 0 on, evenly spaced; default: five times the slowest time constant of the answers.
+    time_h: (T,) [h] from 0 on, evenly spaced; default: five times the slowest time constant of the responses.
     level: [1] of the bands.
 
     Returns `value` by (output, input) as (value, lower, upper); the bounds are NaN for plain values, whose
-    uncertainty is not known.  `plot()` draws the answers.
+    uncertainty is not known.  `plot()` draws the responses.
     Raises ValueError as `to_statespace` does, and for times that are not evenly spaced from 0 on.
     """
     expect_level(level)
-    made, spread = _linear("step_response", source, given, state, inputs)
-    system = made(spread.values)
+    system_of, spread = _linear("step_response", source, given, state, inputs)
+    system = system_of(spread.values)
     if time_h is None:
         decays = -1.0 / _modes(system).real
         decays = decays[decays > 0.0]
@@ -194,12 +196,12 @@ def step_response(
     steps = np.diff(grid)
     if grid[0] != 0.0 or len(grid) < 2 or not np.allclose(steps, steps[0], rtol=1e-6) or steps[0] <= 0.0:
         raise ValueError("time_h: expected evenly spaced times [h] from 0 on, found others; use np.linspace")
-    exact, every = _steps(system, grid), None
+    exact, of_draws = _steps(system, grid), None
     if len(spread.names):
-        every = _steps(made(spread.drawn(_normal(len(spread.names)))), grid)
+        of_draws = _steps(system_of(spread.drawn(_normal(len(spread.names)))), grid)
     value = {
-        pair: _banded(exact[place], None if every is None else every[(slice(None), *place)], level)
-        for pair, place in _places(system).items()
+        pair: _with_bounds(exact[index], None if of_draws is None else of_draws[(slice(None), *index)], level)
+        for pair, index in _places(system).items()
     }
     return StepResponse(level, system, grid, value)
 
@@ -224,14 +226,15 @@ def _linear(
         parameters = source.design.model.parameters
         spread = Spread.in_units(parameters, source.values, source.covariance)
         return (lambda values: thermal_system(source.design, values)), spread
-    found = subject(verb, source, given)
-    point, at = operating_point(found.likelihood, found.values, state or {}, inputs or {})
-    model = found.likelihood.model
-    return (lambda values: linearise(model, values, point[: len(model.mechanism_states)], at)), found.spread
+    resolved = subject(verb, source, given)
+    states, input_values = operating_point(resolved.likelihood, resolved.values, state or {}, inputs or {})
+    model = resolved.likelihood.model
+    states = states[: len(model.mechanism_states)]
+    return (lambda values: linearise(model, values, states, input_values)), resolved.spread
 
 
 def _modes(system: LinearSystem) -> np.ndarray:
-    """Eigenvalues [1/h] of the modes by which an input reaches an output."""
+    """Eigenvalues [1/h] of the modes that transmit an input to an output."""
     values, vectors = np.linalg.eig(system.A)
     driven = np.abs(np.linalg.pinv(vectors) @ system.B).max(axis=1, initial=0.0)
     residues = np.abs(system.C @ vectors).max(axis=0) * driven
@@ -249,41 +252,41 @@ def _places(system: LinearSystem) -> dict[tuple[str, str], tuple[Any, int, int]]
 def _frequency(system: LinearSystem, omega: np.ndarray) -> np.ndarray:
     """G(iω) (…, F, k, m)."""
     n = len(system.states)
-    found = np.empty((*system.A.shape[:-2], len(omega), *system.D.shape[-2:]), dtype=complex)
-    for place, one in enumerate(omega):  # a frequency at a time: all together would fill the memory
-        found[..., place, :, :] = system.C @ np.linalg.solve(1j * one * np.eye(n) - system.A, system.B)
-    return found + system.D[..., None, :, :]
+    gain = np.empty((*system.A.shape[:-2], len(omega), *system.D.shape[-2:]), dtype=complex)
+    for row, frequency in enumerate(omega):  # a frequency at a time: all together would fill the memory
+        gain[..., row, :, :] = system.C @ np.linalg.solve(1j * frequency * np.eye(n) - system.A, system.B)
+    return gain + system.D[..., None, :, :]
 
 
 def _steps(system: LinearSystem, time_h: np.ndarray) -> np.ndarray:
-    """Step responses (…, T, k, m): the state moves by exp of the matrix [[A, B], [0, 0]]."""
+    """Step responses (…, T, k, m), from the matrix exponential of [[A, B], [0, 0]]."""
     from scipy.linalg import expm
 
     n, m = system.B.shape[-2:]
-    whole = np.zeros((*system.A.shape[:-2], n + m, n + m))
-    whole[..., :n, :n], whole[..., :n, n:] = system.A, system.B
-    moved = expm(whole * (time_h[1] - time_h[0]))
-    carry, drive = moved[..., :n, :n], moved[..., :n, n:]
+    block_matrix = np.zeros((*system.A.shape[:-2], n + m, n + m))
+    block_matrix[..., :n, :n], block_matrix[..., :n, n:] = system.A, system.B
+    transition = expm(block_matrix * (time_h[1] - time_h[0]))
+    state_matrix, input_matrix = transition[..., :n, :n], transition[..., :n, n:]
     state = np.zeros_like(system.B)
-    found = np.empty((*system.A.shape[:-2], len(time_h), *system.D.shape[-2:]))
-    for place in range(len(time_h)):
-        found[..., place, :, :] = system.C @ state + system.D
-        state = carry @ state + drive
-    return found
+    responses = np.empty((*system.A.shape[:-2], len(time_h), *system.D.shape[-2:]))
+    for row in range(len(time_h)):
+        responses[..., row, :, :] = system.C @ state + system.D
+        state = state_matrix @ state + input_matrix
+    return responses
 
 
 @cache
 def _normal(count: int) -> np.ndarray:
-    """Standard normal points (DRAWS, count) that fill the space evenly, always the same ones."""
+    """Standard normal quasi-random points (DRAWS, count) with a fixed seed."""
     from scipy.stats import qmc
 
     return np.asarray(qmc.MultivariateNormalQMC(np.zeros(count), seed=1).random(DRAWS))
 
 
-def _banded(value: np.ndarray, draws: np.ndarray | None, level: float) -> Answer:
+def _with_bounds(value: np.ndarray, draws: np.ndarray | None, level: float) -> Answer:
     """A value (T,) with the percentiles of its draws (N, T)."""
     if draws is None:
-        nothing = np.full(len(value), np.nan)
-        return value, nothing, nothing
+        unknown = np.full(len(value), np.nan)
+        return value, unknown, unknown
     lower, upper = np.quantile(draws, [0.5 - 0.5 * level, 0.5 + 0.5 * level], axis=0)
     return value, lower, upper

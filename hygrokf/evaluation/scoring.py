@@ -46,8 +46,8 @@ class Errors:
 class Coverage:
     """Readings inside a band.
 
-    `coverage`: share [1] of the `n` readings inside it; `scale`: factor by which the band would have to be
-    scaled to contain the share that it promises.  NaN without readings.
+    `coverage`: share [1] of the `n` readings inside the band; `scale`: factor by which the band would have to
+    be widened to contain its nominal share of readings.  NaN without readings.
     """
 
     coverage: float = math.nan
@@ -67,7 +67,7 @@ Bands: TypeAlias = Mapping[str, Mapping[str, Coverage]]
 
 @dataclass(frozen=True)
 class Scored:
-    """How well a model's free run and forecasts meet the readings.
+    """How well a model's free run and forecasts agree with the readings.
 
     `rmse`: errors of the free run by period and quantity, and those of simple rules in `baselines`;
     `sensor_share`: share of the squared error [1] that the sensors' accuracy explains; `bands`: coverage of
@@ -101,26 +101,26 @@ def period_masks(run: Run) -> dict[str, np.ndarray]:
 
 def rmse(error: np.ndarray, operating: np.ndarray) -> Errors:
     """Root mean squared error in operation, at standstill and in total of errors (T,); NaN are left out."""
-    there = np.isfinite(error)
-    parts = [error[chosen & there] for chosen in (operating, ~operating, np.ones_like(operating))]
+    is_finite = np.isfinite(error)
+    parts = [error[in_regime & is_finite] for in_regime in (operating, ~operating, np.ones_like(operating))]
     on, off, all_ = (float(np.sqrt(np.mean(part**2))) if len(part) else math.nan for part in parts)
     return Errors(on, off, all_, Counts(*map(len, parts)))
 
 
-def _by_period(run: Run, of: Callable[[np.ndarray], T]) -> dict[str, T]:
-    """What there is to say of the scored instants (T,) of each period."""
-    return {period: of(chosen & run.scored) for period, chosen in period_masks(run).items()}
+def _by_period(run: Run, evaluate: Callable[[np.ndarray], T]) -> dict[str, T]:
+    """A function of instants (T,), evaluated at the scored instants of each period."""
+    return {period: evaluate(in_period & run.scored) for period, in_period in period_masks(run).items()}
 
 
 def scores(run: Run, predicted: Prediction) -> Scores:
     """The paper's Table III for both quantities and both periods, without stretches of unknown inputs."""
-    known, nothing = measured(run), np.full(len(run.scored), np.nan)
-    errors = {q: known[q] - (predicted.of(q) or (nothing,))[0] for q in SCORED}
-    return _by_period(run, lambda chosen: _errors(errors, chosen, run))
+    observed, missing = measured(run), np.full(len(run.scored), np.nan)
+    errors = {q: observed[q] - (predicted.of(q) or (missing,))[0] for q in SCORED}
+    return _by_period(run, lambda in_period: _errors(errors, in_period, run))
 
 
-def _errors(errors: Mapping[str, np.ndarray], chosen: np.ndarray, run: Run) -> dict[str, Errors]:
-    return {q: rmse(np.where(chosen, error, np.nan), run.operating) for q, error in errors.items()}
+def _errors(errors: Mapping[str, np.ndarray], in_period: np.ndarray, run: Run) -> dict[str, Errors]:
+    return {q: rmse(np.where(in_period, error, np.nan), run.operating) for q, error in errors.items()}
 
 
 def readings_sd(run: Run) -> Shares:
@@ -128,48 +128,51 @@ def readings_sd(run: Run) -> Shares:
 
     A free run with a larger error is worse than the readings' own mean.
     """
-    known = measured(run)
+    observed = measured(run)
 
-    def spread(chosen: np.ndarray) -> dict[str, float]:
-        parts = {q: known[q][chosen & np.isfinite(known[q])] for q in SCORED}
+    def spread(in_period: np.ndarray) -> dict[str, float]:
+        parts = {q: observed[q][in_period & np.isfinite(observed[q])] for q in SCORED}
         return {q: float(np.std(part)) if len(part) else math.nan for q, part in parts.items()}
 
     return _by_period(run, spread)
 
 
 def guesses(run: Run) -> dict[str, dict[str, np.ndarray]]:
-    """Simple rules in place of a model: readings (T,) by rule and quantity.
+    """Predictions (T,) of simple rules that need no model, by rule and quantity.
 
     `ambient`: c = c_amb; `ambient_pressure_balance`: c = c_amb T_amb/T_conv,a with the measured temperature;
     `no_dynamics`: T_amb plus a heat release fitted by least squares to the identification period, without any
     heat storage.
     """
     t = run.timeline
-    known = measured(run)
+    observed = measured(run)
     masks = period_masks(run)
-    found: dict[str, dict[str, np.ndarray]] = {}
+    rule_values: dict[str, dict[str, np.ndarray]] = {}
     if "ambient_absolute_humidity" in t.varying:
         ambient = t.input("ambient_absolute_humidity")
-        found["ambient"] = {"absolute_humidity_g_m3": ambient}
-        ratio = t.input("ambient_temperature") / known["temperature_K"]
-        found["ambient_pressure_balance"] = {"absolute_humidity_g_m3": ambient * ratio}
-    static = _static(run, known["temperature_K"], masks["identification"])
+        rule_values["ambient"] = {"absolute_humidity_g_m3": ambient}
+        ratio = t.input("ambient_temperature") / observed["temperature_K"]
+        rule_values["ambient_pressure_balance"] = {"absolute_humidity_g_m3": ambient * ratio}
+    static = _without_dynamics(run, observed["temperature_K"], masks["identification"])
     if static is not None:
-        found["no_dynamics"] = {"temperature_K": static}
-    return found
+        rule_values["no_dynamics"] = {"temperature_K": static}
+    return rule_values
 
 
 def baselines(run: Run) -> RuleScores:
     """Errors of the rules in `guesses`."""
-    known, rules = measured(run), guesses(run)
-    errors = {name: {q: known[q] - value for q, value in one.items()} for name, one in rules.items()}
+    observed, rules = measured(run), guesses(run)
+    errors = {
+        name: {q: observed[q] - value for q, value in by_quantity.items()}
+        for name, by_quantity in rules.items()
+    }
     return _by_period(
-        run, lambda chosen: {name: _errors(one, chosen, run) for name, one in errors.items()}
+        run, lambda in_period: {name: _errors(of_rule, in_period, run) for name, of_rule in errors.items()}
     )
 
 
-def _static(run: Run, temperature: np.ndarray, chosen: np.ndarray) -> np.ndarray | None:
-    """The rule `no_dynamics` (T,), fitted to the chosen instants (T,); None where they are too few."""
+def _without_dynamics(run: Run, temperature: np.ndarray, in_period: np.ndarray) -> np.ndarray | None:
+    """The rule `no_dynamics` (T,), fitted to the instants in a period (T,); None if they are too few."""
     t = run.timeline
     ambient = t.input("ambient_temperature")
     columns = [np.ones(len(t)), ambient - 283.15]
@@ -179,40 +182,41 @@ def _static(run: Run, temperature: np.ndarray, chosen: np.ndarray) -> np.ndarray
         if name == "operating":
             columns.append(t.input(name) * (ambient - 283.15))
     features = np.column_stack(columns)
-    usable = chosen & run.scored & np.isfinite(temperature)
+    usable = in_period & run.scored & np.isfinite(temperature)
     if usable.sum() < 5 * features.shape[1]:
         return None
-    found, *_ = np.linalg.lstsq(features[usable], (temperature - ambient)[usable], rcond=None)
-    return ambient + features @ found
+    coefficients, *_ = np.linalg.lstsq(features[usable], (temperature - ambient)[usable], rcond=None)
+    return ambient + features @ coefficients
 
 
-def sensor_share(run: Run, found: Scores) -> Shares:
+def sensor_share(run: Run, errors: Scores) -> Shares:
     """Share of the total mean squared error explained by the sensors' stated accuracy (accuracy = 95 %
     bound).
 
     For absolute humidity the errors of the humidity and of the temperature sensor add in quadrature
     (2 % relative humidity is 0.26 g/m³ at 15 °C).
     """
-    known, record = measured(run), run.record
+    observed, record = measured(run), run.record
     variance: dict[str, float] = {}
-    temperature = (
+    temperature_sd = (
         accuracy_of(record["cabinet_temperature"]) / 1.96 if "cabinet_temperature" in record else 0.0
     )
-    if temperature:
-        variance["temperature_K"] = temperature**2
-    if "cabinet_relative_humidity" in record and np.isfinite(known["absolute_humidity_g_m3"]).any():
-        humidity = accuracy_of(record["cabinet_relative_humidity"]) / 1.96
-        there = np.isfinite(known["absolute_humidity_g_m3"])
-        moist, warm = known["relative_humidity"][there], float(np.nanmean(known["temperature_K"]))
-        saturated = np.full(len(moist), 1e3 * absolute_humidity(1.0, warm))
-        np.divide(known["absolute_humidity_g_m3"][there], moist, out=saturated, where=moist > 0)
-        slope = 1e3 * absolute_humidity_slope_temperature(moist, warm)
+    if temperature_sd:
+        variance["temperature_K"] = temperature_sd**2
+    if "cabinet_relative_humidity" in record and np.isfinite(observed["absolute_humidity_g_m3"]).any():
+        humidity_sd = accuracy_of(record["cabinet_relative_humidity"]) / 1.96
+        is_present = np.isfinite(observed["absolute_humidity_g_m3"])
+        relative = observed["relative_humidity"][is_present]
+        mean_K = float(np.nanmean(observed["temperature_K"]))
+        saturated = np.full(len(relative), 1e3 * absolute_humidity(1.0, mean_K))
+        np.divide(observed["absolute_humidity_g_m3"][is_present], relative, out=saturated, where=relative > 0)
+        slope = 1e3 * absolute_humidity_slope_temperature(relative, mean_K)
         variance["absolute_humidity_g_m3"] = float(
-            np.mean((saturated * humidity) ** 2 + (slope * temperature) ** 2)
+            np.mean((saturated * humidity_sd) ** 2 + (slope * temperature_sd) ** 2)
         )
     return {
         period: {
-            q: min(1.0, v / total**2) if (total := found[period][q].total) > 0 else math.nan
+            q: min(1.0, v / total**2) if (total := errors[period][q].total) > 0 else math.nan
             for q, v in variance.items()
         }
         for period in PERIODS
@@ -240,15 +244,15 @@ def bands(
     """Coverage of the 1 h, 6 h, 24 h and free-run bands on the validation period (the whole record without
     one)."""
     masks = period_masks(run)
-    late = masks["validation"] if masks["validation"].any() else masks["identification"]
-    known = measured(run)
+    scored_period = masks["validation"] if masks["validation"].any() else masks["identification"]
+    observed = measured(run)
     result: dict[str, dict[str, Coverage]] = {}
-    found = forecasts(design, values, run, int(np.flatnonzero(late)[0]), tolerance=tolerance)
-    for lead, by_quantity in found.items():
+    forecast_rows = forecasts(design, values, run, int(np.flatnonzero(scored_period)[0]), tolerance=tolerance)
+    for lead, by_quantity in forecast_rows.items():
         result[f"{lead:g}h"] = {q: coverage(*rows) for q, rows in by_quantity.items()}
-    chosen = late & run.scored
+    usable = scored_period & run.scored
     result["free_run"] = {
-        q: coverage(known[q][chosen], pair[0][chosen], pair[1][chosen])
+        q: coverage(observed[q][usable], pair[0][usable], pair[1][usable])
         for q in QUANTITIES
         if (pair := predicted.of(q)) is not None
     }

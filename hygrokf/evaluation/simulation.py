@@ -46,33 +46,36 @@ def measured(run: Run) -> dict[str, np.ndarray]:
     """Readings (T,) by quantity; absolute humidity from relative humidity and temperature of the same
     instant."""
     t = run.timeline
-    nothing = np.full(len(t), np.nan)
+    missing = np.full(len(t), np.nan)
     temperature = t.reading("cabinet_temperature") if "cabinet_temperature" in t.outputs else None
     if temperature is None and "cabinet_temperature" in t.varying:
         temperature = t.input("cabinet_temperature")
-    result = {"temperature_K": nothing if temperature is None else temperature}
-    result["relative_humidity"] = nothing
-    result["absolute_humidity_g_m3"] = nothing
+    result = {"temperature_K": missing if temperature is None else temperature}
+    result["relative_humidity"] = missing
+    result["absolute_humidity_g_m3"] = missing
     if "cabinet_relative_humidity" in t.outputs:
         humidity = t.reading("cabinet_relative_humidity")
         result["relative_humidity"] = humidity
         if temperature is not None:
-            result["absolute_humidity_g_m3"] = 1e3 * absolute_humidity(humidity, _filled(t.time, temperature))
+            result["absolute_humidity_g_m3"] = 1e3 * absolute_humidity(
+                humidity, _interpolated(t.time, temperature)
+            )
     elif "cabinet_absolute_humidity" in t.outputs:
         result["absolute_humidity_g_m3"] = t.reading("cabinet_absolute_humidity")
     return result
 
 
-def _filled(time: np.ndarray, value: np.ndarray) -> np.ndarray:
+def _interpolated(time: np.ndarray, value: np.ndarray) -> np.ndarray:
     """Readings interpolated over at most half an hour, NaN beyond."""
-    there = np.isfinite(value)
-    if there.sum() < 2:
+    is_present = np.isfinite(value)
+    if is_present.sum() < 2:
         return value
-    known = time[there]
-    after = np.clip(np.searchsorted(known, time), 0, len(known) - 1)
-    before = np.clip(np.searchsorted(known, time, side="right") - 1, 0, len(known) - 1)
-    near = (known[after] - known[before] <= 0.55) & (time >= known[0]) & (time <= known[-1])
-    return np.where(near, np.interp(time, known, value[there]), np.nan)
+    times = time[is_present]
+    after = np.clip(np.searchsorted(times, time), 0, len(times) - 1)
+    before = np.clip(np.searchsorted(times, time, side="right") - 1, 0, len(times) - 1)
+    # [h] gaps of half an hour, with a margin for rounding
+    near = (times[after] - times[before] <= 0.55) & (time >= times[0]) & (time <= times[-1])
+    return np.where(near, np.interp(time, times, value[is_present]), np.nan)
 
 
 def run_on(
@@ -85,23 +88,24 @@ def run_on(
 
 
 def settled(design: Design, values: Mapping[str, float], run: Run, tolerance: float = TOLERANCE) -> Run:
-    """The run with `scored` False also until the free run has forgotten the gaps of its inputs.
+    """The run in which instants shortly after a gap of the inputs are not `scored` either.
 
     design, values: the model and its parameters, in their units.  tolerance: [1] as in `Likelihood`.
 
-    A gap is forgotten where what its end adds to the variance of every predicted reading (see
-    `engine.gaps`) is at most what the reading has without it.
+    After a gap (see `engine.gaps`) instants are excluded until the gap at most doubles the variance of every
+    predicted reading.
     """
     ends = gap_ends(run.scored)
     if not ends.any():
         return run
-    # readings do not count, and the end of a gap changes no course: the sub-steps serve both
+    # without readings, gaps change only the covariance: both traces can share the schedule of sub-steps
     blind = replace(run.unread().timeline, ends=ends[:0])
-    held = Likelihood(design.model, blind, tolerance=tolerance).scheduled(values)
-    with_gaps, without = (
-        replace(held, timeline=replace(blind, ends=one)).trace(values).variance for one in (ends, ends[:0])
+    likelihood = Likelihood(design.model, blind, tolerance=tolerance).scheduled(values)
+    variance_with_gaps, variance_without = (
+        replace(likelihood, timeline=replace(blind, ends=gaps)).trace(values).variance
+        for gaps in (ends, ends[:0])
     )
-    return replace(run, scored=run.scored & (with_gaps <= 2.0 * without).all(axis=1))
+    return replace(run, scored=run.scored & (variance_with_gaps <= 2.0 * variance_without).all(axis=1))
 
 
 def project(
@@ -117,21 +121,24 @@ def project(
 
     mean, covariance: (T, n), (T, n, n) of the states; without a covariance the variance is zero.
     """
-    u, columns = {one: t.input(one) for one in model.inputs}, list(mean.T)
-    made = model.evaluate(columns, u, values)
-    found = made.quantities[name] if name in made.quantities else made.rates[model.states.index(name)]
-    value = np.broadcast_to(np.asarray(found), len(t))  # a constant is a float
+    u, states = {input_name: t.input(input_name) for input_name in model.inputs}, list(mean.T)
+    evaluated = model.evaluate(states, u, values)
+    if name in evaluated.quantities:
+        quantity = evaluated.quantities[name]
+    else:
+        quantity = evaluated.rates[model.states.index(name)]
+    value = np.broadcast_to(np.asarray(quantity), len(t))  # a constant is a float
     if covariance is None:
         return value, np.zeros_like(value)
-    slopes = state_derivatives(model, name, values, columns, u)
-    return value, np.einsum("ti,tij,tj->t", slopes, covariance, slopes)
+    derivatives = state_derivatives(model, name, values, states, u)
+    return value, np.einsum("ti,tij,tj->t", derivatives, covariance, derivatives)
 
 
 def expected_readings(
     model: Model, t: Timeline, values: Mapping[str, float], trace: Trace
 ) -> dict[str, tuple[np.ndarray, np.ndarray]]:
     """Value and standard deviation (T,) of every output, before the readings of each instant are used."""
-    found = {
+    readings = {
         name: (trace.prediction[:, i], np.sqrt(trace.variance[:, i])) for i, name in enumerate(model.outputs)
     }
     mean, covariance = trace.prior_mean, trace.prior_covariance
@@ -139,34 +146,35 @@ def expected_readings(
     for name, interval in model.averaged.items():  # at instants without a mean the reading of an instant
         rate, variance = project(model, t, values, mean, covariance, f"mean_{name}")
         sd = np.sqrt(np.maximum(variance, 0.0) * interval**2 + noise[name] ** 2)
-        read = np.isfinite(t.reading(name))
-        found[name] = np.where(read, found[name][0], rate * interval), np.where(read, found[name][1], sd)
-    return found
+        is_read = np.isfinite(t.reading(name))
+        expected, expected_sd = readings[name]
+        readings[name] = np.where(is_read, expected, rate * interval), np.where(is_read, expected_sd, sd)
+    return readings
 
 
 def predicted_readings(design: Design, values: Mapping[str, float], run: Run, trace: Trace) -> Prediction:
     """Expected logger readings before the readings of each instant are used.
 
-    The spread of the absolute humidity combines that of the vapour itself with both readings' white noise.
-    Errors of the predicted temperature change both readings and leave the vapour unchanged.
+    The variance of the absolute humidity is that of the vapour plus that of both readings' white noise.  An
+    error of the predicted temperature changes both readings but not the vapour.
     """
     model, t = design.model, run.timeline
-    found = expected_readings(model, t, values, trace)
-    temperature = found.get("cabinet_temperature")
-    relative = found.get("cabinet_relative_humidity")
-    absolute = found.get("cabinet_absolute_humidity")
-    warm = temperature[0] if temperature is not None else None
-    if warm is None and "cabinet_temperature" in model.inputs:
-        warm = t.input("cabinet_temperature")
-    if relative is not None and warm is not None:
-        value = 1e3 * absolute_humidity(relative[0], warm)
-        slope = 1e3 * absolute_humidity_slope_temperature(relative[0], warm)
+    readings = expected_readings(model, t, values, trace)
+    temperature = readings.get("cabinet_temperature")
+    relative = readings.get("cabinet_relative_humidity")
+    absolute = readings.get("cabinet_absolute_humidity")
+    air_K = temperature[0] if temperature is not None else None
+    if air_K is None and "cabinet_temperature" in model.inputs:
+        air_K = t.input("cabinet_temperature")
+    if relative is not None and air_K is not None:
+        value = 1e3 * absolute_humidity(relative[0], air_K)
+        slope = 1e3 * absolute_humidity_slope_temperature(relative[0], air_K)
         noise = _noise(model, t, values)
         by_temperature = slope * noise.get("cabinet_temperature", 0.0)
-        saturated = 1e3 * absolute_humidity(1.0, warm)
+        saturated = 1e3 * absolute_humidity(1.0, air_K)
         by_humidity = saturated * noise["cabinet_relative_humidity"]
         state = model.states.index("vapour")
-        ratio = t.input("ambient_temperature") / warm  # equation (5)
+        ratio = t.input("ambient_temperature") / air_K  # equation (5)
         vapour = ratio * np.sqrt(np.maximum(trace.prior_covariance[:, state, state], 0.0))
         absolute = (value, np.sqrt(vapour**2 + by_humidity**2 + by_temperature**2))
     return Prediction(temperature, relative, absolute)
@@ -196,8 +204,8 @@ def free_run(
 
     Returns `temperature` [K], `relative_humidity` [1], `absolute_humidity` [g/m³], each as (mean, standard
     deviation), both (T,), or None where the model has no such output.  Switches follow the simulated readings
-    (`self_switching`); the spread takes their course as given.  Raises ValueError for parameters that the
-    model does not have.
+    (`self_switching`); the standard deviations treat the switches as known.  Raises ValueError for parameters
+    that the model does not have.
     """
     run = self_switched(design, values, [run])[0]
     likelihood = Likelihood(design.model, run.unread().timeline, tolerance=tolerance).scheduled(values)
@@ -210,28 +218,28 @@ def free_run(
     directions[[place[name] for name in names], np.arange(len(names))] = 1.0
     # with readings of zero, the residuals of the free run are minus the predictions at every instant
     zeros = run.timeline.with_readings(np.zeros_like(run.timeline.y))
-    _, slopes = replace(likelihood, timeline=zeros).residuals(values, directions)
-    rows = {name: -slopes[:, j] for j, name in enumerate(design.model.outputs)}
-    warm = rows.get("cabinet_temperature")
-    moist = rows.get("cabinet_relative_humidity")
-    vapour = rows.get("cabinet_absolute_humidity")
+    _, derivatives = replace(likelihood, timeline=zeros).residuals(values, directions)
+    jacobian_of = {name: -derivatives[:, j] for j, name in enumerate(design.model.outputs)}
+    of_temperature = jacobian_of.get("cabinet_temperature")
+    of_relative = jacobian_of.get("cabinet_relative_humidity")
+    of_absolute = jacobian_of.get("cabinet_absolute_humidity")
     relative, absolute = prediction.relative_humidity, prediction.absolute_humidity
-    if absolute is not None and relative is not None and moist is not None:
-        vapour = (absolute[0] / relative[0])[:, None] * moist
-        if prediction.temperature is not None and warm is not None:
+    if absolute is not None and relative is not None and of_relative is not None:
+        of_absolute = (absolute[0] / relative[0])[:, None] * of_relative
+        if prediction.temperature is not None and of_temperature is not None:
             slope = 1e3 * absolute_humidity_slope_temperature(relative[0], prediction.temperature[0])
-            vapour = vapour + slope[:, None] * warm
+            of_absolute = of_absolute + slope[:, None] * of_temperature
     return Prediction(
-        _wider(prediction.temperature, warm, matrix),
-        _wider(relative, moist, matrix),
-        _wider(absolute, vapour, matrix),
+        _with_parameter_variance(prediction.temperature, of_temperature, matrix),
+        _with_parameter_variance(relative, of_relative, matrix),
+        _with_parameter_variance(absolute, of_absolute, matrix),
     )
 
 
-def _wider(
+def _with_parameter_variance(
     pair: tuple[np.ndarray, np.ndarray] | None, jacobian: np.ndarray | None, matrix: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray] | None:
-    """A prediction with the variance J V J' of its parameters added."""
+    """The prediction with its variance increased by that of the parameters, J V J'."""
     if pair is None or jacobian is None:
         return pair
     extra = np.einsum("ti,ti->t", jacobian @ matrix, jacobian)
@@ -247,7 +255,7 @@ def forecasts(
     count: int = 250,
     tolerance: float = TOLERANCE,
 ) -> dict[float, dict[str, tuple[np.ndarray, np.ndarray, np.ndarray]]]:
-    """Forecasts from filtered states at instants of a run, compared with the readings that came.
+    """Forecasts from filtered states at instants of a run, paired with the observed readings.
 
     design, values: model and parameter values, in the parameters' units (`fit.design`, `fit.values`).
     run: of `model_inputs`.
@@ -264,16 +272,17 @@ def forecasts(
     t = run.timeline
     likelihood = Likelihood(design.model, t, tolerance=tolerance)
     trace = likelihood.trace(values)
-    known = measured(run)
-    there = np.flatnonzero(np.isfinite(t.y).any(axis=1) & run.scored)
-    there = there[there >= first]
+    observed = measured(run)
+    scored_instants = np.flatnonzero(np.isfinite(t.y).any(axis=1) & run.scored)
+    scored_instants = scored_instants[scored_instants >= first]
     result: dict[float, dict[str, list[tuple[float, float, float]]]] = {
         lead: {q: [] for q in QUANTITIES} for lead in leads_h
     }
-    if len(there) < 10:
+    if len(scored_instants) < 10:
         return {}
-    starts = there[np.unique(np.linspace(0, len(there) - 1, min(count, len(there))).astype(int))]
-    step = float(np.median(np.diff(t.time[there])))
+    positions = np.linspace(0, len(scored_instants) - 1, min(count, len(scored_instants)))
+    starts = scored_instants[np.unique(positions.astype(int))]
+    step = float(np.median(np.diff(t.time[scored_instants])))
     ends = np.searchsorted(t.time, t.time[starts] + max(leads_h) + step, side="right")
     starts, ends = starts[ends - starts >= 3], ends[ends - starts >= 3]
     predictions = ahead(likelihood, values, run, design, trace, starts, ends)
@@ -284,16 +293,16 @@ def forecasts(
                 pair = prediction.of(quantity)
                 if pair is None:
                     continue
-                seen = known[quantity][start + 1 : last]
-                usable = np.flatnonzero(np.isfinite(seen) & piece.scored)
+                readings = observed[quantity][start + 1 : last]
+                usable = np.flatnonzero(np.isfinite(readings) & piece.scored)
                 if len(usable) == 0:
                     continue
-                at = usable[np.argmin(np.abs(part.time[usable] - t.time[start] - lead))]
-                if abs(part.time[at] - t.time[start] - lead) <= 0.6 * step:
-                    result[lead][quantity].append((seen[at], pair[0][at], pair[1][at]))
+                instant = usable[np.argmin(np.abs(part.time[usable] - t.time[start] - lead))]
+                if abs(part.time[instant] - t.time[start] - lead) <= 0.6 * step:
+                    result[lead][quantity].append((readings[instant], pair[0][instant], pair[1][instant]))
     return {
-        lead: {q: tuple(np.array(rows).T) for q, rows in found.items() if rows}
-        for lead, found in result.items()
+        lead: {q: tuple(np.array(rows).T) for q, rows in by_quantity.items() if rows}
+        for lead, by_quantity in result.items()
     }
 
 
@@ -306,10 +315,10 @@ def ahead(
     starts: np.ndarray,
     ends: np.ndarray,
 ) -> Iterator[tuple[Run, Prediction]]:
-    """The run after each start, up to before its end (instants), and its prediction from the filtered state
-    at the start; the switches of a piece follow the prediction."""
+    """For each pair of instants (start, end): the part of the run after the start and before the end, and its
+    prediction from the filtered state at the start; its switches follow the prediction."""
     states = [Gaussian(trace.mean[start], trace.covariance[start]) for start in starts]
     pieces = [run.window(start + 1, last).unread() for start, last in zip(starts, ends, strict=True)]
     for piece, state in zip(self_switched(design, values, pieces, states), states, strict=True):
-        own = replace(likelihood, timeline=piece.timeline, schedule=None)
-        yield piece, predicted_readings(design, values, piece, own.trace(values, start=state))
+        from_state = replace(likelihood, timeline=piece.timeline, schedule=None)
+        yield piece, predicted_readings(design, values, piece, from_state.trace(values, start=state))

@@ -30,12 +30,12 @@ SOLAR_CONSTANT = 1361.0
 """[W/m²] irradiance outside the atmosphere."""
 RATE_WINDOW_S = 5400.0
 READING_BRIDGE_H = 2.0
-"""[h] a controller follows an interpolated reading over gaps up to this length, and keeps its position in
-longer ones."""
+"""[h] longest gap in which a controller follows an interpolated reading; in longer gaps it keeps its
+position."""
 
 
 def elapsed(record: Record, time: np.ndarray, start_s: float, end_s: float) -> np.ndarray:
-    """Share [1] of the time from `start_s` to `end_s` that has passed; above 1 after the end."""
+    """Elapsed share [1] of the time from `start_s` to `end_s`; above 1 after the end."""
     return (time - start_s) / (end_s - start_s)
 
 
@@ -48,10 +48,10 @@ def after_step(record: Record, time: np.ndarray, date_s: float, days: float = 0.
 
 def door_open(record: Record, time: np.ndarray, spans: Sequence[Sequence[float]]) -> np.ndarray:
     """1 within spans (start, end) [s], 0 outside."""
-    inside = np.zeros(len(time))
+    is_open = np.zeros(len(time))
     for start, end in spans:
-        inside[(time > start) & (time <= end)] = 1.0
-    return inside
+        is_open[(time > start) & (time <= end)] = 1.0
+    return is_open
 
 
 def wind_tenth(record: PreparedRecord, time: np.ndarray) -> np.ndarray:
@@ -75,16 +75,16 @@ def sunlit_wall(record: PreparedRecord, time: np.ndarray, azimuth_deg: float) ->
     """Irradiance [kW/m²] on a vertical wall facing `azimuth_deg` (clockwise from north).
 
     Beam and diffuse radiation are split by the clearness index (Erbs, Klein and Duffie 1982); the sky is
-    isotropic, the ground reflects a fifth.  Below six degrees of elevation the beam counts as at six, since
-    trees and hills obstruct it.
+    isotropic, the ground reflects a fifth.  Below an elevation of six degrees the beam is computed as at six
+    degrees, since trees and hills obstruct it.
     """
     horizontal = 1e3 * sunshine(record, time)
-    sine, azimuth = sun_place(time, _site(record))
+    sine, sun_azimuth = sun_place(time, _site(record))
     kt = np.clip(horizontal / np.maximum(SOLAR_CONSTANT * sine, 1.0), 0.0, 1.0)
-    middle = 0.9511 + kt * (-0.1604 + kt * (4.388 + kt * (-16.638 + kt * 12.336)))
-    share = np.where(kt <= 0.22, 1.0 - 0.09 * kt, np.where(kt <= 0.8, middle, 0.165))
+    middle_branch = 0.9511 + kt * (-0.1604 + kt * (4.388 + kt * (-16.638 + kt * 12.336)))
+    share = np.where(kt <= 0.22, 1.0 - 0.09 * kt, np.where(kt <= 0.8, middle_branch, 0.165))
     beam = (1.0 - share) * horizontal / np.maximum(sine, 0.1)
-    facing = np.sqrt(1.0 - np.clip(sine, -1.0, 1.0) ** 2) * np.cos(azimuth - np.radians(azimuth_deg))
+    facing = np.sqrt(1.0 - np.clip(sine, -1.0, 1.0) ** 2) * np.cos(sun_azimuth - np.radians(azimuth_deg))
     return 1e-3 * (beam * np.maximum(facing, 0.0) + (0.5 * share + 0.1) * horizontal)
 
 
@@ -100,9 +100,9 @@ def night_sky(record: PreparedRecord, time: np.ndarray) -> np.ndarray:
         return dark
     hours = np.arange(float(time[0]) - DAY_S, float(time[-1]) + 3600.0, 1800.0)
     clear = clear_sky(hours, site)
-    seen = np.minimum(_signal(record, "global_horizontal_irradiance", hours), 1.2 * clear)
+    measured = np.minimum(_signal(record, "global_horizontal_irradiance", hours), 1.2 * clear)
     window = np.ones(48)
-    sums = [np.convolve(irradiance, window)[: len(hours)] for irradiance in (seen, clear)]
+    sums = [np.convolve(irradiance, window)[: len(hours)] for irradiance in (measured, clear)]
     clearness = np.clip(sums[0] / np.maximum(sums[1], 1.0), 0.0, 1.0)
     return dark * np.interp(time, hours, clearness)
 
@@ -116,11 +116,11 @@ def scheduled(
     record: Record, time: np.ndarray, start_h: float, hours: float, workdays: bool = False
 ) -> np.ndarray:
     """1 for `hours` hours from `start_h` [h, UTC], every day or on Monday to Friday only; 0 otherwise."""
-    begun = time - 3600.0 * start_h
-    day = np.floor(begun / DAY_S)
-    inside = begun - DAY_S * day < 3600.0 * hours
+    since_start = time - 3600.0 * start_h
+    day = np.floor(since_start / DAY_S)
+    is_scheduled = since_start - DAY_S * day < 3600.0 * hours
     # 1 January 1970 was a Thursday
-    return (inside & (~np.array(workdays) | ((day + 3) % 7 < 5))).astype(float)
+    return (is_scheduled & (~np.array(workdays) | ((day + 3) % 7 < 5))).astype(float)
 
 
 def ambient_temperature_rate(record: PreparedRecord, time: np.ndarray) -> np.ndarray:
@@ -140,11 +140,8 @@ def ambient_vapour_rate(record: PreparedRecord, time: np.ndarray) -> np.ndarray:
 
 
 def rate(series: Series, path: Series, time: np.ndarray) -> np.ndarray:
-    """Rate of a series [1/h] at `time` (T,) [s]: slope of a straight line fitted to its path over 1.5 h; 0 in
-    longer gaps.
-
-    A difference of neighbouring readings would be mostly noise.
-    """
+    """Rate of change [1/h] of a series at `time` (T,) [s]: slope of a straight line fitted to the path of the
+    series over 1.5 h, since differences of neighbouring readings are mostly noise; 0 in longer gaps."""
     step = RATE_WINDOW_S / 10.0
     lag = step * np.arange(-5, 6)
     value = at_times(path, time[:, None] + lag[None, :], bridge_h(series, AMBIENT_BRIDGE_H))
@@ -159,11 +156,10 @@ def standstill(record: Record, time: np.ndarray) -> np.ndarray:
 def throttled(
     record: PreparedRecord, time: np.ndarray, reads: str, start: float, full: float, idle: bool = False
 ) -> np.ndarray:
-    """Position (T,) of a proportional controller that follows the signal `reads`, as `physics.switches` says;
-    0 in a run without any cabinet reading.
+    """Position (T,) of a proportional controller that follows the signal `reads` (see `physics.switches`).
 
-    Such a run can only be simulated, and simulations drive their own controllers
-    (`evaluation.self_switching`).
+    Without any cabinet reading the position is 0: such a run can only be simulated, and simulations drive
+    their own controllers (`evaluation.self_switching`).
     """
     if not any(signal.startswith("cabinet_") for signal in record.signals):
         return np.zeros(len(time))
@@ -187,7 +183,7 @@ FEATURES: Mapping[str, Feature] = MappingProxyType({
     "door_open": (door_open, MEAN),
     "scheduled": (scheduled, MEAN),
     **dict.fromkeys(CONTROLLED, (throttled, MEAN)),
-    **{name: one for factory in MECHANISMS.values() for name, one in factory().features.items()},
+    **{name: pair for factory in MECHANISMS.values() for name, pair in factory().features.items()},
 })  # fmt: skip
 """The package's features, with their holds, by the name of the input that they provide."""
 
@@ -201,25 +197,25 @@ def feature(
 ) -> np.ndarray:
     """Values (T,) of one of the `features` at the instants `time` (T,) [s] of a run.
 
-    Raises ValueError where its function returns something else, or a value that is not finite.
+    Raises ValueError if the function of the feature returns anything but T finite numbers.
     """
     function, hold = features[name]
     if hold == MEAN:
         time = 0.5 * (time + np.concatenate([time[:1], time[:-1]]))
-    found = np.asarray(function(record, time, **settings))
-    if found.shape != time.shape or found.dtype.kind not in "bif":
+    values = np.asarray(function(record, time, **settings))
+    if values.shape != time.shape or values.dtype.kind not in "bif":
         raise ValueError(
-            f"{name}: expected {len(time)} values, found shape {found.shape} of type {found.dtype}"
+            f"{name}: expected {len(time)} values, found shape {values.shape} of type {values.dtype}"
         )
-    if not np.isfinite(found).all():
-        raise ValueError(f"{name}: expected finite values, found {found[~np.isfinite(found)][0]}")
-    return found
+    if not np.isfinite(values).all():
+        raise ValueError(f"{name}: expected finite values, found {values[~np.isfinite(values)][0]}")
+    return values
 
 
 def without_settings(
     inputs: Iterable[str], features: Mapping[str, Feature] = FEATURES
 ) -> dict[str, dict[str, Any]]:
-    """Those of a mechanism's inputs that are features which need no settings, as a design names them."""
+    """The features without settings among a mechanism's inputs, by name, with empty settings."""
     return {name: {} for name in inputs if name in features and not feature_faults({name: {}}, features)}
 
 
@@ -232,10 +228,12 @@ def feature_faults(
         if name not in features:
             faults.append(f"{name}: expected one of {', '.join(features)}")
             continue
-        known = dict(list(inspect.signature(features[name][0]).parameters.items())[2:])
-        needed = {key for key, argument in known.items() if argument.default is argument.empty}
-        if not isinstance(settings, Mapping) or not needed <= set(settings) <= set(known):
-            faults.append(f"{name}: expected the settings {', '.join(known) or 'none'}, found {settings!r}")
+        arguments = dict(list(inspect.signature(features[name][0]).parameters.items())[2:])
+        needed = {key for key, argument in arguments.items() if argument.default is argument.empty}
+        if not isinstance(settings, Mapping) or not needed <= set(settings) <= set(arguments):
+            faults.append(
+                f"{name}: expected the settings {', '.join(arguments) or 'none'}, found {settings!r}"
+            )
     return faults
 
 
@@ -247,15 +245,15 @@ def operating(record: Record, time: np.ndarray) -> np.ndarray:
 
 
 def sun_place(time: np.ndarray, site: Site) -> tuple[np.ndarray, np.ndarray]:
-    """Sine of the sun's elevation (T,) [1] and its azimuth (T,) [rad] clockwise from north, at `time` (T,)
-    [s].
+    """Sine of the sun's elevation (T,) [1] and the sun's azimuth (T,) [rad] clockwise from north, at `time`
+    (T,) [s].
 
     Spencer's series (1971), accurate to a quarter of a degree.
     """
     day = np.floor(time / DAY_S)
     date = day.astype("datetime64[D]")
-    first = date.astype("datetime64[Y]").astype("datetime64[D]")
-    angle = 2.0 * np.pi * ((date - first).astype(float) + (time / DAY_S - day) - 0.5) / 365.0
+    new_year = date.astype("datetime64[Y]").astype("datetime64[D]")
+    angle = 2.0 * np.pi * ((date - new_year).astype(float) + (time / DAY_S - day) - 0.5) / 365.0
     declination = (
         0.006918 - 0.399912 * np.cos(angle) + 0.070257 * np.sin(angle) - 0.006758 * np.cos(2 * angle)
         + 0.000907 * np.sin(2 * angle) - 0.002697 * np.cos(3 * angle) + 0.00148 * np.sin(3 * angle)
@@ -267,20 +265,20 @@ def sun_place(time: np.ndarray, site: Site) -> tuple[np.ndarray, np.ndarray]:
     solar = (time / DAY_S - day) * 24.0 + site.longitude_deg / 15.0 + equation_min / 60.0
     hour_angle = np.radians(15.0 * (solar - 12.0))
     latitude = np.radians(site.latitude_deg)
-    height = np.sin(latitude) * np.sin(declination)
-    height = height + np.cos(latitude) * np.cos(declination) * np.cos(hour_angle)
+    sine = np.sin(latitude) * np.sin(declination)
+    sine = sine + np.cos(latitude) * np.cos(declination) * np.cos(hour_angle)
     east = -np.cos(declination) * np.sin(hour_angle)
     north = np.cos(latitude) * np.sin(declination)
     north = north - np.sin(latitude) * np.cos(declination) * np.cos(hour_angle)
-    return height, np.arctan2(east, north)
+    return sine, np.arctan2(east, north)
 
 
 def clear_sky(time: np.ndarray, site: Site) -> np.ndarray:
     """Global irradiance of a clear sky [W/m²] at `time` (T,) [s]: 1098 cos z exp(−0.057/cos z) (Haurwitz
     1945)."""
     sine, _ = sun_place(time, site)
-    up = np.maximum(sine, 1e-3)
-    return np.where(sine > 0.0, 1098.0 * up * np.exp(-0.057 / up), 0.0)
+    positive_sine = np.maximum(sine, 1e-3)
+    return np.where(sine > 0.0, 1098.0 * positive_sine * np.exp(-0.057 / positive_sine), 0.0)
 
 
 def _site(record: Record) -> Site:

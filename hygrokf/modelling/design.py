@@ -1,7 +1,7 @@
 """The model for a record: a `Design` is a model with the constants that turn any record into its inputs.
 
-A design is made from the identification period alone and then applied unchanged to every record: the later
-part of the same one, a sister turbine, a forecast.
+A design is made from the identification period alone and then applied unchanged to every record: the
+validation period, another turbine of the type, a forecast.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from hygrokf.texts.statement import Statement, unique
 from hygrokf.texts.terms import Name
 
 HOLDS: Mapping[str, str] = {
-    **{one.name: MEAN if one.hold == PREVIOUS else LINEAR for one in SIGNALS.values()},
+    **{signal.name: MEAN if signal.hold == PREVIOUS else LINEAR for signal in SIGNALS.values()},
     "exchange_factor": LINEAR,
     "operating": MEAN,
     "power_unknown": REGIME,
@@ -47,10 +47,10 @@ HUMIDITIES = ("cabinet_relative_humidity", "cabinet_absolute_humidity")
 BRIDGE_H = 1.0
 """[h] longest gap of the power bridged by the preceding value; in longer gaps the power is unknown."""
 BOUND = 4.0
-"""Standard deviations of its prediction from which a reading counts no more: a Gaussian reading lies beyond
-once in 16,000."""
+"""Standardised innovation at which the influence of a reading is bounded: a Gaussian one exceeds it once in
+16,000 readings."""
 FEWEST_READINGS = 50
-"""Fewest readings of a signal from which anything is identified."""
+"""Fewest readings of a signal that is used in an identification."""
 PARTS = ("thermal", "hygric")
 """The two networks of a model."""
 JOINT = "joint"
@@ -58,7 +58,7 @@ CASCADE = "cascade"
 
 
 _models: WeakValueDictionary[tuple[tuple[Factory, ...], str], Model] = WeakValueDictionary()
-"""Existing models, by what determines them."""
+"""Existing models by the factories of their mechanisms and their other content as JSON."""
 
 
 @dataclass(frozen=True)
@@ -66,14 +66,14 @@ class Design:
     """A model, and how its inputs are made from a record.
 
     `mechanisms`: pairs (name, settings) of the library.  `averaged`: outputs read as interval means, with the
-    interval [h]. `power_scale_W`: power that counts as 1; `power_order`: its highest exponent; `power_mean`:
-    means of the features (operating, p, …) that replace an unknown power.  `humidity`: the observed humidity
-    signal.  `ambient_noise`: (q, r) of the ambient signals that are smoothed before use (see `data.ambient`).
-    `features`: inputs made from the record's signals, with their settings.  `priors`: (mean, sd, logarithmic)
-    of parameters, from other turbines (see `turbine_type`).  `actuator_means`: means [SI unit] of the
-    logged actuators, which replace unknown values.  `scales`: signal → the numbers of its `gate.Scale`, by
-    which a tracker judges its readings.  `library`: where mechanisms and features are looked up by
-    name; designs are compared without it.
+    interval [h].  `power_scale_W`: power that counts as 1; `power_order`: highest exponent of the relative
+    power p; `power_mean`: means of the features (operating, p, …) that replace an unknown power.  `humidity`:
+    the observed humidity signal.  `ambient_noise`: (q, r) of the ambient signals that are smoothed before use
+    (see `data.ambient`).  `features`: inputs made from the record's signals, with their settings.  `priors`:
+    (mean, sd, logarithmic) of parameters, from other turbines (see `turbine_type`).  `actuator_means`: means
+    [SI unit] of the logged actuators, which replace unknown values.  `scales`: signal → the numbers of its
+    `gate.Scale`, by which a tracker judges its readings.  `library`: where mechanisms and features are looked
+    up by name; designs are compared without it.
     """
 
     mechanisms: tuple[Chosen, ...]
@@ -94,8 +94,8 @@ class Design:
     @cached_property
     def model(self) -> Model:
         """The model; equal designs share it, because tracing and compiling takes time and memory."""
-        known, factories = self.library.features, self.library.mechanisms
-        features = {name: known[name][1] for name in self.features if name in known}
+        library_features, factories = self.library.features, self.library.mechanisms
+        features = {name: library_features[name][1] for name in self.features if name in library_features}
         holds = {**HOLDS, **features, **self.holds}
         content = [
             [settings for _, settings in self.mechanisms],
@@ -104,14 +104,14 @@ class Design:
             sorted(self.priors.items()),
         ]
         key = (tuple(factories[name] for name, _ in self.mechanisms), json.dumps(content))
-        found = _models.get(key)
-        if found is None:
+        model = _models.get(key)
+        if model is None:
             mechanisms = [
                 _with_priors(factories[name](**settings), self.priors) for name, settings in self.mechanisms
             ]
-            found = replace(compose(mechanisms, holds, self.averaged), bound=BOUND)
-            _models[key] = found
-        return found
+            model = replace(compose(mechanisms, holds, self.averaged), bound=BOUND)
+            _models[key] = model
+        return model
 
     __getstate__ = field_values
 
@@ -120,41 +120,41 @@ class Design:
         return f"Design of a {self.model!r}\n  humidity: {self.humidity or 'none'}"
 
     def to_json(self) -> dict[str, Any]:
-        """All fields as plain data, with the `origins` of mechanisms and features that a user brought."""
+        """All fields as plain data, with the `origins` of a user's mechanisms and features."""
         data = field_values(self)
         del data["library"]
         origins = self.library.origins
         names = (*(name for name, _ in self.mechanisms), *self.features)
-        own = {name: dict(origins[name]) for name in names if name in origins}
-        return data | ({"origins": own} if own else {})
+        user_origins = {name: dict(origins[name]) for name in names if name in origins}
+        return data | ({"origins": user_origins} if user_origins else {})
 
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> Design:
-        """A design from the data of `to_json`, with the package's library; what they lack has its default."""
-        known = {name: value for name, value in data.items() if name != "origins"}
-        wrong = [name for name, _ in known.get("mechanisms", ()) if not isinstance(name, str)]
-        if wrong:
-            raise ValueError(f"expected names of mechanisms, found {wrong}")
-        mechanisms = tuple((name, dict(settings)) for name, settings in known.pop("mechanisms", ()))
-        known["power_mean"] = tuple(known.get("power_mean", ()))
-        known["statements"] = tuple(map(Statement.from_json, known.get("statements", ())))
+        """A design from the data of `to_json`, with the package's library; missing fields have defaults."""
+        fields = {name: value for name, value in data.items() if name != "origins"}
+        not_text = [name for name, _ in fields.get("mechanisms", ()) if not isinstance(name, str)]
+        if not_text:
+            raise ValueError(f"expected names of mechanisms, found {not_text}")
+        mechanisms = tuple((name, dict(settings)) for name, settings in fields.pop("mechanisms", ()))
+        fields["power_mean"] = tuple(fields.get("power_mean", ()))
+        fields["statements"] = tuple(map(Statement.from_json, fields.get("statements", ())))
         for name in ("ambient_noise", "priors", "scales"):
-            known[name] = {key: tuple(numbers) for key, numbers in known.get(name, {}).items()}
-        return cls(mechanisms, **known)
+            fields[name] = {key: tuple(numbers) for key, numbers in fields.get(name, {}).items()}
+        return cls(mechanisms, **fields)
 
 
 def _with_priors(mechanism: Mechanism, priors: Mapping[str, tuple[float, float, bool]]) -> Mechanism:
     """The mechanism with priors for its parameters."""
     if not any(p.name in priors for p in mechanism.parameters):
         return mechanism
-    known = tuple(
+    parameters = tuple(
         replace(p, prior=Prior(*priors[p.name])) if p.name in priors else p for p in mechanism.parameters
     )
-    return replace(mechanism, parameters=known)
+    return replace(mechanism, parameters=parameters)
 
 
 RESOLVED = 0.02
-"""Share of the readings' step below which a time constant cannot be distinguished from 0."""
+"""Time constants shorter than this share of the readings' step cannot be distinguished from 0."""
 
 
 def reading_step_h(series: Series) -> float:
@@ -171,7 +171,7 @@ def accuracy_of(series: Series) -> float:
 
 
 def observed_humidity(record: PreparedRecord) -> str | None:
-    """The cabinet humidity used in the likelihood: the logger's relative humidity where there is one."""
+    """The cabinet humidity in the likelihood, preferably the relative one; None without a usable one."""
     vapour = record.ambient_vapour
     if vapour is None or np.isfinite(vapour.value).sum() < FEWEST_READINGS:
         return None
@@ -209,48 +209,52 @@ def design(
     """
     record = prepare(record)
     statements: list[Statement] = []
-    chosen: list[Chosen] = []
+    mechanisms: list[Chosen] = []
     averaged: dict[str, float] = {}
     observed = observed_humidity(record)
     humidity = observed if kind != "thermal" else None
     scale = power_scale(record) if kind != CASCADE else None
     mean: tuple[float, ...] = ()
     reference = float(np.nanmean(record["ambient_temperature"].value))
-    acting = [actuator for actuator in actuators(record) if actuator.used]
+    used_actuators = [actuator for actuator in actuators(record) if actuator.used]
     if kind != CASCADE:
-        chosen.append(("thermal_network", {}))
-        release, mean, remarks = _release(record, scale, power_order, reference, heat_start or {})
-        chosen.append(("heat_release", release))
+        mechanisms.append(("thermal_network", {}))
+        release, mean, remarks = _release_settings(record, scale, power_order, reference, heat_start or {})
+        mechanisms.append(("heat_release", release))
         statements += remarks
-        chosen += [(name, dict(settings)) for name, settings in (a.thermal for a in acting if a.thermal)]
+        mechanisms += [
+            (name, dict(settings)) for name, settings in (a.thermal for a in used_actuators if a.thermal)
+        ]
         temperature = record[TEMPERATURE]
         if coloured:
-            chosen.append(("heat_disturbance", _correlation_bounds(temperature, record)))
-        chosen.append(("thermal_diffusion", {}))
-        chosen.append(("temperature_sensor", _sensor(temperature)))
+            mechanisms.append(("heat_disturbance", _correlation_bounds(temperature, record)))
+        mechanisms.append(("thermal_diffusion", {}))
+        mechanisms.append(("temperature_sensor", _sensor(temperature)))
         if temperature.interval_s > 0:
             averaged[TEMPERATURE] = temperature.interval_s / 3600.0
         power_order = release["order"] if release["operation"] else 0
     else:
-        chosen.append(("measured_air", {"accuracy": accuracy_of(record[TEMPERATURE])}))
+        mechanisms.append(("measured_air", {"accuracy": accuracy_of(record[TEMPERATURE])}))
         power_order = 0
     if humidity is not None:
         series = record[humidity]
         shortest = RESOLVED * reading_step_h(series)
-        chosen.append(("hygric_exchange", {"shortest_h": shortest} if shortest > SHORTEST_H else {}))
-        chosen += [(name, dict(settings)) for name, settings in (a.hygric for a in acting if a.hygric)]
+        mechanisms.append(("hygric_exchange", {"shortest_h": shortest} if shortest > SHORTEST_H else {}))
+        mechanisms += [
+            (name, dict(settings)) for name, settings in (a.hygric for a in used_actuators if a.hygric)
+        ]
         if coloured:
-            chosen.append(("vapour_disturbance", _correlation_bounds(series, record)))
-        chosen.append(("hygric_diffusion", {}))
+            mechanisms.append(("vapour_disturbance", _correlation_bounds(series, record)))
+        mechanisms.append(("hygric_diffusion", {}))
         relative = humidity == "cabinet_relative_humidity"
         settings = _sensor(series, 1.0 if relative else 1e3)
-        chosen.append(("humidity_sensor" if relative else "absolute_humidity_sensor", settings))
+        mechanisms.append(("humidity_sensor" if relative else "absolute_humidity_sensor", settings))
         if series.interval_s > 0:
             averaged[humidity] = series.interval_s / 3600.0
     elif observed is None:
         statements.append(FitCode.NO_HUMIDITY())
     return Design(
-        mechanisms=tuple(chosen),
+        mechanisms=tuple(mechanisms),
         averaged=averaged,
         power_scale_W=scale,
         power_order=power_order,
@@ -258,7 +262,7 @@ def design(
         humidity=humidity,
         ambient_noise=record.noise,
         statements=tuple(statements),
-        actuator_means={a.signal: float(np.nanmean(record[a.signal].value)) for a in acting},
+        actuator_means={a.signal: float(np.nanmean(record[a.signal].value)) for a in used_actuators},
         scales=record.scales,
         library=library,
     )
@@ -273,15 +277,15 @@ def _sensor(series: Series, scale: float = 1.0) -> dict[str, float]:
 
 
 def _correlation_bounds(series: Series, record: Record) -> dict[str, float]:
-    """Bounds of a disturbance's correlation time that the readings' step and the record's length can
-    resolve."""
+    """Bounds of a disturbance's correlation time that the step of the readings and the length of the record
+    can resolve."""
     step = reading_step_h(series)
     length = (record.end_s - record.start_s) / 3600.0
     shortest = max(step, 0.1)
     return {"shortest_h": shortest, "longest_h": max(min(length / 10.0, 200.0), 4.0 * shortest)}
 
 
-def _release(
+def _release_settings(
     record: Record,
     scale: float | None,
     order: int,
@@ -313,8 +317,8 @@ def _release(
     features = power_features(value, order)
     settings |= {"order": order, "ambient": True, "operation": True, "standstill": standstill}
     if _longest_gap_h(series, record) > bridge_h(series, BRIDGE_H):
-        chosen = features if standstill else np.column_stack([np.zeros(len(value)), features[:, 1:]])
-        settings["gap_covariance"] = np.cov(chosen.T, bias=True).reshape(order + 1, order + 1).tolist()
+        varying = features if standstill else np.column_stack([np.zeros(len(value)), features[:, 1:]])
+        settings["gap_covariance"] = np.cov(varying.T, bias=True).reshape(order + 1, order + 1).tolist()
         settings["gap_time_h"] = _correlation_time_h(series)
     return settings, tuple(features.mean(axis=0)), statements
 
@@ -329,8 +333,8 @@ def _longest_gap_h(power: Series, record: Record) -> float:
     """Longest time without known power within the span of the cabinet's readings [h]."""
     spans = [record[n] for n in (TEMPERATURE, *HUMIDITIES) if n in record]
     first, last = min(s.time[0] for s in spans), max(s.time[-1] for s in spans)
-    known = power.time[~power.missing]
-    begin, end = np.append(-np.inf, known), np.append(known - power.interval_s, np.inf)
+    read_s = power.time[~power.missing]
+    begin, end = np.append(-np.inf, read_s), np.append(read_s - power.interval_s, np.inf)
     return float(np.max(np.minimum(end, last) - np.maximum(begin, first))) / 3600.0
 
 
@@ -356,23 +360,22 @@ def extended(
 ) -> Design:
     """The design with further mechanisms of its library and the features that they read.
 
-    `features` states those that have settings; the others follow from the mechanisms.
+    `features`: features that have settings; features without settings follow from the mechanisms.
     """
-    named = {**base.features, **(features or {})}
+    feature_settings = {**base.features, **(features or {})}
     library = base.library
-    made = [library.mechanisms[mechanism](**settings) for mechanism, settings in additions]
-    read = [name for one in made for name in one.inputs if name not in named]
+    added = [library.mechanisms[mechanism](**settings) for mechanism, settings in additions]
+    inputs = [name for mechanism in added for name in mechanism.inputs if name not in feature_settings]
     return replace(
         base,
         mechanisms=(*base.mechanisms, *additions),
         holds={**base.holds, **(holds or {})},
-        features={**named, **without_settings(read, library.features)},
+        features={**feature_settings, **without_settings(inputs, library.features)},
     )
 
 
 def read_as(base: Design, record: Record) -> Design:
-    """The design for a record with other averaging intervals, which belong to the loggers and not to the
-    cabinet.
+    """The design with the averaging intervals of a record, which are properties of the loggers.
 
     Outputs that the record lacks are predicted for instants.
     """
@@ -385,20 +388,19 @@ def read_as(base: Design, record: Record) -> Design:
 
 
 def merged(parts: Sequence[Design]) -> Design:
-    """The joint design of a cascade, in which the thermal part supplies the air temperature of the hygric
-    part."""
-    first = parts[0]
+    """The joint design of a cascade: the thermal part supplies the air temperature of the hygric part."""
+    joint = parts[0]
     for part in parts[1:]:
-        first = replace(
-            first,
-            mechanisms=(*first.mechanisms, *(m for m in part.mechanisms if m[0] != "measured_air")),
-            averaged={**first.averaged, **part.averaged},
-            humidity=first.humidity or part.humidity,
-            statements=unique((*first.statements, *part.statements)),
-            holds={**first.holds, **part.holds},
-            features={**first.features, **part.features},
-            priors={**first.priors, **part.priors},
-            actuator_means={**first.actuator_means, **part.actuator_means},
-            scales={**part.scales, **first.scales},
+        joint = replace(
+            joint,
+            mechanisms=(*joint.mechanisms, *(m for m in part.mechanisms if m[0] != "measured_air")),
+            averaged={**joint.averaged, **part.averaged},
+            humidity=joint.humidity or part.humidity,
+            statements=unique((*joint.statements, *part.statements)),
+            holds={**joint.holds, **part.holds},
+            features={**joint.features, **part.features},
+            priors={**joint.priors, **part.priors},
+            actuator_means={**joint.actuator_means, **part.actuator_means},
+            scales={**part.scales, **joint.scales},
         )
-    return first
+    return joint

@@ -1,10 +1,10 @@
 """The library: the mechanisms and derived inputs (features) that models are made of, and the causes that
 `discover` tries.
 
-A `Library` is a value.  `LIBRARY` holds the package's own; `with_causes` and `with_mechanisms` give a new one
-with those of a user, each with its origin: {"file": name, "sha256": hash}, {"package": name, "version":
-version}, or {"python": module} for those defined in a session without a file.  A design stores its mechanisms
-and features by name, so that reading it requires a library with the same ones.
+A `Library` is immutable.  `LIBRARY` holds the package's mechanisms, features and causes; `with_causes` and
+`with_mechanisms` return a library that also has those of a user, each with its origin: {"file": name,
+"sha256": hash}, {"package": name, "version": version}, or {"python": module} if it has no file.  A design
+stores the names of its mechanisms and features, so that reading it requires a library that has them.
 """
 
 from __future__ import annotations
@@ -41,10 +41,10 @@ class LibraryFault(HygrokfError):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Library:
-    """Mechanisms, features and causes; two libraries may use one name for different things.
+    """Mechanisms, features and causes; two libraries may use the same name for different things.
 
     mechanisms: name → factory.  features: name → (function, hold).  causes: in the order in which `discover`
-    tries them.  origins: of the mechanisms and features that a user brought, by name.
+    tries them.  origins: of the mechanisms and features that a user added, by name.
     """
 
     mechanisms: Mapping[str, Factory]
@@ -57,128 +57,136 @@ class Library:
             object.__setattr__(self, name, MappingProxyType(dict(getattr(self, name))))
 
     def __repr__(self) -> str:
-        """Its causes, and what a user brought."""
-        causes = ", ".join(one.name for one in self.causes) or "none"
-        own = f"; of your own: {', '.join(self.origins)}" if self.origins else ""
-        return f"Library of {len(self.mechanisms)} mechanisms and the causes {causes}{own}"
+        """Number of mechanisms, names of the causes, and names of what a user added."""
+        causes = ", ".join(cause.name for cause in self.causes) or "none"
+        user_part = f"; of your own: {', '.join(self.origins)}" if self.origins else ""
+        return f"Library of {len(self.mechanisms)} mechanisms and the causes {causes}{user_part}"
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """How to pickle a library: what a user brought to the package's own.  Causes stay behind, as no model
-        reads them and their forms are closures."""
-        own = [{n: one for n, one in kind.items() if n in self.origins}
-               for kind in (self.mechanisms, self.features)]  # fmt: skip
-        return _unpickled, (*own, dict(self.origins))
+        """Pickle only what a user added to the package's library.  Causes are left out, since no model reads
+        them and their forms are closures."""
+        user_definitions = [
+            {name: definition for name, definition in definitions.items() if name in self.origins}
+            for definitions in (self.mechanisms, self.features)
+        ]
+        return _unpickle, (*user_definitions, dict(self.origins))
 
     @property
     def own(self) -> tuple[Cause, ...]:
         """The causes that are not the package's."""
-        return tuple(one for one in self.causes if one not in CAUSES)
+        return tuple(cause for cause in self.causes if cause not in CAUSES)
 
     def cause(self, name: str) -> Cause:
-        """The cause of that name.  Raises KeyError with the names of all."""
+        """The cause with a name.  Raises KeyError that lists the names of all causes."""
         for cause in self.causes:
             if cause.name == name:
                 return cause
-        raise KeyError(f"no cause {name!r}; the library has {', '.join(c.name for c in self.causes)}")
+        raise KeyError(f"no cause {name!r}; the library has {', '.join(known.name for known in self.causes)}")
 
     def only(self, *names: str) -> Library:
-        """The library with these causes alone, in this order.  Raises KeyError for unknown ones."""
+        """The library with these causes alone, in this order.  Raises KeyError for unknown causes."""
         return replace(self, causes=tuple(map(self.cause, names)))
 
     def with_causes(self, *causes: Cause, origin: Origin | None = None) -> Library:
-        """The library with further causes, and the mechanisms and features that they bring.
+        """The library with further causes, and with the mechanisms and features of these causes.
 
-        causes: of `cause_of`, or a `Cause`; those that it has already change nothing.
-        origin: where they are from; by default the Python file or module of each.
+        causes: of `cause_of`, or a `Cause`; causes that the library has already are ignored.
+        origin: of the causes; by default the Python file or module of each.
 
-        `discover` and `load_library` try them before any work.  Raises LibraryFault for names that are taken.
+        `discover` and `load_library` test the causes before any work.  Raises LibraryFault for names in use.
         """
-        new = [one for one in causes if one not in self.causes]
-        faults = duplicates([("", one) for one in (*self.causes, *new)])
-        made = self
-        for one in new:
-            named = name_faults(mapping(one.mechanisms), mapping(one.features))
+        new_causes = [cause for cause in causes if cause not in self.causes]
+        faults = duplicates([("", cause) for cause in (*self.causes, *new_causes)])
+        library = self
+        for cause in new_causes:
+            cause_faults = name_faults(mapping(cause.mechanisms), mapping(cause.features))
             try:
-                made = made.joined(one, origin or origin_in_python(one))
+                library = library.joined(cause, origin or origin_in_python(cause))
             except ValueError as fault:  # an unknown hold
-                named.append(str(fault))
-            faults += [f"cause {one.name!r}: {fault}" for fault in named]
+                cause_faults.append(str(fault))
+            faults += [f"cause {cause.name!r}: {fault}" for fault in cause_faults]
         if faults:
             raise LibraryFault(faults)
-        return made
+        return library
 
     def joined(self, cause: Cause, origin: Origin) -> Library:
-        """The library with one further cause, whose names are not looked at."""
+        """The library with one further cause, without a check of its names."""
         return replace(
-            self._holding(mapping(cause.mechanisms), mapping(cause.features), origin),
+            self._with_definitions(mapping(cause.mechanisms), mapping(cause.features), origin),
             causes=(*self.causes, cause),
         )
 
-    def with_mechanisms(
-        self, *factories: Factory, features: Mapping[str, Feature] | None = None
-    ) -> Library:
-        """The library with further mechanisms, and features by which they are driven.
+    def with_mechanisms(self, *factories: Factory, features: Mapping[str, Feature] | None = None) -> Library:
+        """The library with further mechanisms, and with features that drive them.
 
-        factories: of the mechanisms, each of the name of its mechanism.
+        factories: of the mechanisms, each named as its mechanism.
         features: name → (function(record, time), hold).
 
         Raises ValueError for names of the package, and for unknown holds.
         """
-        mechanisms = {one.__name__: one for one in factories}
+        mechanisms = {factory.__name__: factory for factory in factories}
         faults = name_faults(mechanisms, features or {})
         if faults:
             raise ValueError("; ".join(faults))
-        return self._holding(mechanisms, features or {}, {"python": factories[0].__module__})
+        return self._with_definitions(mechanisms, features or {}, {"python": factories[0].__module__})
 
-    def _holding(
+    def _with_definitions(
         self, mechanisms: Mapping[str, Factory], features: Mapping[str, Any], origin: Origin
     ) -> Library:
-        held = {n: (pair[0], hold_named(pair[1])) for n, pair in features.items() if is_feature(pair)}
+        with_hold = {
+            name: (pair[0], hold_named(pair[1])) for name, pair in features.items() if is_feature(pair)
+        }
         return replace(
             self,
             mechanisms={**self.mechanisms, **mechanisms},
-            features={**self.features, **held},
-            origins={**self.origins, **{name: dict(origin) for name in (*mechanisms, *held)}},
+            features={**self.features, **with_hold},
+            origins={**self.origins, **{name: dict(origin) for name in (*mechanisms, *with_hold)}},
         )
 
     def absent(self, stored: Mapping[str, Origin]) -> list[str]:
-        """Sentences about mechanisms and features of users that a stored design needs and that are missing or
-        differ here.
+        """Sentences about a user's mechanisms and features that a stored design needs and that this library
+        lacks, or has from another origin.
 
-        stored: their origins by name.
+        stored: origins by name.
         """
-        wanted: dict[str, list[str]] = {}
+        names_by_text: dict[str, list[str]] = {}
         for name, origin in stored.items():
-            here = self.origins.get(name)
-            if here is not None and ("python" in origin or dict(here) == dict(origin)):
+            origin_here = self.origins.get(name)
+            if origin_here is not None and ("python" in origin or dict(origin_here) == dict(origin)):
                 continue
-            found = "found none of that name" if here is None else f"found that of {_origin_text(here)}"
-            wanted.setdefault(f"of {_origin_text(origin)}, {found}; {_remedy(origin)}", []).append(name)
-        return [f"the model needs {', '.join(names)} {text}" for text, names in wanted.items()]
+            difference = (
+                "found none of that name"
+                if origin_here is None
+                else f"found that of {_origin_text(origin_here)}"
+            )
+            names_by_text.setdefault(
+                f"of {_origin_text(origin)}, {difference}; {_remedy(origin)}", []
+            ).append(name)
+        return [f"the model needs {', '.join(names)} {text}" for text, names in names_by_text.items()]
 
 
-def _unpickled(
+def _unpickle(
     mechanisms: Mapping[str, Factory], features: Mapping[str, Feature], origins: Mapping[str, Origin]
 ) -> Library:
     if not origins:
         return LIBRARY
-    own = {**LIBRARY.mechanisms, **mechanisms}, {**LIBRARY.features, **features}
-    return Library(*own, origins=origins)
+    definitions = {**LIBRARY.mechanisms, **mechanisms}, {**LIBRARY.features, **features}
+    return Library(*definitions, origins=origins)
 
 
 # -- names ---------------------------------------------------------------------------------------------------
 def is_feature(pair: object) -> bool:
-    """Whether it is (function, hold)."""
+    """Whether an object is a pair (function, hold)."""
     return isinstance(pair, tuple) and len(pair) == 2 and callable(pair[0])
 
 
 def mapping(value: object) -> forms.Settings:
-    """The value where it is a mapping, else an empty mapping; the trial of a cause reports other values."""
+    """The value if it is a mapping, else an empty mapping: the test of a cause reports other values."""
     return value if isinstance(value, Mapping) else {}
 
 
 def name_faults(mechanisms: Iterable[str], features: Iterable[str]) -> list[str]:
-    """Faults of names that the package already uses, and of one name used for a mechanism and a feature."""
+    """Faults of names that the package already uses, and of names used for a mechanism and a feature."""
     mechanisms, features = list(mechanisms), list(features)
     taken = {*LIBRARY.mechanisms, *LIBRARY.features, *SIGNALS}
     faults = [
@@ -187,25 +195,27 @@ def name_faults(mechanisms: Iterable[str], features: Iterable[str]) -> list[str]
         for name in names
         if name in taken
     ]
-    both = sorted(set(mechanisms) & set(features))
-    return faults + [f"{name!r} names a mechanism and a feature; choose two names" for name in both]
+    shared = sorted(set(mechanisms) & set(features))
+    return faults + [f"{name!r} names a mechanism and a feature; choose two names" for name in shared]
 
 
 def duplicates(pairs: Iterable[tuple[str, Cause]]) -> list[str]:
-    """Names of causes that two causes share, and of mechanisms and features that are not the same function.
+    """Faults of names that two causes share, or two different mechanisms or features.
 
     pairs: (file or package, cause).
     """
     faults: list[str] = []
-    seen: dict[tuple[bool, str], Any] = {}
+    first_by_name: dict[tuple[bool, str], Any] = {}
     for source, cause in pairs:
-        brought = [("cause", cause.name, cause)]
-        brought += [("mechanism", name, one) for name, one in mapping(cause.mechanisms).items()]
-        brought += [("feature", name, one) for name, one in mapping(cause.features).items()]
-        for kind, name, one in brought:
-            before, where = seen.setdefault((kind == "cause", name), (one, source))
-            if before is not one:
-                places = " and ".join(dict.fromkeys(p for p in (where, source) if p))
+        definitions = [("cause", cause.name, cause)]
+        definitions += [
+            ("mechanism", name, definition) for name, definition in mapping(cause.mechanisms).items()
+        ]
+        definitions += [("feature", name, definition) for name, definition in mapping(cause.features).items()]
+        for kind, name, definition in definitions:
+            earlier, earlier_source = first_by_name.setdefault((kind == "cause", name), (definition, source))
+            if earlier is not definition:
+                places = " and ".join(dict.fromkeys(p for p in (earlier_source, source) if p))
                 faults.append(
                     f"{places + ': ' if places else ''}two have the {kind} name {name!r}; rename one"
                 )
@@ -346,10 +356,10 @@ CAUSES: tuple[Cause, ...] = (
 
 
 def _of_package() -> Library:
-    made = Library(MECHANISMS, FEATURES)
+    library = Library(MECHANISMS, FEATURES)
     for cause in CAUSES:
-        made = made.joined(cause, {})
-    return replace(made, origins={})
+        library = library.joined(cause, {})
+    return replace(library, origins={})
 
 
 LIBRARY = _of_package()

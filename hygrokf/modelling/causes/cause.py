@@ -1,6 +1,6 @@
-"""What a cause is: its forms, what to check in the turbine, and the measurement that tells it from others.
+"""A cause: its forms, what to check in the turbine, and the measurement that distinguishes it from others.
 
-`cause_of` makes a cause of one mechanism, in the package's library and in a user's file alike.
+`cause_of` makes a cause of one mechanism, in the package's library and in a user's file.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ class Cause:
     """A physical cause.
 
     name: identifier.
-    meaning, remedy, separate_by: what it is, what to check in the turbine, and the measurement that tells it
-        from its rivals.
-    forms: those in which a record can show it, none where it cannot.
-    needs: signals without which it is not tried, for the report.
-    mechanisms, features: name → factory, and name → (function, hold), that it brings.
+    meaning, remedy, separate_by: what the cause is, what to check in the turbine, and the measurement that
+        distinguishes it from other causes.
+    forms: the forms in which a record can show the cause; none if the record cannot.
+    needs: signals without which the cause is not tried, in words for the report.
+    mechanisms, features: name → factory, and name → (function, hold), that the cause adds to a library.
     """
 
     name: str
@@ -52,52 +52,59 @@ def cause_of(
     features: Mapping[str, Settings | Feature] | None = None,
     needs: Sequence[str] = (),
 ) -> Cause:
-    """A cause that is one mechanism of the heat, of the vapour, or one of each.
+    """A cause that consists of a thermal mechanism, a hygric mechanism, or one of each.
 
     name: identifier.  thermal, hygric: factories of the mechanism, called without arguments.
     meaning, remedy, separate_by: one sentence each: what the cause is, what to check in the turbine, and
-        which measurement tells it from its rivals.
-    starts: values of shape parameters to try, in their units; the sizes of the effect are estimated at each.
+        which measurement distinguishes it from other causes.
+    starts: values of shape parameters to try, in their units; at each the size of the effect is estimated.
     features: settings of the package's features that need any (`{"after_step": {"date_s": 1.6e9}}`), and
-        features that the mechanism does not bring itself: (function(record, time), hold).
-    needs: signals that features read.  On a record that lacks one the cause is not tried.
+        features that the mechanism does not define itself: (function(record, time), hold).
+    needs: signals that features read.  The cause is not tried on a record that lacks one of them.
 
     Returns the cause, for the package's library or `Library.with_causes`.  For grids of dates or
-    thresholds make a `Cause` with `forms` of your own.  Raises ValueError without a factory, TypeError where
-    a factory returns no mechanism.
+    thresholds make a `Cause` with `forms` of your own.  Raises ValueError without a factory, TypeError if a
+    factory returns no mechanism.
     """
-    factories = {key: one for key, one in (("thermal", thermal), ("hygric", hygric)) if one is not None}
+    networks = (("thermal", thermal), ("hygric", hygric))
+    factories = {key: factory for key, factory in networks if factory is not None}
     if not factories:
         raise ValueError(f"cause {name!r}: expected a factory for thermal, hygric or both, found none")
     mechanisms = {key: factory() for key, factory in factories.items()}
-    wrong = [key for key, one in mechanisms.items() if not isinstance(one, Mechanism)]
-    if wrong:
-        raise TypeError(f"cause {name!r}: expected factories that return a Mechanism: {', '.join(wrong)}")
-    inputs = {key for one in mechanisms.values() for key in one.inputs}
-    brought = {key: pair for one in mechanisms.values() for key, pair in one.features.items()}
-    named = {**without_settings(inputs), **brought, **(features or {})}
-    settings = {key: dict(value) if isinstance(value, Mapping) else {} for key, value in named.items()}
-    own = {key: value for key, value in named.items() if not isinstance(value, Mapping)}
-    first = (starts,) if isinstance(starts, Mapping) else tuple(starts)
-    grid = tuple(Setting(settings, values) for values in first or ({},))
+    no_mechanism = [key for key, mechanism in mechanisms.items() if not isinstance(mechanism, Mechanism)]
+    if no_mechanism:
+        raise TypeError(
+            f"cause {name!r}: expected factories that return a Mechanism: {', '.join(no_mechanism)}"
+        )
+    inputs = {key for mechanism in mechanisms.values() for key in mechanism.inputs}
+    used: dict[str, Settings | Feature] = {**without_settings(inputs)}
+    for mechanism in mechanisms.values():
+        used |= mechanism.features
+    used |= features or {}
+    settings = {key: dict(value) if isinstance(value, Mapping) else {} for key, value in used.items()}
+    functions = {key: value for key, value in used.items() if not isinstance(value, Mapping)}
+    start_values = (starts,) if isinstance(starts, Mapping) else tuple(starts)
+    grid = tuple(Setting(settings, values) for values in start_values or ({},))
 
-    def given(ground: Ground) -> list[Form]:
-        there = {key: one for key, one in mechanisms.items() if ground.humid or key == "thermal"}
-        known = {*ALWAYS, *settings, *ground.record.signals}
+    def forms(ground: Ground) -> list[Form]:
+        usable = {key: mechanism for key, mechanism in mechanisms.items() if ground.humid or key == "thermal"}
+        available = {*ALWAYS, *settings, *ground.record.signals}
         if prepare(ground.record).ambient_vapour is not None:
-            known.add("ambient_absolute_humidity")
-        lacking = [
-            key for key, one in there.items()
-            if {*one.inputs, *needs} - known - ground.inputs[key != "thermal"]
+            available.add("ambient_absolute_humidity")
+        without_inputs = [
+            key for key, mechanism in usable.items()
+            if {*mechanism.inputs, *needs} - available - ground.inputs[key != "thermal"]
         ]  # fmt: skip
-        if lacking or not there:
+        if without_inputs or not usable:
             return []
-        heat, vapour = (using(there[key].name) if key in there else () for key in ("thermal", "hygric"))
+        heat, vapour = (using(usable[key].name) if key in usable else () for key in ("thermal", "hygric"))
         return [Form(name, "", heat, vapour, grid)]
 
-    made = {mechanisms[key].name: factory for key, factory in factories.items()}
+    factory_by_name = {mechanisms[key].name: factory for key, factory in factories.items()}
     return Cause(
-        name, meaning, remedy, separate_by, given, ", ".join(sorted({*inputs, *needs} - set(settings))),
-        mechanisms={key: one for key, one in made.items() if MECHANISMS.get(key) is not one},
-        features={key: pair for key, pair in own.items() if FEATURES.get(key) != pair},
+        name, meaning, remedy, separate_by, forms, ", ".join(sorted({*inputs, *needs} - set(settings))),
+        mechanisms={
+            key: factory for key, factory in factory_by_name.items() if MECHANISMS.get(key) is not factory
+        },
+        features={key: pair for key, pair in functions.items() if FEATURES.get(key) != pair},
     )  # fmt: skip

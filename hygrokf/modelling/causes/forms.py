@@ -1,8 +1,7 @@
-"""What the package's causes are as models: forms, each with the mechanisms that it adds and the settings to
-try.
+"""The forms of the package's causes: each adds mechanisms to the base model and has settings to try.
 
-What is a near image of another form, such as a heater by thermostat or by humidistat, is a form of one cause
-and not a cause of its own.
+Forms that records can hardly distinguish, such as heaters with a thermostat or with a humidistat, are forms
+of one cause and not separate causes.
 """
 
 from __future__ import annotations
@@ -30,11 +29,11 @@ MechanismSettings = tuple[str, Settings]
 TEMPERATURE, HUMIDITY = "cabinet_temperature", "cabinet_relative_humidity"
 AMBIENT_HUMIDITY = "ambient_relative_humidity"
 SLOWEST_H = 2.0
-"""[h] shortest time constant of walls, of sorption and of lagging air: shorter ones repair the noise of
-inputs."""
+"""[h] shortest time constant of walls, of sorption and of lagging air: shorter time constants would only fit
+the noise of the inputs."""
 OPEN = (-0.95, 50.0)
-"""Relative change of the exchange through an open door: beyond it the vapour follows the ambient between two
-readings, however fast."""
+"""Range of the relative change of the exchange through an open door: at its upper end the vapour reaches the
+ambient within the time between two readings."""
 DATES = 23
 SHIFTS_H = (-1.5, -1.25, -1.0, -0.75, -0.5, -0.25, 0.25, 0.5, 0.75, 1.0, 1.25, 1.5)
 FEWEST_IDLE = 200
@@ -43,8 +42,8 @@ AZIMUTHS = (90.0, 135.0, 180.0, 225.0, 270.0)
 
 @dataclass(frozen=True)
 class Setting:
-    """One point of a form's grid: settings of features, values of parameters, a clock's shift [s], and what
-    finding it costs in −2 ln L beside the grid's price."""
+    """One point of a form's grid: settings of features, values of parameters, a clock's shift [s], and its
+    `price`, the penalty in −2 ln L in addition to that of the grid."""
 
     features: Mapping[str, Settings] = field(default_factory=dict)
     values: Mapping[str, float] = field(default_factory=dict)
@@ -56,15 +55,15 @@ class Setting:
 class Form:
     """One form of a cause.
 
-    code: its name among the cause's forms, which views tell in words: an underscore is a space, two are a
-    comma and a space.  What follows a colon is the name of a source and stays as it is.
-    heat, vapour: mechanisms that it adds; altered: mechanism of the base → settings that differ.  On a record
-    without humidity those of the heat alone are added.
-    grid: what is tried; limits: of parameters, where they are narrower than the library's.
-    steps: (feature, key) → first change by which a found setting is refined; clock: source whose stamps move.
-    summer: whether they do in summer time only; freed: parameter of the base that loses its prior.
-    together: whether every quantity must gain.
-    windows: whether its `door_open` is sought in the innovations.
+    code: its name among the cause's forms, which views write in words: one underscore stands for a space, two
+    for a comma and a space.  The text after a colon is the name of a source, which is not changed.
+    heat, vapour: mechanisms that the form adds; altered: mechanism of the base → settings that differ.  On a
+    record without humidity only the mechanisms of the heat are added.
+    grid: settings to try; limits: of parameters, if narrower than the library's.
+    steps: (feature, key) → first step by which the best setting is refined; clock: source whose stamps shift.
+    summer: whether they shift in summer time only; freed: parameter of the base that loses its prior.
+    together: whether the fit of every quantity must improve.
+    windows: whether the spans of `door_open` are searched for in the innovations.
     """
 
     cause: str
@@ -84,9 +83,12 @@ class Form:
 
 @dataclass(frozen=True)
 class Ground:
-    """What forms are made from: the identification period, the inputs of the base model of the heat and of
-    that of the vapour, whether there is one, and the heat release in operation: order of the power, and
-    whether it is one of its own."""
+    """What forms are made from.
+
+    `record`: the identification period; `inputs` of the base models of heat and vapour; `humid`: whether
+    there is a model of the vapour; `order` of the power in the heat release; `operation`: whether the heat
+    release in operation has parameters of its own.
+    """
 
     record: Record
     inputs: tuple[frozenset[str], frozenset[str]]
@@ -95,7 +97,7 @@ class Ground:
     operation: bool
 
     def quantiles(self, signal: str, shares: Iterable[float], idle: bool = False) -> list[float]:
-        """Quantiles of a signal's readings (at standstill); none of too few readings."""
+        """Quantiles of a signal's readings, with `idle` of those at standstill; none for too few readings."""
         if signal not in self.record:
             return []
         series = self.record[signal]
@@ -129,9 +131,9 @@ class Ground:
 
 
 def ground_of(record: Record, heat: Design, vapour: Design | None) -> Ground:
-    """The ground of a record's base designs."""
+    """The `Ground` of a record's base designs."""
     release = dict(heat.mechanisms)["heat_release"]
-    inputs = [frozenset(() if one is None else one.model.inputs) for one in (heat, vapour)]
+    inputs = [frozenset(() if design is None else design.model.inputs) for design in (heat, vapour)]
     return Ground(
         record.identification(), (inputs[0], inputs[1]), vapour is not None, release.get("order", 0),
         release.get("operation", False),
@@ -139,8 +141,8 @@ def ground_of(record: Record, heat: Design, vapour: Design | None) -> Ground:
 
 
 def possible(forms: Iterable[Form], ground: Ground) -> list[Form]:
-    """The forms that a record can show: quantiles of too few readings leave one without settings."""
-    return [one for one in forms if one.grid and (ground.humid or one.heat or one.clock)]
+    """The forms that a record can show: a form without settings, for lack of readings, is left out."""
+    return [form for form in forms if form.grid and (ground.humid or form.heat or form.clock)]
 
 
 def using(mechanism: str, **settings: Any) -> tuple[MechanismSettings, ...]:
@@ -151,21 +153,21 @@ def using(mechanism: str, **settings: Any) -> tuple[MechanismSettings, ...]:
 def grid(
     feature: str = "", values: Mapping[str, Sequence[float]] | None = None, **settings: Iterable[Any]
 ) -> tuple[Setting, ...]:
-    """All combinations of a feature's settings and of parameters' values, the last of them the fastest."""
+    """All combinations of a feature's settings and of parameters' values; the last one varies fastest."""
     values = values or {}
     return tuple(
         Setting(
-            {feature: dict(zip(settings, point, strict=False))} if feature else {},
-            dict(zip(values, point[len(settings) :], strict=True)),
+            {feature: dict(zip(settings, combination, strict=False))} if feature else {},
+            dict(zip(values, combination[len(settings) :], strict=True)),
         )
-        for point in product(*settings.values(), *values.values())
+        for combination in product(*settings.values(), *values.values())
     )
 
 
 def switched(
     feature: str, reads: str, levels: Iterable[float], widths: Iterable[float], **settings: Any
 ) -> tuple[Setting, ...]:
-    """A controller that begins to act at each level and acts fully a width further."""
+    """Settings of controllers that start to act at a level and act fully at this level plus a width."""
     return tuple(
         Setting({feature: {"reads": reads, "start": level, **settings, "full": level + width}})
         for level in levels
@@ -175,10 +177,10 @@ def switched(
 
 # -- heat and air exchange -----------------------------------------------------------------------------------
 def wall(ground: Ground) -> Iterator[Form]:
-    places = grid(values={"wall_time_constant": (2.0, 7.0, 20.0, 60.0), "wall_position": (0.0, 0.5, 1.0)})
+    starts = {"wall_time_constant": (2.0, 7.0, 20.0, 60.0), "wall_position": (0.0, 0.5, 1.0)}
     yield Form(
-        "wall_thermal_mass", "a_second_mass_beside_the_converter", using("wall_thermal_mass"), grid=places,
-        limits={"wall_time_constant": (SLOWEST_H, 500.0)},
+        "wall_thermal_mass", "a_second_mass_beside_the_converter", using("wall_thermal_mass"),
+        grid=grid(values=starts), limits={"wall_time_constant": (SLOWEST_H, 500.0)},
     )  # fmt: skip
 
 
@@ -251,10 +253,10 @@ def doors(ground: Ground) -> Iterator[Form]:
 
 def heat_drift(ground: Ground) -> Iterator[Form]:
     name = "heat_release_drift"
-    own = {"order": ground.order, "operation": True} if ground.operation else {}
-    yield Form(name, "in_proportion_to_time", using("release_drift", **own), grid=ground.elapsed)
+    settings = {"order": ground.order, "operation": True} if ground.operation else {}
+    yield Form(name, "in_proportion_to_time", using("release_drift", **settings), grid=ground.elapsed)
     yield Form(
-        name, "from_a_date_on__and_less_and_less", using("release_drift", **own, flag="since"),
+        name, "from_a_date_on__and_less_and_less", using("release_drift", **settings, flag="since"),
         grid=grid("since", date_s=(ground.span_s[0], *ground.dates), days=(8.0, 30.0)),
         steps={("since", "date_s"): ground.half_step_s, ("since", "days"): 4.0},
     )  # fmt: skip
@@ -273,23 +275,23 @@ def _hours(workdays: bool) -> tuple[Setting, ...]:
 
 
 def clock(ground: Ground) -> Iterator[Form]:
-    """Shifts of each source against the others; of two sources only the difference shows."""
+    """Shifts of each source against the others; with two sources only their difference is identifiable."""
     main = {TEMPERATURE, "ambient_temperature", "active_power"}
-    known = sources(ground.record)
-    names = [name for name, signals in known.items() if main & set(signals)]
-    names = names[: {1: 0, 2: 1}.get(len(known))]
-    shifts, hour = ([Setting(shift_s=HOUR_S * h) for h in hours] for hours in (SHIFTS_H, (-1.0, 1.0)))
+    signals_by_source = sources(ground.record)
+    names = [name for name, signals in signals_by_source.items() if main & set(signals)]
+    names = names[: {1: 0, 2: 1}.get(len(signals_by_source))]
+    all_year, one_hour = ([Setting(shift_s=HOUR_S * h) for h in hours] for hours in (SHIFTS_H, (-1.0, 1.0)))
     steps = {("clock", "shift_s"): 0.125 * HOUR_S}
     for name in names:
-        yield Form("clock_shift", f"all_year:{name}", grid=tuple(shifts), steps=steps, clock=name)
+        yield Form("clock_shift", f"all_year:{name}", grid=tuple(all_year), steps=steps, clock=name)
     summer = summer_time(ground.record[TEMPERATURE].time, in_america(ground.record))
     for name in names if summer.any() and not summer.all() else ():
-        yield Form("clock_shift", f"in_summer_time:{name}", grid=tuple(hour), clock=name, summer=True)
+        yield Form("clock_shift", f"in_summer_time:{name}", grid=tuple(one_hour), clock=name, summer=True)
 
 
 def temperature_offset(ground: Ground) -> Iterator[Form]:
     name = "temperature_sensor_offset"
-    # the humidity sensor has a temperature of its own: what moves is the one on which the vapour runs
+    # the humidity sensor measures its own temperature: only the temperature that drives the vapour steps
     yield Form(
         name, "from_a_date_on", using("temperature_step"), grid=grid("after_step", date_s=ground.dates),
         altered={"measured_air": {"step": True}}, steps={("after_step", "date_s"): ground.half_step_s},
@@ -298,17 +300,17 @@ def temperature_offset(ground: Ground) -> Iterator[Form]:
 
 
 def ambient(ground: Ground) -> Iterator[Form]:
-    # all of the air that surrounds the cabinet lags; a share of it is an outer wall
+    # all of the air around the cabinet lags; a lag of a share of the air would be an outer wall
     name, times, shares, lags = "ambient_bias", (SLOWEST_H, 24.0), (0.8, 1.2), (2.0, 4.0, 12.0)
     intake = {"breathed_lag_time": times, "breathed_lag_share": shares}
-    around = {"ambient_lag_time": times, "ambient_lag_share": shares, **intake}
+    surrounding = {"ambient_lag_time": times, "ambient_lag_share": shares, **intake}
     yield Form(name, "a_smoothed_series", using("leading_ambient"), using("breathed_lead"), together=True)
     if ground.humid:
-        # where the temperature alone lags, that is an outer wall
-        both = tuple(Setting(values={"ambient_lag_time": h, "breathed_lag_time": h}) for h in lags)
+        # temperature and vapour lag together: a lag of the temperature alone would be an outer wall
+        lag_grid = tuple(Setting(values={"ambient_lag_time": h, "breathed_lag_time": h}) for h in lags)
         yield Form(
             name, "the_air_around_the_cabinet_lags_the_series", using("lagged_ambient"),
-            using("breathed_lag"), both, around, together=True,
+            using("breathed_lag"), lag_grid, surrounding, together=True,
         )  # fmt: skip
     yield Form(
         name, "the_intake_air_lags_the_series", vapour=using("breathed_lag"), limits=intake,
@@ -337,12 +339,12 @@ def sorption(ground: Ground) -> Iterator[Form]:
 
 
 def condensation(ground: Ground) -> Iterator[Form]:
-    points = {"surface_time": (1.0, 4.0, 12.0), "surface_undercooling": (0.3, 1.5, 4.0)}
-    yield Form("condensation", "on_a_cold_surface", vapour=using("condensation"), grid=grid(values=points))
+    starts = {"surface_time": (1.0, 4.0, 12.0), "surface_undercooling": (0.3, 1.5, 4.0)}
+    yield Form("condensation", "on_a_cold_surface", vapour=using("condensation"), grid=grid(values=starts))
     if ground.record.site is not None:
         yield Form(
             "condensation", "on_a_surface_cooled_by_the_night_sky", vapour=using("condensation", sky=True),
-            grid=grid("night_sky", points),
+            grid=grid("night_sky", starts),
         )  # fmt: skip
 
 
@@ -354,10 +356,10 @@ def rain(ground: Ground) -> Iterator[Form]:
 
 def drier(ground: Ground) -> Iterator[Form]:
     flag, levels = "throttled_drying", ground.quantiles(HUMIDITY, (0.2, 0.35, 0.5, 0.65, 0.8, 0.92))
-    warming = using("drying_heat", flag=flag) if ground.humid else ()
+    heat_of_drying = using("drying_heat", flag=flag) if ground.humid else ()
     for code, plate, heat in (
         ("a_cold_plate", True, ()),
-        ("a_cold_plate_whose_heat_stays_in_the_cabinet", True, warming),
+        ("a_cold_plate_whose_heat_stays_in_the_cabinet", True, heat_of_drying),
         ("a_desiccant", False, ()),
     ):
         yield Form(
@@ -367,18 +369,18 @@ def drier(ground: Ground) -> Iterator[Form]:
 
 
 def source(ground: Ground) -> Iterator[Form]:
-    def released(code: str, when: str, tried: tuple[Setting, ...], **steps: float) -> Form:
-        found = {(when, key): step for key, step in steps.items()}
-        return Form(name, code, vapour=using(name, when=when), grid=tried, steps=found)
+    def form(code: str, when: str, settings: tuple[Setting, ...], **steps: float) -> Form:
+        refined = {(when, key): step for key, step in steps.items()}
+        return Form(name, code, vapour=using(name, when=when), grid=settings, steps=refined)
 
     name = "internal_moisture_source"
-    yield released("constant", "always", (Setting(),))
+    yield form("constant", "always", (Setting(),))
     yield Form(name, "a_wet_surface", vapour=using("wet_surface"))
     if "active_power" in ground.record:
-        yield released("at_standstill", "standstill", grid("standstill"))
+        yield form("at_standstill", "standstill", grid("standstill"))
     dates = grid("fading", date_s=ground.dates, days=(2.0, 8.0, 30.0))
-    yield released("drying_out_from_a_date_on", "fading", dates, date_s=ground.half_step_s, days=1.0)
-    yield released("in_the_same_hours_of_the_day", "scheduled", _hours(False), start_h=1.0, hours=1.0)
+    yield form("drying_out_from_a_date_on", "fading", dates, date_s=ground.half_step_s, days=1.0)
+    yield form("in_the_same_hours_of_the_day", "scheduled", _hours(False), start_h=1.0, hours=1.0)
 
 
 def humidity_sensor(ground: Ground) -> Iterator[Form]:
