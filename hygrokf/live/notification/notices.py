@@ -29,7 +29,7 @@ from hygrokf.live.notification.channel import (
     Content,
 )
 from hygrokf.live.storage import schema, statements
-from hygrokf.live.storage.statements import selecting
+from hygrokf.live.storage.statements import select_rows
 from hygrokf.live.storage.store import Store
 from hygrokf.texts.live import NoticeCode
 from hygrokf.texts.statement import Statement
@@ -93,7 +93,7 @@ def acknowledge(
 def look_again(store: Store, now: float, channels: Sequence[Channel]) -> Batch:
     """Open alarms that are due at `now` [s] to be looked at again: unacknowledged, with their notices."""
     batch, at = Batch(), time.time()
-    for alarm in store.found(Alarm, statements.DUE_AGAIN, now=now):
+    for alarm in store.records(Alarm, statements.DUE_AGAIN, now=now):
         assert alarm.look_again is not None, "that is how they are found"
         # cause and note of the last acknowledgement stay
         back = replace(alarm, acknowledged=None, acknowledged_by=None, look_again=None)
@@ -191,7 +191,7 @@ def delivered(notice: Notice) -> bool:
 # -- the outbox ----------------------------------------------------------------------------------------------
 def due(store: Store, channel: str, now: float, most: int) -> list[Notice]:
     """A channel's notices that are not sent and due at `now` [s], the earliest first."""
-    return store.found(Notice, statements.DUE, channel=channel, now=now, most=most)
+    return store.records(Notice, statements.DUE, channel=channel, now=now, most=most)
 
 
 @dataclass(frozen=True)
@@ -215,7 +215,7 @@ def channel_states(store: Store) -> dict[str, ChannelState]:
 
 def beginning_with(store: Store, channel: str, prefix: str) -> list[Notice]:
     """A channel's notices whose ids begin with a text."""
-    return store.found(Notice, statements.NOTICES_ABOUT, channel=channel, length=len(prefix), prefix=prefix)
+    return store.records(Notice, statements.NOTICES_ABOUT, channel=channel, length=len(prefix), prefix=prefix)
 
 
 def keep_contents(store: Store, contents: Iterable[tuple[str, str]]) -> None:
@@ -257,7 +257,7 @@ def forget(store: Store, before: float) -> None:
 
 def alarm_of(store: Store, alarm: str) -> Alarm | None:
     """An alarm by its id; None if there is none."""
-    return next(iter(store.found(Alarm, selecting(schema.alarm, same="id"), id=alarm)), None)
+    return next(iter(store.records(Alarm, select_rows(schema.alarm, same="id"), id=alarm)), None)
 
 
 def _change(store: Store, statement: ClauseElement, changes: Sequence[Mapping[str, object]]) -> None:
