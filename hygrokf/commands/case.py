@@ -1,4 +1,4 @@
-"""`hygrokf init`, `hygrokf check`, `hygrokf demo`: a case from exports, its contents, and one to try."""
+"""`hygrokf init`, `hygrokf check`, `hygrokf demo`: draft a case, show its contents, fit a synthetic case."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from hygrokf.commands.console import (
     show,
     show_reported,
 )
-from hygrokf.commands.inputs import identified, record_of, written
-from hygrokf.commands.verb import Verb, add_json, add_out, reader, whole, within
+from hygrokf.commands.inputs import fit_of, record_of, write_fit_and_page
+from hygrokf.commands.verb import Verb, add_json, add_out, reader, whole_number, within
 from hygrokf.data.files import FIT
 
 
 def _degrees(text: str) -> tuple[float, float]:
-    """Latitude and longitude."""
+    """Read latitude and longitude [°]."""
     latitude, longitude = map(float, text.split(","))
     return within(-90.0, latitude, 90.0), within(-180.0, longitude, 180.0)
 
@@ -35,7 +35,7 @@ def _init_arguments(parser: ArgumentParser) -> None:
     parser.add_argument(
         "--out", type=Path, default=Path("case.toml"), help="the case file to write (default case.toml)"
     )
-    parser.add_argument("--turbine", metavar="NAME", help="of exports that hold several turbines")
+    parser.add_argument("--turbine", metavar="NAME", help="the turbine to read if the exports hold several")
     parser.add_argument(
         "--site",
         type=reader("degrees such as 52.4,-0.95", _degrees),
@@ -53,16 +53,16 @@ def _init(options: Namespace) -> int:
     expect_file(options.out)
     if options.out.exists():
         raise UserFault(f"--out {options.out}: expected a new file, found one; remove it or name another one")
-    found = draft_case(options.exports, options.out, turbine=options.turbine, site=options.site)
-    broken = ""
+    draft = draft_case(options.exports, options.out, turbine=options.turbine, site=options.site)
+    needed_edit = ""
     try:
-        said = read_case(options.out, cabinet=False, ambient=False).warnings
-        found = replace(found, doubts=tuple(dict.fromkeys((*found.doubts, *said))))
+        warnings = read_case(options.out, cabinet=False, ambient=False).warnings
+        draft = replace(draft, doubts=tuple(dict.fromkeys((*draft.doubts, *warnings))))
     except CaseFault as fault:
-        broken = f"the draft needs an edit before it can be read:\n{printable(str(fault))}"
-    show(found, draft_text(found), options.json)
-    if broken:
-        print(broken, file=sys.stderr)
+        needed_edit = f"the draft needs an edit before it can be read:\n{printable(str(fault))}"
+    show(draft, draft_text(draft), options.json)
+    if needed_edit:
+        print(needed_edit, file=sys.stderr)
     return 0
 
 
@@ -79,11 +79,11 @@ def _check(options: Namespace) -> int:
     from hygrokf.cases.summary import describe
     from hygrokf.report.record_text import describe_text
 
-    found = describe(read_case(options.case, cabinet=False))
-    text = describe_text(found)
-    if any(one.signal.startswith("cabinet_") for one in found.signals):
+    summary = describe(read_case(options.case, cabinet=False))
+    text = describe_text(summary)
+    if any(row.signal.startswith("cabinet_") for row in summary.signals):
         text += f"\n\nnext: hygrokf fit {shlex.quote(str(options.case))} --out result"
-    show(found, text, options.json)
+    show(summary, text, options.json)
     return 0
 
 
@@ -94,7 +94,9 @@ CHECK = Verb(
 
 def _demo_arguments(parser: ArgumentParser) -> None:
     add_out(parser, "directory for the case and the results")
-    parser.add_argument("--seed", type=whole(0), default=1, help="seed of the synthetic turbine (default 1)")
+    parser.add_argument(
+        "--seed", type=whole_number(0), default=1, help="seed of the synthetic turbine (default 1)"
+    )
     add_json(parser)
 
 
@@ -103,20 +105,20 @@ def _demo(options: Namespace) -> int:
     from hygrokf.report.fit_page import fit_blocks
 
     expect_own_directory(options.out, FIT)
-    former = options.out / "case.toml"
-    if former.is_file() and not _is_synthetic(former):
+    existing = options.out / "case.toml"
+    if existing.is_file() and not _is_synthetic(existing):
         raise UserFault(
             f"--out {options.out}: it holds a case.toml of another turbine; name another directory"
         )
     case = write_case(synthetic_turbine(seed=options.seed), options.out)
     activity().note(f"synthetic turbine written: {case}")
-    fit = identified(record_of(case), case)
-    page = written(fit, options.out)
+    fit = fit_of(record_of(case), case)
+    page = write_fit_and_page(fit, options.out)
     return show_reported(page, fit.results, fit_blocks(fit.results, {}), options.json)
 
 
 def _is_synthetic(case: Path) -> bool:
-    """Whether a case file states that its readings are synthetic; a broken one does not."""
+    """Whether a case file states that its readings are synthetic; False if the file cannot be read."""
     from hygrokf.data.record import Provenance
     from hygrokf.data.toml_form import FormFault, read_toml
 

@@ -10,13 +10,13 @@ from hygrokf.commands.console import (
     Progress,
     UserFault,
     activity,
-    collected,
+    collect_faults,
     expect_own_directory,
     faults_of,
     show_reported,
 )
 from hygrokf.commands.inputs import stored_fit
-from hygrokf.commands.verb import Verb, add_json, add_library, add_out, reader, whole, within
+from hygrokf.commands.verb import Verb, add_json, add_library, add_out, reader, whole_number, within
 from hygrokf.data.files import CLIMATE
 
 if TYPE_CHECKING:
@@ -45,12 +45,14 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
         metavar="NAME=FILE[,FILE]",
         help="weather of a region; several regions are compared",
     )
-    how = parser.add_mutually_exclusive_group()
-    how.add_argument("--power", type=Path, metavar="CASE.toml", help="case file with active power over time")
-    how.add_argument(
+    power = parser.add_mutually_exclusive_group()
+    power.add_argument(
+        "--power", type=Path, metavar="CASE.toml", help="case file with active power over time"
+    )
+    power.add_argument(
         "--power-curve", type=Path, metavar="CURVE.toml", help="power over the weather's wind speed"
     )
-    how.add_argument("--standstill", action="store_true", help="no power all year")
+    power.add_argument("--standstill", action="store_true", help="no power all year")
     parser.add_argument(
         "--limits",
         metavar="LIMITS.toml|CLASS",
@@ -59,8 +61,10 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--test", type=Path, metavar="TEST.toml", help="length, law and chamber of the test profile"
     )
-    parser.add_argument("--members", type=whole(2), default=50, help="members of the ensemble (default 50)")
-    parser.add_argument("--seed", type=whole(0), default=1, help="seed of the ensemble (default 1)")
+    parser.add_argument(
+        "--members", type=whole_number(2), default=50, help="members of the ensemble (default 50)"
+    )
+    parser.add_argument("--seed", type=whole_number(0), default=1, help="seed of the ensemble (default 1)")
     parser.add_argument(
         "--surface",
         type=reader("a number within 0 … 1 and maybe an offset in K, such as 0.3,-1", _surface),
@@ -76,9 +80,9 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
 def _surface(text: str) -> Surface:
     from hygrokf.physics.psychrometrics import Surface
 
-    share, *offset = (float(part) for part in text.split(","))
-    within(0, len(offset), 1)
-    return Surface(within(0.0, share, 1.0), *(within(-50.0, one, 50.0) for one in offset))
+    follows, *offsets_K = (float(part) for part in text.split(","))
+    within(0, len(offsets_K), 1)
+    return Surface(within(0.0, follows, 1.0), *(within(-50.0, offset_K, 50.0) for offset_K in offsets_K))
 
 
 def _run(options: argparse.Namespace) -> int:
@@ -105,7 +109,7 @@ def _run(options: argparse.Namespace) -> int:
 def _inputs(
     options: argparse.Namespace,
 ) -> tuple[Fit, list[Region], Record | PowerCurve | None, tuple[ClimateLimit, ...], ProfilePlan | None]:
-    """What the files of a command line hold.  Raises UserFault with the faults of all of them."""
+    """Read the files of a command line.  Raises UserFault with the faults of all files."""
     from hygrokf.climate.chamber import ProfilePlan
     from hygrokf.climate.limits import limits_of
     from hygrokf.climate.region import PowerCurve, read_power, read_region
@@ -113,25 +117,25 @@ def _inputs(
 
     groups = _regions(options)
     faults: list[str] = []
-    with collected(faults):
+    with collect_faults(faults):
         fit = stored_fit(options.fit, options.library)
-        stated = options.power or options.power_curve or options.standstill
-        if not stated and fit.design.power_scale_W is not None:
+        has_power = options.power or options.power_curve or options.standstill
+        if not has_power and fit.design.power_scale_W is not None:
             faults.append(
                 "expected --power, --power-curve or --standstill, as the model reads a power; found none"
             )
     power: Record | PowerCurve | None = None
-    with collected(faults):
+    with collect_faults(faults):
         power = read_power(options.power) if options.power else None
         if options.power_curve:
             power = read_toml_form(PowerCurve, options.power_curve)
-    with collected(faults):
+    with collect_faults(faults):
         limits = limits_of(options.limits) if options.limits else ()
-    with collected(faults):
+    with collect_faults(faults):
         plan = read_toml_form(ProfilePlan, options.test) if options.test else None
     regions: list[Region] = []
     for name, files in groups:
-        with collected(faults):
+        with collect_faults(faults):
             regions.append(read_region(name, files, power))
     if faults:
         raise UserFault("\n".join(faults))
@@ -142,17 +146,14 @@ def _regions(options: argparse.Namespace) -> list[tuple[str, list[Path]]]:
     groups = [("site", options.weather)] if options.weather else []
     for text in options.region:
         name, sign, files = text.partition("=")
-        paths = [Path(one) for one in files.split(",") if one]
+        paths = [Path(file) for file in files.split(",") if file]
         if not (name.strip() and sign and paths):
             raise UserFault(f"--region {text}: expected NAME=FILE or NAME=FILE,FILE; write it so")
         groups.append((name.strip(), paths))
     names = [name for name, _ in groups]
     if not groups or len(set(names)) < len(names):
-        found = (
-            f"found twice: {', '.join(sorted({n for n in names if names.count(n) > 1}))}"
-            if groups
-            else "found none"
-        )
+        repeated = sorted({name for name in names if names.count(name) > 1})
+        found = f"found twice: {', '.join(repeated)}" if groups else "found none"
         raise UserFault(f"expected --weather FILE, or --region NAME=FILE with a name each; {found}")
     return groups
 

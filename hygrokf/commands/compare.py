@@ -1,4 +1,5 @@
-"""`hygrokf compare`, `hygrokf transfer`: cases, models or ambient sources side by side; a model elsewhere."""
+"""`hygrokf compare` puts cases, models or ambient sources side by side, `hygrokf transfer` tries a model on
+other turbines."""
 
 from __future__ import annotations
 
@@ -13,7 +14,7 @@ from hygrokf.commands.console import (
     faults_of,
     show_reported,
 )
-from hygrokf.commands.inputs import identified, record_of, source_model, stored_fit
+from hygrokf.commands.inputs import fit_of, record_of, source_model, stored_fit
 from hygrokf.commands.verb import Verb, add_json, add_library, add_out
 from hygrokf.data import files
 from hygrokf.errors import HygrokfError
@@ -61,8 +62,8 @@ def pairs_of(cases: Sequence[Path], fits: Sequence[Path]) -> list[tuple[Path, Pa
 
 
 def labels_of(given: Sequence[str], pairs: Sequence[tuple[str, str]]) -> list[str]:
-    """Names of columns: the given ones, or whatever distinguishes the (case, fit) pairs; numbered where
-    nothing does."""
+    """Names of columns: `given`, or the names of cases, fits or both, whichever distinguish the (case, fit)
+    pairs; equal names are numbered."""
     if given:
         if len(given) != len(pairs):
             raise UserFault(f"--label: expected {len(pairs)} names, one a column, found {len(given)}")
@@ -73,12 +74,12 @@ def labels_of(given: Sequence[str], pairs: Sequence[tuple[str, str]]) -> list[st
         return list(given)
     cases, fits = {case for case, _ in pairs}, {fit for _, fit in pairs}
     if len(cases) == len(pairs):
-        found = [case for case, _ in pairs]
+        names = [case for case, _ in pairs]
     elif len(fits) == len(pairs):
-        found = [fit for _, fit in pairs]
+        names = [fit for _, fit in pairs]
     else:
-        found = [f"{fit} on {case}" for case, fit in pairs]
-    return [name if found.count(name) == 1 else f"{name} ({i + 1})" for i, name in enumerate(found)]
+        names = [f"{fit} on {case}" for case, fit in pairs]
+    return [name if names.count(name) == 1 else f"{name} ({i + 1})" for i, name in enumerate(names)]
 
 
 def _compare(options: Namespace) -> int:
@@ -91,9 +92,11 @@ def _compare(options: Namespace) -> int:
         raise UserFault("expected at least two columns to compare: several cases, or several fits; found one")
     fits = {path: stored_fit(path, options.library) for path in options.fit}
     records = {case: record_of(case) for case in dict.fromkeys(case for case, _ in pairs)}
-    alone = dict.fromkeys(case for case, path in pairs if path is None)
-    own = {case: identified(records[case], case) for case in alone}
-    chosen = [(records[case], own[case] if path is None else fits[path], case, path) for case, path in pairs]
+    without_fit = dict.fromkeys(case for case, path in pairs if path is None)
+    own_fits = {case: fit_of(records[case], case) for case in without_fit}
+    chosen = [
+        (records[case], own_fits[case] if path is None else fits[path], case, path) for case, path in pairs
+    ]
     labels = labels_of(options.label, [(record.name, fit.name) for record, fit, _, _ in chosen])
     columns, faults = [], []
     for label, (record, fit, case, path) in zip(labels, chosen, strict=True):
@@ -104,13 +107,13 @@ def _compare(options: Namespace) -> int:
     if faults:
         raise UserFault("\n".join(faults))
     try:
-        found = compare(columns)
+        comparison = compare(columns)
     except ValueError as fault:
         raise UserFault(str(fault)) from fault
     with Progress(1) as progress:
         progress("draw the report")
-        page = write_comparison(found, options.out, columns)
-    return show_reported(page, found, comparison_blocks(found), options.json)
+        page = write_comparison(comparison, options.out, columns)
+    return show_reported(page, comparison, comparison_blocks(comparison), options.json)
 
 
 COMPARE = Verb(
@@ -135,23 +138,24 @@ def _transfer(options: Namespace) -> int:
     expect_own_directory(options.out, files.TRANSFER)
     source = source_model(options.fit, options.library)
     records = [record_of(case) for case in options.cases]
-    found = []
+    transfers = []
     with Progress(STEPS * len(records)) as progress:
         for case, record in zip(options.cases, records, strict=True):
             with faults_of(case):
-                found.append(transfer_fit(source, record, progress))
+                transfers.append(transfer_fit(source, record, progress))
     fits = [] if isinstance(source, TurbineType) else [source]
-    fits += [one.own for one in found if one.own is not None]
-    pooled, unpooled = None, ""
+    fits += [transfer.own for transfer in transfers if transfer.own is not None]
+    pooled, pooling_fault = None, ""
     if len(fits) > 2:
         try:
             pooled = pool_types(fits)
         except HygrokfError as fault:
-            unpooled = f"\n\nno type of turbine was made: {fault}"
+            pooling_fault = f"\n\nno type of turbine was made: {fault}"
     with Progress(1) as progress:
         progress("draw the report")
-        page, results = write_transfer(found, options.out, pooled), transfer_results(found, pooled)
-    return show_reported(page, results, transfer_blocks(results), options.json, unpooled)
+        page = write_transfer(transfers, options.out, pooled)
+        results = transfer_results(transfers, pooled)
+    return show_reported(page, results, transfer_blocks(results), options.json, pooling_fault)
 
 
 TRANSFER = Verb(

@@ -1,5 +1,4 @@
-"""Messages of commands at the terminal: notes, steps, and signs of life in a log; and checks before any work
-is done."""
+"""Messages of commands on the terminal, heartbeat lines in a log, and checks of outputs before the work."""
 
 from __future__ import annotations
 
@@ -21,11 +20,11 @@ if TYPE_CHECKING:
     from hygrokf.report.blocks import Page
 
 HEARTBEAT_S = 30.0
-"""[s] longest silence of a command whose output goes to a file or another program."""
+"""[s] longest time without a line of a command whose standard error is not a terminal."""
 
 
 class Loudness(IntEnum):
-    """How much a command says on standard error beside its result."""
+    """How much a command prints on standard error besides its result."""
 
     QUIET = 0
     NORMAL = 1
@@ -35,8 +34,8 @@ class Loudness(IntEnum):
 class Activity:
     """A running command: its present step, and its lines on standard error.
 
-    name: of the command. beats: whether it gives signs of life where standard error is no terminal.
-    every_s: [s] between these; None: `HEARTBEAT_S`. clock: [s] monotonic.
+    name: name of the command.  beats: print heartbeat lines if standard error is not a terminal.
+    every_s: time between heartbeat lines [s], by default `HEARTBEAT_S`.  clock: monotonic clock [s].
     """
 
     def __init__(
@@ -51,34 +50,34 @@ class Activity:
         self.name, self.loudness = name, loudness
         self._beats, self._clock = beats, clock
         self._every_s = HEARTBEAT_S if every_s is None else every_s
-        self._begin = self._said = clock()
+        self._begin = self._last_line = clock()
         self._step = "at work"
 
     @property
     def on_terminal(self) -> bool:
-        """Whether a person watches: standard error is a terminal."""
+        """Whether standard error is a terminal."""
         return sys.stderr is not None and sys.stderr.isatty()
 
     def step(self, text: str) -> None:
-        """Begin a step; it is printed with --verbose, and named in later signs of life."""
+        """Begin a step, which is printed with --verbose and named in later heartbeat lines."""
         self._step = text
         if self.loudness is Loudness.VERBOSE:
             self.line(f"{self.name}: {self._elapsed()}: {text}")
 
     def note(self, text: str) -> None:
-        """Print a note or a warning; not with --quiet."""
+        """Print a note or a warning unless --quiet is given."""
         if self.loudness is not Loudness.QUIET:
             self.line(text)
 
     def line(self, text: str) -> None:
         """Print a line on standard error, at once."""
-        self._said = self._clock()
+        self._last_line = self._clock()
         if sys.stderr is not None:
             print(text, file=sys.stderr, flush=True)
 
     @contextmanager
-    def alive(self) -> Iterator[None]:
-        """Give signs of life within this context: a line after every `every_s` without another line."""
+    def heartbeat(self) -> Iterator[None]:
+        """Within this context, print a line after every `every_s` without another line."""
         if not self._beats or self.loudness is Loudness.QUIET or self.on_terminal:
             yield
             return
@@ -87,7 +86,7 @@ class Activity:
         def beat() -> None:
             wait = self._every_s
             while not ended.wait(wait):
-                wait = self._said + self._every_s - self._clock()
+                wait = self._last_line + self._every_s - self._clock()
                 if wait <= 0.0:
                     self.line(f"{self.name}: {self._elapsed()}: {self._step}")
                     wait = self._every_s
@@ -113,23 +112,23 @@ _ACTIVITY: ContextVar[Activity | None] = ContextVar("activity", default=None)
 
 
 def activity() -> Activity:
-    """The command that runs; outside of any command one with the usual loudness."""
+    """The running command; outside of any command, an activity of normal loudness."""
     return _ACTIVITY.get() or Activity("hygrokf")
 
 
 @contextmanager
-def running(this: Activity) -> Iterator[Activity]:
-    """Within this context `activity()` is this command, which gives signs of life."""
-    before = _ACTIVITY.set(this)
+def running(command: Activity) -> Iterator[Activity]:
+    """Make `activity()` return this command within this context, and print its heartbeat lines."""
+    previous = _ACTIVITY.set(command)
     try:
-        with this.alive():
-            yield this
+        with command.heartbeat():
+            yield command
     finally:
-        _ACTIVITY.reset(before)
+        _ACTIVITY.reset(previous)
 
 
 FOUND, USER_FAULT, INTERRUPTED = 1, 2, 130
-"""Exit status where the command ran and found a fault, after an input error, and after an interruption."""
+"""Exit status if the command found a fault, after an input error, and after an interruption."""
 
 
 class UserFault(HygrokfError):
@@ -137,9 +136,9 @@ class UserFault(HygrokfError):
 
 
 class Progress:
-    """The steps of a command, to be used in a `with`: a bar where standard error is a terminal.
+    """The steps of a command as a progress bar if standard error is a terminal; a context manager.
 
-    With --verbose the steps are lines instead; with --quiet they are not shown.
+    With --verbose each step is a line instead; with --quiet no step is shown.
     """
 
     def __init__(self, total: int) -> None:
@@ -157,7 +156,7 @@ class Progress:
             self._bar.update()
 
     def tell(self, text: str) -> None:
-        """Print a line that stays above the bar; not with --quiet."""
+        """Print a line that stays above the bar, unless --quiet is given."""
         from tqdm import tqdm
 
         with tqdm.external_write_mode(file=sys.stderr):
@@ -167,7 +166,7 @@ class Progress:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        """Close the bar: full after the work, as it stands where the work was interrupted."""
+        """Close the bar: full if the work is done, unchanged if the work was interrupted."""
         if kind is None:
             self._bar.n = self._bar.total
             self._bar.set_postfix_str("done")
@@ -184,27 +183,27 @@ def faults_of(file: Path) -> Iterator[None]:
 
 
 @contextmanager
-def collected(faults: list[str]) -> Iterator[None]:
-    """Add an input error raised inside to `faults`, so that the next input is read, too."""
+def collect_faults(faults: list[str]) -> Iterator[None]:
+    """Add an input error raised inside to `faults`, so that the other inputs are still read."""
     try:
         yield
     except HygrokfError as fault:
         faults.append(str(fault))
 
 
-def show(found: object, text: str, as_json: bool) -> None:
+def show(result: object, text: str, as_json: bool) -> None:
     """Print a result as JSON or as text."""
     from hygrokf.data.result_file import result_text
 
-    print(result_text(found) if as_json else text, end="" if as_json else "\n")
+    print(result_text(result) if as_json else text, end="" if as_json else "\n")
 
 
-def show_reported(page: Path, found: object, blocks: Page, as_json: bool, more: str = "") -> int:
-    """Print a result, as JSON or as the text of its page with what there is `more` to say, and on standard
-    error the path of the page; returns the exit status 0."""
+def show_reported(page: Path, result: object, blocks: Page, as_json: bool, more: str = "") -> int:
+    """Print a result as JSON or as the text of its page followed by `more`, and the path of the page on
+    standard error; returns the exit status 0."""
     from hygrokf.report.terminal import page_text
 
-    show(found, page_text(blocks) + more, as_json)
+    show(result, page_text(blocks) + more, as_json)
     activity().note(f"report: {page}")
     return 0
 
@@ -214,8 +213,8 @@ def printable(text: str) -> str:
     return "".join(c if c.isprintable() or c == "\n" else "\N{REPLACEMENT CHARACTER}" for c in text)
 
 
-def system_words(fault: OSError) -> str:
-    """The system's refusal and the remedy, in words."""
+def system_message(fault: OSError) -> str:
+    """The message of an error of the operating system, with the remedy."""
     where = fault.filename2 or fault.filename
     return (
         f"{f'{where}: ' if where else ''}cannot be read or written: {fault.strerror or fault}; "
@@ -224,22 +223,23 @@ def system_words(fault: OSError) -> str:
 
 
 def expect_directory(path: Path) -> None:
-    """Raise UserFault where the output directory could not be written; nothing is created yet."""
-    nearest = next(one for one in (path, *path.absolute().parents) if os.path.lexists(one))
+    """Raise UserFault if the output directory cannot be written; nothing is created."""
+    candidates = (path, *path.absolute().parents)
+    nearest = next(candidate for candidate in candidates if os.path.lexists(candidate))
     if not nearest.is_dir():
-        found = f"{nearest} is a file" if nearest.exists() else f"{nearest} is a link to nothing"
+        reason = f"{nearest} is a file" if nearest.exists() else f"{nearest} is a link to nothing"
     elif not os.access(nearest, os.W_OK | os.X_OK):
-        found = f"{nearest} is write-protected"
+        reason = f"{nearest} is write-protected"
     else:
         return
     raise UserFault(
-        f"--out {path}: expected a directory that can be written, found: {found}; name another one"
+        f"--out {path}: expected a directory that can be written, found: {reason}; name another one"
     )
 
 
 def expect_own_directory(out: Path, own: str) -> None:
-    """`expect_directory`, and raise UserFault where the directory holds results of another kind than the file
-    `own`.
+    """Raise UserFault if `expect_directory` does, or if the directory holds results of another kind than the
+    file `own`.
 
     A directory's report.html is made from a single kind of results.  A discovery's directory also holds the
     fit of its extended model.
@@ -255,7 +255,7 @@ def expect_own_directory(out: Path, own: str) -> None:
 
 
 def expect_file(path: Path) -> None:
-    """Raise UserFault where the output file could not be written: a pipe or device must be writable, a file's
+    """Raise UserFault if the output file cannot be written: a pipe or device must be writable, a file's
     directory must exist."""
     if is_stream(path):
         if not os.access(path, os.W_OK):
@@ -267,16 +267,16 @@ def expect_file(path: Path) -> None:
         raise UserFault(f"--out {path}: expected a file to write, found a directory; name a file in it")
     if not path.parent.is_dir():
         is_file = path.parent.exists()
-        found = f"that {path.parent} is a file" if is_file else f"no {path.parent}; make it first"
-        raise UserFault(f"--out {path}: expected a file in an existing directory, found {found}")
+        reason = f"that {path.parent} is a file" if is_file else f"no {path.parent}; make it first"
+        raise UserFault(f"--out {path}: expected a file in an existing directory, found {reason}")
     if not os.access(path.parent, os.W_OK | os.X_OK):
         raise UserFault(f"--out {path}: {path.parent} is write-protected; name another directory")
 
 
-def expect_other(path: Path, *read: Path) -> None:
-    """Raise UserFault where the output would overwrite a file that the command reads."""
-    for one in read:
-        if path.exists() and one.exists() and path.samefile(one):
+def expect_other(path: Path, *inputs: Path) -> None:
+    """Raise UserFault if the output would overwrite a file that the command reads."""
+    for file in inputs:
+        if path.exists() and file.exists() and path.samefile(file):
             raise UserFault(
                 f"--out {path}: expected a file of its own, found one that is read here; name another one"
             )

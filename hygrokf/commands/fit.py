@@ -1,5 +1,5 @@
-"""`hygrokf fit`, `discover`, `simulate`, `evaluate`: the model of a case, what it lacks, and its use on a
-case."""
+"""`hygrokf fit`, `discover`, `simulate`, `evaluate`: estimate the model of a case, find missing mechanisms,
+and apply a model to a case."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ from hygrokf.commands.console import (
     show,
     show_reported,
 )
-from hygrokf.commands.inputs import identified, library_of, record_of, stored_fit, written
-from hygrokf.commands.verb import Verb, add_fit_and_case, add_json, add_library, add_out, whole
+from hygrokf.commands.inputs import fit_of, library_of, record_of, stored_fit, write_fit_and_page
+from hygrokf.commands.verb import Verb, add_fit_and_case, add_json, add_library, add_out, whole_number
 from hygrokf.data import files
 
 
@@ -41,7 +41,7 @@ def _fit_arguments(parser: ArgumentParser) -> None:
     )
     parser.add_argument(
         "--starts",
-        type=whole(1),
+        type=whole_number(1),
         default=5,
         help="number of starts of the search for the maximum (default 5)",
     )
@@ -64,19 +64,19 @@ def _fit(options: Namespace) -> int:
             "one filter; leave --kind out"
         )
     expect_own_directory(options.out, files.FIT)
-    former = _record_of_the_fit_in(options.out)
+    replaced = _record_name_of_fit(options.out)
     record = record_of(options.case)
     model = options.model and stored_fit(options.model, options.library)
-    fit = identified(record, options.case, options.criterion, options.starts, options.kind, model)
-    if former and former != record.name:
-        activity().note(f"note: --out {options.out}: replaces the fit of {printable(former)}")
-    page = written(fit, options.out)
+    fit = fit_of(record, options.case, options.criterion, options.starts, options.kind, model)
+    if replaced and replaced != record.name:
+        activity().note(f"note: --out {options.out}: replaces the fit of {printable(replaced)}")
+    page = write_fit_and_page(fit, options.out)
     return show_reported(page, fit.results, fit_blocks(fit.results, {}), options.json)
 
 
-def _record_of_the_fit_in(out: Path) -> str:
-    """The name of the record whose fit a directory holds, or nothing; raises UserFault for a fit.json of
-    another program."""
+def _record_name_of_fit(out: Path) -> str:
+    """The name of the record whose fit a directory holds, "" without a fit.  Raises UserFault for a fit.json
+    of another program."""
     file = out / files.FIT
     if not file.exists():
         return ""
@@ -100,7 +100,7 @@ def _discover_arguments(parser: ArgumentParser) -> None:
     add_out(parser, "directory for discovery.json, report.html and the extended model")
     parser.add_argument(
         "--budget",
-        type=whole(1),
+        type=whole_number(1),
         metavar="N",
         help="simulations after which no further cause is tried (default: 40000)",
     )
@@ -116,16 +116,17 @@ def _discover(options: Namespace) -> int:
     library = library_of(options.library, installed=True)
     record = record_of(options.case)
     with faults_of(options.case), Progress(60) as progress:
-        found = discover(record, library=library, progress=progress, budget=options.budget or BUDGET)
-    unseen = {one.cause for one in found.results.rejected if one.reason == "no_form"}
+        discovery = discover(record, library=library, progress=progress, budget=options.budget or BUDGET)
+    untried = {row.cause for row in discovery.results.rejected if row.reason == "no_form"}
     for cause in library.own:
-        if cause.name in unseen:
+        if cause.name in untried:
             needs = f"; it needs {cause.needs}" if cause.needs else ""
             activity().note(f"note: {cause.name} was not tried: this record cannot show it{needs}")
     with Progress(1) as progress:
         progress("draw the report")
-        page = write_discovery_report(found, options.out)
-    return show_reported(page, found.results, discovery_blocks(found.results), options.json)
+        page = write_discovery_report(discovery, options.out)
+    results = discovery.results
+    return show_reported(page, results, discovery_blocks(results), options.json)
 
 
 DISCOVER = Verb(
@@ -185,8 +186,8 @@ def _evaluate(options: Namespace) -> int:
     fit = stored_fit(options.fit, options.library)
     record = record_of(options.case)
     with faults_of(options.case):
-        found = evaluate(fit, record)
-    show(found, evaluation_text(found), options.json)
+        evaluation = evaluate(fit, record)
+    show(evaluation, evaluation_text(evaluation), options.json)
     return 0
 
 

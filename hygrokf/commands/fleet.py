@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hygrokf.commands.console import FOUND, Progress, UserFault, expect_own_directory, show_reported
-from hygrokf.commands.verb import Verb, add_json, add_out, whole
+from hygrokf.commands.verb import Verb, add_json, add_out, whole_number
 from hygrokf.data.files import FLEET, REPORT
 
 if TYPE_CHECKING:
@@ -15,10 +15,13 @@ if TYPE_CHECKING:
 
 
 def _arguments(parser: ArgumentParser) -> None:
-    parser.add_argument("fleet", type=Path, metavar="FLEET.toml", help="the file of the fleet")
+    parser.add_argument("fleet", type=Path, metavar="FLEET.toml", help="the fleet's file")
     add_out(parser, "directory for fleet.csv, report.html, each turbine's results")
     parser.add_argument(
-        "--workers", type=whole(1), default=None, help="processes on this machine (default: one per core)"
+        "--workers",
+        type=whole_number(1),
+        default=None,
+        help="processes on this machine (default: one per core)",
     )
     parser.add_argument(
         "--dask", metavar="ADDRESS", help="run on a Dask cluster instead, such as tcp://HOST:8786"
@@ -37,14 +40,14 @@ def _run(options: Namespace) -> int:
     plan = read_plan(options.fleet)
     with Progress(len(plan.turbines)) as progress:
 
-        def say(row: Row, known: bool) -> None:
-            progress.tell(outcome_text(row, known))
+        def say(row: Row, is_stored: bool) -> None:
+            progress.tell(outcome_text(row, is_stored))
             progress(str(row["turbine"]))
 
-        found = run_fleet(plan, options.out, workers=options.workers, cluster=options.dask, say=say)
-    data = {"rows": [dict(row) for row in found.rows]}
-    show_reported(options.out / REPORT, data, fleet_blocks(found), options.json)
-    return FOUND if found.missing else 0
+        results = run_fleet(plan, options.out, workers=options.workers, cluster=options.dask, say=say)
+    data = {"rows": [dict(row) for row in results.rows]}
+    show_reported(options.out / REPORT, data, fleet_blocks(results), options.json)
+    return FOUND if results.missing else 0
 
 
 VERB = Verb("fleet", "run one of these tasks for many turbines: one table and one page", _arguments, _run)

@@ -1,7 +1,7 @@
-"""What each task of a fleet does for one turbine, the same as the command of its name does for one case; and
-`run_fleet`, which does it for all of them.
+"""The tasks of a fleet: `run_fleet` does one task for all turbines.
 
-Processes and Dask workers import `do_task` by its name.
+For one turbine a task does what the command of the same name does for one case.  Processes and Dask workers
+import `do_task` by its name.
 """
 
 from __future__ import annotations
@@ -46,30 +46,30 @@ def run_fleet(
     *,
     workers: int | None = None,
     cluster: str | None = None,
-    say: Callable[[Row, bool], None] = lambda found, known: None,
+    say: Callable[[Row, bool], None] = lambda row, is_stored: None,
 ) -> FleetResults:
-    """Do what a plan states for every turbine.
+    """Do the task of a plan for every turbine.
 
-    plan: of a fleet's file (`fleet.plan.read_plan`).
+    plan: the content of a fleet's file (`fleet.plan.read_plan`).
     out: directory of fleet.csv, fleet.parquet, fleet.json and report.html; results of each turbine are in
         `turbines/NAME`.
     workers: processes on this machine, by default one per core.
     cluster: address of a Dask scheduler, whose workers see the same files under the same paths.
-    say: is called with each row as it comes, and whether it was on disk already.
+    say: called with each row as it comes, and True if the row was on disk already.
 
     Work with the same files, options and version is not repeated; failures are tried again.
 
-    Returns the table, the same on processes and on a cluster.  Raises FleetFault where there is no cluster,
-    ClassFault for limits of an unknown class.
+    Returns the table, which does not depend on where it was computed.  Raises FleetFault if the cluster
+    cannot be reached, ClassFault for limits of an unknown class.
     """
     from hygrokf.climate.limits import limits_of
 
-    for one in plan.options.get("limits", ()):
-        if not Path(one).is_file():  # a name that is that of no known class ends here, before any work
-            limits_of(one)
-    found = run_jobs(plan, out, do_task, workers=workers, cluster=cluster, say=say)
+    for limits in plan.options.get("limits", ()):
+        if not Path(limits).is_file():
+            limits_of(limits)  # raises ClassFault for an unknown class before any work
+    results = run_jobs(plan, out, do_task, workers=workers, cluster=cluster, say=say)
     write_fleet_report(out)
-    return found
+    return results
 
 
 def do_task(job: Job) -> Row:
@@ -86,19 +86,19 @@ def _fit(job: Job) -> Row:
     write_fit(fit, job.folder)
     if report:
         write_report(job.folder)
-    found = fit.results
+    results = fit.results
     return {
-        **_of_record(record),
-        "converged": found.converged,
-        "n_readings": found.period.n_readings,
-        **_of_time_constants(found.time_constants),
-        **_of_scores(found),
-        "loglik": found.loglik,
-        "at_bounds": found.at_bounds,
+        **_record_columns(record),
+        "converged": results.converged,
+        "n_readings": results.period.n_readings,
+        **_time_constant_columns(results.time_constants),
+        **_score_columns(results),
+        "loglik": results.loglik,
+        "at_bounds": results.at_bounds,
     }
 
 
-def _of_record(record: Record) -> dict[str, Cell]:
+def _record_columns(record: Record) -> dict[str, Cell]:
     return {
         "record": record.name,
         "start": stamp_text(record.start_s),
@@ -108,18 +108,20 @@ def _of_record(record: Record) -> dict[str, Cell]:
     }
 
 
-def _of_time_constants(constants: Mapping[str, TimeConstant]) -> dict[str, Cell]:
-    found: dict[str, Cell] = {}
+def _time_constant_columns(constants: Mapping[str, TimeConstant]) -> dict[str, Cell]:
+    columns: dict[str, Cell] = {}
     for name in PARTS:
         constant = constants.get(name)
         for end in ("value_h", "lower_h", "upper_h"):
-            found[f"{name}_{end}"] = getattr(constant, end, math.nan)
-        found[f"{name}_statement"] = "" if constant is None or constant.closed else _open(constant)
-    return found | _of_verdicts(constants)
+            columns[f"{name}_{end}"] = getattr(constant, end, math.nan)
+        columns[f"{name}_statement"] = (
+            "" if constant is None or constant.closed else _open_statement(constant)
+        )
+    return columns | _verdict_columns(constants)
 
 
-def _open(constant: TimeConstant) -> Statement:
-    """What is known of a time constant without both bounds."""
+def _open_statement(constant: TimeConstant) -> Statement:
+    """The statement about a time constant that lacks a bound."""
     if 0 < constant.upper_h < math.inf:
         return FleetCode.NOT_ABOVE(bound=constant.upper_h)
     if 0 < constant.lower_h < math.inf:
@@ -127,17 +129,17 @@ def _open(constant: TimeConstant) -> Statement:
     return FleetCode.NO_BOUNDS()
 
 
-def _of_verdicts(known: Mapping[str, TimeConstant | Inherited]) -> dict[str, Cell]:
-    """The verdict on each time constant of a fit, or of a result that uses a fit; empty without a verdict."""
-    return {f"{part}_verdict": (known[part].verdict or "") if part in known else "" for part in PARTS}
+def _verdict_columns(results: Mapping[str, TimeConstant | Inherited]) -> dict[str, Cell]:
+    """The verdict on each time constant of a fit, or of a result that uses a fit; "" without a verdict."""
+    return {f"{part}_verdict": (results[part].verdict or "") if part in results else "" for part in PARTS}
 
 
-def _of_scores(found: Scored) -> dict[str, Cell]:
-    """Free-run errors in total, of the validation period where it was scored and else of the identification
+def _score_columns(results: Scored) -> dict[str, Cell]:
+    """Total free-run errors of the validation period or, if that was not scored, of the identification
     period."""
-    scored = math.isfinite(found.errors("validation", "temperature_K").total)
-    period = "validation" if scored else "identification"
-    errors = {column: found.errors(period, quantity).total for quantity, column in ERRORS.items()}
+    is_validated = math.isfinite(results.errors("validation", "temperature_K").total)
+    period = "validation" if is_validated else "identification"
+    errors = {column: results.errors(period, quantity).total for quantity, column in ERRORS.items()}
     return {"scored_period": period, **errors}
 
 
@@ -151,43 +153,44 @@ def _discover(job: Job) -> Row:
     discovery = discover(record, library=library)
     write = write_discovery_report if job.options["report"] else write_discovery
     write(discovery, job.folder)
-    found = discovery.results
-    named = [one for one in found.causes if one.told_apart]
+    results = discovery.results
+    named = [row for row in results.causes if row.told_apart]
+    final = results.extended or results.baseline
     columns: dict[str, Cell] = {
-        **_of_record(record),
-        "verdict": found.verdict,
-        "causes": tuple("/".join((one.cause, *one.ambiguous_with)) for one in named),
-        "confidence": min((one.confidence for one in named), default=math.nan),
-        "not_judged": found.work.not_judged,
-        **_of_time_constants((found.extended or found.baseline).time_constants),
-        **_of_scores((found.extended or found.baseline).fit),
+        **_record_columns(record),
+        "verdict": results.verdict,
+        "causes": tuple("/".join((row.cause, *row.ambiguous_with)) for row in named),
+        "confidence": min((row.confidence for row in named), default=math.nan),
+        "not_judged": results.work.not_judged,
+        **_time_constant_columns(final.time_constants),
+        **_score_columns(final.fit),
     }
-    base = _of_scores(found.baseline.fit)
+    base = _score_columns(results.baseline.fit)
     return columns | {f"base_{column}": base[column] for column in ERRORS.values()}
 
 
 def _evaluate(job: Job) -> Row:
     from hygrokf.identification.fit_on_record import evaluate
 
-    fit, record = stored_fit(*_model(job)), read_case(job.case)
-    found = evaluate(fit, record)
-    write_text_whole(job.folder / "evaluation.json", result_text(found))
+    fit, record = stored_fit(*_model_files(job)), read_case(job.case)
+    evaluation = evaluate(fit, record)
+    write_text_whole(job.folder / "evaluation.json", result_text(evaluation))
     columns: dict[str, Cell] = {
-        **_of_record(record),
+        **_record_columns(record),
         "model": fit.name,
-        **_of_verdicts(found.verdicts),
-        **_of_scores(found),
+        **_verdict_columns(evaluation.verdicts),
+        **_score_columns(evaluation),
     }
     for quantity, column in ERRORS.items():
-        errors = found.errors(str(columns["scored_period"]), quantity)
+        errors = evaluation.errors(str(columns["scored_period"]), quantity)
         columns[column.replace("rmse", "rmse_operation")] = errors.operation
         columns[column.replace("rmse", "rmse_standstill")] = errors.standstill
-        columns[f"{column.partition('_rmse')[0]}_coverage"] = found.band("free_run", quantity).coverage
-    columns["statements"] = found.statements
+        columns[f"{column.partition('_rmse')[0]}_coverage"] = evaluation.band("free_run", quantity).coverage
+    columns["statements"] = evaluation.statements
     return columns
 
 
-def _model(job: Job) -> tuple[Path, list[Path]]:
+def _model_files(job: Job) -> tuple[Path, list[Path]]:
     assert job.fit is not None, f"{job.task} needs a fit"
     return job.fit, [Path(file) for file in job.options["library"]]
 
@@ -196,16 +199,16 @@ def _transfer(job: Job) -> Row:
     from hygrokf.transfer.procedure import transfer_fit
 
     record = read_case(job.case)
-    transfer = transfer_fit(source_model(*_model(job)), record)
+    transfer = transfer_fit(source_model(*_model_files(job)), record)
     write_transfer([transfer], job.folder)
     results = transfer.results
     columns: dict[str, Cell] = {
-        **_of_record(record),
+        **_record_columns(record),
         "model": results.source.name,
         "transfer": results.verdict(),
         "re_estimate": results.re_estimate,
         "sentence": results.statement,
-        **_of_verdicts(results.verdicts),
+        **_verdict_columns(results.verdicts),
         "scored_period": results.period,
     }
     for quantity, column in ERRORS.items():
@@ -224,13 +227,13 @@ def _climate(job: Job) -> Row:
     from hygrokf.climate.region import Region, read_power
     from hygrokf.report.climate_page import write_climate_report
 
-    fit, options = stored_fit(*_model(job)), job.options
+    fit, options = stored_fit(*_model_files(job)), job.options
     weather = read_case(job.case, cabinet=False)
-    still = options["standstill"] or fit.design.power_scale_W is None
+    is_standstill = options["standstill"] or fit.design.power_scale_W is None
     study = climate_profile(
         fit,
         [Region(job.turbine, weather, (job.case.name,))],
-        None if still else read_power(job.case),
+        None if is_standstill else read_power(job.case),
         limits=[limit for file in options["limits"] for limit in limits_of(file)],
         members=options["members"],
         seed=options["seed"],
@@ -238,9 +241,9 @@ def _climate(job: Job) -> Row:
     write_climate_report(study, job.folder)
     (region,) = study.regions
     columns: dict[str, Cell] = {
-        **_of_record(weather),
+        **_record_columns(weather),
         "model": fit.name,
-        **_of_verdicts(study.verdicts),
+        **_verdict_columns(study.verdicts),
         "bounds_hold": region.bounds_hold,
     }
     for name in CLIMATE_COLUMNS:

@@ -1,4 +1,4 @@
-"""Records, causes and models that commands read or make."""
+"""Records, libraries of causes and models that commands read or estimate."""
 
 from __future__ import annotations
 
@@ -25,11 +25,12 @@ def record_of(case: Path, cabinet: bool = True) -> Record:
     return record
 
 
-def identified(
+def fit_of(
     record: Record, case: Path, criterion: str = "likelihood", starts: int = 4, kind: str | None = None,
     model: Fit | None = None,
 ) -> Fit:  # fmt: skip
-    """The fit of a record; `model` as in `identify`.  Raises UserFault that names the case."""
+    """Estimate the fit of a record; the options are those of `identify`.  Raises UserFault that names the
+    case."""
     from hygrokf.identification.procedure import DEFAULT_KIND, identify
 
     with faults_of(case), Progress(16) as progress:
@@ -40,7 +41,8 @@ def identified(
 
 
 def library_of(files: Sequence[str | Path], installed: bool = False) -> Library:
-    """The package's library with the user's own causes of files and, on request, of installed packages."""
+    """The package's library with the user's own causes in files and, with `installed`, in installed
+    packages."""
     from hygrokf.modelling.library import LIBRARY
 
     if not (files or installed):
@@ -51,7 +53,8 @@ def library_of(files: Sequence[str | Path], installed: bool = False) -> Library:
 
 
 def stored_fit(path: Path, files: Sequence[Path]) -> Fit:
-    """A fit, with the user's own mechanisms; installed packages are searched only where it needs them."""
+    """Read a fit with the user's own mechanisms; installed packages are searched only if the fit needs
+    them."""
     from hygrokf.identification.fit import LibraryAbsent, read_fit
 
     library = library_of(files)
@@ -62,13 +65,13 @@ def stored_fit(path: Path, files: Sequence[Path]) -> Fit:
 
 
 def source_model(path: Path, files: Sequence[Path]) -> Fit | TurbineType:
-    """The fitted model or the type of turbine of a file."""
+    """Read the fitted model or the type of turbine in a file."""
     from hygrokf.identification.turbine_type import is_type, read_type
 
     return read_type(path, library_of(files)) if is_type(path) else stored_fit(path, files)
 
 
-def written(fit: Fit, out: Path) -> Path:
+def write_fit_and_page(fit: Fit, out: Path) -> Path:
     """Write a fit and its page; returns the path of the page."""
     from hygrokf.identification.fit import write_fit
     from hygrokf.report.fit_page import write_report

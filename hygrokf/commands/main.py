@@ -19,7 +19,7 @@ from hygrokf.commands.console import (
     UserFault,
     printable,
     running,
-    system_words,
+    system_message,
 )
 from hygrokf.commands.verb import Verb, add_loudness, parsers_of
 from hygrokf.errors import HygrokfError, suggestion
@@ -31,16 +31,16 @@ def _help_arguments(parser: ArgumentParser) -> None:
 
 
 def _help(options: Namespace) -> int:
-    known = parsers_of(options.parser)
+    parsers = parsers_of(options.parser)
     if options.name is None:
         options.parser.print_help()
         return 0
-    if options.name not in known:
+    if options.name not in parsers:
         raise UserFault(
-            f'there is no command "{options.name}"{suggestion(options.name, known)}; expected one of '
-            f"{', '.join(known)}"
+            f'there is no command "{options.name}"{suggestion(options.name, parsers)}; expected one of '
+            f"{', '.join(parsers)}"
         )
-    known[options.name].print_help()
+    parsers[options.name].print_help()
     return 0
 
 
@@ -54,7 +54,7 @@ def _shell(parser: ArgumentParser) -> None:
 
 
 def _complete(options: Namespace) -> int:
-    import shtab  # here, because every command imports this module when it starts
+    import shtab  # imported here only, because every command imports this module
 
     commands = parsers_of(options.parser)
     for command in commands.values():
@@ -77,8 +77,8 @@ VERBS = (
 )  # fmt: skip
 """The commands in the order of the help."""
 
-FIRST = (case.INIT, case.CHECK, fit.FIT, fit.DISCOVER, climate.VERB)
-"""The commands that `hygrokf` alone shows."""
+MAIN_VERBS = (case.INIT, case.CHECK, fit.FIT, fit.DISCOVER, climate.VERB)
+"""The commands that `hygrokf` without arguments lists."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -91,8 +91,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if hasattr(stream, "reconfigure"):
             stream.reconfigure(errors="replace")
     if arguments is None:
-        # a process of its own need not collect the objects of the libraries when it ends, which takes longer
-        # than many a command
+        # without this, the collection of the libraries' objects at exit takes longer than some commands
         atexit.register(gc.freeze)
     options = _parser().parse_args(arguments)
     try:
@@ -107,7 +106,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
     except OSError as fault:
-        print(f"hygrokf: {system_words(fault)}", file=sys.stderr)
+        print(f"hygrokf: {system_message(fault)}", file=sys.stderr)
         return USER_FAULT
     except HygrokfError as fault:
         print(f"hygrokf: {printable(str(fault))}", file=sys.stderr)
@@ -132,18 +131,18 @@ def _parser() -> argparse.ArgumentParser:
 def _run(options: argparse.Namespace) -> int:
     """Run the chosen command; returns its exit status."""
     verb: Verb = options.verb
-    this = Activity(f"hygrokf {verb.name}", options.loudness, beats=not verb.service)
-    with running(this):
+    command = Activity(f"hygrokf {verb.name}", options.loudness, beats=not verb.service)
+    with running(command):
         status = verb.run(options)
         if not verb.service:
-            this.end()
+            command.end()
     return status
 
 
 def _overview() -> int:
-    """Print the commands that matter most, and where the others are."""
+    """Print the main commands, and how to list the others."""
     print("usage: hygrokf COMMAND …\n")
-    for verb in FIRST:
+    for verb in MAIN_VERBS:
         print(f"  {verb.name:<10}{verb.help}")
     print(
         "\nhygrokf help: all commands\nhygrokf help COMMAND: the arguments of one\n"

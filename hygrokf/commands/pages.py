@@ -27,7 +27,8 @@ PAGES: Mapping[str, Callable[[Path], Path]] = {
     TRANSFER: lambda folder: import_module("hygrokf.report.transfer_page").rewrite_transfer(folder),
     FIT: lambda folder: import_module("hygrokf.report.fit_page").write_report(folder),
 }
-"""How the page of a kind of results is written, by its file: in a directory the first that is there."""
+"""File of a kind of results → function that writes its page; the first file that a directory holds
+decides."""
 
 
 def _report(options: Namespace) -> int:

@@ -1,5 +1,5 @@
-"""What is done with the store of a live tracker: `hygrokf export` writes it as files, `hygrokf restore` puts
-a copy in its place, `hygrokf store` works on one whose tracker does not run."""
+"""Commands on the store of a live tracker: `hygrokf export` writes it to files, `hygrokf restore` replaces it
+by a copy, and `hygrokf store` works on the store of a tracker that does not run."""
 
 from __future__ import annotations
 
@@ -29,11 +29,13 @@ def _export_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _moment(text: str) -> float:
-    """An ISO 8601 time as seconds since 1970; UTC where it names no zone."""
+    """Read an ISO 8601 time, UTC if it names no zone, as seconds since 1970."""
     from datetime import UTC, datetime
 
-    found = datetime.fromisoformat(text)
-    return (found if found.tzinfo else found.replace(tzinfo=UTC)).timestamp()
+    moment = datetime.fromisoformat(text)
+    if moment.tzinfo is None:
+        moment = moment.replace(tzinfo=UTC)
+    return moment.timestamp()
 
 
 def _export(options: argparse.Namespace) -> int:
@@ -58,12 +60,17 @@ EXPORT = Verb(
 
 
 def _restore_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("copy", type=Path, metavar="COPY", help="the copy: of VACUUM INTO, or of pg_dump")
+    parser.add_argument(
+        "copy",
+        type=Path,
+        metavar="COPY",
+        help="backup file made by VACUUM INTO (SQLite) or pg_dump (PostgreSQL)",
+    )
     parser.add_argument(
         "--store",
         required=True,
         metavar="URL",
-        help="sqlite:PATH, which is replaced; postgresql://USER@HOST/NAME, of which the commands are shown",
+        help="sqlite:PATH to replace, or postgresql://USER@HOST/NAME, for which the commands are printed",
     )
     add_json(parser)
 
@@ -83,19 +90,20 @@ def _restore(options: argparse.Namespace) -> int:
         head = "# end every tracker of this database, then run as a role that may create databases:"
         show({"commands": commands}, "\n".join([head, *commands]), options.json)
         return 0
-    found = restore_sqlite(options.copy, path_of(url))
-    newest = "none" if found.newest_s is None else stamp_text(found.newest_s)
+    restored = restore_sqlite(options.copy, path_of(url))
+    newest = "none" if restored.newest_s is None else stamp_text(restored.newest_s)
     lines = [
-        f"restored: {found.store} from {options.copy} ({found.turbines} turbines, newest reading {newest})",
-        *(f"kept: {path}" for path in found.kept),
+        f"restored: {restored.store} from {options.copy} ({restored.turbines} turbines, "
+        f"newest reading {newest})",
+        *(f"kept: {path}" for path in restored.kept),
         "start the tracker: its sources go on from the places that the copy holds",
     ]
     data = {
-        "store": str(found.store),
+        "store": str(restored.store),
         "version": VERSION,
-        "turbines": found.turbines,
-        "newest": found.newest_s,
-        "kept": [str(path) for path in found.kept],
+        "turbines": restored.turbines,
+        "newest": restored.newest_s,
+        "kept": [str(path) for path in restored.kept],
     }
     show(data, "\n".join(lines), options.json)
     return 0
@@ -123,20 +131,21 @@ def _store(options: argparse.Namespace) -> int:
     from hygrokf.live.storage.store import open_store
 
     config = read_config(options.file, library_of(options.library))
-    turbines = {n: one for n, one in config.turbines.items() if options.turbine in (None, n)}
+    turbines = {n: turbine for n, turbine in config.turbines.items() if options.turbine in (None, n)}
     if not turbines:
         names = ", ".join(config.turbines)
         raise UserFault(f"{options.file}: expected a turbine of {names}, found {options.turbine!r}")
-    open_store(config.store, read_only=True).close()  # it must be there
+    open_store(config.store, read_only=True).close()  # raises StoreFault if the store is missing
     store = open_store(config.store)
     try:
-        found = refilter(store, config.turbines, turbines)
+        results = refilter(store, config.turbines, turbines)
     finally:
         store.close()
     lines = []
-    for one in found:
-        lines += [f"{one.turbine}: {one.late} readings that had come too late are used", *one.differences]
-    show({"turbines": [asdict(one) for one in found]}, "\n".join(lines), options.json)
+    for result in results:
+        lines.append(f"{result.turbine}: {result.late} readings that had come too late are used")
+        lines += result.differences
+    show({"turbines": [asdict(result) for result in results]}, "\n".join(lines), options.json)
     return 0
 
 

@@ -1,4 +1,4 @@
-"""`hygrokf track`, `hygrokf doctor`: cabinets followed live, and a check of all that this needs."""
+"""`hygrokf track` follows cabinets live, `hygrokf doctor` checks everything that a tracker needs."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from hygrokf.commands.console import (
     activity,
     expect_directory,
     show,
-    system_words,
+    system_message,
 )
 from hygrokf.commands.inputs import library_of
 from hygrokf.commands.verb import Verb, add_json, add_library, reader, within
@@ -31,10 +31,10 @@ if TYPE_CHECKING:
 
 LOG = logging.getLogger("hygrokf.track")
 _LEVELS = {Loudness.QUIET: logging.WARNING, Loudness.NORMAL: logging.INFO, Loudness.VERBOSE: logging.DEBUG}
-"""From which level on the log is written."""
+"""Loudness → lowest level that the log contains."""
 
 
-def add_tracked(parser: argparse.ArgumentParser) -> None:
+def add_tracker_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments for turbines, sources, store and page."""
     parser.add_argument(
         "what",
@@ -57,7 +57,7 @@ def add_tracked(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--no-page", action="store_true", help="no page, only store and alarms")
 
 
-def tracked_config(options: argparse.Namespace) -> Config:
+def tracker_config(options: argparse.Namespace) -> Config:
     """The configuration of TRACK.toml, or of fitted models and sources; --store and --page override it."""
     from hygrokf.live.config import read_config
     from hygrokf.live.defaults import default_config, page_at, store_at
@@ -76,7 +76,7 @@ def tracked_config(options: argparse.Namespace) -> Config:
 
 
 def _track_arguments(parser: argparse.ArgumentParser) -> None:
-    add_tracked(parser)
+    add_tracker_arguments(parser)
     parser.add_argument("--demo", action="store_true", help="play back synthetic data; needs no files")
     parser.add_argument("--until-ended", action="store_true", help="end when all sources have ended")
     parser.add_argument(
@@ -94,8 +94,8 @@ def _track_arguments(parser: argparse.ArgumentParser) -> None:
     add_library(parser)
 
 
-def _logged(options: argparse.Namespace) -> int:
-    """Track until a signal ends it; with a JSON log, whatever ends it is a log entry, too."""
+def _track_with_log(options: argparse.Namespace) -> int:
+    """Track until a signal ends the tracker; with a JSON log, log the exception that ends it, too."""
     from hygrokf.live.tracking import log_to_stderr
 
     with log_to_stderr(options.log, _LEVELS[activity().loudness]):
@@ -107,8 +107,8 @@ def _logged(options: argparse.Namespace) -> int:
             LOG.error("interrupted")
             return INTERRUPTED
         except (OSError, HygrokfError) as fault:
-            words = system_words(fault) if isinstance(fault, OSError) else str(fault)
-            LOG.error("ended by a fault", extra={"fault": words})
+            message = system_message(fault) if isinstance(fault, OSError) else str(fault)
+            LOG.error("ended by a fault", extra={"fault": message})
             return USER_FAULT
         except Exception as fault:
             LOG.error("ended by an exception", exc_info=True, extra={"fault": str(fault)})
@@ -118,25 +118,25 @@ def _logged(options: argparse.Namespace) -> int:
 def _track(options: argparse.Namespace) -> int:
     from hygrokf.live.tracking import track
 
-    config = _demo_config(options) if options.demo else tracked_config(options)
+    config = _demo_config(options) if options.demo else tracker_config(options)
 
-    def tell(what: str, words: str, **beside: object) -> None:
-        """Print a message for the user; with a JSON log, write it as a log entry."""
+    def tell(event: str, text: str, **fields: object) -> None:
+        """Print a message for the user; with a JSON log, write an entry with `fields` instead of the text."""
         if options.log == "json":
-            LOG.info(what, extra=beside)
+            LOG.info(event, extra=fields)
         else:
-            activity().note(f"{what}: {words}")
+            activity().note(f"{event}: {text}")
 
-    def begun(service: Service, page: str | None) -> None:
+    def on_begin(service: Service, page: str | None) -> None:
         names = ", ".join(list(config.turbines)[:5]) + (" …" if len(config.turbines) > 5 else "")
         count, store = len(config.turbines), config.store
         tell("tracking", f"{names} ({count}); store {store}", turbines=count, store=store)
         if page is not None:
             tell("page", page, url=page)
 
-    service = track(config, with_page=not options.no_page, until_ended=options.until_ended, begun=begun)
-    counted = service.health.deliveries
-    tell("done", f"{counted} deliveries, all committed", deliveries=counted)
+    service = track(config, with_page=not options.no_page, until_ended=options.until_ended, begun=on_begin)
+    count = service.health.deliveries
+    tell("done", f"{count} deliveries, all committed", deliveries=count)
     return 0
 
 
@@ -157,13 +157,13 @@ TRACK = Verb(
     "track",
     "follow cabinets live: condition, forecast, alarms, on a page",
     _track_arguments,
-    _logged,
+    _track_with_log,
     service=True,
 )
 
 
 def _doctor_arguments(parser: argparse.ArgumentParser) -> None:
-    add_tracked(parser)
+    add_tracker_arguments(parser)
     parser.add_argument(
         "--wait",
         type=reader("a duration such as 10s", _duration),
@@ -175,7 +175,7 @@ def _doctor_arguments(parser: argparse.ArgumentParser) -> None:
         "--try",
         dest="tried",
         metavar="FILE|TOPIC",
-        help="print what the payloads of a file or topic give by [mapping], and check nothing else",
+        help="print the readings that [mapping] gives for payloads of a file or topic; check nothing else",
     )
     parser.add_argument("--notify", action="store_true", help="send a test message to every [[notify]]")
     add_library(parser)
@@ -189,21 +189,21 @@ def _duration(text: str) -> float:
 
 
 def _doctor(options: argparse.Namespace) -> int:
-    """Check, or try payloads; the exit status is 1 where there is a fault, or where no payload gave a
-    reading."""
-    config = tracked_config(options)
+    """Check the tracker, or with --try read payloads; the exit status is 1 if there is a fault, or if no
+    payload gave a reading."""
+    config = tracker_config(options)
     if options.tried is not None:
         from hygrokf.live.doctor import payloads
 
-        tried = payloads.try_payloads(config.streams, options.tried, options.wait)
-        show(payloads.as_data(tried), payloads.as_text(tried), options.json)
-        return 0 if any(one.used for one in tried) else FOUND
+        trials = payloads.try_payloads(config.streams, options.tried, options.wait)
+        show(payloads.as_data(trials), payloads.as_text(trials), options.json)
+        return 0 if any(trial.used for trial in trials) else FOUND
     from hygrokf.live.doctor.examination import as_data, as_text, examine
 
     file = next((path for path in options.what if path.suffix == ".toml"), None)
-    found = examine(config, file, options.wait, not options.no_page, options.notify)
-    show(as_data(found), as_text(found), options.json)
-    return FOUND if any(one.level == "fault" for one in found) else 0
+    checks = examine(config, file, options.wait, not options.no_page, options.notify)
+    show(as_data(checks), as_text(checks), options.json)
+    return FOUND if any(check.level == "fault" for check in checks) else 0
 
 
 DOCTOR = Verb(

@@ -17,9 +17,9 @@ N = TypeVar("N", int, float)
 
 @dataclass(frozen=True)
 class Verb:
-    """A command: its name and help, the function that adds its arguments, and the one that runs it.
+    """A command: its name and help, the function that adds its arguments, and the function that runs it.
 
-    `run` returns the exit status.  A `service` runs until it is told to end, and writes a log of its own.
+    `run` returns the exit status.  A `service` runs until a signal ends it, and writes its own log.
     """
 
     name: str
@@ -30,13 +30,14 @@ class Verb:
 
 
 def parsers_of(parser: ArgumentParser) -> dict[str, ArgumentParser]:
-    """The parsers of the commands of the command line's parser, by name."""
-    (commands,) = (one for one in parser._actions if isinstance(one, _SubParsersAction))
+    """Name of a command → its parser, from the parser of the command line."""
+    (commands,) = (action for action in parser._actions if isinstance(action, _SubParsersAction))
     return dict(commands.choices)
 
 
 def reader(expected: str, convert: Callable[[str], T]) -> Callable[[str], T]:
-    """A reader of an argument; where `convert` raises ValueError, the fault says what was expected."""
+    """Make a type of an argument from `convert`; if that raises ValueError, the message states what is
+    expected."""
 
     def read(text: str) -> T:
         try:
@@ -48,14 +49,14 @@ def reader(expected: str, convert: Callable[[str], T]) -> Callable[[str], T]:
 
 
 def within(low: float, value: N, high: float = math.inf) -> N:
-    """A value from `low` to `high`; raises ValueError for another one."""
+    """Return a value that lies from `low` to `high`; raise ValueError for any other."""
     if not low <= value <= high:
         raise ValueError
     return value
 
 
-def whole(least: int) -> Callable[[str], int]:
-    """A reader of whole numbers not below `least`."""
+def whole_number(least: int) -> Callable[[str], int]:
+    """The type of an argument that is a whole number of at least `least`."""
     return reader(f"a whole number from {least} on", lambda text: within(least, int(text)))
 
 

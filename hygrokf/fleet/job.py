@@ -1,4 +1,4 @@
-"""One task for one turbine: the files that it reads, the key of its content, its row on disk."""
+"""A job, which is one task for one turbine: the files that it reads, its content key, and its row on disk."""
 
 from __future__ import annotations
 
@@ -35,11 +35,11 @@ from hygrokf.texts.wording import one_line
 from hygrokf.version import __version__
 
 Row: TypeAlias = Mapping[str, Cell]
-"""One turbine's row of the fleet's table: column → cell, None where there is no value."""
+"""One turbine's row of the fleet's table: column → cell, None without a value."""
 ROW = "row.json"
-"""The last file that a job writes: it is done where this is there."""
+"""The last file that a job writes; a job with this file is done."""
 DONE, FAILED, LOST = "done", "failed", "lost"
-"""How a job ended: with results; with a fault of its data; because its process died."""
+"""How a job ended: with results, with a fault of its data, or because its process died."""
 WRITES = (
     ROW, FIT, "series.npz", "evaluation.json", REPORT, BESIDE_DISCOVERY, DISCOVERY, DISCOVERY_SERIES,
     TRANSFER,
@@ -49,42 +49,42 @@ WRITES = (
 
 
 class FleetFault(FormFault):
-    """A fleet that cannot be run, in one message; `faults` lists every reason."""
+    """The fleet cannot be run; `faults` lists every reason."""
 
 
 def number(row: Row, column: str) -> float:
-    """The number in a column; NaN where there is none."""
+    """The number in a column; NaN if the cell has no number."""
     value = row.get(column)
     return float(value) if isinstance(value, int | float) and not isinstance(value, bool) else math.nan
 
 
-BETWEEN = " | "
-"""Between the statements of a cell: sentences have semicolons of their own."""
+STATEMENT_SEPARATOR = " | "
+"""Separates the statements of a cell, because sentences contain semicolons."""
 
 
 def flat(cell: Cell) -> bool | int | float | str | None:
-    """What a table of plain values holds: the text of statements, several names in one text."""
+    """A cell as a plain value: statements become their text, several names one text."""
     if isinstance(cell, Statement):
         return cell.text
     if isinstance(cell, tuple):
-        between = BETWEEN if any(isinstance(one, Statement) for one in cell) else " "
-        return between.join(map(str, cell))
+        has_statement = any(isinstance(item, Statement) for item in cell)
+        return (STATEMENT_SEPARATOR if has_statement else " ").join(map(str, cell))
     return cell
 
 
 def text_of(row: Row, column: str) -> str:
-    """The text in a column; empty where there is none."""
+    """The text in a column; "" without a value."""
     value = flat(row.get(column))
     return "" if value is None else one_line(str(value))
 
 
 @dataclass(frozen=True)
 class Job:
-    """One turbine's share of a fleet's work.
+    """The task of a fleet for one turbine.
 
-    turbine: its name, unique in the fleet. task: a name of `tasks.TASKS`. case: its case file. folder: the
-    directory of its results. fit: the fitted model that the task uses, or None. options: all options of the
-    task, as plain data. key: the hash of everything that it reads (`content_key`).
+    turbine: the turbine's name, unique in the fleet.  task: a name of `tasks.TASKS`.  case: the case file.
+    folder: the directory of the results.  fit: the fitted model that the task uses, or None.  options: all
+    options of the task as plain data.  key: the hash of everything that the job reads (`content_key`).
     """
 
     turbine: str
@@ -101,24 +101,24 @@ class Job:
                 object.__setattr__(self, name, Path(path))
 
     def __reduce__(self) -> tuple[type[Job], tuple[object, ...]]:
-        # paths as text: earlier versions of Python on a cluster cannot read those that 3.13 pickles
+        # paths as text, because earlier versions of Python on a cluster cannot read paths pickled by 3.13
         paths = (str(self.case), str(self.folder), None if self.fit is None else str(self.fit))
         return Job, (self.turbine, self.task, *paths, dict(self.options), self.key)
 
 
 Work: TypeAlias = Callable[[Job], Row]
 """The function that does a job: it writes results into the job's folder and returns the columns of its task;
-an exception is the turbine's failure.  Processes and Dask workers import it by its name, so it is a function
-of a module."""
+an exception means that the turbine failed.  Processes and Dask workers import the function by its name, so it
+must be defined in a module."""
 
 
 def _row(data: Any) -> Row:
-    """A row from the data of its file.  Raises StructureFault."""
+    """Read a row from the data of its file.  Raises StructureFault."""
     return structured(Mapping[str, Cell], data)  # type: ignore[type-abstract]
 
 
 def row_of(job: Job, status: str, columns: Row | None = None, reason: str | Statement = "") -> Row:
-    """The row of a job: the columns that every row has, followed by those of its task; numbers that are not
+    """The row of a job: the columns common to all tasks, then the columns of its task; numbers that are not
     finite become None."""
     shared = {"turbine": job.turbine, "status": status, "reason": reason, "task": job.task, "key": job.key}
     return _row(plain({**shared, **(columns or {})}))
@@ -128,22 +128,22 @@ def content_key(job: Job, files: Sequence[Path] = ()) -> str:
     """SHA-256 of everything that determines the results of a job: version, task, options, and the bytes of
     its files.
 
-    The files are the case, those that its sources name, the fit, and `files`.  A file that cannot be read
-    counts as absent: the job itself reports the fault.
+    The files are the case, the files that its sources name, the fit, and `files`.  A file that cannot be read
+    counts as absent here; the job itself reports the fault.
     """
     digest = hashlib.sha256()
 
-    def take(*parts: object) -> None:
+    def add(*parts: object) -> None:
         for part in parts:
             data = part if isinstance(part, bytes) else json.dumps(part, sort_keys=True).encode()
             digest.update(len(data).to_bytes(8, "little") + data)
 
-    take(__version__, job.turbine, job.task, dict(job.options))
-    take(_digest(job.case))
+    add(__version__, job.turbine, job.task, dict(job.options))
+    add(_digest(job.case))
     for name in _source_files(job.case):
-        take(name, _digest(job.case.parent / name))
+        add(name, _digest(job.case.parent / name))
     for path in (*([job.fit] if job.fit else []), *files):
-        take(_digest(path / FIT if path.is_dir() else path))
+        add(_digest(path / FIT if path.is_dir() else path))
     return digest.hexdigest()
 
 
@@ -156,64 +156,64 @@ def _digest(path: Path) -> bytes:
 
 
 def _source_files(case: Path) -> list[str]:
-    """Files that the sources of a case name; none where the case cannot be read."""
+    """Files that the sources of a case name; no files if the case cannot be read."""
     try:
         tables = read_toml(case)[1].get("source", [])
     except FormFault:
         return []
     tables = tables if isinstance(tables, list) else [tables]
-    named = [table.get("file") for table in tables if isinstance(table, dict)]
-    return [name for name in named if isinstance(name, str)]
+    names = [table.get("file") for table in tables if isinstance(table, dict)]
+    return [name for name in names if isinstance(name, str)]
 
 
-def finished(job: Job) -> Row | None:
-    """The row on disk where the same work has been done; None where it failed or differs."""
+def stored_row(job: Job) -> Row | None:
+    """The row on disk if the same job is done; None if the job failed, or if its files or options differ."""
     try:
-        found = _row(json.loads((job.folder / ROW).read_text(encoding="utf-8")))
-        same = (found["key"], found["turbine"], found["status"]) == (job.key, job.turbine, DONE)
+        row = _row(json.loads((job.folder / ROW).read_text(encoding="utf-8")))
+        is_done = (row["key"], row["turbine"], row["status"]) == (job.key, job.turbine, DONE)
     except (OSError, ValueError, KeyError, TypeError, RecursionError, StructureFault):
         return None
-    return found if same else None
+    return row if is_done else None
 
 
-def begin(job: Job) -> None:
-    """Remove the results of an earlier run from the folder: they belong to other data."""
+def clear_folder(job: Job) -> None:
+    """Remove the results of an earlier run, which belong to other data, from the job's folder."""
     job.folder.mkdir(parents=True, exist_ok=True)
     for name in WRITES:
         (job.folder / name).unlink(missing_ok=True)
 
 
-def keep(job: Job, found: Row) -> None:
-    """Write the row; from then on the job is done.  Make the folder where a process died before it did."""
+def write_row(job: Job, row: Row) -> None:
+    """Write the row, which marks the job as done.  A process that died may not have made the folder."""
     job.folder.mkdir(parents=True, exist_ok=True)
-    write_text_whole(job.folder / ROW, result_text(found))
+    write_text_whole(job.folder / ROW, result_text(row))
 
 
 def perform(job: Job, work: Work) -> Row:
-    """Do a job, unless its row is on disk already; every exception becomes the reason in its row."""
-    if (known := finished(job)) is not None:
-        return known
+    """Do a job unless its row is on disk already; an exception becomes the reason in its row."""
+    if (stored := stored_row(job)) is not None:
+        return stored
     try:
-        begin(job)
-        found = row_of(job, DONE, work(job))
+        clear_folder(job)
+        row = row_of(job, DONE, work(job))
     except Exception as fault:
-        found = row_of(job, FAILED, reason=reason_of(fault))
+        row = row_of(job, FAILED, reason=reason_of(fault))
     try:
-        keep(job, found)
+        write_row(job, row)
     except OSError as fault:
         return row_of(job, FAILED, reason=f"{job.folder}: cannot be written: {fault.strerror or fault}")
-    return found
+    return row
 
 
 def reason_of(fault: Exception) -> str:
-    """The reason for a failure on one line; for an unexpected exception also the place where it was
+    """The reason for a failure on one line, for an unexpected exception with the place where it was
     raised."""
-    listed = getattr(fault, "faults", ())
-    text = " ".join(("; ".join(map(str, listed)) if listed else str(fault)).split())
+    faults = getattr(fault, "faults", ())
+    text = " ".join(("; ".join(map(str, faults)) if faults else str(fault)).split())
     if isinstance(fault, FormFault) and not isinstance(fault, CaseFault):  # the row itself names the turbine
         text = f"{fault.file}: {text}"
     if isinstance(fault, HygrokfError | RatesFault | DigitsFault) or type(fault) in (ValueError, OSError):
         return text or type(fault).__name__
-    where = traceback.extract_tb(fault.__traceback__)
-    place = f" ({Path(where[-1].filename).name}, line {where[-1].lineno})" if where else ""
+    frames = traceback.extract_tb(fault.__traceback__)
+    place = f" ({Path(frames[-1].filename).name}, line {frames[-1].lineno})" if frames else ""
     return f"{type(fault).__name__}: {text or 'no message'}{place}"

@@ -1,13 +1,13 @@
-"""Outliers of a fleet: a robust rule that allows for the number of turbines and of quantities.
+"""Outliers of a fleet by a robust rule that allows for the number of turbines and of quantities.
 
 On the logarithm x of a positive quantity, with standard errors e from its bounds,
 
     z_i = (x_i − med x) / √(S² − ē² + e_i²),   S = 1.4826 med |x − med x|,   ē² = med e²  (S² − ē² at least
     0),
 
-so a turbine with wide bounds must depart further.  z is compared with the largest |z| of as many normal
-numbers, found by simulation (`SEED`): the chance of any outlier in a fleet of turbines that are alike is
-`LEVEL`, shared by the quantities that are compared (Bonferroni).
+so a turbine with wide bounds must deviate further.  |z| is compared with the largest |z| of as many normal
+numbers, which is simulated (`SEED`): the probability of any outlier in a fleet of identical turbines is
+`LEVEL`, divided among the compared quantities (Bonferroni).
 """
 
 from __future__ import annotations
@@ -22,26 +22,28 @@ from hygrokf.fleet.job import Row, number
 from hygrokf.fleet.tasks import Compared
 
 LEVEL = 0.05
-"""Chance of any outlier, in all quantities together, in a fleet of turbines that are alike."""
+"""Probability of any outlier, in all quantities together, in a fleet of identical turbines."""
 FEWEST_JUDGED = 6
 """Fewest turbines among which outliers are sought."""
 DRAWS, SEED = 4000, 20
+"""Number of simulated fleets, and the seed of the simulation."""
 TO_SD = 1.4826
 """Standard deviation of a normal distribution over its median absolute deviation."""
 REACH = 1.959963984540054
 """Half-width of a 95 % interval, in standard deviations."""
 NUMBERS_AT_ONCE = 2_000_000
+"""Largest number of normal numbers in memory at once."""
 
 
 @dataclass(frozen=True)
 class Scatter:
     """A quantity over the N turbines of a fleet that have a value.
 
-    x: logarithms of the values (N,). error: their standard errors (N,), NaN without bounds. open: turbines
-    without a value and bounds above zero. center: median of x. between: standard deviation of x between the
-    turbines beyond their bounds. z: robust distances (N,); p: their chances (N,) corrected for the number of
-    turbines and quantities; both NaN below `FEWEST_JUDGED` turbines. rejected: turbines whose value is not to
-    be believed.
+    x: logarithms of the values (N,).  error: their standard errors (N,), NaN without bounds.  open: turbines
+    whose value or bounds are not positive and finite.  center: median of x.  between: standard deviation of x
+    between the turbines, without the part that their bounds explain.  z: robust distances (N,); p: their
+    p-values (N,) corrected for the number of turbines and quantities; both NaN below `FEWEST_JUDGED`
+    turbines.  rejected: turbines whose value the verdict rejects.
     """
 
     compared: Compared
@@ -57,15 +59,15 @@ class Scatter:
 
     @property
     def outliers(self) -> list[int]:
-        """Indices of the outliers, the farthest first."""
+        """Indices of the outliers, sorted by distance, farthest first."""
         return [int(i) for i in np.argsort(-np.abs(self.z)) if self.p[i] < LEVEL]
 
     @property
     def explained(self) -> bool:
-        """Whether the bounds explain the scatter of the turbines without outliers (Cochran's Q).
+        """Whether the bounds explain the scatter of the turbines that are not outliers (Cochran's Q).
 
-        `between` does not suffice: the median deviation misses a few turbines that depart, and below
-        `FEWEST_JUDGED` turbines there are no outliers.
+        `between` does not suffice, because the median deviation misses a few deviating turbines, and because
+        fewer than `FEWEST_JUDGED` turbines have no outliers.
         """
         from scipy.special import chdtrc
 
@@ -78,14 +80,15 @@ class Scatter:
 
 
 def spreads(rows: Sequence[Row], compared: Sequence[Compared]) -> list[Scatter]:
-    """The spread of every quantity that any turbine has."""
-    there = [one for one in compared if any(number(row, one.column) > 0 for row in rows)]
-    return [spread(rows, one, len(there)) for one in there]
+    """The scatter of every quantity of which at least one turbine has a positive value."""
+    present = [quantity for quantity in compared if any(number(row, quantity.column) > 0 for row in rows)]
+    return [spread(rows, quantity, len(present)) for quantity in present]
 
 
 def spread(rows: Sequence[Row], compared: Compared, quantities: int = 1) -> Scatter:
-    """The spread of one quantity, of `quantities` that share the chance of an outlier."""
-    named, x, error, open_, rejected = [], [], [], [], []
+    """The scatter of one quantity; `quantities` is the number of quantities among which `LEVEL` is
+    divided."""
+    names, x, error, open_, rejected = [], [], [], [], []
     for row in rows:
         value = number(row, compared.column)
         if not value >= 0:
@@ -100,40 +103,40 @@ def spread(rows: Sequence[Row], compared: Compared, quantities: int = 1) -> Scat
         if compared.lower and not 0 < low < high:
             open_.append(str(row["turbine"]))
             continue
-        named.append(str(row["turbine"]))
+        names.append(str(row["turbine"]))
         x.append(np.log(value))
         error.append(np.log(high / low) / (2.0 * REACH) if compared.lower else np.nan)
     logs, sds = np.array(x), np.array(error)
-    nothing = np.full(len(logs), np.nan)
+    undefined = np.full(len(logs), np.nan)
     if not len(logs):
         return Scatter(
-            compared, (), logs, sds, tuple(open_), np.nan, np.nan, nothing, nothing, tuple(rejected)
+            compared, (), logs, sds, tuple(open_), np.nan, np.nan, undefined, undefined, tuple(rejected)
         )
     center = float(np.median(logs))
     scale = TO_SD * float(np.median(np.abs(logs - center)))
-    own = sds**2 if compared.lower else np.zeros(len(logs))
-    between = float(np.sqrt(max(scale**2 - float(np.median(own)), 0.0)))
-    z = p = nothing
+    variances = sds**2 if compared.lower else np.zeros(len(logs))
+    median_variance = float(np.median(variances))
+    between = float(np.sqrt(max(scale**2 - median_variance, 0.0)))
+    z = p = undefined
     if len(logs) >= FEWEST_JUDGED and scale > 0:
-        z = (logs - center) / np.sqrt(
-            scale**2 - min(float(np.median(own)), scale**2) + own if own.any() else scale**2
-        )
-        largest = _largest(len(logs))
-        beyond = len(largest) - np.searchsorted(largest, np.abs(z), side="left")
-        p = np.minimum(1.0, quantities * ((beyond + 1.0) / (len(largest) + 1.0)))
-    return Scatter(compared, tuple(named), logs, sds, tuple(open_), center, between, z, p, tuple(rejected))
+        total = scale**2 - min(median_variance, scale**2) + variances if variances.any() else scale**2
+        z = (logs - center) / np.sqrt(total)
+        largest = _largest_distances(len(logs))
+        exceeding = len(largest) - np.searchsorted(largest, np.abs(z), side="left")
+        p = np.minimum(1.0, quantities * ((exceeding + 1.0) / (len(largest) + 1.0)))
+    return Scatter(compared, tuple(names), logs, sds, tuple(open_), center, between, z, p, tuple(rejected))
 
 
 @cache
-def _largest(count: int) -> np.ndarray:
-    """Largest |z| of so many normal numbers, scaled by their own median deviation, in each of many draws, in
-    order."""
+def _largest_distances(count: int) -> np.ndarray:
+    """Largest |z| of `count` normal numbers, scaled by their median deviation, in each of many draws;
+    sorted."""
     random = np.random.default_rng(SEED)
     draws = max(DRAWS // 8, min(DRAWS, 8_000_000 // count))
     largest = np.empty(draws)
     part = max(1, NUMBERS_AT_ONCE // count)
     for start in range(0, draws, part):
         x = random.normal(size=(min(part, draws - start), count))
-        away = np.abs(x - np.median(x, axis=1, keepdims=True))
-        largest[start : start + part] = away.max(axis=1) / (TO_SD * np.median(away, axis=1))
+        deviation = np.abs(x - np.median(x, axis=1, keepdims=True))
+        largest[start : start + part] = deviation.max(axis=1) / (TO_SD * np.median(deviation, axis=1))
     return np.sort(largest)

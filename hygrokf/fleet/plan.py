@@ -15,7 +15,7 @@ from hygrokf.fleet.job import FleetFault, Job, content_key
 from hygrokf.fleet.tasks import TASKS, Task
 
 FOLDER = "turbines"
-"""Folder of the results that holds one folder for each turbine."""
+"""Folder of the results that contains one folder per turbine."""
 
 
 def _patterns(value: object) -> tuple[str, ...]:
@@ -56,17 +56,18 @@ class FleetPlan:
     options: Mapping[str, Any]
 
     def jobs(self, out: Path) -> list[Job]:
-        """One job for each turbine, with results in a folder of `out`, and with the key of what it reads."""
-        stated = [Path(one) for name in TASKS[self.task].files for one in self.options[name]]
-        beside = [one for one in stated if one.is_file()]
+        """One job per turbine, with its results in a folder of `out` and the key of everything that it
+        reads."""
+        paths = [Path(path) for name in TASKS[self.task].files for path in self.options[name]]
+        files = [path for path in paths if path.is_file()]  # without names of known limits
         jobs = (
             Job(
-                one.name, self.task, Path(one.case), self.folder(out, one.name),
-                Path(one.fit) if one.fit else None, self.options,
+                turbine.name, self.task, Path(turbine.case), self.folder(out, turbine.name),
+                Path(turbine.fit) if turbine.fit else None, self.options,
             )
-            for one in self.turbines
+            for turbine in self.turbines
         )  # fmt: skip
-        return [replace(job, key=content_key(job, beside)) for job in jobs]
+        return [replace(job, key=content_key(job, files)) for job in jobs]
 
     def folder(self, out: Path, turbine: str) -> Path:
         """The folder of a turbine's results."""
@@ -74,7 +75,7 @@ class FleetPlan:
 
 
 def read_plan(path: str | os.PathLike[str]) -> FleetPlan:
-    """The plan of FLEET.toml, in which paths are relative to the file.  Raises FleetFault with every
+    """Read the plan in FLEET.toml, whose paths are relative to the file.  Raises FleetFault with every
     fault."""
     file, top = Path(path), Place()
     form = read_form(FleetForm, read_toml(file, FleetFault)[1], top)
@@ -84,13 +85,13 @@ def read_plan(path: str | os.PathLike[str]) -> FleetPlan:
     place = replace(top, name="[options]", of=f" for {form.task}")
     options = asdict(read_form(task.options, form.options, place))
     for name in task.files:
-        stated, options[name] = options[name], []
-        for one in stated:
-            full = (file.parent / one).absolute()
-            is_name = name in task.named and full.suffix != ".toml" and not full.is_file()
-            options[name].append(one if is_name else str(full))
-            if not is_name and not full.is_file():
-                place.fault(f"{name}: no such file {full}")
+        values, options[name] = options[name], []
+        for value in values:
+            full_path = (file.parent / value).absolute()
+            is_name = name in task.named and full_path.suffix != ".toml" and not full_path.is_file()
+            options[name].append(value if is_name else str(full_path))
+            if not is_name and not full_path.is_file():
+                place.fault(f"{name}: no such file {full_path}")
     turbines = _turbines(form, task, file.parent, top.faults)
     if top.faults:
         raise FleetFault(file, top.faults)
@@ -100,42 +101,43 @@ def read_plan(path: str | os.PathLike[str]) -> FleetPlan:
 def _turbines(form: FleetForm, task: Task, folder: Path, faults: list[str]) -> list[FleetTurbine]:
     if form.fit and not task.uses_fit:
         faults.append(f'fit: the task "{form.task}" uses no fitted model; leave it out')
-    found = [(f"cases, {case}", FleetTurbine(case)) for case in _matched(form.cases, folder, faults)]
-    found += [(f"[[turbine]] {number}", one) for number, one in enumerate(form.turbine, 1) if one.case]
-    if not found and not faults:
+    tables = [(f"cases, {case}", FleetTurbine(case)) for case in _matches(form.cases, folder, faults)]
+    tables += [(f"[[turbine]] {number}", table) for number, table in enumerate(form.turbine, 1) if table.case]
+    if not tables and not faults:
         faults.append('no turbine: state cases = ["*/case.toml"], or one [[turbine]] for each')
-    seen: dict[str, str] = {}
+    origins: dict[str, str] = {}
     turbines = []
-    for where, one in found:
-        name, fit = one.name or _name_of(one.case), one.fit or form.fit
+    for origin, table in tables:
+        name, fit = table.name or _name_of(table.case), table.fit or form.fit
         if not re.fullmatch(r"[^\W_](?:[\w .+-]{0,98}[\w+-])?", name):
             faults.append(
-                f'{where}: the name "{name}" becomes a folder: expected up to 100 letters, digits, spaces, . '
-                "_ + -, the first of them a letter or digit; state another name in a [[turbine]]"
+                f'{origin}: the name "{name}" becomes a folder: expected up to 100 letters, digits, spaces, '
+                ". _ + -, the first of them a letter or digit; state another name in a [[turbine]]"
             )
-        elif (other := seen.setdefault(name.casefold(), where)) != where:
+        elif (other := origins.setdefault(name.casefold(), origin)) != origin:
             faults.append(
-                f'{where}: the name "{name}" is that of {other} too; state names of their own in [[turbine]] '
-                "tables"
+                f'{origin}: the name "{name}" is that of {other} too; state names of their own in '
+                "[[turbine]] tables"
             )
         if task.uses_fit and not fit:
-            faults.append(f'{where}: needs a fitted model: state fit = "…" here, or for all at the top')
-        fitted = str((folder / fit.replace("{name}", name)).absolute()) if fit else ""
-        turbines.append(FleetTurbine(str((folder / one.case).absolute()), name, fitted))
+            faults.append(f'{origin}: needs a fitted model: state fit = "…" here, or for all at the top')
+        fit_path = str((folder / fit.replace("{name}", name)).absolute()) if fit else ""
+        turbines.append(FleetTurbine(str((folder / table.case).absolute()), name, fit_path))
     return turbines
 
 
-def _matched(patterns: Sequence[str], folder: Path, faults: list[str]) -> list[str]:
-    found: dict[str, None] = {}
+def _matches(patterns: Sequence[str], folder: Path, faults: list[str]) -> list[str]:
+    cases: dict[str, None] = {}
     for pattern in patterns:
-        there = sorted(glob.glob(pattern, root_dir=folder, recursive=True))
-        if not there:
+        paths = sorted(glob.glob(pattern, root_dir=folder, recursive=True))
+        if not paths:
             faults.append(f'cases: no file matches "{pattern}" in {folder.absolute()}')
-        found.update(dict.fromkeys(there))
-    return list(found)
+        cases.update(dict.fromkeys(paths))
+    return list(cases)
 
 
 def _name_of(case: str) -> str:
-    """The default name of a turbine: the folder of case.toml, else the file's name without its ending."""
+    """The default name of a turbine: the name of the folder of case.toml, or any other file's name without
+    its suffix."""
     path = Path(case)
     return path.parent.name if path.stem == "case" and path.parent.name else path.stem

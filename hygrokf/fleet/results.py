@@ -1,4 +1,4 @@
-"""The table of a fleet: in `fleet.json` with the type of turbine, as CSV, and as Parquet where pyarrow is
+"""The table of a fleet: in `fleet.json` with the type of turbine, as CSV, and as Parquet if pyarrow is
 installed."""
 
 from __future__ import annotations
@@ -50,7 +50,8 @@ class FleetResults:
         return [row for row in self.rows if row.get("status") != DONE]
 
     def to_frame(self) -> pandas.DataFrame:
-        """The table, by turbine, stamps as times in UTC; `attrs["units"]` has the units of its columns."""
+        """The table with the turbines as index and stamps as times in UTC; `attrs["units"]` has the columns'
+        units."""
         import pandas
 
         rows = [{name: flat(cell) for name, cell in row.items()} for row in self.rows]
@@ -73,19 +74,19 @@ def columns_of(task: str) -> dict[str, str]:
 
 
 def table_csv(task: str, rows: Sequence[Row]) -> str:
-    """Rows as CSV text: numbers unrounded; cells without a value empty."""
+    """Rows as CSV text with unrounded numbers; cells without a value are empty."""
     buffer = io.StringIO()
     writer = csv.writer(buffer, lineterminator="\n")
     names = list(columns_of(task))
     writer.writerow(names)
     for row in rows:
         cells = (flat(row.get(name)) for name in names)
-        writer.writerow([str(one).lower() if isinstance(one, bool) else one for one in cells])
+        writer.writerow([str(cell).lower() if isinstance(cell, bool) else cell for cell in cells])
     return buffer.getvalue()
 
 
 def table_parquet(task: str, rows: Sequence[Row]) -> bytes | None:
-    """Rows as a Parquet file, columns without a value as null; None where pyarrow is not installed."""
+    """Rows as a Parquet file, cells without a value as null; None if pyarrow is not installed."""
     try:
         import pyarrow
         from pyarrow import parquet

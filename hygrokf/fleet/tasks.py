@@ -1,7 +1,7 @@
 """The tasks that a fleet can do for each of its turbines: options, columns of the table, and the quantities
-that turbines are compared by.
+by which turbines are compared.
 
-A task is one row of `TASKS`; its function, from a `Job` to the columns of a row, stands in
+A task is one row of `TASKS`; the function that turns a `Job` into the columns of a row is in
 `commands.fleet_tasks`.
 """
 
@@ -20,8 +20,8 @@ from hygrokf.texts.verdict import REJECT
 class Compared:
     """A positive quantity by which turbines are compared on a logarithmic scale.
 
-    column: its value; lower, upper: columns of its bounds, or empty. title, unit: for tables and pictures.
-    verdict: the column that says whether it is reliable, or empty.
+    column: column of the value.  lower, upper: columns of its bounds, or "".  title, unit: texts for tables
+    and figures.  verdict: column that says whether the value is reliable, or "".
     """
 
     column: str
@@ -32,7 +32,7 @@ class Compared:
     verdict: str = ""
 
     def rejected(self, row: Row) -> bool:
-        """Whether a turbine's value is not reliable."""
+        """Whether the verdict rejects a turbine's value."""
         return bool(self.verdict) and row.get(self.verdict) == REJECT
 
 
@@ -94,11 +94,12 @@ class Tally:
 class Task:
     """One thing that a fleet does for every turbine.
 
-    options: the dataclass of its options. columns: name → meaning with unit. compared: the quantities that
-    turbines are compared by. tallies: the columns that the page counts. listed: those that it shows of every
-    turbine beside `compared`. ranking: the column by which they are ranked, largest first. uses_fit: whether
-    it needs a fitted model. files: the options that hold paths; the results depend on the bytes of these
-    files. named: those of them that also take a name instead of a file, which does not end in ".toml".
+    options: the dataclass of the options.  columns: name → meaning with unit.  compared: the quantities by
+    which turbines are compared.  tallies: the columns whose values the page counts.  listed: the quantities
+    that the page lists for every turbine besides `compared`.  ranking: the column by which turbines are
+    ranked, largest first.  uses_fit: whether the task needs a fitted model.  files: the options that hold
+    paths of files, on whose content the results depend.  named: the options of `files` that also take a name,
+    which does not end in ".toml".
     """
 
     meaning: str
@@ -307,4 +308,4 @@ SHARED = {
     "task": "the task",
     "key": "SHA-256 of everything the row depends on: version, task, options, case, data files, fit",
 }
-"""Columns of every row, in front of the task's."""
+"""Columns of every row, before the columns of the task."""

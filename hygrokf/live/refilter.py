@@ -13,7 +13,7 @@ from hygrokf.live.alarms import DELIVERY, kinds_of
 from hygrokf.live.batch import Alarm, Batch
 from hygrokf.live.forecast_job import isolation_steps
 from hygrokf.live.storage import schema, statements
-from hygrokf.live.storage.statements import deleting
+from hygrokf.live.storage.statements import delete_rows
 from hygrokf.live.storage.store import Store
 from hygrokf.live.tracker import Tracker
 from hygrokf.live.turbines import Fleet, Turbine, digest
@@ -63,11 +63,11 @@ def _refiltered(store: Store, name: str, turbines: Mapping[str, Turbine]) -> Ref
         if name in batch.estimates and not math.isfinite(begin):
             begin = batch.estimates[name].since
             for table in (schema.estimate, schema.property_):
-                store.execute(deleting(table, "turbine", since=True), turbine=name, since=begin)
+                store.execute(delete_rows(table, "turbine", since=True), turbine=name, since=begin)
         after.update({alarm.id: alarm for alarm in batch.alarms})
         batch.memories.pop((name, "alarms"), None)
         store.write(replace(batch, alarms=[]))
-    told = store.found(Alarm, statements.BEGUN_ALARMS, turbine=name, since=begin)
+    told = store.records(Alarm, statements.BEGUN_ALARMS, turbine=name, since=begin)
     before = {alarm.id: alarm for alarm in told}
     return Refiltered(name, late, tuple(_differences(before, after)))
 

@@ -29,7 +29,7 @@ from hygrokf.live.notification.channel import Channel
 from hygrokf.live.notification.notices import look_again, notices_of
 from hygrokf.live.sources.stream import Delivery, Reach, Stream, pause_s
 from hygrokf.live.storage.database import REPLACED, StoreReplaced
-from hygrokf.live.storage.store import BITE, Store, StoreFault, open_store, prune
+from hygrokf.live.storage.store import MOST_DELETED, Store, StoreFault, open_store, prune
 from hygrokf.live.turbines import SOURCE, Fleet, Turbine
 
 LOG = logging.getLogger("hygrokf.track")
@@ -446,7 +446,7 @@ class Retention:
                 LOG.warning("old rows were not deleted", extra={"fault": str(fault)})
                 self._due.clear()
                 return 0
-            if count < BITE:
+            if count < MOST_DELETED:
                 self._due.pop()
             return count
         return 0

@@ -68,7 +68,7 @@ from hygrokf.live.sources.payload_formats import Order, Refused
 from hygrokf.live.sources.payload_values import AHEAD_S
 from hygrokf.live.sources.stream import Delivery, Reach
 from hygrokf.live.storage.schema import assessment, property_
-from hygrokf.live.storage.statements import newest, selecting
+from hygrokf.live.storage.statements import select_newest, select_rows
 from hygrokf.live.storage.store import Store
 from hygrokf.live.traces import StatedChange, settled
 from hygrokf.live.tracker import NEITHER, REVISIONS, SAME_S, Point, TrackedCourse, Tracker
@@ -129,14 +129,14 @@ class TurbineState(Kept):
         )
         made = cls(turbine=turbine, tracker=tracker, **vars(kept))
         made.assessment = next(
-            iter(store.found(Assessment, selecting(assessment, same="turbine"), turbine=name)), None
+            iter(store.records(Assessment, select_rows(assessment, same="turbine"), turbine=name)), None
         )
         made.newest = store.newest_estimate(name) or made.newest
         if outlook := store.outlook(name):
             made.outlook = Outlook(*np.array(outlook, dtype=float).T)
         if "forecast" in memories:
             made.forecast_made_s = structured(ForecastMade, memories["forecast"]).made
-        last = store.first(newest(property_, "time", "turbine"), turbine=name)
+        last = store.first(select_newest(property_, "time", "turbine"), turbine=name)
         made.slot = -math.inf if point is None or last is None else last[0] // PROPERTY_S
         return made
 

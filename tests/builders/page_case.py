@@ -32,7 +32,7 @@ from hygrokf.live.sources.local import Playback, record_mapping, record_messages
 from hygrokf.live.sources.payload import PayloadMapping
 from hygrokf.live.sources.stream import Delivery, Stream
 from hygrokf.live.storage.schema import forecast
-from hygrokf.live.storage.statements import inserting
+from hygrokf.live.storage.statements import insert_new
 from hygrokf.live.storage.store import Store, open_store
 from hygrokf.live.web.application import PageEndpoints
 from hygrokf.live.web.page_settings import PageSettings
@@ -135,7 +135,7 @@ def add_forecast(
         )  # fmt: skip
     with store.transaction():
         queried(store, "DELETE FROM forecast WHERE turbine = ?", (name,))
-        store.execute_many(inserting(forecast), rows)
+        store.execute_many(insert_new(forecast), rows)
         queried(
             store,
             "INSERT INTO memory (turbine, name, content) VALUES (?, 'forecast', ?) "

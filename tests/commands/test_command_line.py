@@ -39,7 +39,7 @@ def test_quiet_leaves_the_result_alone(folder):
 
 
 def test_quiet_keeps_notes_and_the_path_of_the_report_back(folder, monkeypatch):
-    monkeypatch.setattr("hygrokf.commands.fit.identified", lambda *_: _stored(folder))
+    monkeypatch.setattr("hygrokf.commands.fit.fit_of", lambda *_: _stored(folder))
     monkeypatch.setattr("hygrokf.report.fit_page.write_report", lambda out: out / "report.html")
     assert "report: " in run("fit case.toml --out result").err
     assert run("fit case.toml --out result -q").err == ""
@@ -90,9 +90,9 @@ def test_another_line_puts_the_sign_of_life_off():
     this = Activity("hygrokf fit", beats=True, clock=lambda: now[0])
     now[0] = 29.0
     this.step("start 2 of 5")  # a step alone is silent, and no line
-    assert this._said == 0.0
+    assert this._last_line == 0.0
     this.note("a note")
-    assert this._said == 29.0
+    assert this._last_line == 29.0
 
 
 def _until(done, seconds: float = 10.0) -> None:

@@ -27,7 +27,7 @@ from hygrokf.data.result_file import ResultFault, result_text
 from hygrokf.data.structured import structured
 from hygrokf.data.toml_form import keys_of
 from hygrokf.fleet import job as job_module
-from hygrokf.fleet.job import FleetFault, Job, content_key, finished, perform
+from hygrokf.fleet.job import FleetFault, Job, content_key, perform, stored_row
 from hygrokf.fleet.plan import read_plan
 from hygrokf.fleet.results import columns_of, table_csv, table_parquet
 from hygrokf.fleet.running import batches, in_processes, on_cluster
@@ -291,7 +291,7 @@ def test_changed_data_are_done_again_and_nothing_of_before_is_left(
     (tmp_path / "fleet.toml").write_text(FLEET)
     (job,) = read_plan(tmp_path / "fleet.toml").jobs(tmp_path / "out")
     first = perform(job, do_task)
-    assert finished(job) == first and perform(job, do_task) == first
+    assert stored_row(job) == first and perform(job, do_task) == first
     assert first["key"] == rows_of(serial[1])["T2"]["key"]
     for damaged, there in (
         ({}, None),
@@ -301,10 +301,10 @@ def test_changed_data_are_done_again_and_nothing_of_before_is_left(
         (first, first),
     ):
         (job.folder / "row.json").write_text(json.dumps(damaged))
-        assert finished(job) == there, "a damaged row is work to be done again"
+        assert stored_row(job) == there, "a damaged row is work to be done again"
     (tmp_path / "T2" / "cabinet.csv").write_text("time,other\n")
     (job,) = read_plan(tmp_path / "fleet.toml").jobs(tmp_path / "out")
-    assert finished(job) is None
+    assert stored_row(job) is None
     assert perform(job, do_task)["status"] == "failed"
     assert {one.name for one in job.folder.iterdir()} == {"row.json"}
 
@@ -641,9 +641,7 @@ def test_discoveries_of_a_fleet_are_those_of_the_command(park: Path, tmp_path: P
     assert (of_all.status, of_one.status) == (0, 0)
     row, found = json.loads(of_all.out)["rows"][1], json.loads(of_one.out)
     assert row["verdict"] == found["verdict"]
-    assert row["causes"] == [
-        "/".join((one["cause"], *one["ambiguous_with"])) for one in found["causes"]
-    ]
+    assert row["causes"] == ["/".join((one["cause"], *one["ambiguous_with"])) for one in found["causes"]]
     assert row["base_temperature_rmse_K"] == found["baseline"]["rmse"]["validation"]["temperature_K"]["total"]
     final = found["extended"] or found["baseline"]
     assert row["thermal_value_h"] == final["time_constants"]["thermal"]["value_h"]

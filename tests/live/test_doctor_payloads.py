@@ -13,7 +13,7 @@ from builders.track_case import write_model
 from builders.waiting import repeating
 
 from hygrokf.commands.main import main
-from hygrokf.live.doctor.payloads import MOST
+from hygrokf.live.doctor.payloads import MOST_SHOWN
 
 TRACK = """\
 [[turbine]]
@@ -54,7 +54,7 @@ def test_captured_messages(folder: Path, capsys: pytest.CaptureFixture) -> None:
     (folder / "captured.gz").write_bytes(gzip.compress("\n".join(lines * 40).encode()))
     status, said, _ = tried(capsys, "captured.gz", "--json")
     (found,) = json.loads(said)["trials"]
-    assert status == 0 and (found["count"], found["used"], len(found["payloads"])) == (120, 40, MOST)
+    assert status == 0 and (found["count"], found["used"], len(found["payloads"])) == (120, 40, MOST_SHOWN)
     assert found["payloads"][0]["readings"][0]["signal"] == "cabinet_temperature"
     assert {path.name for path in folder.iterdir()} == {"T07", "captured.gz", "captured.txt", "track.toml"}
 

@@ -112,7 +112,7 @@ def test_faults_of_a_table(text: str, fault: str) -> None:
 def look(
     tmp_path: Path, broker: Mosquitto, monkeypatch: pytest.MonkeyPatch
 ) -> Callable[[str], dict[str, Check]]:
-    monkeypatch.setattr(doctor_check, "synchronised", lambda: True)
+    monkeypatch.setattr(doctor_check, "is_synchronised", lambda: True)
     monkeypatch.setattr(sparkplug_node, "REORDER_S", 0.2)
     write_model(tmp_path / "W01")
     file = tmp_path / "track.toml"

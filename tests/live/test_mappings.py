@@ -24,7 +24,7 @@ from builders.track_case import write_model
 from hygrokf.data.numbers import Marks, Meaning, Unread, stated_marks
 from hygrokf.data.timestamps import zone_named
 from hygrokf.live.config import Config, ConfigFault, read_config
-from hygrokf.live.doctor.payloads import as_text, filed, trial
+from hygrokf.live.doctor.payloads import as_text, file_payloads, read_trial
 from hygrokf.live.sources.payload import EARLIEST_S, LATEST_S, Field, PayloadMapping, TurbineReadings
 from hygrokf.live.sources.payload_formats import INFLUX, LARGEST, PLAIN, UNPACKED, Refused
 from hygrokf.live.sources.payload_values import (
@@ -116,7 +116,7 @@ def test_every_layout_of_the_page_is_read_as_it_says(folder: Path, layout: tuple
     found = config(folder, mapping).streams[0].mapping
     file = folder / "captured"
     file.write_text(payloads, encoding="utf-8")
-    said = as_text([trial(("captured",), found, filed(file, found))]).splitlines()
+    said = as_text([read_trial(("captured",), found, file_payloads(file, found))]).splitlines()
     lines = iter(line.strip() for line in said)
     for expected in gives.splitlines():
         assert any(line.startswith(expected) for line in lines), "\n".join(said)
@@ -124,7 +124,8 @@ def test_every_layout_of_the_page_is_read_as_it_says(folder: Path, layout: tuple
     assert len(shown) == len(gives.splitlines()), "\n".join(said)
     packed = folder / "captured.gz"
     packed.write_bytes(gzip.compress(payloads.encode()))
-    assert as_text([trial(("captured",), found, filed(packed, found))]).splitlines()[2:4] == said[2:4]
+    unpacked = as_text([read_trial(("captured",), found, file_payloads(packed, found))]).splitlines()
+    assert unpacked[2:4] == said[2:4]
 
 
 # -- numbers and times ---------------------------------------------------------------------------------------
@@ -542,7 +543,7 @@ def captured(folder: Path, layout: tuple[str, ...], mapping: PayloadMapping) -> 
     """The payloads of a layout; rows of tables as JSON."""
     file = folder / "captured"
     file.write_text(layout[1], encoding="utf-8")
-    contents = [one.content for one in filed(file, mapping)]
+    contents = [one.content for one in file_payloads(file, mapping)]
     texts = [one if isinstance(one, str | bytes) else json.dumps(one) for one in contents]
     return [one.encode() if isinstance(one, str) else one for one in texts]
 

@@ -13,7 +13,15 @@ from hygrokf.live.batch import Batch, Estimates
 from hygrokf.live.condition import Z95, Condition, Quantity
 from hygrokf.live.storage.store import Store, open_store
 from hygrokf.live.web import views
-from hygrokf.live.web.views import AHEAD, BACK_S, PAST, STEP_S, MarginsKept, lowest, margins_of
+from hygrokf.live.web.views import (
+    AHEAD_STEPS,
+    BACK_S,
+    PAST_STEPS,
+    STEP_S,
+    MarginsCache,
+    lowest_margins,
+    margins_of,
+)
 
 T0 = 1.7e9
 
@@ -50,20 +58,24 @@ def test_each_step_shows_its_lowest_margin_and_its_band(store: Store) -> None:
     found = margins_of(store, ["A", "B"], T0 - BACK_S)
     assert list(found) == ["A"]  # of B nothing is known
     value, half = found["A"]["value"], found["A"]["half"]
-    assert len(value) == len(half) == PAST + AHEAD
+    assert len(value) == len(half) == PAST_STEPS + AHEAD_STEPS
     # the margin falls, so that the last of a step is its lowest
     per_step = round(STEP_S / 600.0)
-    fall = np.linspace(10.0, 1.0, PAST * per_step)
-    assert value[:PAST] == [round(v, 1) for v in fall[per_step - 1 :: per_step]]
-    assert half[:PAST] == [round(Z95, 1)] * PAST
+    fall = np.linspace(10.0, 1.0, PAST_STEPS * per_step)
+    assert value[:PAST_STEPS] == [round(v, 1) for v in fall[per_step - 1 :: per_step]]
+    assert half[:PAST_STEPS] == [round(Z95, 1)] * PAST_STEPS
     # forecasts: neither of the past nor beyond two days; steps without any have none
-    assert value[PAST] == 0.0 and value[-1] == -2.0 and value[PAST + 1 : -1] == [None] * (AHEAD - 2)
-    assert half[PAST] == round(2.0 * Z95, 1)
+    assert (
+        value[PAST_STEPS] == 0.0
+        and value[-1] == -2.0
+        and value[PAST_STEPS + 1 : -1] == [None] * (AHEAD_STEPS - 2)
+    )
+    assert half[PAST_STEPS] == round(2.0 * Z95, 1)
 
 
 def test_steps_without_a_number_have_none() -> None:
     place = np.array([0.2, 0.9, 1.5, 2.5, 7.0])
-    value, half = lowest(
+    value, half = lowest_margins(
         place, np.array([3.0, 2.0, np.nan, 1.0, 5.0]), np.array([1.0, 2.0, 1.0, np.inf, 1.0]), 4
     )
     assert value == [2.0, None, None, None] and half == [round(2.0 * Z95, 1), None, None, None]
@@ -79,15 +91,15 @@ def test_they_are_read_again_when_they_are_old(store: Store, monkeypatch: pytest
 
     clock = [100.0]
     monkeypatch.setattr(views.time, "monotonic", lambda: clock[0])
-    kept, reader = MarginsKept(), Counting()
+    kept, reader = MarginsCache(), Counting()
 
     def starts(now: float) -> float:
         return kept.view(reader, ["A", "B"], now)["start"] + BACK_S  # type: ignore[arg-type]
 
     assert starts(T0) == T0 and starts(T0 + 0.9 * views.KEPT_S) == T0 and len(reads) == 1
     assert starts(T0 + 2.0 * views.KEPT_S) == T0  # a playback is faster than real time
-    clock[0] += views.LEAST_S
+    clock[0] += views.KEPT_REAL_S
     assert starts(T0 + 2.0 * views.KEPT_S) == T0 + 2.0 * views.KEPT_S and len(reads) == 2
-    monkeypatch.setattr(views, "TOGETHER", 1)
-    clock[0] += views.LEAST_S
+    monkeypatch.setattr(views, "GROUP", 1)
+    clock[0] += views.KEPT_REAL_S
     assert starts(T0 - 1e6) == T0 - 1e6 and len(reads) == 4  # another start of a record

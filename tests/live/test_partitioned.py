@@ -19,7 +19,7 @@ from hygrokf.data.record import Record
 from hygrokf.data.timestamps import whole_microseconds
 from hygrokf.live.batch import Batch, Observation
 from hygrokf.live.service import Service
-from hygrokf.live.storage.schema import POSTGRESQL, VIEWS, created_views
+from hygrokf.live.storage.schema import POSTGRESQL, VIEWS, view_creation
 from hygrokf.live.storage.store import open_store, prune
 from hygrokf.live.tracker import Reading
 from hygrokf.live.turbines import Turbine
@@ -70,7 +70,7 @@ def partitioned(postgresql: Server) -> str:
             f"CREATE TABLE {table}_other PARTITION OF {table} DEFAULT",
             f"DROP TABLE {table}_before",
         ]
-    postgresql.execute(name, *statements, *created_views(POSTGRESQL))
+    postgresql.execute(name, *statements, *view_creation(POSTGRESQL))
     return url
 
 

@@ -141,7 +141,7 @@ def test_events_come_through_nginx_at_once(service: Service, tmp_path: Path) -> 
         assert "now" in json.loads(next(lines)[6:])  # a sign of life
         for name in ("A", "B"):
             began = time.monotonic()
-            page.hub.changed([name])
+            page.hub.announce([name])
             assert json.loads(next(lines)[6:])["turbines"] == [name]
             assert time.monotonic() - began < 5.0
 
@@ -149,8 +149,8 @@ def test_events_come_through_nginx_at_once(service: Service, tmp_path: Path) -> 
 def test_a_page_that_takes_nothing_is_dropped_by_nginx(
     service: Service, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(web_events, "PACE_S", 0.0)
-    names = ["x" * 100 + str(number) for number in range(web_events.NAMED)]
+    monkeypatch.setattr(web_events, "PAUSE_S", 0.0)
+    names = ["x" * 100 + str(number) for number in range(web_events.MOST_NAMED)]
     with (
         served(service, BEHIND) as (page, server),
         proxied(tmp_path, server, ("send_timeout 10s", "send_timeout 1s")) as nginx,
@@ -164,7 +164,7 @@ def test_a_page_that_takes_nothing_is_dropped_by_nginx(
         eventually(lambda: len(page.hub) == 1)
 
         def dropped() -> bool:
-            page.hub.changed(names)
+            page.hub.announce(names)
             return len(page.hub) == 0
 
         eventually(dropped)

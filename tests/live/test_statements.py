@@ -14,7 +14,7 @@ from builders.page_case import Case, filled, opened
 
 from hygrokf.data.timestamps import DAY_S
 from hygrokf.live.batch import Alarm, Batch
-from hygrokf.live.notification.notices import alarm_of, beginning_with
+from hygrokf.live.notification.notices import alarm_of, with_prefix
 from hygrokf.live.notification.transports import Webhook
 from hygrokf.live.service import Service
 from hygrokf.live.web.application import PageEndpoints
@@ -59,7 +59,7 @@ def test_an_acknowledgement_with_its_cause(client: httpx.Client, service: Servic
     found = alarm_of(store, alarm.id)
     assert (found.acknowledged_by, found.cause, found.note) == ("Ä. Berg", "look again", "filter ordered")
     assert found.look_again - found.acknowledged == 2 * DAY_S
-    (notice,) = beginning_with(store, "duty", f"duty:{alarm.id}:")
+    (notice,) = with_prefix(store, "duty", f"duty:{alarm.id}:")
     assert "filter ordered" in notice.content and notice.sent is None
     store.close()
     (channel,) = client.get("/api/health").json()["channels"]

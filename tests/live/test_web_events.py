@@ -58,7 +58,7 @@ class Listener:
 @pytest.fixture
 def page(monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[Hub, PageServer]]:
     """A hub and a server of a page without turbines."""
-    monkeypatch.setattr(web_events, "PACE_S", 0.05)
+    monkeypatch.setattr(web_events, "PAUSE_S", 0.05)
     hub = Hub(most=3)
     with serve(PageEndpoints(Service({}, [], "sqlite:none"), hub, LOCAL).app(), LOCAL, hub) as server:
         yield hub, server
@@ -68,13 +68,13 @@ def test_a_change_is_told_to_all(page: tuple[Hub, PageServer]) -> None:
     hub, server = page
     one, two = Listener(server.url), Listener(server.url)
     assert one.head.startswith("text/event-stream") and one.told[0][0] == "alive" and len(hub) == 2
-    hub.changed(["B", "A"])
+    hub.announce(["B", "A"])
     for listener in (one, two):
         eventually(listener.changes)
         assert listener.changes() == [["A", "B"]]
-    hub.changed(["C"])
+    hub.announce(["C"])
     eventually(lambda: one.changes()[1:] == [["C"]])
-    hub.changed([str(n) for n in range(web_events.NAMED + 1)])
+    hub.announce([str(n) for n in range(web_events.MOST_NAMED + 1)])
     eventually(lambda: one.changes()[2:] == [None])
     assert hub.generation == 3
 
@@ -108,7 +108,7 @@ def test_what_a_batch_changes() -> None:
 def test_silence_is_broken_by_signs_of_life(
     page: tuple[Hub, PageServer], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(web_events, "ALIVE_S", 0.1)
+    monkeypatch.setattr(web_events, "HEARTBEAT_S", 0.1)
     listener = Listener(page[1].url)
     eventually(lambda: len(listener.told) > 5)
     assert {kind for kind, _ in listener.told} == {"alive"} and listener.told[-1][1]["now"] <= time.time()
@@ -138,5 +138,5 @@ def test_the_end_comes_in_time_with_open_streams() -> None:
     assert not server.thread.is_alive() and took < STOP_S
     for one in listeners:
         eventually(lambda one=one: one.ended)
-    hub.changed(["A"])  # nobody is there, and nothing breaks
+    hub.announce(["A"])  # nobody is there, and nothing breaks
     assert len(hub) == 0

@@ -22,7 +22,7 @@ from hygrokf.live.service import Service
 from hygrokf.live.sources.local import record_mapping, record_messages
 from hygrokf.live.web import server as web_server
 from hygrokf.live.web.page_settings import PageSettings
-from hygrokf.live.web.server import BACKLOG, MOST, PageServer
+from hygrokf.live.web.server import BACKLOG, MOST_CONNECTIONS, PageServer
 
 TOKEN = "a-token-of-the-tests-0123456789"
 LOCAL, LOCKED = PageSettings(port=0), PageSettings(port=0, token=TOKEN)
@@ -81,7 +81,7 @@ def test_half_open_clients_stop_no_reading(
                 deliver()
                 held_then.append(len(held))
         # one is refused after it was accepted, which takes up to three rounds of the loop
-        assert 0.9 * MOST < max(held_then) <= MOST + 3 * BACKLOG
+        assert 0.9 * MOST_CONNECTIONS < max(held_then) <= MOST_CONNECTIONS + 3 * BACKLOG
         assert max(waits[1:]) < 2.0
         eventually(lambda: len(held) == 0)
         assert health(server) < 1.0

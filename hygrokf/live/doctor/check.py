@@ -1,4 +1,4 @@
-"""Checks that sources of every kind share, and those of this machine's clock, and of the certificates and
+"""Checks common to sources of every kind, and checks of this machine's clock and of the certificates and
 secret files that a tracker's file names."""
 
 from __future__ import annotations
@@ -7,7 +7,7 @@ import ctypes
 import math
 import os
 import time
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -25,12 +25,13 @@ CLOSE_S = 60.0
 OLD_S = 2.0 * HOUR_S
 """Age [s] from which a file or a value may no longer be updated."""
 LARGEST_ZONE_H = 14
-SHARP_S = 300.0
+"""Largest offset of a time zone from UTC [h]."""
+WHOLE_HOURS_S = 300.0
 """Tolerance [s] within which a lag counts as whole hours."""
 JUMP_S = 0.5
 """Tolerated jump of this machine's clock against elapsed time [s]."""
-_ERROR = 5
-"""Return value of adjtimex if the kernel's clock is not synchronised (TIME_ERROR)."""
+TIME_ERROR = 5
+"""Return value of adjtimex if the kernel's clock is not synchronised."""
 SOON_S = 30.0 * DAY_S
 """Remaining validity [s] below which a certificate should be replaced."""
 CERTIFICATES = ("certificate", "ca", "server_certificate")
@@ -45,21 +46,21 @@ def rounded(seconds: float) -> float:
 def of_names(
     about: str, names: Collection[str | Statement], code: CheckCode, **values: Value
 ) -> Iterator[Check]:
-    """The check of names, if there are any."""
+    """The check `code` with `names` as a value; no check without names."""
     if names:
         yield code(about, names=tuple(names), **values)
 
 
 def worst(checks: Iterable[Check]) -> str:
-    """The worst level of some checks; "ok" without any."""
-    return max((one.level for one in checks), key=LEVELS.index, default=OK)
+    """The worst level of some checks; "ok" without checks."""
+    return max((check.level for check in checks), key=LEVELS.index, default=OK)
 
 
-# -- of sources ----------------------------------------------------------------------------------------------
+# -- sources -------------------------------------------------------------------------------------------------
 def payload_checks(
     about: str, statistics: PayloadStatistics, examined: Statement | None = None
 ) -> Iterator[Check]:
-    """Whether payloads gave readings; no check without payloads."""
+    """Check whether payloads gave readings; no check without payloads."""
     used, count, examined = statistics.used, statistics.payloads, examined or ExaminedCode.PAYLOADS()
     if count and (refused := statistics.rejected):
         level = DOUBT if used else FAULT
@@ -71,11 +72,11 @@ def payload_checks(
 
 
 def stamp_check(about: str, lag_s: float, lateness_s: float = math.inf, fresh: bool = True) -> Check | None:
-    """Judge a source's clock by the lag [s] from its newest stamp to its arrival; None if the lag is not
-    finite.
+    """Judge a source's clock by the lag [s] from its newest stamp to the arrival of that stamp; None if the
+    lag is not finite.
 
-    `lateness_s`: tolerated lateness of readings [s]; without `fresh` an old stamp says nothing about the
-    clock.
+    lateness_s: tolerated lateness of readings [s].  fresh: readings arrive soon after they are taken, so that
+        an old stamp points to a wrong clock.
     """
     if not math.isfinite(lag_s):
         return None
@@ -84,7 +85,7 @@ def stamp_check(about: str, lag_s: float, lateness_s: float = math.inf, fresh: b
         return CheckCode.STAMP_TOO_FAR_AHEAD(about, ahead=rounded(-lag_s), limit=AHEAD_S)
     if lag_s < -CLOSE_S:
         return CheckCode.STAMP_AHEAD(about, ahead=rounded(-lag_s))
-    if fresh and 1 <= hours <= LARGEST_ZONE_H and abs(lag_s - hours * HOUR_S) < SHARP_S:
+    if fresh and 1 <= hours <= LARGEST_ZONE_H and abs(lag_s - hours * HOUR_S) < WHOLE_HOURS_S:
         return CheckCode.STAMP_OLD_BY_HOURS(about, age=age, hours=hours)
     if fresh and lag_s > lateness_s:
         return CheckCode.STAMP_TOO_LATE(about, age=age, lateness=lateness_s)
@@ -101,38 +102,43 @@ def server_check(about: str, difference_s: float) -> Check:
 
 
 # -- this machine's clock ------------------------------------------------------------------------------------
-def synchronised() -> bool | None:
+def is_synchronised() -> bool | None:
     """Whether this machine's clock is synchronised according to the kernel; None if unknown."""
     try:
-        read = ctypes.CDLL(None).adjtimex
+        adjtimex = ctypes.CDLL(None).adjtimex
     except (OSError, TypeError, AttributeError):
         return None
-    state = read(ctypes.create_string_buffer(512))  # all zeros: only read, set nothing
-    return None if state < 0 else state != _ERROR
+    state = adjtimex(ctypes.create_string_buffer(512))  # a structure of zeros sets nothing
+    return None if state < 0 else state != TIME_ERROR
 
 
-def elapsed_from() -> float:
-    """The time [s since 1970] at which elapsed time began, by this machine's clock as it is now."""
+def monotonic_epoch() -> float:
+    """The zero of the monotonic clock by this machine's present clock [s since 1970]; it moves if that
+    jumps."""
     return time.time() - time.monotonic()
 
 
-def machine_checks(began: float, received_s: float) -> Iterator[Check]:
-    """Check this machine's clock; `began`: `elapsed_from` at the start of the examination [s]; `received_s`:
-    arrival of the store's newest reading [s], −∞ if unknown."""
-    jump_s, known, before = elapsed_from() - began, synchronised(), time.time() - received_s
+def machine_checks(epoch_s: float, received_s: float) -> Iterator[Check]:
+    """Check this machine's clock.
+
+    epoch_s: `monotonic_epoch` at the start of the examination [s].  received_s: arrival of the store's newest
+        reading [s], −∞ if unknown.
+    """
+    jump_s, age_s, synchronised = monotonic_epoch() - epoch_s, time.time() - received_s, is_synchronised()
     if abs(jump_s) > JUMP_S:
         yield CheckCode.CLOCK_JUMPED("clock", jump=jump_s)
-    if before < -CLOSE_S:
-        yield CheckCode.READINGS_OF_THE_FUTURE("clock", ahead=rounded(-before))
-    if known is False:
+    if age_s < -CLOSE_S:
+        yield CheckCode.READINGS_OF_THE_FUTURE("clock", ahead=rounded(-age_s))
+    if synchronised is False:
         yield CheckCode.CLOCK_NOT_SYNCHRONISED("clock")
-    elif abs(jump_s) <= JUMP_S and before >= -CLOSE_S:
-        yield (CheckCode.CLOCK_SYNCHRONISED if known else CheckCode.CLOCK_EVEN)("clock")
+    elif abs(jump_s) <= JUMP_S and age_s >= -CLOSE_S:
+        code = CheckCode.CLOCK_SYNCHRONISED if synchronised else CheckCode.CLOCK_EVEN
+        yield code("clock")
 
 
 # -- certificates and secrets --------------------------------------------------------------------------------
 def file_checks(file: Path) -> Iterator[Check]:
-    """Check all files that a tracker's file names; that file must be valid."""
+    """Check all certificates and secrets that a tracker's file names; the tracker's file must be valid."""
     content = read_toml(file)[1]
     for where, table in _tables(content):
         for key in (*CERTIFICATES, *SECRETS):
@@ -154,34 +160,40 @@ def _tables(content: Mapping[str, Any]) -> Iterator[tuple[str, Mapping[str, Any]
 
 
 def _secret(about: str, path: Path) -> Check:
-    """Whether others may read a secret; always fine on systems without such permissions."""
-    readable = os.name == "posix" and path.stat().st_mode & OTHERS_READ
-    return (CheckCode.SECRET_READABLE if readable else CheckCode.SECRET_KEPT)(about, path=str(path))
+    """Check whether other users may read a secret; never a fault on systems without such permissions."""
+    is_readable = os.name == "posix" and path.stat().st_mode & OTHERS_READ
+    code = CheckCode.SECRET_READABLE if is_readable else CheckCode.SECRET_KEPT
+    return code(about, path=str(path))
 
 
 def _certificate(about: str, path: Path, key: str) -> Check:
-    check = validity_check(about, path.read_bytes(), str(path), max if key == "ca" else min)
-    if key == "server_certificate" and check.level == FAULT:  # it is only compared with the server's
+    check = validity_check(about, path.read_bytes(), str(path), all_needed=key != "ca")
+    if (
+        key == "server_certificate" and check.level == FAULT
+    ):  # only compared with the one that the server sends
         return replace(check, level=DOUBT)
     return check
 
 
-def validity_check(about: str, content: bytes, where: str, ends: Callable[[list[Any]], Any] = min) -> Check:
-    """How long a certificate, PEM or DER, remains valid.
+def validity_check(about: str, content: bytes, where: str, all_needed: bool = True) -> Check:
+    """Check how long a certificate, PEM or DER, remains valid.
 
-    ends: whether several of a PEM file expire with the first (of a chain) or with the last (of trusted CAs).
+    all_needed: several certificates of a PEM file are a chain, which expires with the first of them, and not
+        trusted CAs, which expire with the last.
     """
     try:
         from cryptography import x509
     except ImportError:
         return CheckCode.CERTIFICATE_NOT_EXAMINED(about, where=where)
     try:
-        pem = b"-----BEGIN" in content
-        found = x509.load_pem_x509_certificates(content) if pem else [x509.load_der_x509_certificate(content)]
+        if b"-----BEGIN" in content:
+            certificates = x509.load_pem_x509_certificates(content)
+        else:
+            certificates = [x509.load_der_x509_certificate(content)]
     except ValueError:
         return CheckCode.NO_CERTIFICATE(about, where=where)
-    spans = [(one.not_valid_after_utc.timestamp(), one.not_valid_before_utc.timestamp()) for one in found]
-    (end, begin), now = ends(spans), time.time()
+    spans = [(c.not_valid_after_utc.timestamp(), c.not_valid_before_utc.timestamp()) for c in certificates]
+    (end, begin), now = min(spans) if all_needed else max(spans), time.time()
     if begin > now:
         return CheckCode.CERTIFICATE_TOO_EARLY(about, where=where, begin=begin)
     if end < now:

@@ -1,4 +1,7 @@
-"""The whole examination: clock, files, sources, store, models, page, channels; changing nothing."""
+"""Examination of everything that a tracker needs: clock, files, sources, store, models, page and channels.
+
+The examination changes nothing.
+"""
 
 from __future__ import annotations
 
@@ -23,9 +26,9 @@ from hygrokf.data.structured import JsonObject, plain
 from hygrokf.data.timestamps import DAY_S, HOUR_S
 from hygrokf.live.config import Config
 from hygrokf.live.doctor.check import (
-    elapsed_from,
     file_checks,
     machine_checks,
+    monotonic_epoch,
     of_names,
     rounded,
     worst,
@@ -37,7 +40,7 @@ from hygrokf.live.sources.stream import Stream
 from hygrokf.live.storage.database import StoreUnready, one_line
 from hygrokf.live.storage.schema import VERSION, observation
 from hygrokf.live.storage.sqlite import path_of
-from hygrokf.live.storage.statements import newest, selecting
+from hygrokf.live.storage.statements import select_newest, select_rows
 from hygrokf.live.storage.store import Store, StoreFault, open_store
 from hygrokf.live.tracker import Reading, Tracker, record_of
 from hygrokf.live.turbines import Turbine, digest
@@ -49,9 +52,9 @@ from hygrokf.texts.statement import Statement
 from hygrokf.texts.verdict import REJECT
 
 ANSWER_S = 5.0
-"""[s] allowed for a page's answer."""
-TRIED_H = 72
-"""Length of the readings on which a model is tried [h]."""
+"""Longest time that the page may take to answer [s]."""
+TRIAL_H = 72
+"""Length of the artificial readings on which a model is tried [h]."""
 
 
 def examine(
@@ -64,32 +67,32 @@ def examine(
     """Check the clock, the files that the tracker's `file` names, its sources, store, models, page and
     channels.
 
-    Sources that send by themselves are observed for `wait_s` [s], all at the same time.  `send_notices`: a
-    test message goes to every channel.
+    Sources that send by themselves are observed for `wait_s` [s], all at the same time.  With `send_notices`
+    a test message is sent to every channel.
     """
-    began, contents = elapsed_from(), StoreContents()
-    # the strictest turbine decides what counts as late
-    lateness_s = min((one.plan.lateness_s for one in config.turbines.values()), default=math.inf)
+    epoch_s, contents = monotonic_epoch(), StoreContents()
+    # the turbine with the smallest tolerance decides whether a reading is late
+    lateness_s = min((turbine.plan.lateness_s for turbine in config.turbines.values()), default=math.inf)
     sources = examine_sources(config.streams, wait_s, lateness_s)
-    played_back = all(one.played_back for one in config.streams if not one.mapping.weather)
+    played_back = all(stream.played_back for stream in config.streams if not stream.mapping.weather)
     of_store = list(store_checks(config.store, config.turbines, config.retention_s, played_back, contents))
-    came = {name: set(signals) for name, signals in contents.signals.items()}
+    received = {name: set(signals) for name, signals in contents.signals.items()}
     for _, statistics in sources:
         for turbine, signal in statistics.newest:
-            came.setdefault(turbine, set()).add(signal)
+            received.setdefault(turbine, set()).add(signal)
     return [
-        *machine_checks(began, contents.received_s),
+        *machine_checks(epoch_s, contents.received_s),
         *(file_checks(file) if file is not None else ()),
         *(check for checks, _ in sources for check in checks),
         *of_store,
-        *model_checks(config.turbines, config.streams, came),
+        *model_checks(config.turbines, config.streams, received),
         *(page_checks(config.page) if with_page else ()),
         *channel_checks(config.channels, send_notices),
     ]
 
 
 def page_checks(settings: PageSettings) -> Iterator[Check]:
-    """Whether the page can be served, or a running tracker already serves it."""
+    """Check whether the page can be served, or whether a running tracker already serves it."""
     about = f"page {settings.place}"
     if None in map(importlib.util.find_spec, ("starlette", "uvicorn", "prometheus_client")):
         yield CheckCode.PAGE_PACKAGES_MISSING(about)
@@ -100,18 +103,18 @@ def page_checks(settings: PageSettings) -> Iterator[Check]:
             Path(settings.unix).unlink()
         yield CheckCode.PAGE_ADDRESS_FREE(about)
     except PageFault as error:
-        said = _page_says(settings)
-        if said is None:
+        page_fault = _fault_of_page(settings)
+        if page_fault is None:
             yield CheckCode.PAGE_ADDRESS_TAKEN(about, fault=str(error))
-        elif said:
-            yield CheckCode.PAGE_REPORTS(about, fault=said)
+        elif page_fault:
+            yield CheckCode.PAGE_REPORTS(about, fault=page_fault)
         else:
             yield CheckCode.PAGE_HEALTHY(about)
 
 
-def _page_says(settings: PageSettings) -> str | None:
-    """The fault that a tracker's page at the address reports, empty for none; None if there is no such
-    page."""
+def _fault_of_page(settings: PageSettings) -> str | None:
+    """The fault that a tracker's page at the address reports, "" without a fault; None if the address has no
+    such page."""
     host = {"0.0.0.0": "127.0.0.1", "::": "::1"}.get(settings.host, settings.host)
     connection = http.client.HTTPConnection(host, settings.port, timeout=ANSWER_S)
     try:
@@ -121,23 +124,23 @@ def _page_says(settings: PageSettings) -> str | None:
             connection.sock.connect(settings.unix)
         try:
             connection.request("GET", "/healthz")
-            found = json.loads(connection.getresponse().read(10_000))
+            answer = json.loads(connection.getresponse().read(10_000))
         finally:
             connection.close()
     except (OSError, http.client.HTTPException, ValueError):
         return None
-    if not isinstance(found, dict) or not set(found) & {"ok", "fault"}:
+    if not isinstance(answer, dict) or not set(answer) & {"ok", "fault"}:
         return None
-    return "" if found.get("ok") is True else str(found.get("fault"))[:200]
+    return "" if answer.get("ok") is True else str(answer.get("fault"))[:200]
 
 
 def channel_checks(channels: Sequence[Channel], send: bool) -> list[Check]:
-    """Check channels, all at the same time; `send`: with a test message to each."""
+    """Check all channels at the same time; with `send` a test message is sent to each channel."""
     if not channels:
         return []
     with ThreadPoolExecutor(min(len(channels), 8)) as pool:
-        found = pool.map(lambda one: list(_channel_checks(one, send)), channels)
-        return [check for checks in found for check in checks]
+        by_channel = pool.map(lambda channel: list(_channel_checks(channel, send)), channels)
+        return [check for checks in by_channel for check in checks]
 
 
 def _channel_checks(channel: Channel, send: bool) -> Iterator[Check]:
@@ -147,17 +150,17 @@ def _channel_checks(channel: Channel, send: bool) -> Iterator[Check]:
     try:
         yield CheckCode.CHANNEL_ANSWERS(about, where=channel.where, answer=channel.probe())
         if send:
-            channel.send(NoticeMessage(secrets.token_hex(16)))  # without contents it is a test
+            channel.send(NoticeMessage(secrets.token_hex(16)))  # a message without contents is a test
             yield CheckCode.CHANNEL_ACCEPTS(about)
-    except ChannelFault as found:
-        yield CheckCode.CHANNEL_FAILS(about, fault=str(found))
+    except ChannelFault as error:
+        yield CheckCode.CHANNEL_FAILS(about, fault=str(error))
 
 
 def as_text(checks: list[Check]) -> str:
-    """One line per check, and the number of checks at each level with a conclusion."""
-    counts = [f"{sum(one.level == level for one in checks)} {level}" for level in LEVELS]
-    said = "ready to track" if worst(checks) != FAULT else "fix the faults first"
-    return "\n".join([*map(str, checks), f"{', '.join(counts)}: {said}"])
+    """One line per check, then the number of checks at each level and a conclusion."""
+    counts = [f"{sum(check.level == level for check in checks)} {level}" for level in LEVELS]
+    conclusion = "ready to track" if worst(checks) != FAULT else "fix the faults first"
+    return "\n".join([*map(str, checks), f"{', '.join(counts)}: {conclusion}"])
 
 
 def as_data(checks: list[Check]) -> JsonObject:
@@ -167,55 +170,57 @@ def as_data(checks: list[Check]) -> JsonObject:
 
 # -- models --------------------------------------------------------------------------------------------------
 def model_checks(
-    turbines: Mapping[str, Turbine], streams: Sequence[Stream], came: Mapping[str, Collection[str]]
+    turbines: Mapping[str, Turbine], streams: Sequence[Stream], received: Mapping[str, Collection[str]]
 ) -> Iterator[Check]:
-    """Check every turbine's model; `came`: turbine → signals of which the store or a source has readings."""
-    fine, unheard = [], []
-    for name, one in turbines.items():
+    """Check every turbine's model; `received`: turbine → signals of which the store or a source has
+    readings."""
+    runnable, unheard = [], []
+    for name, turbine in turbines.items():
         mapped = set[str]().union(*(stream.signals(name) for stream in streams))
-        for part, verdict in one.verdicts.items():
+        for part, verdict in turbine.verdicts.items():
             if verdict.verdict == REJECT:
                 yield CheckCode.NUMBER_REJECTED(
                     f"turbine {name}", part=part, words=verdict.words, why=verdict.why
                 )
-        wrong = model_fault(one.plan, mapped, f"turbine {name}")
-        if wrong is not None:
-            yield wrong
+        fault = model_fault(turbine.plan, mapped, f"turbine {name}")
+        if fault is not None:
+            yield fault
             continue
-        if mapped.isdisjoint(one.plan.model.outputs):
+        if mapped.isdisjoint(turbine.plan.model.outputs):
             yield CheckCode.MODEL_ALONE(f"turbine {name}")
-        if "operating" in one.plan.model.inputs and "active_power" not in mapped:
+        if "operating" in turbine.plan.model.inputs and "active_power" not in mapped:
             yield CheckCode.STANDSTILL_ASSUMED(f"turbine {name}")
-        absent = lacking(one.plan, mapped, came.get(name, ()))
+        missing = missing_signals(turbine.plan, mapped, received.get(name, ()))
         yield from of_names(
-            f"turbine {name}", absent if came.get(name) else (), CheckCode.INPUTS_NEVER_ARRIVED
+            f"turbine {name}", missing if received.get(name) else (), CheckCode.INPUTS_NEVER_ARRIVED
         )
-        if not came.get(name):
+        if not received.get(name):
             unheard.append(name)
-        elif not absent:
-            fine.append(name)
+        elif not missing:
+            runnable.append(name)
     yield from of_names("turbines", unheard, CheckCode.TURBINES_NEVER_HEARD)
-    if fine:
-        yield CheckCode.MODELS_CAN_RUN("turbines", count=len(fine))
+    if runnable:
+        yield CheckCode.MODELS_CAN_RUN("turbines", count=len(runnable))
 
 
-def lacking(plan: Plan, mapped: Collection[str], came: Collection[str]) -> list[str]:
-    """Mapped signals that a model uses but that never came; any one of the ambient's humidities is enough."""
+def missing_signals(plan: Plan, mapped: Collection[str], received: Collection[str]) -> list[str]:
+    """Mapped signals that a model uses but that were never received; of the ambient humidities one is
+    enough."""
     inputs = {*plan.model.inputs, *plan.model.outputs, "ambient_temperature"}
     if "operating" in inputs or plan.design.power_order:
         inputs.add("active_power")
-    if "ambient_absolute_humidity" in inputs and set(came).isdisjoint(AMBIENT_HUMIDITIES):
+    if "ambient_absolute_humidity" in inputs and set(received).isdisjoint(AMBIENT_HUMIDITIES):
         inputs |= set(AMBIENT_HUMIDITIES)
     elif "ambient_absolute_humidity" in inputs:
         inputs -= set(AMBIENT_HUMIDITIES)
-    return sorted(inputs & set(mapped) - set(came))
+    return sorted(inputs & set(mapped) - set(received))
 
 
 def model_fault(plan: Plan, signals: Collection[str], about: str) -> Check | None:
-    """Why a model cannot run on these signals, whatever their readings; None if it can."""
-    times = HOUR_S * np.arange(1.0, TRIED_H)
-    near = np.resize((0.5, 0.500001), len(times))  # readings that never change would count as frozen
-    values = {name: SIGNALS[name].low + near * (SIGNALS[name].high - SIGNALS[name].low) for name in signals}
+    """The fault because of which a model cannot run on any readings of these signals; None if it can run."""
+    times = HOUR_S * np.arange(1.0, TRIAL_H)
+    shares = np.resize((0.5, 0.500001), len(times))  # readings that never change would count as frozen
+    values = {name: SIGNALS[name].low + shares * (SIGNALS[name].high - SIGNALS[name].low) for name in signals}
     awaited = Tracker(
         plan, readings=(Reading(name, 0.0, float(v[0])) for name, v in values.items())
     ).awaited()
@@ -232,12 +237,12 @@ def model_fault(plan: Plan, signals: Collection[str], about: str) -> Check | Non
 LEAST_FREE = 100_000_000
 """Free space [bytes] below which the disk may be full at any time."""
 SOON_D = 30.0
-"""Time until the disk is full [d] below which to make room."""
+"""Time until the disk is full [d] below which there is a doubt."""
 
 
 @dataclass
 class StoreContents:
-    """Contents of the store: turbine -> signals ever received, and the arrival of the newest reading [s]."""
+    """Contents of the store: turbine → signals ever received, and the arrival of the newest reading [s]."""
 
     signals: dict[str, set[str]] = field(default_factory=dict)
     received_s: float = -math.inf
@@ -246,7 +251,7 @@ class StoreContents:
 def store_checks(
     url: str, turbines: Mapping[str, Turbine], retention_s: float, played_back: bool, contents: StoreContents
 ) -> Iterator[Check]:
-    """Check the store at a URL; its contents go to `contents`.  With `played_back` the age of data is not
+    """Check the store at a URL and add its contents to `contents`.  With `played_back` the age of data is not
     judged."""
     try:
         store = open_store(url, read_only=True)
@@ -296,25 +301,27 @@ def _contents(
 def _read_contents(
     store: Store, turbines: Mapping[str, Turbine], contents: StoreContents
 ) -> dict[str, float]:
-    """Note the signals of each turbine in `contents`; returns turbine → time span of its readings [s]."""
-    spans, first = {}, selecting(observation, "time", "turbine", "time").limit(1)
+    """Add the signals of each turbine to `contents`; returns turbine → time span of its readings [s]."""
+    spans: dict[str, float] = {}
+    oldest = select_rows(observation, "time", "turbine", "time").limit(1)
+    newest = select_newest(observation, "time received", "turbine")
     for name in turbines:
         contents.signals[name] = set(store.signals(name))
-        for last, received in store.rows(newest(observation, "time received", "turbine"), turbine=name):
+        for last, received in store.rows(newest, turbine=name):
             contents.received_s = max(contents.received_s, received)
-            spans[name] = last - store.rows(first, turbine=name)[0][0]
+            spans[name] = last - store.rows(oldest, turbine=name)[0][0]
     return spans
 
 
 def _room(size: int, free: int, span_s: float, retention_s: float) -> Check:
-    """Whether the disk has room for the growth until retention stops it."""
-    a_day = size * DAY_S / max(span_s, DAY_S)
-    coming = a_day * max(retention_s - span_s, 0.0) / DAY_S
-    if free >= LEAST_FREE and coming > free:
-        days = free / a_day
+    """Check whether the disk has room for the store's growth until retention stops the growth."""
+    daily = size * DAY_S / max(span_s, DAY_S)
+    growth = daily * max(retention_s - span_s, 0.0) / DAY_S
+    if free >= LEAST_FREE and growth > free:
+        days = free / daily
         level = FAULT if days < 1.0 else DOUBT if days < SOON_D else OK
-        return CheckCode.DISK_FILLS("store", level, free=free, a_day=a_day, days=days)
-    return CheckCode.DISK_ROOM("store", FAULT if free < LEAST_FREE else OK, free=free, a_day=a_day)
+        return CheckCode.DISK_FILLS("store", level, free=free, a_day=daily, days=days)
+    return CheckCode.DISK_ROOM("store", FAULT if free < LEAST_FREE else OK, free=free, a_day=daily)
 
 
 def _claims(store: Store, turbines: Mapping[str, Turbine]) -> Iterator[Check]:
@@ -329,16 +336,16 @@ def _claims(store: Store, turbines: Mapping[str, Turbine]) -> Iterator[Check]:
 
 
 def _turbines(store: Store, turbines: Mapping[str, Turbine]) -> Iterator[Check]:
-    """Turbines that only the store or only the tracker's file has, or that had another model."""
-    known = store.models()
+    """Check for turbines that are only in the store, only in the tracker's file, or had another model."""
+    models = store.models()
     claimed = {name for kind, name in store.database.claims() if kind == "turbine"}
-    left = sorted(set(known) - set(turbines) - claimed)
-    new = [name for name in turbines if name not in known]
+    only_stored = sorted(set(models) - set(turbines) - claimed)
+    new = [name for name in turbines if name not in models]
     changed = [
-        name for name, one in turbines.items() if known.get(name, digest(one.plan)) != digest(one.plan)
+        name for name, turbine in turbines.items() if name in models and models[name] != digest(turbine.plan)
     ]
     was_read = new and store.size()["source"]
-    yield from of_names("store", left, CheckCode.TURBINES_LEFT)
+    yield from of_names("store", only_stored, CheckCode.TURBINES_LEFT)
     yield from of_names(
         "store", new, CheckCode.TURBINES_MISS_THE_PAST if was_read else CheckCode.TURBINES_NEW
     )
@@ -346,7 +353,7 @@ def _turbines(store: Store, turbines: Mapping[str, Turbine]) -> Iterator[Check]:
 
 
 def _estimates(store: Store, turbines: Mapping[str, Turbine], played_back: bool) -> Iterator[Check]:
-    newest = {name: first[0] for name in turbines if (first := store.newest_estimate(name)) is not None}
+    newest = {name: estimate[0] for name in turbines if (estimate := store.newest_estimate(name)) is not None}
     if not newest:
         yield CheckCode.NO_ESTIMATE_YET("store")
         return

@@ -1,7 +1,7 @@
-"""Payloads tried on the mappings of a tracker's file: what each gives, or why not.
+"""Trial of payloads on the mappings of a tracker's file: the readings of each payload, or why it has none.
 
-They come from a file or, for some seconds, from a topic of a broker.  Nothing is written, and at the broker a
-temporary session of its own is used, so that the tracker's session keeps its messages.
+The payloads come from a file or, for some seconds, from a topic of a broker.  Nothing is written, and at the
+broker the trial uses its own temporary session, so that the tracker's session keeps its messages.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from typing import IO, Any, cast
 
 from hygrokf.data.signals import from_si, signal_named
 from hygrokf.data.structured import JsonObject, plain
-from hygrokf.live.doctor.sources import arrivals, doctor_session, listening
+from hygrokf.live.doctor.sources import arrivals, doctor_session, listen
 from hygrokf.live.sources.broker import filter_fault
 from hygrokf.live.sources.local import Lines, TailedFile, contents
 from hygrokf.live.sources.mqtt import Mqtt
@@ -28,22 +28,23 @@ from hygrokf.live.tracker import Reading
 from hygrokf.texts.statement import Statement
 from hygrokf.texts.wording import one_line, stamp_text
 
-MOST = 20
-"""Payloads that are shown; further ones are only counted."""
+MOST_SHOWN = 20
+"""Largest number of payloads shown; further ones are only counted."""
 MOST_READ = 10_000
-"""Payloads that are read."""
+"""Largest number of payloads read."""
 MOST_VALUES = 40
-"""Readings and rejections of a payload that are shown."""
+"""Largest number of readings, and of rejections, shown for a payload."""
 WIDTH = 100
-"""Characters of a payload that are shown."""
+"""Largest number of characters shown of a payload."""
 
 
 @dataclass(frozen=True)
 class Trial:
-    """What the payloads gave by the mapping of some `sources`.
+    """The result of reading payloads by the mapping that some `sources` share.
 
-    `payloads`: the first ones, each its shortened text as `payload`, with `readings` (turbine, signal, time
-    in ISO 8601, value and unit) and `rejections` (turbine, kind and why).
+    `payloads`: the first payloads, each with its shortened text (`payload`), `readings` (turbine, signal,
+    time in ISO 8601, value and unit) and `rejections` (turbine, kind and why).  `count`: number of all
+    payloads; `used`: number of those that gave readings; `rejected`: the reasons of all rejections.
     """
 
     sources: tuple[str, ...]
@@ -53,50 +54,52 @@ class Trial:
     rejected: tuple[Statement | str, ...]
 
 
-# -- where the payloads come from ----------------------------------------------------------------------------
+# -- reading payloads ----------------------------------------------------------------------------------------
 def try_payloads(streams: Sequence[Stream], what: str, wait_s: float) -> list[Trial]:
     """Try the payloads of a file, or those that arrive at a topic within `wait_s` [s].
 
-    A file is read by the mapping of the source whose file it is, otherwise by each mapping.  Raises
+    A source's own file is read by the mapping of that source, any other file by each mapping.  Raises
     SourceFault.
     """
     path = Path(what)
-    if path.exists() or not any(isinstance(one, Mqtt) for one in streams):
+    if path.exists() or not any(isinstance(stream, Mqtt) for stream in streams):
         return _try_file(streams, path)
-    if (wrong := filter_fault(what)) is not None:
-        raise SourceFault(f"expected a file or a topic; there is no file {what!r}, and {wrong}")
-    brokers = [one for one in streams if isinstance(one, Mqtt)]
-    return [trial((one.url,), one.mapping, heard(one, what, wait_s)) for one in brokers]
+    if (fault := filter_fault(what)) is not None:
+        raise SourceFault(f"expected a file or a topic; there is no file {what!r}, and {fault}")
+    brokers = [stream for stream in streams if isinstance(stream, Mqtt)]
+    return [
+        read_trial((broker.url,), broker.mapping, topic_payloads(broker, what, wait_s)) for broker in brokers
+    ]
 
 
 def _try_file(streams: Sequence[Stream], path: Path) -> list[Trial]:
-    own = [one for one in streams if isinstance(one, TailedFile) and one.path.absolute() == path.absolute()]
-    found: list[tuple[PayloadMapping, list[str]]] = []
-    for stream in own or streams:
-        known = next((urls for mapping, urls in found if mapping == stream.mapping), None)
-        if known is None:
-            found.append((stream.mapping, [stream.url]))
+    readers = [s for s in streams if isinstance(s, TailedFile) and s.path.absolute() == path.absolute()]
+    urls_of: list[tuple[PayloadMapping, list[str]]] = []
+    for stream in readers or streams:
+        urls = next((urls for mapping, urls in urls_of if mapping == stream.mapping), None)
+        if urls is None:
+            urls_of.append((stream.mapping, [stream.url]))
         else:
-            known.append(stream.url)
+            urls.append(stream.url)
     try:
-        return [trial(tuple(urls), mapping, filed(path, mapping)) for mapping, urls in found]
+        return [read_trial(tuple(urls), mapping, file_payloads(path, mapping)) for mapping, urls in urls_of]
     except FileNotFoundError:
         raise SourceFault(f"{path}: no such file; a topic needs a [[source]] that is a broker") from None
     except (OSError, EOFError, zlib.error) as fault:
         raise SourceFault(f"{path}: cannot be read: {getattr(fault, 'strerror', None) or fault}") from None
 
 
-def filed(path: Path, mapping: PayloadMapping) -> Iterator[Delivery]:
-    """The payloads of a file, perhaps packed: one JSON text, or one payload or row a line.
+def file_payloads(path: Path, mapping: PayloadMapping) -> Iterator[Delivery]:
+    """The payloads of a file, which may be packed by gzip: one JSON text, or one payload or row per line.
 
     Where the mapping reads levels of the topic, each line is `TOPIC PAYLOAD`, as `mosquitto_sub -v` prints
     it.
     """
     now = time.time()
-    with path.open("rb") as plain:
-        packed = plain.read(2) == b"\x1f\x8b"
+    with path.open("rb") as unpacked:
+        is_packed = unpacked.read(2) == b"\x1f\x8b"
     file: IO[bytes]
-    with cast(IO[bytes], gzip.open(path)) if packed else path.open("rb") as file:
+    with cast(IO[bytes], gzip.open(path)) if is_packed else path.open("rb") as file:
         start = file.read(UNPACKED + 1)
         if len(start) <= UNPACKED and mapping.form == JSON and start.lstrip()[:1] in (b"{", b"["):
             with suppress(ValueError, RecursionError):
@@ -112,13 +115,13 @@ def filed(path: Path, mapping: PayloadMapping) -> Iterator[Delivery]:
             yield Delivery(content, now, topic)
 
 
-def heard(source: Mqtt, topic: str, wait_s: float) -> Iterator[Delivery]:
+def topic_payloads(source: Mqtt, topic: str, wait_s: float) -> Iterator[Delivery]:
     """The messages at a topic within `wait_s` [s], retained ones included.  Raises SourceFault."""
     session = replace(doctor_session(source.broker), topics=(topic,), alarms="")
-    with listening(session, source.largest) as link:
+    with listen(session, source.largest) as link:
         if link.lost.is_set() or not link.answered or link.denied:
-            words = link.reason or f"{source.broker.where} has not answered"
-            raise SourceFault(f"{source.url}: {'; '.join(link.denied.values()) or words}")
+            reason = link.reason or f"{source.broker.where} has not answered"
+            raise SourceFault(f"{source.url}: {'; '.join(link.denied.values()) or reason}")
         for arrival in arrivals(link, wait_s):
             for content in source.read(arrival):
                 yield Delivery(content, arrival.time, arrival.topic)
@@ -126,34 +129,35 @@ def heard(source: Mqtt, topic: str, wait_s: float) -> Iterator[Delivery]:
             raise SourceFault(f"{source.url}: {link.reason}")
 
 
-# -- what they give ------------------------------------------------------------------------------------------
-def trial(sources: tuple[str, ...], mapping: PayloadMapping, payloads: Iterable[Delivery]) -> Trial:
+# -- trial ---------------------------------------------------------------------------------------------------
+def read_trial(sources: tuple[str, ...], mapping: PayloadMapping, payloads: Iterable[Delivery]) -> Trial:
     """Read payloads by a mapping."""
     statistics = PayloadStatistics(mapping)
     shown: list[dict[str, Any]] = []
-    for one in payloads:
-        found = statistics.take(one.content, one.received, one.topic)
-        if len(shown) < MOST:
-            readings = [_tried(of.turbine, reading) for of in found for reading in of.readings]
+    for delivery in payloads:
+        parts = statistics.take(delivery.content, delivery.received, delivery.topic)
+        if len(shown) < MOST_SHOWN:
+            readings = [_reading_row(part.turbine, reading) for part in parts for reading in part.readings]
             rejections = [
                 {"turbine": turbine, "kind": kind, "why": why}
-                for turbine, _, refused in found
+                for turbine, _, refused in parts
                 for kind, why in refused
             ]
-            text = f"{one.topic} {_text(one.content)}".strip()
-            those = {"readings": readings[:MOST_VALUES], "rejections": rejections[:MOST_VALUES]}
-            shown.append({"payload": text, **those})
+            text = f"{delivery.topic} {_text(delivery.content)}".strip()
+            values = {"readings": readings[:MOST_VALUES], "rejections": rejections[:MOST_VALUES]}
+            shown.append({"payload": text, **values})
         if statistics.payloads == MOST_READ:
             break
     return Trial(sources, tuple(shown), statistics.payloads, statistics.used, statistics.rejected)
 
 
-def _tried(turbine: str, one: Reading) -> dict[str, Any]:
-    row = signal_named(one.signal)
+def _reading_row(turbine: str, reading: Reading) -> dict[str, Any]:
+    row = signal_named(reading.signal)
     unit = row.display or row.unit
-    value = float(from_si(one.value, unit, one.signal))
+    value = float(from_si(reading.value, unit, reading.signal))
     return {
-        "turbine": turbine, "signal": one.signal, "time": stamp_text(one.time), "value": value, "unit": unit,
+        "turbine": turbine, "signal": reading.signal, "time": stamp_text(reading.time), "value": value,
+        "unit": unit,
     }  # fmt: skip
 
 
@@ -170,11 +174,11 @@ def _text(content: Content) -> str:
 
 
 def as_text(trials: Sequence[Trial]) -> str:
-    """Each payload with what it gave, and a summary for each mapping."""
+    """Each payload with its readings and rejections, and a summary for each mapping."""
     lines = []
-    for one in trials:
-        lines.append(f"by the mapping of {', '.join(one.sources)}:")
-        for payload in one.payloads:
+    for trial in trials:
+        lines.append(f"by the mapping of {', '.join(trial.sources)}:")
+        for payload in trial.payloads:
             lines.append(f"  {payload['payload']}")
             for row in payload["readings"]:
                 shown = row | {"turbine": row["turbine"] or "all"}
@@ -182,13 +186,13 @@ def as_text(trials: Sequence[Trial]) -> str:
             for row in payload["rejections"]:
                 used = "used" if row["kind"] == USED_THOUGH else "not used"
                 lines.append(f"      {used}: {row['kind']}: {row['why']}")
-        if one.count > len(one.payloads):
-            lines.append(f"  … and {one.count - len(one.payloads)} more")
-        unused = f"; not used: {', '.join(map(str, one.rejected))}" if one.rejected else ""
-        lines.append(f"  {one.used} of {one.count} payloads gave readings{unused}")
+        if trial.count > len(trial.payloads):
+            lines.append(f"  … and {trial.count - len(trial.payloads)} more")
+        unused = f"; not used: {', '.join(map(str, trial.rejected))}" if trial.rejected else ""
+        lines.append(f"  {trial.used} of {trial.count} payloads gave readings{unused}")
     return "\n".join(map(one_line, lines))
 
 
 def as_data(trials: Sequence[Trial]) -> JsonObject:
-    """The same as JSON data."""
+    """The trials as JSON data."""
     return {"trials": plain(list(trials))}

@@ -1,5 +1,5 @@
-"""A channel: where notices go, which alarms it covers, how long an alarm must stand before it is sent; and
-its messages in words."""
+"""A channel: its receiver, the alarms that it covers, the hold-off of alarms before they are sent, and the
+text of its messages."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ URGENT = "alarm"
 BEGAN, WORSENED, ENDED = "began", "worsened", "ended"
 ACKNOWLEDGED, DUE_AGAIN = "acknowledged", "due again"
 OPENING = (BEGAN, WORSENED, DUE_AGAIN)
-"""Events that announce an open alarm; the others are sent only if one of these was."""
+"""Events that announce an open alarm; other events are sent only after one of these was sent."""
 LONGEST_SUBJECT = 150
 """Longest subject [characters]."""
 TEST = "test message: notices of this tracker arrive here"
 LONGEST_REASON = 200
-"""[characters] of a server's answer that are shown."""
+"""Longest reason of a failure that is shown [characters]."""
 
 
 class ChannelFault(HygrokfError):
@@ -40,18 +40,18 @@ class ChannelFault(HygrokfError):
     `reached`: whether the server was reached and refused this message, so that others may still pass.
     """
 
-    def __init__(self, words: str, reached: bool = False) -> None:
-        shown = one_line(words)
-        super().__init__(shown if len(shown) <= LONGEST_REASON else f"{shown[: LONGEST_REASON - 1]}…")
+    def __init__(self, message: str, reached: bool = False) -> None:
+        line = one_line(message)
+        super().__init__(line if len(line) <= LONGEST_REASON else f"{line[: LONGEST_REASON - 1]}…")
         self.reached = reached
 
 
 @dataclass(frozen=True)
 class Content:
-    """What a notice says: an `event` of an `alarm` as it was then.
+    """The content of a notice: an `event`, and the `alarm` in its state at the event.
 
-    `message`: key of the message that carries it, empty before the first attempt; from then on that message
-    stays as it is.
+    `message`: key of the message that contains the notice, "" before the first attempt; after the first
+    attempt the message no longer changes.
     """
 
     event: str
@@ -61,7 +61,7 @@ class Content:
 
 @dataclass(frozen=True)
 class NoticeMessage:
-    """What is sent at once: contents by id of their notices.
+    """A message: id of a notice → its content.
 
     `key` is the same at every attempt, so that a receiver can drop a repeat; a message without contents is a
     test.
@@ -75,35 +75,35 @@ class NoticeMessage:
     def of(cls, contents: dict[str, Content]) -> NoticeMessage:
         """A new message, whose key is a digest of its notices' ids."""
         key = hashlib.sha256("\n".join(sorted(contents)).encode()).hexdigest()[:32]
-        return cls(key, {name: replace(one, message=key) for name, one in contents.items()})
+        return cls(key, {name: replace(content, message=key) for name, content in contents.items()})
 
 
 def subject(message: NoticeMessage) -> str:
-    """One line that says what a message is about."""
+    """The subject of a message in one line."""
     contents = list(message.contents.values())
     if not contents:
         return f"[hygrokf] {TEST}"
     if len(contents) == 1:
-        said = headline(contents[0])
+        summary = headline(contents[0])
     else:
-        events = Counter(one.event for one in contents)
-        said = f"{len(contents)} notices: {', '.join(f'{n} {event}' for event, n in events.items())}"
-    return one_line(f"[hygrokf] {said}")[:LONGEST_SUBJECT]
+        events = Counter(content.event for content in contents)
+        summary = f"{len(contents)} notices: {', '.join(f'{n} {event}' for event, n in events.items())}"
+    return one_line(f"[hygrokf] {summary}")[:LONGEST_SUBJECT]
 
 
 def headline(content: Content) -> str:
     """One line about one alarm."""
     alarm = content.alarm
-    whose = alarm.turbine or "tracker"
-    word = "" if content.event == ACKNOWLEDGED else f"{alarm.severity}, "
-    return one_line(f"{whose}: {alarm.kind} ({word}{content.event})")
+    origin = alarm.turbine or "tracker"
+    severity = "" if content.event == ACKNOWLEDGED else f"{alarm.severity}, "
+    return one_line(f"{origin}: {alarm.kind} ({severity}{content.event})")
 
 
 def text(message: NoticeMessage) -> str:
-    """The message for people, the most severe and newest contents last."""
+    """The message as text for people; its contents are sorted by the beginning of their alarms."""
     if not message.contents:
         return f"{TEST}\n"
-    in_order = sorted(message.contents.values(), key=lambda one: (one.alarm.began, one.alarm.id))
+    in_order = sorted(message.contents.values(), key=lambda content: (content.alarm.began, content.alarm.id))
     return "\n\n".join(map(_paragraph, in_order)) + "\n"
 
 
@@ -125,29 +125,29 @@ def _paragraph(content: Content) -> str:
 
 
 def data(message: NoticeMessage) -> JsonObject:
-    """The message for machines; the same at every attempt."""
+    """The message as data for programs, the same at every attempt."""
     return {
         "type": "hygrokf.alarms" if message.contents else "hygrokf.test",
         "text": text(message),
         "notices": [
-            {"id": name, "event": one.event, "alarm": one.alarm.served()}
-            for name, one in message.contents.items()
+            {"id": name, "event": content.event, "alarm": content.alarm.served()}
+            for name, content in message.contents.items()
         ],
     }
 
 
-# -- the keys that the tables of all channels have -----------------------------------------------------------
+# -- keys common to the tables of all channels ---------------------------------------------------------------
 LONGEST_NAME = 40
 MOST_HOLD_OFF_S, MOST_DIGEST_S = 7.0 * DAY_S, DAY_S
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class Channel(UrlKeys, FolderKeys):
-    """Where notices go, and which alarms they are about; empty `kinds`, `severities`, `turbines` stand for
-    all.
+    """The receiver of notices, and the alarms that it covers; empty `kinds`, `severities` or `turbines`
+    stand for all.
 
-    `hold_off_s` [s] an alarm must stand before it is sent; `digest_s`: interval [s] after which notices that
-    are not urgent are sent together, 0 for each at once.
+    `hold_off_s`: time [s] that an alarm must last before it is sent; `digest_s`: interval [s] of messages
+    that collect all notices that are not urgent, 0 to send each notice at once.
     """
 
     name: str = setting(
@@ -180,26 +180,26 @@ class Channel(UrlKeys, FolderKeys):
         return self.address.fault
 
     def send(self, message: NoticeMessage) -> None:
-        """Returns once the receiver has accepted a message.  Raises ChannelFault."""
+        """Send a message; returns when the receiver has accepted it.  Raises ChannelFault."""
         raise NotImplementedError
 
     def probe(self) -> str:
-        """Try everything but sending; returns what was found.  Raises ChannelFault."""
+        """Try everything except sending; returns a description of the server.  Raises ChannelFault."""
         raise NotImplementedError
 
     def cautions(self) -> Iterator[Check]:
-        """Settings that work but are unsafe."""
+        """Warnings about settings that work but are unsafe."""
         raise NotImplementedError
 
     def concerns(self, alarm: Alarm) -> bool:
-        """Whether an alarm of some severity is sent here; one of no turbine (a lost source) concerns all of
-        them."""
+        """Whether the channel sends this alarm at some severity; an alarm without a turbine (a lost source)
+        concerns the channels of all turbines."""
         return (not self.kinds or alarm.kind in self.kinds) and (
             not self.turbines or not alarm.turbine or alarm.turbine in self.turbines
         )
 
     def covers(self, alarm: Alarm) -> bool:
-        """Whether the beginning of an alarm is sent here."""
+        """Whether the channel sends the beginning of an alarm."""
         return self.concerns(alarm) and (not self.severities or alarm.severity in self.severities)
 
     def collects(self, alarm: Alarm) -> bool:
@@ -207,5 +207,5 @@ class Channel(UrlKeys, FolderKeys):
         return self.digest_s > 0.0 and alarm.severity != URGENT
 
     def due_s(self, alarm: Alarm, from_s: float) -> float:
-        """When [s] a notice that may be sent from a time [s] on is due."""
+        """Time [s] at which a notice that may be sent from `from_s` [s] on is due."""
         return self.digest_s * math.ceil(from_s / self.digest_s) if self.collects(alarm) else from_s

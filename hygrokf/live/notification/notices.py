@@ -1,9 +1,10 @@
-"""The notices of alarms: which are written when an alarm changes or is acknowledged, what becomes of one that
-is due, and the outbox in the store that holds them.
+"""The notices of alarms: writing them when an alarm changes or is acknowledged, deciding whether a due notice
+is sent, and the outbox in the store that holds them.
 
-A notice is written in the transaction that writes the alarm, so that none is lost.  Whether it is sent is
-decided when it is due: an alarm that has ended within its hold-off is not, and the end of an alarm only if
-its beginning was.  Its id consists of channel, alarm and event, so that it is written once.
+A notice is written in the transaction that writes the alarm, so that no notice is lost.  When a notice is
+due, `decide` decides whether to send it: an alarm that ended within its hold-off is not sent, and the end of
+an alarm only if its beginning was sent.  The id of a notice consists of channel, alarm and event, so that
+each notice is written only once.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ from hygrokf.live.notification.channel import (
     Content,
 )
 from hygrokf.live.storage import schema, statements
-from hygrokf.live.storage.statements import selecting
+from hygrokf.live.storage.statements import select_rows
 from hygrokf.live.storage.store import Store
 from hygrokf.texts.live import NoticeCode
 from hygrokf.texts.statement import Statement
@@ -38,23 +39,24 @@ if TYPE_CHECKING:
     from sqlalchemy import ClauseElement
 
 PAST_S = DAY_S
-"""[s] after its beginning from which a new alarm counts as one of the past: the tracker is catching up."""
+"""Age [s] above which a new alarm belongs to the past, because the tracker is catching up with old
+readings."""
 CATCH_UP_S = 600.0
-"""[s] an alarm of the past waits, so that its end is known if it has ended."""
+"""[s] for which a notice of a past alarm waits, so that the end of the alarm may become known."""
 SHELVED_S = 60.0
-"""[s] after which a shelved alarm is looked at again."""
+"""[s] after which the notice of a shelved alarm is decided again."""
 LOOK_AGAIN = "look again"
-"""The cause of an acknowledgement that holds for some days only."""
+"""The cause of an acknowledgement that is valid only for some days."""
 
 
 # -- writing -------------------------------------------------------------------------------------------------
 def notices_of(
     alarms: Iterable[Alarm], channels: Iterable[Channel], now: float, record_now: float
 ) -> list[Notice]:
-    """Notices of alarms that began, became worse or ended, made at `now` [s]; `record_now` [s] is the time of
-    the readings.
+    """Notices, made at `now` [s], of alarms that began, became worse or ended; `record_now` [s] is the time
+    of the readings.
 
-    An end is written whatever the severity is by then: it is sent if the beginning was.
+    An end is written whatever the final severity is, because it is sent if the beginning was sent.
     """
     channels = tuple(channels)
     return [
@@ -75,36 +77,42 @@ def acknowledge(
     look_again_s: float | None = None,
     channels: Sequence[Channel] = (),
 ) -> str | None:
-    """Acknowledge an alarm at `now` [s]; returns its turbine, None if it cannot be acknowledged (any more).
+    """Acknowledge an alarm at `now` [s]; returns its turbine, or None if the alarm does not exist or is
+    already acknowledged.
 
-    `look_again_s`: time [s] at which it is due again.
+    look_again_s: time [s] at which the alarm is due again.
     """
-    found = alarm_of(store, alarm)
-    if found is None:
+    stored = alarm_of(store, alarm)
+    if stored is None:
         return None
-    known = replace(
-        found, acknowledged=now, acknowledged_by=by, cause=cause, note=note, look_again=look_again_s
+    acknowledged = replace(
+        stored, acknowledged=now, acknowledged_by=by, cause=cause, note=note, look_again=look_again_s
     )
     at = time.time()
-    notices = [_notice(one, known, ACKNOWLEDGED, at, at) for one in channels if one.concerns(known)]
-    return found.turbine if store.acknowledge(known, notices) else None
+    notices = [
+        _notice(channel, acknowledged, ACKNOWLEDGED, at, at)
+        for channel in channels
+        if channel.concerns(acknowledged)
+    ]
+    return stored.turbine if store.acknowledge(acknowledged, notices) else None
 
 
 def look_again(store: Store, now: float, channels: Sequence[Channel]) -> Batch:
-    """Open alarms that are due at `now` [s] to be looked at again: unacknowledged, with their notices."""
+    """A batch that reopens the open alarms that are due again at `now` [s]: without acknowledgement, with
+    notices."""
     batch, at = Batch(), time.time()
-    for alarm in store.found(Alarm, statements.DUE_AGAIN, now=now):
-        assert alarm.look_again is not None, "that is how they are found"
+    for alarm in store.records(Alarm, statements.DUE_AGAIN, now=now):
+        assert alarm.look_again is not None, "the query selects alarms with that time"
         # cause and note of the last acknowledgement stay
-        back = replace(alarm, acknowledged=None, acknowledged_by=None, look_again=None)
-        batch.reopened.append(back)
+        reopened = replace(alarm, acknowledged=None, acknowledged_by=None, look_again=None)
+        batch.reopened.append(reopened)
         batch.notices += [
             replace(
-                _notice(one, back, DUE_AGAIN, at, at),
-                id=f"{prefix(one.name, back.id)}{DUE_AGAIN} {alarm.look_again:.0f}",
+                _notice(channel, reopened, DUE_AGAIN, at, at),
+                id=f"{id_prefix(channel.name, reopened.id)}{DUE_AGAIN} {alarm.look_again:.0f}",
             )
-            for one in channels
-            if one.covers(back)
+            for channel in channels
+            if channel.covers(reopened)
         ]
     return batch
 
@@ -113,10 +121,10 @@ def _notice(channel: Channel, alarm: Alarm, event: str, now: float, record_now: 
     wait_s = channel.hold_off_s if event == BEGAN else 0.0
     if event == BEGAN and record_now - alarm.began > PAST_S:
         wait_s = max(wait_s, CATCH_UP_S)
-    # a beginning is written anew when the severity rises, an acknowledgement after each return
-    mark = {BEGAN: alarm.severity, ACKNOWLEDGED: f"{ACKNOWLEDGED} {alarm.acknowledged or now:.0f}"}
+    # the id repeats the severity, so that a rise is a new notice, and the time of each acknowledgement
+    id_endings = {BEGAN: alarm.severity, ACKNOWLEDGED: f"{ACKNOWLEDGED} {alarm.acknowledged or now:.0f}"}
     return Notice(
-        id=prefix(channel.name, alarm.id) + mark.get(event, event),
+        id=id_prefix(channel.name, alarm.id) + id_endings.get(event, event),
         channel=channel.name,
         content=as_text(Content(event, alarm)),
         made=now,
@@ -124,8 +132,8 @@ def _notice(channel: Channel, alarm: Alarm, event: str, now: float, record_now: 
     )
 
 
-def prefix(channel: str, alarm: str) -> str:
-    """The part that the ids of a channel's notices about an alarm have in common."""
+def id_prefix(channel: str, alarm: str) -> str:
+    """The common beginning of the ids of a channel's notices about an alarm."""
     return f"{channel}:{alarm}:"
 
 
@@ -149,55 +157,57 @@ def decide(
     now: float,
     record_now: float,
 ) -> Content | Statement | float:
-    """What becomes of a notice that is due and was not attempted before: the content to send now, the reason
-    to send nothing, or the time [s] at which to decide again.
+    """Decide about a notice that is due and was not attempted before.
 
-    `alarm` as the store has it, None if it was deleted; `others`: the channel's other notices about it;
-    whether it is `shelved`; `now` [s], and `record_now` [s], the time of the readings.
+    Returns the content to send now, the reason to send nothing, or the time [s] at which to decide again.
+
+    alarm: the alarm in the store, None if it was deleted.  others: the channel's other notices about the
+    alarm.
+    shelved: whether the alarm is shelved.  record_now: time of the readings [s].
     """
     content = content_of(notice)
     if alarm is None:
         return NoticeCode.ALARM_NOT_STORED()
     if content.event not in OPENING:
-        openings = [one for one in others if content_of(one).event in OPENING]
-        if any(delivered(one) for one in openings):
+        openings = [other for other in others if content_of(other).event in OPENING]
+        if any(is_delivered(opening) for opening in openings):
             return content
-        waiting = [one.due for one in openings if one.sent is None]
+        waiting = [opening.due for opening in openings if opening.sent is None]
         return max(min(waiting), now + 1.0) if waiting else NoticeCode.BEGINNING_NOT_SENT()
     if alarm.acknowledged is not None:
         return NoticeCode.ACKNOWLEDGED_BEFORE()
     if shelved:
         return NoticeCode.ENDED_WHILE_SHELVED() if alarm.ended is not None else now + SHELVED_S
     if alarm.ended is not None:
-        made = [one.made for one in others if content_of(one).event == ENDED]
-        if alarm.ended - alarm.began < channel.hold_off_s and made and made[0] < notice.due:
+        ends = [other.made for other in others if content_of(other).event == ENDED]
+        if alarm.ended - alarm.began < channel.hold_off_s and ends and ends[0] < notice.due:
             return NoticeCode.ENDED_IN_HOLD_OFF()
         if record_now - alarm.ended > PAST_S:
             return NoticeCode.OVER_BEFORE_CAUGHT_UP()
-    told = (content_of(one) for one in others if delivered(one))
-    before = [one.alarm.severity for one in told if one.event in OPENING]
-    if content.event == BEGAN and before:
-        if max(map(SEVERITIES.index, before)) >= SEVERITIES.index(content.alarm.severity):
+    sent = (content_of(other) for other in others if is_delivered(other))
+    sent_severities = [opening.alarm.severity for opening in sent if opening.event in OPENING]
+    if content.event == BEGAN and sent_severities:
+        if max(map(SEVERITIES.index, sent_severities)) >= SEVERITIES.index(content.alarm.severity):
             return NoticeCode.SEVERER_SENT()
         return replace(content, event=WORSENED)
     return content
 
 
-def delivered(notice: Notice) -> bool:
-    """Whether a receiver has accepted a notice; one that was dropped says why as its failure."""
+def is_delivered(notice: Notice) -> bool:
+    """Whether a receiver has accepted a notice; a dropped notice has the reason as its failure."""
     return notice.sent is not None and not notice.failure
 
 
 # -- the outbox ----------------------------------------------------------------------------------------------
 def due(store: Store, channel: str, now: float, most: int) -> list[Notice]:
-    """A channel's notices that are not sent and due at `now` [s], the earliest first."""
-    return store.found(Notice, statements.DUE, channel=channel, now=now, most=most)
+    """A channel's unsent notices that are due at `now` [s], the earliest first."""
+    return store.records(Notice, statements.DUE, channel=channel, now=now, most=most)
 
 
 @dataclass(frozen=True)
 class ChannelState:
-    """A channel's outbox: notices `waiting`, of which the oldest was `made` [s]; the `failure` of
-    their attempts, empty if none has failed; when a notice was last `sent` [s]."""
+    """A channel's outbox: number of `waiting` notices; time at which the oldest of them was `made` [s];
+    `failure` of their attempts, "" without a failure; time at which a notice was last `sent` [s]."""
 
     waiting: int = 0
     made: float | None = None
@@ -206,30 +216,31 @@ class ChannelState:
 
 
 def channel_states(store: Store) -> dict[str, ChannelState]:
-    """The outbox by channel."""
+    """Channel → state of its outbox."""
     return {
         channel: ChannelState(int(count), *rest)
         for channel, count, *rest in store.rows(statements.CHANNEL_STATES)
     }
 
 
-def beginning_with(store: Store, channel: str, prefix: str) -> list[Notice]:
-    """A channel's notices whose ids begin with a text."""
-    return store.found(Notice, statements.NOTICES_ABOUT, channel=channel, length=len(prefix), prefix=prefix)
+def with_prefix(store: Store, channel: str, prefix: str) -> list[Notice]:
+    """A channel's notices whose ids begin with `prefix`."""
+    return store.records(Notice, statements.NOTICES_ABOUT, channel=channel, length=len(prefix), prefix=prefix)
 
 
 def keep_contents(store: Store, contents: Iterable[tuple[str, str]]) -> None:
-    """Write the contents (id, JSON) of notices that are about to be sent, so that a repeat is the same."""
+    """Write the contents (id, JSON) of notices that are about to be sent, so that a repeated
+    message has the same content."""
     _change(store, statements.KEEP_CONTENT, [{"notice": name, "text": text} for name, text in contents])
 
 
 def postpone(store: Store, notices: Iterable[tuple[str, float]]) -> None:
-    """Decide about notices (id) again at a time [s]."""
+    """Set the times [s] at which notices (id) are decided again."""
     _change(store, statements.POSTPONE, [{"notice": name, "at": at} for name, at in notices])
 
 
 def drop(store: Store, notices: Iterable[tuple[str, Statement]], at: float) -> None:
-    """Send notices (id) never, for a reason."""
+    """Mark notices (id) as never to be sent, each with the reason."""
     _change(
         store,
         statements.DROP,
@@ -238,30 +249,30 @@ def drop(store: Store, notices: Iterable[tuple[str, Statement]], at: float) -> N
 
 
 def mark_sent(store: Store, notices: Iterable[str], at: float) -> None:
-    """State that notices (by id) were sent at a time [s]."""
+    """Mark notices (by id) as sent at a time [s]."""
     _change(store, statements.MARK_SENT, [{"notice": name, "at": at} for name in notices])
 
 
 def mark_failed(store: Store, notices: Iterable[str], failure: str, due: float) -> None:
-    """State why notices (by id) could not be sent, and when they are due again [s]."""
+    """Store why notices (by id) could not be sent, and the time [s] at which they are due again."""
     _change(
         store, statements.MARK_FAILED, [{"notice": name, "reason": failure, "at": due} for name in notices]
     )
 
 
 def forget(store: Store, before: float) -> None:
-    """Delete notices that were sent, dropped or, of a channel that exists no longer, made before a time
-    [s]."""
+    """Delete notices that were sent or dropped before a time [s], and unsent notices that were made
+    before."""
     store.execute(statements.FORGET_NOTICES, before=before)
 
 
 def alarm_of(store: Store, alarm: str) -> Alarm | None:
-    """An alarm by its id; None if there is none."""
-    return next(iter(store.found(Alarm, selecting(schema.alarm, same="id"), id=alarm)), None)
+    """The alarm with this id; None if the store has no such alarm."""
+    return next(iter(store.records(Alarm, select_rows(schema.alarm, same="id"), id=alarm)), None)
 
 
 def _change(store: Store, statement: ClauseElement, changes: Sequence[Mapping[str, object]]) -> None:
-    """Execute a statement with the values of each of some changes, all or none."""
+    """Execute a statement with the values of each change, all in one transaction."""
     if changes:
         with store.transaction():
             for values in changes:

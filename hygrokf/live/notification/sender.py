@@ -1,8 +1,8 @@
-"""Sends a channel's notices, in a thread of its own over its own connection to the store.
+"""Sends a channel's notices in its own thread, over its own connection to the store.
 
-The composition of a message is stored before its first attempt, so that every later one is the same and has
-the same key.  A message counts as sent once the receiver has accepted it; until then it is tried again, at
-intervals that grow.
+The composition of a message is stored before its first attempt, so that every later attempt sends the same
+message with the same key.  A message counts as sent once the receiver has accepted it; until then it is
+repeated at increasing intervals.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from hygrokf.data.timestamps import DAY_S
 from hygrokf.live.batch import Notice
 from hygrokf.live.notification import notices
 from hygrokf.live.notification.channel import Channel, ChannelFault, Content, NoticeMessage
-from hygrokf.live.notification.notices import as_text, content_of, decide, prefix
+from hygrokf.live.notification.notices import as_text, content_of, decide, id_prefix
 from hygrokf.live.sources.stream import pause_s
 from hygrokf.live.storage.store import Store, StoreFault, open_store
 from hygrokf.texts.live import NoticeCode
@@ -26,28 +26,28 @@ from hygrokf.texts.statement import Statement
 
 LOG = logging.getLogger("hygrokf.notify")
 POLL_S = 1.0
-"""[s] between two looks at the outbox."""
+"""[s] between two reads of the outbox."""
 BACK_OFF_S = (2.0, 300.0)
 """Shortest and longest pause [s] after a failed attempt."""
 MOST = 1_000
 """Largest number of notices read at once."""
-TOGETHER = 100
+LARGEST_DIGEST = 100
 """Largest number of notices in one message."""
 GIVE_UP_S = 7.0 * DAY_S
-"""[s] after which a message that nobody accepts is dropped, with an error in the log."""
+"""[s] after which a message that was never accepted is dropped, with an error in the log."""
 KEPT_S = 30.0 * DAY_S
-"""[s] a notice is kept after it was sent or dropped."""
+"""[s] for which a notice is kept after it was sent or dropped."""
 REFUSALS = 3
-"""Messages refused one after the other from which the server counts as failing."""
+"""Number of consecutive refusals from which on the server counts as failing."""
 STOP_S = 5.0
-"""[s] a stopped sender has for what is due; an exchange in progress may take longer."""
+"""[s] for which a stopped sender still sends due notices; an exchange in progress may take longer."""
 
 
 class Sender:
     """Sends the notices of one channel until it is stopped.
 
     `record_now` gives the time [s] of the readings, against which shelves are judged.  `failures`: number of
-    failed attempts; `failure`: why the last attempt failed, empty if it did not.
+    failed attempts; `failure`: why the last attempt failed, "" if it succeeded.
     """
 
     def __init__(self, channel: Channel, store_url: str, record_now: Callable[[], float] = time.time) -> None:
@@ -74,12 +74,12 @@ class Sender:
         self._thread.start()
 
     def end(self) -> None:
-        """Send what is due once more, and end; what fails is sent after the next start."""
+        """Send the due notices once more and end; notices that fail are sent after the next start."""
         self._end_by = time.monotonic() + STOP_S
         self._ending.set()
 
     def stop(self) -> None:
-        """End, and wait for that."""
+        """End the sender and wait for its thread."""
         self.end()
         if self._thread is not None:
             self._thread.join(timeout=2.0 * STOP_S)
@@ -87,15 +87,15 @@ class Sender:
     # -- the sender's own thread -----------------------------------------------------------------------------
     def _run(self) -> None:
         while True:
-            last = self._ending.is_set()
+            is_last = self._ending.is_set()
             self._pass()
-            if last:
+            if is_last:
                 break
             self._ending.wait(POLL_S)
         self._close()
 
     def _pass(self) -> None:
-        """Send what is due now; whatever goes wrong, the next pass tries again."""
+        """Send the notices that are due now; after any failure the next pass tries again."""
         try:
             if self._store is None:
                 self._store = open_store(self._store_url)
@@ -107,7 +107,7 @@ class Sender:
                 LOG.warning("notices wait for the store", extra={"fault": str(fault).strip()})
             self._store_fault = str(fault)
             self._close()
-        except Exception:  # of any kind: a thread that ends would be silent for ever
+        except Exception:  # any exception, because a thread that ended would send nothing any more
             LOG.exception("notices could not be sent", extra={"channel": self.channel.name})
             self._close()
 
@@ -125,54 +125,59 @@ class Sender:
             self._next_tidy = now + DAY_S
         if now < self._paused_until:
             return
-        found = notices.due(store, self.channel.name, now, MOST)
-        for message, made in self._messages(store, found, now):
+        due = notices.due(store, self.channel.name, now, MOST)
+        for message, made in self._messages(store, due, now):
             if now - made > GIVE_UP_S and message.attempts:
                 self._give_up(store, message)
             elif time.monotonic() > self._end_by or not self._attempt(store, message):
                 return
 
-    def _messages(
-        self, store: Store, found: Sequence[Notice], now: float
-    ) -> list[tuple[NoticeMessage, float]]:
+    def _messages(self, store: Store, due: Sequence[Notice], now: float) -> list[tuple[NoticeMessage, float]]:
         """Messages to attempt now, each with the time [s] at which its first notice was made."""
         messages: dict[str, list[Notice]] = {}
         fresh: list[Notice] = []
-        for one in found:
-            key = content_of(one).message
+        for notice in due:
+            key = content_of(notice).message
             if key:
-                messages.setdefault(key, []).append(one)
+                messages.setdefault(key, []).append(notice)
             else:
-                fresh.append(one)
-        if len(found) == MOST and len(messages) > 1:
-            messages.popitem()  # it may be incomplete
-        again = [
+                fresh.append(notice)
+        if len(due) == MOST and len(messages) > 1:
+            messages.popitem()  # the last message may be incomplete
+        repeated = [
             (
                 NoticeMessage(
-                    key, {one.id: content_of(one) for one in rows}, max(one.attempts for one in rows)
+                    key,
+                    {notice.id: content_of(notice) for notice in group},
+                    max(notice.attempts for notice in group),
                 ),
-                min(one.made for one in rows),
+                min(notice.made for notice in group),
             )
-            for key, rows in messages.items()
+            for key, group in messages.items()
         ]
-        new = [NoticeMessage.of(one) for one in self._collected(self._decided(store, fresh, now))]
-        notices.keep_contents(store, [(name, as_text(one)) for m in new for name, one in m.contents.items()])
-        return again + [(one, now) for one in new]
+        new = [NoticeMessage.of(contents) for contents in self._group(self._decide(store, fresh, now))]
+        notices.keep_contents(
+            store, [(name, as_text(content)) for m in new for name, content in m.contents.items()]
+        )
+        return repeated + [(message, now) for message in new]
 
-    def _decided(self, store: Store, fresh: Sequence[Notice], now: float) -> dict[str, Content]:
+    def _decide(self, store: Store, fresh: Sequence[Notice], now: float) -> dict[str, Content]:
+        """Decide about new notices; returns the contents to send now by id of the notice."""
         if not fresh:
             return {}
         record_now = self._record_now()
-        shelves = {(one.turbine, one.kind) for one in store.shelves(record_now)}
+        shelves = {(shelf.turbine, shelf.kind) for shelf in store.shelves(record_now)}
         sent: dict[str, Content] = {}
         dropped: list[tuple[str, Statement]] = []
         postponed: list[tuple[str, float]] = []
         for notice in fresh:
             alarm = content_of(notice).alarm
-            others = notices.beginning_with(store, self.channel.name, prefix(self.channel.name, alarm.id))
-            others = [one for one in others if one.id != notice.id]
-            known, shelved = notices.alarm_of(store, alarm.id), (alarm.turbine, alarm.kind) in shelves
-            outcome = decide(notice, self.channel, known, others, shelved, now, record_now)
+            about_alarm = notices.with_prefix(
+                store, self.channel.name, id_prefix(self.channel.name, alarm.id)
+            )
+            others = [other for other in about_alarm if other.id != notice.id]
+            stored, shelved = notices.alarm_of(store, alarm.id), (alarm.turbine, alarm.kind) in shelves
+            outcome = decide(notice, self.channel, stored, others, shelved, now, record_now)
             if isinstance(outcome, Content):
                 sent[notice.id] = outcome
             elif isinstance(outcome, Statement):
@@ -183,19 +188,19 @@ class Sender:
         notices.postpone(store, postponed)
         return sent
 
-    def _collected(self, contents: dict[str, Content]) -> list[dict[str, Content]]:
-        """The contents of each message: urgent ones alone, the others of a digest together."""
-        digest = {name: one for name, one in contents.items() if self.channel.collects(one.alarm)}
+    def _group(self, contents: dict[str, Content]) -> list[dict[str, Content]]:
+        """Group contents into messages: one message per urgent content, digests of the others."""
+        digest = {name: c for name, c in contents.items() if self.channel.collects(c.alarm)}
         names = list(digest)
-        together = [names[i : i + TOGETHER] for i in range(0, len(names), TOGETHER)]
-        return [{name: one} for name, one in contents.items() if name not in digest] + [
-            {name: digest[name] for name in part} for part in together
+        digests = [names[i : i + LARGEST_DIGEST] for i in range(0, len(names), LARGEST_DIGEST)]
+        return [{name: content} for name, content in contents.items() if name not in digest] + [
+            {name: digest[name] for name in group} for group in digests
         ]
 
     def _attempt(self, store: Store, message: NoticeMessage) -> bool:
-        """Attempt a message; returns whether others should be attempted now.
+        """Attempt a message; returns whether other messages should be attempted now.
 
-        One that is refused does not hold up the others, but several in a row mean that the server fails.
+        A refused message does not delay the others, but several refusals in a row mean that the server fails.
         """
         names, now = tuple(message.contents), time.time()
         try:
@@ -203,16 +208,16 @@ class Sender:
         except ChannelFault as fault:
             self.failures += 1
             if str(fault) != self.failure:  # log once, not at every attempt
-                said = {"channel": self.channel.name, "reason": str(fault)}
-                LOG.warning("a message was not sent", extra=said)
+                fields = {"channel": self.channel.name, "reason": str(fault)}
+                LOG.warning("a message was not sent", extra=fields)
             self.failure = str(fault)
-            again = time.time() + pause_s(message.attempts + 1, BACK_OFF_S)
+            due_s = time.time() + pause_s(message.attempts + 1, BACK_OFF_S)
             self._refusals += 1
-            going_on = fault.reached and self._refusals < REFUSALS and not self._ending.is_set()
-            if not going_on:
-                self._paused_until = again
-            notices.mark_failed(store, names, str(fault), again)
-            return going_on
+            continues = fault.reached and self._refusals < REFUSALS and not self._ending.is_set()
+            if not continues:
+                self._paused_until = due_s
+            notices.mark_failed(store, names, str(fault), due_s)
+            return continues
         self._refusals = 0
         self._accepted.append((names, now))
         if self.failure:

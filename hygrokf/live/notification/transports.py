@@ -1,12 +1,12 @@
-"""Where notices go, each a [[notify]] of the tracker's file: mail by SMTP with TLS from the start (`smtps:`)
-or by STARTTLS (`smtp:`), and webhooks, a POST of JSON that is signed as Standard Webhooks says.
+"""The kinds of channels, each a [[notify]] of the tracker's file: mail by SMTP with TLS from the start
+(`smtps:`) or by STARTTLS (`smtp:`), and webhooks, a POST of JSON that is signed by Standard Webhooks.
 
 A message's key is the Message-ID of a mail.  If the connection breaks after the text is sent and before the
-server's answer arrives, nobody can tell whether the server has accepted it (RFC 1047): it is sent again with
-the same Message-ID, by which mailboxes recognise a repeat.
+server's answer arrives, the client cannot know whether the server has accepted the mail (RFC 1047).  The
+mail is sent again with the same Message-ID, by which mailboxes recognise a repeat.
 
-Of a webhook it is the `webhook-id`, the same at every attempt; `webhook-signature` is `v1,` and the base64 of
-HMAC-SHA256 over `webhook-id.webhook-timestamp.body` (https://www.standardwebhooks.com).
+In a webhook the message's key is the `webhook-id`, the same at every attempt; `webhook-signature` is `v1,`
+and the base64 of HMAC-SHA256 over `webhook-id.webhook-timestamp.body` (https://www.standardwebhooks.com).
 """
 
 from __future__ import annotations
@@ -42,12 +42,14 @@ from hygrokf.live.sources.stream import SourceFault
 from hygrokf.texts.doctor import Check, CheckCode
 
 _ADDRESS = 'an address such as "ops@farm.example"'
-PATIENT = 3
-"""Attempts in which a temporarily refused address (greylisting) holds up the others."""
+GREYLISTING_ATTEMPTS = 3
+"""Attempts during which a temporarily refused address (greylisting) delays the mail to the other
+addresses."""
 
 
 @contextmanager
-def _exchange(where: str) -> Iterator[None]:
+def _faults_of(where: str) -> Iterator[None]:
+    """Raise ChannelFault in place of the exceptions of an exchange with a server."""
     try:
         yield
     except ChannelFault:
@@ -57,7 +59,7 @@ def _exchange(where: str) -> Iterator[None]:
     except smtplib.SMTPAuthenticationError as fault:
         raise ChannelFault(f"{where}: user or password is wrong ({fault.smtp_code})") from None
     except smtplib.SMTPResponseException as fault:
-        refusal = f"{where}: it refuses: {_answer(fault.smtp_code, fault.smtp_error)}"
+        refusal = f"{where}: it refuses: {_answer_text(fault.smtp_code, fault.smtp_error)}"
         raise ChannelFault(refusal, reached=True) from None
     except (smtplib.SMTPServerDisconnected, http.client.IncompleteRead, ConnectionResetError):
         raise ChannelFault(f"{where}: it closed the connection, or did not answer in time") from None
@@ -70,16 +72,16 @@ def _exchange(where: str) -> Iterator[None]:
 
 
 @contextmanager
-def _ended_after(seconds: float, connection: smtplib.SMTP | http.client.HTTPConnection) -> Iterator[None]:
-    """Within this context a connection is broken after a time [s], which limits exchanges whose single steps
-    never time out."""
+def _time_limit(seconds: float, connection: smtplib.SMTP | http.client.HTTPConnection) -> Iterator[None]:
+    """Break a connection after a time [s] within this context, because single steps of an exchange may each
+    stay within their timeout."""
 
-    def cut() -> None:
+    def shut_down() -> None:
         with suppress(OSError, AttributeError):
             if connection.sock is not None:
                 connection.sock.shutdown(socket.SHUT_RDWR)
 
-    timer = threading.Timer(seconds, cut)
+    timer = threading.Timer(seconds, shut_down)
     timer.daemon = True
     timer.start()
     try:
@@ -88,7 +90,7 @@ def _ended_after(seconds: float, connection: smtplib.SMTP | http.client.HTTPConn
         timer.cancel()
 
 
-def _secured(connection: smtplib.SMTP | http.client.HTTPConnection) -> str:
+def _security_text(connection: smtplib.SMTP | http.client.HTTPConnection) -> str:
     sock = connection.sock
     return f" over TLS ({sock.version()})" if isinstance(sock, ssl.SSLSocket) else ", unencrypted"
 
@@ -101,7 +103,7 @@ def _is_address(text: str) -> bool:
 
 @dataclass(frozen=True, kw_only=True)
 class Mail(PasswordKeys, Channel):
-    """A [[notify]] by mail; `timeout_s`: limit [s] of one whole exchange."""
+    """A [[notify]] by mail; `timeout_s`: time limit of a complete exchange [s]."""
 
     url: str = setting(help="smtp://[USER@]HOST[:PORT] for STARTTLS, or smtps:// for TLS from the start")
     sender: str = setting(help="the sender's address", fits=_is_address, expected=_ADDRESS)
@@ -140,7 +142,7 @@ class Mail(PasswordKeys, Channel):
         with self._session() as smtp:
             smtp.noop()
             user = f", accepts the user {self.address.user}" if self.address.user else ""
-            return f"it answers{_secured(smtp)}{user}"
+            return f"it answers{_security_text(smtp)}{user}"
 
     def send(self, message: NoticeMessage) -> None:
         """Send a message to all receivers."""
@@ -150,14 +152,14 @@ class Mail(PasswordKeys, Channel):
     @contextmanager
     def _session(self) -> Iterator[smtplib.SMTP]:
         """A session of at most `timeout_s`, logged in.  Raises ChannelFault."""
-        with _exchange(self.where):
+        with _faults_of(self.where):
             smtp = self._open()
-            with _ended_after(self.timeout_s, smtp):
+            with _time_limit(self.timeout_s, smtp):
                 try:
                     self._log_in(smtp)
                     yield smtp
                 finally:
-                    with suppress(Exception):  # what the server says to the end changes nothing
+                    with suppress(Exception):  # the answer to QUIT does not matter
                         if smtp.sock is not None:
                             smtp.sock.settimeout(2.0)
                             smtp.quit()
@@ -187,42 +189,46 @@ class Mail(PasswordKeys, Channel):
             smtp.login(self.address.user, self.password.read() or "")
 
     def _deliver(self, smtp: smtplib.SMTP, message: NoticeMessage) -> None:
-        code, said = smtp.mail(parseaddr(self.sender)[1])
+        code, answer = smtp.mail(parseaddr(self.sender)[1])
         if code != 250:
-            raise ChannelFault(f"{self.where}: it refuses the sender: {_answer(code, said)}", reached=True)
+            raise ChannelFault(
+                f"{self.where}: it refuses the sender: {_answer_text(code, answer)}", reached=True
+            )
         refused: dict[str, tuple[int, bytes]] = {}
-        for one in self.to:
-            code, said = smtp.rcpt(parseaddr(one)[1])
+        for receiver in self.to:
+            code, answer = smtp.rcpt(parseaddr(receiver)[1])
             if code not in (250, 251):
-                refused[one] = (code, said)
+                refused[receiver] = (code, answer)
         temporary = [code for code, _ in refused.values() if code < 500]
-        if len(refused) == len(self.to) or (temporary and message.attempts < PATIENT):
-            shown = "; ".join(f"{one} ({_answer(*answer)})" for one, answer in refused.items())
-            raise ChannelFault(f"{self.where}: it refuses {shown}", reached=True)
-        made = EmailMessage(policy=SMTP)
-        made["From"] = self.sender
-        made["To"] = ", ".join(self.to)
-        made["Subject"] = subject(message)
-        made["Date"] = formatdate()
-        made["Message-ID"] = f"<{message.key}@{parseaddr(self.sender)[1].rpartition('@')[2]}>"
-        made["Auto-Submitted"] = "auto-generated"
-        made.set_content(text(message), cte="base64")
-        code, said = smtp.data(made.as_bytes())
+        if len(refused) == len(self.to) or (temporary and message.attempts < GREYLISTING_ATTEMPTS):
+            reasons = "; ".join(f"{receiver} ({_answer_text(*why)})" for receiver, why in refused.items())
+            raise ChannelFault(f"{self.where}: it refuses {reasons}", reached=True)
+        mail = EmailMessage(policy=SMTP)
+        mail["From"] = self.sender
+        mail["To"] = ", ".join(self.to)
+        mail["Subject"] = subject(message)
+        mail["Date"] = formatdate()
+        mail["Message-ID"] = f"<{message.key}@{parseaddr(self.sender)[1].rpartition('@')[2]}>"
+        mail["Auto-Submitted"] = "auto-generated"
+        mail.set_content(text(message), cte="base64")
+        code, answer = smtp.data(mail.as_bytes())
         if code != 250:
-            raise ChannelFault(f"{self.where}: it refuses the message: {_answer(code, said)}", reached=True)
+            raise ChannelFault(
+                f"{self.where}: it refuses the message: {_answer_text(code, answer)}", reached=True
+            )
 
 
-def _answer(code: int, said: bytes | str) -> str:
-    words = said.decode("utf-8", "replace") if isinstance(said, bytes) else said
-    return f"{code} {words}"
+def _answer_text(code: int, answer: bytes | str) -> str:
+    text = answer.decode("utf-8", "replace") if isinstance(answer, bytes) else answer
+    return f"{code} {text}"
 
 
-MARK = "whsec_"
-LEAST_BYTES = 24
+SECRET_PREFIX = "whsec_"
+SHORTEST_SECRET = 24
 """Shortest secret [bytes]."""
-READ = 2000
-"""[bytes] of an answer that are read."""
-MAKE_ONE = (
+LONGEST_ANSWER = 2000
+"""Longest part of an answer that is read [bytes]."""
+HOW_TO_MAKE = (
     "make one with: python -c 'import base64, secrets; "
     'print("whsec_" + base64.b64encode(secrets.token_bytes(32)).decode())\''
 )
@@ -230,8 +236,10 @@ MAKE_ONE = (
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class Webhook(Channel):
-    """A [[notify]] by a webhook, whose path may itself be a secret and appears in no message; `timeout_s`:
-    limit [s] of one whole exchange."""
+    """A [[notify]] by a webhook; `timeout_s`: time limit of a complete exchange [s].
+
+    The path of the URL may itself be a secret, so that no message shows it.
+    """
 
     REFUSED: ClassVar = {
         "secret": "a secret must not be in this file: name a file as secret_file, or an environment "
@@ -245,8 +253,8 @@ class Webhook(Channel):
 
     @across("url")
     def no_user(self) -> str | None:
-        wrong = "url: user and password do not belong here; sign by secret_file"
-        return wrong if self.address.user else None
+        fault = "url: user and password do not belong here; sign by secret_file"
+        return fault if self.address.user else None
 
     @across("secret_file", "secret_env")
     def one_secret(self) -> str | None:
@@ -265,34 +273,36 @@ class Webhook(Channel):
             yield CheckCode.NOTICES_UNSIGNED(where=self.where)
 
     def signing_key(self) -> bytes | None:
-        """The present secret, None for none.  Raises SourceFault, ChannelFault."""
-        stated = Secret(self.path("secret_file"), self.secret_env, "secret").read()
-        return None if stated is None else secret_bytes(stated, self.secret_env or self.secret_file)
+        """The present secret, None without a secret.  Raises SourceFault, ChannelFault."""
+        text = Secret(self.path("secret_file"), self.secret_env, "secret").read()
+        return None if text is None else secret_bytes(text, self.secret_env or self.secret_file)
 
     def probe(self) -> str:
         """Connect and encrypt; nothing is posted."""
-        with self._connected() as (connection, secret):
+        with self._connection() as (connection, secret):
             connection.connect()
-            return f"it answers{_secured(connection)}; notices are {'signed' if secret else 'not signed'}"
+            return (
+                f"it answers{_security_text(connection)}; notices are {'signed' if secret else 'not signed'}"
+            )
 
     def send(self, message: NoticeMessage) -> None:
         """Post a message; only an answer of 200 to 299 accepts it."""
         body = json.dumps(data(message), ensure_ascii=False, allow_nan=False).encode()
         headers = {"Content-Type": "application/json", "User-Agent": "hygrokf"}
-        with self._connected() as (connection, secret), _ended_after(self.timeout_s, connection):
+        with self._connection() as (connection, secret), _time_limit(self.timeout_s, connection):
             headers |= signature(message.key, body, time.time(), secret)
             connection.request("POST", self.address.path, body, headers)
             answer = connection.getresponse()
-            answer.read(READ)
+            answer.read(LONGEST_ANSWER)
         if not 200 <= answer.status < 300:
-            final = ": state the final url" if answer.status < 400 else ""
-            refusal = f"{self.where}: it answers {answer.status} {answer.reason}{final}"
+            remedy = ": state the final url" if answer.status < 400 else ""  # a redirection
+            refusal = f"{self.where}: it answers {answer.status} {answer.reason}{remedy}"
             raise ChannelFault(refusal, reached=True)
 
     @contextmanager
-    def _connected(self) -> Iterator[tuple[http.client.HTTPConnection, bytes | None]]:
+    def _connection(self) -> Iterator[tuple[http.client.HTTPConnection, bytes | None]]:
         """A connection, not opened yet, and the present secret.  Raises ChannelFault."""
-        with _exchange(self.where):
+        with _faults_of(self.where):
             secret, host, port = self.signing_key(), self.address.host, self.address.port
             connection = http.client.HTTPConnection(host, port, timeout=self.timeout_s)
             if self.tls:
@@ -309,24 +319,26 @@ def signature(key: str, body: bytes, now: float, secret: bytes | None) -> dict[s
     stamp = f"{now:.0f}"
     headers = {"webhook-id": key, "webhook-timestamp": stamp}
     if secret is not None:
-        made = hmac.digest(secret, f"{key}.{stamp}.".encode() + body, hashlib.sha256)
-        headers["webhook-signature"] = f"v1,{base64.b64encode(made).decode()}"
+        digest = hmac.digest(secret, f"{key}.{stamp}.".encode() + body, hashlib.sha256)
+        headers["webhook-signature"] = f"v1,{base64.b64encode(digest).decode()}"
     return headers
 
 
 def secret_bytes(text: str, place: str) -> bytes:
-    """The bytes of a secret such as `whsec_…`; `place` names where it stands.  Raises ChannelFault."""
+    """The bytes of a secret such as `whsec_…`; `place` names its file or variable.  Raises ChannelFault."""
     with suppress(binascii.Error, ValueError):
-        found = base64.b64decode(text.removeprefix(MARK), validate=True)
-        if text.startswith(MARK) and len(found) >= LEAST_BYTES:
-            return found
-    raise ChannelFault(f"expected {MARK} and at least {LEAST_BYTES} bytes in base64 in {place}; {MAKE_ONE}")
+        secret = base64.b64decode(text.removeprefix(SECRET_PREFIX), validate=True)
+        if text.startswith(SECRET_PREFIX) and len(secret) >= SHORTEST_SECRET:
+            return secret
+    raise ChannelFault(
+        f"expected {SECRET_PREFIX} and at least {SHORTEST_SECRET} bytes in base64 in {place}; {HOW_TO_MAKE}"
+    )
 
 
 KINDS: Mapping[str, type[Mail] | type[Webhook]] = {
     "smtp": Mail, "smtps": Mail, "https": Webhook, "http": Webhook,
 }  # fmt: skip
-"""Scheme of a URL -> kind of channel."""
+"""Scheme of a URL → kind of channel."""
 
 
 def channel_of(
@@ -339,12 +351,13 @@ def channel_of(
     url = table.get("url")
     scheme = url.partition(":")[0] if isinstance(url, str) else ""
     if scheme not in KINDS:
-        place.fault(f"url must begin with one of {', '.join(f'{one}:' for one in KINDS)}, found {scheme!r}")
+        place.fault(f"url must begin with one of {', '.join(f'{kind}:' for kind in KINDS)}, found {scheme!r}")
         return None
-    own = replace(place, faults=[])
-    channel: Mail | Webhook = read_form(KINDS[scheme], table, own, folder=folder)
-    unknown = [] if own.faults else [one for one in channel.turbines if one not in turbines]
+    table_place = replace(place, faults=[])
+    channel: Mail | Webhook = read_form(KINDS[scheme], table, table_place, folder=folder)
+    faults = table_place.faults
+    unknown = [] if faults else [name for name in channel.turbines if name not in turbines]
     if unknown:
-        own.fault(f"turbines: no turbine is named {unknown[0]!r}{suggestion(unknown[0], turbines)}")
-    place.faults.extend(own.faults)
-    return None if own.faults else channel
+        table_place.fault(f"turbines: no turbine is named {unknown[0]!r}{suggestion(unknown[0], turbines)}")
+    place.faults.extend(faults)
+    return None if faults else channel

@@ -31,7 +31,7 @@ from hygrokf.live.sources.stream import (
     Stream,
 )
 from hygrokf.live.storage.database import Row, StoreFault, one_line
-from hygrokf.live.storage.postgres import connected, import_psycopg, url_fault
+from hygrokf.live.storage.postgres import connect, import_psycopg, url_fault
 
 if TYPE_CHECKING:
     import psycopg
@@ -171,7 +171,7 @@ class PostgresQuery(Stream):
         """A session that may only read.  Raises SourceFault."""
         try:
             import_psycopg("a PostgreSQL source")
-            connection = connected(self.form.url, self.form.password.read())
+            connection = connect(self.form.url, self.form.password.read())
         except StoreFault as fault:
             raise SourceFault(str(fault)) from None
         for statement in SESSION:

@@ -1,4 +1,4 @@
-"""What a tracker keeps: one store in SQLite or PostgreSQL, its schema, retention and export."""
+"""The store of a tracker in SQLite or PostgreSQL: schema, statements, retention and export."""
 
 from importlib.util import find_spec
 

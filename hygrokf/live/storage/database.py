@@ -1,8 +1,8 @@
-"""The database behind the store: statements, transactions, its tables, and which process tracks what.
+"""The database behind the store: statements, transactions, tables, and the claims of processes.
 
 The modules `sqlite` and `postgres` implement the differences.  An external error (network, disk, permissions)
 becomes a `StoreFault` and may be retried; an invalid statement keeps the driver's own exception and must not
-be.
+be retried.
 """
 
 from __future__ import annotations
@@ -28,12 +28,13 @@ if TYPE_CHECKING:
     import psycopg
 
 CLAIM_S = 3.0
-"""[s] a claim waits for the previous holder to go: the end of a process is noticed with a delay."""
+"""[s] for which a claim waits until the previous holder releases it; the end of a process is noticed with a
+delay."""
 REPLACED = (
     "it was replaced while the tracker ran; the tracker goes on with the store that is there now. Restart "
     "the tracker, so that its sources go on from the places of that store"
 )
-AGAIN_S = 0.1
+RETRY_S = 0.1
 """[s] between two attempts to claim."""
 
 Row = tuple[Any, ...]
@@ -53,7 +54,7 @@ class StoreUnready(StoreFault):
 
 
 class StoreReplaced(StoreFault):
-    """The store is another one than the one that was opened: a copy was put in its place."""
+    """A copy has replaced the store since it was opened."""
 
 
 class Database:
@@ -75,7 +76,7 @@ class Database:
         self._held: set[tuple[str, str]] = set()
         self._compiled: WeakKeyDictionary[ClauseElement, SQLCompiler] = WeakKeyDictionary()
 
-    # -- what differs between databases --------------------------------------------------------------------
+    # -- differences between databases --------------------------------------------------------------------
     def is_trouble(self, error: Exception) -> bool:
         """Whether an error has an external cause, so that another attempt may succeed."""
         raise NotImplementedError
@@ -85,8 +86,8 @@ class Database:
         raise NotImplementedError
 
     def take_turn(self) -> None:
-        """Within a transaction: wait until no other process creates tables or claims, and keep others out
-        until it ends."""
+        """Within a transaction: wait until no other process creates tables or claims, and exclude other
+        processes until the transaction ends."""
 
     def try_claim(self, wanted: Sequence[tuple[str, str]]) -> tuple[str, str, str] | None:
         """Claim all (kind, name) pairs, or none if another process holds one of them.
@@ -96,7 +97,7 @@ class Database:
         raise NotImplementedError
 
     def claims(self) -> dict[tuple[str, str], str]:
-        """Current claims: (kind, name) -> the process that holds it."""
+        """Current claims: (kind, name) → the process that holds the claim."""
         raise NotImplementedError
 
     def faults(self) -> list[str]:
@@ -108,7 +109,7 @@ class Database:
         raise NotImplementedError
 
     def is_replaced(self) -> bool:
-        """Whether the store's place holds another store than the one that was opened."""
+        """Whether another store has replaced the one that was opened."""
         return False
 
     def size(self) -> int:
@@ -116,12 +117,13 @@ class Database:
         raise NotImplementedError
 
     def cursor(self) -> Cursor:
-        """A cursor, which gives all times as seconds since 1970."""
+        """A cursor that returns all times as seconds since 1970."""
         return self.connection.cursor()
 
-    # -- what all databases share ----------------------------------------------------------------------------
-    def _in_sql(self, statement: ClauseElement) -> SQLCompiler:
-        """A statement in this database's SQL, compiled once for as long as it exists."""
+    # -- common to all databases -----------------------------------------------------------------------------
+    def _compile(self, statement: ClauseElement) -> SQLCompiler:
+        """Compile a statement to this database's SQL; the result is cached as long as the statement
+        exists."""
         compiled = self._compiled.get(statement)
         if compiled is None:
             compiler = statement.compile(dialect=self.dialect)
@@ -130,38 +132,38 @@ class Database:
         return compiled
 
     @contextmanager
-    def _executed(self, statement: ClauseElement, values: Mapping[str, Any]) -> Iterator[Cursor]:
-        # as many parameters of an IN as it has values
-        expanded = self._in_sql(statement).construct_expanded_state(values)
-        with self._translated(), closing(self.cursor()) as cursor:
+    def _cursor_after(self, statement: ClauseElement, values: Mapping[str, Any]) -> Iterator[Cursor]:
+        # expand an IN clause to one parameter per value
+        expanded = self._compile(statement).construct_expanded_state(values)
+        with self._translate_errors(), closing(self.cursor()) as cursor:
             cursor.execute(expanded.statement, expanded.positional_parameters)
             yield cursor
 
     def rows(self, statement: ClauseElement, /, **values: Any) -> list[Row]:
-        """The rows that a query returns; `values`: of its parameters, by their names."""
-        with self._executed(statement, values) as cursor:
+        """The rows that a query returns; `values` are the values of its parameters."""
+        with self._cursor_after(statement, values) as cursor:
             return cursor.fetchall()
 
     def first(self, statement: ClauseElement, /, **values: Any) -> Row | None:
-        """The first row that a query returns; None without any."""
+        """The first row that a query returns; None if it returns no row."""
         return next(iter(self.rows(statement, **values)), None)
 
     def execute(self, statement: ClauseElement, /, **values: Any) -> int:
-        """Execute a statement; returns the number of rows that it changes."""
-        with self._executed(statement, values) as cursor:
+        """Execute a statement; returns the number of changed rows."""
+        with self._cursor_after(statement, values) as cursor:
             return max(cursor.rowcount, 0)
 
     def execute_many(self, statement: ClauseElement, rows: Iterable[Row]) -> None:
-        """Execute a statement within a transaction for each of some rows, which hold its parameters in their
-        order."""
-        if some := list(rows):
-            with self._translated(), closing(self.cursor()) as cursor:
-                cursor.executemany(self._in_sql(statement).string, some)
+        """Execute a statement within a transaction once per row; a row holds the values of the statement's
+        parameters in their order."""
+        if parameters := list(rows):
+            with self._translate_errors(), closing(self.cursor()) as cursor:
+                cursor.executemany(self._compile(statement).string, parameters)
 
     @contextmanager
     def transaction(self) -> Iterator[None]:
         """Let all statements of the block take effect together at its end, or not at all."""
-        with self._translated():
+        with self._translate_errors():
             try:
                 self._execute_text(self.begin)
                 yield
@@ -176,9 +178,9 @@ class Database:
             cursor.execute(text)
 
     @contextmanager
-    def _translated(self) -> Iterator[None]:
-        """Raise StoreFault in place of a driver's exception with an external cause, StoreReplaced in place of
-        using a store that is gone."""
+    def _translate_errors(self) -> Iterator[None]:
+        """Raise StoreReplaced if another store has replaced this one, and StoreFault instead of a driver's
+        exception that has an external cause."""
         if self.is_replaced():
             raise StoreReplaced(f"{self.url}: {REPLACED}")
         try:
@@ -189,26 +191,26 @@ class Database:
             raise
 
     def prepare(self, read_only: bool = False) -> None:
-        """Create the tables where there are none, all or nothing, even if several processes start at once.
+        """Create all tables in one transaction if there are none, even if several processes start at once.
 
-        Raises StoreUnready if there are none with `read_only`, StoreFault if they have another schema or
-        belong to something else.
+        Raises StoreUnready if there are no tables and `read_only` is set, StoreFault if the tables have
+        another schema or belong to another program.
         """
         try:
             if not self.has_tables():
                 if read_only:
                     raise StoreUnready(f"{self.url}: expected a store, found none; check the name")
                 self._create()
-            found = int(self.rows(SCHEMA_NUMBER)[0][0])
+            version = int(self.rows(SCHEMA_NUMBER)[0][0])
         except (self.errors, TypeError, ValueError) as error:
             raise StoreFault(
                 f"{self.url}: the store's tables cannot be read or made ({one_line(error)}); "
                 "nothing was changed. Name a separate database"
             ) from error
-        refuse_other_schema(self.url, found)
+        refuse_other_schema(self.url, version)
 
     def _create(self) -> None:
-        """Create the tables and views, unless another process was first."""
+        """Create the tables and views, unless another process has created them meanwhile."""
         with self.transaction():
             self.take_turn()
             if self.has_tables():
@@ -222,20 +224,20 @@ class Database:
         process dies.
 
         kind: "turbine", "source" or "channel".  Raises StoreFault, naming the holder, if another process has
-            claimed one of them.
+            claimed one of the names.
         """
         wanted = sorted({(kind, name) for name in names} - self._held)
         if not wanted:
             return
         end = time.monotonic() + CLAIM_S
-        while (other := self.try_claim(wanted)) is not None:
+        while (conflict := self.try_claim(wanted)) is not None:
             if time.monotonic() > end:
-                kind, name, who = other
+                kind, name, holder = conflict
                 raise StoreFault(
-                    f"{self.url}: the {kind} {name} is already tracked by {who}; "
+                    f"{self.url}: the {kind} {name} is already tracked by {holder}; "
                     "end that process, or give this one its own turbines, sources and store"
                 )
-            time.sleep(AGAIN_S)
+            time.sleep(RETRY_S)
         self._held.update(wanted)
 
     def insert_claims(self, wanted: Sequence[tuple[str, str]], holder: int) -> None:
@@ -248,15 +250,15 @@ class Database:
             self.connection.close()
 
 
-def refuse_other_schema(place: object, found: int | None) -> None:
-    """Raise StoreFault if the schema's number that a store at `place` states is not this version's."""
-    if found != VERSION:
+def refuse_other_schema(place: object, version: int | None) -> None:
+    """Raise StoreFault if the store at `place` has a schema `version` other than `VERSION`."""
+    if version != VERSION:
         raise StoreFault(
-            f"{place}: expected a store with schema {VERSION}, found schema {found}, which another version "
+            f"{place}: expected a store with schema {VERSION}, found schema {version}, which another version "
             "of hygrokf wrote; nothing was changed. Use that version, or name a new store"
         )
 
 
 def one_line(error: BaseException) -> str:
-    """The text of a driver's exception in one line."""
+    """The message of a driver's exception as one line."""
     return " ".join(str(error).split())

@@ -1,5 +1,5 @@
-"""Exports the store's history to files: observations, losses of connection, estimates, properties and
-alarms, as CSV or Parquet with timestamps."""
+"""Export of the store's history to CSV or Parquet files: observations, losses of connection, estimates,
+properties and alarms."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from hygrokf.live.storage.store import Store
 
 FORMATS = ("csv", "parquet")
 CHUNK = 20_000
-"""Rows held in memory at once."""
+"""Largest number of rows in memory at once."""
 
 Values = list[Any] | np.ndarray
 """A column of a file: text, numbers and flags in a list, times as an array of datetime64[ms]."""
@@ -34,7 +34,7 @@ Write = Callable[[list[Values]], None]
 
 
 class ExportFault(HygrokfError):
-    """An export that cannot be made, with a message for the user."""
+    """The export is impossible; the message tells the user why."""
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,8 @@ class ExportedTable:
     """An exported file: its `name`, the `source` table or view, its `columns`, and the `key` that orders the
     rows.
 
-    A row lasts from its time `begin` to its time `end`, or still does where it has no end.
+    A row is valid from its time in the column `begin` to its time in the column `end`, or until now if the
+    latter is empty.
     """
 
     name: str
@@ -70,7 +71,7 @@ class ExportedTable:
 def _columns(*rows: str) -> tuple[Column, ...]:
     """Columns from texts "name kind" or "name source kind"."""
     parts = [row.split() for row in rows]
-    return tuple(Column(one[0], one[-2], one[-1]) for one in parts)
+    return tuple(Column(words[0], words[-2], words[-1]) for words in parts)
 
 
 TABLES = (
@@ -127,7 +128,7 @@ def export(
     until: float = math.inf,
 ) -> dict[str, int]:
     """Write the tables of one turbine or of all to the folder `out`, as TABLE.csv or TABLE.parquet; returns
-    rows per table.
+    the number of rows per table.
 
     Rows satisfy since ≤ time < until [s since 1970, UTC]; alarms were open at some time in that interval.
     Memory use does not grow with the store, and the files appear together once all are written.  Raises
@@ -135,10 +136,10 @@ def export(
     """
     if form not in FORMATS:
         raise ExportFault(f"expected a format of {', '.join(FORMATS)}, found {form!r}")
-    known = list(store.models())
-    if turbine is not None and turbine not in known:
+    turbines = list(store.models())
+    if turbine is not None and turbine not in turbines:
         raise ExportFault(
-            f"{store.url}: expected a turbine of {', '.join(known) or 'none yet'}, found {turbine!r}"
+            f"{store.url}: expected a turbine of {', '.join(turbines) or 'none yet'}, found {turbine!r}"
         )
     if not since < until:
         raise ExportFault("since must be earlier than until")
@@ -159,7 +160,7 @@ def export(
 
 def alarms_csv(store: Store) -> bytes:
     """All alarms of the store as CSV, with the columns of the exported file."""
-    table = next(one for one in TABLES if one.name == "alarm")
+    table = next(table for table in TABLES if table.name == "alarm")
     file = io.BytesIO()
     write, close = _csv_writer(file, table.columns)
     for rows in chunks(store, table, None, -math.inf, math.inf):
@@ -169,22 +170,22 @@ def alarms_csv(store: Store) -> bytes:
 
 
 def _by_column(table: ExportedTable, rows: Sequence[Row]) -> list[Values]:
-    columns = zip(table.columns, zip(*rows, strict=True), strict=True)
-    return [_values(one.kind, column) for one, column in columns]
+    values = zip(*rows, strict=True)
+    return [_values(column.kind, cells) for column, cells in zip(table.columns, values, strict=True)]
 
 
 def chunks(
     store: Store, table: ExportedTable, turbine: str | None, since: float, until: float
 ) -> Iterator[list[Row]]:
     """Rows of a table in the order of its key, at most `CHUNK` per chunk; each chunk starts after the last
-    row of the previous.
+    row of the previous chunk.
 
     No query stays open between chunks, so that the tracker can write and its log does not grow during an
     export.
     """
     columns, values = table.source.c, {"since": since, "until": until, "turbine": turbine}
     key = [columns[name] for name in table.key]
-    query = select(*(columns[one.source] for one in table.columns), *key).order_by(*key).limit(CHUNK)
+    query = select(*(columns[column.source] for column in table.columns), *key).order_by(*key).limit(CHUNK)
     if math.isfinite(since):
         end = columns[table.end]
         query = query.where(end.is_(None) | (end >= bindparam("since")))
@@ -204,38 +205,37 @@ def chunks(
         rows = store.rows(following, **values)
 
 
-def _values(kind: str, column: Sequence[Any]) -> Values:
+def _values(kind: str, cells: Sequence[Any]) -> Values:
     """A column's values as written to a file; times are rounded to milliseconds, the resolution of the filter
     (`SAME_S`)."""
     if kind == "time":
-        seconds = np.array([math.nan if v is None else v for v in column], dtype=float)
-        there = np.isfinite(seconds)
-        milliseconds = np.round(np.where(there, seconds, 0.0) * 1e3).astype("datetime64[ms]")
-        return np.where(there, milliseconds, np.datetime64("NaT", "ms"))
+        seconds = np.array([math.nan if v is None else v for v in cells], dtype=float)
+        is_present = np.isfinite(seconds)
+        milliseconds = np.round(np.where(is_present, seconds, 0.0) * 1e3).astype("datetime64[ms]")
+        return np.where(is_present, milliseconds, np.datetime64("NaT", "ms"))
     if kind == "flag":
-        return [bool(v) for v in column]
+        return [bool(v) for v in cells]
     if kind == "unit":
-        return [SIGNALS[v].unit if v in SIGNALS else None for v in column]
-    return list(column)
+        return [SIGNALS[v].unit if v in SIGNALS else None for v in cells]
+    return list(cells)
 
 
 def _csv_writer(file: BinaryIO, columns: Sequence[Column]) -> tuple[Write, Callable[[], object]]:
     """Writer of CSV in UTF-8 with a header; times are ISO 8601, flags true or false, missing values empty."""
     text = io.TextIOWrapper(file, encoding="utf-8", newline="", write_through=True)
     rows = csv.writer(text, lineterminator="\n")
-    rows.writerow([one.name for one in columns])
+    rows.writerow([column.name for column in columns])
 
-    def said(kind: str, values: Values) -> Values:
+    def texts(kind: str, values: Values) -> Values:
         if kind == "time":
-            return [
-                "" if one == "NaT" else f"{one}Z" for one in np.datetime_as_string(values, unit="ms").tolist()
-            ]
-        if kind == "free":  # a spreadsheet would take it for a formula
+            stamps = np.datetime_as_string(values, unit="ms").tolist()
+            return ["" if stamp == "NaT" else f"{stamp}Z" for stamp in stamps]
+        if kind == "free":  # a spreadsheet would take text with such a first character for a formula
             return [f"'{v}" if v and v[0] in "=+-@\t\r" else v for v in values]
         return [("false", "true")[v] for v in values] if kind == "flag" else values
 
     def write(values: list[Values]) -> None:
-        rows.writerows(zip(*(said(c.kind, v) for c, v in zip(columns, values, strict=True)), strict=True))
+        rows.writerows(zip(*(texts(c.kind, v) for c, v in zip(columns, values, strict=True)), strict=True))
 
     return write, text.detach
 
@@ -247,8 +247,8 @@ def _parquet_writer(file: BinaryIO, columns: Sequence[Column]) -> tuple[Write, C
     except ImportError:
         raise ExportFault("Parquet files need pyarrow: pip install 'hygrokf[parquet]'") from None
     kinds = {"time": pyarrow.timestamp("ms", tz="UTC"), "number": pyarrow.float64(), "flag": pyarrow.bool_()}
-    schema = pyarrow.schema([(one.name, kinds.get(one.kind, pyarrow.string())) for one in columns])
-    made = parquet.ParquetWriter(file, schema)
+    schema = pyarrow.schema([(column.name, kinds.get(column.kind, pyarrow.string())) for column in columns])
+    writer = parquet.ParquetWriter(file, schema)
 
     def write(values: list[Values]) -> None:
         arrays = [
@@ -257,6 +257,6 @@ def _parquet_writer(file: BinaryIO, columns: Sequence[Column]) -> tuple[Write, C
             else pyarrow.array(v, type=t)
             for c, v, t in zip(columns, values, schema.types, strict=True)
         ]
-        made.write_batch(pyarrow.record_batch(arrays, schema=schema))
+        writer.write_batch(pyarrow.record_batch(arrays, schema=schema))
 
-    return write, made.close
+    return write, writer.close

@@ -24,15 +24,15 @@ if TYPE_CHECKING:
     import psycopg
 
 SCHEMES = ("postgresql://", "postgres://")
-TURN = 0x68796B66
+CREATION_KEY = 0x68796B66
 """Key of the advisory lock that a process holds while it creates tables or claims."""
 LOCK_S = 10
-"""[s] a statement waits for another session's lock."""
+"""[s] for which a statement waits for another session's lock."""
 DEFAULTS = {
     "connect_timeout": "10", "keepalives_idle": "30", "keepalives_interval": "10", "keepalives_count": "3",
     "tcp_user_timeout": "60000", "fallback_application_name": "hygrokf", "client_encoding": "UTF8",
 }  # fmt: skip
-"""Default connection parameters, which the URL may override; they detect a lost server within a minute."""
+"""Default connection parameters, which the URL may override; a lost server is detected within a minute."""
 # SQLAlchemy has no expression for SET
 SESSION = (
     f"SET lock_timeout = '{LOCK_S}s'",
@@ -45,32 +45,35 @@ SESSION = (
     "'off'",
 )
 EPOCH_US = 946_684_800_000_000
-"""2000, from which the server counts [µs since 1970]."""
+"""Beginning of 2000, the zero of the server's timestamps [µs since 1970]."""
 _MICROSECONDS = struct.Struct("!q")
-SECRETS = ("password", "sslpassword")
+SECRET_PARAMETERS = ("password", "sslpassword")
 NO_SECRET = (
     "the password does not belong in the URL, where it can be read by others: leave it out (and "
     "write @ and : in names as %40 and %3A); libpq takes it from ~/.pgpass, from the file that PGPASSFILE "
     "names, or from PGPASSWORD"
 )
-OUTSIDE = ("08", "25006", "40", "42501", "53", "55", "57", "58", "XX")
+EXTERNAL_CODES = ("08", "25006", "40", "42501", "53", "55", "57", "58", "XX")
 """Prefixes of SQLSTATE codes with an external cause: connection, permissions, resources, locks, the server
 itself."""
 
 
 _LOCK = table("pg_locks", *map(column, ("locktype", "classid", "objid", "objsubid", "granted", "database")))
-_SERVED = table("pg_database", column("oid"), column("datname"))
-_HERE = select(_SERVED.c.oid).where(_SERVED.c.datname == func.current_database()).scalar_subquery()
+_DATABASE = table("pg_database", column("oid"), column("datname"))
+_THIS_DATABASE = (
+    select(_DATABASE.c.oid).where(_DATABASE.c.datname == func.current_database()).scalar_subquery()
+)
 _CLASS = table("pg_class", column("relname"), column("relnamespace"))
 _NAMESPACE = table("pg_namespace", column("oid"), column("nspname"))
 HOLDERS = select(
     cast(_LOCK.c.classid, BIGINT).bitwise_lshift(32).bitwise_or(cast(_LOCK.c.objid, BIGINT))
 ).where(
-    _LOCK.c.locktype == "advisory", _LOCK.c.objsubid == 1, _LOCK.c.granted, _LOCK.c.database == _HERE
+    _LOCK.c.locktype == "advisory", _LOCK.c.objsubid == 1, _LOCK.c.granted, _LOCK.c.database == _THIS_DATABASE
 )  # fmt: skip
-"""Query of the keys of claims whose sessions are alive."""
-# within a transaction to_regclass would miss tables that another session has created since it began
-TABLES_THERE = (
+"""Query for the keys of claims whose sessions are alive."""
+# within a transaction to_regclass would miss tables that another session has created since the transaction
+# began
+STORE_TABLES = (
     select(_CLASS.c.relname)
     .join(_NAMESPACE, _NAMESPACE.c.oid == _CLASS.c.relnamespace)
     .where(_CLASS.c.relname == schema_version.name)
@@ -92,24 +95,24 @@ class PostgresDatabase(Database):
         self._key: int | None = None
 
     def cursor(self) -> Cursor:
-        return self.connection.cursor(binary=True)  # as `_times_as_seconds` needs it
+        return self.connection.cursor(binary=True)  # the loader of timestamps reads the binary format
 
     def is_trouble(self, error: Exception) -> bool:
         import psycopg
 
         state = getattr(error, "sqlstate", None)
-        lost = state is None and (self.connection.closed or isinstance(error, psycopg.OperationalError))
-        return lost or (state is not None and state.startswith(OUTSIDE))
+        is_lost = state is None and (self.connection.closed or isinstance(error, psycopg.OperationalError))
+        return is_lost or (state is not None and state.startswith(EXTERNAL_CODES))
 
     def has_tables(self) -> bool:
-        return bool(self.rows(TABLES_THERE))
+        return bool(self.rows(STORE_TABLES))
 
     def take_turn(self) -> None:
-        self.rows(select(func.pg_advisory_xact_lock(TURN)))
+        self.rows(select(func.pg_advisory_xact_lock(CREATION_KEY)))
 
     def try_claim(self, wanted: Sequence[tuple[str, str]]) -> tuple[str, str, str] | None:
-        """The session holds one advisory lock, and each claim stores its key, so that the claims end with the
-        session.
+        """The session holds one advisory lock, and each claim stores the key of that lock, so that the claims
+        end with the session.
 
         One lock per name would let a large fleet fill the server's lock table.
         """
@@ -120,11 +123,11 @@ class PostgresDatabase(Database):
                 self.rows(select(func.pg_advisory_lock(key)))
                 self._key = key
             self.execute(delete(claim).where(claim.c.holder.not_in(HOLDERS)))
-            found = self.rows(CLAIMS.where(claim.c.holder != self._key))
-            others = {(kind, name): who for kind, name, who in found}
+            rows = self.rows(CLAIMS.where(claim.c.holder != self._key))
+            holders = {(kind, name): who for kind, name, who in rows}
             for kind, name in wanted:
-                if (kind, name) in others:
-                    return kind, name, others[kind, name]
+                if (kind, name) in holders:
+                    return kind, name, holders[kind, name]
             self.insert_claims(wanted, self._key)
         return None
 
@@ -138,33 +141,33 @@ class PostgresDatabase(Database):
         return int(self.rows(select(func.pg_database_size(func.current_database())))[0][0])
 
 
-def _times_as_seconds(connection: psycopg.Connection[Row]) -> None:
-    """Let the cursors of a connection give timestamps as seconds since 1970.
+def _load_times_as_seconds(connection: psycopg.Connection[Row]) -> None:
+    """Make the cursors of a connection return timestamps as seconds since 1970.
 
-    A timestamp is a whole number of microseconds; the seconds are the double precision number nearest to it.
+    A timestamp is a whole number of microseconds, which is divided by 10⁶ in double precision.
     """
     from psycopg.adapt import Buffer, Loader
     from psycopg.pq import Format
 
-    class Seconds(Loader):
+    class SecondsLoader(Loader):
         format = Format.BINARY
 
         def load(self, data: Buffer) -> float:
             return (_MICROSECONDS.unpack(data)[0] + EPOCH_US) / 1e6
 
-    connection.adapters.register_loader("timestamptz", Seconds)
+    connection.adapters.register_loader("timestamptz", SecondsLoader)
 
 
 def url_fault(url: str) -> str | None:
-    """An error message if a database's URL contains a secret, else None.  The message does not repeat the
-    secret."""
+    """The error message if a database's URL contains a secret, which the message does not repeat, else
+    None."""
     rest = url.partition("://")[2]
     keys = {part.partition("=")[0] for part in rest.partition("?")[2].split("&")}
-    return NO_SECRET if ":" in rest.rpartition("@")[0] or keys & set(SECRETS) else None
+    return NO_SECRET if ":" in rest.rpartition("@")[0] or keys & set(SECRET_PARAMETERS) else None
 
 
 def import_psycopg(wanted_by: str) -> None:
-    """Raises StoreFault, naming the extra, where psycopg is not installed."""
+    """Raise StoreFault, naming the extra to install, if psycopg is missing."""
     try:
         import psycopg  # noqa: F401
     except ImportError:
@@ -172,7 +175,7 @@ def import_psycopg(wanted_by: str) -> None:
 
 
 def parameters_of(url: str) -> dict[str, Any]:
-    """libpq's parameters in a URL, which are text or numbers.  Raises StoreFault."""
+    """The connection parameters of libpq in a URL.  Raises StoreFault."""
     if (fault := url_fault(url)) is not None:
         raise StoreFault(fault)
     import_psycopg("a PostgreSQL store")
@@ -185,15 +188,16 @@ def parameters_of(url: str) -> dict[str, Any]:
         raise StoreFault(f"the database's URL cannot be read: {one_line(error)}") from None
 
 
-def connected(url: str, password: str | None = None) -> psycopg.Connection[Row]:
-    """A session in autocommit mode, with a password or with the one that libpq finds.  Raises StoreFault."""
+def connect(url: str, password: str | None = None) -> psycopg.Connection[Row]:
+    """Open a session in autocommit mode with `password` or, with None, the password that libpq finds.  Raises
+    StoreFault."""
     import psycopg
 
-    said = parameters_of(url)
-    if set(SECRETS) & set(said):
+    parameters = parameters_of(url)
+    if set(SECRET_PARAMETERS) & set(parameters):
         raise StoreFault(NO_SECRET)
-    settings = {**DEFAULTS, **said}
-    if "PGCONNECT_TIMEOUT" in os.environ and "connect_timeout" not in said:
+    settings = {**DEFAULTS, **parameters}
+    if "PGCONNECT_TIMEOUT" in os.environ and "connect_timeout" not in parameters:
         del settings["connect_timeout"]
     if password is not None:
         settings["password"] = password
@@ -215,9 +219,9 @@ def open_postgres(url: str, read_only: bool = False) -> PostgresDatabase:
     import_psycopg("a PostgreSQL store")
     import psycopg
 
-    connection = connected(url)
+    connection = connect(url)
     database = PostgresDatabase(connection, url)
-    _times_as_seconds(connection)
+    _load_times_as_seconds(connection)
     try:
         for statement in SESSION:
             connection.execute(statement)
@@ -240,16 +244,15 @@ def open_postgres(url: str, read_only: bool = False) -> PostgresDatabase:
 
 
 def postgres_commands(copy: Path, url: str) -> list[str]:
-    """The commands that restore a `pg_dump` into a new database and give that the name of the store's, which
-    is kept under another name.
+    """The shell commands that restore a `pg_dump` into a new database and give it the name of the store's
+    database, which is kept under another name.  Raises StoreFault.
 
-    Raises StoreFault.
     """
-    said = parameters_of(url)
+    parameters = parameters_of(url)
     from psycopg.conninfo import make_conninfo
 
-    name = str(said.get("dbname") or said.get("user") or "hygrokf")
-    server = {key: str(value) for key, value in said.items() if key not in ("dbname", "options")}
+    name = str(parameters.get("dbname") or parameters.get("user") or "hygrokf")
+    server = {key: str(value) for key, value in parameters.items() if key not in ("dbname", "options")}
     admin = make_conninfo(**server, dbname="postgres")
     new, old = f"{name}_restored", f"{name}_before_{datetime.now(UTC):%Y%m%dT%H%M%SZ}"
     statements = (

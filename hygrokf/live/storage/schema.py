@@ -1,10 +1,10 @@
 """The store's tables and views, described once for both databases.
 
-Times are seconds since 1970, UTC, as double precision; in PostgreSQL those of type `Instant` are
+Times are seconds since 1970, UTC, as double precision; in PostgreSQL, times of type `Instant` are
 `timestamptz`, by which a table can be partitioned.  Values are in SI units, absolute humidity in g/m³.
 The views are for people and plotting tools: timestamps, °C and %, lower-case names.
 
-A new column is a field of what the store writes (`batch`, `condition.QUANTITIES`), or stands here.
+To add a column, add a field to a class of `batch` or a row to `condition.QUANTITIES`, or add it here.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from hygrokf.live.batch import Alarm, Assessment, Event, Loss, Notice, Shelf
 from hygrokf.live.condition import QUANTITIES, Z95
 
 VERSION = 8
-"""Number of the schema: one higher with each change of it.  A store with another number is refused."""
+"""Number of the schema, increased by 1 with each change.  A store with another number is refused."""
 SQLITE = SQLiteDialect(paramstyle="qmark")
 POSTGRESQL = PGDialect(paramstyle="format")
 NUMBER: TypeEngine[float] = sa.DOUBLE_PRECISION()
@@ -53,22 +53,22 @@ class Instant(TypeDecorator[float]):
 
 
 class _ByDialect(FunctionElement[Any]):
-    """An expression of a time that each database has in its own words."""
+    """An expression of a time with a different text in each SQL dialect."""
 
     inherit_cache = False
 
-    def __init__(self, time: sa.ColumnElement[Any], **words: sa.ColumnElement[Any]) -> None:
+    def __init__(self, time: sa.ColumnElement[Any], **by_dialect: sa.ColumnElement[Any]) -> None:
         super().__init__(time)
-        self.type, self.words = time.type, words
+        self.type, self.by_dialect = time.type, by_dialect
 
 
 @compiles(_ByDialect)
-def _in_its_words(element: _ByDialect, compiler: SQLCompiler, **options: Any) -> str:
-    return compiler.process(element.words[compiler.dialect.name], **options)
+def _compile_by_dialect(element: _ByDialect, compiler: SQLCompiler, **options: Any) -> str:
+    return compiler.process(element.by_dialect[compiler.dialect.name], **options)
 
 
 def _utc(time: sa.ColumnElement[Any]) -> sa.ColumnElement[Any]:
-    """A time as the database's own timestamp, or as ISO 8601 text where it has no such type."""
+    """A time as the database's timestamp or, in SQLite, which has no such type, as ISO 8601 text."""
     stamp = time if isinstance(time.type, Instant) else func.to_timestamp(time)
     text = func.strftime("%Y-%m-%dT%H:%M:%fZ", time, "unixepoch")
     return _ByDialect(time, sqlite=text, postgresql=stamp)
@@ -97,7 +97,7 @@ def _filled(name: str, kind: TypeEngine[Any] = TEXT) -> Column[Any]:
 def _readings(name: str, *more: Column[Any] | Index, keys: tuple[str, ...] = ()) -> Table:
     """A table of readings, whose key holds turbine, signal, time and the further `keys`."""
     columns = [_key("turbine"), _key("signal"), _key("time", Instant())]
-    value = (_key if "value" in keys else _filled)("value", NUMBER)
+    value = _key("value", NUMBER) if "value" in keys else _filled("value", NUMBER)
     return Table(name, METADATA, *columns, value, _filled("received", Instant()), *more)
 
 
@@ -106,7 +106,7 @@ def _mark() -> Column[Any]:
 
 
 def _rows_of(kind: type[Any], name: str, *keys: str, index: tuple[str, ...] = ()) -> Table:
-    """A table whose columns are the fields of a dataclass; a field that may be None may be missing."""
+    """A table whose columns are the fields of a dataclass; a column is nullable if its field may be None."""
     columns = []
     for field, hint in get_type_hints(kind).items():
         optional = isinstance(hint, UnionType)
@@ -119,8 +119,8 @@ def _air(name: str, column: Column[Any], *more: str) -> Table:
     """A table of conditions of the cabinet's air."""
     names = [*(name for q in QUANTITIES for name in (q.column, q.sd_column)), "condensation", *more]
     # unquoted, as people write them: PostgreSQL keeps them in lower case
-    own = [Column(quoted_name(one, quote=False), NUMBER) for one in names]
-    return Table(name, METADATA, _key("turbine"), _key("time", Instant()), column, *own)
+    numbers = [Column(quoted_name(each, quote=False), NUMBER) for each in names]
+    return Table(name, METADATA, _key("turbine"), _key("time", Instant()), column, *numbers)
 
 
 schema_version = Table("schema_version", METADATA, _key("version", INTEGER), _filled("applied", NUMBER))
@@ -137,7 +137,7 @@ revision = _readings(
 weather = _readings("weather")
 connection = _rows_of(Loss, "connection", "turbine", "signal", "lost")
 point = Table("point", METADATA, _key("turbine"), _filled("time", NUMBER), _filled("state"))
-"""Its time is a number in both databases: it restores every bit."""
+"""The filter state.  Its time is a number in both databases, so that reading restores every bit."""
 estimate = _air("estimate", _filled("final", INTEGER))
 forecast = _air("forecast", _filled("made", Instant()), "above_limit")
 property_ = Table(
@@ -164,17 +164,17 @@ TABLES = {name: table for name, table in METADATA.tables.items() if table is not
 
 # -- views ---------------------------------------------------------------------------------------------------
 VIEWS: dict[str, sa.Select[Any]] = {}
-"""View -> its query; a view stands after those that it uses."""
+"""View → its query; each view comes after the views that it uses."""
 
 
 def _view(name: str, query: sa.Select[Any]) -> sa.TableClause:
     VIEWS[name] = query
-    return sa.table(name, *(sa.column(one.name, one.type) for one in query.selected_columns))
+    return sa.table(name, *(sa.column(column.name, column.type) for column in query.selected_columns))
 
 
 class _CrossJoin(sa.Join):
-    """A join whose order SQLite keeps: it looks up the rows on the right for each on the left, instead of
-    scanning all of them."""
+    """A join whose order SQLite keeps: for each row on the left it looks up the rows on the right instead of
+    scanning all rows on the right."""
 
     inherit_cache = True
 
@@ -183,13 +183,14 @@ class _CrossJoin(sa.Join):
 
 
 @compiles(_CrossJoin)
-def _cross_joined(join: _CrossJoin, compiler: SQLCompiler, **options: Any) -> str:
-    left, right = (compiler.process(one, **{**options, "asfrom": True}) for one in (join.left, join.right))
+def _compile_cross_join(join: _CrossJoin, compiler: SQLCompiler, **options: Any) -> str:
+    options = {**options, "asfrom": True}
+    left, right = (compiler.process(side, **options) for side in (join.left, join.right))
     return f"{left} CROSS JOIN {right}"
 
 
 def columns_of(rows: sa.FromClause, names: str) -> list[sa.ColumnElement[Any]]:
-    """Columns by their names, of which NAME_utc without a column of its own is the time NAME."""
+    """Columns by their names; NAME_utc, unless it is a column itself, is the column NAME as a timestamp."""
     return [
         rows.c[name] if name in rows.c else _utc(rows.c[name.removesuffix("_utc")]).label(name)
         for name in names.split()
@@ -198,22 +199,22 @@ def columns_of(rows: sa.FromClause, names: str) -> list[sa.ColumnElement[Any]]:
 
 def newest_time(rows: Table) -> sa.ScalarSelect[Any]:
     """The newest time of a turbine's rows, in a query of turbines."""
-    own = rows.alias()
-    return select(func.max(own.c.time)).where(own.c.turbine == turbine.c.name).scalar_subquery()
+    alias = rows.alias()
+    return select(func.max(alias.c.time)).where(alias.c.turbine == turbine.c.name).scalar_subquery()
 
 
 def _readable(air: Table) -> list[sa.ColumnElement[Any]]:
-    """The condition in everyday units with 95 % bounds."""
+    """The columns of a condition in display units with 95 % bounds."""
     columns: list[sa.ColumnElement[Any]] = []
     for q in QUANTITIES:
-        value, half = q.factor * air.c[q.column] + q.offset, Z95 * q.factor * air.c[q.sd_column]
+        value, half_width = q.factor * air.c[q.column] + q.offset, Z95 * q.factor * air.c[q.sd_column]
         columns.append(value.label(f"{q.name}_{q.unit}"))
-        columns.append((value - half).label(f"{q.name}_lower_{q.unit}"))
-        columns.append((value + half).label(f"{q.name}_upper_{q.unit}"))
+        columns.append((value - half_width).label(f"{q.name}_lower_{q.unit}"))
+        columns.append((value + half_width).label(f"{q.name}_upper_{q.unit}"))
     return [*columns, (100.0 * air.c.condensation).label("condensation_percent")]
 
 
-READABLE_COLUMNS = tuple(one.name for one in _readable(estimate))
+READABLE_COLUMNS = tuple(column.name for column in _readable(estimate))
 """Columns of `estimate_readable` and `forecast_readable` that describe the cabinet air."""
 estimate_readable = _view(
     "estimate_readable", select(*columns_of(estimate, "turbine time time_utc final"), *_readable(estimate))
@@ -292,13 +293,13 @@ def creation(dialect: sa.Dialect) -> list[str]:
     tables = METADATA.tables.values()
     created: list[sa.ClauseElement] = [*map(CreateTable, tables)]
     created += [CreateIndex(index) for table in tables for index in table.indexes]
-    return [*(str(one.compile(dialect=dialect)) for one in created), *created_views(dialect)]
+    return [*(str(item.compile(dialect=dialect)) for item in created), *view_creation(dialect)]
 
 
-def created_views(dialect: sa.Dialect) -> list[str]:
+def view_creation(dialect: sa.Dialect) -> list[str]:
     """Statements that create all views in one database's SQL dialect."""
-    whole = {"literal_binds": True}
+    literally = {"literal_binds": True}
     return [
-        f"CREATE VIEW {name} AS {query.compile(dialect=dialect, compile_kwargs=whole)}"
+        f"CREATE VIEW {name} AS {query.compile(dialect=dialect, compile_kwargs=literally)}"
         for name, query in VIEWS.items()
     ]

@@ -17,7 +17,7 @@ from typing import IO, Any
 from sqlalchemy import Select, column, delete, func, select, table, text
 
 from hygrokf.live.storage.database import (
-    AGAIN_S,
+    RETRY_S,
     Database,
     Row,
     StoreFault,
@@ -26,22 +26,22 @@ from hygrokf.live.storage.database import (
     refuse_other_schema,
 )
 from hygrokf.live.storage.schema import SQLITE, claim, observation, schema_version, turbine
-from hygrokf.live.storage.statements import CLAIMS, LAST_CLAIM, SCHEMA_NUMBER, counting
+from hygrokf.live.storage.statements import CLAIMS, LAST_CLAIM, SCHEMA_NUMBER, count_rows
 
 APPLICATION_ID = 0x68796B66
-"""Application id in the file's header ("hykf"), so that no other database is mistaken for a store."""
+"""Application id in the file's header ("hykf"), which distinguishes a store from other databases."""
 BUSY_S = 10.0
-"""[s] a statement waits for another process's lock."""
-OWN_MISTAKES = {
+"""[s] for which a statement waits for another process's lock."""
+INTERNAL_ERRORS = {
     sqlite3.SQLITE_ERROR, sqlite3.SQLITE_INTERNAL, sqlite3.SQLITE_CONSTRAINT, sqlite3.SQLITE_MISMATCH,
     sqlite3.SQLITE_MISUSE, sqlite3.SQLITE_RANGE, sqlite3.SQLITE_TOOBIG,
 }  # fmt: skip
-"""Result codes of an invalid statement or value; all others have an external cause: disk, file or another
-process."""
+"""Result codes of an invalid statement or value; all other codes have an external cause: disk, file or
+another process."""
 
 
 _MASTER = table("sqlite_master", column("name"))
-TABLES_THERE = select(_MASTER.c.name).where(_MASTER.c.name == schema_version.name)
+STORE_TABLES = select(_MASTER.c.name).where(_MASTER.c.name == schema_version.name)
 
 
 class SqliteDatabase(Database):
@@ -63,13 +63,13 @@ class SqliteDatabase(Database):
 
     def is_trouble(self, error: Exception) -> bool:
         code = getattr(error, "sqlite_errorcode", None)
-        return code is not None and code & 0xFF not in OWN_MISTAKES
+        return code is not None and code & 0xFF not in INTERNAL_ERRORS
 
     def has_tables(self) -> bool:
-        return bool(self.rows(TABLES_THERE))
+        return bool(self.rows(STORE_TABLES))
 
     def take_turn(self) -> None:
-        """BEGIN IMMEDIATE has waited already, so only mark the file as a store."""
+        """Mark the file as a store; BEGIN IMMEDIATE has already waited for other processes."""
         self.execute(text(f"PRAGMA application_id={APPLICATION_ID}"))
 
     def try_claim(self, wanted: Sequence[tuple[str, str]]) -> tuple[str, str, str] | None:
@@ -77,16 +77,16 @@ class SqliteDatabase(Database):
         if self._lock is None:
             self._lock = lock_file(lock_path(self._path))
             if self._lock is None:
-                found = self.rows(LAST_CLAIM)
-                return (*wanted[0], found[0][0] if found else "another process")
+                row = self.first(LAST_CLAIM)
+                return (*wanted[0], row[0] if row else "another process")
             self.execute(delete(claim))
         with self.transaction():
             self.insert_claims(wanted, 0)
         return None
 
     def claims(self) -> dict[tuple[str, str], str]:
-        """The claims of a killed process stay in the table, its lock does not: without a lock there are no
-        claims."""
+        """Claims count only while the file is locked, because those of a killed process remain in the
+        table."""
         if self._lock is None and not is_locked(lock_path(self._path)):
             return {}
         return {(kind, name): who for kind, name, who in self.rows(CLAIMS)}
@@ -95,7 +95,7 @@ class SqliteDatabase(Database):
         return [row[0] for row in self.rows(text("PRAGMA quick_check(5)")) if row[0] != "ok"]
 
     def may_write(self) -> bool:
-        return all(os.access(one, os.W_OK) for one in (self._path, self._path.parent))
+        return all(os.access(path, os.W_OK) for path in (self._path, self._path.parent))
 
     def size(self) -> int:
         log = Path(f"{self._path}-wal")
@@ -109,12 +109,12 @@ class SqliteDatabase(Database):
 
 
 def identity_of(path: Path) -> tuple[int, int] | None:
-    """Device and number of a file, which another file of its name does not have; None without a file."""
+    """Device and inode of a file, which differ for another file of the same name; None without a file."""
     try:
-        found = path.stat()
+        status = path.stat()
     except OSError:
         return None
-    return found.st_dev, found.st_ino
+    return status.st_dev, status.st_ino
 
 
 def path_of(url: str) -> Path:
@@ -127,13 +127,14 @@ def lock_path(path: Path) -> Path:
     return Path(f"{os.path.realpath(path)}.lock")
 
 
-def unfinished(path: Path) -> Path:
-    """Path of a copy that waits to take a store's place; without it no restore was interrupted."""
+def restoring_path(path: Path) -> Path:
+    """Path of the copy that a restore renames to the store's path; it exists only if a restore was
+    interrupted."""
     return Path(f"{os.path.realpath(path)}.restoring")
 
 
 def is_locked(path: Path) -> bool:
-    """Whether a process holds the lock file; the file is not created."""
+    """Whether a process holds the lock file; a missing file is not created."""
     if not path.exists():
         return False
     file = lock_file(path, "rb")
@@ -143,7 +144,7 @@ def is_locked(path: Path) -> bool:
 
 
 def lock_file(path: Path, mode: str = "ab") -> IO[bytes] | None:
-    """Open and lock the file until it is closed, creating it if need be; None if another process holds it."""
+    """Open the file, created if missing, and lock it until it is closed; None if another process holds it."""
     try:
         file = path.open(mode)
     except OSError as fault:
@@ -172,23 +173,23 @@ def lock_file(path: Path, mode: str = "ab") -> IO[bytes] | None:
 
 
 def open_sqlite(path: Path, read_only: bool = False) -> SqliteDatabase:
-    """Open the store in a file, creating it if it is missing.  Raises StoreFault; a file that is no store
-    stays untouched."""
+    """Open the store in a file, creating it if it is missing.  Raises StoreFault; a file that is not a store
+    stays unchanged."""
     if not path.parent.is_dir():
         raise StoreFault(f"{path}: the folder {path.parent} does not exist; make it, or name another place")
     if read_only and not path.is_file():
         raise StoreUnready(f"{path}: there is no such store; check the name")
-    if unfinished(path).exists():
+    if restoring_path(path).exists():
         raise StoreFault(f"{path}: restoring it was interrupted; run hygrokf restore again")
     database = None
     try:
         if path.exists():
-            refuse_unfit(path, thoroughly=not read_only)
+            refuse_unusable(path, check_pages=not read_only)
         database = SqliteDatabase(connect(path, "ro" if read_only else "rwc"), path)
         database.connection.execute("PRAGMA synchronous=FULL")
         database.prepare(read_only)
         if not read_only:
-            _write_ahead(database.connection)
+            _use_write_ahead_log(database.connection)
         database.identity = identity_of(path)
         return database
     except (sqlite3.Error, StoreFault) as fault:
@@ -196,11 +197,11 @@ def open_sqlite(path: Path, read_only: bool = False) -> SqliteDatabase:
             database.close()
         if isinstance(fault, StoreFault):
             raise
-        raise StoreFault(_refusal(path, fault)) from fault
+        raise StoreFault(_opening_fault(path, fault)) from fault
 
 
-def _refusal(path: Path, fault: sqlite3.Error) -> str:
-    """Why a file cannot be opened as a store, and what to do."""
+def _opening_fault(path: Path, fault: sqlite3.Error) -> str:
+    """The message that says why a file cannot be opened as a store, and what to do."""
     if path.is_dir():
         return f"{path}: expected the file of a store, found a directory; name a file in it"
     if not os.access(path.parent, os.W_OK | os.X_OK):
@@ -221,15 +222,16 @@ def connect(path: Path, mode: str) -> sqlite3.Connection:
 
 
 def _rows(connection: sqlite3.Connection, query: Select[Any]) -> list[Row]:
-    """The rows of a query in a file that is not open as a store."""
+    """The rows of a query on a connection that is not a `SqliteDatabase`."""
     compiled = query.compile(dialect=SQLITE, compile_kwargs={"literal_binds": True})
     return connection.execute(str(compiled)).fetchall()
 
 
-def refuse_unfit(path: Path, thoroughly: bool) -> None:
-    """Refuse a damaged file, a foreign database or another schema; an empty file may become a store.
+def refuse_unusable(path: Path, check_pages: bool) -> None:
+    """Raise StoreFault for another program's database, another schema or, with `check_pages`, a damaged file.
 
-    The connection is read-only because closing a writable one would move pages of the log into the file.
+    An empty file may become a store.  The connection is read-only because closing a writable one would move
+    pages of the log into the file.
     """
     with closing(connect(path, "ro")) as connection:
         try:
@@ -237,46 +239,48 @@ def refuse_unfit(path: Path, thoroughly: bool) -> None:
         except sqlite3.OperationalError as error:
             if error.sqlite_errorcode != sqlite3.SQLITE_READONLY_ROLLBACK:
                 raise
-            # a process died while creating the tables: SQLite rolls that back once a connection may write
-            with closing(connect(path, "rw")) as other:
-                pages = other.execute("PRAGMA page_count").fetchone()[0]
+            # a process died while creating the tables: SQLite rolls its transaction back once a connection
+            # may write
+            with closing(connect(path, "rw")) as writable:
+                pages = writable.execute("PRAGMA page_count").fetchone()[0]
         if pages == 0:
             return
         if connection.execute("PRAGMA application_id").fetchone()[0] != APPLICATION_ID:
             raise StoreFault(
                 f"{path}: expected a store of hygrokf, found another database; name another file"
             )
-        faults = [row[0] for row in connection.execute("PRAGMA quick_check(5)")] if thoroughly else ["ok"]
-        if faults != ["ok"]:
+        query = "PRAGMA quick_check(5)"
+        answers = [row[0] for row in connection.execute(query)] if check_pages else ["ok"]
+        if answers != ["ok"]:
             raise StoreFault(
-                f"{path}: the store is damaged ({'; '.join(faults)}); nothing was written to it. "
+                f"{path}: the store is damaged ({'; '.join(answers)}); nothing was written to it. "
                 "Move it away and restore a copy, or name a new file"
             )
-        ((found,),) = _rows(connection, SCHEMA_NUMBER)
-        refuse_other_schema(path, found)
+        ((version,),) = _rows(connection, SCHEMA_NUMBER)
+        refuse_other_schema(path, version)
 
 
-def _write_ahead(connection: sqlite3.Connection) -> None:
-    """Switch to the write-ahead log, retrying while another process does the same: SQLite does not wait here
-    by itself."""
+def _use_write_ahead_log(connection: sqlite3.Connection) -> None:
+    """Switch to the write-ahead log, retrying while another process switches, for which SQLite itself does
+    not wait."""
     end = time.monotonic() + BUSY_S
     while time.monotonic() <= end:
         with suppress(sqlite3.OperationalError):
             connection.execute("PRAGMA journal_mode=WAL")
             return
-        time.sleep(AGAIN_S)
+        time.sleep(RETRY_S)
     connection.execute("PRAGMA journal_mode=WAL")
 
 
-# -- a copy in the place of a store --------------------------------------------------------------------------
-LOGS = ("", "-wal", "-shm", "-journal")
-"""Ends of the names of a store's files."""
+# -- restoring a copy ----------------------------------------------------------------------------------------
+FILE_SUFFIXES = ("", "-wal", "-shm", "-journal")
+"""Suffixes of the names of a store's files: the database and its logs."""
 
 
 @dataclass(frozen=True)
 class Restored:
     """A restored store: its path, its number of turbines, the time of its newest reading [s] (None without
-    any), and the replaced files that were `kept`."""
+    readings), and the new names of the replaced files, which are `kept`."""
 
     store: Path
     turbines: int
@@ -285,9 +289,9 @@ class Restored:
 
 
 def restore_sqlite(copy: Path, store: Path) -> Restored:
-    """Put a copy in the place of a store's file, which need not exist any more.
+    """Replace a store's file, which may be missing, by a copy.
 
-    The copy is checked first.  Raises StoreFault; nothing is changed then, or the restore can be repeated.
+    The copy is checked first.  Raises StoreFault; then nothing has changed, or the restore can be repeated.
     """
     path = Path(os.path.realpath(store))
     if not copy.is_file():
@@ -297,38 +301,41 @@ def restore_sqlite(copy: Path, store: Path) -> Restored:
     if not path.parent.is_dir():
         raise StoreFault(f"{path}: the folder {path.parent} does not exist; make it first")
     lock = lock_path(path)
-    is_new = not lock.exists()
-    held = lock_file(lock)
-    if held is None:
+    lock_is_new = not lock.exists()
+    locked = lock_file(lock)
+    if locked is None:
         raise StoreFault(f"{path}: a tracker runs on it ({_holder(path)}); end it first, then restore")
-    with closing(held):
+    with closing(locked):
         try:
             part = path.with_name(f"{path.name}.part")
-            found = _checked_copy(copy, part)
-            if is_new:
-                _own_as(path, lock)
-            _own_as(path, part)
-            os.replace(part, unfinished(path))
-            kept = _put_aside(path)
-            os.replace(unfinished(path), path)
+            turbines, newest_s = _copy_checked(copy, part)
+            if lock_is_new:
+                _copy_owner(path, lock)
+            _copy_owner(path, part)
+            os.replace(part, restoring_path(path))
+            kept = _rename_files(path)
+            os.replace(restoring_path(path), path)
             _sync(path.parent)
         except OSError as fault:
             raise StoreFault(f"{path}: {fault.strerror or fault}; mend that and restore again") from fault
-    return Restored(path, *found, kept)
+    return Restored(path, turbines, newest_s, kept)
 
 
-def _checked_copy(copy: Path, part: Path) -> tuple[int, float | None]:
-    """Copy a store, with what its log holds, to the file `part`; returns turbines and newest reading [s]."""
+def _copy_checked(copy: Path, part: Path) -> tuple[int, float | None]:
+    """Copy a store with the content of its log to the file `part` and check it.
+
+    Returns the number of turbines and the time of the newest reading [s].
+    """
     try:
-        refuse_unfit(copy, thoroughly=True)
+        refuse_unusable(copy, check_pages=True)
         part.unlink(missing_ok=True)
         with closing(connect(copy, "ro")) as source, closing(connect(part, "rwc")) as target:
             source.backup(target)
             target.execute("PRAGMA journal_mode=DELETE")
-            (said,) = target.execute("PRAGMA integrity_check(1)").fetchone()
-            if said != "ok":
-                raise StoreFault(f"{copy}: the copy is damaged ({said}); name another one")
-            ((turbines,),) = _rows(target, counting(turbine))
+            (answer,) = target.execute("PRAGMA integrity_check(1)").fetchone()
+            if answer != "ok":
+                raise StoreFault(f"{copy}: the copy is damaged ({answer}); name another one")
+            ((turbines,),) = _rows(target, count_rows(turbine))
             ((newest,),) = _rows(target, select(func.max(observation.c.time)))
         with part.open("rb") as file:
             os.fsync(file.fileno())
@@ -341,12 +348,12 @@ def _checked_copy(copy: Path, part: Path) -> tuple[int, float | None]:
     return turbines, newest
 
 
-def _put_aside(path: Path) -> tuple[Path, ...]:
-    """Rename the store's files, so that together they remain a store of another name; returns their names."""
+def _rename_files(path: Path) -> tuple[Path, ...]:
+    """Rename the store's files alike, so that they remain a store of another name; returns the new paths."""
     aside = f"{path.name}.before-{datetime.now(UTC):%Y%m%dT%H%M%S%fZ}"
     kept = []
-    for end in LOGS:
-        old, new = Path(f"{path}{end}"), path.with_name(f"{aside}{end}")
+    for suffix in FILE_SUFFIXES:
+        old, new = Path(f"{path}{suffix}"), path.with_name(f"{aside}{suffix}")
         if old.exists():
             os.rename(old, new)
             kept.append(new)
@@ -355,28 +362,28 @@ def _put_aside(path: Path) -> tuple[Path, ...]:
 
 
 def _holder(path: Path) -> str:
-    """The process that tracks into a store, as far as the store can say."""
+    """The process that writes to a store, by its last claim if that still holds."""
     with suppress(sqlite3.Error), closing(connect(path, "ro")) as connection:
-        found = _rows(connection, LAST_CLAIM)
-        if found and is_locked(lock_path(path)):
-            return str(found[0][0])
+        rows = _rows(connection, LAST_CLAIM)
+        if rows and is_locked(lock_path(path)):
+            return str(rows[0][0])
     return "another process"
 
 
-def _own_as(path: Path, new: Path) -> None:
-    """Give a new file the owner and the mode of the store, or the owner of its folder: who restores need not
-    be the tracker's user."""
+def _copy_owner(path: Path, new: Path) -> None:
+    """Give a new file the owner and mode of the store, or the owner of its folder if there is no store,
+    because another user than the tracker's may restore it."""
     model = path if path.exists() else path.parent
     if path.exists() and new.suffix != ".lock":
         shutil.copymode(path, new)
     if hasattr(os, "chown"):
-        found = model.stat()
+        status = model.stat()
         with suppress(PermissionError):
-            os.chown(new, found.st_uid, found.st_gid)
+            os.chown(new, status.st_uid, status.st_gid)
 
 
 def _sync(folder: Path) -> None:
-    """Write the names in a folder to the disk, where the system can."""
+    """Flush a folder's entries to the disk, where the system can."""
     if os.name == "posix":
         descriptor = os.open(folder, os.O_RDONLY)
         try:

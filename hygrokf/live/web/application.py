@@ -24,16 +24,16 @@ from hygrokf.live.notification.notices import LOOK_AGAIN, ChannelState, acknowle
 from hygrokf.live.service import Service
 from hygrokf.live.storage.export import alarms_csv
 from hygrokf.live.storage.schema import alarm_open
-from hygrokf.live.storage.statements import counting
+from hygrokf.live.storage.statements import count_rows
 from hygrokf.live.storage.store import Store, StoreFault
 from hygrokf.live.traces import KINDS as EVENT_KINDS
 from hygrokf.live.turbines import SOURCE
 from hygrokf.live.web.metrics import exposition
-from hygrokf.live.web.page_settings import NEEDED, PageFault, PageSettings
+from hygrokf.live.web.page_settings import MISSING_PACKAGES, PageFault, PageSettings
 from hygrokf.live.web.reader import Reader, StoreAnswers
 from hygrokf.live.web.server import Access, EventStream, Hub, guard, posted_json, refusal, reply
 from hygrokf.live.web.views import (
-    MarginsKept,
+    MarginsCache,
     View,
     alarms_view,
     fleet_view,
@@ -53,13 +53,13 @@ STATIC = Path(__file__).parent / "static"
 DAYS = (1, 3, 7, 14)
 """Lengths of a turbine's history that may be requested [d]."""
 LOOP_S = 300.0
-"""[s] that one round of the tracker may take before it counts as stuck."""
+"""[s] that one cycle of the tracker's loop may take before the loop counts as stuck."""
 KEPT_S = 10.0
 """[s] after which the fleet's rows are read again even without a change."""
 
 
 class PageEndpoints:
-    """The page's endpoints, which read a tracker's service and the hub that announces its commits."""
+    """The page's endpoints, which read a tracker's service; the hub announces the service's commits."""
 
     def __init__(self, service: Service, hub: Hub, settings: PageSettings) -> None:
         self.service = service
@@ -68,14 +68,14 @@ class PageEndpoints:
         self.reader = Reader(service)
         self.answers = StoreAnswers(service)
         self._fleet: tuple[int, float, list[View]] = (-1, 0.0, [])
-        self._margins = MarginsKept()
+        self._margins = MarginsCache()
 
     def app(self) -> ASGIApp:
         """The ASGI application.  Raises PageFault if packages are missing."""
         try:
             from starlette.applications import Starlette
         except ImportError:
-            raise PageFault(NEEDED) from None
+            raise PageFault(MISSING_PACKAGES) from None
         from starlette.middleware import Middleware
         from starlette.middleware.gzip import GZipMiddleware
         from starlette.responses import FileResponse
@@ -101,7 +101,7 @@ class PageEndpoints:
             Route("/healthz", self.healthz),
             Route("/readyz", self.readyz),
         ]
-        made = Starlette(
+        app = Starlette(
             routes=routes,
             middleware=[Middleware(GZipMiddleware, minimum_size=1000, compresslevel=5)],
             exception_handlers={
@@ -110,14 +110,14 @@ class PageEndpoints:
                 PageFault: lambda request, fault: refusal(503, str(fault)),
             },
         )
-        return guard(made, self.access)
+        return guard(app, self.access)
 
     def close(self) -> None:
         """Close the page's connections to the store."""
         self.reader.close()
         self.answers.close()
 
-    # -- what is shown ---------------------------------------------------------------------------------------
+    # -- data of the page ------------------------------------------------------------------------------------
     def fleet(self, request: Request) -> Response:
         now = self.service.now
         rows = self.rows(now)
@@ -126,11 +126,11 @@ class PageEndpoints:
 
     def rows(self, now: float) -> list[View]:
         """The fleet's rows, read again after a change or `KEPT_S`."""
-        generation, at, rows = self._fleet
+        generation, read_s, rows = self._fleet
         current = self.hub.generation
-        if generation != current or not 0.0 <= now - at < KEPT_S:
-            known = {name: one.verdicts for name, one in self.service.turbines.items()}
-            rows = self.reader.read(lambda store: fleet_view(store, list(known), now, known))
+        if generation != current or not 0.0 <= now - read_s < KEPT_S:
+            verdicts = {name: turbine.verdicts for name, turbine in self.service.turbines.items()}
+            rows = self.reader.read(lambda store: fleet_view(store, list(verdicts), now, verdicts))
             self._fleet = (current, now, rows)
         return rows
 
@@ -145,38 +145,39 @@ class PageEndpoints:
         if days not in map(str, DAYS):
             return refusal(400, f"days must be one of {', '.join(map(str, DAYS))}")
         now = self.service.now
-        verdicts, needs = self.service.turbines[name].verdicts, self.service.turbines[name].plan.needs
-        since = now - int(days) * DAY_S
-        found = self.reader.read(lambda store: turbine_view(store, name, since, now, verdicts, needs))
-        return reply({"now": now, **found})
+        turbine, since = self.service.turbines[name], now - int(days) * DAY_S
+        view = self.reader.read(
+            lambda store: turbine_view(store, name, since, now, turbine.verdicts, turbine.plan.needs)
+        )
+        return reply({"now": now, **view})
 
     def alarms(self, request: Request) -> Response:
         now = self.service.now
-        found = self.reader.read(lambda store: alarms_view(store, since=now - max(DAYS) * DAY_S))
-        return reply({"now": now, "alarms": found})
+        alarms = self.reader.read(lambda store: alarms_view(store, since=now - max(DAYS) * DAY_S))
+        return reply({"now": now, "alarms": alarms})
 
     def health(self, request: Request) -> Response:
-        counters, ((open_,),), told = self.reader.read(
-            lambda store: (store.counters(), store.rows(counting(alarm_open)), channel_states(store))
+        counters, ((open_count,),), channels = self.reader.read(
+            lambda store: (store.counters(), store.rows(count_rows(alarm_open)), channel_states(store))
         )
         now = self.service.now
         rows = self.rows(now)
-        own = {
+        fleet = {
             "now": now,
             "version": __version__,
             "token": bool(self.access.settings.token),
             "turbines": len(self.service.turbines),
-            "open_alarms": int(open_),
+            "open_alarms": int(open_count),
             "heard": max((row["heard"] for row in rows if row["heard"] is not None), default=None),
-            "label": "; ".join(one.label for one in self.service.streams.values() if one.label),
+            "label": "; ".join(stream.label for stream in self.service.streams.values() if stream.label),
             "channels": [
-                {"name": one.name, **asdict(told.get(one.name, ChannelState()))}
-                for one in self.service.channels
+                {"name": channel.name, **asdict(channels.get(channel.name, ChannelState()))}
+                for channel in self.service.channels
             ],
         }
-        return reply({**own, **health_view(self.service.streams, self.service.health, counters)})
+        return reply({**fleet, **health_view(self.service.streams, self.service.health, counters)})
 
-    # -- who is let in ---------------------------------------------------------------------------------------
+    # -- login -----------------------------------------------------------------------------------------------
     async def login(self, request: Request) -> Response:
         token = (await posted_json(request)).get("token")
         if not self.access.settings.token:
@@ -189,41 +190,46 @@ class PageEndpoints:
     async def logout(self, request: Request) -> Response:
         return reply({}, {"Set-Cookie": self.access.sessions.header(opens=False)})
 
-    # -- what machines ask -----------------------------------------------------------------------------------
+    # -- metrics and health checks ---------------------------------------------------------------------------
     def metrics(self, request: Request) -> Response:
         from starlette.responses import Response
 
-        told: dict[str, ChannelState] = {}
+        channels: dict[str, ChannelState] = {}
         try:
             rows: list[View] | None = self.rows(self.service.now)
-            counters, alarms, told = self.reader.read(
+            counters, alarms, channels = self.reader.read(
                 lambda store: (store.counters(), alarms_view(store, since=math.inf), channel_states(store))
             )
         except StoreFault:
             rows, counters, alarms = None, {}, []
-        notices = {one.name: told.get(one.name, ChannelState()).waiting for one in self.service.channels}
+        notices = {
+            channel.name: channels.get(channel.name, ChannelState()).waiting
+            for channel in self.service.channels
+        }
         text, kind = exposition(self.service, len(self.hub), rows, alarms, counters, notices)
         return Response(text, headers={"Content-Type": kind})
 
     async def healthz(self, request: Request) -> Response:
-        """200 while the tracker's loop and store work, else 503: then restarting it may help.
+        """Status 200 while the tracker's loop and store work, else 503: then restarting the tracker may help.
 
-        It waits neither for other requests nor for the threads that answer them.
+        The answer waits neither for other requests nor for the threads that answer them.
         """
-        return self._said(await self._fault())
+        return self._status(await self._fault())
 
     async def readyz(self, request: Request) -> Response:
-        """200 while readings can become estimates, else 503: also while a source has not been reached for
-        longer than its limit."""
-        now = self.service.now
-        beyond = sum(one.share(now) >= 1.0 for one in self.service.reaches().values())
-        sources = f"{beyond} of {len(self.service.streams)} sources are not reached" if beyond else ""
-        return self._said(await self._fault() or sources)
+        """Status 200 while readings can become estimates, else 503.
 
-    def _said(self, fault: str) -> Response:
-        """The answer to a machine, with the number of sources in each state; it reveals no location and no
-        turbine."""
-        states = Counter(one.state.word for one in self.service.streams.values())
+        503 also says that a source has not been reached for longer than its limit.
+        """
+        now = self.service.now
+        lost = sum(reach.share(now) >= 1.0 for reach in self.service.reaches().values())
+        source_fault = f"{lost} of {len(self.service.streams)} sources are not reached" if lost else ""
+        return self._status(await self._fault() or source_fault)
+
+    def _status(self, fault: str) -> Response:
+        """The answer to a health check, with the number of sources in each state but without names of sources
+        or turbines, because it needs no token."""
+        states = Counter(stream.state.word for stream in self.service.streams.values())
         body = {"fault": fault} if fault else {"ok": True}
         return reply({**body, "sources": states}, status=503 if fault else 200)
 
@@ -233,19 +239,19 @@ class PageEndpoints:
         if self.service.health.store:
             return "the tracker cannot reach its store"
         if time.monotonic() - self.service.health.looped > LOOP_S:
-            return f"the tracker's loop has not gone round for {LOOP_S:g} s"
+            return f"the tracker's loop has not completed a cycle for {LOOP_S:g} s"
         return await self.answers.fault()
 
 
 LOG = logging.getLogger("hygrokf.page")
 LONGEST_NAME, LONGEST_ID, LONGEST_NOTE = 60, 300, 500
 """Longest name of a person, id of an alarm, and note [characters]."""
-MOST_SHELVED_DAYS, MOST_LATER_DAYS = 30.0, 90.0
+MOST_SHELVED_DAYS, MOST_POSTPONED_DAYS = 30.0, 90.0
 """Longest shelf, and longest time until an alarm is looked at again [d]."""
 EARLIEST_S, AHEAD_S = 400.0 * DAY_S, 300.0
-"""How far an event may lie in the past, and ahead of the clock [s]."""
-TRACKED = "expected a turbine that is tracked"
-LISTED = 1_000
+"""Largest time by which an event may lie before, and after, the present [s]."""
+EXPECTED_TURBINE = "expected a turbine that is tracked"
+MOST_EVENTS = 1_000
 """Largest number of events listed."""
 
 
@@ -256,86 +262,88 @@ class StatementFault(HygrokfError):
     """A statement is incomplete or impossible; the message says what was expected."""
 
 
-# -- what people state ---------------------------------------------------------------------------------------
-def acknowledgement_of(given: Mapping[str, Json], now: float) -> dict[str, Any]:
+# -- statements of people ------------------------------------------------------------------------------------
+def acknowledgement_of(posted: Mapping[str, Json], now: float) -> dict[str, Any]:
     """The acknowledgement in a posted object, as arguments of `acknowledge`.  Raises StatementFault."""
-    alarm, cause = given.get("id"), given.get("cause", "unexplained")
+    alarm, cause = posted.get("id"), posted.get("cause", "unexplained")
     if not isinstance(alarm, str) or not 0 < len(alarm) <= LONGEST_ID or not alarm.isprintable():
         raise StatementFault("expected the id of an alarm")
-    cause = _chosen(cause, CAUSES, f"expected a cause of {', '.join(CAUSES)}")
-    later = None
+    cause = _choice(cause, CAUSES, f"expected a cause of {', '.join(CAUSES)}")
+    look_again_s = None
     if cause == LOOK_AGAIN:
-        later = now + DAY_S * _days(given, MOST_LATER_DAYS)
-    elif given.get("days") is not None:
+        look_again_s = now + DAY_S * _days(posted, MOST_POSTPONED_DAYS)
+    elif posted.get("days") is not None:
         raise StatementFault(f'days belong to the cause "{LOOK_AGAIN}" alone')
-    note = _note(given)
-    return {"alarm": alarm, "by": _name(given), "cause": cause, "note": note, "look_again_s": later}
+    by, note = _name(posted), _note(posted)
+    return {"alarm": alarm, "by": by, "cause": cause, "note": note, "look_again_s": look_again_s}
 
 
-def shelf_of(given: Mapping[str, Json], turbines: Collection[str], now: float) -> Shelf:
+def shelf_of(posted: Mapping[str, Json], turbines: Collection[str], now: float) -> Shelf:
     """The shelf in a posted object.  Raises StatementFault."""
-    turbine, kind = shelved(given, turbines)
-    until = now + DAY_S * _days(given, MOST_SHELVED_DAYS)
-    return Shelf(turbine, kind, until, now, _name(given), _note(given))
+    turbine, kind = shelf_key(posted, turbines)
+    until = now + DAY_S * _days(posted, MOST_SHELVED_DAYS)
+    return Shelf(turbine, kind, until, now, _name(posted), _note(posted))
 
 
-def shelved(given: Mapping[str, Json], turbines: Collection[str]) -> tuple[str, str]:
+def shelf_key(posted: Mapping[str, Json], turbines: Collection[str]) -> tuple[str, str]:
     """Turbine ("" for the sources) and kind of alarms in a posted object.  Raises StatementFault."""
-    turbine = _chosen(given.get("turbine"), (SOURCE, *turbines), TRACKED)
-    return turbine, _chosen(given.get("kind"), RULES, f"expected a kind of {', '.join(RULES)}")
+    turbine = _choice(posted.get("turbine"), (SOURCE, *turbines), EXPECTED_TURBINE)
+    return turbine, _choice(posted.get("kind"), RULES, f"expected a kind of {', '.join(RULES)}")
 
 
-def event_of(given: Mapping[str, Json], turbines: Collection[str], now: float) -> Event:
+def event_of(posted: Mapping[str, Json], turbines: Collection[str], now: float) -> Event:
     """The event in a posted object.  Raises StatementFault."""
-    turbine = _chosen(given.get("turbine"), turbines, TRACKED)
-    kind = _chosen(given.get("kind"), EVENT_KINDS, f"expected a kind of {', '.join(EVENT_KINDS)}")
-    at = _number(given.get("time", now))
+    turbine = _choice(posted.get("turbine"), turbines, EXPECTED_TURBINE)
+    kind = _choice(posted.get("kind"), EVENT_KINDS, f"expected a kind of {', '.join(EVENT_KINDS)}")
+    at = _number(posted.get("time", now))
     if not -EARLIEST_S <= at - now <= AHEAD_S:
         raise StatementFault("expected a time in seconds since 1970, within the last 400 days")
-    return Event(uuid.uuid4().hex, turbine, at, kind, _note(given), now, _name(given))
+    return Event(uuid.uuid4().hex, turbine, at, kind, _note(posted), now, _name(posted))
 
 
-def _chosen(value: Json, choices: Collection[str], words: str) -> str:
+def _choice(value: Json, choices: Collection[str], message: str) -> str:
     if not isinstance(value, str) or value not in choices:
-        raise StatementFault(words)
+        raise StatementFault(message)
     return value
 
 
-def _name(given: Mapping[str, Json]) -> str:
-    by = given.get("by")
+def _name(posted: Mapping[str, Json]) -> str:
+    by = posted.get("by")
     by = by.strip() if isinstance(by, str) else ""
     if not 0 < len(by) <= LONGEST_NAME or not by.isprintable():
         raise StatementFault(f"expected a name of 1 to {LONGEST_NAME} characters")
     return by
 
 
-def _note(given: Mapping[str, Json]) -> str:
-    note = given.get("note", "")
+def _note(posted: Mapping[str, Json]) -> str:
+    note = posted.get("note", "")
     note = note.strip() if isinstance(note, str) else None
     if note is None or len(note) > LONGEST_NOTE or not note.isprintable():
         raise StatementFault(f"expected a note of at most {LONGEST_NOTE} printable characters")
     return note
 
 
-def _days(given: Mapping[str, Json], most: float) -> float:
-    days = _number(given.get("days"))
+def _days(posted: Mapping[str, Json], most: float) -> float:
+    days = _number(posted.get("days"))
     if not HOUR_S / DAY_S <= days <= most:
         raise StatementFault(f"expected days from 1 hour (1/24) to {most:g}")
     return days
 
 
 def _number(value: Json) -> float:
-    number = isinstance(value, int | float) and not isinstance(value, bool)
+    is_number = isinstance(value, int | float) and not isinstance(value, bool)
     try:
-        return float(value) if number else math.nan  # type: ignore[arg-type]
+        return float(value) if is_number else math.nan  # type: ignore[arg-type]
     except OverflowError:
         return math.nan
 
 
 # -- endpoints -----------------------------------------------------------------------------------------------
 class Statements:
-    """The endpoints of what people state; they share the page's connection to the store, and the page answers
-    a StatementFault."""
+    """The endpoints for statements of people: acknowledgements, shelves and events.
+
+    They share the page's connection to the store; the application turns a StatementFault into a refusal.
+    """
 
     def __init__(self, service: Service, hub: Hub, reader: Reader) -> None:
         self.service = service
@@ -358,16 +366,16 @@ class Statements:
 
     async def acknowledge(self, request: Request) -> Response:
         now, channels = self.service.now, self.service.channels
-        stated = acknowledgement_of(await posted_json(request), now)
-        done = await self._write(lambda store: acknowledge(store, now=now, channels=channels, **stated))
-        if done is None:
+        statement = acknowledgement_of(await posted_json(request), now)
+        turbine = await self._write(lambda store: acknowledge(store, now=now, channels=channels, **statement))
+        if turbine is None:
             return refusal(409, "there is no such alarm, or it is already acknowledged")
         LOG.info(
             "an alarm was acknowledged",
-            extra={name: stated[name] for name in ("alarm", "by", "cause")},
+            extra={name: statement[name] for name in ("alarm", "by", "cause")},
         )
-        self.hub.changed({done} - {SOURCE})
-        return reply({"turbine": done})
+        self.hub.announce({turbine} - {SOURCE})
+        return reply({"turbine": turbine})
 
     def labels(self, request: Request) -> Response:
         return reply({"now": self.service.now, "kinds": self.reader.read(labels_view)})
@@ -390,15 +398,15 @@ class Statements:
             "alarms were shelved",
             extra={"turbine": shelf.turbine, "kind": shelf.kind, "by": shelf.made_by, "until": shelf.until},
         )
-        self.hub.changed({shelf.turbine} - {SOURCE})
+        self.hub.announce({shelf.turbine} - {SOURCE})
         return reply({"shelf": shelf})
 
     async def unshelve(self, request: Request) -> Response:
-        turbine, kind = shelved(await posted_json(request), self.service.turbines)
+        turbine, kind = shelf_key(await posted_json(request), self.service.turbines)
         if not await self._write(lambda store: store.unshelve(turbine, kind)):
             return refusal(404, "there is no such shelf")
         LOG.info("a shelf was ended", extra={"turbine": turbine, "kind": kind})
-        self.hub.changed({turbine} - {SOURCE})
+        self.hub.announce({turbine} - {SOURCE})
         return reply({"turbine": turbine})
 
     def events(self, request: Request) -> Response:
@@ -408,8 +416,8 @@ class Statements:
         names = list(self.service.turbines) if name is None else [name]
 
         def view(store: Store) -> list[Event]:
-            known = [event for event in store.all_events() if event.turbine in names]
-            return known[-LISTED:][::-1]
+            events = [event for event in store.all_events() if event.turbine in names]
+            return events[-MOST_EVENTS:][::-1]
 
         return reply({"now": self.service.now, "events": self.reader.read(view)})
 
@@ -420,7 +428,7 @@ class Statements:
             "an event was stated",
             extra={"turbine": event.turbine, "kind": event.kind, "at": event.time, "by": event.made_by},
         )
-        self.hub.changed([event.turbine])
+        self.hub.announce([event.turbine])
         return reply({"event": event})
 
     async def _write(self, change: Callable[[Store], T]) -> T:

@@ -1,7 +1,7 @@
 """Metrics for Prometheus: the tracker's deliveries, commits and sources, and each turbine's present risk.
 
-Each scrape reads the store and the tracker's own counts; the fleet's rows are shared with the page and
-seconds old at most.
+Each scrape reads the store and the tracker's counts; the fleet's rows are shared with the page and at most a
+few seconds old.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from hygrokf.live.batch import STATES as TURBINE_STATES
 from hygrokf.live.batch import Alarm
 from hygrokf.live.service import WAITS_S, Health, Service
 from hygrokf.live.turbines import SOURCE
-from hygrokf.live.web.page_settings import NEEDED, PageFault
+from hygrokf.live.web.page_settings import MISSING_PACKAGES, PageFault
 from hygrokf.live.web.views import View
 from hygrokf.version import __version__
 
@@ -40,50 +40,50 @@ def exposition(
     """The metrics as text, and its media type.  Raises PageFault if prometheus_client is missing.
 
     clients: number of pages that are notified of changes.  fleet: rows of `fleet_view`, None if the store
-    cannot be reached.  alarms: that are open.  counters: (turbine, kind) → count.  notices: channel → notices
-    that are not sent yet.
+    cannot be reached.  alarms: the open alarms.  counters: (turbine, kind) → count.  notices: channel →
+    number of notices that are not sent yet.
     """
     try:
         from prometheus_client import CollectorRegistry, ProcessCollector
     except ImportError:
-        raise PageFault(NEEDED) from None
+        raise PageFault(MISSING_PACKAGES) from None
     from prometheus_client.exposition import CONTENT_TYPE_LATEST, generate_latest
 
-    class Now:
+    class Collector:
         def collect(self) -> Iterator[Metric]:
             yield from _tracker(service.health, fleet is not None, clients)
             yield from _sources(service)
-            yield from _set_aside(counters)
+            yield from _unused(counters)
             yield from _turbines(service.now, fleet or ())
             yield _open_alarms([] if fleet is None else [SOURCE, *(row["turbine"] for row in fleet)], alarms)
             waiting = [((channel,), count) for channel, count in notices.items()]
-            words = "Notices of alarms that are not sent yet"
-            yield _gauge("hygrokf_notices_waiting", words, waiting, ("channel",))
+            text = "Notices of alarms that are not sent yet"
+            yield _gauge("hygrokf_notices_waiting", text, waiting, ("channel",))
 
     registry = CollectorRegistry()
-    registry.register(Now())
+    registry.register(Collector())
     ProcessCollector(registry=registry)
     return generate_latest(registry), CONTENT_TYPE_LATEST
 
 
 def _gauge(
-    name: str, words: str, samples: Iterable[tuple[Sequence[str], float]], labels: Sequence[str] = ()
+    name: str, text: str, samples: Iterable[tuple[Sequence[str], float]], labels: Sequence[str] = ()
 ) -> Metric:
     """A metric with its samples: (values of the labels, number)."""
     from prometheus_client.core import GaugeMetricFamily
 
-    made = GaugeMetricFamily(name, words, labels=labels)
+    metric = GaugeMetricFamily(name, text, labels=labels)
     for values, number in samples:
-        made.add_metric(values, number)
-    return made
+        metric.add_metric(values, number)
+    return metric
 
 
 def _tracker(health: Health, store_reached: bool, clients: int) -> Iterator[Metric]:
     from prometheus_client.core import CounterMetricFamily, HistogramMetricFamily
 
     build = [((__version__, platform.python_version()), 1)]
-    words = "1, with the version of the tracker and of Python"
-    yield _gauge("hygrokf_build_info", words, build, ("version", "python"))
+    text = "1, with the version of the tracker and of Python"
+    yield _gauge("hygrokf_build_info", text, build, ("version", "python"))
     yield CounterMetricFamily("hygrokf_deliveries", "Deliveries that were committed", health.deliveries)
     yield CounterMetricFamily("hygrokf_store_failures", "Commits that the store refused", health.failures)
     classes = [*(f"{bound:g}" for bound in WAITS_S), "+Inf"]
@@ -105,24 +105,23 @@ def _sources(service: Service) -> Iterator[Metric]:
         "hygrokf_source_state",
         "1 for the state that a source is in",
         (
-            ((url, one), int(one == word))
+            ((url, state), int(state == stream.state.word))
             for url, stream in service.streams.items()
-            for word in (stream.state.word,)
-            for one in dict.fromkeys((*SOURCE_STATES, word))
+            for state in dict.fromkeys((*SOURCE_STATES, stream.state.word))
         ),
         ("source", "state"),
     )
-    times = [(url, one) for url, one in service.health.sources.items() if url in service.streams]
+    sources = [(url, source) for url, source in service.health.sources.items() if url in service.streams]
     yield _gauge(
         "hygrokf_source_last_message_timestamp_seconds",
         "When a source last delivered something, since 1970",
-        (((url,), one.committed) for url, one in times),
+        (((url,), source.committed) for url, source in sources),
         ("source",),
     )
     yield _gauge(
         "hygrokf_source_lag_seconds",
         "Time from a source's newest reading to its arrival, of the last delivery with readings",
-        (((url,), one.lag_s) for url, one in times if one.lag_s is not None),
+        (((url,), source.lag_s) for url, source in sources if source.lag_s is not None),
         ("source",),
     )
     yield _gauge(
@@ -133,39 +132,43 @@ def _sources(service: Service) -> Iterator[Metric]:
     )
 
 
-def _set_aside(counters: Mapping[tuple[str, str], int]) -> Iterator[Metric]:
+def _unused(counters: Mapping[tuple[str, str], int]) -> Iterator[Metric]:
     from prometheus_client.core import CounterMetricFamily
 
     refused = CounterMetricFamily(
         "hygrokf_refused", "Deliveries of no known turbine or form", labels=["kind"]
     )
-    aside = CounterMetricFamily(
+    unused = CounterMetricFamily(
         "hygrokf_set_aside", "Readings of a turbine that were not used", labels=["turbine", "kind"]
     )
     for (turbine, kind), count in sorted(counters.items()):
-        (aside if turbine else refused).add_metric([turbine, kind] if turbine else [kind], count)
-    yield from (refused, aside)
+        if turbine:
+            unused.add_metric([turbine, kind], count)
+        else:
+            refused.add_metric([kind], count)
+    yield from (refused, unused)
 
 
 def _turbines(now: float, fleet: Sequence[View]) -> Iterator[Metric]:
     heard = [((row["turbine"],), now - row["heard"]) for row in fleet if row["heard"] is not None]
     yield _gauge("hygrokf_heard_age_seconds", "Time since a turbine was last heard", heard, ("turbine",))
-    for key, name, words in (
+    for key, name, text in (
         ("condensation", "condensation_probability", "Probability of condensation at the coldest surface"),
         ("margin", "dew_point_margin_kelvin", "Coldest surface above the dew point"),
     ):
-        known = [((row["turbine"],), row[key]) for row in fleet if row[key] is not None]
-        yield _gauge(f"hygrokf_{name}", words, known, ("turbine",))
+        samples = [((row["turbine"],), row[key]) for row in fleet if row[key] is not None]
+        yield _gauge(f"hygrokf_{name}", text, samples, ("turbine",))
     yield _gauge(
         "hygrokf_turbine_state",
         "1 for the state that a turbine is in",
-        (((row["turbine"], one), int(one == row["state"])) for row in fleet for one in TURBINE_STATES),
+        (((row["turbine"], state), int(state == row["state"])) for row in fleet for state in TURBINE_STATES),
         ("turbine", "state"),
     )
 
 
 def _open_alarms(names: Sequence[str], alarms: Sequence[Alarm]) -> Metric:
-    """Open alarms of every turbine and kind, zeros included, so that a rule sees an alarm begin and end.
+    """Number of open alarms of every turbine and kind, zeros included, so that a rule sees an alarm begin and
+    end.
 
     Alarms that belong to no turbine have an empty label `turbine`.
     """
@@ -176,6 +179,6 @@ def _open_alarms(names: Sequence[str], alarms: Sequence[Alarm]) -> Metric:
                 counts[name, rule.kind, rule.severity] = 0
                 if math.isfinite(rule.severe):
                     counts[name, rule.kind, "alarm"] = 0
-    counts.update((one.turbine, one.kind, one.severity) for one in alarms if one.turbine in names)
+    counts.update((alarm.turbine, alarm.kind, alarm.severity) for alarm in alarms if alarm.turbine in names)
     labels = ("turbine", "kind", "severity")
     return _gauge("hygrokf_open_alarms", "Open alarms", sorted(counts.items()), labels)

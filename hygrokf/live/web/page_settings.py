@@ -1,6 +1,6 @@
 """Settings of the page: its address, the host names it answers to, and its token.
 
-TLS, HTTP/2 and limits on clients are a proxy's, so other machines reach the page through one only.
+The page leaves TLS, HTTP/2 and limits on clients to a proxy, so other machines reach it only through a proxy.
 """
 
 from __future__ import annotations
@@ -18,14 +18,14 @@ from hygrokf.live.sources.stream import SourceFault
 PAGE = "127.0.0.1:8080"
 UNIX = "unix:"
 """Beginning of an address that is the path of a Unix socket."""
-NO_TLS_HERE = (
+NO_TLS = (
     "the page does no TLS itself: give this file to a proxy such as nginx (docs/live_files/nginx.conf), and "
     "set behind_proxy = true"
 )
-SHORTEST = 16
-"""Shortest token [characters]; the tokens made as the message below says have 43."""
+SHORTEST_TOKEN = 16
+"""Shortest token [characters]; tokens made by the command in the message of `_token` have 43."""
 
-NEEDED = "the live page needs further packages: pip install 'hygrokf[live]'"
+MISSING_PACKAGES = "the live page needs further packages: pip install 'hygrokf[live]'"
 
 
 class PageFault(HygrokfError):
@@ -34,7 +34,7 @@ class PageFault(HygrokfError):
 
 @dataclass(frozen=True)
 class PageSettings:
-    """Where the page is served and to whom.
+    """The address at which the page is served, and the requests that it accepts.
 
     `hosts`: further host names that requests may use; `token`: required token ("": none); `behind_proxy`:
     requests come through a proxy that terminates TLS; `unix`: path of a Unix socket in place of `host` and
@@ -50,21 +50,21 @@ class PageSettings:
 
     @property
     def place(self) -> str:
-        """The address as an operator writes it."""
+        """The address in the form of the tracker's file."""
         return f"{UNIX}{self.unix}" if self.unix else f"{bracketed(self.host)}:{self.port}"
 
     @property
     def names(self) -> frozenset[str]:
         """Host names, in lower case, that requests may use."""
-        own = (self.host, "localhost", "127.0.0.1", "::1")
-        return frozenset(name.lower().rstrip(".") for name in (*own, *self.hosts))
+        local = (self.host, "localhost", "127.0.0.1", "::1")
+        return frozenset(name.lower().rstrip(".") for name in (*local, *self.hosts))
 
 
 @dataclass(frozen=True)
 class PageForm:
-    """The table [page]; an address alone stands for a table with it."""
+    """The table [page]; in its place an address alone is allowed."""
 
-    REFUSED: ClassVar = {"certificate": NO_TLS_HERE, "key": NO_TLS_HERE}
+    REFUSED: ClassVar = {"certificate": NO_TLS, "key": NO_TLS}
     address: str = setting(PAGE, "HOST:PORT or unix:PATH")
     hosts: tuple[str, ...] = setting(
         (), "further names that browsers ask for", expected='a list of names such as ["farm.example"]'
@@ -81,26 +81,26 @@ class PageForm:
 
     @across("token_file", "token_env")
     def one_token(self) -> str | None:
-        both = self.token_file and self.token_env
-        return "give token_file or token_env, not both" if both else None
+        has_two_tokens = self.token_file and self.token_env
+        return "give token_file or token_env, not both" if has_two_tokens else None
 
 
 def page_settings(value: object, folder: Path, place: Place) -> PageSettings:
-    """The page's settings from `page = "HOST:PORT"` or a table [page]; faults go to `place`, of the file.
+    """The page's settings from `page = "HOST:PORT"` or a table [page]; faults are added to `place`.
 
-    Paths are relative to `folder`.  An address that other machines can reach needs a proxy, and a proxy a
-    token.
+    Paths are relative to `folder`.  An address that other machines can reach needs a proxy, and a proxy needs
+    a token.
     """
     table = {"address": value} if isinstance(value, str) else value
     if not isinstance(table, Mapping):
         place.fault(f'page: expected "HOST:PORT" or a table [page], found {value!r}')
         return PageSettings()
-    inside, before = place.inside("page"), len(place.faults)
+    inside, earlier_faults = place.inside("page"), len(place.faults)
     form = read_form(PageForm, table, inside)
     token = _token(form, folder, inside)
     unix = str(folder / form.address.removeprefix(UNIX)) if form.address.startswith(UNIX) else ""
     host, port = ("localhost", 0) if unix else address(form.address) or ("127.0.0.1", 0)
-    if len(place.faults) == before:
+    if len(place.faults) == earlier_faults:
         if form.behind_proxy and not token:
             inside.fault("behind_proxy needs token_file or token_env: the proxy lets others in")
         if not is_loopback(host) and not form.behind_proxy:
@@ -112,7 +112,7 @@ def page_settings(value: object, folder: Path, place: Place) -> PageSettings:
 
 
 def address(text: str) -> tuple[str, int] | None:
-    """Host and port of `HOST:PORT`; None for another text."""
+    """Host and port of a text `HOST:PORT`; None for any other text."""
     host, _, port = text.rpartition(":")
     if not host or not port.isdecimal() or not 0 <= int(port) < 65536:
         return None
@@ -130,9 +130,9 @@ def _token(form: PageForm, folder: Path, place: Place) -> str:
         return ""
     if token is None:
         return ""
-    if len(token) < SHORTEST or not (token.isascii() and token.isprintable()) or " " in token:
+    if len(token) < SHORTEST_TOKEN or not (token.isascii() and token.isprintable()) or " " in token:
         place.fault(
-            f"expected a token of at least {SHORTEST} printable characters without spaces in "
+            f"expected a token of at least {SHORTEST_TOKEN} printable characters without spaces in "
             f"{form.token_file or f'the variable {form.token_env}'}; "
             "make one with: python -c 'import secrets; print(secrets.token_urlsafe())'"
         )

@@ -1,4 +1,5 @@
-"""The page's own connections to the store: one for what is shown, and one to see whether it answers."""
+"""The page's own connections to the store: one for the data of the page, one to check that the store
+answers."""
 
 from __future__ import annotations
 
@@ -17,9 +18,9 @@ from hygrokf.live.storage.store import Store, StoreFault, open_store
 
 LOG = logging.getLogger("hygrokf.page")
 PATIENCE_S = 0.5
-"""[s] an answer of the store is waited for before the last one is told again."""
+"""[s] for which the page waits for an answer of the store before it repeats the previous answer."""
 SILENT_S = 15.0
-"""[s] after which a store that does not answer counts as not reached."""
+"""[s] without an answer after which the store counts as not reached."""
 T = TypeVar("T")
 
 
@@ -44,19 +45,19 @@ class Reader:
             try:
                 if self._store is None:
                     self._store = open_store(self._service.store_url)
-                found = view(self._store)
+                result = view(self._store)
             except Exception as fault:
                 self._close()
-                # from the database, of either kind, and not from a bug in the program
-                known = isinstance(fault, StoreFault | sqlite3.Error | OSError)
-                if not known and not type(fault).__module__.startswith("psycopg"):
+                # all other exceptions are bugs in the program
+                is_of_store = isinstance(fault, StoreFault | sqlite3.Error | OSError)
+                if not is_of_store and not type(fault).__module__.startswith("psycopg"):
                     raise
                 if not self._failed:
                     LOG.warning("the page cannot reach the store", extra={"fault": str(fault).strip()})
                 self._failed = True
                 raise StoreFault("the store cannot be reached; the tracker's log says why") from fault
             self._failed = False
-            return found
+            return result
 
     def close(self) -> None:
         """Close the connection; the next read opens a new one."""
@@ -70,44 +71,44 @@ class Reader:
 
 
 class StoreAnswers:
-    """Whether the store answers, asked in a thread and over a connection of its own.
+    """Checks that the store answers, in its own thread and over its own connection.
 
-    Views that take long, and requests that occupy all threads, therefore do not delay it.
+    Slow views, and requests that occupy all threads, therefore do not delay the check.
     """
 
     def __init__(self, service: Service) -> None:
         self._reader = Reader(service)
-        self._asked: asyncio.Future[str] | None = None
+        self._query: asyncio.Future[str] | None = None
         self._began = 0.0
         self._fault = ""
 
     async def fault(self) -> str:
-        """Why the store does not answer, empty if it does; known within `PATIENCE_S`."""
-        if self._asked is None or self._asked.done():
-            self._asked, self._began = self._ask(), time.monotonic()
-        asked = self._asked
-        await asyncio.wait([asked], timeout=PATIENCE_S)
-        if asked.done():
-            self._fault = asked.result()
+        """Why the store does not answer, "" if it does; returns within `PATIENCE_S`."""
+        if self._query is None or self._query.done():
+            self._query, self._began = self._start_query(), time.monotonic()
+        query = self._query
+        await asyncio.wait([query], timeout=PATIENCE_S)
+        if query.done():
+            self._fault = query.result()
         elif time.monotonic() - self._began > SILENT_S:
             self._fault = f"the store has not answered for {SILENT_S:g} s"
         return self._fault
 
-    def _ask(self) -> asyncio.Future[str]:
-        """Start a thread that asks the store; the end of the program does not wait for it."""
-        found: Future[str] = Future()
+    def _start_query(self) -> asyncio.Future[str]:
+        """Start a daemon thread that queries the store, so that the program can end without an answer."""
+        answer: Future[str] = Future()
 
-        def ask() -> None:
+        def query() -> None:
             try:
                 self._reader.read(lambda store: store.rows(SCHEMA_NUMBER))
-                found.set_result("")
+                answer.set_result("")
             except StoreFault as fault:
-                found.set_result(str(fault))
+                answer.set_result(str(fault))
             except BaseException as fault:
-                found.set_exception(fault)
+                answer.set_exception(fault)
 
-        threading.Thread(target=ask, name="page health", daemon=True).start()
-        return asyncio.wrap_future(found)
+        threading.Thread(target=query, name="page health", daemon=True).start()
+        return asyncio.wrap_future(answer)
 
     def close(self) -> None:
         self._reader.close()

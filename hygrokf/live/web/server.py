@@ -1,8 +1,8 @@
 """The page's server in its own thread beside the tracker: access, JSON, and server-sent events.
 
 The events tell the page which turbines a commit has changed.  The tracker's thread notifies the `Hub`, which
-passes the names to the asyncio loop of the page's thread.  For each client only the names not yet sent are
-kept, so that a slow client costs no memory.
+passes the names to the asyncio loop of the page's thread.  Only the names that a client has not yet received
+are kept, so that a slow client costs no memory.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from urllib.parse import urlsplit
 from hygrokf.data.structured import Json, JsonObject
 from hygrokf.data.timestamps import DAY_S
 from hygrokf.live.batch import Alarm, Batch, pieces_of
-from hygrokf.live.web.page_settings import NEEDED, PageFault, PageSettings
+from hygrokf.live.web.page_settings import MISSING_PACKAGES, PageFault, PageSettings
 
 if TYPE_CHECKING:
     import uvicorn
@@ -38,10 +38,10 @@ if TYPE_CHECKING:
 
 START_S = 10.0
 STOP_S = 5.0
-"""[s] allowed for starting and for stopping."""
+"""Longest time that starting, and stopping, may take [s]."""
 GRACE_S = 2
-"""[s] for responses in progress when the server stops."""
-MOST = 500
+"""[s] that responses in progress may take when the server stops."""
+MOST_CONNECTIONS = 500
 """Largest number of connections; further ones are closed at once."""
 SILENT_S = 10.0
 """[s] until a new connection must have sent the headers of its first request."""
@@ -52,21 +52,21 @@ REASONS = {
     errno.EACCES: "this port is reserved for the system; give one above 1023",
     errno.EADDRNOTAVAIL: "this machine does not have this address",
 }
-CLIENTS = 200
+MOST_CLIENTS = 200
 """Largest number of open event streams."""
-PACE_S = 1.0
+PAUSE_S = 1.0
 """Shortest interval [s] between two messages to one client."""
-ALIVE_S = 10.0
+HEARTBEAT_S = 10.0
 """[s] without changes after which a client gets a heartbeat."""
 RETRY_MS = 2000
 """[ms] after which a browser reconnects."""
-NAMED = 200
-"""Largest number of turbines named in a message; a message about more of them stands for all."""
+MOST_NAMED = 200
+"""Largest number of turbines named in a message; a message without names stands for all turbines."""
 
 
 @dataclass(frozen=True)
 class PageServer:
-    """A running server; `port` is the actual one, also if port 0 was requested (0 at a Unix socket)."""
+    """A running server; `port` is the bound port even if port 0 was requested, and 0 for a Unix socket."""
 
     server: uvicorn.Server
     thread: threading.Thread
@@ -76,14 +76,14 @@ class PageServer:
 
 @contextmanager
 def serve(app: ASGIApp, settings: PageSettings, hub: Hub) -> Iterator[PageServer]:
-    """Serve an application in a thread, within this context; port 0 selects a free port.  Raises PageFault.
+    """Serve an application in a thread within this context; port 0 selects a free port.  Raises PageFault.
 
-    At its end the event streams end, then the server, within `STOP_S`.
+    When the context ends, the event streams end and then the server, within `STOP_S`.
     """
     try:
         import uvicorn
     except ImportError:
-        raise PageFault(NEEDED) from None
+        raise PageFault(MISSING_PACKAGES) from None
     listening = listening_socket(settings)
     server = uvicorn.Server(
         uvicorn.Config(
@@ -98,7 +98,7 @@ def serve(app: ASGIApp, settings: PageSettings, hub: Hub) -> Iterator[PageServer
             access_log=False,
             server_header=False,
             proxy_headers=settings.behind_proxy,
-            forwarded_allow_ips="*",  # who reaches the page past the proxy can only cheat itself
+            forwarded_allow_ips="*",  # a client that bypasses the proxy can deceive only itself
             backlog=BACKLOG,
             timeout_graceful_shutdown=GRACE_S + 1,
         )
@@ -122,15 +122,18 @@ def serve(app: ASGIApp, settings: PageSettings, hub: Hub) -> Iterator[PageServer
 
 
 def bounded_protocol() -> type[asyncio.Protocol]:
-    """uvicorn's protocol of a connection, of at most `MOST`: half-open ones must not take the files that the
-    tracker opens, and uvicorn's own limit refuses requests, but closes no connection that makes none."""
+    """uvicorn's protocol of a connection, of which there may be `MOST_CONNECTIONS`.
+
+    Half-open connections must not take the file descriptors that the tracker needs; uvicorn's own limit
+    refuses requests, but does not close a connection without requests.
+    """
     from uvicorn.protocols.http.h11_impl import H11Protocol
 
     class BoundedProtocol(H11Protocol):
         def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
             super().connection_made(transport)
             self._silence = self.loop.call_later(SILENT_S, self._end_if_silent)
-            if len(self.connections) > MOST:
+            if len(self.connections) > MOST_CONNECTIONS:
                 transport.abort()
 
         def connection_lost(self, exc: Exception | None) -> None:
@@ -139,7 +142,7 @@ def bounded_protocol() -> type[asyncio.Protocol]:
 
         def shutdown(self) -> None:
             super().shutdown()
-            # a client that takes nothing would keep its end open for ever
+            # a client that reads nothing would keep the connection open for ever
             self.loop.call_later(GRACE_S, self.transport.abort)
 
         def _end_if_silent(self) -> None:
@@ -154,44 +157,44 @@ def listening_socket(settings: PageSettings) -> socket.socket:
     try:
         if settings.unix:
             return _unix_socket(settings.unix)
-        found = socket.getaddrinfo(
+        addresses = socket.getaddrinfo(
             settings.host, settings.port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE
         )
-        family, _, _, _, place = found[0]
+        family, _, _, _, place = addresses[0]
         return socket.create_server(place[:2], family=family, backlog=BACKLOG)
     except OSError as fault:
-        known = {} if settings.unix else REASONS
-        reason = known.get(fault.errno or 0, fault.strerror or str(fault))
+        reasons = {} if settings.unix else REASONS
+        reason = reasons.get(fault.errno or 0, fault.strerror or str(fault))
         raise PageFault(f"the page cannot be served at {settings.place}: {reason}") from None
 
 
 def _unix_socket(path: str) -> socket.socket:
-    """A listening Unix socket in the place of one whose program has ended."""
-    made = socket.socket(socket.AF_UNIX)
+    """A listening Unix socket, which replaces a socket whose program has ended."""
+    listening = socket.socket(socket.AF_UNIX)
     try:
-        if os.path.exists(path) and stat.S_ISSOCK(os.stat(path).st_mode) and made.connect_ex(path) != 0:
+        if os.path.exists(path) and stat.S_ISSOCK(os.stat(path).st_mode) and listening.connect_ex(path) != 0:
             os.unlink(path)
-        made.bind(path)
-        os.chmod(path, 0o666)  # its folder says who may come, the token who may read
-        made.listen(BACKLOG)
+        listening.bind(path)
+        os.chmod(path, 0o666)  # its folder's mode controls access, and the token too
+        listening.listen(BACKLOG)
     except OSError:
-        made.close()
+        listening.close()
         raise
-    return made
+    return listening
 
 
 # -- events --------------------------------------------------------------------------------------------------
 def changed_turbines(batch: Batch) -> set[str]:
     """Turbines for which a batch changes the page."""
-    named = {o.turbine for o in batch.observations} | {a.turbine for a in (*batch.alarms, *batch.reopened)}
-    named |= set(batch.estimates)
-    named |= {name for name, *_ in batch.properties}
-    named |= {name for name, _ in (*batch.memories, *batch.counters)}
-    return named - {""}
+    names = {o.turbine for o in batch.observations} | {a.turbine for a in (*batch.alarms, *batch.reopened)}
+    names |= set(batch.estimates)
+    names |= {name for name, *_ in batch.properties}
+    names |= {name for name, _ in (*batch.memories, *batch.counters)}
+    return names - {""}
 
 
 class Client:
-    """One event stream with the turbine names not yet sent.  Only the page's loop uses it."""
+    """One event stream with the turbine names not yet sent, used only in the page's loop."""
 
     def __init__(self) -> None:
         self.names: set[str] = set()
@@ -209,7 +212,7 @@ class Hub:
     `generation` counts the changes: data read from the store stay valid until it increases.
     """
 
-    def __init__(self, most: int = CLIENTS, clock: Callable[[], float] = time.time) -> None:
+    def __init__(self, most: int = MOST_CLIENTS, clock: Callable[[], float] = time.time) -> None:
         self.most = most
         self.clock = clock
         self.generation = 0
@@ -223,19 +226,19 @@ class Hub:
 
     def settle(self, batch: Batch) -> None:
         """Announce a committed batch; called by the tracker."""
-        self.changed(changed_turbines(batch))
+        self.announce(changed_turbines(batch))
 
-    def changed(self, names: Iterable[str]) -> None:
-        """Tell all clients that turbines changed; callable from any thread."""
+    def announce(self, names: Iterable[str]) -> None:
+        """Tell all clients that turbines have changed; callable from any thread."""
         with self._lock:
             self.generation += 1
-        self._tell(frozenset(names))
+        self._pass_on(frozenset(names))
 
     def close(self) -> None:
-        """End all event streams and accept no new one; callable from any thread."""
+        """End all event streams and accept no new ones; callable from any thread."""
         with self._lock:
             self.closed = True
-        self._tell(frozenset())
+        self._pass_on(frozenset())
 
     def join(self) -> Client | None:
         """A new client in the running loop; None if there are too many or the hub is closed."""
@@ -250,19 +253,19 @@ class Hub:
     def leave(self, client: Client) -> None:
         self._clients.discard(client)
 
-    def _tell(self, names: frozenset[str]) -> None:
+    def _pass_on(self, names: frozenset[str]) -> None:
         if self._loop is not None:
             with suppress(RuntimeError):  # the page has stopped
-                self._loop.call_soon_threadsafe(self._spread, names)
+                self._loop.call_soon_threadsafe(self._add_to_clients, names)
 
-    def _spread(self, names: frozenset[str]) -> None:
+    def _add_to_clients(self, names: frozenset[str]) -> None:
         for client in self._clients:
             client.names |= names
             client.wake.set()
 
 
 def message(kind: str, **content: Json) -> bytes:
-    """One server-sent event; heartbeats are events too, because scripts cannot see comments."""
+    """Encode one server-sent event; heartbeats are events too, because scripts cannot see comments."""
     return f"event: {kind}\ndata: {json.dumps(content)}\n\n".encode()
 
 
@@ -289,35 +292,35 @@ class EventStream:
         yield f"retry: {RETRY_MS}\n\n".encode() + message("alive", now=self.hub.clock())
         while not self.hub.closed:
             with suppress(TimeoutError):
-                await asyncio.wait_for(client.wake.wait(), ALIVE_S)
+                await asyncio.wait_for(client.wake.wait(), HEARTBEAT_S)
             names = client.take()
             if names:
-                named = sorted(names) if len(names) <= NAMED else None
+                named = sorted(names) if len(names) <= MOST_NAMED else None
                 yield message("changed", now=self.hub.clock(), turbines=named)
-                await asyncio.sleep(0.0 if self.hub.closed else PACE_S)
+                await asyncio.sleep(0.0 if self.hub.closed else PAUSE_S)
             elif not self.hub.closed:
                 yield message("alive", now=self.hub.clock())
 
 
 # -- requests, responses and access --------------------------------------------------------------------------
-LARGEST = 4096
+LARGEST_BODY = 4096
 """Largest body of a request [bytes]."""
 
 
 async def posted_json(request: Request) -> JsonObject:
-    """The posted JSON object; empty if the body is no object or too large."""
+    """The posted JSON object; empty if the body is too large or not a JSON object."""
     from starlette.requests import ClientDisconnect
 
     body = b""
     try:
         async for part in request.stream():
             body += part
-            if len(body) > LARGEST:
+            if len(body) > LARGEST_BODY:
                 return {}
-        found = json.loads(body)
+        content = json.loads(body)
     except (ClientDisconnect, ValueError, RecursionError):
         return {}
-    return found if isinstance(found, dict) else {}
+    return content if isinstance(content, dict) else {}
 
 
 def reply(
@@ -326,27 +329,27 @@ def reply(
     """A JSON response."""
     from starlette.responses import Response
 
-    text = json.dumps(content, ensure_ascii=False, allow_nan=False, separators=(",", ":"), default=_served)
+    text = json.dumps(content, ensure_ascii=False, allow_nan=False, separators=(",", ":"), default=_json_of)
     return Response(text, status, {"Content-Type": "application/json", **(headers or {})})
 
 
-def _served(one: Any) -> JsonObject:
-    """A row of the store as the page receives it; the sentence of an alarm also in pieces (`pieces_of`)."""
-    return {**one.served(), "pieces": pieces_of(one.statements)} if isinstance(one, Alarm) else asdict(one)
+def _json_of(row: Any) -> JsonObject:
+    """A row of the store as the page receives it; an alarm also has its sentence in pieces (`pieces_of`)."""
+    return {**row.served(), "pieces": pieces_of(row.statements)} if isinstance(row, Alarm) else asdict(row)
 
 
-def refusal(status: int, words: str, headers: Mapping[str, str] | None = None) -> Response:
+def refusal(status: int, message: str, headers: Mapping[str, str] | None = None) -> Response:
     """A JSON response that says why a request is refused."""
-    return reply({"fault": words}, headers, status)
+    return reply({"fault": message}, headers, status)
 
 
 SESSION_S = 7 * DAY_S
 """[s] a browser stays logged in."""
-OPEN = ("/", "/healthz", "/readyz", "/api/login")
+PUBLIC_PATHS = ("/", "/healthz", "/readyz", "/api/login")
 """Paths that need no token, because they reveal nothing about a turbine."""
-MACHINES = ("/healthz", "/readyz", "/metrics")
-"""Paths that machines beside the page ask, past its proxy."""
-READING = ("GET", "HEAD")
+LOCAL_PATHS = ("/healthz", "/readyz", "/metrics")
+"""Paths that monitoring programs may request directly, without the proxy."""
+READ_METHODS = ("GET", "HEAD")
 """Methods that change nothing."""
 HEADERS = [
     (name.lower().encode(), value.encode())
@@ -359,12 +362,12 @@ HEADERS = [
         "Cross-Origin-Resource-Policy": "same-origin",
     }.items()
 ]
-"""Headers of every response, as ASGI has them."""
+"""Headers of every response in the form of ASGI."""
 
 
 class Sessions:
-    """Session cookies: an expiry time signed with the token, so that they stay valid across a restart of the
-    page."""
+    """Session cookies: an expiry time signed with the token, so that a cookie stays valid after a restart of
+    the page."""
 
     def __init__(self, settings: PageSettings, clock: Callable[[], float] = time.time) -> None:
         self._key = hmac.digest(settings.token.encode(), b"hygrokf page session", hashlib.sha256)
@@ -374,25 +377,25 @@ class Sessions:
         self.name = f"{'__Host-' if self._encrypted else ''}hygrokf_{settings.port}"
 
     def header(self, opens: bool) -> str:
-        """The Set-Cookie header that opens a session, or closes it."""
-        said = f"{self._clock() + SESSION_S:.0f}.{secrets.token_hex(8)}"
-        value, age_s = (f"{said}.{self._signature(said)}", SESSION_S) if opens else ("", 0.0)
+        """The Set-Cookie header that opens a session or, if `opens` is false, closes it."""
+        content = f"{self._clock() + SESSION_S:.0f}.{secrets.token_hex(8)}"
+        value, age_s = (f"{content}.{self._signature(content)}", SESSION_S) if opens else ("", 0.0)
         secure = "; Secure" if self._encrypted else ""
         return f"{self.name}={value}; Max-Age={age_s:.0f}; Path=/; HttpOnly; SameSite=Strict{secure}"
 
     def valid(self, cookies: str) -> bool:
         """Whether a request's cookies contain an unexpired session."""
         try:
-            found = SimpleCookie(cookies).get(self.name)
+            cookie = SimpleCookie(cookies).get(self.name)
         except CookieError:
             return False
-        said, _, signature = ("" if found is None else found.value).rpartition(".")
-        if not hmac.compare_digest(signature.encode(), self._signature(said).encode()):
+        content, _, signature = ("" if cookie is None else cookie.value).rpartition(".")
+        if not hmac.compare_digest(signature.encode(), self._signature(content).encode()):
             return False
-        return self._clock() < float(said.partition(".")[0])
+        return self._clock() < float(content.partition(".")[0])
 
-    def _signature(self, said: str) -> str:
-        return hmac.new(self._key, said.encode(), hashlib.sha256).hexdigest()
+    def _signature(self, content: str) -> str:
+        return hmac.new(self._key, content.encode(), hashlib.sha256).hexdigest()
 
 
 class Access:
@@ -407,53 +410,55 @@ class Access:
         headers = {name.decode("latin-1"): value.decode("latin-1") for name, value in scope["headers"]}
         # a foreign name may resolve to the page's address (DNS rebinding)
         if host_name(headers.get("host", "")) not in self.settings.names:
-            words = "the page does not answer to this name; add it to hosts in [page] of the tracker's file"
-            return refusal(421, words)
+            message = "the page does not answer to this name; add it to hosts in [page] of the tracker's file"
+            return refusal(421, message)
         path = scope["path"]
-        if self.settings.behind_proxy and scope["scheme"] != "https" and path not in MACHINES:
+        if self.settings.behind_proxy and scope["scheme"] != "https" and path not in LOCAL_PATHS:
             return refusal(403, "expected X-Forwarded-Proto: https; have the proxy set it, and do TLS")
-        if scope["method"] not in READING and not own_page(headers):
-            words = "expected JSON from the page itself, found a request from another site or of another kind"
-            return refusal(403, words)
-        if not self.settings.token or path in OPEN or path.startswith("/static/"):
+        if scope["method"] not in READ_METHODS and not is_own_page(headers):
+            message = (
+                "expected JSON from the page itself, found a request from another site or of another kind"
+            )
+            return refusal(403, message)
+        if not self.settings.token or path in PUBLIC_PATHS or path.startswith("/static/"):
             return None
         if self.sessions.valid(headers.get("cookie", "")):
             return None
-        kind, _, given = headers.get("authorization", "").partition(" ")
-        words = "log in, or give the token as Authorization: Bearer"
+        kind, _, token = headers.get("authorization", "").partition(" ")
+        message = "log in, or give the token as Authorization: Bearer"
         if kind.lower() == "bearer":
-            if self.is_token(given.strip()):
+            if self.is_token(token.strip()):
                 return None
-            words = "wrong token"
-        return refusal(401, words, {"WWW-Authenticate": "Bearer"})
+            message = "wrong token"
+        return refusal(401, message, {"WWW-Authenticate": "Bearer"})
 
-    def is_token(self, given: str) -> bool:
-        """Whether a text is the token, compared in the same time whatever the text."""
+    def is_token(self, text: str) -> bool:
+        """Whether a text is the token; the comparison takes the same time for every text."""
         # JSON may contain lone surrogates
-        return hmac.compare_digest(given.encode(errors="surrogatepass"), self.settings.token.encode())
+        return hmac.compare_digest(text.encode(errors="surrogatepass"), self.settings.token.encode())
 
 
 def guard(app: ASGIApp, access: Access) -> ASGIApp:
     """Wrap an ASGI application: refuse a request, or pass it on and add `HEADERS` to the response."""
 
-    async def guard(scope: Scope, receive: Receive, send: Send) -> None:
+    async def guarded(scope: Scope, receive: Receive, send: Send) -> None:
         if scope["type"] != "http":
             raise RuntimeError(f"the page speaks http alone, found {scope['type']}")
-        # browsers keep the page's own files, and ask whether they changed
-        kept = scope["path"] == "/" or scope["path"].startswith("/static/")
-        cache = (b"cache-control", b"no-cache" if kept else b"no-store")
+        # browsers cache the page's own files, but ask each time whether they have changed
+        is_cached = scope["path"] == "/" or scope["path"].startswith("/static/")
+        cache = (b"cache-control", b"no-cache" if is_cached else b"no-store")
 
-        async def headed(message: Message) -> None:
+        async def send_with_headers(message: Message) -> None:
             if message["type"] == "http.response.start":
                 message = {**message, "headers": [*message.get("headers", []), *HEADERS, cache]}
             await send(message)
 
-        await (access.refusal_of(scope) or app)(scope, receive, headed)
+        await (access.refusal_of(scope) or app)(scope, receive, send_with_headers)
 
-    return guard
+    return guarded
 
 
-def own_page(headers: Mapping[str, str]) -> bool:
+def is_own_page(headers: Mapping[str, str]) -> bool:
     """Whether a POST is JSON and, as far as the browser states its origin, comes from the page itself."""
     if headers.get("content-type", "").partition(";")[0].strip().lower() != "application/json":
         return False
@@ -462,7 +467,7 @@ def own_page(headers: Mapping[str, str]) -> bool:
     origin = headers.get("origin")
     try:
         return origin is None or urlsplit(origin).netloc.lower() == headers.get("host", "").lower()
-    except ValueError:  # no URL, such as http://[
+    except ValueError:  # an invalid URL, such as http://[
         return False
 
 

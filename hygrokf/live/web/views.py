@@ -29,7 +29,7 @@ from hygrokf.live.service import Health
 from hygrokf.live.sources.stream import Stream
 from hygrokf.live.storage import schema, statements
 from hygrokf.live.storage.database import Row
-from hygrokf.live.storage.statements import counting, newest, selecting
+from hygrokf.live.storage.statements import count_rows, select_newest, select_rows
 from hygrokf.live.storage.store import Store
 from hygrokf.live.web.reader import Reader
 from hygrokf.physics.psychrometrics import ZERO_CELSIUS_K
@@ -37,37 +37,38 @@ from hygrokf.texts.live import StateCode
 from hygrokf.texts.verdict import MARKS, VERDICTS
 
 DECIMALS = 4
-"""Decimal places of numbers sent to the page; rounding halves the size of the response."""
+"""Decimal places of numbers sent to the page; rounding halves the size of a response."""
 RIGHT, WRONG = ("defect", "settings changed"), ("false alarm",)
-"""Causes of acknowledgements that say that an alarm was right, or wrong."""
+"""Causes of acknowledgements that state that an alarm was right, and that it was wrong."""
 SEVERITY = {"alarm": 2, "warning": 1, "notice": 0}
 COURSES = {q.name: q for q in QUANTITIES if q.name != "frost_point"}
 _COLUMNS = " ".join(f"{q.column} {q.sd_column}" for q in COURSES.values())
-MOST = 3000
+MOST_POINTS = 3000
 """Largest number of points in a course; longer courses are thinned."""
-READ = {"temperature": "cabinet_temperature", "relative_humidity": "cabinet_relative_humidity"}
-"""Quantity on the page -> the cabinet's own signal."""
+SIGNAL_OF = {"temperature": "cabinet_temperature", "relative_humidity": "cabinet_relative_humidity"}
+"""Quantity on the page → the measured signal of the cabinet."""
 Verdicts = Mapping[str, Inherited]
-"""A fit's verdicts on the numbers of a turbine's model, by part."""
+"""Part of a turbine's model → the fit's verdict on its number."""
 View = dict[str, Any]
-"""JSON of the page; what it holds stands at the function that makes it."""
+"""JSON of the page; the function that returns it describes the content."""
 T = TypeVar("T")
 
 
 def model_view(verdicts: Verdicts) -> View:
-    """The `verdict` on a turbine's model, the worst one on its `numbers` (None without any), and these."""
+    """The `numbers` of a turbine's model with the verdict on each, and the worst `verdict` (None without
+    numbers)."""
     numbers = [
         {
             "part": part,
             "property": PARAMETER_OF[part],
-            "verdict": found.verdict,
-            "mark": MARKS[found.verdict],
-            "words": found.words,
-            "why": found.why,
+            "verdict": inherited.verdict,
+            "mark": MARKS[inherited.verdict],
+            "words": inherited.words,
+            "why": inherited.why,
         }
-        for part, found in verdicts.items()
+        for part, inherited in verdicts.items()
     ]
-    verdict = max((one.verdict for one in verdicts.values()), key=VERDICTS.index, default=None)
+    verdict = max((inherited.verdict for inherited in verdicts.values()), key=VERDICTS.index, default=None)
     return {"verdict": verdict, "numbers": numbers}
 
 
@@ -77,13 +78,13 @@ def fleet_view(
     now: float,
     verdicts: Mapping[str, Verdicts] = MappingProxyType({}),
 ) -> list[View]:
-    """One row per turbine, sorted by the need of its state, then by the severity of open alarms and by the
-    present or forecast risk of condensation.
+    """One row per turbine, sorted by the urgency of its state, then by the severity of open alarms, then by
+    the present or forecast risk of condensation.
 
-    `time`: of the newest estimate, `heard`: of the last arrival; `…_half`: half the width of a 95 % band;
-    `margin` [K]; `forecast`: the highest `condensation` [1] to come and the first `time` it is reached;
-    `cabinet`: whether its properties are as fitted; `severity`: of its worst open alarm (`SEVERITY`), −1
-    without any.
+    `time`: time of the newest estimate; `heard`: time of the last arrival; `…_half`: half the width of a 95 %
+    band; `margin` [K]; `forecast`: the highest forecast probability of `condensation` [1] and the earliest
+    `time` of that value; `cabinet`: whether the cabinet's properties are as fitted; `severity`: severity of
+    the worst open alarm (`SEVERITY`), −1 without open alarms.
 
     verdicts: turbine → verdicts on the numbers of its model.
     """
@@ -96,10 +97,10 @@ def fleet_view(
     states, open_alarms = store.assessments(), alarms_view(store, since=math.inf)
     rows: list[View] = []
     for name in names:
-        heard, at, kelvin, kelvin_sd, humidity, humidity_sd, margin, margin_sd, chance = latest.get(
+        heard, at, temperature, temperature_sd, humidity, humidity_sd, margin, margin_sd, chance = latest.get(
             name, [None] * 9
         )
-        alarms = [one for one in open_alarms if one.turbine == name]
+        alarms = [alarm for alarm in open_alarms if alarm.turbine == name]
         cabinet = {None: None, 0: "not observable", 1: "as fitted"}[observable.get(name)]
         rows.append(
             {
@@ -107,36 +108,36 @@ def fleet_view(
                 **_state(states.get(name)),
                 "time": at,
                 "heard": heard,
-                "temperature": _scaled(kelvin, 1.0, -ZERO_CELSIUS_K),
-                "temperature_half": _scaled(kelvin_sd, Z95, 0.0),
+                "temperature": _scaled(temperature, 1.0, -ZERO_CELSIUS_K),
+                "temperature_half": _scaled(temperature_sd, Z95, 0.0),
                 "relative_humidity": _scaled(humidity, 100.0, 0.0),
                 "relative_humidity_half": _scaled(humidity_sd, 100.0 * Z95, 0.0),
                 "margin": margin,
                 "margin_lower": None if margin is None else margin - Z95 * margin_sd,
                 "condensation": chance,
                 "forecast": highest.get(name),
-                "cabinet": "changed" if any(one.kind == CHANGED.kind for one in alarms) else cabinet,
+                "cabinet": "changed" if any(alarm.kind == CHANGED.kind for alarm in alarms) else cabinet,
                 "alarms": alarms,
                 "model": model_view(verdicts.get(name, {}))["verdict"],
-                "severity": max((SEVERITY[one.severity] for one in alarms), default=-1),
+                "severity": max((SEVERITY[alarm.severity] for alarm in alarms), default=-1),
             }
         )
-    return sorted(rows, key=_need)
+    return sorted(rows, key=_urgency)
 
 
-def _need(row: View) -> tuple[int, int, float, str]:
-    coming = row["forecast"]["condensation"] if row["forecast"] else 0.0
-    risk = max(row["condensation"] or 0.0, coming)
+def _urgency(row: View) -> tuple[int, int, float, str]:
+    forecast_risk = row["forecast"]["condensation"] if row["forecast"] else 0.0
+    risk = max(row["condensation"] or 0.0, forecast_risk)
     return STATES.index(row["state"]), -row["severity"], -risk, row["turbine"]
 
 
-def _state(found: Assessment | None) -> View:
-    """A turbine's `state` `since` [s] a time, its `reason` as text, as codes with values (`content`) and in
-    `pieces`, of which the numbers are instants [s]."""
-    statements = (StateCode.NOT_ASSESSED_YET(),) if found is None else found.statements
+def _state(assessment: Assessment | None) -> View:
+    """A turbine's `state`, the time [s] `since` which it has that state, and the `reason` as text, as codes
+    with values (`content`) and as `pieces`, in which numbers are times [s]."""
+    statements = (StateCode.NOT_ASSESSED_YET(),) if assessment is None else assessment.statements
     return {
-        "state": "no estimate" if found is None else found.state,
-        "since": None if found is None else found.since,
+        "state": "no estimate" if assessment is None else assessment.state,
+        "since": None if assessment is None else assessment.since,
         "reason": text_of(statements),
         "content": plain(list(statements)),
         "pieces": pieces_of(statements),
@@ -151,29 +152,29 @@ def turbine_view(
     verdicts: Verdicts = MappingProxyType({}),
     needs: Sequence[Need] = (),
 ) -> View:
-    """One turbine from `since` [s] on.
+    """The data of one turbine from `since` [s] on.
 
-    At the instants `time` [s]: `final` (1 for final estimates), `condensation` [1] and `courses`; `hours` and
-    `humid`: highest probability of condensation, and of a relative humidity above a `limit`, of every hour;
-    `readings`: the cabinet's own; `counts`: readings that were not used, by kind; `held`: number of readings
-    that are held back, because their stamps are ahead of the clock.
+    At the instants `time` [s]: `final` (1 for final estimates), `condensation` [1] and `courses`.  `hours`,
+    `humid`: the highest probability in every hour of condensation, and of a relative humidity above a
+    `limit`.  `readings`: measurements in the cabinet.  `counts`: kind → number of readings that were not
+    used.  `held`: number of readings that are held back because their stamps are ahead of the clock.
 
-    needs: what its model reads, of which signals that never came are listed too.
+    needs: the inputs of the turbine's model; signals among them that never arrived are listed, too.
     """
-    estimates = selecting(
+    estimates = select_rows(
         schema.estimate, f"{_COLUMNS} time final condensation", "turbine", "time", since=True
     )
-    found = _thin(store.rows(estimates, turbine=name, since=since))
+    rows = _thin(store.rows(estimates, turbine=name, since=since))
     readings: View = {}
-    for quantity, signal in READ.items():
-        shown = COURSES[quantity]
-        rows = _thin(store.rows(statements.USED_VALUES, turbine=name, signal=signal, since=since))
-        if rows:
+    for quantity, signal in SIGNAL_OF.items():
+        factor, offset = COURSES[quantity].factor, COURSES[quantity].offset
+        values = _thin(store.rows(statements.USED_VALUES, turbine=name, signal=signal, since=since))
+        if values:
             readings[quantity] = {
-                "time": [at for at, _ in rows],
-                "value": [_scaled(value, shown.factor, shown.offset) for _, value in rows],
+                "time": [at for at, _ in values],
+                "value": [_scaled(value, factor, offset) for _, value in values],
             }
-    time, chances = [row[-3] for row in found], [row[-1] for row in found]
+    time, chances = [row[-3] for row in rows], [row[-1] for row in rows]
     forecast = _forecast(store, name)
     limit = LIMIT if forecast is None else forecast["limit"]
     alarms = alarms_view(store, name, since)
@@ -182,7 +183,7 @@ def turbine_view(
         **_state(store.assessments().get(name)),
         "model": model_view(verdicts),
         "time": time,
-        "final": [row[-2] for row in found],
+        "final": [row[-2] for row in rows],
         "condensation": chances,
         "hours": {
             "past": by_hour(time, chances),
@@ -190,10 +191,10 @@ def turbine_view(
         },
         "humid": {
             "limit": limit,
-            "past": by_hour(time, _humid(found, limit)),
+            "past": by_hour(time, _humid(rows, limit)),
             "forecast": by_hour(forecast["time"], forecast["above_limit"]) if forecast else [],
         },
-        "courses": _courses(found),
+        "courses": _courses(rows),
         "readings": readings,
         "forecast": forecast,
         "properties": _properties(store, name, since),
@@ -207,29 +208,29 @@ def turbine_view(
 def _humid(rows: Sequence[Row], limit: float) -> list[float | None]:
     """Probability that relative humidity exceeds a limit, from rows that begin with the columns of
     `COURSES`."""
-    place = 2 * list(COURSES).index("relative_humidity")
-    value, sd = np.array([row[place : place + 2] for row in rows], dtype=float).reshape(-1, 2).T
+    first = 2 * list(COURSES).index("relative_humidity")
+    value, sd = np.array([row[first : first + 2] for row in rows], dtype=float).reshape(-1, 2).T
     chances = probability_above(Quantity(value, sd), limit)
     return [None if math.isnan(v) else float(p) for v, p in zip(value, chances, strict=True)]
 
 
 def by_hour(time: Sequence[float], values: Sequence[float | None]) -> list[tuple[float, float]]:
-    """(beginning [s], highest value) of every hour with a value."""
-    most: dict[float, float] = {}
+    """(beginning [s], highest value) of every hour that has values."""
+    highest: dict[float, float] = {}
     for at, value in zip(time, values, strict=True):
         if value is not None:
             hour = HOUR_S * (at // HOUR_S)
-            most[hour] = max(value, most.get(hour, value))
-    return sorted(most.items())
+            highest[hour] = max(value, highest.get(hour, value))
+    return sorted(highest.items())
 
 
 def _courses(rows: Sequence[Row]) -> View:
     """Value and bounds of each quantity that has values, from rows that begin with the columns of
     `COURSES`."""
     courses: View = {}
-    for place, (quantity, shown) in enumerate(COURSES.items()):
-        factor, offset = shown.factor, shown.offset
-        pairs = [(row[2 * place], row[2 * place + 1]) for row in rows]
+    for i, (quantity, display) in enumerate(COURSES.items()):
+        factor, offset = display.factor, display.offset
+        pairs = [(row[2 * i], row[2 * i + 1]) for row in rows]
         if all(value is None for value, _ in pairs):
             continue
         courses[quantity] = {
@@ -241,20 +242,20 @@ def _courses(rows: Sequence[Row]) -> View:
 
 
 def _forecast(store: Store, name: str) -> View | None:
-    """A turbine's newest forecast: what the store keeps of it (`ForecastMade`) as codes, `weather` and
-    `advice` as texts, and its courses; None before the first one."""
-    kept = store.memory(name, "forecast")
-    if not isinstance(kept, dict):
+    """A turbine's newest forecast: its `weather` and `advice` as texts and as codes with values (`content`),
+    and its courses; None before the first forecast."""
+    stored = store.memory(name, "forecast")
+    if not isinstance(stored, dict):
         return None
-    made = structured(ForecastMade, kept)
-    courses = selecting(schema.forecast, f"{_COLUMNS} time condensation above_limit", "turbine", "time")
+    forecast = structured(ForecastMade, stored)
+    courses = select_rows(schema.forecast, f"{_COLUMNS} time condensation above_limit", "turbine", "time")
     rows = store.rows(courses, turbine=name)
     return {
-        "made": made.made,
-        "limit": made.limit,
-        "weather": made.basis.text,
-        "advice": None if made.advice is None else made.advice.text,
-        "content": {"weather": kept["basis"], "advice": kept["advice"]},
+        "made": forecast.made,
+        "limit": forecast.limit,
+        "weather": forecast.basis.text,
+        "advice": None if forecast.advice is None else forecast.advice.text,
+        "content": {"weather": stored["basis"], "advice": stored["advice"]},
         "time": [row[-3] for row in rows],
         "condensation": [row[-2] for row in rows],
         "above_limit": [row[-1] for row in rows],
@@ -263,21 +264,23 @@ def _forecast(store: Store, name: str) -> View | None:
 
 
 def alarms_view(store: Store, turbine: str | None = None, since: float = -math.inf) -> list[Alarm]:
-    """Alarms of one turbine or of all that are open or ended at `since` [s] or later.
+    """Alarms of one turbine, or of all turbines, that are open or ended at `since` [s] or later.
 
-    Open alarms come first; within each group the most severe come first, and then the newest.
+    Open alarms come first; open and ended alarms are each sorted by severity, then by time, newest first.
     """
-    own = {} if turbine is None else {"turbine": turbine}
-    found = store.found(Alarm, statements.ALARMS_OF if own else statements.ALARMS, since=since, **own)
-    return sorted(found, key=lambda alarm: (alarm.ended is not None, -SEVERITY[alarm.severity]))
+    if turbine is None:
+        alarms = store.records(Alarm, statements.ALARMS, since=since)
+    else:
+        alarms = store.records(Alarm, statements.ALARMS_OF, since=since, turbine=turbine)
+    return sorted(alarms, key=lambda alarm: (alarm.ended is not None, -SEVERITY[alarm.severity]))
 
 
 def labels_view(store: Store) -> list[View]:
-    """How often each kind of alarm was `right` (something had changed) or `wrong`, as those say who
-    acknowledged it; by kind."""
-    found: dict[str, Counter[str | None]] = defaultdict(Counter)
+    """How often each kind of alarm was `right` (something had changed) or `wrong` according to its
+    acknowledgements, sorted by kind."""
+    by_kind: dict[str, Counter[str | None]] = defaultdict(Counter)
     for kind, cause, count in store.rows(statements.CAUSES):
-        found[kind][cause] = int(count)
+        by_kind[kind][cause] = int(count)
     return [
         {
             "kind": kind,
@@ -286,26 +289,26 @@ def labels_view(store: Store) -> list[View]:
             "right": sum(counts[cause] for cause in RIGHT),
             "wrong": sum(counts[cause] for cause in WRONG),
         }
-        for kind, counts in sorted(found.items())
+        for kind, counts in sorted(by_kind.items())
     ]
 
 
 def _properties(store: Store, name: str, since: float) -> list[View]:
-    """Each property with its course, whose last value is the present one; shares are in per cent."""
-    found = []
+    """Each property with its course, whose last value is the present value; shares are in per cent."""
+    views = []
     names = "reference observable time value lower_bound upper_bound"
-    query = selecting(schema.property_, names, "turbine name", "time", since=True)
-    for one in WATCHED:
-        rows = store.rows(query, turbine=name, name=one.name, since=since)
+    query = select_rows(schema.property_, names, "turbine name", "time", since=True)
+    for watched in WATCHED:
+        rows = store.rows(query, turbine=name, name=watched.name, since=since)
         if rows:
-            factor, unit = (100.0, "%") if one.unit == "1" else (1.0, one.unit)
+            factor, unit = (100.0, "%") if watched.unit == "1" else (1.0, watched.unit)
             references, observable, time, *courses = zip(*rows, strict=True)
-            view: View = {"name": one.name, "unit": unit, "time": time}
+            view: View = {"name": watched.name, "unit": unit, "time": time}
             view |= {"reference": factor * references[-1], "observable": bool(observable[-1])}
             for key, course in zip(("value", "lower", "upper"), courses, strict=True):
                 view[key] = [None if number is None else factor * number for number in course]
-            found.append(view)
-    return found
+            views.append(view)
+    return views
 
 
 def _scaled(
@@ -315,8 +318,8 @@ def _scaled(
 
 
 def _thin(rows: Sequence[T]) -> Sequence[T]:
-    """At most `MOST` evenly spaced rows, including the last one."""
-    step = -(-len(rows) // MOST)
+    """At most `MOST_POINTS` evenly spaced rows, including the last one."""
+    step = -(-len(rows) // MOST_POINTS)
     return rows if step <= 1 else rows[(len(rows) - 1) % step :: step]
 
 
@@ -326,21 +329,22 @@ def health_view(
     """State of the `sources` and of the `store` (why it fails), and counts of `refused` deliveries that
     belong to no turbine.
 
-    Of a source: `heard`: when its last message was committed [s]; `lag`: time [s] from its newest reading to
-    its arrival; `not_reached`: since when [s] it is not; `ordered_by`: what orders the versions of a value.
+    Of a source: `heard`: time at which its last message was committed [s]; `lag`: time [s] from its newest
+    reading to the arrival of that reading; `not_reached`: time [s] since which it has not been reached;
+    `ordered_by`: the criterion that orders the versions of a value.
     """
     sources = []
-    for url, one in streams.items():
-        times, neither = health.sources.get(url), one.mapping.revision == "neither"
+    for url, stream in streams.items():
+        times, is_unordered = health.sources.get(url), stream.mapping.revision == "neither"
         sources.append(
             {
                 "url": url,
-                "state": one.state.word,
-                "words": one.state.words,
+                "state": stream.state.word,
+                "words": stream.state.words,
                 "heard": None if times is None else times.committed,
                 "lag": None if times is None else times.lag_s,
-                "not_reached": None if one.played_back else one.reach().since,
-                "ordered_by": "nothing: neither counts" if neither else one.ordered_by,
+                "not_reached": None if stream.played_back else stream.reach().since,
+                "ordered_by": "nothing: neither counts" if is_unordered else stream.ordered_by,
             }
         )
     return {
@@ -356,25 +360,25 @@ def health_view(
 def signal_rows(
     store: Store, name: str, now: float, needs: Sequence[Need], alarms: Iterable[Alarm]
 ) -> list[dict[str, Any]]:
-    """The last reading of each signal of a turbine in its display unit, and what its model reads and never
-    came.
+    """The last reading of each signal of a turbine in its display unit; signals that the model reads but that
+    never arrived are listed, too.
 
-    `last`: its time [s]; `received`: its arrival [s]; `count`: number of readings in the last day; `needed`:
-    "required" if there is no estimate without it, "used" if the model reads it, "" if it does not;
-    `contradicts`: whether the reading contradicts the estimate, by the open alarms.
+    `last`: time of the reading [s]; `received`: its arrival [s]; `count`: number of readings in the last day;
+    `needed`: "required" if there is no estimate without the signal, "used" if the model reads the signal, ""
+    if it does not; `contradicts`: whether an open alarm states that the reading contradicts the estimate.
     """
-    found = []
-    open_ = [one for one in alarms if one.kind == CONTRADICTS.kind and one.ended is None]
-    there = store.signals(name)
-    used = {signal: "required" if one.required else "used" for one in needs for signal in one.signals}
-    missing = [one.signals[0] for one in needs if not set(one.signals) & set(there)]
-    for signal in sorted({*missing, *there}):
-        row, own = SIGNALS.get(signal), {"turbine": name, "signal": signal}
-        reading = store.first(newest(schema.observation, "value time received", "turbine signal"), **own)
-        value, last, received = reading or (None, None, None)
-        in_a_day = counting(schema.observation, "turbine signal", since=True)
-        ((count,),) = store.rows(in_a_day, **own, since=now - DAY_S)
-        found.append(
+    views = []
+    contradicting = {a.subject for a in alarms if a.kind == CONTRADICTS.kind and a.ended is None}
+    present = store.signals(name)
+    used = {signal: "required" if need.required else "used" for need in needs for signal in need.signals}
+    missing = [need.signals[0] for need in needs if not set(need.signals) & set(present)]
+    newest = select_newest(schema.observation, "value time received", "turbine signal")
+    in_last_day = count_rows(schema.observation, "turbine signal", since=True)
+    for signal in sorted({*missing, *present}):
+        row, key = SIGNALS.get(signal), {"turbine": name, "signal": signal}
+        value, last, received = store.first(newest, **key) or (None, None, None)
+        ((count,),) = store.rows(in_last_day, **key, since=now - DAY_S)
+        views.append(
             {
                 "signal": signal,
                 "value": value if row is None or value is None else float(from_si(value, row.display, row)),
@@ -383,55 +387,57 @@ def signal_rows(
                 "received": received,
                 "count": count,
                 "needed": used.get(signal, ""),
-                "contradicts": any(one.subject == signal for one in open_),
+                "contradicts": signal in contradicting,
             }
         )
-    return found
+    return views
 
 
 # -- margins of the overview ---------------------------------------------------------------------------------
 BACK_S, AHEAD_S = 3.0 * DAY_S, 2.0 * DAY_S
-"""[s] of the past and of the forecast that are shown."""
+"""Length of the past and of the forecast that are shown [s]."""
 STEP_S = 2.0 * HOUR_S
-"""[s] of a step."""
-PAST, AHEAD = round(BACK_S / STEP_S), round(AHEAD_S / STEP_S)
+"""Length of a step [s]."""
+PAST_STEPS, AHEAD_STEPS = round(BACK_S / STEP_S), round(AHEAD_S / STEP_S)
 """Number of steps of the past, and of the forecast."""
-TOGETHER = 50
-"""Turbines that are read at once; others may read the store between two groups."""
+GROUP = 50
+"""Number of turbines read at once; other requests may read the store between two groups."""
 KEPT_S = 300.0
-"""[s] of the tracker's time for which the courses are kept."""
-LEAST_S = 5.0
-"""[s] of real time for which they are kept, because the time of a playback may run faster."""
+"""Time of the tracker's clock for which the margins are kept [s]."""
+KEPT_REAL_S = 5.0
+"""Real time for which the margins are kept at least [s], because the clock of a playback may run faster."""
 
 
-class MarginsKept:
-    """The margins of the fleet, read again when they are old."""
+class MarginsCache:
+    """The margins of the fleet, cached until they are too old."""
 
     def __init__(self) -> None:
         self._kept: tuple[float, View] | None = None
 
     def view(self, reader: Reader, names: Sequence[str], now: float) -> View:
-        """The margins of all turbines at `now` [s], from `start` [s] on in steps of `step` [s], of which the
-        first `past` are estimates and the others forecasts."""
+        """The margins of all turbines at `now` [s] in steps of `step` [s] from `start` [s] on.
+
+        The first `past` steps are estimates, the others forecasts.
+        """
         if self._kept is not None:
-            read_s, found = self._kept
-            age_s = now - found["start"] - BACK_S
-            if 0.0 <= age_s < KEPT_S or 0.0 <= time.monotonic() - read_s < LEAST_S:
-                return found
+            read_s, margins = self._kept
+            age_s = now - margins["start"] - BACK_S
+            if 0.0 <= age_s < KEPT_S or 0.0 <= time.monotonic() - read_s < KEPT_REAL_S:
+                return margins
         start = now - BACK_S
         turbines: View = {}
-        for first in range(0, len(names), TOGETHER):
-            some = names[first : first + TOGETHER]
-            turbines |= reader.read(partial(margins_of, names=some, start=start))
-        made = {"start": start, "step": STEP_S, "past": PAST, "turbines": turbines}
-        self._kept = (time.monotonic(), made)
-        return made
+        for first in range(0, len(names), GROUP):
+            group = names[first : first + GROUP]
+            turbines |= reader.read(partial(margins_of, names=group, start=start))
+        margins = {"start": start, "step": STEP_S, "past": PAST_STEPS, "turbines": turbines}
+        self._kept = (time.monotonic(), margins)
+        return margins
 
 
 def margins_of(store: Store, names: Sequence[str], start: float) -> View:
-    """The margins of those turbines that have some, step by step from `start` [s] on: the lowest `value` [K]
-    and `half` the width of its 95 % band [K]; None in steps without any."""
-    found = {}
+    """Turbine → the lowest margin `value` [K] in each step from `start` [s] on, and `half` the width of its
+    95 % band [K]; None in steps without margins.  Turbines without any margin are left out."""
+    margins = {}
     now = start + BACK_S
     for name in names:
         courses = [
@@ -445,19 +451,21 @@ def margins_of(store: Store, names: Sequence[str], start: float) -> View:
         if not courses:
             continue
         rows = np.array(courses, dtype=float)
-        value, half = lowest((rows[:, 0] - start) / STEP_S, rows[:, 1], rows[:, 2], PAST + AHEAD)
-        found[name] = {"value": value, "half": half}
-    return found
+        value, half = lowest_margins(
+            (rows[:, 0] - start) / STEP_S, rows[:, 1], rows[:, 2], PAST_STEPS + AHEAD_STEPS
+        )
+        margins[name] = {"value": value, "half": half}
+    return margins
 
 
-def lowest(
-    place: np.ndarray, margin: np.ndarray, sd: np.ndarray, steps: int
+def lowest_margins(
+    time: np.ndarray, margin: np.ndarray, sd: np.ndarray, steps: int
 ) -> tuple[list[float | None], list[float | None]]:
     """The lowest margin [K] in each of the steps, and half the width of its 95 % band [K].
 
-    place (T,): time as a multiple of the step; margin, sd (T,) [K].
+    time (T,): time as a multiple of the step; margin, sd (T,) [K].
     """
-    step = np.floor(place).astype(int)
+    step = np.floor(time).astype(int)
     order = np.lexsort((margin, step))
     first = order[np.r_[True, np.diff(step[order]) != 0]]
     value: list[float | None] = [None] * steps

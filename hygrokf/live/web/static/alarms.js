@@ -1,10 +1,10 @@
-// The list of alarms: what each one is, since when, what to do, and what people stated about it.
+// The list of alarms: kind, time, remedy and acknowledgement of each alarm, and the shelves.
 
 import { askAcknowledgement, askShelf } from "./dialogs.js";
 import { ask, post } from "./server.js";
 import { age, local, make, span, timeOf, whole, withTimes } from "./text.js";
 
-/** One alarm; with `linked` also a link to its turbine; `shelf` holds for its kind, if there is one. */
+/** The item of an alarm; `linked`: with a link to its turbine; `shelf`: the shelf of its turbine and kind, if any. */
 export function alarmItem(alarm, linked, shelf) {
   const open = alarm.ended === null;
   const lasted = open ? ["for ", age(alarm.began)] : [`lasted ${span(alarm.ended - alarm.began)}`];
@@ -38,22 +38,22 @@ function acknowledgedBy(alarm) {
 
 /** Replace only the items of changed alarms, so that a focused button keeps its focus. */
 export function replaceItems(list, alarms, linked, shelves = []) {
-  const known = new Map([...list.children].map((item) => [item.dataset.text, item]));
+  const present = new Map([...list.children].map((item) => [item.dataset.text, item]));
   const items = alarms.map((alarm) => {
-    const shelf = shelves.find((one) => one.turbine === alarm.turbine && one.kind === alarm.kind);
+    const shelf = shelves.find(({ turbine, kind }) => turbine === alarm.turbine && kind === alarm.kind);
     const text = JSON.stringify([alarm, shelf?.until]);
-    const item = known.get(text) ?? alarmItem(alarm, linked, shelf);
+    const item = present.get(text) ?? alarmItem(alarm, linked, shelf);
     item.dataset.text = text;
     return item;
   });
   if (items.length !== list.children.length || items.some((item, i) => item !== list.children[i])) list.replaceChildren(...items);
 }
 
-/** One shelf, with a button that ends it; `ended` is called then. */
+/** The item of a shelf, with a button that ends the shelf and then calls `ended`. */
 export function shelfItem(shelf, linked, ended) {
   const { turbine, kind } = shelf;
   const end = async () => {
-    await post("shelves", { turbine, kind }, "DELETE").catch(() => null); // it may have ended by itself: the list tells
+    await post("shelves", { turbine, kind }, "DELETE").catch(() => null); // the shelf may have ended by itself, which the new list shows
     ended();
   };
   return make("li", { class: "item shelf" },
@@ -89,32 +89,32 @@ export class Alarms {
   path() { return "alarms"; }
 
   async load() {
-    const [found, shelved, labels] = await Promise.all([ask(this.path()), ask("shelves"), ask("alarms/labels")]);
-    return { ...found, shelves: shelved.shelves, labels: labels.kinds };
+    const [alarms, shelves, labels] = await Promise.all([ask(this.path()), ask("shelves"), ask("alarms/labels")]);
+    return { ...alarms, shelves: shelves.shelves, labels: labels.kinds };
   }
 
-  update(found) {
-    const open = found.alarms.filter((alarm) => alarm.ended === null);
-    const ended = found.alarms.filter((alarm) => alarm.ended !== null);
-    replaceItems(this.open, open, true, found.shelves);
+  update(data) {
+    const open = data.alarms.filter((alarm) => alarm.ended === null);
+    const ended = data.alarms.filter((alarm) => alarm.ended !== null);
+    replaceItems(this.open, open, true, data.shelves);
     replaceItems(this.ended, ended, true);
     this.none.hidden = open.length > 0;
     this.earlier.hidden = ended.length === 0;
-    this.shelved.hidden = found.shelves.length === 0;
-    this.shelves.replaceChildren(...found.shelves.map((one) => shelfItem(one, true, this.refresh)));
-    this.right.hidden = found.labels.length === 0;
-    this.labels.replaceChildren(...found.labels.map(labelRow));
+    this.shelved.hidden = data.shelves.length === 0;
+    this.shelves.replaceChildren(...data.shelves.map((shelf) => shelfItem(shelf, true, this.refresh)));
+    this.right.hidden = data.labels.length === 0;
+    this.labels.replaceChildren(...data.labels.map(labelRow));
   }
 
   tick() {}
   end() {}
 }
 
-/** How often a kind of alarm was right: of those that somebody judged. */
-function labelRow(one) {
-  const judged = one.right + one.wrong;
-  const share = judged ? `${whole(one.right)} of ${whole(judged)}` : "–";
-  const causes = Object.entries(one.causes).filter(([, count]) => count).map(([cause, count]) => `${whole(count)} ${cause}`);
-  return make("tr", { dataset: { kind: one.kind } }, make("th", { scope: "row" }, one.kind), make("td", {}, whole(one.alarms)),
-    make("td", {}, share), make("td", {}, judged ? whole(one.wrong) : "–"), make("td", {}, causes.join(", ") || "not acknowledged yet"));
+/** The row of a kind of alarm; the share of right alarms counts only judged ones. */
+function labelRow(label) {
+  const judged = label.right + label.wrong;
+  const share = judged ? `${whole(label.right)} of ${whole(judged)}` : "–";
+  const causes = Object.entries(label.causes).filter(([, count]) => count).map(([cause, count]) => `${whole(count)} ${cause}`);
+  return make("tr", { dataset: { kind: label.kind } }, make("th", { scope: "row" }, label.kind), make("td", {}, whole(label.alarms)),
+    make("td", {}, share), make("td", {}, judged ? whole(label.wrong) : "–"), make("td", {}, causes.join(", ") || "not acknowledged yet"));
 }

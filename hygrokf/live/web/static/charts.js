@@ -10,20 +10,20 @@ function colours() {
   return new Proxy({}, { get: (_, name) => style.getPropertyValue(`--${name}`).trim() });
 }
 
-/** Times and columns with a null inserted in every gap, so that no line crosses it. */
+/** Times and columns with a null inserted in every gap, so that no line crosses the gap. */
 function withGaps(time, ...columns) {
   const steps = time.slice(1).map((at, i) => at - time[i]).sort((a, b) => a - b);
   const longest = Math.max(LEAST_GAP_S, GAP * (steps[steps.length >> 1] || 0));
-  const made = [[], ...columns.map(() => [])];
+  const extended = [[], ...columns.map(() => [])];
   time.forEach((at, i) => {
     if (i && at - time[i - 1] > longest) {
-      made[0].push((at + time[i - 1]) / 2);
-      columns.forEach((_, c) => made[c + 1].push(null));
+      extended[0].push((at + time[i - 1]) / 2);
+      columns.forEach((_, c) => extended[c + 1].push(null));
     }
-    made[0].push(at);
-    columns.forEach((column, c) => made[c + 1].push(column[i]));
+    extended[0].push(at);
+    columns.forEach((column, c) => extended[c + 1].push(column[i]));
   });
-  return made;
+  return extended;
 }
 
 function axes(c) {
@@ -122,7 +122,7 @@ export class Chart {
   /** A line at the present time, after which the forecast begins. */
   separate(plot, c) {
     const now = clock();
-    if (this.range && now < this.range[1] - 60) upright(plot, now, c.muted, "now");
+    if (this.range && now < this.range[1] - 60) verticalLine(plot, now, c.muted, "now");
   }
 
   level(plot, at, colour, dash, text = "") {
@@ -148,7 +148,7 @@ export class Chart {
   }
 }
 
-function upright(plot, at, colour, text) {
+function verticalLine(plot, at, colour, text) {
   const { ctx, bbox } = plot;
   const x = Math.round(plot.valToPos(at, "x", true)) + 0.5;
   if (x < bbox.left || x > bbox.left + bbox.width) return;
@@ -178,22 +178,22 @@ export class Course extends Chart {
   setThreshold(threshold, name) { Object.assign(this, { threshold, thresholdName: name }); }
 
   limitsOf(low, high) {
-    const least = Math.min(low, this.threshold ?? low), most = Math.max(high, this.threshold ?? high);
-    const room = 0.06 * (most - least) || 1;
-    return [least - room, most + room];
+    const lowest = Math.min(low, this.threshold ?? low), highest = Math.max(high, this.threshold ?? high);
+    const room = 0.06 * (highest - lowest) || 1;
+    return [lowest - room, highest + room];
   }
 
-  /** found: the server's data of a turbine. */
-  update(found, quantity, range, note) {
-    const past = found.courses[quantity];
-    const ahead = found.forecast?.courses[quantity];
-    const read = found.readings[quantity];
+  /** turbine: the server's data of a turbine. */
+  update(turbine, quantity, range, note) {
+    const past = turbine.courses[quantity];
+    const ahead = turbine.forecast?.courses[quantity];
+    const readings = turbine.readings[quantity];
     const tables = [
-      read ? [read.time, read.value] : [[], []],
-      past ? withGaps(found.time, past.value, past.lower, past.upper) : [[], [], [], []],
-      ahead ? [found.forecast.time, ahead.value, ahead.lower, ahead.upper] : [[], [], [], []],
+      readings ? [readings.time, readings.value] : [[], []],
+      past ? withGaps(turbine.time, past.value, past.lower, past.upper) : [[], [], [], []],
+      ahead ? [turbine.forecast.time, ahead.value, ahead.lower, ahead.upper] : [[], [], [], []],
     ];
-    this.show(joined(tables), range, note);
+    this.show(joinByTime(tables), range, note);
   }
 
   series(c) {
@@ -216,29 +216,29 @@ export class Course extends Chart {
 
   read(data, index) {
     let at = index;
-    if (at === null || at === undefined) at = last(data[2]);
+    if (at === null || at === undefined) at = lastIndex(data[2]);
     else at = nearest(data, at);
     if (at === null) return "";
-    const [value, lower, upper] = known(data[2][at]) ? [2, 3, 4] : [5, 6, 7];
+    const [value, lower, upper] = isNumber(data[2][at]) ? [2, 3, 4] : [5, 6, 7];
     const text = `${this.format(data[value][at])} (${this.format(data[lower][at])} … ${this.format(data[upper][at])})`;
     const kind = value === 5 ? "forecast " : "";
-    const when = index === null || index === undefined ? "last" : both(data[0][at]);
-    const reading = known(data[1][at]) ? ` · reading ${this.format(data[1][at])}` : "";
+    const when = index === null || index === undefined ? "last" : stampText(data[0][at]);
+    const reading = isNumber(data[1][at]) ? ` · reading ${this.format(data[1][at])}` : "";
     return `${when}: ${kind}${text}${reading}`;
   }
 
   spoken(data) {
-    const at = last(data[2]);
+    const at = lastIndex(data[2]);
     return at === null ? "no estimate" : `last ${this.format(data[2][at])} ${this.unit}, `
       + `between ${this.format(data[3][at])} and ${this.format(data[4][at])} with 95 percent`;
   }
 }
 
-const known = (value) => value !== null && value !== undefined;
-const both = (at) => `${day(at)} ${hour(at)} (${utc(at).slice(11)})`;
+const isNumber = (value) => value !== null && value !== undefined;
+const stampText = (at) => `${day(at)} ${hour(at)} (${utc(at).slice(11)})`;
 
-function last(column) {
-  for (let i = column.length - 1; i >= 0; i--) if (known(column[i])) return i;
+function lastIndex(column) {
+  for (let i = column.length - 1; i >= 0; i--) if (isNumber(column[i])) return i;
   return null;
 }
 
@@ -247,7 +247,7 @@ function nearest(data, index) {
   let best = null;
   for (let step = 0; step < 40; step++) {
     for (const i of [index - step, index + step]) {
-      if ((known(data[2][i]) || known(data[5][i])) && (best === null
+      if ((isNumber(data[2][i]) || isNumber(data[5][i])) && (best === null
         || Math.abs(data[0][i] - data[0][index]) < Math.abs(data[0][best] - data[0][index]))) best = i;
     }
     if (best !== null && step > 3) break;
@@ -255,10 +255,10 @@ function nearest(data, index) {
   return best;
 }
 
-/** Several tables, each with its own times, joined by time. */
-function joined(tables) {
-  const there = tables.map((table) => table[0].length ? table : [[0], ...table.slice(1).map(() => [undefined])]);
-  const data = uPlot.join(there, there.map((table) => table.map(() => 1)));
+/** Join several tables, each with its own times, by time. */
+function joinByTime(tables) {
+  const filled = tables.map((table) => table[0].length ? table : [[0], ...table.slice(1).map(() => [undefined])]);
+  const data = uPlot.join(filled, filled.map((table) => table.map(() => 1)));
   if (data[0][0] === 0) return data.map((column) => column.slice(1));
   return data;
 }
@@ -272,7 +272,7 @@ export class Hours extends Chart {
   /** hours: rows (beginning of the hour, probability) in `past` and `forecast`. */
   update(hours, range) {
     const table = (rows) => [rows.map((row) => row[0]), rows.map((row) => 100 * row[1])];
-    this.show(joined([table(hours.past), table(hours.forecast)]), range,
+    this.show(joinByTime([table(hours.past), table(hours.forecast)]), range,
       hours.past.length || hours.forecast.length ? "" : "this turbine's model has no humidity");
   }
 
@@ -288,17 +288,17 @@ export class Hours extends Chart {
   }
 
   read(data, index) {
-    const column = (at) => known(data[1][at]) ? 1 : 2;
-    const at = index === null || index === undefined ? last(data[1]) : index;
-    if (at === null || !known(data[column(at)][at])) return "";
+    const column = (at) => isNumber(data[1][at]) ? 1 : 2;
+    const at = index === null || index === undefined ? lastIndex(data[1]) : index;
+    if (at === null || !isNumber(data[column(at)][at])) return "";
     const value = data[column(at)][at];
     const text = value < 0.1 ? "< 0.1" : value > 99.9 ? "> 99.9" : value.toFixed(value < 10 ? 1 : 0);
-    const when = index === null || index === undefined ? "last hour" : both(data[0][at]);
+    const when = index === null || index === undefined ? "last hour" : stampText(data[0][at]);
     return `${when}: ${column(at) === 2 ? "forecast " : ""}${text} %`;
   }
 
   spoken(data) {
-    const highest = (column) => Math.max(0, ...column.filter(known));
+    const highest = (column) => Math.max(0, ...column.filter(isNumber));
     return `highest ${Math.round(highest(data[1]))} percent, forecast ${Math.round(highest(data[2]))} percent`;
   }
 }
@@ -308,9 +308,9 @@ export class PropertyCourse extends Chart {
   constructor(id, title, unit, format) {
     super(id, title, unit, { format, height: 108, alone: true, limits: undefined });
     this.limits = (_, low, high) => {
-      const least = Math.min(low ?? this.reference, this.reference), most = Math.max(high ?? this.reference, this.reference);
-      const room = 0.08 * (most - least || Math.abs(most) || 1);
-      return [least - room, most + room];
+      const lowest = Math.min(low ?? this.reference, this.reference), highest = Math.max(high ?? this.reference, this.reference);
+      const room = 0.08 * (highest - lowest || Math.abs(highest) || 1);
+      return [lowest - room, highest + room];
     };
   }
 
@@ -331,20 +331,20 @@ export class PropertyCourse extends Chart {
   mark(plot, c) { this.level(plot, this.reference, c.muted, [5, 3]); }
 
   read(data, index) {
-    if (index === null || index === undefined || !known(data[1][index])) return "";
-    return `${both(data[0][index])}: ${this.format(data[1][index])} `
+    if (index === null || index === undefined || !isNumber(data[1][index])) return "";
+    return `${stampText(data[0][index])}: ${this.format(data[1][index])} `
       + `(${this.format(data[2][index])} … ${this.format(data[3][index])})`;
   }
 
   spoken(data) {
-    const at = last(data[1]);
+    const at = lastIndex(data[1]);
     return at === null ? "not observable" : `last ${this.format(data[1][at])} ${this.unit}, fit ${this.format(this.reference)}`;
   }
 }
 
 /** Time range of a turbine's charts: the chosen days back, and the forecast ahead for at most as many days. */
-export function rangeOf(found, days) {
+export function rangeOf(turbine, days) {
   const now = clock();
-  const end = found.forecast?.time.at(-1) ?? now;
+  const end = turbine.forecast?.time.at(-1) ?? now;
   return [now - days * DAY_S, Math.min(Math.max(now, end), now + days * DAY_S)];
 }

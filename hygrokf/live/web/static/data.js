@@ -20,18 +20,18 @@ export class Data {
   concerns() { return true; }
   path() { return "health"; }
 
-  update(found) {
-    const since = found.committed ? [", the last ", age(found.committed), " ago"] : [];
-    const wait = found.wait_99_s === null ? "" : ` 99 % were committed within ${significant(found.wait_99_s)} s.`;
-    this.store.replaceChildren(`${whole(found.deliveries)} deliveries since the tracker started`, ...since, ".", wait);
-    if (found.store) this.store.append(make("strong", { class: "fault" }, ` The store cannot be reached: ${found.store}`));
-    this.none.hidden = found.sources.length > 0;
-    this.sources.replaceChildren(...found.sources.map((one) => make("tr", { class: one.not_reached === null ? null : "lost" },
-      make("th", { scope: "row" }, one.url), make("td", { class: "word" }, one.state),
-      make("td", { class: "word" }, ...(one.heard === null ? ["never"] : [age(one.heard), " ago"])),
-      make("td", { class: "word" }, one.lag === null ? "–" : span(one.lag)),
-      make("td", {}, one.words === one.url ? "" : one.words))));
-    const { "store replaced": replaced, ...refused } = found.refused;
+  update(data) {
+    const since = data.committed ? [", the last ", age(data.committed), " ago"] : [];
+    const wait = data.wait_99_s === null ? "" : ` 99 % were committed within ${significant(data.wait_99_s)} s.`;
+    this.store.replaceChildren(`${whole(data.deliveries)} deliveries since the tracker started`, ...since, ".", wait);
+    if (data.store) this.store.append(make("strong", { class: "fault" }, ` The store cannot be reached: ${data.store}`));
+    this.none.hidden = data.sources.length > 0;
+    this.sources.replaceChildren(...data.sources.map((source) => make("tr", { class: source.not_reached === null ? null : "lost" },
+      make("th", { scope: "row" }, source.url), make("td", { class: "word" }, source.state),
+      make("td", { class: "word" }, ...(source.heard === null ? ["never"] : [age(source.heard), " ago"])),
+      make("td", { class: "word" }, source.lag === null ? "–" : span(source.lag)),
+      make("td", {}, source.words === source.url ? "" : source.words))));
+    const { "store replaced": replaced, ...refused } = data.refused;
     if (replaced) {
       const times = `${whole(replaced)} time${replaced === 1 ? "" : "s"}`;
       this.store.append(make("strong", { class: "fault" }, ` The store was replaced ${times} while a tracker ran.`));

@@ -1,13 +1,13 @@
-// What people state, each in a dialog of its own: acknowledgements, shelves and events.
+// Dialogs for statements of people: acknowledgements, shelves and events.
 
 import { Fault, post } from "./server.js";
 import { say } from "./text.js";
 
 const BY = "hygrokf.by";
 
-/** A dialog of index.html: its form gives the fields of a statement, which is posted with what `open` was given. */
+/** A dialog of index.html, whose form gives the fields of a statement; `open` adds further fields to what is posted. */
 class Statement {
-  /** content: what the form's fields state; done: called with the answer and what was given, after success. */
+  /** content: function that turns the form's fields into the posted content; done: called with the answer after success. */
   constructor(id, path, content, done) {
     Object.assign(this, { id, path, content, done });
     this.form = this.part("").querySelector("form");
@@ -20,8 +20,8 @@ class Statement {
 
   part(name) { return document.getElementById(`${this.id}${name}`); }
 
-  open(about, given) {
-    this.given = given;
+  open(about, fields) {
+    this.fixedFields = fields;
     this.form.reset();
     say(this.part("-about"), about);
     say(this.part("-fault"), "");
@@ -34,10 +34,10 @@ class Statement {
     const fields = Object.fromEntries(new FormData(this.form));
     const by = fields.by.trim();
     try {
-      const found = await post(this.path, { ...this.given, by, note: fields.note.trim(), ...this.content(fields) });
+      const answer = await post(this.path, { ...this.fixedFields, by, note: fields.note.trim(), ...this.content(fields) });
       localStorage.setItem(BY, by);
       this.part("").close();
-      this.done(found);
+      this.done(answer);
     } catch (fault) {
       if (!(fault instanceof Fault)) throw fault;
       say(this.part("-fault"), fault.message);

@@ -1,4 +1,4 @@
-// The fleet: a summary, and one row per cabinet, the one that needs attention most first.
+// The fleet: a summary, and one row per cabinet, sorted by need of attention.
 
 import { areOld, sparkline } from "./spark.js";
 import { Fault, ask } from "./server.js";
@@ -15,21 +15,21 @@ const COLUMNS = [
   ["cabinet", "Cabinet", "Cabinet"], ["heard", "Last heard", "Last heard"],
 ];
 const LIKELY = 0.5, POSSIBLE = 0.1;
-const AGAIN_MS = 10000;
+const RETRY_MS = 10000;
 const SEVERITIES = ["notice", "warning", "alarm"];
-// what the summary says of each state, in the order of need
+// text of each state in the summary, sorted by need of attention
 const STATES = {
   "at risk": "at risk", alarm: "with an alarm", stale: "stale", "no estimate": "without estimate", "in doubt": "in doubt", off: "off", ok: "ok",
 };
 
-/** The state of a row as it is shown: nothing that is old or rests on a rejected model is "ok". */
+/** The state of a row as shown: a row with old data or a rejected model is never "ok". */
 export function shownState(row) {
   const calm = row.state === "ok" || row.state === "off";
   if (calm && silent(row)) return "stale";
   return row.state === "ok" && row.model === "reject" ? "in doubt" : row.state;
 }
 
-/** The colour of a state: that of its worst alarm if it is one. */
+/** The class of a state's badge; an alarm has the colour of its severity. */
 export const stateClass = (state, severity) =>
   `badge ${state.replace(" ", "-")} ${state === "alarm" && severity >= 0 ? `of-${SEVERITIES[severity]}` : ""}`;
 
@@ -65,20 +65,20 @@ export class Fleet {
   concerns() { return true; }
   path() { return "fleet"; }
 
-  update(found) {
+  update(data) {
     const seen = new Set();
     let place = this.body.firstElementChild;
-    for (const row of found.turbines) {
+    for (const row of data.turbines) {
       seen.add(row.turbine);
-      let one = this.rows.get(row.turbine);
-      if (!one) this.rows.set(row.turbine, one = new Row(row.turbine));
-      one.update(row);
-      if (one.root === place) place = place.nextElementSibling;
-      else this.body.insertBefore(one.root, place);
+      let shown = this.rows.get(row.turbine);
+      if (!shown) this.rows.set(row.turbine, shown = new Row(row.turbine));
+      shown.update(row);
+      if (shown.root === place) place = place.nextElementSibling;
+      else this.body.insertBefore(shown.root, place);
     }
-    for (const [name, one] of this.rows) {
+    for (const [name, row] of this.rows) {
       if (seen.has(name)) continue;
-      one.root.remove();
+      row.root.remove();
       this.rows.delete(name);
     }
     this.tick();
@@ -86,9 +86,9 @@ export class Fleet {
     this.drawMargins();
   }
 
-  /** Ask for the courses of the margin if they are old; without them the rows are still right. */
+  /** Request the courses of the margin if they are old; the rows do not need them. */
   async drawMargins() {
-    if (!areOld(this.grid) || Date.now() - this.asked < AGAIN_MS) return;
+    if (!areOld(this.grid) || Date.now() - this.asked < RETRY_MS) return;
     this.asked = Date.now();
     try {
       this.grid = await ask("margins");
@@ -96,7 +96,7 @@ export class Fleet {
       if (!(fault instanceof Fault)) throw fault;
       return;
     }
-    for (const [name, one] of this.rows) one.drawMargin(this.grid.turbines[name], this.grid);
+    for (const [name, row] of this.rows) row.drawMargin(this.grid.turbines[name], this.grid);
   }
 
   /** Show only the turbines in one state, or all again. */
@@ -109,21 +109,21 @@ export class Fleet {
   filter() {
     const sought = this.search.value.trim().toLowerCase();
     let count = 0;
-    for (const [name, one] of this.rows) {
-      one.root.hidden = !name.toLowerCase().includes(sought) || (this.only !== null && one.state !== this.only);
-      count += !one.root.hidden;
+    for (const [name, row] of this.rows) {
+      row.root.hidden = !name.toLowerCase().includes(sought) || (this.only !== null && row.state !== this.only);
+      count += !row.root.hidden;
     }
     say(this.found, sought || this.only ? `${whole(count)} of ${whole(this.rows.size)}` : whole(this.rows.size));
   }
 
-  /** Update ages and what follows from them, which change without an event. */
+  /** Update ages and the states that depend on them, which change without an event. */
   tick() {
     const counts = {};
     let worst = 0;
-    for (const one of this.rows.values()) {
-      one.tick();
-      counts[one.state] = (counts[one.state] ?? 0) + 1;
-      if (one.state === "alarm") worst = Math.max(worst, one.row.severity);
+    for (const row of this.rows.values()) {
+      row.tick();
+      counts[row.state] = (counts[row.state] ?? 0) + 1;
+      if (row.state === "alarm") worst = Math.max(worst, row.row.severity);
     }
     this.chips.get("alarm").classList.toggle("of-warning", SEVERITIES[worst] !== "alarm");
     for (const [state, chip] of this.chips) {
@@ -174,14 +174,14 @@ class Row {
     this.cells.course.replaceChildren(margins ? sparkline(margins, grid) : "");
   }
 
-  /** Why a turbine is in the state that is shown, and what else is open. */
+  /** The reason of the state shown, and the other kinds of open alarms. */
   words(state) {
     const { row } = this;
     // the server's reason of another state would contradict the one that is shown
     const reason = state === "ok" ? "" : state === row.state ? withTimes(row.pieces, near) : state === "in doubt" ? "a number of its model is rejected"
       : row.heard === null ? "never heard" : `not heard for ${span(clock() - row.heard)}`;
-    const told = state === "at risk" ? ["condensation"] : state === "alarm" ? row.content[0].values.kinds : [];
-    const kinds = [...new Set(row.alarms.map((alarm) => alarm.kind))].filter((kind) => !told.includes(kind));
+    const stated = state === "at risk" ? ["condensation"] : state === "alarm" ? row.content[0].values.kinds : [];
+    const kinds = [...new Set(row.alarms.map((alarm) => alarm.kind))].filter((kind) => !stated.includes(kind));
     return [reason, ...kinds].filter(Boolean).join("; ");
   }
 

@@ -8,7 +8,7 @@ import { Events, Fault, ask, post } from "./server.js";
 import { FRESH_S, clock, countUp, say, second, span, zone } from "./text.js";
 import { Turbine } from "./turbine.js";
 
-const PACE_MS = 1000, AGAIN_MS = 4000, HEALTH_S = 15;
+const PACE_MS = 1000, RETRY_MS = 4000, HEALTH_S = 15;
 const part = (id) => document.getElementById(id);
 const fleet = new Fleet();
 let view = null, scrolled = 0;
@@ -41,8 +41,8 @@ function route() {
   part("main").replaceChildren(view.root);
   document.title = `${view.title} – hygrokf`;
   for (const link of document.querySelectorAll("nav a")) {
-    const here = link.dataset.view === view.constructor.name.toLowerCase();
-    if (here) link.setAttribute("aria-current", "page");
+    const isCurrent = link.dataset.view === view.constructor.name.toLowerCase();
+    if (isCurrent) link.setAttribute("aria-current", "page");
     else link.removeAttribute("aria-current");
   }
   scrollTo(0, view === fleet ? scrolled : 0);
@@ -60,9 +60,9 @@ async function refresh() {
   const asked = running = view, path = view.path();
   again = false;
   try {
-    const found = await (asked.load ? asked.load() : ask(path));
+    const data = await (asked.load ? asked.load() : ask(path));
     if (asked === view && path === view.path()) {
-      view.update(found);
+      view.update(data);
       part("main").querySelector(":scope > .page-fault")?.remove();
       updatedAt = clock();
       reached();
@@ -100,7 +100,7 @@ function failed(fault) {
       part("main").prepend(place);
     }
     say(place, fault.message);
-    if (fault.status >= 500) setTimeout(refresh, AGAIN_MS);
+    if (fault.status >= 500) setTimeout(refresh, RETRY_MS);
   }
 }
 
@@ -108,18 +108,18 @@ function failed(fault) {
 async function health() {
   healthAt = clock();
   try {
-    const found = await ask("health");
-    count("open-alarms", found.open_alarms, "open");
-    count("lost-sources", found.sources.filter((one) => one.not_reached !== null).length, "not reached");
-    if (openAlarms !== null && found.open_alarms > openAlarms) say(part("said"), `${found.open_alarms} alarms are open`);
-    openAlarms = found.open_alarms;
-    heard = found.heard;
-    part("label").hidden = !found.label;
-    say(part("label"), found.label);
+    const data = await ask("health");
+    count("open-alarms", data.open_alarms, "open");
+    count("lost-sources", data.sources.filter((source) => source.not_reached !== null).length, "not reached");
+    if (openAlarms !== null && data.open_alarms > openAlarms) say(part("said"), `${data.open_alarms} alarms are open`);
+    openAlarms = data.open_alarms;
+    heard = data.heard;
+    part("label").hidden = !data.label;
+    say(part("label"), data.label);
     tick();
-    say(part("version"), ` · hygrokf ${found.version}`);
-    part("logout").hidden = !found.token;
-    if (view.path() === "health") view.update(found);
+    say(part("version"), ` · hygrokf ${data.version}`);
+    part("logout").hidden = !data.token;
+    if (view.path() === "health") view.update(data);
   } catch (fault) {
     if (fault instanceof Fault && fault.status === 401) askToken();
     else if (!(fault instanceof Fault)) throw fault;

@@ -3,7 +3,7 @@
 import { setClock } from "./text.js";
 
 const SILENT_MS = 25000;
-const AGAIN_MS = 3000;
+const RETRY_MS = 3000;
 
 export class Fault extends Error {
   constructor(status, text) {
@@ -12,18 +12,18 @@ export class Fault extends Error {
   }
 }
 
-/** Data at an address below /api; throws Fault, with status 0 if nobody answers. */
+/** Request data at an address below /api; throws Fault, with status 0 if the server does not answer. */
 export async function ask(path, signal) {
-  return answered(fetch(`api/${path}`, { signal, headers: { Accept: "application/json" } }));
+  return contentOf(fetch(`api/${path}`, { signal, headers: { Accept: "application/json" } }));
 }
 
 export async function post(path, content, method = "POST") {
   const headers = { "Content-Type": "application/json" };
-  return answered(fetch(`api/${path}`, { method, headers, body: JSON.stringify(content) }));
+  return contentOf(fetch(`api/${path}`, { method, headers, body: JSON.stringify(content) }));
 }
 
-async function answered(request) {
-  let response, found;
+async function contentOf(request) {
+  let response, content;
   try {
     response = await request;
   } catch (fault) {
@@ -31,16 +31,16 @@ async function answered(request) {
     throw new Fault(0, "the page's server does not answer");
   }
   try {
-    found = await response.json();
+    content = await response.json();
   } catch {
     throw new Fault(response.status || 0, "the page's server sent an invalid answer");
   }
-  if (!response.ok) throw new Fault(response.status, found.fault || `status ${response.status}`);
-  if (found.now) setClock(found.now);
-  return found;
+  if (!response.ok) throw new Fault(response.status, content.fault || `status ${response.status}`);
+  if (content.now) setClock(content.now);
+  return content;
 }
 
-/** The server's events: reports changes, connection and loss, and reconnects by itself. */
+/** The stream of the server's events: reports changes, connection and loss, and reconnects by itself. */
 export class Events {
   constructor(changed, connected, lost) {
     Object.assign(this, { changed, connected, lost });
@@ -74,7 +74,7 @@ export class Events {
 
   again() {
     this.close();
-    this.timer = setTimeout(() => this.open(), AGAIN_MS);
+    this.timer = setTimeout(() => this.open(), RETRY_MS);
   }
 
   note() { this.heard = Date.now(); }

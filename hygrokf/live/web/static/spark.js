@@ -3,28 +3,28 @@
 import { clock, fixed, kelvin, near } from "./text.js";
 
 const WIDTH = 150, HEIGHT = 34;
-const LOW = -4, HIGH = 12; // [K] of all rows, so that they can be compared; what is beyond lies on the edge
+const LOW = -4, HIGH = 12; // [K], the same for all rows so that they can be compared; values beyond are drawn at the edge
 const NAMESPACE = "http://www.w3.org/2000/svg";
 
-function shape(tag, given, ...children) {
-  const made = document.createElementNS(NAMESPACE, tag);
-  for (const [name, value] of Object.entries(given)) made.setAttribute(name, value);
-  made.append(...children);
-  return made;
+function shape(tag, attributes, ...children) {
+  const element = document.createElementNS(NAMESPACE, tag);
+  for (const [name, value] of Object.entries(attributes)) element.setAttribute(name, value);
+  element.append(...children);
+  return element;
 }
 
 const level = (margin) => HEIGHT * (HIGH - Math.min(HIGH, Math.max(LOW, margin))) / (HIGH - LOW);
 
-/** Runs of steps with a value: [first, after last] each, between `from` and `to`. */
+/** Uninterrupted runs of steps with a value between `from` and `to`, each as [first, last + 1]. */
 function runs(value, from, to) {
-  const found = [];
+  const intervals = [];
   for (let i = from; i < to; i++) {
     if (value[i] === null) continue;
     const first = i;
     while (i < to && value[i] !== null) i++;
-    found.push([first, i]);
+    intervals.push([first, i]);
   }
-  return found;
+  return intervals;
 }
 
 /** The sparkline of a turbine; `grid`: start, step and number of past steps of all turbines. */
@@ -50,13 +50,13 @@ export function sparkline(margins, grid) {
 /** The lowest margins in words. */
 function spoken({ value }, grid) {
   const lowest = (from, to) => {
-    let place = -1;
-    for (let i = from; i < to; i++) if (value[i] !== null && (place < 0 || value[i] < value[place])) place = i;
-    return place < 0 ? "none" : `${kelvin(value[place])}, ${near(grid.start + grid.step * (place + 0.5))}`;
+    let lowestAt = -1;
+    for (let i = from; i < to; i++) if (value[i] !== null && (lowestAt < 0 || value[i] < value[lowestAt])) lowestAt = i;
+    return lowestAt < 0 ? "none" : `${kelvin(value[lowestAt])}, ${near(grid.start + grid.step * (lowestAt + 0.5))}`;
   };
   return `Dew-point margin. Lowest of the last ${fixed(grid.past * grid.step / 86400, 0)} days: ${lowest(0, grid.past)}; `
     + `lowest forecast: ${lowest(grid.past, value.length)}`;
 }
 
-/** Whether sparklines are due again: the tracker's time has gone on by a share of their step. */
+/** Whether the sparklines are too old: more than a quarter of a step has passed in the tracker's time. */
 export const areOld = (grid) => !grid || Math.abs(clock() - (grid.start + grid.past * grid.step)) > grid.step / 4;

@@ -6,32 +6,32 @@ export const FRESH_S = HOUR_S;
 
 // -- elements ------------------------------------------------------------------------------------------------------
 /** An element with properties (`class`, `dataset`, ARIA and other attributes) and children: elements or text. */
-export function make(tag, given = {}, ...children) {
-  const made = document.createElement(tag);
-  for (const [name, value] of Object.entries(given)) {
+export function make(tag, properties = {}, ...children) {
+  const element = document.createElement(tag);
+  for (const [name, value] of Object.entries(properties)) {
     if (value === null || value === undefined || value === false) continue;
-    if (name === "class") made.className = value;
-    else if (name === "dataset") Object.assign(made.dataset, value);
-    else if (name.startsWith("on")) made.addEventListener(name.slice(2), value);
-    else made.setAttribute(name, value === true ? "" : String(value));
+    if (name === "class") element.className = value;
+    else if (name === "dataset") Object.assign(element.dataset, value);
+    else if (name.startsWith("on")) element.addEventListener(name.slice(2), value);
+    else element.setAttribute(name, value === true ? "" : String(value));
   }
-  made.append(...children.flat().filter((child) => child !== null && child !== undefined));
-  return made;
+  element.append(...children.flat().filter((child) => child !== null && child !== undefined));
+  return element;
 }
 
-const said = new WeakMap();
+const shownText = new WeakMap();
 
 /** Set an element's text only if it changed, to avoid a new layout; nothing else may write to the element. */
 export function say(element, text) {
-  if (said.get(element) === text) return;
-  said.set(element, text);
+  if (shownText.get(element) === text) return;
+  shownText.set(element, text);
   element.textContent = text;
 }
 
 // -- numbers -------------------------------------------------------------------------------------------------------
 const known = (value) => value !== null && value !== undefined && Number.isFinite(value);
 
-/** A number with fixed decimals and a true minus sign; a dash for none. */
+/** A number with fixed decimals and a true minus sign; a dash if there is no number. */
 export function fixed(value, digits, sign = false) {
   if (!known(value)) return DASH;
   let text = Math.abs(value).toFixed(digits);
@@ -49,10 +49,10 @@ export const grams = (value) => known(value) ? `${fixed(value, Math.abs(value) <
 /** A probability in percent, never 0 or 100, because nothing is certain. */
 export function chance(value) {
   if (!known(value)) return DASH;
-  const shown = 100 * value;
-  if (shown < 0.1) return "<\u20090.1\u00a0%";
-  if (shown > 99.9) return ">\u200999.9\u00a0%";
-  return `${fixed(shown, shown < 10 || shown > 99 ? 1 : 0)}\u00a0%`;
+  const inPercent = 100 * value;
+  if (inPercent < 0.1) return "<\u20090.1\u00a0%";
+  if (inPercent > 99.9) return ">\u200999.9\u00a0%";
+  return `${fixed(inPercent, inPercent < 10 || inPercent > 99 ? 1 : 0)}\u00a0%`;
 }
 
 /** A number with three significant digits. */
@@ -74,10 +74,10 @@ export function words(name) {
 }
 
 // -- times ---------------------------------------------------------------------------------------------------------
-let ahead = 0;
+let serverAhead_s = 0;
 /** Use the server's clock [s], because the device's clock may be wrong. */
-export function setClock(now) { ahead = now - Date.now() / 1000; }
-export const clock = () => Date.now() / 1000 + ahead;
+export function setClock(now) { serverAhead_s = now - Date.now() / 1000; }
+export const clock = () => Date.now() / 1000 + serverAhead_s;
 
 const LONG = new Intl.DateTimeFormat("en-GB",
   { weekday: "short", day: "numeric", month: "short", hour: "2-digit", minute: "2-digit", hourCycle: "h23" });
@@ -98,7 +98,7 @@ export const hour = (at) => SHORT.format(at * 1000);
 export const second = (at) => SECONDS.format(at * 1000);
 export const utc = (at) => new Date(at * 1000).toISOString().slice(0, 16).replace("T", " ") + " UTC";
 
-/** Local time, with the year where it needs one. */
+/** Local time, with the year if `needsYear`. */
 export const local = (at) => (needsYear(at) ? YEAR : LONG).format(at * 1000);
 
 /** The time of day, with the day of the week if it is more than half a day away. */
@@ -108,8 +108,8 @@ export function near(at) {
   return off < DAY_S / 2 ? hour(at) : `${WEEKDAY.format(at * 1000)} ${hour(at)}`;
 }
 
-/** A sentence from its pieces, of which the numbers are instants: as times of the page, by default with their day. */
-export const withTimes = (pieces, format = local) => pieces.map((one) => typeof one === "number" ? format(one) : one).join("");
+/** A sentence from its pieces; numbers are times [s], which `format` turns into text, by default with their day. */
+export const withTimes = (pieces, format = local) => pieces.map((piece) => typeof piece === "number" ? format(piece) : piece).join("");
 
 /** A time element in local time, with UTC as tooltip. */
 export function timeOf(at, text = local(at)) {
@@ -129,17 +129,17 @@ export function span(seconds) {
   return `${d}\u00a0d` + (d < 10 && h % 24 ? ` ${h % 24}\u00a0h` : "");
 }
 
-/** An age that counts up by itself. */
-export function age(at, given = {}) {
-  if (!known(at)) return make("span", given, "never");
-  return make("time", { ...given, datetime: new Date(at * 1000).toISOString(), title: `${local(at)} \u00b7 ${utc(at)}`,
+/** An element with an age that `countUp` keeps up to date. */
+export function age(at, properties = {}) {
+  if (!known(at)) return make("span", properties, "never");
+  return make("time", { ...properties, datetime: new Date(at * 1000).toISOString(), title: `${local(at)} \u00b7 ${utc(at)}`,
     dataset: { since: at } }, span(clock() - at));
 }
 
 /** Update all ages below an element. */
 export function countUp(root = document) {
   const now = clock();
-  for (const one of root.querySelectorAll("[data-since]")) say(one, span(now - Number(one.dataset.since)));
+  for (const element of root.querySelectorAll("[data-since]")) say(element, span(now - Number(element.dataset.since)));
 }
 
 /** The time zone of the displayed times. */

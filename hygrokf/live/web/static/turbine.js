@@ -14,14 +14,14 @@ const DAYS = [1, 3, 7, 14], DAYS_KEPT = "hygrokf.days";
 const SEVERITIES = ["notice", "warning", "alarm"];
 const HUMIDITY = "cabinet_relative_humidity", TEMPERATURE = "cabinet_temperature";
 const QUANTITIES = [
-  // quantity, title, unit, digits, with text, sensor, level that is always in view
+  // quantity, title, unit, digits, function that formats with unit, sensor, level that is always in view
   ["temperature", "Temperature", "°C", 1, celsius, TEMPERATURE],
   ["relative_humidity", "Relative humidity", "%", 0, percent, HUMIDITY],
   ["margin", "Dew-point margin of the coldest surface", "K", 1, kelvin, HUMIDITY, 0],
   ["absolute_humidity", "Absolute humidity", "g/m³", 1, grams, HUMIDITY],
 ];
-const LEVELS = { margin: "condensation" }; // what a level that is always in view is called
-const RESTS_ON = { temperature: ["thermal"], absolute_humidity: ["hygric"] }; // all others rest on both numbers of the model
+const LEVELS = { margin: "condensation" }; // name of the level that is always in view
+const PARTS_OF = { temperature: ["thermal"], absolute_humidity: ["hygric"] }; // parts of the model that determine a quantity; all others need both
 const PROPERTIES = {
   thermal_time_constant: "Thermal time constant",
   hygric_k: "Hygric constant k",
@@ -108,9 +108,9 @@ export class Turbine {
   path() { return `turbine/${encodeURIComponent(this.name)}?days=${this.days}`; }
 
   async load() {
-    const [found, shelved, stated] = await Promise.all([
+    const [turbine, shelves, events] = await Promise.all([
       ask(this.path()), ask("shelves"), ask(`events?turbine=${encodeURIComponent(this.name)}`)]);
-    return { ...found, shelves: shelved.shelves.filter((one) => one.turbine === this.name), events: stated.events };
+    return { ...turbine, shelves: shelves.shelves.filter((shelf) => shelf.turbine === this.name), events: events.events };
   }
 
   choose(days) {
@@ -119,31 +119,31 @@ export class Turbine {
     this.refresh();
   }
 
-  update(found) {
-    this.found = found;
+  update(data) {
+    this.data = data;
     this.tick();
-    this.showModel(found);
-    this.showTiles(found);
-    this.showAdvice(found);
-    replaceItems(this.alarms, found.alarms, false, found.shelves);
-    this.shelves.replaceChildren(...found.shelves.map((one) => shelfItem(one, false, this.refresh)));
-    this.showChanges(found);
-    const range = rangeOf(found, this.days);
+    this.showModel(data);
+    this.showTiles(data);
+    this.showAdvice(data);
+    replaceItems(this.alarms, data.alarms, false, data.shelves);
+    this.shelves.replaceChildren(...data.shelves.map((shelf) => shelfItem(shelf, false, this.refresh)));
+    this.showChanges(data);
+    const range = rangeOf(data, this.days);
     for (const [quantity, chart] of this.charts) {
-      if (quantity === "relative_humidity") chart.setThreshold(100 * found.humid.limit, "limit");
-      chart.update(found, quantity, range, this.contradiction(found, quantity) || this.missing(found, quantity));
+      if (quantity === "relative_humidity") chart.setThreshold(100 * data.humid.limit, "limit");
+      chart.update(data, quantity, range, this.contradiction(data, quantity) || this.missing(data, quantity));
     }
-    this.hours.update(found.hours, range);
-    this.humid.rename(`Probability of relative humidity above ${fixed(100 * found.humid.limit, 0)} %, by hour`);
-    this.humid.update(found.humid, range);
-    this.showProperties(found);
-    this.showData(found);
+    this.hours.update(data.hours, range);
+    this.humid.rename(`Probability of relative humidity above ${fixed(100 * data.humid.limit, 0)} %, by hour`);
+    this.humid.update(data.humid, range);
+    this.showProperties(data);
+    this.showData(data);
   }
 
   tick() {
-    if (!this.found) return;
-    this.showState(this.found);
-    const at = this.found.time.at(-1);
+    if (!this.data) return;
+    this.showState(this.data);
+    const at = this.data.time.at(-1);
     this.root.classList.toggle("stale", at === undefined || clock() - at > FRESH_S);
     if (at === this.shown) return;
     this.shown = at;
@@ -151,110 +151,109 @@ export class Turbine {
       ? [`no estimate in the last ${this.days} d`] : ["as of ", timeOf(at), ", ", age(at), " old"]));
   }
 
-  /** Why a quantity has no readings; empty if it has some. */
-  missing(found, quantity) {
-    const [, , , , , sensor] = QUANTITIES.find((one) => one[0] === quantity);
+  /** Why a quantity has no readings; empty if it has readings. */
+  missing(data, quantity) {
+    const [, , , , , sensor] = QUANTITIES.find(([name]) => name === quantity);
     const kind = sensor === HUMIDITY ? "humidity" : "temperature";
-    if (!found.courses[quantity] && !found.forecast?.courses[quantity]) {
-      return found.time.length ? `this turbine's model has no ${kind}` : "no estimate in these days";
+    if (!data.courses[quantity] && !data.forecast?.courses[quantity]) {
+      return data.time.length ? `this turbine's model has no ${kind}` : "no estimate in these days";
     }
-    const signal = found.signals.find((one) => one.signal === sensor);
+    const signal = data.signals.find((row) => row.signal === sensor);
     if (!signal || signal.last === null) return `no ${kind} sensor: estimate from the model alone`;
-    const days = clock() - this.days * DAY_S;
-    if (signal.last < days) return `no ${kind} reading since ${local(signal.last)}: estimate from the model alone`;
+    const start = clock() - this.days * DAY_S;
+    if (signal.last < start) return `no ${kind} reading since ${local(signal.last)}: estimate from the model alone`;
     return "";
   }
 
-  /** That the readings of a quantity's sensor contradict its estimate; empty if they do not. */
-  contradiction(found, quantity) {
-    const [, , , , , sensor] = QUANTITIES.find((one) => one[0] === quantity);
-    const signal = found.signals.find((one) => one.signal === sensor);
+  /** The note that the readings of a quantity's sensor contradict the estimate; empty if they do not. */
+  contradiction(data, quantity) {
+    const [, , , , , sensor] = QUANTITIES.find(([name]) => name === quantity);
+    const signal = data.signals.find((row) => row.signal === sensor);
     if (!signal?.contradicts || (quantity !== "temperature" && quantity !== "relative_humidity")) return "";
     return `the reading, ${reading(signal)}\u00a0${unitText(signal.unit)}, contradicts the estimate`;
   }
 
   /** Show the turbine's state and its reason, as the overview does. */
-  showState(found) {
-    const heard = found.signals.reduce((last, one) => Math.max(last, one.received ?? -Infinity), -Infinity);
-    const severity = found.alarms.filter((one) => one.ended === null)
-      .reduce((worst, one) => Math.max(worst, SEVERITIES.indexOf(one.severity)), -1);
-    const state = shownState({ ...found, model: found.model.verdict, heard: Number.isFinite(heard) ? heard : null });
+  showState(data) {
+    const heard = data.signals.reduce((last, signal) => Math.max(last, signal.received ?? -Infinity), -Infinity);
+    const severity = data.alarms.filter((alarm) => alarm.ended === null)
+      .reduce((worst, alarm) => Math.max(worst, SEVERITIES.indexOf(alarm.severity)), -1);
+    const state = shownState({ ...data, model: data.model.verdict, heard: Number.isFinite(heard) ? heard : null });
     say(this.badge, state);
     this.badge.className = stateClass(state, severity);
-    say(this.reason, state === found.state && state !== "alarm" ? `${withTimes(found.pieces)}${found.since ? `, since ${local(found.since)}` : ""}` : "");
+    say(this.reason, state === data.state && state !== "alarm" ? `${withTimes(data.pieces)}${data.since ? `, since ${local(data.since)}` : ""}` : "");
   }
 
-  showChanges(found) {
-    const rows = found.events.map((one) => make("li", {}, timeOf(one.time), ": ", make("strong", {}, one.kind),
-      make("span", { class: "more" }, `, stated by ${one.made_by}${one.note ? ` – ${one.note}` : ""}`)));
+  showChanges(data) {
+    const rows = data.events.map((event) => make("li", {}, timeOf(event.time), ": ", make("strong", {}, event.kind),
+      make("span", { class: "more" }, `, stated by ${event.made_by}${event.note ? ` – ${event.note}` : ""}`)));
     this.changes.replaceChildren(...(rows.length ? rows : [make("li", { class: "quiet-note" }, "None was stated.")]));
   }
 
   /** Show the numbers of the model that are in doubt. */
-  showModel(found) {
-    const doubtful = found.model.numbers.filter((one) => one.verdict !== "believe");
-    this.root.classList.toggle("rejected", found.model.verdict === "reject");
+  showModel(data) {
+    const doubtful = data.model.numbers.filter((number) => number.verdict !== "believe");
+    this.root.classList.toggle("rejected", data.model.verdict === "reject");
     this.model.hidden = !doubtful.length;
-    this.model.replaceChildren(...doubtful.map((one) => make("li", { class: one.verdict },
-      make("strong", {}, `${one.mark} ${one.part} time constant ${one.words}`), one.why ? `: ${one.why}` : "")));
+    this.model.replaceChildren(...doubtful.map((number) => make("li", { class: number.verdict },
+      make("strong", {}, `${number.mark} ${number.part} time constant ${number.words}`), number.why ? `: ${number.why}` : "")));
   }
 
-  /** A note if a quantity rests on a rejected number of the model, else empty. */
-  rests(found, quantity) {
-    const parts = RESTS_ON[quantity] ?? ["thermal", "hygric"];
-    return found.model.numbers.some((one) => one.verdict === "reject" && parts.includes(one.part))
+  /** The note that a quantity depends on a rejected number of the model; empty if it does not. */
+  rejection(data, quantity) {
+    const parts = PARTS_OF[quantity] ?? ["thermal", "hygric"];
+    return data.model.numbers.some((number) => number.verdict === "reject" && parts.includes(number.part))
       ? "by a rejected model" : "";
   }
 
-  showTiles(found) {
-    const tiles = QUANTITIES.filter(([quantity]) => found.courses[quantity]).map(([quantity, title, , , text]) => {
-      const { value, lower, upper } = found.courses[quantity];
-      const missing = this.missing(found, quantity);
-      const rests = this.rests(found, quantity);
+  showTiles(data) {
+    const tiles = QUANTITIES.filter(([quantity]) => data.courses[quantity]).map(([quantity, title, , , text]) => {
+      const { value, lower, upper } = data.courses[quantity];
+      const missing = this.missing(data, quantity);
+      const rejection = this.rejection(data, quantity);
       return tile(quantity, title.replace(" of the coldest surface", ""), text(value.at(-1)),
-        `95\u00a0%: ${bare(text(lower.at(-1)))} … ${bare(text(upper.at(-1)))}`,
-        [missing ? "from the model alone" : "", this.contradiction(found, quantity), rests].filter(Boolean).join("; "),
-        rests ? "rejected" : "");
+        `95\u00a0%: ${withoutUnit(text(lower.at(-1)))} … ${withoutUnit(text(upper.at(-1)))}`,
+        [missing ? "from the model alone" : "", this.contradiction(data, quantity), rejection].filter(Boolean).join("; "),
+        rejection ? "rejected" : "");
     });
-    const now = found.condensation.at(-1);
+    const now = data.condensation.at(-1), rejection = this.rejection(data, "condensation");
     if (now !== undefined && now !== null) {
-      tiles.splice(3, 0, tile("condensation", "Condensation now", chance(now), highestAhead(found.forecast),
-        this.rests(found, "condensation"),
-        `${now >= 0.5 ? "likely" : now >= 0.1 ? "possible" : ""} ${this.rests(found, "condensation") ? "rejected" : ""}`));
+      tiles.splice(3, 0, tile("condensation", "Condensation now", chance(now), highestAhead(data.forecast),
+        rejection, `${now >= 0.5 ? "likely" : now >= 0.1 ? "possible" : ""} ${rejection ? "rejected" : ""}`));
     }
     this.tiles.replaceChildren(...tiles);
   }
 
-  showAdvice(found) {
-    const text = found.forecast?.advice;
+  showAdvice(data) {
+    const text = data.forecast?.advice;
     this.advice.hidden = !text;
     if (!text) return;
-    const made = found.forecast.made;
-    const doubt = this.rests(found, "advice");
-    this.advice.replaceChildren(make("strong", {}, "Restart: "), text, doubt ? `, ${doubt}` : "",
+    const { made } = data.forecast;
+    const rejection = this.rejection(data, "advice");
+    this.advice.replaceChildren(make("strong", {}, "Restart: "), text, rejection ? `, ${rejection}` : "",
       Number.isFinite(made) ? make("span", { class: "more" }, " (forecast made ", age(made), " ago)") : "");
   }
 
-  showProperties(found) {
+  showProperties(data) {
     const rangeOfAll = [clock() - this.days * DAY_S, clock()];
     const order = Object.keys(PROPERTIES);
-    for (const property of [...found.properties].sort((a, b) => order.indexOf(a.name) - order.indexOf(b.name))) {
-      let one = this.properties.get(property.name);
-      if (!one) {
-        this.properties.set(property.name, one = new PropertyRow(property));
-        this.propertyRows.append(one.root);
+    for (const property of [...data.properties].sort((a, b) => order.indexOf(a.name) - order.indexOf(b.name))) {
+      let row = this.properties.get(property.name);
+      if (!row) {
+        this.properties.set(property.name, row = new PropertyRow(property));
+        this.propertyRows.append(row.root);
       }
-      one.update(property, rangeOfAll, found.model.numbers.find((number) => number.property === property.name));
+      row.update(property, rangeOfAll, data.model.numbers.find((number) => number.property === property.name));
     }
-    for (const [name, one] of this.properties) one.root.hidden = !found.properties.some((property) => property.name === name);
+    for (const [name, row] of this.properties) row.root.hidden = !data.properties.some((property) => property.name === name);
     if (!this.properties.size) this.propertyRows.replaceChildren(make("p", { class: "quiet-note" }, "Nothing is known yet of these days."));
     else this.propertyRows.querySelector(":scope > .quiet-note")?.remove();
   }
 
-  showData(found) {
-    this.signals.replaceChildren(...found.signals.map(signalRow));
-    const rows = Object.entries(found.counts).map(([kind, count]) => make("li", {}, counted(kind, count, "reading")));
-    if (found.held) rows.push(make("li", {}, counted("held", found.held, "reading")));
+  showData(data) {
+    this.signals.replaceChildren(...data.signals.map(signalRow));
+    const rows = Object.entries(data.counts).map(([kind, count]) => make("li", {}, counted(kind, count, "reading")));
+    if (data.held) rows.push(make("li", {}, counted("held", data.held, "reading")));
     this.aside.replaceChildren(...(rows.length ? rows : [make("li", { class: "quiet-note" }, "Nothing.")]));
   }
 
@@ -262,27 +261,27 @@ export class Turbine {
     for (const [, chart] of this.charts) chart.recolour();
     this.hours.recolour();
     this.humid.recolour();
-    for (const one of this.properties.values()) one.chart.recolour();
+    for (const row of this.properties.values()) row.chart.recolour();
   }
 
   end() {
     for (const [, chart] of this.charts) chart.end();
     this.hours.end();
     this.humid.end();
-    for (const one of this.properties.values()) one.chart.end();
+    for (const row of this.properties.values()) row.chart.end();
   }
 }
 
-/** The row of a signal: its last reading, or that it never came. */
-function signalRow(one) {
-  const never = one.last === null;
-  const value = never ? (one.needed === "required" ? "never came: no estimate without it" : "never came")
-    : `${reading(one)}\u00a0${unitText(one.unit)}`.trim();
-  return make("tr", { class: never ? "never" : clock() - one.received > FRESH_S ? "stale" : null, dataset: { signal: one.signal } },
-    make("th", { scope: "row" }, words(one.signal)),
-    make("td", {}, value, one.contradicts ? make("span", { class: "contradicts" }, " contradicts the estimate") : ""),
-    make("td", {}, never ? "" : timeOf(one.last)), make("td", {}, never ? "" : [age(one.received), " ago"]),
-    make("td", {}, whole(one.count)));
+/** The row of a signal: its last reading, or a note that the signal never came. */
+function signalRow(signal) {
+  const never = signal.last === null;
+  const value = never ? (signal.needed === "required" ? "never came: no estimate without it" : "never came")
+    : `${reading(signal)}\u00a0${unitText(signal.unit)}`.trim();
+  return make("tr", { class: never ? "never" : clock() - signal.received > FRESH_S ? "stale" : null, dataset: { signal: signal.signal } },
+    make("th", { scope: "row" }, words(signal.signal)),
+    make("td", {}, value, signal.contradicts ? make("span", { class: "contradicts" }, " contradicts the estimate") : ""),
+    make("td", {}, never ? "" : timeOf(signal.last)), make("td", {}, never ? "" : [age(signal.received), " ago"]),
+    make("td", {}, whole(signal.count)));
 }
 
 /** Text of the counts of rejected readings. */
@@ -324,18 +323,19 @@ function tile(id, title, value, bounds, note, rank = "") {
     make("dd", { class: "bounds" }, bounds), note ? make("dd", { class: "note" }, note) : null);
 }
 
-/** The highest forecast probability, and when it is first reached. */
+/** The highest forecast probability, and the first time at which it is reached. */
 function highestAhead(forecast) {
-  let most = -1, when = null;
+  let highest = -1, when = null;
   forecast?.time.forEach((at, i) => {
-    if (at >= clock() && forecast.condensation[i] > most) [most, when] = [forecast.condensation[i], at];
+    if (at >= clock() && forecast.condensation[i] > highest) [highest, when] = [forecast.condensation[i], at];
   });
-  return when === null ? "no forecast" : `forecast up to ${chance(most)}, ${near(when)}`;
+  return when === null ? "no forecast" : `forecast up to ${chance(highest)}, ${near(when)}`;
 }
 
-const bare = (text) => text.replace(/\u00a0.*$/, "");
+const withoutUnit = (text) => text.replace(/\u00a0.*$/, "");
 
-function reading(one) {
-  const size = Math.abs(one.value);
-  return one.unit === "degC" ? fixed(one.value, 1) : fixed(one.value, size >= 100 ? 0 : size >= 10 || one.unit === "%" ? 1 : 2);
+/** The text of a signal's last reading without its unit. */
+function reading({ value, unit }) {
+  const size = Math.abs(value);
+  return unit === "degC" ? fixed(value, 1) : fixed(value, size >= 100 ? 0 : size >= 10 || unit === "%" ? 1 : 2);
 }
