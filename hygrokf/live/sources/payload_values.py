@@ -4,7 +4,7 @@ where in a record they stand: paths, levels of the topic, and patterns of tags.
     a.b          field b of the object a; also a field named "a.b"
     {1}          second level of the topic; {-1}: the last one
     {name}       name of the value: its field, or the key of its object
-    {name}_q     the field beside the value whose name ends so
+    {name}_q     the field beside the value that has its name followed by _q
     {received}   time of arrival (times only)
     a | b        the first of these that is there
 """
@@ -56,8 +56,8 @@ def at(scopes: Scopes, path: str) -> Json:
 
 
 def alternatives(text: str) -> list[str]:
-    """The paths of which the first that is there counts."""
-    return [one.strip() for one in text.split("|")]
+    """The alternative paths of a text, of which the first that is present counts."""
+    return [path.strip() for path in text.split("|")]
 
 
 def has(scopes: Scopes, text: str) -> bool:
@@ -96,17 +96,17 @@ def _reader(path: str) -> Reader:
     return lambda record: at(record.scopes, path)
 
 
-def path_fault(text: str, *also: str) -> str | None:
-    """An error message for an invalid path, else None; `also`: further placeholders that may stand here."""
-    for one in alternatives(text):
-        if text and not one:
+def path_fault(text: str, *extra_placeholders: str) -> str | None:
+    """An error message for an invalid path, else None; `extra_placeholders` are allowed besides the usual."""
+    for path in alternatives(text):
+        if text and not path:
             return f"expected a path on both sides of |, found {text!r}"
-        if _LEVEL.fullmatch(one) or one in also:
+        if _LEVEL.fullmatch(path) or path in extra_placeholders:
             continue
-        wrong = [brace for brace in _BRACES.findall(one) if brace != NAME]
-        if wrong:
-            known = ", ".join(("{1} (a level of the topic, alone)", NAME, *also))
-            return f"expected a field, or one of {known}; found {wrong[0]!r} in {text!r}"
+        invalid = [brace for brace in _BRACES.findall(path) if brace != NAME]
+        if invalid:
+            allowed = ", ".join(("{1} (a level of the topic, alone)", NAME, *extra_placeholders))
+            return f"expected a field, or one of {allowed}; found {invalid[0]!r} in {text!r}"
     return None
 
 
