@@ -93,5 +93,5 @@ def rounded(values: np.ndarray, digits: int = DIGITS) -> np.ndarray:
 
 def expect_shape(shape: tuple[int, ...], arrays: Mapping[str, np.ndarray]) -> None:
     """Raises ValueError with the arrays of another shape."""
-    if wrong := [f"{name} {one.shape}" for name, one in arrays.items() if one.shape != shape]:
+    if wrong := [f"{name} {array.shape}" for name, array in arrays.items() if array.shape != shape]:
         raise ValueError(f"expected arrays of shape {shape}, found {', '.join(wrong)}")

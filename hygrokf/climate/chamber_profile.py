@@ -54,7 +54,7 @@ def days_of(year: Year, members: Sequence[int]) -> Days:
     assert year.relative_humidity is not None, "a test profile needs the humidity"
     chosen = np.asarray(members)
     courses = (year.temperature_K[chosen] - ZERO_CELSIUS_K, 100.0 * year.relative_humidity[chosen])
-    return np.stack([one[:, places].reshape(-1, DAY_H) for one in courses])
+    return np.stack([course[:, places].reshape(-1, DAY_H) for course in courses])
 
 
 def thinned(days: Days) -> Days:
@@ -240,7 +240,7 @@ class ChamberProfile:
     def __post_init__(self) -> None:
         expect_shape(
             self.temperature_degC.shape,
-            {name: one for name, one in vars(self).items() if isinstance(one, np.ndarray)},
+            {name: var for name, var in vars(self).items() if isinstance(var, np.ndarray)},
         )
 
 

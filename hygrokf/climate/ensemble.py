@@ -127,7 +127,7 @@ def _seen(fit: Fit, model: Model) -> dict[str, tuple[int, float, float, float]]:
     [h]."""
     seen = {}
     for name, outputs in OUTPUTS.items():
-        place = next((model.outputs.index(one) for one in outputs if one in model.outputs), None)
+        place = next((model.outputs.index(output) for output in outputs if output in model.outputs), None)
         found = fit.results.innovations.outputs.get(name)
         if place is not None and found is not None and math.isfinite(found.excess_kurtosis):
             seen[name] = (place, found.excess_kurtosis, found.step_h, found.step_h * found.n)
@@ -363,7 +363,7 @@ def simulate_years(
         begin = mean + np.sqrt(variance) * kick
         starts.append(np.where(model.amounts, np.maximum(begin, 0.0), begin))
     runs = SideBySide(model, members, STEP_TOLERANCE)
-    spread = {p.name: np.array([one[p.name] for one in members]) for p in model.parameters}
+    spread = {p.name: np.array([member[p.name] for member in members]) for p in model.parameters}
     off = {name: np.zeros(len(members)) for name in switches}
     board = Switchboard(model, spread, switches, off) if switches else None
     walk = _EnsembleWalk(

@@ -151,7 +151,7 @@ def limits_of(given: str | os.PathLike[str]) -> tuple[ClimateLimit, ...]:
         standard, _, letters = name.removeprefix("IEC ").rpartition(" ")
         pattern = rf"(((DIN|EN|IEC|BS|ISO)\s+)*{re.escape(standard)}\s+(class\s+)?)?{letters}"
         if re.fullmatch(pattern, str(given).strip(), re.IGNORECASE):
-            return tuple(one.named(f"{name}: ") for one in limits)
+            return tuple(limit.named(f"{name}: ") for limit in limits)
     raise ClassFault(
         f'limits "{given}": expected a file of limits (.toml) or one of the classes {", ".join(CLASSES)}; '
         "the numbers of other classes are not in public documents: write those of your copy of the standard "
@@ -161,7 +161,7 @@ def limits_of(given: str | os.PathLike[str]) -> tuple[ClimateLimit, ...]:
 
 def doubled(limits: Sequence[ClimateLimit]) -> list[str]:
     """The names that several limits have, maybe of several files."""
-    names = [one.name for one in limits]
+    names = [limit.name for limit in limits]
     return [
         f'two limits are called "{n}"; rename one' for n in sorted({n for n in names if names.count(n) > 1})
     ]

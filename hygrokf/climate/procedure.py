@@ -64,7 +64,7 @@ distribution [h a year]; by "limit" and name what is beyond a limit.  Absent wit
 def reduced(year: Year, law: Acceleration, limits: Sequence[ClimateLimit] = ()) -> Reduced:
     """The numbers and curves of a year."""
     rows, shares = courses(year), 1.0 - np.array(SHARES)
-    found = {(scope, name): one for scope in SCOPES for name, one in scalars(year, law, scope).items()}
+    found = {(scope, name): scalar for scope in SCOPES for name, scalar in scalars(year, law, scope).items()}
     for name, value in rows.items():
         found["duration", name] = np.quantile(value[:, year.known], shares, axis=1).T
     for name, short in RATES.items():
@@ -73,7 +73,9 @@ def reduced(year: Year, law: Acceleration, limits: Sequence[ClimateLimit] = ()) 
     if (percent := rows.get("relative_humidity_percent")) is not None:
         celsius = rows["temperature_degC"]
         found["joint", "hours"] = _joint_hours(celsius[:, year.known], percent[:, year.known])
-    return found | {("limit", one.name): many for one in limits if (many := exceeded(year, one)) is not None}
+    return found | {
+        ("limit", limit.name): many for limit in limits if (many := exceeded(year, limit)) is not None
+    }
 
 
 def _joint_hours(celsius: np.ndarray, percent: np.ndarray) -> np.ndarray:
@@ -153,7 +155,7 @@ class Gathered:
         return JointDistribution(
             TEMPERATURE_EDGES[rows.start : rows.stop + 1],
             HUMIDITY_EDGES,
-            *(rounded(one[rows], 4) for one in hours),
+            *(rounded(hour[rows], 4) for hour in hours),
         )
 
     def test_profile(self, plan: ProfilePlan) -> ChamberProfile | None:
@@ -163,7 +165,7 @@ class Gathered:
             return None
         numbers = self.of("all")
         cycles = [numbers[f"temperature_cycles_from_{least:g}_K_number"] for least in CYCLE_RANGES_K]
-        means = np.array([np.mean([year.mean() for year in one]) for one in cycles])
+        means = np.array([np.mean([year.mean() for year in cycle]) for cycle in cycles])
         return build_profile(days, plan, bounded(numbers["ageing_h"]), means)
 
 
@@ -210,7 +212,7 @@ def climate_profile(
         raise ValueError("expected the weather of at least one region, found none")
     if members < 2:
         raise ValueError(f"an ensemble has at least 2 members, found {members}")
-    limits = [one.named() for one in limits]
+    limits = [limit.named() for limit in limits]
     if faults := doubled(limits):
         raise ValueError("; ".join(faults))
     plan, surface = plan or ProfilePlan(), surface or Surface()
@@ -221,12 +223,12 @@ def climate_profile(
 
     found = []
     with reporting(progress, "climate_profile") as say:
-        for one in regions:
+        for region in regions:
             try:
-                found.append(_region(fit, one, power, limits, plan, simulate, members, say))
+                found.append(_region(fit, region, power, limits, plan, simulate, members, say))
             except ValueError as fault:
-                files = f" ({', '.join(one.files)})" if one.files else ""
-                raise ValueError(f"{one.name}{files}: {fault}") from fault
+                files = f" ({', '.join(region.files)})" if region.files else ""
+                raise ValueError(f"{region.name}{files}: {fault}") from fault
     return Study(
         name=fit.name,
         version=__version__,
@@ -293,14 +295,15 @@ def _region(
         wetness_class=None if wet is None else wetness_class(wet.value),
         wetness_class_bounds=None if wet is None else (wetness_class(wet.lower), wetness_class(wet.upper)),
         scopes={
-            scope: {name: one.rounded() for name, one in numbers.items()} for scope, numbers in scopes.items()
+            scope: {name: number.rounded() for name, number in numbers.items()}
+            for scope, numbers in scopes.items()
         },
         outside={name: float(one) for name, one in gathered.outside("all").items()},
         duration=gathered.duration_curves("duration"),
         rates=gathered.duration_curves("rates"),
         joint=gathered.joint(),
         limits=tuple(
-            judge_limit(one, beyond[one.name], gathered.part) for one in limits if one.name in beyond
+            judge_limit(limit, beyond[limit.name], gathered.part) for limit in limits if limit.name in beyond
         ),
         test_profile=profile,
     )
@@ -341,8 +344,8 @@ def weather_statements(
 ) -> list[Statement]:
     """Statements on the weather, on the years used out of `found` years, on too few members for the stated
     bounds, on limits that cannot be judged, and on air above saturation."""
-    hours, count = sum(one.hours_known for one in gathered.spans), len(gathered.spans)
-    length, part = sum(one.hours_covered for one in gathered.spans), gathered.part
+    hours, count = sum(span.hours_known for span in gathered.spans), len(gathered.spans)
+    length, part = sum(span.hours_covered for span in gathered.spans), gathered.part
     share = held(members * count)
     rare = [
         (middle(s.steps_s) / 3600.0, s.signal)
@@ -391,7 +394,7 @@ def _limit_statements(limit: ClimateLimit, gathered: Gathered) -> list[Statement
 
 def operating_statement(gathered: Gathered, by_curve: bool) -> Statement:
     """The share of time in operation, with a doubt where it is low."""
-    shares, hours = zip(*((one.operating_share, one.hours_known) for one in gathered.spans), strict=True)
+    shares, hours = zip(*((span.operating_share, span.hours_known) for span in gathered.spans), strict=True)
     share = float(np.average(shares, weights=hours))
     if share >= LEAST_OPERATION:
         return ClimateCode.OPERATES(share=share)

@@ -270,8 +270,8 @@ def read_region(
     A typical year is placed in `TYPICAL_YEAR`; with a record of `power` it is repeated once for each year of
     power, so that every one is used.  Raises PowerFault, CaseFault, TableFault.
     """
-    paths = [Path(one) for one in files]
-    cases = [one.name for one in paths if one.suffix == ".toml"]
+    paths = [Path(file) for file in files]
+    cases = [path.name for path in paths if path.suffix == ".toml"]
     if cases and len(paths) > 1:
         raise PowerFault(
             f"{name}: expected weather files, or one case file (.toml) alone, found "
@@ -286,7 +286,7 @@ def read_region(
         weather = read_weather(paths, year=TYPICAL_YEAR if typical else None, years=years)
         if years > 1:
             statements = (ClimateCode.TYPICAL_YEAR_REPEATED(years=years),)
-    return Region(name, weather, tuple(one.name for one in paths), statements)
+    return Region(name, weather, tuple(path.name for path in paths), statements)
 
 
 def read_power(path: str | os.PathLike[str]) -> Record:

@@ -131,7 +131,7 @@ class RegionClimate:
     @property
     def verdict(self) -> str:
         """The worst verdict on its limits: "fail", "undecided" or "pass"; empty without limits."""
-        found = {one.verdict for one in self.limits}
+        found = {limit.verdict for limit in self.limits}
         return next((verdict for verdict in ("fail", "undecided", "pass") if verdict in found), "")
 
 
@@ -160,13 +160,13 @@ class Study:
             raise ValueError("expected at least one region, found none")
 
     def __repr__(self) -> str:
-        names = ", ".join(one.name for one in self.regions)
+        names = ", ".join(region.name for region in self.regions)
         return f"Study({self.name!r}: {names}; {self.members} members, seed {self.seed})"
 
     @property
     def least_measured(self) -> Provenance:
         """The provenance of what all of it rests on: the fit's record and the weather of every region."""
-        return least_measured((self.provenance, *(one.provenance for one in self.regions)))
+        return least_measured((self.provenance, *(region.provenance for region in self.regions)))
 
     def rows(self) -> Iterator[dict[str, str | float]]:
         """Every single number, by region, scope and name, with its bounds and unit; limits follow with scope
@@ -250,7 +250,9 @@ def profile_files(study: Study) -> dict[str, str]:
             name = f"test_profile_{short}_{number}.csv"
         columns = ("temperature_degC", "relative_humidity_percent", "site_temperature_degC")
         rows = zip(
-            range(len(profile.temperature_degC)), *(getattr(profile, one) for one in columns), strict=True
+            range(len(profile.temperature_degC)),
+            *(getattr(profile, column) for column in columns),
+            strict=True,
         )
         head = ",".join(("hour", *columns))
         found[name] = "\n".join([head, *(",".join(f"{v:g}" for v in row) for row in rows), ""])

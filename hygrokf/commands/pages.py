@@ -63,18 +63,18 @@ def _summary_arguments(parser: ArgumentParser) -> None:
 
 
 def _summary(options: Namespace) -> int:
-    from hygrokf.report.summary.writing import planned, written, written_pdf
+    from hygrokf.report.summary.writing import plan_summaries, write_pdf, write_summary
 
     if options.out is not None:
         expect_directory(options.out)
-    plans = planned(options.results, options.out)
+    plans = plan_summaries(options.results, options.out)
     pages = []
     with Progress(len(plans) + 1) as progress:
         summaries = [make() for make, _, _ in plans]
         for summary, (_, folder, stem) in zip(summaries, plans, strict=True):
             progress(f"draw the summary of {summary.name}")
-            pages.append(written(summary, folder, stem))
-        printed = [written_pdf(page) for page in pages] if options.pdf else []
+            pages.append(write_summary(summary, folder, stem))
+        printed = [write_pdf(page) for page in pages] if options.pdf else []
     files = [str(file) for file in (*pages, *printed)]
     show({"summaries": files}, "\n".join(files), options.json)
     return 0

@@ -232,7 +232,7 @@ def inherited_verdicts(found: Mapping[str, Inherited], heading: str) -> Verdicts
     A value that is not reliable is struck through.  None without any.
     """
     lines = []
-    for part, one in found.items():
-        text, struck = one.line(part)
-        lines.append(Line(one.verdict, text, struck=struck))
+    for part, constant in found.items():
+        text, struck = constant.line(part)
+        lines.append(Line(constant.verdict, text, struck=struck))
     return Verdicts(tuple(lines), heading, key=False) if lines else None

@@ -163,7 +163,7 @@ def _besides(region: RegionClimate) -> list[str]:
 
 
 def _limits_card(region: RegionClimate) -> Card:
-    failed = [one for one in region.limits if one.verdict == "fail"]
+    failed = [limit for limit in region.limits if limit.verdict == "fail"]
     lines = tuple(f"Fails: {one.name}, {span_text(one.hours, hours_text)} h/a" for one in failed[:2])
     part = f", judged on {region.part_of_year} of weather, not a year" if region.part_of_year else ""
     label = f"Limits, {len(region.limits)} in all{part}"
@@ -171,7 +171,7 @@ def _limits_card(region: RegionClimate) -> Card:
 
 
 def _counted(region: RegionClimate) -> str:
-    found = [one.verdict for one in region.limits]
+    found = [limit.verdict for limit in region.limits]
     return ", ".join(f"{found.count(v)} {v}" for v in ("pass", "undecided", "fail") if v in found)
 
 
@@ -241,7 +241,7 @@ def _profile_text(profile: ChamberProfile) -> str:
         short = aged.test_h < aged.service_h
         code = ClimateCode.AGEING_TOO_LITTLE if short else ClimateCode.AGEING_TOO_MUCH
         statements.append(code())
-    return " ".join(sentence(one.text) for one in statements)
+    return " ".join(sentence(statement.text) for statement in statements)
 
 
 def _method(study: Study) -> tuple[Block, ...]:

@@ -64,7 +64,7 @@ def compared_statistics(regions: Sequence[RegionClimate]) -> list[YearNumber]:
 
 def share_held(regions: Sequence[RegionClimate]) -> str:
     """The share of single years that the bounds hold, the least of several regions."""
-    return percent(min(one.bounds_hold for one in regions))
+    return percent(min(region.bounds_hold for region in regions))
 
 
 def class_text(region: RegionClimate) -> str:
@@ -127,17 +127,17 @@ def _numbers(
 def limits_table(region: RegionClimate) -> Table:
     """Limits and verdicts."""
     rows = []
-    for one in region.limits:
-        when = "" if one.during == "all" else f", {SCOPE_WORDS[one.during]}"
+    for limit in region.limits:
+        when = "" if limit.during == "all" else f", {SCOPE_WORDS[limit.during]}"
         rows.append(
             (
-                one.name,
-                f"{one.side} {one.level:g} {QUANTITIES[one.quantity]}{when}",
-                plain_number(one.hours_a_year),
-                span_text(one.hours, hours_text),
-                span_text(one.number),
-                span_text(one.longest_h),
-                verdict_text(one),
+                limit.name,
+                f"{limit.side} {limit.level:g} {QUANTITIES[limit.quantity]}{when}",
+                plain_number(limit.hours_a_year),
+                span_text(limit.hours, hours_text),
+                span_text(limit.number),
+                span_text(limit.longest_h),
+                verdict_text(limit),
             )
         )
     return Table(
@@ -145,7 +145,7 @@ def limits_table(region: RegionClimate) -> Table:
         ("limit", "exceeded", "allowed, h/a", "found, h/a", "number/a", "longest, h", "verdict"),
         tuple(rows),
         left=(0, 1, 6),
-        marked=tuple(i for i, one in enumerate(region.limits) if one.verdict == "fail"),
+        marked=tuple(i for i, limit in enumerate(region.limits) if limit.verdict == "fail"),
         note="pass: the upper bound of the hours in a year is within the allowed hours. fail: the lower "
         "bound exceeds them. undecided: the allowed hours lie between the bounds, or too little of a year is "
         "known to pass.",
@@ -159,7 +159,7 @@ def profile_table(region: RegionClimate) -> Table | None:
         return None
     close = region.test_profile.closeness
     numbers = (("ageing by the stated law, h at the reference", close.ageing.service_h, close.ageing.test_h),)
-    rows = (*numbers, *((one.name.text, one.site, one.test) for one in close.numbers))
+    rows = (*numbers, *((number.name.text, number.site, number.test) for number in close.numbers))
     return Table(
         "What the test profile reproduces",
         ("", "site", "test"),
@@ -177,15 +177,15 @@ def regions_table(regions: Sequence[RegionClimate]) -> Table | None:
         return None
     rows = []
     for row in compared_statistics(regions):
-        cells = (span_text(one.year[row.name], number_text(row.name)) for one in regions)
+        cells = (span_text(region.year[row.name], number_text(row.name)) for region in regions)
         rows.append((row.words, row.unit, *cells))
     rows.append(("class of wetness, ISO 9223:1992", "", *map(class_text, regions)))
     for i, limit in enumerate(regions[0].limits):
-        cells = (verdict_text(one.limits[i]) if i < len(one.limits) else NONE for one in regions)
+        cells = (verdict_text(region.limits[i]) if i < len(region.limits) else NONE for region in regions)
         rows.append((f"limit: {limit.name}", "", *cells))
     return Table(
         "Regions side by side",
-        ("", "unit", *(one.name for one in regions)),
+        ("", "unit", *(region.name for region in regions)),
         tuple(rows),
         left=(0, 1),
         note=f"In brackets: bounds that hold {share_held(regions)} of single years.",

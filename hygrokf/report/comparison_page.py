@@ -78,7 +78,7 @@ def write_comparison(
     folder = Path(directory)
     if found is None:
         return write_text_whole(folder / REPORT, page_html(comparison_blocks(*read_comparison(folder))))
-    courses = [one.course for one in columns]
+    courses = [column.course for column in columns]
     text = result_text(found)
     table = found.to_frame().to_csv(index=False, float_format="%.6g", lineterminator="\n")
     page = page_html(comparison_blocks(found, courses))
@@ -108,16 +108,19 @@ def read_comparison(directory: str | os.PathLike[str]) -> tuple[ComparisonResult
 
 def comparison_blocks(found: ComparisonResults, courses: Sequence[RecordCourse] = ()) -> Page:
     """What a comparison says: which column errs less, and the courses, first."""
-    labels = [one.label for one in found.columns]
+    labels = [column.label for column in found.columns]
     cards = tuple(_card(found, q) for q in SCORED if found.errors("whole", q))
     scores = [scores_table(found, name) for name in SCORED]
     differences = [differences_table(found, *pair) for pair in found.pairs]
     skill = skill_table(found)
-    verdicts = [inherited_verdicts(one.verdicts, f"{one.label}: the fit {one.fit}") for one in found.columns]
+    verdicts = [
+        inherited_verdicts(column.verdicts, f"{column.label}: the fit {column.fit}")
+        for column in found.columns
+    ]
     notes = tuple(
-        Prose(f"{one.label}: {sentence(line.text)}", "note")
-        for one in found.columns
-        for line in one.statements
+        Prose(f"{column.label}: {sentence(line.text)}", "note")
+        for column in found.columns
+        for line in column.statements
     )
     errors = (
         Figure(f"errors-{period}", f"Errors, {period}", caption, partial(figure_errors, found, period))
@@ -138,8 +141,9 @@ def comparison_blocks(found: ComparisonResults, courses: Sequence[RecordCourse] 
         " · ".join(labels) if len(labels) < 3 else f"{labels[0]} and {len(labels) - 1} others",
         (
             " · ".join(
-                f"{one.label}: fit {one.fit} on {one.case}{', identified there' * one.identified_here}"
-                for one in found.columns
+                f"{column.label}: fit {column.fit} on {column.case}"
+                f"{', identified there' * column.identified_here}"
+                for column in found.columns
             ),
         ),
         (
@@ -235,9 +239,7 @@ def _sentence(row: ErrorRow) -> str:
     values: dict[str, Value] = {"unit": terms.unit, "period": _WHERE[row.period], "bounds": bounds}
     if abs(row.value) < LEAST_DIFFERENCE:
         least = 2.0 * LEAST_DIFFERENCE
-        statement = TransferCode.DIFFERS_LITTLE(
-            first=row.column, second=row.against, least=least, **values
-        )
+        statement = TransferCode.DIFFERS_LITTLE(first=row.column, second=row.against, least=least, **values)
     else:
         better, worse = (row.column, row.against) if row.value < 0 else (row.against, row.column)
         difference = abs(row.value)
@@ -250,11 +252,11 @@ def _sentence(row: ErrorRow) -> str:
 
 def scores_table(found: ComparisonResults, name: str) -> Table:
     """Table III of one quantity: operation, standstill and total by column and period."""
-    labels, rows = short_labels([one.label for one in found.columns]), []
+    labels, rows = short_labels([column.label for column in found.columns]), []
     for period in PERIODS:
-        for one, label in zip(found.columns, labels, strict=True):
-            if (total := found.errors(period, name).get(one.label)) is not None:
-                regimes = (found.row("rmse", one.label, period, name, regime) for regime in REGIMES)
+        for column, label in zip(found.columns, labels, strict=True):
+            if (total := found.errors(period, name).get(column.label)) is not None:
+                regimes = (found.row("rmse", column.label, period, name, regime) for regime in REGIMES)
                 cells = (fixed(row.value) for row in regimes)
                 rows.append((label, period, *cells, interval(total.lower, total.upper), str(total.n)))
     return Table(
@@ -294,16 +296,16 @@ def differences_table(found: ComparisonResults, of: str, less: str) -> Table:
 
 def skill_table(found: ComparisonResults) -> Table:
     """Skill against each rule, in total, in validation (over the whole record where there is none)."""
-    labels, rows = short_labels([one.label for one in found.columns]), []
-    for one, label in zip(found.columns, labels, strict=True):
+    labels, rows = short_labels([column.label for column in found.columns]), []
+    for column, label in zip(found.columns, labels, strict=True):
         for name in SCORED:
-            period = next((p for p in _WHERE if one.label in found.errors(p, name)), None)
+            period = next((p for p in _WHERE if column.label in found.errors(p, name)), None)
             if period is None:
                 continue
-            total = found.errors(period, name)[one.label]
+            total = found.errors(period, name)[column.label]
             for rule in RULES:
                 skill, error = (
-                    found.row(kind, one.label, period, name, against=rule) for kind in ("skill", "rule")
+                    found.row(kind, column.label, period, name, against=rule) for kind in ("skill", "rule")
                 )
                 if not skill.n:
                     continue

@@ -77,13 +77,13 @@ def findings_table(found: Sequence[Finding], when: str = "in the identification 
     """Significant and material errors of a simulation, worst first."""
     rows = tuple(
         (
-            capital(one.statement.text),
-            f"{plain_number(one.size, 2)} {quantity(one.quantity).unit}",
-            f"{one.n_episodes} of {one.n_possible}",
-            percent(one.sensor_share),
-            p_value(one.p_adjusted),
+            capital(finding.statement.text),
+            f"{plain_number(finding.size, 2)} {quantity(finding.quantity).unit}",
+            f"{finding.n_episodes} of {finding.n_possible}",
+            percent(finding.sensor_share),
+            p_value(finding.p_adjusted),
         )
-        for one in found
+        for finding in found
     )
     return Table(
         "Worst first",
@@ -141,7 +141,9 @@ def held_out_table(test: HeldOutTest) -> Table:
     rows = []
     for q in test.before:
         terms = quantity(q)
-        numbers = (round(one.get(q, math.nan), 2) + 0.0 for one in (test.z, test.growth))  # no −0.00
+        numbers = (
+            round(by_quantity.get(q, math.nan), 2) + 0.0 for by_quantity in (test.z, test.growth)
+        )  # no −0.00
         pair = _pair(test.before[q], test.after.get(q, math.nan), terms)
         rows.append((terms.words, *pair, *map(fixed, numbers)))
     return Table(
@@ -171,8 +173,8 @@ def scores_tables(found: DiscoveryResults, period: str) -> tuple[Table, ...]:
         models.append(("extended", replace(found.extended.fit, baselines={})))
     return tuple(
         replace(table, heading=f"{table.heading}, {words} model")
-        for words, one in models
-        if (table := rmse_table(one, period))
+        for words, model in models
+        if (table := rmse_table(model, period))
     )
 
 
@@ -185,18 +187,18 @@ def evidence_table(found: DiscoveryResults) -> Table:
     judged: list[CauseFound | Rejected] = [*found.causes, *found.refuted, *found.rejected]
     judged.sort(key=lambda one: -worth if math.isfinite(worth := one.evidence.evidence) else math.inf)
     rows = []
-    for one in judged:
-        known = one.evidence
+    for cause in judged:
+        known = cause.evidence
         paid = (str(known.constants), str(known.searched)) if known.gains else (NONE, NONE)
         gains = (fixed(known.gains.get(q, math.nan), 1) for q in ("temperature", "vapour"))
         worths = (fixed(known.evidence, 1), fixed(known.in_days, 1))
-        rows.append((capital(formed(one)), *gains, *paid, *worths, outcome(found, one)))
+        rows.append((capital(formed(cause)), *gains, *paid, *worths, outcome(found, cause)))
     return Table(
         "In order of their evidence",
         ("cause (best form)", "temp.", "hum.", "constants", "settings", "net", "in days", "outcome"),
         tuple(rows),
         left=(0, 7),
-        marked=tuple(i for i, one in enumerate(judged) if isinstance(one, CauseFound)),
+        marked=tuple(i for i, cause in enumerate(judged) if isinstance(cause, CauseFound)),
         groups=(("", 1), ("2 ln L", 2), ("paid for", 2), ("evidence", 2), ("", 1)),
         note=(
             "2 ln L: gain in twice the log-likelihood, a difference of maxima. Evidence: this gain less ln N "
@@ -245,7 +247,7 @@ def discovery_blocks(
     courses = [] if before is None else _courses(found, before, after)
     lead = [*shown, *courses][:1]
     evidence = evidence_table(found)
-    rest = [one for one in shown if one not in lead]
+    rest = [figure for figure in shown if figure not in lead]
     body = (
         *section(
             "What the simulation gets wrong",
@@ -258,12 +260,12 @@ def discovery_blocks(
         ),
         *section(
             "The causes" if len(found.causes) > 1 else "The cause",
-            *(block for one in found.causes for block in _judged(found, one)),
+            *(block for cause in found.causes for block in _judged(found, cause)),
             Prose(TOGETHER) if len(found.causes) > 1 else None,
         ),
         *section(
             "Refuted by held-out readings",
-            *(block for one in found.refuted for block in _judged(found, one)),
+            *(block for cause in found.refuted for block in _judged(found, cause)),
         ),
         *_errors(found, before, after),
         *_constants(found),
@@ -317,9 +319,7 @@ def _judged(found: DiscoveryResults, one: CauseFound | Rejected) -> tuple[Block,
             Prose(f"Found by search: {'; '.join(chosen_words(one))}.") if one.chosen else None,
             table_or(parameters_table(one), without),
         ]
-    return present(
-        *blocks, Prose(sentence(held_out_text(found, one.held_out))), held_out_table(one.held_out)
-    )
+    return present(*blocks, Prose(sentence(held_out_text(found, one.held_out))), held_out_table(one.held_out))
 
 
 def _errors(found: DiscoveryResults, before: Residuals | None, after: Residuals | None) -> tuple[Block, ...]:
@@ -346,12 +346,12 @@ def _constants(found: DiscoveryResults) -> tuple[Block, ...]:
     models = [(found.baseline, base)]
     if found.extended is not None:
         models.append((found.extended, "Time constants of the extended model"))
-    return section(heading, *(inherited_verdicts(inherited(one.fit), words) for one, words in models))
+    return section(heading, *(inherited_verdicts(inherited(model.fit), words) for model, words in models))
 
 
 def _left(found: DiscoveryResults) -> tuple[Block, ...]:
     """Lines in the spectra, and the errors of the extended model where there is one."""
-    lines = Items(tuple(sentence(line_statement(one).text) for one in found.lines)) if found.lines else None
+    lines = Items(tuple(sentence(line_statement(line).text) for line in found.lines)) if found.lines else None
     errors = None
     if found.extended is not None:
         errors = table_or(

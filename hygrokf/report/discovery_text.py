@@ -128,33 +128,33 @@ def verdict_of(found: DiscoveryResults) -> DiscoveryVerdict:
     """The verdict of a discovery in words."""
     refuted = tuple(map(formed, found.refuted))
     wrong = [
-        DiscoveryCode.CONSTANT_WRONG(part=part, verdict=one.words, why=one.why)
-        for part, one in inherited(found.baseline.fit).items()
-        if one.verdict == REJECT
+        DiscoveryCode.CONSTANT_WRONG(part=part, verdict=constant.words, why=constant.why)
+        for part, constant in inherited(found.baseline.fit).items()
+        if constant.verdict == REJECT
     ]
     code = _answer(found, bool(wrong))
     answer = code(causes=" + ".join(map(class_of, found.causes)) or "a cause", refuted=refuted)
     budget, ended = found.work.budget, bool(found.work.not_judged)
     reasons: list[Statement] = []
-    actions = [text for one in found.causes for text in _checks(one)]
+    actions = [text for cause in found.causes for text in _checks(cause)]
     if ended:
         none = code is DiscoveryCode.ANSWER_NONE
         reasons.append(DiscoveryCode.SO_FAR_NONE() if none else DiscoveryCode.SO_FAR(answer=answer))
         left = tuple(map(spoken, found.work.not_judged))
         answer = DiscoveryCode.ANSWER_ENDED(budget=budget, causes=left)
-    reasons += [DiscoveryCode.SETTLE_DOUBT(doubt=one) for one in found.doubts]
+    reasons += [DiscoveryCode.SETTLE_DOUBT(doubt=doubt) for doubt in found.doubts]
     reasons += map(line_statement, found.lines)
     if code in MEANINGS and not (ended and code is DiscoveryCode.ANSWER_NONE):
         reasons.append(MEANINGS[code](tried=tried(found)))
     if code is DiscoveryCode.ANSWER_WRONG:
         reasons += wrong
-    texts = [one.text for one in reasons]
+    texts = [reason.text for reason in reasons]
     if found.refuted:
         beside = [] if found.verdict == "refuted" else [DiscoveryCode.ANSWER_REFUTED(refuted=refuted)]
         texts.append(joined(*beside, *map(refutation, found.refuted)))
     alone = len(found.causes) == 1 and not ended
-    texts += [_cause(found, one, alone) for one in found.causes]
-    texts += [DiscoveryCode.EXTENDED_STILL_ERRS(finding=one.statement).text for one in found.left[:1]]
+    texts += [_cause(found, cause, alone) for cause in found.causes]
+    texts += [DiscoveryCode.EXTENDED_STILL_ERRS(finding=finding.statement).text for finding in found.left[:1]]
     if found.saturated > MOST_SATURATED:
         texts.append(DiscoveryCode.READINGS_SATURATED(share=found.saturated).text)
     if ended:
@@ -177,7 +177,7 @@ def _answer(found: DiscoveryResults, wrong: bool) -> DiscoveryCode:
     """The answer of a discovery; wrong: whether a time constant of its base is rejected."""
     if found.verdict == "unexplained" and not found.causes:
         return DiscoveryCode.ANSWER_UNKNOWN
-    if found.verdict == "refuted" and all(one.held_out.reason == "unproven" for one in found.refuted):
+    if found.verdict == "refuted" and all(cause.held_out.reason == "unproven" for cause in found.refuted):
         return DiscoveryCode.ANSWER_UNPROVEN
     return DiscoveryCode.ANSWER_WRONG if found.verdict == "none" and wrong else ANSWERS[found.verdict]
 
@@ -189,8 +189,8 @@ def joined(*parts: Statement | str) -> str:
 
 def tried(found: DiscoveryResults) -> int:
     """How many causes were judged."""
-    left = {one.cause for one in found.rejected if one.reason not in ("left_to_budget", "no_form")}
-    return len(left | {one.cause for one in found.causes} | {one.cause for one in found.refuted})
+    left = {cause.cause for cause in found.rejected if cause.reason not in ("left_to_budget", "no_form")}
+    return len(left | {cause.cause for cause in found.causes} | {cause.cause for cause in found.refuted})
 
 
 def class_of(one: CauseFound) -> str:
@@ -288,7 +288,7 @@ def held_out_sentences(found: DiscoveryResults) -> list[str]:
         statements.append(DiscoveryCode.FEW_DAYS_HELD_OUT(days=days))
     if selected(found):
         statements.append(DiscoveryCode.AFTER_SELECTION())
-    return [sentence(one.text) for one in statements]
+    return [sentence(statement.text) for statement in statements]
 
 
 # --- a cause ---------------------------------------------------------------------------------
@@ -371,7 +371,7 @@ CHOSEN: Mapping[str, Callable[[Any], Statement]] = {
 
 def chosen_words(cause: CauseFound) -> Iterator[str]:
     """What the search chose of a cause's form, in words."""
-    for name in (one for one in cause.chosen if one in cause.settings):
+    for name in (setting for setting in cause.chosen if setting in cause.settings):
         value = cause.settings[name]
         statement = DiscoveryCode.CHOSEN_OTHER(name=name, value=str(value))
         if name in CHOSEN:

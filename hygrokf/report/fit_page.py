@@ -212,18 +212,18 @@ def _judgements(fit: FitResults) -> Verdicts:
     """Doubts about the record, the time constants with their reasons, then the rest, the worst first."""
     order = {REJECT: 0, BELIEVE: 1, CAUTION: 2}
     found = sorted(judgements(fit), key=lambda one: 0 if one.about in PARTS else 1 + order[one.verdict])
-    lines = [Line(CAUTION, sentence(ReasonCode.RECORD_DOUBTED(doubt=one).text)) for one in fit.doubts]
+    lines = [Line(CAUTION, sentence(ReasonCode.RECORD_DOUBTED(doubt=doubt).text)) for doubt in fit.doubts]
     for one in found:
         text = f"{one.head}{':' if one.reasons else '.'}"
         lines.append(Line(one.verdict, text, head=one.about in PARTS))
         lines += [Line(why.verdict, sentence(why.text), within=True) for why in one.reasons]
-    lines += [Line(CAUTION, sentence(one.text)) for one in fit.statements]
+    lines += [Line(CAUTION, sentence(statement.text)) for statement in fit.statements]
     return Verdicts(tuple(lines))
 
 
 def _innovations(fit: FitResults) -> tuple[Block, ...]:
     table = innovations_table(fit)
-    said = tuple(sentence(one.text) for one in fit.innovations.statements)
+    said = tuple(sentence(statement.text) for statement in fit.innovations.statements)
     if not (table or said):
         return (Prose("The fit holds no tests of its innovations.", "missing"),)
     return (

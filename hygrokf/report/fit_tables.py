@@ -105,14 +105,14 @@ def _notes(name: str, found: TimeConstant) -> list[str]:
 def rmse_table(fit: Scored, period: str) -> Table | None:
     """The paper's Table III for one period, with rules that need no model; None where nothing was scored."""
     errors = [fit.errors(period, name) for name in SCORED]
-    if not any(math.isfinite(one.total) for one in errors):
+    if not any(math.isfinite(error.total) for error in errors):
         return None
     rows = [("model, free run", *_cells(errors))]
     for key, words in RULES.items():
         cells = _cells([fit.rule_errors(period, key, name) for name in SCORED])
         if any(cell != NONE for cell in cells):
             rows.append((words, *cells))
-    rows.append(("readings", *(str(getattr(one.n, regime)) for one in errors for regime in REGIMES)))
+    rows.append(("readings", *(str(getattr(error.n, regime)) for error in errors for regime in REGIMES)))
     share = [fit.sensor_share.get(period, {}).get(q, math.nan) for q in SCORED]
     if any(math.isfinite(one) for one in share):
         cells = [cell for one in share for cell in (NONE, NONE, percent(one))]
@@ -127,7 +127,7 @@ def rmse_table(fit: Scored, period: str) -> Table | None:
 
 
 def _cells(errors: list[Errors]) -> list[str]:
-    return [fixed(getattr(one, regime)) for one in errors for regime in REGIMES]
+    return [fixed(getattr(error, regime)) for error in errors for regime in REGIMES]
 
 
 def bands_table(fit: Scored) -> Table:
@@ -180,22 +180,22 @@ def parameters_table(fit: FitResults) -> Table:
 def actuators_table(fit: FitResults) -> Table:
     """What the logged actuators change while they are on."""
     rows, left_out = [], []
-    for one in fit.actuators:
-        if not one.used:
-            left_out.append(sentence(str(one.statement)))
-            rows.append((one.signal, *[NONE] * 4))
+    for actuator in fit.actuators:
+        if not actuator.used:
+            left_out.append(sentence(str(actuator.statement)))
+            rows.append((actuator.signal, *[NONE] * 4))
             continue
         cells = []
         factors = {"temperature_K": 1.0, "relative_humidity": 100.0, "absolute_humidity_g_m3": 1.0}
         for name, factor in factors.items():
-            change = (one.changes or {}).get(name, EstimatedChange())
+            change = (actuator.changes or {}).get(name, EstimatedChange())
             value, low, high = (factor * v for v in (change.value, change.lower, change.upper))
             decimals, bounds = 2, ""
             if math.isfinite(high - low):
                 decimals = decimals_for(max(0.25 * (high - low), 0.01 * abs(value)))
                 bounds = f" ({interval(low, high, partial(signed, decimals=decimals))})"
             cells.append(f"{signed(value, decimals)}{bounds}" if math.isfinite(value) else NONE)
-        rows.append((one.signal, percent(one.on_share, 1), *cells))
+        rows.append((actuator.signal, percent(actuator.on_share, 1), *cells))
     return Table(
         "What the logged actuators change while they are on",
         ("actuator", "on", "temperature [K]", "relative humidity [%]", "absolute humidity [g/m³]"),
@@ -222,17 +222,17 @@ def optima_table(fit: FitResults) -> Table:
 def innovations_table(fit: FitResults) -> Table:
     """Moments and whiteness of the innovations."""
     rows = []
-    day = {one.output: one.p for one in reversed(fit.innovations.tests) if one.test == "autocorrelation"}
-    for name, one in fit.innovations.outputs.items():
-        spectrum = one.cumulative_periodogram or CumulativePeriodogram()
+    day = {test.output: test.p for test in reversed(fit.innovations.tests) if test.test == "autocorrelation"}
+    for name, output in fit.innovations.outputs.items():
+        spectrum = output.cumulative_periodogram or CumulativePeriodogram()
         moments = (
-            fixed(one.mean, 3),
-            fixed(one.variance),
-            fixed(one.excess_kurtosis),
-            percent(one.beyond_3, 2),
+            fixed(output.mean, 3),
+            fixed(output.variance),
+            fixed(output.excess_kurtosis),
+            percent(output.beyond_3, 2),
         )
         chances = (p_value(day.get(name, math.nan)), p_value(spectrum.p))
-        rows.append((name, str(one.n), *moments, *chances))
+        rows.append((name, str(output.n), *moments, *chances))
     columns = ("output", "n", "mean", "variance", "kurtosis", "beyond ±3", "Ljung–Box p", "spectrum p")
     note = (
         "Innovations over their standard deviation. White and normal ones have mean 0, variance 1, excess "

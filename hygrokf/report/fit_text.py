@@ -114,7 +114,9 @@ def _time_constant(fit: FitResults, part: str) -> SubjectVerdict:
     size = f", known to {known.spread}" if known.closed else ""
     head = f"The {part} time constant, {known.texts[0]}{size}{ENDS[known.verdict]}"
     # doubts about the record stand before everything else
-    reasons = [one for one in known.reasons if one.source or one.values.get("doubt") not in fit.doubts]
+    reasons = [
+        reason for reason in known.reasons if reason.source or reason.values.get("doubt") not in fit.doubts
+    ]
     if known.verdict == BELIEVE and free_run_informs(found):
         reasons.append(ReasonCode.CRITERIA_AGREE(free=free_run_text(found)))
     return SubjectVerdict(part, known.verdict, head, tuple(reasons))

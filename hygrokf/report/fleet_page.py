@@ -65,9 +65,11 @@ def outcome_text(row: Row, known: bool) -> str:
     if status != DONE:
         return f"{turbine}: {status}: {text_of(row, 'reason')}"
     values = (
-        f"{one.title} {WORDS[REJECT]}" if one.rejected(row) else f"{one.title} {value:.3g} {one.unit}"
-        for one in TASKS[text_of(row, "task")].compared[:2]
-        if math.isfinite(value := number(row, one.column))
+        f"{quantity.title} {WORDS[REJECT]}"
+        if quantity.rejected(row)
+        else f"{quantity.title} {value:.3g} {quantity.unit}"
+        for quantity in TASKS[text_of(row, "task")].compared[:2]
+        if math.isfinite(value := number(row, quantity.column))
     )
     return f"{turbine}: {', '.join([*values, 'done before' if known else 'done'])}"
 
@@ -125,12 +127,12 @@ def _cards(fleet: FleetResults, found: Sequence[Scatter]) -> list[Card]:
     text = f"{failed} without: the reasons are below" if failed else "every turbine has a result"
     value = f"{len(fleet.done)} of {len(fleet.rows)}"
     cards = [_card("Turbines with a result", value, sentence(text), failed > 0)]
-    odd = sorted({one.turbines[i] for one in found for i in one.outliers})
-    if any(len(one.turbines) >= FEWEST_JUDGED for one in found):
+    odd = sorted({scatter.turbines[i] for scatter in found for i in scatter.outliers})
+    if any(len(scatter.turbines) >= FEWEST_JUDGED for scatter in found):
         names = ", ".join(odd) if len(odd) <= 4 else f"{len(odd)} turbines, listed below"
         text = names or "no turbine differs from the others by more than chance"
         cards.append(_card("Outliers", str(len(odd)), sentence(text), bool(odd)))
-    return cards + [_spread_card(one) for one in found if one.compared.lower and one.turbines]
+    return cards + [_spread_card(scatter) for scatter in found if scatter.compared.lower and scatter.turbines]
 
 
 def _spread_card(one: Scatter) -> Card:
@@ -157,11 +159,11 @@ def _card(label: str, value: str, text: str, warning: bool = False) -> Card:
 
 
 def _pictures(found: Sequence[Scatter]) -> list[Figure]:
-    constants = [one for one in found if one.compared.lower]
-    errors = [one for one in found if not one.compared.lower]
+    constants = [scatter for scatter in found if scatter.compared.lower]
+    errors = [scatter for scatter in found if not scatter.compared.lower]
     pictures = []
     if constants:
-        hours = all(one.compared.unit == "h" for one in constants)
+        hours = all(constant.compared.unit == "h" for constant in constants)
         heading = "Time constants" if hours else "Climate of a year"
         caption = (
             "The bounds of turbines of one type should overlap the shaded range, or include the median "
@@ -190,21 +192,21 @@ def _failures(fleet: FleetResults) -> tuple[Block, ...]:
 
 def _outliers(found: Sequence[Scatter]) -> Block | None:
     """The outliers; None where there are too few turbines to tell."""
-    judged = [one for one in found if len(one.turbines) >= FEWEST_JUDGED]
+    judged = [scatter for scatter in found if len(scatter.turbines) >= FEWEST_JUDGED]
     if not judged:
         return None
     least = 2.0 * len(found) / DRAWS
     rows = tuple(
         (
-            one.turbines[i],
-            f"{one.compared.title} [{one.compared.unit}]",
-            f"{math.exp(one.x[i]):.3g}",
-            f"{math.exp(one.center):.3g}",
-            f"{100 * math.expm1(one.x[i] - one.center):+.0f} %",
-            f"{one.p[i]:.2g}" if one.p[i] > least else f"< {least:.1g}",
+            scatter.turbines[i],
+            f"{scatter.compared.title} [{scatter.compared.unit}]",
+            f"{math.exp(scatter.x[i]):.3g}",
+            f"{math.exp(scatter.center):.3g}",
+            f"{100 * math.expm1(scatter.x[i] - scatter.center):+.0f} %",
+            f"{scatter.p[i]:.2g}" if scatter.p[i] > least else f"< {least:.1g}",
         )
-        for one in judged
-        for i in one.outliers
+        for scatter in judged
+        for i in scatter.outliers
     )
     head = ("turbine", "quantity", "value", "median", "deviation", "chance")
     return table_or(
@@ -216,18 +218,18 @@ def _outliers(found: Sequence[Scatter]) -> Block | None:
 def _tallies(tallies: Sequence[Tally], done: Sequence[Row]) -> Table:
     """The values of each column, those of most turbines first, with their turbines."""
     rows: list[tuple[str, ...]] = []
-    for one in tallies:
+    for tally in tallies:
         having: dict[str, list[str]] = {}
         for row in done:
-            cell = row.get(one.column)
+            cell = row.get(tally.column)
             for part in cell if isinstance(cell, tuple) else (cell,):
                 if value := "" if part is None else one_line(str(part)):
                     having.setdefault(value, []).append(text_of(row, "turbine"))
         kinds = sorted(having.items(), key=lambda pair: -len(pair[1]))
-        rows += [(one.title, _in_words(v), str(len(who)), _some(who)) for v, who in kinds[:TALLIED]]
+        rows += [(tally.title, _in_words(v), str(len(who)), _some(who)) for v, who in kinds[:TALLIED]]
         if kinds[TALLIED:]:
             rows.append(
-                (one.title, f"{len(kinds) - TALLIED} more in the column {one.column} of {CSV}", "", "")
+                (tally.title, f"{len(kinds) - TALLIED} more in the column {tally.column} of {CSV}", "", "")
             )
     return Table(
         "Turbines by what was found", ("", "found", "turbines", "which"), tuple(rows), left=(0, 1, 3)
@@ -245,37 +247,45 @@ def _some(turbines: Sequence[str]) -> str:
 
 def _set_aside(found: Sequence[Scatter]) -> list[Prose]:
     notes = []
-    for one in found:
+    for scatter in found:
         for names, why in (
-            (one.open, "Without a value and bounds above zero on both sides"),
-            (one.rejected, WORDS[REJECT].capitalize()),
+            (scatter.open, "Without a value and bounds above zero on both sides"),
+            (scatter.rejected, WORDS[REJECT].capitalize()),
         ):
             if names:
-                told = f"{why}, so not compared: {one.compared.title} of {_some(names)}."
+                told = f"{why}, so not compared: {scatter.compared.title} of {_some(names)}."
                 notes.append(Prose(told, "note"))
     return notes
 
 
 def _ranking(task: Task, done: Sequence[Row], found: Sequence[Scatter]) -> Table | None:
     """Every turbine with the quantities of the task, the largest of one of them first."""
-    shown = [one for one in (*task.listed, *task.compared) if any(_value(row, one) != NONE for row in done)]
+    shown = [
+        quantity
+        for quantity in (*task.listed, *task.compared)
+        if any(_value(row, quantity) != NONE for row in done)
+    ]
     if not shown:
         return None
     key = [(-v if math.isfinite(v := number(row, task.ranking)) else math.inf) for row in done]
     order = sorted(range(len(done)), key=lambda i: (key[i], str(done[i]["turbine"])))
-    odd = {one.turbines[i] for one in found for i in one.outliers}
+    odd = {scatter.turbines[i] for scatter in found for i in scatter.outliers}
     rows = tuple(
-        (str(place), text_of(done[i], "turbine"), *(_value(done[i], one) for one in shown))
+        (str(place), text_of(done[i], "turbine"), *(_value(done[i], quantity) for quantity in shown))
         for place, i in enumerate(order[:RANKED], 1)
     )
     marked = tuple(k for k, i in enumerate(order[:RANKED]) if str(done[i]["turbine"]) in odd)
-    head = ("", "turbine", *(f"{one.title} [{one.unit}]" if one.unit else one.title for one in shown))
-    by = next((one.title for one in task.compared if one.column == task.ranking), task.ranking)
+    head = (
+        "",
+        "turbine",
+        *(f"{quantity.title} [{quantity.unit}]" if quantity.unit else quantity.title for quantity in shown),
+    )
+    by = next((quantity.title for quantity in task.compared if quantity.column == task.ranking), task.ranking)
     shares = [share for row in done if math.isfinite(share := number(row, "bounds_hold"))]
     bounds = f"bounds that hold {percent(min(shares))} of single years" if shares else "95 % bounds"
     more = f" The first {RANKED} of {len(done)}; {CSV} has all." if len(done) > RANKED else ""
     note = f"In brackets {bounds}. Bold: outliers.{more}"
-    words = (1, *(i for i, one in enumerate(shown, 2) if not one.unit))
+    words = (1, *(i for i, quantity in enumerate(shown, 2) if not quantity.unit))
     return Table(f"By the {by}, the largest first", head, rows, left=words, marked=marked, note=note)
 
 

@@ -35,7 +35,10 @@ def record_blocks(found: RecordSummary) -> Iterator[Block]:
     """What a summary says: spans, signals, sources, comparisons, actuators, warnings and doubts."""
     yield Prose(_heading(found))
     periods = (("identification", found.identification), ("validation", found.validation))
-    spans = ("none" if one is None else f"{one.start} to {one.end}, {one.days:.1f} d" for _, one in periods)
+    spans = (
+        "none" if period is None else f"{period.start} to {period.end}, {period.days:.1f} d"
+        for _, period in periods
+    )
     yield Items(tuple(f"{name}: {span}" for (name, _), span in zip(periods, spans, strict=True)))
     if found.signals:
         head: tuple[str, ...] = ("signal", "readings", "missing", "step", "gaps", "longest", "hold")
@@ -44,7 +47,7 @@ def record_blocks(found: RecordSummary) -> Iterator[Block]:
         yield _sources(found)
     if found.comparisons:  # lags are minutes by the weather, positive where the first source is late
         head = ("compared", "source", "against", "offset", "lag in winter", "lag in summer", "daily wave")
-        rows = tuple(_comparison(one) for error in found.comparisons for one in error.alignments)
+        rows = tuple(_comparison(alignment) for error in found.comparisons for alignment in error.alignments)
         yield Table("", head, rows, left=(0, 1, 2, 4, 5))
     if found.actuators:
         yield Heading("logged actuators", 3)
@@ -90,13 +93,13 @@ def _signal(one: SignalSummary) -> tuple[str, ...]:
 def _sources(found: RecordSummary) -> Table:
     rows = tuple(
         (
-            one.signal,
-            one.start or NONE,
-            one.end or NONE,
-            f"±{duration_text(one.clock_uncertainty_s)}" if one.clock_uncertainty_s > 0.0 else NONE,
-            one.source,
+            signal.signal,
+            signal.start or NONE,
+            signal.end or NONE,
+            f"±{duration_text(signal.clock_uncertainty_s)}" if signal.clock_uncertainty_s > 0.0 else NONE,
+            signal.source,
         )
-        for one in found.signals
+        for signal in found.signals
     )
     return Table("", ("signal", "from", "to", "clock", "source"), rows, left=(0, 1, 2, 3, 4))
 
@@ -130,14 +133,17 @@ def draft_blocks(found: Draft) -> Iterator[Block]:
     if found.signals:
         head = ("signal", "column", "unit", "file", "score", "in the case as")
         rows = tuple(
-            (one.signal, one.column, one.unit, one.file, f"{one.score:.2f}", _state(one))
-            for one in found.signals
+            (signal.signal, signal.column, signal.unit, signal.file, f"{signal.score:.2f}", _state(signal))
+            for signal in found.signals
         )
         yield Table("signals", head, rows, left=(0, 1, 2, 3, 5))
     if found.lacks:
         yield Heading(f"not found: {len(found.lacks)}", 3)
         yield Items(found.lacks)
-    doubts = (*found.doubts, *(f"{one.signal}: {doubt}" for one in found.signals for doubt in one.doubts))
+    doubts = (
+        *found.doubts,
+        *(f"{signal.signal}: {doubt}" for signal in found.signals for doubt in signal.doubts),
+    )
     yield Heading(f"doubts: {len(doubts) or 'none'}", 3)
     if doubts:
         yield Items(doubts)

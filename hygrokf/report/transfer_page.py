@@ -89,13 +89,13 @@ def write_transfer(
     path of report.html.  Raises OSError from the system.
     """
     folder = Path(directory)
-    found, courses = transfer_results(transfers, pooled), [one.course for one in transfers]
+    found, courses = transfer_results(transfers, pooled), [transfer.course for transfer in transfers]
     text, page = result_text(found), page_html(transfer_blocks(found, courses))
     folder.mkdir(parents=True, exist_ok=True)
     (folder / REPORT).unlink(missing_ok=True)
-    for one, name in zip(transfers, folders([one.name for one in found.records]), strict=True):
-        if one.adapted is not None:
-            write_fit(one.adapted, folder / name)
+    for transfer, name in zip(transfers, folders([record.name for record in found.records]), strict=True):
+        if transfer.adapted is not None:
+            write_fit(transfer.adapted, folder / name)
             write_report(folder / name)
     if pooled is not None:
         write_type(pooled, folder / TYPE)
@@ -134,16 +134,16 @@ def folders(names: Sequence[str]) -> list[str]:
 
 def transfer_blocks(found: TransferResults, courses: Sequence[RecordCourse] = ()) -> Page:
     """What a transfer says: the verdict on each record, and the held-out course of the first, first."""
-    source, names = found.source.name, [one.name for one in found.records]
-    cards = Cards(tuple(_card(found, one) for one in found.records))
+    source, names = found.source.name, [record.name for record in found.records]
+    cards = Cards(tuple(_card(found, record) for record in found.records))
     pictures = [
         Figure(
             f"course-{i}",
             "The first held-out days" if len(names) == 1 else f"The first held-out days of {names[i]}",
             "Twelve days at most. The simulations are free runs: they should stay with the blue readings.",
-            partial(figure_course, course, bool(one.re_estimate)),
+            partial(figure_course, course, bool(record.re_estimate)),
         )
-        for i, (one, course) in enumerate(zip(found.records, courses, strict=False))
+        for i, (record, course) in enumerate(zip(found.records, courses, strict=False))
     ]
     body: list[Block] = []
     for i in range(len(names)):
@@ -152,7 +152,7 @@ def transfer_blocks(found: TransferResults, courses: Sequence[RecordCourse] = ()
     handed = inherited_verdicts(found.source.verdicts, f"The time constants of {source}")
     body += section("Models used", handed)
     body += type_section(found.type)
-    provenance = least_measured(one.provenance for one in found.records)
+    provenance = least_measured(record.provenance for record in found.records)
     return Page(
         "Transfer",
         f"{source} on {', '.join(names) if len(names) < 3 else f'{len(names)} records'}",

@@ -106,7 +106,7 @@ class Statement:
     def pieces(self) -> tuple[str | float, ...]:
         """The sentence in pieces, of which the numbers are instants [s since 1970]: a page shows these in its
         own time zone."""
-        return tuple(one for one in _pieces(self.code.template, self.values) if one != "")
+        return tuple(piece for piece in _pieces(self.code.template, self.values) if piece != "")
 
     @property
     def text(self) -> str:
@@ -127,7 +127,7 @@ def _value(data: Any) -> Value:
     if isinstance(data, Mapping):
         return Statement.from_json(data)
     if isinstance(data, list):
-        return tuple(Statement.from_json(one) if isinstance(one, Mapping) else one for one in data)
+        return tuple(Statement.from_json(entry) if isinstance(entry, Mapping) else entry for entry in data)
     return math.nan if data is None else data
 
 
@@ -147,7 +147,7 @@ def _pieces(template: str, values: Mapping[str, Value]) -> Iterator[str | float]
 
 
 def _joined(pieces: Iterable[str | float]) -> str:
-    return "".join(one if isinstance(one, str) else stamp_text(one) for one in pieces)
+    return "".join(piece if isinstance(piece, str) else stamp_text(piece) for piece in pieces)
 
 
 def _filled(value: float | str | Sequence[str | Statement], spec: str) -> str:

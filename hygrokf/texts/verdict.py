@@ -197,4 +197,4 @@ def worst_first(reasons: Iterable[Reason]) -> tuple[Reason, ...]:
 
 def verdict_of(reasons: Iterable[Reason]) -> Kind:
     """The verdict of the most serious reason; believed without one."""
-    return max((one.verdict for one in reasons), key=VERDICTS.index, default=BELIEVE)
+    return max((reason.verdict for reason in reasons), key=VERDICTS.index, default=BELIEVE)

@@ -134,7 +134,7 @@ class ComparisonResults:
         """Every number of the comparison in one row, as in compare.csv."""
         import pandas as pd
 
-        fits = {one.label: (one.fit, one.case) for one in self.columns}
+        fits = {column.label: (column.fit, column.case) for column in self.columns}
         rows = [
             (
                 r.kind, r.column, r.against, *(("", "") if r.kind == "difference" else fits[r.column]),
@@ -218,19 +218,19 @@ def compare(columns: Sequence[ComparisonColumn]) -> ComparisonResults:
     Returns the content of compare.json: RMSE [K], [g/m³] by period, quantity and regime.
     Raises ValueError for columns of the same label, and where no column has anything to score.
     """
-    labels = [one.label for one in columns]
+    labels = [column.label for column in columns]
     twice = sorted({label for label in labels if labels.count(label) > 1})
     if twice:
         raise ValueError(f"expected columns of different names, found several called {', '.join(twice)}")
-    if not any(one.errors for one in columns):
+    if not any(column.errors for column in columns):
         raise ValueError(f"no column can be scored: {UNSCORED}")
     return ComparisonResults(
         __version__,
         datetime.now(UTC).isoformat(timespec="seconds"),
-        least_measured(one.provenance for one in columns),
-        tuple(one.names for one in columns),
+        least_measured(column.provenance for column in columns),
+        tuple(column.names for column in columns),
         (
-            *(row for one in columns for row in _scores(one)),
+            *(row for column in columns for row in _scores(column)),
             *(row for a, b in combinations(columns, 2) for row in _differences(a, b)),
         ),
     )

@@ -187,7 +187,7 @@ def _results(
             for n in found.adapted.at_bounds
             if baseline.groups[n] in found.differing and n != "resistance_ratio"
         ),
-        converged={name: one.converged for name, one in zip(SETS[1:], estimates, strict=True)},
+        converged={name: estimate.converged for name, estimate in zip(SETS[1:], estimates, strict=True)},
         source=TransferSource(origin.name, origin.kind, dict(origin.verdicts)),
     )
 
@@ -221,11 +221,7 @@ def _errors(baseline: Baseline, predicted: Mapping[str, Prediction], quantity: s
     """Errors (T,) of every set and of the sceptic's rules at scored instants."""
     reading = measured(baseline.run)[quantity]
     columns = {n: pair[0] for n, made in predicted.items() if (pair := made.of(quantity)) is not None}
-    columns |= {
-        n: guess[quantity]
-        for n, guess in guesses(baseline.run).items()
-        if quantity in guess
-    }
+    columns |= {n: guess[quantity] for n, guess in guesses(baseline.run).items() if quantity in guess}
     return {n: np.where(baseline.run.scored, reading - value, np.nan) for n, value in columns.items()}
 
 

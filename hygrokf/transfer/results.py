@@ -79,7 +79,7 @@ class RecordCourse:
 def write_courses(courses: Sequence[RecordCourse], path: str | os.PathLike[str]) -> Path:
     """Write courses to one .npz file, atomically, with the places of arrays in them as names, such as
     "0/simulated/as_is/temperature_K".  Raises OSError from the system."""
-    tree = {str(place): vars(one) for place, one in enumerate(courses)}
+    tree = {str(place): vars(course) for place, course in enumerate(courses)}
     buffer = io.BytesIO()
     np.savez_compressed(buffer, **{"/".join(place): array for place, array in _leaves(tree)})
     return write_bytes_whole(path, buffer.getvalue())
@@ -266,12 +266,12 @@ class TransferResult:
         import pandas as pd
 
         rows = {}
-        for name, one in self.parameters.items():
-            change = one.difference or Contrast(math.nan, math.nan, math.nan)
+        for name, parameter in self.parameters.items():
+            change = parameter.difference or Contrast(math.nan, math.nan, math.nan)
             rows[name] = {
-                "group": one.group, "unit": one.unit, "re_estimated": one.re_estimated,
-                "original": one.original, "original_se": one.original_se,
-                "own": one.own, "own_se": one.own_se, "difference_is": one.difference_is,
+                "group": parameter.group, "unit": parameter.unit, "re_estimated": parameter.re_estimated,
+                "original": parameter.original, "original_se": parameter.original_se,
+                "own": parameter.own, "own_se": parameter.own_se, "difference_is": parameter.difference_is,
                 "difference": change.value, "lower": change.lower, "upper": change.upper,
             }  # fmt: skip
         return pd.DataFrame.from_dict(rows, orient="index")
@@ -317,6 +317,6 @@ def transfer_results(transfers: Sequence[Transfer], pooled: TurbineType | None =
     return TransferResults(
         __version__,
         datetime.now(UTC).isoformat(timespec="seconds"),
-        tuple(one.results for one in transfers),
+        tuple(transfer.results for transfer in transfers),
         pooled,
     )

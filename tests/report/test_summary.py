@@ -44,7 +44,7 @@ from hygrokf.report.summary.contents import (
     summary_of_discovery,
     summary_of_fit,
 )
-from hygrokf.report.summary.writing import SummaryFault, planned, written, written_pdf
+from hygrokf.report.summary.writing import SummaryFault, plan_summaries, write_pdf, write_summary
 from hygrokf.texts.fit import FitCode
 from hygrokf.texts.verdict import ReasonCode
 
@@ -252,8 +252,8 @@ on_paper = pytest.mark.parametrize("make", PRINTED, ids=lambda make: make.__name
 
 
 def write_page(folder: Path, directory: Path | None = None) -> Path:
-    ((make, place, stem),) = planned([folder], directory)
-    return written(make(), place, stem)
+    ((make, place, stem),) = plan_summaries([folder], directory)
+    return write_summary(make(), place, stem)
 
 
 @pytest.fixture
@@ -261,7 +261,7 @@ def printed(tmp_path) -> Callable[[Summary], tuple[Path, str]]:
     """Writes a summary as PDF; returns its path and the text on it."""
 
     def made(summary: Summary) -> tuple[Path, str]:
-        file = written_pdf(written(summary, tmp_path, "summary"))
+        file = write_pdf(write_summary(summary, tmp_path, "summary"))
         return file, _said("pdftotext", "-layout", file, "-")
 
     return made
@@ -301,7 +301,7 @@ def test_the_pdf_is_one_page_with_every_letter_of_the_html(make, printed) -> Non
 def test_the_same_result_gives_the_same_bytes(tmp_path) -> None:
     folder = write_case(tmp_path / "made", *report_case())
     pages = [write_page(folder), write_page(folder, tmp_path / "again")]
-    file, again = map(written_pdf, pages)
+    file, again = map(write_pdf, pages)
     assert (pages[0], file) == (folder / "summary.html", folder / "summary.pdf")
     assert pages[0].read_bytes() == pages[1].read_bytes() and file.read_bytes() == again.read_bytes()
     assert "Date" not in _said("pdfinfo", file)
@@ -329,7 +329,7 @@ def test_without_the_extra_or_its_library_only_the_page_is_written(
     (folder / "summary.pdf").write_bytes(b"of another result")
     before = {*folder.iterdir()} - {folder / "summary.pdf"}
     with pytest.raises(SummaryFault, match=r"hygrokf\[pdf\].*libpango-1\.0-0 libpangoft2") as told:
-        written_pdf(write_page(folder))
+        write_pdf(write_page(folder))
     assert module.rpartition('("')[2].split(":")[0].rstrip('")') in str(told.value)
     assert {*folder.iterdir()} == before | {folder / "summary.html"} and capsys.readouterr().out == ""
 
@@ -360,7 +360,7 @@ def test_the_kind_is_told_from_the_file_and_each_result_has_its_place(tmp_path) 
     one, two, three = (tmp_path / place for place in ("one", "two", "three"))
 
     def places(*results: Path, out: Path | None = None) -> list[tuple[Path, str]]:
-        return [(folder, stem) for _, folder, stem in planned(results, out)]
+        return [(folder, stem) for _, folder, stem in plan_summaries(results, out)]
 
     assert places(one / "fit.json", two, three) == [(one, "summary"), (two, "summary"), (three, "summary")]
     assert places(two / "fit.json") == [(two, "fit_summary")]
@@ -369,7 +369,7 @@ def test_the_kind_is_told_from_the_file_and_each_result_has_its_place(tmp_path) 
         (tmp_path / "out" / place, "summary") for place in ("one", "three")
     ]
     with pytest.raises(SummaryFault, match="found one twice"):
-        planned([one, one / "fit.json"], tmp_path / "out")
+        plan_summaries([one, one / "fit.json"], tmp_path / "out")
 
 
 def test_nothing_is_written_where_a_drawing_fails(tmp_path, monkeypatch) -> None:
@@ -380,16 +380,16 @@ def test_nothing_is_written_where_a_drawing_fails(tmp_path, monkeypatch) -> None
         raise MemoryError
 
     monkeypatch.setattr("hygrokf.report.summary.writing.summary_blocks", failing)
-    ((make, place, stem),) = planned([folder], None)
+    ((make, place, stem),) = plan_summaries([folder], None)
     with pytest.raises(MemoryError):
-        written(make(), place, stem)
+        write_summary(make(), place, stem)
     assert sorted(folder.iterdir()) == before
 
 
 def test_results_of_other_kinds_are_refused_together(tmp_path) -> None:
     (tmp_path / "compare.json").write_text("{}")
     with pytest.raises(SummaryFault) as told:
-        planned([tmp_path, tmp_path / "absent"], None)
+        plan_summaries([tmp_path, tmp_path / "absent"], None)
     first, second = str(told.value).splitlines()
     assert "compare.json" in first and "no such file" in second
 

@@ -124,13 +124,13 @@ def figure_regions(regions: Sequence[RegionClimate]) -> Picture:
     panels = []
     for statistic in chosen:
         marks: list[Mark] = []
-        for place, one in enumerate(regions):
-            found = one.year[statistic.name]
+        for place, region in enumerate(regions):
+            found = region.year[statistic.name]
             marks.append(bounds(found.lower, found.upper, place, MEASURED, 1.2, 1.0))
             marks.append(bounds(found.mean_lower, found.mean_upper, place, MEASURED, 3.6, 0.45))
             marks.append(point(found.value, place, "o", INK, 3.2))
         words = textwrap.fill(short_words(statistic), 64 // len(chosen), break_long_words=False)
-        labels = rows([one.name for one in regions])
+        labels = rows([region.name for region in regions])
         panels.append(Panel(tuple(marks), y=labels, title=f"{words}\n[{statistic.unit}]", plain=True))
     return Picture(tuple(panels), 0.95 + 0.3 * len(regions), columns=len(chosen), shared="y")
 

@@ -64,9 +64,10 @@ def colour_of(place: int) -> str:
 def short_labels(labels: Sequence[str]) -> list[str]:
     """Labels that fit beside a picture and can still be told apart: long ones are cut in the middle."""
     cut = [
-        one if len(one) <= LONGEST else f"{one[: LONGEST // 2]}…{one[1 - LONGEST // 2 :]}" for one in labels
+        label if len(label) <= LONGEST else f"{label[: LONGEST // 2]}…{label[1 - LONGEST // 2 :]}"
+        for label in labels
     ]
-    return [one if cut.count(one) == 1 else f"{i + 1}: {one}" for i, one in enumerate(cut)]
+    return [label if cut.count(label) == 1 else f"{i + 1}: {label}" for i, label in enumerate(cut)]
 
 
 @dataclass(frozen=True)
@@ -90,24 +91,24 @@ class Shown:
 
 def figure_courses(records: Sequence[Shown]) -> Picture:
     """Twelve days of each record: a row for each quantity, a column for each record."""
-    quantities = [q for q in SCORED if any(one.has(q) for one in records)]
+    quantities = [q for q in SCORED if any(record.has(q) for record in records)]
     if not quantities:
         raise NothingToShow("There are no readings to show.")
     panels = []
     for name in quantities:
         terms = quantity(name)
         label = terms.level.replace(" ", "\n", terms.words.count(" "))
-        for one in records:
-            made = {MEASURED_NAME: one.course.measured, **one.course.simulated}
-            lines = {MEASURED_NAME: ("reading", MEASURED), **one.lines}
+        for record in records:
+            made = {MEASURED_NAME: record.course.measured, **record.course.simulated}
+            lines = {MEASURED_NAME: ("reading", MEASURED), **record.lines}
             marks = tuple(
-                course(one.course.time_s, made[key][name] - terms.zero, one.span, colour, width, words)
+                course(record.course.time_s, made[key][name] - terms.zero, record.span, colour, width, words)
                 for key, (words, colour) in lines.items()
                 if name in made[key]
                 for width in (1.3 if key == MEASURED_NAME else 0.9,)
             )
-            x = Axis(limits=one.span, kind="time", most=9 // len(records) + 1)
-            title = one.title if name == quantities[0] and len(records) > 1 else ""
+            x = Axis(limits=record.span, kind="time", most=9 // len(records) + 1)
+            title = record.title if name == quantities[0] and len(records) > 1 else ""
             panels.append(Panel(marks, x, Axis(label), title))
     height_in = 3.0 if len(quantities) > 1 else 3.4
     return Picture(tuple(panels), height_in, columns=len(records), shared="xy")
@@ -120,12 +121,12 @@ def figure_column_courses(found: ComparisonResults, courses: Sequence[RecordCour
             "These results hold no courses: `hygrokf compare` adds them when it is run again."
         )
     groups: dict[tuple[str, bytes], list[int]] = {}
-    for i, (one, own) in enumerate(zip(found.columns, courses, strict=True)):
-        groups.setdefault((one.case, own.time_s.tobytes()), []).append(i)
-    labels = short_labels([one.label for one in found.columns])
+    for i, (column, own) in enumerate(zip(found.columns, courses, strict=True)):
+        groups.setdefault((column.case, own.time_s.tobytes()), []).append(i)
+    labels = short_labels([column.label for column in found.columns])
     panels = []
     for (case, _), group in list(groups.items())[:MOST_RECORDS]:
-        unique = sum(one == case for one, _ in groups) == 1
+        unique = sum(other == case for other, _ in groups) == 1
         made = {f"column {i}": courses[i].simulated["simulated"] for i in group}
         lines = {f"column {i}": (labels[i], colour_of(i)) for i in group}
         title = short_labels([case])[0] if unique else labels[group[0]]
@@ -137,23 +138,25 @@ def figure_errors(found: ComparisonResults, period: str) -> Picture:
     """Root mean squared errors of all columns in one period with bounds, by regime, beside the error of the
     best rule."""
     scored = {q: errors for q in SCORED if (errors := found.errors(period, q))}
-    columns = [one for one in found.columns if any(one.label in errors for errors in scored.values())]
+    columns = [
+        column for column in found.columns if any(column.label in errors for errors in scored.values())
+    ]
     if not columns:
         raise NothingToShow("Nothing was scored in this period.")
-    labels = rows(short_labels([one.label for one in columns]))
+    labels = rows(short_labels([column.label for column in columns]))
     panels = []
     for name in scored:
         marks: list[Mark] = []
-        for place, one in enumerate(columns):
-            colour = colour_of(found.columns.index(one))
+        for place, column in enumerate(columns):
+            colour = colour_of(found.columns.index(column))
             for offset, (regime, (mark, size)) in zip((-0.22, 0.0, 0.22), REGIMES.items(), strict=True):
-                row = found.row("rmse", one.label, period, name, regime)
+                row = found.row("rmse", column.label, period, name, regime)
                 if not row.n:
                     continue
                 if math.isfinite(row.lower):
                     marks.append(bounds(row.lower, row.upper, place + offset, colour))
                 marks.append(point(row.value, place + offset, mark, colour, size))
-            wanted = ("rule", one.label, name, period, "total")
+            wanted = ("rule", column.label, name, period, "total")
             rules = [
                 r.value for r in found.rows if (r.kind, r.column, r.quantity, r.period, r.regime) == wanted
             ]
@@ -173,19 +176,21 @@ def _rmse(name: str) -> Axis:
 
 def figure_weeks(found: ComparisonResults) -> Picture:
     """Root mean squared errors of all columns by week."""
-    shown = [q for q in SCORED if any(len(one.weeks[q][0]) > 1 for one in found.columns if q in one.weeks)]
+    shown = [
+        q for q in SCORED if any(len(column.weeks[q][0]) > 1 for column in found.columns if q in column.weeks)
+    ]
     if not shown:
         raise NothingToShow("There are fewer than two weeks to show.")
-    middles = [one.weeks[q][0] for one in found.columns for q in shown if q in one.weeks]
+    middles = [column.weeks[q][0] for column in found.columns for q in shown if q in column.weeks]
     ends = [(m[0], m[-1]) for m in middles if len(m)]
     span = (min(first for first, _ in ends) - WEEK_S / 2, max(last for _, last in ends) + WEEK_S / 2)
-    labels = short_labels([one.label for one in found.columns])
+    labels = short_labels([column.label for column in found.columns])
     panels = [
         Panel(
             tuple(
-                Curve(one.weeks[q][0], one.weeks[q][1], colour_of(i), 0.9, label, "o", 2.6)
-                for i, (one, label) in enumerate(zip(found.columns, labels, strict=True))
-                if q in one.weeks
+                Curve(column.weeks[q][0], column.weeks[q][1], colour_of(i), 0.9, label, "o", 2.6)
+                for i, (column, label) in enumerate(zip(found.columns, labels, strict=True))
+                if q in column.weeks
             ),
             Axis(limits=span, kind="time", most=9),
             Axis(quantity(q).change, (0.0, None)),
@@ -205,12 +210,12 @@ def figure_spreads(found: Sequence[Scatter]) -> Picture:
     The shade is where 95 % of turbines would lie if their bounds were closed to a point: median and spread
     between them. There is none where the median deviation is no more than the bounds explain.
     """
-    shown = [one for one in found if len(one.turbines)]
+    shown = [scatter for scatter in found if len(scatter.turbines)]
     if not shown:
         raise NothingToShow("No turbine has a value with bounds.")
-    most = max(len(one.turbines) for one in shown)
+    most = max(len(scatter.turbines) for scatter in shown)
     height = 0.95 + (0.155 * most if most <= NAMED else min(0.155 * NAMED, 0.03 * most + 3.0))
-    panels = tuple(_spread(one, most) for one in shown)
+    panels = tuple(_spread(scatter, most) for scatter in shown)
     return Picture(panels, height_in=max(height, 1.9), columns=len(shown))
 
 

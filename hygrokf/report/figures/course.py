@@ -50,11 +50,12 @@ POWER = "power"
 FORTNIGHT_S = 14.0 * 86400.0
 HATCH = "#9aa4b1"
 UNSCORED = "inputs unknown, not scored"
-NARROW = 170
-"""Stretches of time over the width of an excerpt."""
+EXCERPT_BINS = 170
+"""Bins of time over the width of an excerpt."""
 LENGTH_H = 144.0
 """[h] length of an excerpt, a quarter of the record if that is shorter."""
 PACE_H = 6.0
+"""[h] distance between the starts of the excerpts among which the choice is made."""
 PART_LOAD = (0.05, 0.85)
 """[1] relative power that counts as part load."""
 AMBIENT_SERIES = {TEMPERATURE: "ambient_temperature", HUMIDITY: "ambient_absolute_humidity"}
@@ -62,7 +63,7 @@ AMBIENT_SERIES = {TEMPERATURE: "ambient_temperature", HUMIDITY: "ambient_absolut
 
 @dataclass(frozen=True)
 class Excerpt:
-    """A stretch [s] of the record and why it was chosen."""
+    """A part of the record, from `start_s` to `end_s` [s], and why it was chosen."""
 
     start_s: float
     end_s: float
@@ -70,10 +71,11 @@ class Excerpt:
 
 
 def hourly(time: np.ndarray, value: np.ndarray, hours: int) -> np.ndarray:
-    """Means (hours,) over the hours since the first instant; NaN without a value. time: [s] (T,)."""
-    there = np.isfinite(value)
-    place = np.minimum(((time[there] - time[0]) // HOUR_S).astype(int), hours - 1)
-    return means(place, value[there], hours)
+    """Means (hours,) of `value` (T,) over each hour since the first instant of `time` [s] (T,); NaN in an
+    hour without a value."""
+    is_known = np.isfinite(value)
+    hour = np.minimum(((time[is_known] - time[0]) // HOUR_S).astype(int), hours - 1)
+    return means(hour, value[is_known], hours)
 
 
 def choose_excerpts(series: Mapping[str, np.ndarray]) -> tuple[Excerpt, ...]:
@@ -91,22 +93,24 @@ def choose_excerpts(series: Mapping[str, np.ndarray]) -> tuple[Excerpt, ...]:
     hours = int((time[-1] - time[0]) // HOUR_S) + 1
     if hours < 48:
         return (Excerpt(float(time[0]), float(time[-1]), "the whole record"),)
-    length = int(min(LENGTH_H, max(hours // 4, 12)))
+    length_h = int(min(LENGTH_H, max(hours // 4, 12)))
     state = _State(series, hours)
-    starts = np.arange(0, hours - length + 1, int(PACE_H if length >= 24 else 1))
-    window = _Windows(starts, length)
-    usable = window.mean(state.known) * np.maximum(window.mean(state.scored), 0.05)
-    good = usable >= 0.75 * usable.max()
+    starts = np.arange(0, hours - length_h + 1, int(PACE_H if length_h >= 24 else 1))
+    window = _Windows(starts, length_h)
+    weight = window.mean(state.known) * np.maximum(window.mean(state.scored), 0.05)
+    is_usable = weight >= 0.75 * weight.max()
     chosen: list[tuple[int, str]] = []
-    for rank, reason in (state.rare(window), state.lively(window), state.daily(window)):
-        free = good & np.array([all(abs(s - other) >= length for other, _ in chosen) for s in starts])
-        rank = np.where(free & np.isfinite(rank), rank, -np.inf)
-        if rank.max() > -np.inf:
-            chosen.append((int(starts[int(rank.argmax())]), reason))
-    first = float(time[0])
+    for score, reason in (state.rare(window), state.dynamic(window), state.daily(window)):
+        is_free = is_usable & np.array(
+            [all(abs(start - other) >= length_h for other, _ in chosen) for start in starts]
+        )
+        score = np.where(is_free & np.isfinite(score), score, -np.inf)
+        if score.max() > -np.inf:
+            chosen.append((int(starts[int(score.argmax())]), reason))
+    first_s = float(time[0])
     return tuple(
-        Excerpt(first + s * HOUR_S, min(first + (s + length) * HOUR_S, float(time[-1])), reason)
-        for s, reason in sorted(chosen)
+        Excerpt(first_s + start * HOUR_S, min(first_s + (start + length_h) * HOUR_S, float(time[-1])), reason)
+        for start, reason in sorted(chosen)
     )
 
 
@@ -135,7 +139,7 @@ class _Windows:
 
 
 class _State:
-    """Hourly means of what the choice depends on."""
+    """Hourly means of the series on which the choice of excerpts depends."""
 
     def __init__(self, series: Mapping[str, np.ndarray], hours: int) -> None:
         time = series["time_s"]
@@ -157,11 +161,12 @@ class _State:
         self.has_power = bool(np.nanmax(self.operating, initial=0.0) > 0)
 
     def rare(self, window: _Windows) -> tuple[np.ndarray, str]:
+        """Rank of each window as an example of a rare state, and the words for this state."""
         still = 1.0 - self.operating
         if self.has_power and np.nansum(still) >= 12:
             heated = window.mean(self.preheating)
             rank = window.mean(still) + 8.0 * heated
-            # the end of a standstill, with the return to operation in the picture, says the most
+            # the end of a standstill is the most informative part: show the return to operation
             rank = rank + 0.2 * window.end(self.operating, 24)
             words = "standstill and pre-heating" if self.preheating.max() > 0 else "standstill"
             return rank, words
@@ -169,7 +174,8 @@ class _State:
             return window.mean(self.power), "operation close to rated power"
         return window.mean(self.error**2), "largest errors of the free run"
 
-    def lively(self, window: _Windows) -> tuple[np.ndarray, str]:
+    def dynamic(self, window: _Windows) -> tuple[np.ndarray, str]:
+        """Rank of each window by the hourly changes of readings and power, and the words for it."""
         rank = window.mean(np.abs(np.diff(self.measured, prepend=np.nan)))
         rank = rank / max(float(np.max(rank)), 1e-12)
         if self.has_power:
@@ -178,6 +184,7 @@ class _State:
         return rank, "most dynamic"
 
     def daily(self, window: _Windows) -> tuple[np.ndarray, str]:
+        """Rank of each window by its day-night cycle at part load, and the words for it."""
         rank = window.daily_amplitude(self.ambient)
         if not self.has_power:
             return rank, "pronounced day-night cycle"
@@ -189,8 +196,7 @@ class _State:
 
 
 class _Record:
-    """Both quantities of a record in the units of the figures [°C, g/m³], its span and its shaded stretches
-    [s]."""
+    """Temperature [°C] and humidity [g/m³] of a record, its span [s] and its shaded periods [s]."""
 
     def __init__(self, series: Mapping[str, np.ndarray]) -> None:
         self.time = instants(series)
@@ -215,7 +221,7 @@ class _Record:
         return math.isfinite(self.until) and self.until < self.span[1]
 
     def quantity(self, name: str) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Measured, simulated, its standard deviation, ambient (T,)."""
+        """Readings, simulation, its standard deviation, and ambient value, each (T,)."""
         shift = quantity(name).zero
         measured, simulated = (
             array(self.series, f"{name}_{kind}") - shift for kind in ("measured", "simulated")
@@ -223,14 +229,15 @@ class _Record:
         ambient = array(self.series, AMBIENT_SERIES[name]) - shift
         return measured, simulated, array(self.series, f"{name}_sd"), ambient
 
-    def known(self, name: str) -> bool:
+    def has(self, name: str) -> bool:
+        """Whether the record has readings or a simulation of the quantity."""
         measured, simulated, _, _ = self.quantity(name)
         return bool(np.isfinite(measured).any() or np.isfinite(simulated).any())
 
     @property
     def names(self) -> list[str]:
-        """The quantities that can be shown."""
-        return [name for name in (TEMPERATURE, HUMIDITY) if self.known(name)]
+        """The quantities of which the record has readings or a simulation."""
+        return [name for name in (TEMPERATURE, HUMIDITY) if self.has(name)]
 
     # --- panels ---
 
@@ -264,7 +271,7 @@ class _Record:
         return Panel((*marks, *self.unscored(span)), _time(span), Axis("power / rated", (-0.05, 1.14)))
 
     def unscored(self, span: tuple[float, float]) -> tuple[Mark, ...]:
-        """Hatched where inputs are unknown."""
+        """Hatching over the periods in which inputs are unknown."""
         least = (span[1] - span[0]) / 300.0
         return tuple(
             Shade(max(start, span[0]), min(end, span[1]), HATCH, label=UNSCORED, hatched=True)
@@ -272,8 +279,8 @@ class _Record:
             if end >= span[0] and start <= span[1]
         )
 
-    def late(self, span: tuple[float, float]) -> tuple[Mark, ...]:
-        """Shaded in the validation period."""
+    def validation_shade(self, span: tuple[float, float]) -> tuple[Mark, ...]:
+        """Shade over the validation period; none where the record has none."""
         return (Shade(max(self.until, span[0]), span[1], SHADE),) if self.validation else ()
 
 
@@ -284,18 +291,18 @@ def _time(span: tuple[float, float]) -> Axis:
 def figure_temperature(fit: FitResults, series: Mapping[str, np.ndarray]) -> Picture:
     """Cabinet temperature over the whole record, error of the free run, relative power (Fig. 6 of the
     paper)."""
-    return _whole(_Record(series), TEMPERATURE, "The fit has no cabinet temperature to show.")
+    return _full_record(_Record(series), TEMPERATURE, "The fit has no cabinet temperature to show.")
 
 
 def figure_humidity(fit: FitResults, series: Mapping[str, np.ndarray]) -> Picture:
     """Absolute humidity over the whole record and error of the free run (Fig. 8 of the paper)."""
     why = "There is no cabinet humidity: the record, or the model, lacks it."
-    return _whole(_Record(series), HUMIDITY, why)
+    return _full_record(_Record(series), HUMIDITY, why)
 
 
-def _whole(record: _Record, name: str, why: str) -> Picture:
-    if not record.known(name):
-        raise NothingToShow(why)
+def _full_record(record: _Record, name: str, reason_if_absent: str) -> Picture:
+    if not record.has(name):
+        raise NothingToShow(reason_if_absent)
     measured, simulated, _, _ = record.quantity(name)
     error = (
         *record.unscored(record.span),
@@ -307,7 +314,7 @@ def _whole(record: _Record, name: str, why: str) -> Picture:
         Panel(error, _time(record.span), Axis(quantity(name).error)),
         *([record.operation(record.span)] if name == TEMPERATURE and record.has_power else []),
     ]
-    rows = [replace(one, marks=(*record.late(record.span), *one.marks)) for one in rows]
+    rows = [replace(row, marks=(*record.validation_shade(record.span), *row.marks)) for row in rows]
     if record.validation:
         rows[0] = replace(rows[0], marks=(*rows[0].marks, *validation(record.until, record.span)))
     height, shares = 4.3 if len(rows) > 2 else 3.5, (3.2, 1.1, 1.0)
@@ -342,12 +349,12 @@ def figure_excerpts(fit: FitResults, series: Mapping[str, np.ndarray]) -> Pictur
     for name in rows:
         for letter, excerpt in zip("abc", chosen, strict=False):
             span = (excerpt.start_s, excerpt.end_s)
-            panel = record.course(name, span, 1.0, NARROW)
+            panel = record.course(name, span, 1.0, EXCERPT_BINS)
             late = " (validation)" if record.validation and span[0] >= record.until else ""
             panels.append(
                 replace(
                     panel,
-                    marks=(*record.late(span), *panel.marks),
+                    marks=(*record.validation_shade(span), *panel.marks),
                     x=replace(panel.x, most=7),
                     y=panel.y if letter == "a" else replace(panel.y, label=""),
                     title=f"({letter}) {excerpt.reason}{late}" if name == names[0] else "",
@@ -394,8 +401,8 @@ def figure_residuals(fit: FitResults, series: Mapping[str, np.ndarray]) -> Pictu
             medians = [np.nanmedian(g) if np.isfinite(g).sum() >= 10 else np.nan for g in after]
             shown: list[Mark] = [CrossLine(0.0, "y", INK, 0.7)]
             if late.any():
-                words = "median in validation"
-                shown.append(Curve(middles, np.array(medians), SIMULATED, 0.0, words, "D", 3.2))
+                label = "median in validation"
+                shown.append(Curve(middles, np.array(medians), SIMULATED, 0.0, label, "D", 3.2))
             if "stop" in axis.words:
                 middles, halves = np.append(0.0, middles), np.append(0.02, halves)
                 groups.insert(0, error[~record.operating & ~late])
@@ -410,39 +417,42 @@ _POWER_EDGES = np.array([0.035, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0
 
 
 def _conditions(record: _Record) -> list[tuple[Axis, np.ndarray, np.ndarray]]:
-    """What errors are shown over: the axis, the values (T,), and the edges of its classes."""
-    found = []
+    """The variables over which errors are shown: the axis, the values (T,), and the edges of the classes."""
+    conditions = []
     if record.has_power:
         axis = Axis(
             "power / rated [1]", at=(0.0, 0.25, 0.5, 0.75, 1.0), words=("stop", "0.25", "0.5", "0.75", "1")
         )
-        found.append((axis, np.where(record.operating, record.power, np.nan), _POWER_EDGES))
+        conditions.append((axis, np.where(record.operating, record.power, np.nan), _POWER_EDGES))
     ambient = array(record.series, "ambient_temperature") - ZERO_CELSIUS_K
     if np.isfinite(ambient).any():
         low, high = np.nanquantile(ambient, [0.005, 0.995])
         if math.isfinite(low) and high - low > 1.0:
-            found.append((Axis("ambient temperature [°C]"), ambient, np.linspace(low, high, 11)))
+            conditions.append((Axis("ambient temperature [°C]"), ambient, np.linspace(low, high, 11)))
     hour = (record.time / HOUR_S) % 24.0
-    found.append((Axis("hour of the day [UTC]", at=range(0, 25, 6)), hour, np.arange(0.0, 25.0, 2.0)))
-    return found
+    conditions.append((Axis("hour of the day [UTC]", at=range(0, 25, 6)), hour, np.arange(0.0, 25.0, 2.0)))
+    return conditions
 
 
 def _boxes(middles: np.ndarray, halves: np.ndarray, groups: list[np.ndarray]) -> tuple[Mark, ...]:
-    """Median, middle half and middle nine tenths of every group of at least ten values."""
+    """Median, interquartile range, and 5 to 95 % quantiles of every group of at least ten values.
+
+    middles, halves: centre and half the width of each group's box on the x axis.
+    """
     groups = [values[np.isfinite(values)] for values in groups]
-    rows = [
+    boxes = [
         (x, half, *np.quantile(values, [0.05, 0.25, 0.5, 0.75, 0.95]))
         for x, half, values in zip(middles, halves, groups, strict=True)
         if len(values) >= 10
     ]
-    if not rows:
+    if not boxes:
         return ()
-    x, half, least, low, middle, high, most = np.array(rows).T
+    x, half, q05, q25, median, q75, q95 = np.array(boxes).T
     gap = np.full(len(x), np.nan)
     sides = np.column_stack([x - half, x + half, x + half]).ravel()
-    below, above = (np.column_stack([edge, edge, gap]).ravel() for edge in (low, high))
+    below, above = (np.column_stack([edge, edge, gap]).ravel() for edge in (q25, q75))
     return (
-        strokes(x - half, middle, x + half, middle, MEASURED, 1.6, "median"),
-        Band(sides, below, above, MEASURED, 0.25, "middle half"),
-        strokes(x, least, x, most, MEASURED, 0.7, "middle 90 %"),
+        strokes(x - half, median, x + half, median, MEASURED, 1.6, "median"),
+        Band(sides, below, above, MEASURED, 0.25, "25 to 75 %"),
+        strokes(x, q05, x, q95, MEASURED, 0.7, "5 to 95 %"),
     )

@@ -36,7 +36,7 @@ WIDTH_IN = 7.3
 LEVEL_SD = 1.959964
 """Standard deviations from the mean to the ends of a normal distribution's 95 % interval."""
 BINS = 520
-"""Stretches of time over the width of a page; each keeps its least and its largest value."""
+"""Bins of time over the width of a page; a curve keeps the lowest and the highest value of each."""
 
 _STYLE: dict[str, Any] = {
     "font.family": "sans-serif",
@@ -95,14 +95,14 @@ class NothingToShow(ValueError):
     """The data for a figure are missing; the message is one sentence that says which, and why."""
 
 
-_inside = ContextVar("_inside", default=False)
-"""Whether the style is set already: to set it takes as long as to draw a small panel."""
+_style_is_set = ContextVar("_style_is_set", default=False)
+"""Whether the style is set already: setting it takes as long as drawing a small panel."""
 
 
 @contextmanager
 def styled() -> Iterator[None]:
-    """Everything drawn inside looks alike; matplotlib's own settings are as before afterwards."""
-    if _inside.get():
+    """Context in which the package's style is set; matplotlib's settings are restored afterwards."""
+    if _style_is_set.get():
         yield
         return
     import matplotlib
@@ -111,16 +111,16 @@ def styled() -> Iterator[None]:
         name: value for name, value in matplotlib.rcParamsDefault.items() if not name.startswith("backend")
     }
     style: Any = {**plain, **_STYLE}
-    token = _inside.set(True)
+    token = _style_is_set.set(True)
     try:
         with matplotlib.rc_context(style):
             yield
     finally:
-        _inside.reset(token)
+        _style_is_set.reset(token)
 
 
 def expect_matplotlib() -> None:
-    """Raise HygrokfError where matplotlib, with which everything is drawn, is not installed."""
+    """Raise HygrokfError if matplotlib is not installed."""
     try:
         import matplotlib  # noqa: F401
     except ImportError:
@@ -131,7 +131,7 @@ def expect_matplotlib() -> None:
 
 
 def new_figure(height_in: float) -> Figure:
-    """An empty figure [in] of the page's width, on no screen."""
+    """An empty figure of the page's width and `height_in` [in], without a window on the screen."""
     from matplotlib.figure import Figure
 
     return Figure(figsize=(WIDTH_IN, height_in))
@@ -146,15 +146,15 @@ def svg(figure: Figure, name: str) -> str:
 
         matplotlib.rcParams["svg.hashsalt"] = name
         buffer = io.StringIO()
-        nothing = dict.fromkeys(("Date", "Creator", "Format", "Type"))
-        # `savefig` would draw all of it twice, for the layout first
-        _save(FigureCanvasSVG(figure).print_svg, buffer, metadata=nothing)
+        no_metadata = dict.fromkeys(("Date", "Creator", "Format", "Type"))
+        # `savefig` would draw the figure twice, first for the layout
+        _save(FigureCanvasSVG(figure).print_svg, buffer, metadata=no_metadata)
     text = buffer.getvalue()
     text = re.sub(
         r"<\?xml.*?\?>\s*|<!DOCTYPE.*?>\s*|<metadata>.*?</metadata>\s*|<!--.*?-->\s*", "", text, flags=re.S
     )
-    places = r'\b(?:d|x|y|points|x1|y1|x2|y2|width|height)="[^"]*"'
-    text = re.sub(places, lambda found: re.sub(r"(\d+\.\d\d)\d+", r"\1", found[0]), text)
+    coordinates = r'\b(?:d|x|y|points|x1|y1|x2|y2|width|height)="[^"]*"'
+    text = re.sub(coordinates, lambda match: re.sub(r"(\d+\.\d\d)\d+", r"\1", match[0]), text)
     text = re.sub(r" font-family: [^;\"]*;", "", text)
     text = re.sub(r"<defs>\s*<style.*?</style>\s*</defs>\s*", "", text, flags=re.S)
     text = text.replace("<svg ", f'<svg font-family="{FONTS}" stroke-linejoin="round" ', 1)
@@ -167,14 +167,14 @@ def _save(save: Callable[..., object], buffer: io.BytesIO | io.StringIO, **setti
     import warnings
 
     with warnings.catch_warnings():
-        # a name in letters that the layout's font lacks: the page's reader has a font for them
+        # a name may use letters that the font of the layout lacks; the browser has a font for them
         warnings.filterwarnings("ignore", message="Glyph .* missing from")
         save(buffer, **settings)
 
 
 def inline_svg(figure: Figure, name: str, title: str) -> str:
-    """The figure as SVG for the body of an HTML page: scales with the page, names no host, has a spoken
-    `title`."""
+    """The figure as SVG for the body of an HTML page: it scales with the page, names no host, and has `title`
+    as its label for screen readers."""
     from html import escape
 
     text = svg(figure, name)
@@ -183,8 +183,8 @@ def inline_svg(figure: Figure, name: str, title: str) -> str:
     end = text.index(">", head)
     box = re.search(r'viewBox="[^"]*"', text[head:end])
     label = escape(title, quote=True)
-    kept = f'{box.group(0) if box else ""} font-family="{FONTS}" stroke-linejoin="round"'
-    return f'<svg {kept} role="img" aria-label="{label}">{text[end + 1 :]}'
+    attributes = f'{box.group(0) if box else ""} font-family="{FONTS}" stroke-linejoin="round"'
+    return f'<svg {attributes} role="img" aria-label="{label}">{text[end + 1 :]}'
 
 
 def png(figure: Figure, dpi: int = 150) -> bytes:
@@ -201,10 +201,10 @@ def png(figure: Figure, dpi: int = 150) -> bytes:
 def envelope(
     time: np.ndarray, value: np.ndarray, span: tuple[float, float], bins: int = BINS
 ) -> tuple[np.ndarray, ...]:
-    """A line (time, value) of at most about 2 `bins` points that shows every extreme of a longer one.
+    """Points (time, value) of a line, thinned to about 2 `bins` points such that every extreme stays visible.
 
-    time: [s] (T,) increasing. value: (T,) NaN where there is none. span: [s] what the axis shows.
-    Gaps of more than three steps, and wider than what a bin shows, break the line (NaN).
+    time: [s] (T,) increasing. value: (T,), NaN where missing. span: [s] limits of the axis.
+    Gaps longer than three steps and than the width of a bin break the line (NaN).
     """
     inside = np.isfinite(value) & (time >= span[0]) & (time <= span[1])
     x, y = time[inside], value[inside]
@@ -256,14 +256,16 @@ def _broken(x: np.ndarray, limit: float, *values: np.ndarray) -> tuple[np.ndarra
 
 
 def means(place: np.ndarray, value: np.ndarray, count: int) -> np.ndarray:
-    """Means (count,) of the values (T,) of each place (T,); NaN where a place has none."""
+    """Means (count,) of the values (T,) that have the index 0, 1, …, count − 1 in `place` (T,); NaN for an
+    index without values."""
     number = np.bincount(place, minlength=count).astype(float)
     total = np.bincount(place, weights=value, minlength=count)
     return np.divide(total, number, out=np.full(count, np.nan), where=number > 0)
 
 
 def stretches(time: np.ndarray, flag: np.ndarray, least: float = 0.0) -> list[tuple[float, float]]:
-    """Spans (start, end) of `time` over which `flag` (T,) holds; pauses shorter than `least` are closed."""
+    """Periods (start, end) of `time` [s] (T,) in which `flag` (T,) is true; interruptions shorter than
+    `least` [s] are bridged."""
     flag = np.asarray(flag, dtype=bool)
     if not flag.any():
         return []
@@ -290,7 +292,7 @@ _SECONDS = {"m": 60.0, "h": 3600.0, "D": DAY_S, "M": 30.4 * DAY_S}
 
 
 def calendar_ticks(low: float, high: float, ticks: int) -> tuple[np.ndarray, list[str]]:
-    """Round instants [s] between `low` and `high` [s], at most `ticks`, and what to write there (UTC)."""
+    """At most `ticks` round instants [s] between `low` and `high` [s], and their labels (UTC)."""
     first, last = (np.datetime64(math.floor(v), "s") for v in (low, high))
     at, unit = np.array([first]), "s"
     for step, unit in _STEPS:
@@ -305,15 +307,16 @@ def calendar_ticks(low: float, high: float, ticks: int) -> tuple[np.ndarray, lis
         at = at[(at >= first) & (at <= last)]
         if len(at) <= ticks:
             break
-    moments = [one.item() for one in at]
-    words, before = [], None
-    for one in moments:
+    moments = [instant.item() for instant in at]
+    labels, before = [], None
+    for moment in moments:
         coarse, fine = {
-            "m": (f"{one.day} {one:%b %Y}", f"{one:%H:%M}"),
-            "h": (f"{one.day} {one:%b %Y}", f"{one:%H:%M}"),
-            "D": (f"{one:%b %Y}", f"{one.day}"),
-            "M": (f"{one:%Y}", f"{one:%b}"),
+            "m": (f"{moment.day} {moment:%b %Y}", f"{moment:%H:%M}"),
+            "h": (f"{moment.day} {moment:%b %Y}", f"{moment:%H:%M}"),
+            "D": (f"{moment:%b %Y}", f"{moment.day}"),
+            "M": (f"{moment:%Y}", f"{moment:%b}"),
         }.get(unit, ("", ""))
-        words.append(fine if coarse == before else f"{fine}\n{coarse}" + (" UTC" if before is None else ""))
+        zone = " UTC" if before is None else ""
+        labels.append(fine if coarse == before else f"{fine}\n{coarse}{zone}")
         before = coarse
-    return at.astype(float), words
+    return at.astype(float), labels

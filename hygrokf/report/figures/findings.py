@@ -47,7 +47,7 @@ Span: TypeAlias = tuple[float, float]
 
 def drawable(found: DiscoveryResults) -> list[Finding]:
     """The findings whose episodes can be drawn, worst first."""
-    return [one for one in found.findings if one.spans]
+    return [finding for finding in found.findings if finding.spans]
 
 
 @dataclass(frozen=True)

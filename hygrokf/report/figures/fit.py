@@ -82,7 +82,7 @@ def figure_heat_release(fit: FitResults, series: Mapping[str, np.ndarray]) -> Pi
         math.nan if release is None or release.reference_K is None else release.reference_K - ZERO_CELSIUS_K
     )
     regimes = {} if release is None else release.regimes
-    found = [_Points(name, one, reference) for name, one in regimes.items()]
+    found = [_Points(name, regime, reference) for name, regime in regimes.items()]
     shown = [one for one in found if len(one.power)]
     if not shown:
         why = ""
@@ -293,9 +293,9 @@ def _composed(name: str, found: TimeConstant, steps: list[CompositionStep]) -> P
     marks += [bounds(*whole, MEASURED, 5.0, 1.0), CrossLine(found.value_h, "x", INK, 0.8)]
     # other estimates, each on the row of the source that it stands for
     others = [
-        ("forms", one.value_h, QUIET, 2.5 + 4.0 * one.weight)
-        for one in found.forms
-        if one.form != "base" and one.weight >= SHOWN_WEIGHT
+        ("forms", form.value_h, QUIET, 2.5 + 4.0 * form.weight)
+        for form in found.forms
+        if form.form != "base" and form.weight >= SHOWN_WEIGHT
     ]
     if found.simulation is not None:
         others.append(("free run", found.simulation.value_h, SIMULATED, 4.5))

@@ -74,7 +74,7 @@ def figure_innovations(
 
 def _columns(*lists: tuple[float, ...]) -> list[np.ndarray]:
     """Lists of equal length as arrays of the rows in which all are finite; empty where lengths differ."""
-    if len({len(one) for one in lists}) != 1:
+    if len({len(values) for values in lists}) != 1:
         return [np.empty(0) for _ in lists]
     rows = np.array(lists, dtype=float)
     return list(rows[:, np.isfinite(rows).all(axis=0)])

@@ -91,7 +91,7 @@ def lead_of_climate(study: Study) -> Figure:
     regions = study.regions
     if len(regions) == 1:
         return year_figure(regions[0], 1)
-    means = percent(min(one.mean_bounds_hold for one in regions))
+    means = percent(min(region.mean_bounds_hold for region in regions))
     caption = REGIONS_CAPTION.format(years=share_held(regions), means=means)
     return Figure("regions", "Regions side by side", caption, partial(figure_regions, regions))
 

@@ -1,5 +1,7 @@
-"""The panels of a picture as data: what is drawn on each, with labels, units and limits; and the one place
-that draws them, in rows and columns below a key, for pages, summaries, and axes that a user gives.
+"""The panels of a picture as data: the marks on each panel, with labels, units and limits.
+
+`Picture` draws the panels with matplotlib, in rows and columns below a key: on a figure of its own for pages
+and summaries, or on axes that a user gives.
 
 matplotlib is imported inside the functions that need it.
 """
@@ -39,7 +41,7 @@ SMALL_PT = 6.8
 """[pt] size of notes in a panel."""
 DASHES = (4, 2)
 MARKER_EDGE = {"|": 1.4, ".": 0.0}
-"""[pt] width of the edges of markers that are not as usual."""
+"""[pt] width of the edges of markers for which it differs from matplotlib's."""
 BOX = {"facecolor": "white", "alpha": 0.78, "pad": 0.7, "linewidth": 0}
 KEY_WIDTH = 1.0
 """[pt] least width of a line in a key."""
@@ -51,9 +53,9 @@ Limits: TypeAlias = tuple[float | None, float | None]
 
 @dataclass(frozen=True)
 class Curve:
-    """Points (n,), (n,) joined by a line, as markers, or both; `width` 0: markers alone.
+    """Points x (n,), y (n,) drawn as a line, as markers, or as both; `width` 0: markers alone.
 
-    The key names it by its `label`; a mark without a label is not in the key.
+    `label`: its entry in the key; a mark without a label is not in the key.
     """
 
     x: Numbers
@@ -82,7 +84,7 @@ class Band:
 
 @dataclass(frozen=True)
 class Shade:
-    """A stretch of one axis ("x", "y"), shaded over the whole of the other one."""
+    """A shaded interval of one axis ("x", "y") that covers the full length of the other axis."""
 
     low: float
     high: float
@@ -95,7 +97,7 @@ class Shade:
 
 @dataclass(frozen=True)
 class CrossLine:
-    """A straight line across the panel at a place of one axis ("x", "y")."""
+    """A straight line across the panel at a value of one axis ("x", "y")."""
 
     at: float
     of: Literal["x", "y"]
@@ -107,9 +109,10 @@ class CrossLine:
 
 @dataclass(frozen=True)
 class Note:
-    """Words beside a point; `shares` names the coordinates that are shares of the axes: "", "x", "y", "xy".
+    """A text beside a point; `shares` names the coordinates given as fractions of the axes: "", "x", "y",
+    "xy".
 
-    `side` and `level`: where the point lies, seen from the words' box.
+    `side` and `level`: position of the point relative to the box of the text.
     """
 
     text: str
@@ -139,7 +142,7 @@ class ColourScale:
     """Colour of places without a value."""
 
     def colour_map(self) -> Colormap:
-        """The colours as matplotlib knows them."""
+        """The colours as a colour map of matplotlib."""
         from matplotlib.colors import LinearSegmentedColormap, ListedColormap
 
         if self.edges:
@@ -147,21 +150,21 @@ class ColourScale:
         return LinearSegmentedColormap.from_list(self.label, self.colours).with_extremes(bad=self.missing)
 
     def norm(self) -> Normalize:
-        """Which number has which colour, as matplotlib knows it."""
+        """The mapping of numbers to the range of the colour map, as an object of matplotlib."""
         from matplotlib.colors import BoundaryNorm, LogNorm, Normalize
 
         if self.edges:
             return BoundaryNorm(self.edges, len(self.colours))
         return (LogNorm if self.logarithmic else Normalize)(self.low, self.high)
 
-    def explained(self, figure: Figure, **where: Any) -> None:
+    def draw_bar(self, figure: Figure, **where: Any) -> None:
         """Draw the bar that explains the colours."""
         from matplotlib.cm import ScalarMappable
 
         look: Any = {"extend": "neither" if self.edges or self.logarithmic else "both", "extendfrac": 0.03}
         bar = figure.colorbar(ScalarMappable(self.norm(), self.colour_map()), **look, **where)
         if ticks := self.ticks or self.edges:
-            bar.set_ticks(list(ticks), labels=[f"{one:g}" for one in ticks])
+            bar.set_ticks(list(ticks), labels=[f"{tick:g}" for tick in ticks])
             bar.minorticks_off()
         bar.set_label(self.label)
 
@@ -183,9 +186,9 @@ Mark: TypeAlias = Curve | Band | Shade | CrossLine | Note | Map
 class Axis:
     """One axis of a panel.
 
-    `limits`: None where the marks decide.  `kind`: "time" counts seconds since 1970 and shows a calendar in
-    UTC.  `at` and `words`: ticks and what is written there; else `most` ticks, in `steps` times a power of
-    ten.
+    `limits`: None where the marks determine them.  `kind`: "time" takes seconds since 1970 and shows a
+    calendar in UTC.  `at` and `words`: positions of the ticks and their labels; without them at most `most`
+    ticks, at multiples of `steps` times a power of ten.
     """
 
     label: str = ""
@@ -200,7 +203,7 @@ class Axis:
 
 @dataclass(frozen=True)
 class Panel:
-    """One system of axes and what is drawn on it; without marks, the title says why in a sentence."""
+    """One pair of axes with the marks on it; without marks, the title says why in a sentence."""
 
     marks: tuple[Mark, ...] = ()
     x: Axis = Axis()
@@ -226,7 +229,7 @@ class Panel:
 
 
 def _draw(mark: Mark, axes: Axes, unit: float) -> None:
-    """Draw a mark; what it says of x is in units of `unit`."""
+    """Draw a mark; its x coordinates are divided by `unit` (days on an axis of time)."""
     dashes: dict[str, Any] = {"dashes": DASHES} if getattr(mark, "dashed", False) else {}
     match mark:
         case Curve():
@@ -251,7 +254,7 @@ def _draw(mark: Mark, axes: Axes, unit: float) -> None:
         case CrossLine():
             axes.axhline(mark.at, color=mark.colour, linewidth=mark.width, **dashes)
         case Note():
-            x_of, y_of = ("axes fraction" if one in mark.shares else "data" for one in "xy")
+            x_of, y_of = ("axes fraction" if coordinate in mark.shares else "data" for coordinate in "xy")
             x = mark.x if "x" in mark.shares else mark.x / unit
             shift = {"left": 3, "right": -3}.get(mark.side, 0), {"top": -3, "bottom": 3}.get(mark.level, 0)
             axes.annotate(
@@ -265,7 +268,7 @@ def _draw(mark: Mark, axes: Axes, unit: float) -> None:
 
 
 def _marker(line: Curve) -> dict[str, Any]:
-    """How a line's markers look to matplotlib."""
+    """The settings of matplotlib for the markers of a curve."""
     look: dict[str, Any] = {"marker": line.marker, "markersize": line.size}
     if line.edge:
         look["markeredgecolor"] = line.edge
@@ -278,38 +281,38 @@ def _scaled(axis: Axis, axes: Axes, which: Literal["x", "y"]) -> None:
     """Limits, ticks and label of an axis whose marks are drawn."""
     from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
-    made = axes.xaxis if which == "x" else axes.yaxis
+    axis_drawn = axes.xaxis if which == "x" else axes.yaxis
     name = "left right" if which == "x" else "bottom top"
     unit = DAY_S if axis.kind == "time" else 1.0
     low, high = axis.limits
     if axis.kind == "time" and low is not None and high is not None and not high > low:
         low, high = low - HOUR_S / 2, high + HOUR_S / 2
     ends: dict[str, Any] = {
-        key: v / unit for key, v in zip(name.split(), (low, high), strict=True) if v is not None
+        key: limit / unit for key, limit in zip(name.split(), (low, high), strict=True) if limit is not None
     }
     if axis.kind == "logarithmic":
         (axes.set_xscale if which == "x" else axes.set_yscale)("log")
     if ends:
         (axes.set_xlim if which == "x" else axes.set_ylim)(**ends)
     if len(axis.at):
-        made.set_ticks(np.asarray(axis.at) / unit, axis.words or None)
-        made.set_minor_locator(NullLocator())
+        axis_drawn.set_ticks(np.asarray(axis.at) / unit, axis.words or None)
+        axis_drawn.set_minor_locator(NullLocator())
     elif axis.kind == "time" and low is not None and high is not None:
-        at, words = calendar_ticks(low, high, axis.most or 12)
-        made.set_ticks(at / unit, words)
+        at, labels = calendar_ticks(low, high, axis.most or 12)
+        axis_drawn.set_ticks(at / unit, labels)
     elif axis.kind == "logarithmic":
-        low, high = made.get_view_interval()
+        low, high = axis_drawn.get_view_interval()
         subs = (1.0, 2.0, 5.0) if math.log10(high / low) < 2.2 else (1.0,)
-        made.set_major_locator(LogLocator(base=10.0, subs=subs, numticks=(axis.most or 6) + 4))
-        made.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-        made.set_minor_locator(NullLocator())
+        axis_drawn.set_major_locator(LogLocator(base=10.0, subs=subs, numticks=(axis.most or 6) + 4))
+        axis_drawn.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        axis_drawn.set_minor_locator(NullLocator())
     elif axis.most or axis.steps:
         from matplotlib.ticker import MaxNLocator
 
-        made.set_major_locator(MaxNLocator(axis.most or "auto", steps=axis.steps or [1, 2, 2.5, 5, 10]))
+        axis_drawn.set_major_locator(MaxNLocator(axis.most or "auto", steps=axis.steps or [1, 2, 2.5, 5, 10]))
     if not axis.grid:
         axes.grid(visible=False, axis=which)
-    made.set_label_text(axis.label)
+    axis_drawn.set_label_text(axis.label)
 
 
 # --- the picture -----------------------------------------------------------------------------
@@ -347,9 +350,9 @@ class Picture:
     def figure(self) -> Figure:
         """The picture on a figure of a page's width."""
         with styled():
-            made = new_figure(self.height_in)
-            self.on_figure(made)
-        return made
+            figure = new_figure(self.height_in)
+            self.on_figure(figure)
+        return figure
 
     def on(self, axes: Sequence[Axes]) -> None:
         """Draw the first panels, one on each of the axes, with a key in the first and a bar beside all."""
@@ -359,52 +362,52 @@ class Picture:
         if self.scale is not None:
             figure = axes[0].get_figure(root=True)
             assert figure is not None
-            self.scale.explained(figure, ax=list(axes))
+            self.scale.draw_bar(figure, ax=list(axes))
 
     def on_figure(self, figure: Figure) -> list[Axes]:
         """Draw all panels on new axes, below their key; returns the axes."""
         rows = -(-len(self.panels) // self.columns)
-        # about the final places, by which ticks are chosen
+        # roughly the final positions: matplotlib chooses ticks by the size of the axes
         axes = [figure.add_subplot(rows, self.columns, i + 1) for i in range(len(self.panels))]
         self._draw(axes)
         width, height = map(float, figure.get_size_inches())
         key = 0.0
         if handles := self._handles():
-            columns = _columns(width, [str(one.get_label()) for one in handles])
+            columns = _columns(width, [str(handle.get_label()) for handle in handles])
             figure.legend(handles=handles, ncols=columns, loc="upper left", bbox_to_anchor=(0.0, 1.0))
             key = -(-len(handles) // columns) * KEY_LINE_EM * _points("legend.fontsize") * POINT_IN
         right = width - (BAR_IN + GAP_IN if self.scale is not None else 0.0)
         grid = [axes[i : i + self.columns] for i in range(0, len(axes), self.columns)]
         _place(grid, right, height - key, (width, height), self.heights or (1.0,) * rows)
         if self.scale is not None:
-            boxes = [one.get_position() for one in axes]
-            low, high = min(one.y0 for one in boxes), max(one.y1 for one in boxes)
+            boxes = [axis.get_position() for axis in axes]
+            low, high = min(box.y0 for box in boxes), max(box.y1 for box in boxes)
             beside = figure.add_axes((right / width, low, 0.14 / width, high - low))
-            self.scale.explained(figure, cax=beside)
+            self.scale.draw_bar(figure, cax=beside)
         return axes
 
     def _draw(self, axes: Sequence[Axes]) -> None:
         """Draw the first panels, one on each of the axes."""
         last = len(axes) - 1
-        for place, (one, panel) in enumerate(zip(axes, self.panels, strict=False)):
+        for place, (axis, panel) in enumerate(zip(axes, self.panels, strict=False)):
             inner_x = "x" in self.shared and place + self.columns <= last
             inner_y = "y" in self.shared and place % self.columns > 0
-            # before ticks are made, so that no labels are made that nobody sees
-            one.tick_params(labelbottom=not inner_x, labelleft=not inner_y)
-            panel.on(one)
+            # set before the ticks exist, so that no hidden labels are created
+            axis.tick_params(labelbottom=not inner_x, labelleft=not inner_y)
+            panel.on(axis)
             if inner_x:
-                one.set_xlabel("")
+                axis.set_xlabel("")
             if inner_y:
-                one.set_ylabel("")
+                axis.set_ylabel("")
 
     def _handles(self) -> list[Artist]:
-        """The entries of the key: every label once."""
+        """The entries of the key, each label once."""
         marks = [mark for panel in self.panels for mark in panel.marks]
-        found: dict[str, Artist] = {}
+        handles: dict[str, Artist] = {}
         for mark in (*marks, *self.key):
-            if isinstance(mark, Curve | Band | Shade | CrossLine) and mark.label and mark.label not in found:
-                found[mark.label] = _handle(mark)
-        return list(found.values())
+            if isinstance(mark, Curve | Band | Shade | CrossLine) and mark.label:
+                handles.setdefault(mark.label, _handle(mark))
+        return list(handles.values())
 
 
 def _handle(mark: Curve | Band | Shade | CrossLine) -> Artist:
@@ -424,37 +427,39 @@ def _handle(mark: Curve | Band | Shade | CrossLine) -> Artist:
 def _place(
     grid: list[list[Axes]], width: float, height: float, size: tuple[float, float], heights: Sequence[float]
 ) -> None:
-    """Give axes in rows and columns their places, from the letters beside them; `width`, `height` [in] are
-    what there is, of a figure of `size` [in].
+    """Set the positions of axes in rows and columns, from the estimated sizes of the texts beside them.
 
-    Nothing is drawn for it: a layout that measures would draw everything twice.
+    width, height: [in] the area for all axes.  size: [in] of the figure.  The texts are estimated, not
+    measured, because measuring would draw the figure twice.
     """
-    around = [[_around(one) for one in row] for row in grid]
+    margins = [[_around(axis) for axis in row] for row in grid]
     left, right = (
-        [max(row[i][side].sum() for row in around if i < len(row)) for i in range(len(grid[0]))]
+        [max(row[i][side].sum() for row in margins if i < len(row)) for i in range(len(grid[0]))]
         for side in (0, 1)
     )
-    top, bottom = ([max(one[side].sum() for one in row) for row in around] for side in (2, 3))
-    wide = (width - sum(left) - sum(right) - GAP_IN * (len(left) - 1)) / len(left)
-    free = height - sum(top) - sum(bottom) - ROW_IN * (len(grid) - 1)
-    up = height
+    top, bottom = ([max(axis[side].sum() for axis in row) for row in margins] for side in (2, 3))
+    axes_width = (width - sum(left) - sum(right) - GAP_IN * (len(left) - 1)) / len(left)
+    free_height = height - sum(top) - sum(bottom) - ROW_IN * (len(grid) - 1)
+    bottom_in = height
     for row, share, above, below in zip(grid, heights, top, bottom, strict=True):
-        high = max(free * share / sum(heights), 0.2)
-        up -= above + high
-        at = 0.0
+        axes_height = max(free_height * share / sum(heights), 0.2)
+        bottom_in -= above + axes_height
+        left_in = 0.0
         for i, axes in enumerate(row):
-            at += left[i]
-            axes.set_position((at / size[0], up / size[1], wide / size[0], high / size[1]))
-            axes.yaxis.set_label_coords(-(left[i] - 0.02) / wide, 0.5)
+            left_in += left[i]
+            axes.set_position(
+                (left_in / size[0], bottom_in / size[1], axes_width / size[0], axes_height / size[1])
+            )
+            axes.yaxis.set_label_coords(-(left[i] - 0.02) / axes_width, 0.5)
             axes.yaxis.label.set_verticalalignment("top")
             ticks = _around(axes)[3][0]
-            axes.xaxis.set_label_coords(0.5, -ticks / high)
-            at += wide + right[i] + GAP_IN
-        up -= below + ROW_IN
+            axes.xaxis.set_label_coords(0.5, -ticks / axes_height)
+            left_in += axes_width + right[i] + GAP_IN
+        bottom_in -= below + ROW_IN
 
 
 def _around(axes: Axes) -> tuple[np.ndarray, ...]:
-    """[in] what ticks and titles need left of, right of, above and below axes."""
+    """Space [in] that ticks and titles need left of, right of, above and below the axes."""
     if not axes.axison:
         return (np.zeros(2),) * 4
     return (
@@ -466,7 +471,7 @@ def _around(axes: Axes) -> tuple[np.ndarray, ...]:
 
 
 def _ticks_in(axes: Axes, which: Literal["x", "y"]) -> float:
-    """[in] room that the labels of an axis's ticks need beside the axes."""
+    """Space [in] that the tick labels of an axis need beside the axes."""
     axis = axes.xaxis if which == "x" else axes.yaxis
     shown = axis.get_tick_params()["labelbottom" if which == "x" else "labelleft"]
     if not shown:
@@ -479,7 +484,7 @@ def _ticks_in(axes: Axes, which: Literal["x", "y"]) -> float:
 
 
 def _beyond(axes: Axes) -> float:
-    """[in] room right of axes, where the label of the last tick reaches beyond them."""
+    """Space [in] right of the axes into which the label of the last tick extends."""
     words = _words(axes.xaxis) if axes.xaxis.get_tick_params()["labelbottom"] else {}
     last = max(words, default=0.0)
     size = LETTER_EM * _points("xtick.labelsize") * POINT_IN
@@ -487,20 +492,20 @@ def _beyond(axes: Axes) -> float:
 
 
 def _words(axis: MatplotlibAxis) -> dict[float, str]:
-    """Labels of the ticks that show, by their places as a share of the axis."""
+    """Labels of the visible ticks, by their positions as fractions of the axis."""
     at, (low, high) = axis.get_majorticklocs(), sorted(axis.get_view_interval())
-    words = axis.get_major_formatter().format_ticks(list(at))
-    found = {(one - low) / (high - low): word for one, word in zip(at, words, strict=False)}
-    return {share: word for share, word in found.items() if 0.0 <= share <= 1.0}
+    labels = axis.get_major_formatter().format_ticks(list(at))
+    shares = (np.asarray(at) - low) / (high - low)
+    return {share: word for share, word in zip(shares, labels, strict=False) if 0.0 <= share <= 1.0}
 
 
 def _lines(text: str, size: str) -> float:
-    """[in] height of lines of text with the space to what they describe; 0 without any."""
+    """Height [in] of a text with the space between it and the axes; 0 for an empty text."""
     return 0.04 + LINE_EM * _points(size) * POINT_IN * (1 + text.count("\n")) if text else 0.0
 
 
 def _points(name: str) -> float:
-    """[pt] a size of letters among matplotlib's settings."""
+    """Font size [pt] of an entry of matplotlib's settings."""
     from matplotlib import rcParams
     from matplotlib.font_manager import FontProperties
 
@@ -509,12 +514,12 @@ def _points(name: str) -> float:
 
 
 def _columns(width_in: float, labels: Sequence[str]) -> int:
-    """The columns of a key that fit within a width [in]; its entries stand one below the other first."""
-    letters = _points("legend.fontsize") * POINT_IN
-    needs = [(SIGN_EM + KEY_LETTER_EM * len(one)) * letters for one in labels]
-    for columns in range(len(needs), 1, -1):
-        rows = -(-len(needs) // columns)
-        if sum(max(needs[i : i + rows]) for i in range(0, len(needs), rows)) <= width_in:
+    """The largest number of columns of a key that fit into a width [in]; entries fill it column by column."""
+    letter_in = _points("legend.fontsize") * POINT_IN
+    entry_widths = [(SIGN_EM + KEY_LETTER_EM * len(label)) * letter_in for label in labels]
+    for columns in range(len(entry_widths), 1, -1):
+        rows = -(-len(entry_widths) // columns)
+        if sum(max(entry_widths[i : i + rows]) for i in range(0, len(entry_widths), rows)) <= width_in:
             return columns
     return 1
 
@@ -526,19 +531,23 @@ def course(
     time: np.ndarray, value: np.ndarray, span: tuple[float, float], colour: str, width: float,
     label: str = "", bins: int = BINS,
 ) -> Curve:  # fmt: skip
-    """A course (T,) over a stretch of time [s], thinned as in `envelope`; a single value is a point."""
+    """The curve of a series (T,) within `span` [s], thinned as in `envelope`; a single value is a marker."""
     t, v = envelope(time, value, span, bins)
-    there = np.isfinite(v).sum()
-    return Curve(t, v, colour, width, label if there else "", marker="o" if there == 1 else "")
+    count = np.isfinite(v).sum()
+    return Curve(t, v, colour, width, label if count else "", marker="o" if count == 1 else "")
 
 
 def courses(
     time: np.ndarray, shown: Sequence[tuple[str, np.ndarray, str, float]], sd: np.ndarray | None,
     span: tuple[float, float], bins: int = BINS,
 ) -> tuple[tuple[Mark, ...], Limits]:  # fmt: skip
-    """Courses (label, value (T,), colour, width) over a stretch of time [s], the simulation last, with its
-    95 % band where its standard deviation `sd` (T,) is known; and limits, which show every value, not every
-    excess of the band."""
+    """The curves of series within `span` [s] with the band of the last one, and limits that include all
+    values.
+
+    shown: label, values (T,), colour and width of each series, the simulation last.  sd: (T,) standard
+        deviation of the simulation, for its 95 % band; None: no band.  The limits need not include all of
+        the band.
+    """
     marks: list[Mark] = [
         course(time, value, span, colour, width, label, bins) for label, value, colour, width in shown
     ]
@@ -547,15 +556,15 @@ def courses(
         t, low, high = band(time, simulated - LEVEL_SD * sd, simulated + LEVEL_SD * sd, span, bins)
         marks.append(Band(t, low, high, SIMULATED, label="95 % band" if np.isfinite(sd).any() else ""))
     inside = (time >= span[0]) & (time <= span[1])
-    there = np.concatenate([value[inside & np.isfinite(value)] for _, value, _, _ in shown])
-    if not len(there):
+    values = np.concatenate([value[inside & np.isfinite(value)] for _, value, _, _ in shown])
+    if not len(values):
         return tuple(marks), (None, None)
-    margin = 0.07 * float(np.ptp(there)) or 1.0
-    return tuple(marks), (float(there.min()) - margin, float(there.max()) + margin)
+    margin = 0.07 * float(np.ptp(values)) or 1.0
+    return tuple(marks), (float(values.min()) - margin, float(values.max()) + margin)
 
 
 def validation(start_s: float, span: tuple[float, float]) -> tuple[Mark, ...]:
-    """Where the validation period begins [s] in a stretch of time [s]."""
+    """A line with a note at the begin `start_s` [s] of the validation period, in a `span` [s] of time."""
     start = max(start_s, span[0])
     late = (span[1] - start) / max(span[1] - span[0], 1e-9) < 0.12
     note = Note("validation", start, 1.0, INK, "right" if late else "left", "top", "y", boxed=True)
@@ -566,7 +575,7 @@ def strokes(
     x1: np.ndarray, y1: np.ndarray, x2: np.ndarray, y2: np.ndarray, colour: str, width: float,
     label: str = "", alpha: float = 1.0,
 ) -> Curve:  # fmt: skip
-    """Strokes from points (x1, y1) to points (x2, y2), as one line."""
+    """Separate line segments from points (x1, y1) to points (x2, y2), as one curve."""
     gap = np.full(len(x1), np.nan)
     x, y = (np.column_stack([a, b, gap]).ravel() for a, b in ((x1, x2), (y1, y2)))
     return Curve(x, y, colour, width, label, alpha=alpha)
@@ -575,7 +584,7 @@ def strokes(
 def bounds(
     low: float, high: float, at: float, colour: str, width: float = BOUND_WIDTH, alpha: float = 0.6
 ) -> Curve:
-    """Two bounds joined by a level line."""
+    """A horizontal line from the lower to the upper bound."""
     return Curve((low, high), (at, at), colour, width, alpha=alpha)
 
 
@@ -585,5 +594,5 @@ def point(x: float, y: float, marker: str, colour: str, size: float, edge: str =
 
 
 def rows(labels: Sequence[str]) -> Axis:
-    """An axis with a row for each label, the first one, at 0, on top."""
+    """An axis with one row for each label; the first label, at 0, is on top."""
     return Axis(limits=(len(labels) - 0.4, -0.6), at=range(len(labels)), words=labels, grid=False)

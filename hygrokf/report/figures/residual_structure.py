@@ -58,8 +58,8 @@ def _known(residuals: Residuals) -> list[Quantity]:
 
 
 def figure_drivers(residuals: Residuals, drivers: Sequence[str], after: Residuals | None) -> Picture:
-    """Error of the free run against drivers: medians, middle half and middle 80 % of the hours in equal
-    shares; a row for each quantity, a column for each driver.
+    """Error of the free run against drivers: medians, interquartile ranges and 10 to 90 % quantiles of
+    the hours in equal shares; a row for each quantity, a column for each driver.
 
     drivers: up to four names.
     """
@@ -98,8 +98,8 @@ def telling_drivers(residuals: Residuals, first: Sequence[str] = ()) -> list[str
         if name == "preheating":
             continue
         spreads = []
-        for one in quantities:
-            error = hours.error[one]
+        for quantity_name in quantities:
+            error = hours.error[quantity_name]
             _, middle = _medians(value, error, _shares(value[np.isfinite(error)]))
             if len(middle) > 2:
                 spreads.append(float(np.nanstd(middle)) / (float(np.nanstd(error)) or 1.0))
@@ -140,8 +140,8 @@ def _bands(value: np.ndarray, error: np.ndarray, edges: np.ndarray, label: str) 
     return [
         CrossLine(0.0, "y", INK, 0.7),
         Curve(x, middle, SIMULATED, 1.4, label, "o", 2.4),
-        Band(x, low, high, SIMULATED, 0.20, "middle half"),
-        Band(x, least, most, SIMULATED, 0.10, "middle 80 %"),
+        Band(x, low, high, SIMULATED, 0.20, "25 to 75 %"),
+        Band(x, least, most, SIMULATED, 0.10, "10 to 90 %"),
     ]
 
 

@@ -87,33 +87,33 @@ class Summary:
     banners: tuple[Banner, ...] = ()
 
 
-def named(text: str, without: str = "unnamed record") -> str:
-    """A name on one line; `without` one, what stands in its place."""
-    return one_line(text).strip() or without
+def named(text: str, placeholder: str = "unnamed record") -> str:
+    """A name on one line; `placeholder` where the name is empty."""
+    return one_line(text).strip() or placeholder
 
 
-def known(term: str, text: str) -> tuple[tuple[str, str], ...]:
-    """A line of the foot; none where its text is empty."""
+def foot_line(term: str, text: str) -> tuple[tuple[str, str], ...]:
+    """A line of the foot as a tuple of one pair; an empty tuple where the text is empty."""
     return ((term, text),) if text else ()
 
 
 def first_rows(table: Table) -> Table:
-    """A table of at most `MOST_ROWS` rows, whose note names the rest."""
-    rest = len(table.rows) - MOST_ROWS
-    if rest <= 0:
+    """The first `MOST_ROWS` rows of a table; its note then states how many rows were omitted."""
+    omitted = len(table.rows) - MOST_ROWS
+    if omitted <= 0:
         return table
-    note = f"{table.note} {rest} more rows: see the report.".strip()
+    note = f"{table.note} {omitted} more rows: see the report.".strip()
     return replace(table, rows=table.rows[:MOST_ROWS], note=note)
 
 
 def first_actions(actions: Sequence[str]) -> tuple[str, ...]:
-    """At most `MOST_ACTIONS`, and how many more there are."""
-    rest = len(actions) - MOST_ACTIONS
-    return (*actions[:MOST_ACTIONS], *([f"{rest} more: see the report."] if rest > 0 else []))
+    """The first `MOST_ACTIONS` actions, then a line that states how many were omitted."""
+    omitted = len(actions) - MOST_ACTIONS
+    return (*actions[:MOST_ACTIONS], *([f"{omitted} more: see the report."] if omitted > 0 else []))
 
 
-def drawable(make: Callable[[], Figure]) -> Figure | None:
-    """A picture; None where there is nothing to show."""
+def picture_or_none(make: Callable[[], Figure]) -> Figure | None:
+    """The picture that `make` returns; None where the data for drawing it are missing."""
     try:
         picture = make()
         picture.draw()
@@ -157,24 +157,24 @@ REMEDIES = {
     "Log the cabinet at shorter steps.": (ReasonCode.READINGS_COARSE,),
     "Take the weather from a source with shorter steps.": (ReasonCode.AMBIENT_COARSE,),
 }
-"""What to do about the reasons against a time constant (`identification.verdict`), what comes first first:
-the action, and the codes of the reasons that ask for it."""
+"""Action → codes of the reasons against a time constant (`identification.verdict`) that call for it, in the
+order in which the actions are listed on the page."""
 
 
 def remedies(reasons: Iterable[Reason]) -> tuple[str, ...]:
-    """What to do about reasons, each action once."""
-    codes = {one.code for one in reasons}
-    return tuple(action for action, asking in REMEDIES.items() if codes.intersection(asking))
+    """The actions that the given reasons call for, each action once."""
+    codes = {reason.code for reason in reasons}
+    return tuple(action for action, reason_codes in REMEDIES.items() if codes.intersection(reason_codes))
 
 
 def summary_blocks(summary: Summary) -> Page:
-    """The answer to the question, its numbers and its picture, then what to do; prints on one page of A4."""
+    """The page of a summary: answer, numbers, picture, then the actions.  It prints on one sheet of A4."""
     card = Card(
         summary.question, summary.answer, summary.verdict, lines=summary.reasons, wide=True,
         words=True, tone=summary.tone,
     )  # fmt: skip
     picture = summary.picture
-    size, height_in = fitted(summary)
+    letter_pt, height_in = page_layout(summary)
     return Page(
         summary.kind,
         summary.name,
@@ -189,7 +189,7 @@ def summary_blocks(summary: Summary) -> Page:
         ),
         section(TODO, Items(summary.actions)),
         tuple(Prose(f"{term}: {text}") for term, text in summary.foot),
-        sheet=size,
+        sheet=letter_pt,
     )
 
 
@@ -200,38 +200,42 @@ WIDTH_PT, HEIGHT_PT = 487.6, 728.0
 LETTER_EM, LEADING_EM, GAPS_EM = 0.545, 1.45, 11.0
 """[1] average width of a letter, height of a line, and all spaces between the parts of the page, in sizes of
 the letters."""
-LEAST_SHARE, MOST_SHARE, MOST_IN = 0.9, 1.5, 3.4
-"""[1] height of the picture against that in a report; every picture may be as high as `MOST_IN` [in]."""
+LEAST_SHARE, MOST_SHARE, ALWAYS_ALLOWED_IN = 0.9, 1.5, 3.4
+"""[1] limits of the picture's height relative to its height in a report; a height of `ALWAYS_ALLOWED_IN` [in]
+is allowed even above the upper limit."""
 
 
-def fitted(summary: Summary) -> tuple[float, float]:
+def page_layout(summary: Summary) -> tuple[float, float]:
     """Size of the letters [pt] with which the summary fits on its page, and height of its picture [in]."""
-    wanted = 0.0 if summary.picture is None else summary.picture.draw().height_in
-    size, room = 0.0, 0.0
+    usual_height_in = 0.0 if summary.picture is None else summary.picture.draw().height_in
+    size, free_height_in = 0.0, 0.0
     for size in LETTERS_PT:
-        room = (HEIGHT_PT - text_pt(summary, size)) / WIDTH_PT * WIDTH_IN
-        if room >= LEAST_SHARE * wanted:
+        free_height_in = (HEIGHT_PT - text_pt(summary, size)) / WIDTH_PT * WIDTH_IN
+        if free_height_in >= LEAST_SHARE * usual_height_in:
             break
-    return size, max(LEAST_SHARE * wanted, min(room, max(MOST_SHARE * wanted, MOST_IN)))
+    return size, max(
+        LEAST_SHARE * usual_height_in,
+        min(free_height_in, max(MOST_SHARE * usual_height_in, ALWAYS_ALLOWED_IN)),
+    )
 
 
 def text_pt(summary: Summary, size: float) -> float:
-    """[pt] height of all texts in letters of `size` [pt], as far as the average width of a letter tells."""
-    shown = summary.picture
-    picture = () if shown is None else ((1.05, shown.heading), (0.85, shown.caption))
+    """Height [pt] of all texts in letters of `size` [pt], estimated from the average width of a letter."""
+    picture = summary.picture
+    picture_texts = () if picture is None else ((1.05, picture.heading), (0.85, picture.caption))
     texts = (
-        (0.85, summary.kind), (2.1, summary.name), *((1.2, one.text) for one in summary.banners),
+        (0.85, summary.kind), (2.1, summary.name), *((1.2, banner.text) for banner in summary.banners),
         (1.15, summary.question),
         (1.55, summary.answer), (1.2, summary.verdict), *((1.1, text) for text in summary.reasons),
-        (0.85, summary.bounds.note), *picture, (1.3, TODO), *((1.15, text) for text in summary.actions),
+        (0.85, summary.bounds.note), *picture_texts, (1.3, TODO), *((1.15, text) for text in summary.actions),
         *((0.75, f"{term}: {text}") for term, text in summary.foot),
     )  # fmt: skip
-    lines = sum(em * math.ceil(len(text) / letters_a_line(em * size)) for em, text in texts)
+    lines = sum(em * math.ceil(len(text) / chars_per_line(em * size)) for em, text in texts)
     return ((lines + _rows_em(summary.bounds, size)) * LEADING_EM + GAPS_EM) * size
 
 
-def letters_a_line(size: float) -> float:
-    """[1] letters of `size` [pt] side by side on the page."""
+def chars_per_line(size: float) -> float:
+    """Number of characters [1] of `size` [pt] that fit side by side on the page."""
     return WIDTH_PT / (LETTER_EM * size)
 
 
@@ -239,42 +243,54 @@ def _rows_em(table: Table, size: float) -> float:
     """Height of a table in lines of the page [1]: numbers stay on one line, the words beside them wrap."""
     if not table:
         return 0.0
-    letters = letters_a_line(0.95 * size)
-    longest = [max(len(text) + 3 for text in column) for column in zip(*table.rows, strict=True)]
-    heads = [(len(text) + 3, room) for text, room in zip(table.columns, longest, strict=True)]
-    wrapped = sum(map(max, heads)) > letters
-    head = max(math.ceil(wide / room) for wide, room in heads) if wrapped else 1
-    words = sum(longest[i] for i in table.left)
-    crowding = words / max(letters - sum(longest) + words, 8.0)
-    fullest = (max((len(row[i]) + 3) / longest[i] for i in table.left) for row in table.rows)
-    return sum(0.35 + 0.95 * lines for lines in (head, *(math.ceil(crowding * share) for share in fullest)))
+    line_chars = chars_per_line(TABLE_LETTER * size)
+    widths = [max(len(text) + CELL_GAP for text in column) for column in zip(*table.rows, strict=True)]
+    head_widths = [len(text) + CELL_GAP for text in table.columns]
+    head_lines = 1
+    if sum(map(max, zip(head_widths, widths, strict=True))) > line_chars:
+        head_lines = max(math.ceil(head / width) for head, width in zip(head_widths, widths, strict=True))
+    word_chars = sum(widths[i] for i in table.left)
+    # how often the columns of words exceed the width that the columns of numbers leave
+    excess = word_chars / max(line_chars - sum(widths) + word_chars, LEAST_WORD_CHARS)
+    fullest = (max((len(row[i]) + CELL_GAP) / widths[i] for i in table.left) for row in table.rows)
+    row_lines = (head_lines, *(math.ceil(excess * share) for share in fullest))
+    return sum(ROW_PADDING + TABLE_LETTER * lines for lines in row_lines)
+
+
+TABLE_LETTER, ROW_PADDING = 0.95, 0.35
+"""[1] size of a table's letters relative to those of the page, and space between two rows in lines."""
+CELL_GAP, LEAST_WORD_CHARS = 3, 8.0
+"""[1] space between two columns, and least width of all columns of words together, in characters."""
 
 
 def summary_of_fit(fit: FitResults, series: Mapping[str, np.ndarray]) -> Summary:
-    """How fast the cabinet follows: both time constants with verdicts, and the errors of the free run.
+    """The summary of a fit: both time constants with their verdicts, and the errors of the free run.
 
     series: the arrays of `series.npz`.
     """
-    found = inherited(fit)
-    parts = [name for name in PARTS if name in found]
+    constants = inherited(fit)
+    parts = [name for name in PARTS if name in constants]
     quantities = " and ".join(QUANTITIES_OF[name] for name in parts) or "the air"
-    doubted = [name for name in parts if found[name].verdict != BELIEVE]
+    doubted = [name for name in parts if constants[name].verdict != BELIEVE]
     return Summary(
         "Summary of an identification",
         named(fit.name),
         f"How fast do {quantities} in the cabinet follow the weather and the operation?"
         if len(parts) > 1
         else f"How fast does {quantities} in the cabinet follow the weather and the operation?",
-        " ".join(f"{one.head}." for one in judgements(fit) if one.about in parts)
+        " ".join(f"{judgement.head}." for judgement in judgements(fit) if judgement.about in parts)
         or "This record determines no time constant.",
-        max((found[name].verdict for name in parts), key=VERDICTS.index, default=REJECT),
-        tuple(sentence(f"{name} time constant, {found[name].sentence}") for name in doubted),
+        max((constants[name].verdict for name in parts), key=VERDICTS.index, default=REJECT),
+        tuple(sentence(f"{name} time constant, {constants[name].sentence}") for name in doubted),
         _constants(fit),
-        drawable(lambda: lead_of_fit(series)),
-        (*_uses(found), *remedies(reason for one in found.values() for reason in one.reasons)),
+        picture_or_none(lambda: lead_of_fit(series)),
+        (
+            *_uses(constants),
+            *remedies(reason for constant in constants.values() for reason in constant.reasons),
+        ),
         (
             ("Record", named(fit.name)),
-            *known("Period", period_text(fit)),
+            *foot_line("Period", period_text(fit)),
             ("Made by", versions(fit.version)),
         ),
         banners=unmeasured(fit.provenance, OF_RECORD),
@@ -284,38 +300,46 @@ def summary_of_fit(fit: FitResults, series: Mapping[str, np.ndarray]) -> Summary
 QUANTITIES_OF = {"thermal": "the temperature", "hygric": "the humidity"}
 
 
-def _uses(found: Mapping[str, Inherited]) -> tuple[str, ...]:
-    """Which time constants may be used."""
-    said = []
+def _uses(constants: Mapping[str, Inherited]) -> tuple[str, ...]:
+    """Sentences that say for which purposes the time constants may be used, grouped by verdict."""
+    sentences = []
     for kind in VERDICTS:
-        names = [name for name, one in found.items() if one.verdict == kind]
+        names = [name for name, constant in constants.items() if constant.verdict == kind]
         if not names:
             continue
         end, its, them = ("s", "their", "them") if len(names) > 1 else ("", "its", "it")
-        how = {
+        permission = {
             BELIEVE: f"can be used with {its} bounds: in simulations, forecasts and the climate of a site",
             CAUTION: f"can be used if {its} bounds and the doubts above are stated with {them}",
             REJECT: f"must not be used, nor what rests on {them}",
         }[kind]
-        said.append(f"The {' and '.join(names)} time constant{end} {how}.")
-    return tuple(said)
+        sentences.append(f"The {' and '.join(names)} time constant{end} {permission}.")
+    return tuple(sentences)
 
 
 def _constants(fit: FitResults) -> Table:
-    """The time constants, then the errors of the free run."""
+    """Table of the time constants, followed by the errors of the free run."""
     rows = []
-    for name, one in inherited(fit).items():
-        value, bounds = one.texts
-        rows.append((f"{name} time constant", value, f"{bounds} h" if one.closed else NONE, one.words))
-    kinds = {one.about: one.verdict for one in judgements(fit)}
+    for name, constant in inherited(fit).items():
+        value, bounds = constant.texts
+        rows.append(
+            (f"{name} time constant", value, f"{bounds} h" if constant.closed else NONE, constant.words)
+        )
+    verdicts = {judgement.about: judgement.verdict for judgement in judgements(fit)}
     for name in SCORED:
-        late, early = (fit.errors(period, name).total for period in ("validation", "identification"))
-        if name in kinds and (late == late or early == early):
-            error, where = (late, "on new data") if late == late else (early, "on the data of the fit")
-            words = f"error of the simulated {quantity(name).words}, {where}"
-            rows.append((words, quantity(name).with_unit(error), "", WORDS[kinds[name]]))
+        on_new_data, on_fitted_data = (
+            fit.errors(period, name).total for period in ("validation", "identification")
+        )
+        if name not in verdicts or (math.isnan(on_new_data) and math.isnan(on_fitted_data)):
+            continue
+        if math.isnan(on_new_data):
+            error, where = on_fitted_data, "on the data of the fit"
+        else:
+            error, where = on_new_data, "on new data"
+        words = f"error of the simulated {quantity(name).words}, {where}"
+        rows.append((words, quantity(name).with_unit(error), "", WORDS[verdicts[name]]))
     return Table(
-        "The numbers",
+        "Key figures",
         ("", "value", "95 % bounds", "verdict"),
         tuple(rows),
         left=(0, 3),
@@ -324,50 +348,49 @@ def _constants(fit: FitResults) -> Table:
 
 
 def summary_of_discovery(
-    found: DiscoveryResults, before: Residuals | None, after: Residuals | None
+    results: DiscoveryResults, before: Residuals | None, after: Residuals | None
 ) -> Summary:
-    """What the model lacks: the cause with its confidence and gain, or that none is named.
+    """The summary of a discovery: the cause with its confidence and its gain, or that no cause is named.
 
     before, after: residuals of the base and of the extended model.
     """
-    verdict = verdict_of(found)
+    verdict = verdict_of(results)
     return Summary(
         "Summary of a discovery",
-        named(found.name),
+        named(results.name),
         "What does the model of this cabinet lack?",
         f"{', '.join(filter(None, (verdict.headline, verdict.confidence)))}.",
         "",
         tuple(map(sentence, verdict.reasons)),
-        gains_table(found),
-        drawable(lambda: lead_of_discovery(found, before, after)),
-        tuple(map(sentence, verdict.actions or _otherwise(found))),
+        gains_table(results),
+        picture_or_none(lambda: lead_of_discovery(results, before, after)),
+        tuple(map(sentence, verdict.actions or _otherwise(results))),
         (
-            ("Record", named(found.name)),
-            *known("Period", " ".join(spans_text(before))),
-            ("Made by", versions(found.version)),
+            ("Record", named(results.name)),
+            *foot_line("Period", " ".join(spans_text(before))),
+            ("Made by", versions(results.version)),
         ),
         "open" if verdict.warned else "plain",
-        unmeasured(found.provenance, OF_RECORD),
+        unmeasured(results.provenance, OF_RECORD),
     )
 
 
-def _otherwise(found: DiscoveryResults) -> tuple[str, ...]:
-    """What to do where the discovery states nothing: after a cause without a check, or a base model that is
-    wrong although no cause was found."""
-    if found.causes:
+def _otherwise(results: DiscoveryResults) -> tuple[str, ...]:
+    """Actions where the discovery itself states none: its cause has no check in the turbine, or the base
+    model is wrong although no cause was found."""
+    if results.causes:
         return ("use the extended model, fit.json beside the discovery, in the place of the base model",)
-    against = [reason for one in inherited(found.baseline.fit).values() for reason in one.reasons]
-    return ("do not rely on the base model", *(one for one in remedies(against) if one != LACKING))
+    against = [reason for constant in inherited(results.baseline.fit).values() for reason in constant.reasons]
+    return ("do not rely on the base model", *(remedy for remedy in remedies(against) if remedy != LACKING))
 
 
 def summary_of_climate(study: Study) -> Summary:
-    """The climate in the cabinet: limits kept or not, else hours of wetness; several regions beside each
-    other."""
+    """The summary of a climate: whether the limits are kept; without limits, the hours of wetness."""
     regions = study.regions
     several = len(regions) > 1
     doubt = doubt_text(study)
-    limited = any(one.limits for one in regions)
-    worst = next((v for v in WORST_FIRST if v in {one.verdict for one in regions}), "")
+    limited = any(region.limits for region in regions)
+    worst = next((v for v in WORST_FIRST if v in {region.verdict for region in regions}), "")
     place = regions[0].name.strip()
     alone = f"at “{place}”" if place != "site" else "at the site"  # --weather states no name
     where = f"in {len(regions)} regions" if several else alone
@@ -381,11 +404,11 @@ def summary_of_climate(study: Study) -> Summary:
         REJECT if doubt else "",
         tuple(text for text in (doubt, *_conditions(study)) if text),
         first_rows(_numbers(study)),
-        drawable(lambda: lead_of_climate(study)),
+        picture_or_none(lambda: lead_of_climate(study)),
         first_actions(_actions(study, doubt)),
         (
             ("Model", named(study.name, "unnamed model")),
-            *(("Weather", weather_text(one).removeprefix("Weather ")) for one in regions[:3]),
+            *(("Weather", weather_text(region).removeprefix("Weather ")) for region in regions[:3]),
             ("Ensemble", f"{study.members} members, seed {study.seed}"),
             ("Made by", versions(study.version)),
         ),
@@ -395,7 +418,8 @@ def summary_of_climate(study: Study) -> Summary:
 
 
 def _answer(region: RegionClimate) -> str:
-    """The limits in words, else hours of wetness and of condensation, else the mean temperature."""
+    """Whether the limits are kept; without limits the hours of wetness and of condensation; without these the
+    mean temperature."""
     if region.limits:
         return _limits_text(region.limits)
     numbers = [
@@ -409,94 +433,99 @@ def _answer(region: RegionClimate) -> str:
 
 
 def _answer_of_regions(regions: Sequence[RegionClimate]) -> str:
-    """Where the limits are kept, else the regions with the least and the most hours of wetness."""
-    if any(one.limits for one in regions):
+    """The regions in which the limits are kept; without limits the regions with the fewest and the most hours
+    of wetness."""
+    if any(region.limits for region in regions):
         parts = []
         for verdict, words in VERDICTS_IN_WORDS.items():
-            there = [one.name for one in regions if one.verdict == verdict]
-            if there:
-                place = listed(there, "and") if len(there) <= MOST_NAMES else f"{len(there)} regions"
+            names = [region.name for region in regions if region.verdict == verdict]
+            if names:
+                place = listed(names, "and") if len(names) <= MOST_NAMES else f"{len(names)} regions"
                 parts.append(f"{words} in {place}")
         return f"The limits are {listed(parts, 'and')}."
-    name, words, unit = ("wetness_h", "Wet for", "h a year")
-    if not all(name in one.year for one in regions):
-        name, words, unit = ("mean_temperature_degC", "On average", "°C")
-    text = number_text(name)
-    least, *_, most = sorted(regions, key=lambda one: one.year[name].value)
-    low, high = (f"{text(one.year[name].value)} {unit} ({one.name})" for one in (least, most))
+    statistic, words, unit = ("wetness_h", "Wet for", "h a year")
+    if not all(statistic in region.year for region in regions):
+        statistic, words, unit = ("mean_temperature_degC", "On average", "°C")
+    text = number_text(statistic)
+    least, *_, most = sorted(regions, key=lambda region: region.year[statistic].value)
+    low, high = (f"{text(region.year[statistic].value)} {unit} ({region.name})" for region in (least, most))
     return f"{words} {low} to {high}."
 
 
 WORST_FIRST = ("fail", "undecided", "pass")
 VERDICTS_IN_WORDS = {"pass": "kept", "fail": "exceeded", "undecided": "undecided"}
 MOST_NAMES = 4
-"""Regions that are named; of more the number is given."""
+"""Most regions whose names are listed; for more regions only their number is given."""
 
 
 def _limits_text(limits: tuple[Exceedance, ...]) -> str:
-    """How many limits are kept: "Limits: 2 kept and 1 exceeded." """
-    found = [one.verdict for one in limits]
-    parts = [f"{found.count(kind)} {words}" for kind, words in VERDICTS_IN_WORDS.items() if kind in found]
+    """How many limits are kept and exceeded: "Limits: 2 kept and 1 exceeded." """
+    verdicts = [limit.verdict for limit in limits]
+    parts = [
+        f"{verdicts.count(kind)} {words}" for kind, words in VERDICTS_IN_WORDS.items() if kind in verdicts
+    ]
     return f"Limits: {listed(parts, 'and')}."
 
 
 def _conditions(study: Study) -> tuple[str, ...]:
-    """On what the answer rests: the share of years that the bounds hold, and how much weather there was."""
-    parts = {one.part_of_year.text for one in study.regions if one.part_of_year}
-    said = f"The bounds hold {share_held(study.regions)} of single years."
-    return (said, *(f"Judged on {part} of weather, not on a year." for part in sorted(parts)))
+    """Sentences on what the answer rests: the share of years inside the bounds, and the length of the
+    weather where it is no full year."""
+    parts = {region.part_of_year.text for region in study.regions if region.part_of_year}
+    bounds_statement = f"The bounds hold {share_held(study.regions)} of single years."
+    return (bounds_statement, *(f"Judged on {part} of weather, not on a year." for part in sorted(parts)))
 
 
 def _numbers(study: Study) -> Table:
-    """The limits of a single region, else the numbers by which regions are compared."""
+    """Table of the limits of a single region; for several regions, of the statistics compared."""
     regions = study.regions
     chosen = compared_statistics(regions)
     if len(regions) > MOST_NAMES:
-        heads = (f"{short_words(one)} [{one.unit}]" for one in chosen)
-        cells = ((span_text(one.year[s.name], number_text(s.name)) for s in chosen) for one in regions)
-        many = tuple((one.name, *row) for one, row in zip(regions, cells, strict=True))
-        return Table("The numbers", ("", *heads), many)
+        titles = (f"{short_words(statistic)} [{statistic.unit}]" for statistic in chosen)
+        texts = ((span_text(region.year[s.name], number_text(s.name)) for s in chosen) for region in regions)
+        rows_by_region = tuple((region.name, *row) for region, row in zip(regions, texts, strict=True))
+        return Table("Key figures", ("", *titles), rows_by_region)
     if (several := regions_table(regions)) is not None:
         return several
     if regions[0].limits:
-        worst_first = sorted(regions[0].limits, key=lambda one: WORST_FIRST.index(one.verdict))
+        worst_first = sorted(regions[0].limits, key=lambda limit: WORST_FIRST.index(limit.verdict))
         table = limits_table(replace(regions[0], limits=tuple(worst_first)))
         kept = table.brief
-        found = tuple(tuple(row[i] for i in kept) for row in table.rows)
-        return Table("The numbers", tuple(table.columns[i] for i in kept), found, left=(0, 1, len(kept) - 1))
+        heads = tuple(table.columns[i] for i in kept)
+        cells = tuple(tuple(row[i] for i in kept) for row in table.rows)
+        return Table("Key figures", heads, cells, left=(0, 1, len(kept) - 1))
     rows = []
-    for one in chosen:
-        text = number_text(one.name)
+    for statistic in chosen:
+        text = number_text(statistic.name)
         outside = regions[0].outside
-        weather = text(outside[one.name]) if one.weather and one.name in outside else NONE
-        value, bounds = value_and_bounds(regions[0].year[one.name], text)
-        rows.append((one.words, one.unit, value, bounds or NONE, weather))
-    return Table("The numbers", ("", "unit", "cabinet", "bounds", "outside"), tuple(rows), left=(0, 1))
+        weather = text(outside[statistic.name]) if statistic.weather and statistic.name in outside else NONE
+        value, bounds = value_and_bounds(regions[0].year[statistic.name], text)
+        rows.append((statistic.words, statistic.unit, value, bounds or NONE, weather))
+    return Table("Key figures", ("", "unit", "cabinet", "bounds", "outside"), tuple(rows), left=(0, 1))
 
 
 def _actions(study: Study, doubt: str) -> list[str]:
-    """What doubts about the model, the limits and the test profile ask for."""
+    """Actions that follow from doubts about the model, from the limits and from the test profiles."""
     several = len(study.regions) > 1
     profiles = list(profile_files(study))
-    said = ["Do not use this climate before the model is reliable."] if doubt else []
-    said += [text for one in study.regions for text in _limit_actions(one, several)]
+    actions = ["Do not use this climate before the model is reliable."] if doubt else []
+    actions += [text for region in study.regions for text in _limit_actions(region, several)]
     if profiles:
         name = listed(profiles, "and") if len(profiles) <= MOST_NAMES else "the files test_profile_….csv"
-        said.append(f"For a test in a chamber use {name}.")
-    return said or ["No limits were given (--limits FILE): nothing was judged."]
+        actions.append(f"For a test in a chamber use {name}.")
+    return actions or ["No limits were given (--limits FILE): nothing was judged."]
 
 
 def _limit_actions(region: RegionClimate, several: bool) -> list[str]:
-    """What the verdicts on the limits ask for."""
+    """Actions that follow from the verdicts on the limits of a region."""
     place = f"{region.name}: " if several else ""
-    said = []
-    for one in sorted(region.limits, key=lambda one: WORST_FIRST.index(one.verdict)):
-        hours = f"{span_text(one.hours, hours_text)} h a year, {hours_text(one.hours_a_year)} h allowed"
-        if one.verdict == "fail":
-            said.append(f"{place}Act on the limit “{one.name.strip()}”: exceeded for {hours}.")
-        elif one.verdict == "undecided":
-            why = one.why or "the allowed hours lie between the bounds"
-            said.append(f"{place}Do not decide on the limit “{one.name.strip()}” yet: {hours} ({why}).")
-    if region.limits and not said:
-        said.append(f"{place}The limits are kept, also at the upper bounds: no measure is needed.")
-    return said
+    actions = []
+    for limit in sorted(region.limits, key=lambda limit: WORST_FIRST.index(limit.verdict)):
+        hours = f"{span_text(limit.hours, hours_text)} h a year, {hours_text(limit.hours_a_year)} h allowed"
+        if limit.verdict == "fail":
+            actions.append(f"{place}Act on the limit “{limit.name.strip()}”: exceeded for {hours}.")
+        elif limit.verdict == "undecided":
+            why = limit.why or "the allowed hours lie between the bounds"
+            actions.append(f"{place}Do not decide on the limit “{limit.name.strip()}” yet: {hours} ({why}).")
+    if region.limits and not actions:
+        actions.append(f"{place}The limits are kept, also at the upper bounds: no measure is needed.")
+    return actions

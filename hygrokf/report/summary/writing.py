@@ -37,14 +37,15 @@ class SummaryFault(HygrokfError):
 
 
 Planned = tuple[Callable[[], Summary], Path, str]
-"""How a summary is made, the directory of its files, and their name without the ending."""
+"""A function that makes the summary, the directory of its files, and their name without the ending."""
 
 
-def planned(results: Sequence[Path], directory: Path | None) -> list[Planned]:
-    """The summaries of results, before any is read.
+def plan_summaries(results: Sequence[Path], directory: Path | None) -> list[Planned]:
+    """Plan the summaries of results, before any result is read.
 
-    directory: of all files; of several results each has one of its own in it, named like that of the result.
-    Raises SummaryFault that lists every result of another kind, and those whose directories share a name.
+    directory: where all files go; None: beside each result.  With several results, each gets a folder in it,
+        named like the folder of the result.
+    Raises SummaryFault that lists every path without a result of these kinds, and folders that share a name.
     """
     expect_matplotlib()
     plans: list[Planned] = []
@@ -54,37 +55,38 @@ def planned(results: Sequence[Path], directory: Path | None) -> list[Planned]:
         if file is None:
             faults.append(_refused(path))
             continue
-        home = file.parent
-        own = file.name == FIT and (home / DISCOVERY).exists() and directory is None
-        names.append(home.resolve().name)
-        out = home if directory is None else directory if len(results) == 1 else directory / names[-1]
-        plans.append((partial(KINDS[file.name], home), out, BESIDE_SUMMARY if own else SUMMARY))
+        folder = file.parent
+        beside_summary = file.name == FIT and (folder / DISCOVERY).exists() and directory is None
+        names.append(folder.resolve().name)
+        out = folder if directory is None else directory if len(results) == 1 else directory / names[-1]
+        plans.append((partial(KINDS[file.name], folder), out, BESIDE_SUMMARY if beside_summary else SUMMARY))
     if directory is not None:
         faults += [
             f"--out {directory}: expected directories of results with different names, found {name} twice"
-            for name in sorted({one for one in names if names.count(one) > 1})
+            for name in sorted({name for name in names if names.count(name) > 1})
         ]
     if faults:
         raise SummaryFault("\n".join(faults))
     return plans
 
 
-def written(summary: Summary, directory: Path, stem: str) -> Path:
-    """The page of a summary, in the place of an earlier one and of its PDF."""
+def write_summary(summary: Summary, directory: Path, stem: str) -> Path:
+    """Write the page of a summary in HTML; replaces an earlier page and deletes its PDF."""
     content = page_html(summary_blocks(summary)).encode()
     directory.mkdir(parents=True, exist_ok=True)
     (directory / f"{stem}.pdf").unlink(missing_ok=True)
     return write_bytes_whole(directory / f"{stem}.html", content)
 
 
-def written_pdf(page: Path) -> Path:
-    """What a page in HTML prints, as PDF beside it; the same page gives the same bytes.
+def write_pdf(page: Path) -> Path:
+    """Write the PDF of a page in HTML beside it; the same page gives the same bytes.
 
-    Letters are those of DejaVu Sans, which matplotlib brings; of signs that it lacks, those of the system.
+    The font is DejaVu Sans, which matplotlib brings; glyphs that it lacks come from fonts of the system.
     Raises SummaryFault without WeasyPrint or the libraries that it needs.
     """
     try:
-        with redirect_stdout(io.StringIO()):  # where it prints advice of its own
+        # WeasyPrint prints advice when it is imported without its libraries
+        with redirect_stdout(io.StringIO()):
             from weasyprint import CSS, HTML
             from weasyprint.text.fonts import FontConfiguration
     except (ImportError, OSError) as lacking:
@@ -101,7 +103,7 @@ def written_pdf(page: Path) -> Path:
 
 
 def _faces() -> str:
-    """The first font of the pages, as files."""
+    """CSS rules that bind the first font of the pages to the font files of matplotlib."""
     import matplotlib
 
     family = FONTS.split(",")[0]
@@ -123,11 +125,11 @@ KINDS: Mapping[str, Callable[[Path], Summary]] = {
     CLIMATE: lambda folder: summary_of_climate(read_climate(folder)),
     FIT: lambda folder: summary_of_fit(*read_results(folder)),
 }
-"""By the file of a result; in a directory the first that is there."""
+"""File of a result → how its summary is made; of a directory, the first of these files that exists."""
 
 
 def _file_of(path: Path) -> Path | None:
-    """The file that says of which kind a result is; None where there is none."""
+    """The file of a result in a directory, or `path` itself if it is such a file; None without one."""
     if path.is_dir():
         return next((path / name for name in KINDS if (path / name).is_file()), None)
     return path if path.name in KINDS and path.is_file() else None
@@ -136,10 +138,10 @@ def _file_of(path: Path) -> Path | None:
 def _refused(path: Path) -> str:
     others = [name for name in RESULTS if name not in KINDS]
     expected = f"expected {FIT}, {DISCOVERY} or {CLIMATE}, or a directory that holds one"
-    there = next((name for name in others if path.name == name or (path / name).exists()), "")
-    if there:
-        return f"{path}: {expected}, found {there}; its page is report.html (hygrokf report)"
+    other_result = next((name for name in others if path.name == name or (path / name).exists()), "")
+    if other_result:
+        return f"{path}: {expected}, found {other_result}; its page is report.html (hygrokf report)"
     if not path.exists():
         return f"{path}: {expected}, found no such file; run `hygrokf fit`, `discover` or `climate` first"
-    what = "a directory without them" if path.is_dir() else "another file"
-    return f"{path}: {expected}, found {what}; name what `hygrokf fit`, `discover` or `climate` wrote"
+    obstacle = "a directory without them" if path.is_dir() else "another file"
+    return f"{path}: {expected}, found {obstacle}; name what `hygrokf fit`, `discover` or `climate` wrote"
