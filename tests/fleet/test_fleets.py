@@ -7,6 +7,7 @@ import io
 import json
 import os
 import pickle
+import re
 import shutil
 import signal
 import threading
@@ -645,5 +646,7 @@ def test_discoveries_of_a_fleet_are_those_of_the_command(park: Path, tmp_path: P
     assert row["base_temperature_rmse_K"] == found["baseline"]["rmse"]["validation"]["temperature_K"]["total"]
     final = found["extended"] or found["baseline"]
     assert row["thermal_value_h"] == final["time_constants"]["thermal"]["value_h"]
-    assert "named cause" in (tmp_path / "report.html").read_text(encoding="utf-8")
+    page = re.sub(r"(<[^>]+>|\s)+", " ", (tmp_path / "report.html").read_text(encoding="utf-8"))
+    assert {row["verdict"] for row in json.loads(of_all.out)["rows"]} == {"none"}
+    assert "verdict none 2 T1, T2" in page
     assert (tmp_path / "turbines" / "T2" / "fit_report.html").is_file()
