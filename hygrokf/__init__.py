@@ -17,7 +17,7 @@ _WHERE = {
     "Record": "data.record",
     "synthetic_turbine": "cases.synthetic",
     "write_case": "cases.synthetic",
-    "identify": "identification.procedure",
+    "identify": "identification.identify",
     "Fit": "identification.fit",
     "read_fit": "identification.fit",
     "write_fit": "identification.fit",
@@ -52,14 +52,14 @@ _WHERE = {
     "to_statespace": "evaluation.responses",
     "bode": "evaluation.responses",
     "step_response": "evaluation.responses",
-    "discover": "discovery.procedure",
+    "discover": "discovery.discover",
     "Cause": "modelling.causes.cause",
     "cause_of": "modelling.causes.cause",
     "load_library": "discovery.own_causes",
     "compare": "transfer.comparison",
     "comparison_column": "transfer.comparison",
-    "transfer_fit": "transfer.procedure",
-    "climate_profile": "climate.procedure",
+    "transfer_fit": "transfer.transfer_fit",
+    "climate_profile": "climate.climate_profile",
     "run_fleet": "commands.fleet_tasks",
     "Tracker": "live.tracker",
     "HygrokfError": "errors",
@@ -70,11 +70,11 @@ if TYPE_CHECKING:
     from hygrokf.cases.frames import read_frames as read_frames
     from hygrokf.cases.synthetic import synthetic_turbine as synthetic_turbine
     from hygrokf.cases.synthetic import write_case as write_case
-    from hygrokf.climate.procedure import climate_profile as climate_profile
+    from hygrokf.climate.climate_profile import climate_profile as climate_profile
     from hygrokf.commands.fleet_tasks import run_fleet as run_fleet
     from hygrokf.data.record import Record as Record
+    from hygrokf.discovery.discover import discover as discover
     from hygrokf.discovery.own_causes import load_library as load_library
-    from hygrokf.discovery.procedure import discover as discover
     from hygrokf.engine.timeline import timeline as timeline
     from hygrokf.errors import HygrokfError as HygrokfError
     from hygrokf.estimation.inference import confidence_intervals as confidence_intervals
@@ -97,7 +97,7 @@ if TYPE_CHECKING:
     from hygrokf.identification.fit import read_fit as read_fit
     from hygrokf.identification.fit import write_fit as write_fit
     from hygrokf.identification.fit_on_record import evaluate as evaluate
-    from hygrokf.identification.procedure import identify as identify
+    from hygrokf.identification.identify import identify as identify
     from hygrokf.live.tracker import Tracker as Tracker
     from hygrokf.modelling.causes.cause import Cause as Cause
     from hygrokf.modelling.causes.cause import cause_of as cause_of
@@ -116,7 +116,7 @@ if TYPE_CHECKING:
     from hygrokf.report.fit_page import write_report as write_report
     from hygrokf.transfer.comparison import compare as compare
     from hygrokf.transfer.comparison import comparison_column as comparison_column
-    from hygrokf.transfer.procedure import transfer_fit as transfer_fit
+    from hygrokf.transfer.transfer_fit import transfer_fit as transfer_fit
 
 
 def __getattr__(name: str) -> object:

@@ -39,7 +39,7 @@ from hygrokf.live.plan import WANDERING
 from hygrokf.live.sources.broker import Broker
 from hygrokf.live.sources.local import FileForm
 from hygrokf.live.sources.opcua_form import Server
-from hygrokf.live.sources.postgres import PostgresForm
+from hygrokf.live.sources.postgres_source import PostgresForm
 from hygrokf.live.sources.stream import SourceKeys
 from hygrokf.live.tracking import LogLines
 from hygrokf.live.web.page_settings import PageForm

@@ -283,7 +283,7 @@ NEEDS = {
     "opcua": "asyncua cryptography hygrokf.live.sources.opcua",
     "parquet": "pyarrow.parquet",
     "pdf": "weasyprint hygrokf.report.summary.writing",
-    "postgres": "psycopg hygrokf.live.storage.postgres hygrokf.live.sources.postgres",
+    "postgres": "psycopg hygrokf.live.storage.postgres hygrokf.live.sources.postgres_source",
     "weather": "xarray h5netcdf h5py hygrokf.weather",
 }
 """What each extra is for: modules that can be imported where it alone is installed."""

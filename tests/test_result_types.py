@@ -28,16 +28,16 @@ from hygrokf.data.record import Record, Series
 from hygrokf.data.result_file import result_text
 from hygrokf.data.signals import SIGNALS
 from hygrokf.data.structured import structured
-from hygrokf.discovery.results import Discovered, Discovery, DiscoveryResults
+from hygrokf.discovery.discovery_results import Discovered, Discovery, DiscoveryResults
 from hygrokf.evaluation.course import Course
 from hygrokf.evaluation.scoring import Errors
-from hygrokf.fleet.results import FleetResults
+from hygrokf.fleet.fleet_results import FleetResults
 from hygrokf.identification.fit import Fit
 from hygrokf.identification.fit_on_record import Evaluation, SimulationSummary
 from hygrokf.identification.fit_results import FitResults
 from hygrokf.identification.turbine_type import TurbineType, pool_types
 from hygrokf.transfer.comparison import ComparisonColumn, ComparisonResults, compare
-from hygrokf.transfer.results import Transfer, TransferResult, TransferResults
+from hygrokf.transfer.transfer_results import Transfer, TransferResult, TransferResults
 
 GOLDEN = Path(__file__).parent / "golden" / "references" / "demo.json.xz"
 START_S = 1594771200.0

@@ -15,7 +15,7 @@ from distributed import LocalCluster
 
 import hygrokf
 from hygrokf.cases.synthetic import SyntheticParameters
-from hygrokf.fleet.plan import read_plan
+from hygrokf.fleet.fleet_plan import read_plan
 
 os.environ["OMP_NUM_THREADS"] = "1"  # a worker takes one thread for linear algebra
 folder, truth = Path(tempfile.mkdtemp()), {}

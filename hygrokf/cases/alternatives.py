@@ -19,10 +19,10 @@ from functools import partial
 
 import numpy as np
 
-from hygrokf.data.clocks import Shift, in_america, shifted, sources
 from hygrokf.data.input_paths import centred
 from hygrokf.data.prepared import PreparedRecord, prepare
 from hygrokf.data.record import Record, Series
+from hygrokf.data.shared_clocks import Shift, in_america, shifted, sources
 from hygrokf.data.signals import SIGNALS, from_si, to_si
 from hygrokf.data.timestamps import DAY_S, modal_step, summer_time
 from hygrokf.estimation.lag_model import (
@@ -37,9 +37,9 @@ from hygrokf.estimation.lag_model import (
     shift_logliks,
 )
 from hygrokf.physics.psychrometrics import ZERO_CELSIUS_K
-from hygrokf.texts.record import DoubtCode, RecordCode
+from hygrokf.texts.record_codes import DoubtCode, RecordCode
 from hygrokf.texts.statement import Statement, Value
-from hygrokf.weather.clocks import TOLERANCE_S, pace, rounded, season_remedy, state_correction
+from hygrokf.weather.clock_comparison import TOLERANCE_S, pace, rounded, season_remedy, state_correction
 
 LEAST_S = 2700.0
 """[s] smaller shifts are no clock's: response times, or the sun on a sensor."""

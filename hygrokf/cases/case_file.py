@@ -27,7 +27,7 @@ from hygrokf.data.table_readers import read_table
 from hygrokf.data.timestamps import modal_step, summer_time_holes
 from hygrokf.data.toml_form import FormFault, Place, lines_of, read_toml
 from hygrokf.physics.holds import LINEAR, MEAN, PREVIOUS
-from hygrokf.texts.record import DoubtCode, RecordCode
+from hygrokf.texts.record_codes import DoubtCode, RecordCode
 from hygrokf.texts.statement import Statement
 from hygrokf.texts.wording import duration_text, period_text, stamp_text
 from hygrokf.weather.joining import follows, join_records

@@ -16,9 +16,9 @@ from hygrokf.data.record import Record, Series
 from hygrokf.data.signals import HUMIDITIES, signal_named, unit_mistaken
 from hygrokf.data.timestamps import DAY_S, MINUTE_S, modal_step
 from hygrokf.physics.holds import LINEAR
-from hygrokf.texts.record import DoubtCode, RecordCode, period
+from hygrokf.texts.record_codes import DoubtCode, RecordCode, period
 from hygrokf.texts.statement import Statement, unique
-from hygrokf.weather.clocks import (
+from hygrokf.weather.clock_comparison import (
     FEWEST_D,
     NOT_COMPARED,
     TOLERANCE_S,

@@ -19,7 +19,7 @@ from hygrokf.data.timestamps import DAY_S, modal_step
 from hygrokf.texts.statement import Statement
 from hygrokf.texts.terms import Digest, Instant, Name, ReaderText, Source, Unit
 from hygrokf.texts.wording import stamp_text
-from hygrokf.weather.clocks import ClockError, alignments, clock_errors
+from hygrokf.weather.clock_comparison import ClockError, alignments, clock_errors
 
 if TYPE_CHECKING:
     import pandas

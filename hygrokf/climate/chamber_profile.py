@@ -25,7 +25,7 @@ from hygrokf.climate.chamber import BOLTZMANN_EV, Acceleration, Chamber, Profile
 from hygrokf.climate.ensemble import YEAR_H, Year
 from hygrokf.climate.statistics import CYCLE_RANGES_K, WET_PERCENT, cycles_from
 from hygrokf.physics.psychrometrics import ZERO_CELSIUS_K
-from hygrokf.texts.climate import ClimateCode
+from hygrokf.texts.climate_codes import ClimateCode
 from hygrokf.texts.statement import Statement
 
 DAY_H = 24

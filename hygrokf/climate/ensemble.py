@@ -45,7 +45,7 @@ from hygrokf.physics.psychrometrics import (
     condenses,
     saturation_pressure_water,
 )
-from hygrokf.texts.climate import ClimateCode
+from hygrokf.texts.climate_codes import ClimateCode
 from hygrokf.texts.statement import Statement
 
 FEWEST_JUMPS = 30

@@ -19,7 +19,7 @@ from hygrokf.climate.ensemble import YEAR_H, Year
 from hygrokf.climate.statistics import SCOPES, courses, excursions, scope_of, steepness
 from hygrokf.data.toml_form import across, read_toml_form, setting
 from hygrokf.errors import HygrokfError
-from hygrokf.texts.climate import ClimateCode
+from hygrokf.texts.climate_codes import ClimateCode
 from hygrokf.texts.statement import Statement
 from hygrokf.texts.terms import Name
 

@@ -21,7 +21,7 @@ from hygrokf.data.timestamps import DAY_S, HOUR_S
 from hygrokf.data.toml_form import across, setting
 from hygrokf.errors import HygrokfError
 from hygrokf.identification.fit import Fit
-from hygrokf.texts.climate import ClimateCode
+from hygrokf.texts.climate_codes import ClimateCode
 from hygrokf.texts.statement import Statement
 from hygrokf.weather.reading import TYPICAL, form_of, read_weather
 

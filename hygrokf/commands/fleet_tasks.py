@@ -12,13 +12,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hygrokf.cases.case_file import read_case
-from hygrokf.commands.inputs import library_of, source_model, stored_fit
+from hygrokf.commands.opening import library_of, source_model, stored_fit
 from hygrokf.data.files import write_text_whole
 from hygrokf.data.result_file import result_text
 from hygrokf.data.structured import Cell
+from hygrokf.fleet.fleet_plan import FleetPlan
+from hygrokf.fleet.fleet_results import FleetResults
 from hygrokf.fleet.job import Job, Row, Work
-from hygrokf.fleet.plan import FleetPlan
-from hygrokf.fleet.results import FleetResults
 from hygrokf.fleet.running import run_jobs
 from hygrokf.fleet.tasks import CLIMATE_COLUMNS
 from hygrokf.identification.fit import write_fit
@@ -26,7 +26,7 @@ from hygrokf.modelling.design import PARTS
 from hygrokf.report.fit_page import write_report
 from hygrokf.report.fleet_page import write_fleet_report
 from hygrokf.report.transfer_page import write_transfer
-from hygrokf.texts.fleet import FleetCode
+from hygrokf.texts.fleet_codes import FleetCode
 from hygrokf.texts.statement import Statement
 from hygrokf.texts.wording import stamp_text
 
@@ -50,7 +50,7 @@ def run_fleet(
 ) -> FleetResults:
     """Do the task of a plan for every turbine.
 
-    plan: the content of a fleet's file (`fleet.plan.read_plan`).
+    plan: the content of a fleet's file (`fleet.fleet_plan.read_plan`).
     out: directory of fleet.csv, fleet.parquet, fleet.json and report.html; results of each turbine are in
         `turbines/NAME`.
     workers: processes on this machine, by default one per core.
@@ -78,7 +78,7 @@ def do_task(job: Job) -> Row:
 
 
 def _fit(job: Job) -> Row:
-    from hygrokf.identification.procedure import identify
+    from hygrokf.identification.identify import identify
 
     record, options = read_case(job.case), dict(job.options)
     report = options.pop("report")
@@ -144,8 +144,8 @@ def _score_columns(results: Scored) -> dict[str, Cell]:
 
 
 def _discover(job: Job) -> Row:
-    from hygrokf.discovery.procedure import discover
-    from hygrokf.discovery.results import write_discovery
+    from hygrokf.discovery.discover import discover
+    from hygrokf.discovery.discovery_results import write_discovery
     from hygrokf.report.discovery_page import write_discovery_report
 
     library = library_of(job.options["library"], installed=True)
@@ -196,7 +196,7 @@ def _model_files(job: Job) -> tuple[Path, list[Path]]:
 
 
 def _transfer(job: Job) -> Row:
-    from hygrokf.transfer.procedure import transfer_fit
+    from hygrokf.transfer.transfer_fit import transfer_fit
 
     record = read_case(job.case)
     transfer = transfer_fit(source_model(*_model_files(job)), record)
@@ -222,8 +222,8 @@ def _transfer(job: Job) -> Row:
 
 
 def _climate(job: Job) -> Row:
+    from hygrokf.climate.climate_profile import climate_profile
     from hygrokf.climate.limits import limits_of
-    from hygrokf.climate.procedure import climate_profile
     from hygrokf.climate.region import Region, read_power
     from hygrokf.report.climate_page import write_climate_report
 

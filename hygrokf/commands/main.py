@@ -11,7 +11,9 @@ from argparse import ArgumentParser, Namespace
 from collections.abc import Sequence
 from pathlib import Path
 
-from hygrokf.commands import case, climate, compare, fit, fleet, pages, store, track
+from hygrokf.commands.case_commands import CHECK, DEMO, INIT
+from hygrokf.commands.climate_commands import CLIMATE_VERB
+from hygrokf.commands.compare_commands import COMPARE, TRANSFER
 from hygrokf.commands.console import (
     INTERRUPTED,
     USER_FAULT,
@@ -21,6 +23,11 @@ from hygrokf.commands.console import (
     running,
     system_message,
 )
+from hygrokf.commands.fit_commands import DISCOVER, EVALUATE, FIT, SIMULATE
+from hygrokf.commands.fleet_command import FLEET_VERB
+from hygrokf.commands.report_commands import REPORT, SUMMARY
+from hygrokf.commands.store_commands import EXPORT, RESTORE, STORE
+from hygrokf.commands.track_command import DOCTOR, TRACK
 from hygrokf.commands.verb import Verb, add_loudness, parsers_of
 from hygrokf.errors import HygrokfError, suggestion
 from hygrokf.version import __version__
@@ -71,13 +78,12 @@ COMPLETION = Verb("completion", "print the completion script of a shell", _shell
 
 
 VERBS = (
-    case.DEMO, case.INIT, case.CHECK, fit.FIT, fit.DISCOVER, fit.SIMULATE, fit.EVALUATE,
-    fleet.VERB, climate.VERB, compare.COMPARE, compare.TRANSFER, store.EXPORT, track.TRACK, track.DOCTOR,
-    store.RESTORE, store.STORE, pages.REPORT, pages.SUMMARY, HELP, COMPLETION,
+    DEMO, INIT, CHECK, FIT, DISCOVER, SIMULATE, EVALUATE, FLEET_VERB, CLIMATE_VERB, COMPARE, TRANSFER, EXPORT,
+    TRACK, DOCTOR, RESTORE, STORE, REPORT, SUMMARY, HELP, COMPLETION,
 )  # fmt: skip
 """The commands in the order of the help."""
 
-MAIN_VERBS = (case.INIT, case.CHECK, fit.FIT, fit.DISCOVER, climate.VERB)
+MAIN_VERBS = (INIT, CHECK, FIT, DISCOVER, CLIMATE_VERB)
 """The commands that `hygrokf` without arguments lists."""
 
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from hygrokf.data.record import Record, Series
-from hygrokf.texts.fit import FitCode
+from hygrokf.texts.fit_codes import FitCode
 from hygrokf.texts.statement import Statement
 from hygrokf.texts.terms import Name
 

@@ -14,7 +14,7 @@ import numpy as np
 from hygrokf.data.record import Series
 from hygrokf.data.signals import HUMIDITIES
 from hygrokf.physics.psychrometrics import absolute_humidity, absolute_humidity_from_dew_point
-from hygrokf.texts.record import DoubtCode
+from hygrokf.texts.record_codes import DoubtCode
 from hygrokf.texts.statement import Statement
 
 FEWEST_IN_COMMON = 20

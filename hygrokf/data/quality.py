@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from hygrokf.texts.record import RecordCode
+from hygrokf.texts.record_codes import RecordCode
 from hygrokf.texts.statement import Statement
 
 if TYPE_CHECKING:

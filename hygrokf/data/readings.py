@@ -10,7 +10,7 @@ from hygrokf.data.gate import DEPARTED, FEWEST, FROZEN, REACH_S, judge, resting,
 from hygrokf.data.record import Record, Series
 from hygrokf.data.signals import in_words, signal_named
 from hygrokf.data.timestamps import modal_step
-from hygrokf.texts.record import RecordCode
+from hygrokf.texts.record_codes import RecordCode
 from hygrokf.texts.statement import Code, Statement
 from hygrokf.texts.wording import duration_text, period_text, stamp_text
 

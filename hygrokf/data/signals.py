@@ -11,7 +11,7 @@ import numpy as np
 from hygrokf.errors import suggestion
 from hygrokf.physics.holds import LINEAR, PREVIOUS
 from hygrokf.physics.psychrometrics import ZERO_CELSIUS_K
-from hygrokf.texts.record import DoubtCode, RecordCode
+from hygrokf.texts.record_codes import DoubtCode, RecordCode
 from hygrokf.texts.statement import Statement
 
 

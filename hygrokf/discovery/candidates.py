@@ -15,6 +15,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from hygrokf.discovery.discovery_results import HeldOutTest
 from hygrokf.discovery.estimate import (
     LIGHT,
     POLISH,
@@ -27,7 +28,6 @@ from hygrokf.discovery.estimate import (
     slopes,
     weighted,
 )
-from hygrokf.discovery.results import HeldOutTest
 from hygrokf.discovery.screening import added, amplitudes, chord_gains, parent_of, widened
 from hygrokf.discovery.simulator import Simulator
 from hygrokf.modelling.causes.forms import Form, Setting

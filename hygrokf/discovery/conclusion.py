@@ -18,10 +18,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hygrokf.discovery.candidates import Candidate, brought
+from hygrokf.discovery.discovery_results import HeldOutTest, SpectralLine
 from hygrokf.discovery.estimate import Calibration, frame, slopes
 from hygrokf.discovery.final_set import Estimator, FinalSet, final_estimator, final_set, fitted_by
 from hygrokf.discovery.judgement import NOTICED, scores
-from hygrokf.discovery.results import HeldOutTest, SpectralLine
 from hygrokf.discovery.screening import added
 from hygrokf.discovery.search import Search, composed, effect_of, foreseen, tested
 

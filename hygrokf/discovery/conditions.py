@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hygrokf.discovery.residuals import Residuals, displayed, run_lengths, words
-from hygrokf.texts.discovery import ConditionCode
+from hygrokf.texts.discovery_codes import ConditionCode
 from hygrokf.texts.statement import Statement
 
 LAGS_H = (1.0, 2.0, 3.0, 4.0, 6.0, 9.0, 12.0, 18.0, 24.0)

@@ -17,10 +17,10 @@ from typing import Literal
 
 import numpy as np
 
-from hygrokf.data.clocks import shifted
 from hygrokf.data.prepared import PreparedRecord, prepare
 from hygrokf.data.progress import Progress
 from hygrokf.data.record import Record
+from hygrokf.data.shared_clocks import shifted
 from hygrokf.data.timestamps import HOUR_S
 from hygrokf.discovery.estimate import (
     POLISH,
@@ -43,15 +43,15 @@ from hygrokf.estimation.moments import DigitsFault
 from hygrokf.estimation.optimiser import Estimate, Objective, climb
 from hygrokf.identification.estimation import LEVEL, TIME_CONSTANTS, Stage
 from hygrokf.identification.fit import Fit
+from hygrokf.identification.identify import Basis, assemble_fit
 from hygrokf.identification.needed_inputs import CHANCE, WithoutInput, alternatives
-from hygrokf.identification.procedure import Basis, assemble_fit
 from hygrokf.identification.steady_state import heat_release_regression
 from hygrokf.identification.verdict import with_reasons, with_verdicts
 from hygrokf.modelling.design import CASCADE, TEMPERATURE, Design
 from hygrokf.modelling.inputs import model_inputs
 from hygrokf.physics.parameters import Coordinates
-from hygrokf.texts.fit import FitCode
-from hygrokf.texts.verdict import Reason
+from hygrokf.texts.fit_codes import FitCode
+from hygrokf.texts.reasons import Reason
 
 Estimator = Literal["likelihood", "output-error"]
 BETTER = 0.95

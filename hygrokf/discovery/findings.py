@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from hygrokf.discovery.conditions import Stratum, conditions, dummies, step_at
+from hygrokf.discovery.discovery_results import Finding
 from hygrokf.discovery.residuals import (
     QUANTITIES,
     Quantity,
@@ -19,7 +20,6 @@ from hygrokf.discovery.residuals import (
     root_mean_square,
     run_lengths,
 )
-from hygrokf.discovery.results import Finding
 from hygrokf.discovery.significance import Whitened, benjamini_hochberg
 
 LEVEL = 0.05

@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from hygrokf.discovery.discovery_results import HeldOutTest
 from hygrokf.discovery.error_model import HUBER, Filtered, filtered, forecast_weights, loss
 from hygrokf.discovery.estimate import Calibration, fitted, with_variances
-from hygrokf.discovery.results import HeldOutTest
 
 LEVELS = (
     "heat_release_operation", "heat_release_standstill", "heat_release_operation_ambient",

@@ -11,7 +11,7 @@ import numpy as np
 from hygrokf.data.record import Record, Series
 from hygrokf.data.timestamps import DAY_S
 from hygrokf.discovery.residuals import run_lengths
-from hygrokf.texts.discovery import DiscoveryCode
+from hygrokf.texts.discovery_codes import DiscoveryCode
 from hygrokf.texts.statement import Statement, Value
 from hygrokf.texts.wording import day_text
 

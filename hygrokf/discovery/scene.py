@@ -18,10 +18,10 @@ from typing import Any
 import numpy as np
 
 from hygrokf.data.ambient import AMBIENT_BRIDGE_H, at_times, bridge_h
-from hygrokf.data.clocks import Shift, in_america
 from hygrokf.data.input_paths import centred
 from hygrokf.data.prepared import PreparedRecord, prepare
 from hygrokf.data.record import Record, Series
+from hygrokf.data.shared_clocks import Shift, in_america
 from hygrokf.data.timestamps import HOUR_S, summer_time
 from hygrokf.engine.cell_loop import IDLE, TEMPERATURE, CellInputs
 from hygrokf.modelling.derived_inputs import feature

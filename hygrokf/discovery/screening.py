@@ -15,7 +15,7 @@ from functools import cached_property
 
 import numpy as np
 
-from hygrokf.data.clocks import Shift
+from hygrokf.data.shared_clocks import Shift
 from hygrokf.discovery.error_model import filtered, loss
 from hygrokf.discovery.estimate import Calibration, Columns, estimate_at, frame, slopes, weighted
 from hygrokf.discovery.repeats import joined

@@ -23,9 +23,9 @@ from hygrokf.discovery.candidates import (
     lead,
     water,
 )
+from hygrokf.discovery.discovery_results import HeldOutTest
 from hygrokf.discovery.estimate import LIGHT, POLISH, Calibration, Columns, acting, estimate_at, fitted
 from hygrokf.discovery.judgement import Scores, difference, judged, levelled, scores
-from hygrokf.discovery.results import HeldOutTest
 from hygrokf.discovery.screening import (
     Screened,
     added,

@@ -30,7 +30,7 @@ from hygrokf.drafting.stamps import as_text, sun_remark, time_columns, time_of_d
 from hygrokf.drafting.vocabulary import name_says, words_of
 from hygrokf.errors import HygrokfError, suggestion
 from hygrokf.physics.holds import LINEAR
-from hygrokf.texts.record import DoubtCode
+from hygrokf.texts.record_codes import DoubtCode
 from hygrokf.texts.wording import duration_text, stamp_text
 from hygrokf.weather.archive import contents
 from hygrokf.weather.reading import form_of

@@ -28,7 +28,7 @@ from hygrokf.estimation.likelihood import Sensitivities
 from hygrokf.estimation.optimiser import Estimate, Objective, natural_units
 from hygrokf.estimation.serial_dependence import long_run_covariance
 from hygrokf.physics.parameters import Coordinates, Parameter
-from hygrokf.texts.fit import FitCode
+from hygrokf.texts.fit_codes import FitCode
 from hygrokf.texts.statement import Statement, Value
 from hygrokf.texts.terms import Name, Unit
 

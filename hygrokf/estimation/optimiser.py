@@ -28,7 +28,7 @@ from hygrokf.data.record import kind_of
 from hygrokf.estimation.joint_likelihood import AnyLikelihood
 from hygrokf.estimation.likelihood import Sensitivities
 from hygrokf.physics.parameters import Coordinates, Parameter, expect_starts
-from hygrokf.texts.fit import FitCode
+from hygrokf.texts.fit_codes import FitCode
 from hygrokf.texts.statement import Statement
 
 TOLERANCE = 1e-9

@@ -39,7 +39,7 @@ from hygrokf.estimation.optimiser import (
     secant_update,
 )
 from hygrokf.physics.parameters import Parameter
-from hygrokf.texts.fit import FitCode
+from hygrokf.texts.fit_codes import FitCode
 from hygrokf.texts.statement import Statement
 
 WALK_STEPS = 40

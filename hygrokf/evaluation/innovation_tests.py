@@ -28,7 +28,7 @@ from hygrokf.evaluation.diagnosis import (
     Periodogram,
     TestName,
 )
-from hygrokf.texts.fit import FitCode
+from hygrokf.texts.fit_codes import FitCode
 from hygrokf.texts.statement import Statement
 
 SMALL = 0.1

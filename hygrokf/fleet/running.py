@@ -25,6 +25,8 @@ from hygrokf.data.files import FLEET, TYPE, write_bytes_whole, write_text_whole
 from hygrokf.data.result_file import ResultFault, result_text
 from hygrokf.data.structured import JsonObject
 from hygrokf.engine.parallel import THREADS
+from hygrokf.fleet.fleet_plan import FleetPlan
+from hygrokf.fleet.fleet_results import CSV, PARQUET, FleetResults, table_csv, table_parquet
 from hygrokf.fleet.job import (
     DONE,
     LOST,
@@ -38,12 +40,10 @@ from hygrokf.fleet.job import (
     write_row,
 )
 from hygrokf.fleet.outliers import spreads
-from hygrokf.fleet.plan import FleetPlan
-from hygrokf.fleet.results import CSV, PARQUET, FleetResults, table_csv, table_parquet
 from hygrokf.fleet.tasks import TASKS
 from hygrokf.identification.fit import read_fit
 from hygrokf.identification.turbine_type import TurbineType, TypeFault, pool_types, write_type
-from hygrokf.texts.fleet import FleetCode
+from hygrokf.texts.fleet_codes import FleetCode
 from hygrokf.texts.statement import Statement
 from hygrokf.version import __version__
 

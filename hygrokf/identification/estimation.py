@@ -32,7 +32,7 @@ from hygrokf.estimation.profile_likelihood import profile
 from hygrokf.estimation.smoother import smoothed_states
 from hygrokf.evaluation.simulation import project, settled
 from hygrokf.identification.clock_offsets import NO_OFFSETS, ClockOffsets, clock_offsets
-from hygrokf.identification.forms import ADOPTED, FittedForm, ended_at_limits, weigh_forms
+from hygrokf.identification.model_forms import ADOPTED, FittedForm, ended_at_limits, weigh_forms
 from hygrokf.identification.needed_inputs import WithoutInput, without_input
 from hygrokf.modelling.design import CASCADE, Design, design, reading_step_h
 from hygrokf.modelling.inputs import Run, model_inputs

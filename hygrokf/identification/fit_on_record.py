@@ -18,7 +18,7 @@ from hygrokf.identification.verdict_terms import Inherited
 from hygrokf.modelling.design import HUMIDITIES, Design
 from hygrokf.modelling.inputs import Run
 from hygrokf.physics.psychrometrics import ZERO_CELSIUS_K
-from hygrokf.texts.fit import FitCode
+from hygrokf.texts.fit_codes import FitCode
 from hygrokf.texts.statement import Statement
 from hygrokf.texts.terms import Instant, Name
 from hygrokf.texts.wording import iso_time

@@ -25,10 +25,10 @@ from hygrokf.identification.needed_inputs import WithoutInput
 from hygrokf.identification.steady_state import HeatRelease
 from hygrokf.identification.verdict_terms import Interval
 from hygrokf.modelling.design import Design
-from hygrokf.texts.record import touched
+from hygrokf.texts.reasons import Kind, Reason
+from hygrokf.texts.record_codes import touched
 from hygrokf.texts.statement import Statement
 from hygrokf.texts.terms import Digest, Instant, Meaning, Name, ReaderText, Source, Unit, Version
-from hygrokf.texts.verdict import Kind, Reason
 
 if TYPE_CHECKING:
     from pandas import DataFrame

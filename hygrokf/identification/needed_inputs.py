@@ -26,7 +26,7 @@ from hygrokf.modelling.inputs import Run
 from hygrokf.physics.model import Model
 from hygrokf.physics.parameters import Coordinates
 from hygrokf.physics.psychrometrics import absolute_humidity
-from hygrokf.texts.fit import FitCode
+from hygrokf.texts.fit_codes import FitCode
 from hygrokf.texts.statement import Statement
 
 CHANCE = 1e-3

@@ -28,7 +28,7 @@ from hygrokf.identification.periods import (
 from hygrokf.modelling.design import TEMPERATURE, power_scale, reading_step_h
 from hygrokf.physics.mechanisms.thermal import heat_release
 from hygrokf.physics.parameters import Parameter
-from hygrokf.texts.fit import FitCode
+from hygrokf.texts.fit_codes import FitCode
 from hygrokf.texts.statement import Statement
 
 TIME_CONSTANTS = 3.0

@@ -31,7 +31,7 @@ from hygrokf.identification.fit_results import (
     SensorResponse,
     TimeConstant,
 )
-from hygrokf.identification.forms import FittedForm
+from hygrokf.identification.model_forms import FittedForm
 from hygrokf.identification.verdict_terms import Interval
 from hygrokf.modelling.design import TEMPERATURE
 from hygrokf.modelling.inputs import Run

@@ -35,8 +35,8 @@ from hygrokf.identification.verdict_terms import PARAMETER_OF
 from hygrokf.modelling.design import Design
 from hygrokf.modelling.library import LIBRARY, Library
 from hygrokf.physics.parameters import Parameter, Prior
+from hygrokf.texts.reasons import REJECT
 from hygrokf.texts.terms import Name, Unit, Version
-from hygrokf.texts.verdict import REJECT
 from hygrokf.version import __version__
 
 FEWEST_TURBINES = 2

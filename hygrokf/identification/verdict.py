@@ -27,9 +27,9 @@ from hygrokf.evaluation.innovation_tests import SMALL
 from hygrokf.identification.fit_results import FitResults, ParameterRow, Sampling, TimeConstant
 from hygrokf.identification.verdict_terms import PARAMETER_OF, PERIODS, QUANTITY_OF, Inherited, Interval
 from hygrokf.modelling.design import PARTS
-from hygrokf.texts.fit import FitCode
+from hygrokf.texts.fit_codes import FitCode
+from hygrokf.texts.reasons import CAUTION, REJECT, VERDICTS, Reason, ReasonCode, verdict_of, worst_first
 from hygrokf.texts.statement import Statement
-from hygrokf.texts.verdict import CAUTION, REJECT, VERDICTS, Reason, ReasonCode, verdict_of, worst_first
 from hygrokf.texts.wording import BASELINES, QUANTITIES
 
 TIGHT = 0.25

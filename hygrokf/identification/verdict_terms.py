@@ -7,9 +7,9 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 
 from hygrokf.modelling.design import PARTS
-from hygrokf.texts.fit import FitCode
+from hygrokf.texts.fit_codes import FitCode
+from hygrokf.texts.reasons import BELIEVE, PLAIN_MARKS, REJECT, WORDS, Kind, Reason, VerdictCode
 from hygrokf.texts.statement import Statement
-from hygrokf.texts.verdict import BELIEVE, PLAIN_MARKS, REJECT, WORDS, Kind, Reason, VerdictCode
 from hygrokf.texts.wording import UNBOUNDED, WIDE, ends, plain_number
 
 PERIODS = ("validation", "identification")

@@ -29,7 +29,7 @@ from hygrokf.live.sources.stream import Reach
 from hygrokf.live.traces import HUMIDITY
 from hygrokf.live.tracker import SAME_S, TrackedCourse
 from hygrokf.modelling.design import PARTS
-from hygrokf.texts.live import AlarmCode, CauseCode
+from hygrokf.texts.live_codes import AlarmCode, CauseCode
 from hygrokf.texts.statement import Statement
 
 ESTIMATES, SHIFTS, INNOVATIONS = "estimates", "shifts", "innovations"

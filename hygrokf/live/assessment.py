@@ -23,7 +23,7 @@ from hygrokf.data.timestamps import HOUR_S
 from hygrokf.live.alarms import CONDENSATION, MISSING, STALE
 from hygrokf.live.batch import Alarm
 from hygrokf.live.plan import Need
-from hygrokf.texts.live import StateCode
+from hygrokf.texts.live_codes import StateCode
 from hygrokf.texts.statement import Statement
 
 STANDSTILL_S = HOUR_S

@@ -42,7 +42,7 @@ from hygrokf.live.sources.opcua import OpcUaForm
 from hygrokf.live.sources.payload import Field, PayloadMapping
 from hygrokf.live.sources.payload_formats import FORMATS, JSON, PLAIN
 from hygrokf.live.sources.payload_values import RECEIVED, Clock, alternatives, path_fault, pattern_fault
-from hygrokf.live.sources.postgres import PostgresForm
+from hygrokf.live.sources.postgres_source import PostgresForm
 from hygrokf.live.sources.sparkplug import MqttForm
 from hygrokf.live.sources.stream import SourceKeys, Stream
 from hygrokf.live.storage.postgres import SCHEMES, url_fault

@@ -24,7 +24,7 @@ from hygrokf.data.signals import SIGNALS
 from hygrokf.data.timestamps import DAY_S
 from hygrokf.data.toml_form import Place
 from hygrokf.identification.fit import read_fit, write_fit
-from hygrokf.identification.procedure import identify
+from hygrokf.identification.identify import identify
 from hygrokf.live.config import Config, ConfigFault, read_turbine, store_url, stream_of, turbine_of
 from hygrokf.live.plan import SignalReporting, plan
 from hygrokf.live.sources.local import Playback, form_of, record_mapping, record_messages

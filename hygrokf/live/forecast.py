@@ -37,7 +37,7 @@ from hygrokf.live.tracker import SAME_S, Point
 from hygrokf.modelling.inputs import model_inputs
 from hygrokf.physics.holds import LINEAR, MEAN
 from hygrokf.physics.model import Model
-from hygrokf.texts.live import AdviceCode, StateCode
+from hygrokf.texts.live_codes import AdviceCode, StateCode
 from hygrokf.texts.statement import Statement, Value
 
 LIMIT = 0.8

@@ -22,7 +22,7 @@ from hygrokf.live.scenarios import DAYS, NoScenarios, Scenarios, persistence, we
 from hygrokf.live.storage.store import Store
 from hygrokf.live.tracker import Point, Tracker, record_of
 from hygrokf.live.turbines import Turbine
-from hygrokf.texts.live import BasisCode
+from hygrokf.texts.live_codes import BasisCode
 
 DRIVERS = ("ambient_temperature", *AMBIENT_HUMIDITIES, "active_power", "preheating")
 CABINET = ("cabinet_temperature", "cabinet_relative_humidity", "cabinet_absolute_humidity")

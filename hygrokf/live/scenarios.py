@@ -22,7 +22,7 @@ from hygrokf.data.prepared import VAPOUR, PreparedRecord, prepare
 from hygrokf.data.record import Record, Series
 from hygrokf.data.timestamps import DAY_S, HOUR_S
 from hygrokf.physics.psychrometrics import absolute_humidity, relative_humidity
-from hygrokf.texts.live import BasisCode
+from hygrokf.texts.live_codes import BasisCode
 from hygrokf.texts.statement import Statement
 
 FINE_S = 600.0

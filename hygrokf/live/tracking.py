@@ -22,7 +22,7 @@ from hygrokf.live.notification.sender import Sender
 from hygrokf.live.service import Service
 from hygrokf.live.sources.stream import SourceFault
 from hygrokf.live.turbine import Turbine
-from hygrokf.texts.verdict import ReasonCode
+from hygrokf.texts.reasons import ReasonCode
 from hygrokf.texts.wording import one_line
 
 LOG = logging.getLogger("hygrokf.track")

@@ -51,7 +51,7 @@ from hygrokf.live.batch import (
     content_of,
     text_of,
 )
-from hygrokf.live.clocks import Ahead, Backlogs, clock_levels
+from hygrokf.live.clock_levels import Ahead, Backlogs, clock_levels
 from hygrokf.live.condition import Condition
 from hygrokf.live.fault_isolation import CauseFinding, ShiftStep, shift_step
 from hygrokf.live.forecast import ForecastMade

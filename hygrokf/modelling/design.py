@@ -28,7 +28,7 @@ from hygrokf.physics.mechanisms import Factory
 from hygrokf.physics.mechanisms.hygric import SHORTEST_H
 from hygrokf.physics.model import Mechanism, Model, compose, field_values
 from hygrokf.physics.parameters import Prior
-from hygrokf.texts.fit import FitCode
+from hygrokf.texts.fit_codes import FitCode
 from hygrokf.texts.statement import Statement, unique
 from hygrokf.texts.terms import Name
 

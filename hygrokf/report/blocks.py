@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Literal, TypeAlias
 
 from hygrokf.data.record import Provenance
 from hygrokf.identification.verdict_terms import Inherited
-from hygrokf.texts.verdict import WORDS
+from hygrokf.texts.reasons import WORDS
 
 if TYPE_CHECKING:
     from hygrokf.report.figures.panels import Picture

@@ -42,13 +42,13 @@ from hygrokf.report.climate_tables import (
     value_and_bounds,
     year_table,
 )
-from hygrokf.report.figures.climate import figure_profile
+from hygrokf.report.figures.climate_figures import figure_profile
 from hygrokf.report.figures.drawing import png
 from hygrokf.report.figures.lead import duration_figure, lead_of_climate, year_figure
 from hygrokf.report.page import page_html
 from hygrokf.report.quantities import versions
-from hygrokf.texts.climate import ClimateCode
-from hygrokf.texts.verdict import REJECT
+from hygrokf.texts.climate_codes import ClimateCode
+from hygrokf.texts.reasons import REJECT
 from hygrokf.texts.wording import moment, sentence
 
 PICTURE = "test_profile.png"

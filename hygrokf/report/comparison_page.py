@@ -28,7 +28,7 @@ from hygrokf.report.blocks import (
     table_or,
     unmeasured,
 )
-from hygrokf.report.figures.comparison import (
+from hygrokf.report.figures.comparison_figures import (
     figure_column_courses,
     figure_errors,
     figure_weeks,
@@ -37,14 +37,14 @@ from hygrokf.report.figures.comparison import (
 from hygrokf.report.page import page_html
 from hygrokf.report.quantities import interval, quantity, share_text, versions
 from hygrokf.texts.statement import Value
-from hygrokf.texts.transfer import TransferCode
+from hygrokf.texts.transfer_codes import TransferCode
 from hygrokf.texts.wording import RULES, fixed, sentence, signed
 from hygrokf.transfer.comparison import (
     ComparisonColumn,
     ComparisonResults,
     ErrorRow,
 )
-from hygrokf.transfer.results import RecordCourse, read_courses, write_courses
+from hygrokf.transfer.transfer_results import RecordCourse, read_courses, write_courses
 
 PERIODS = ("whole", "validation", "identification")
 COMMAND = "hygrokf compare"

@@ -11,8 +11,7 @@ from functools import partial
 from pathlib import Path
 
 from hygrokf.data.files import BESIDE_DISCOVERY, REPORT, write_text_whole
-from hygrokf.discovery.residuals import QUANTITIES, Residuals
-from hygrokf.discovery.results import (
+from hygrokf.discovery.discovery_results import (
     CauseFound,
     Discovery,
     DiscoveryResults,
@@ -22,6 +21,7 @@ from hygrokf.discovery.results import (
     read_discovery,
     write_discovery,
 )
+from hygrokf.discovery.residuals import QUANTITIES, Residuals
 from hygrokf.identification.verdict import best_rule, inherited
 from hygrokf.report.blocks import (
     FREE_RUN,

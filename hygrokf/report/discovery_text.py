@@ -9,9 +9,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from hygrokf.discovery.candidates import SENSOR, WATER
-from hygrokf.discovery.judgement import LEAST_IMPROVEMENT, WORSE_GROWTH
-from hygrokf.discovery.repeats import repeated_statement
-from hygrokf.discovery.results import (
+from hygrokf.discovery.discovery_results import (
     CauseFound,
     CauseWords,
     DiscoveryResults,
@@ -23,13 +21,15 @@ from hygrokf.discovery.results import (
     SpectralLine,
     Verdict,
 )
+from hygrokf.discovery.judgement import LEAST_IMPROVEMENT, WORSE_GROWTH
+from hygrokf.discovery.repeats import repeated_statement
 from hygrokf.identification.verdict import inherited
 from hygrokf.modelling.causes.cause import Cause
 from hygrokf.modelling.library import LIBRARY
 from hygrokf.report.quantities import capital, quantity, spoken
-from hygrokf.texts.discovery import DiscoveryCode
+from hygrokf.texts.discovery_codes import DiscoveryCode
+from hygrokf.texts.reasons import REJECT
 from hygrokf.texts.statement import Statement, listed
-from hygrokf.texts.verdict import REJECT
 from hygrokf.texts.wording import sentence
 
 ANSWERS: Mapping[Verdict, DiscoveryCode] = {

@@ -37,7 +37,7 @@ from hygrokf.report.blocks import (
     table_or,
     unmeasured,
 )
-from hygrokf.report.figures.fit import FIGURES, PRODUCT, figure_of
+from hygrokf.report.figures.fit_figures import FIGURES, PRODUCT, figure_of
 from hygrokf.report.fit_tables import (
     actuators_table,
     bands_table,
@@ -50,7 +50,7 @@ from hygrokf.report.fit_tables import (
 from hygrokf.report.fit_text import free_run_text, judgements, level_and_method, range_text
 from hygrokf.report.page import page_html
 from hygrokf.report.quantities import place, versions
-from hygrokf.texts.verdict import BELIEVE, CAUTION, REJECT, ReasonCode
+from hygrokf.texts.reasons import BELIEVE, CAUTION, REJECT, ReasonCode
 from hygrokf.texts.wording import UNBOUNDED, fixed, moment, one_line, sentence
 
 

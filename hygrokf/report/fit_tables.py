@@ -13,7 +13,7 @@ from hygrokf.identification.fit_results import FitResults, PriorTerms, SensorRes
 from hygrokf.identification.verdict import inherited
 from hygrokf.physics.psychrometrics import ZERO_CELSIUS_K
 from hygrokf.report.blocks import FREE_RUN, Block, Heading, Items, Prose, Table, inherited_verdicts, present
-from hygrokf.report.figures.fit import PRODUCT
+from hygrokf.report.figures.fit_figures import PRODUCT
 from hygrokf.report.fit_text import lead_words, level_and_method, range_text
 from hygrokf.report.quantities import interval, parameter_cells, quantity
 from hygrokf.report.terminal import blocks_text

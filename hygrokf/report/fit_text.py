@@ -25,7 +25,7 @@ from hygrokf.identification.verdict import (
 from hygrokf.identification.verdict_terms import QUANTITY_OF
 from hygrokf.modelling.design import PARTS
 from hygrokf.report.quantities import interval, quantity, spoken
-from hygrokf.texts.verdict import BELIEVE, CAUTION, REJECT, Kind, Reason, ReasonCode, verdict_of, worst_first
+from hygrokf.texts.reasons import BELIEVE, CAUTION, REJECT, Kind, Reason, ReasonCode, verdict_of, worst_first
 from hygrokf.texts.wording import decimals_for, fixed, percent, plain_number
 
 METHODS = {

@@ -10,9 +10,9 @@ from pathlib import Path
 from hygrokf.data.files import FLEET, REPORT, write_text_whole
 from hygrokf.data.record import Provenance
 from hygrokf.data.result_file import ResultFault, read_result
+from hygrokf.fleet.fleet_results import CSV, FleetResults
 from hygrokf.fleet.job import DONE, Row, number, text_of
 from hygrokf.fleet.outliers import DRAWS, FEWEST_JUDGED, LEVEL, Scatter, spreads
-from hygrokf.fleet.results import CSV, FleetResults
 from hygrokf.fleet.tasks import TASKS, Compared, Tally, Task
 from hygrokf.report.blocks import (
     Banner,
@@ -28,11 +28,11 @@ from hygrokf.report.blocks import (
     section,
     table_or,
 )
-from hygrokf.report.figures.comparison import figure_spreads
+from hygrokf.report.figures.comparison_figures import figure_spreads
 from hygrokf.report.page import page_html
 from hygrokf.report.quantities import interval, spoken, versions
 from hygrokf.report.transfer_page import type_section
-from hygrokf.texts.verdict import REJECT, WORDS
+from hygrokf.texts.reasons import REJECT, WORDS
 from hygrokf.texts.wording import NONE, decimals_for, fixed, moment, one_line, percent, plain_number, sentence
 
 RANKED = 50

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from hygrokf.report.blocks import Figure, Page, Table
 from hygrokf.report.figures.drawing import FONTS, NothingToShow, inline_svg, styled
-from hygrokf.texts.verdict import MARKS, VERDICTS, WORDS
+from hygrokf.texts.reasons import MARKS, VERDICTS, WORDS
 from hygrokf.texts.wording import one_line, unbroken
 
 if TYPE_CHECKING:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hygrokf.climate.study import Study
-from hygrokf.discovery.results import Discovered
+from hygrokf.discovery.discovery_results import Discovered
 from hygrokf.errors import HygrokfError
 from hygrokf.evaluation.responses import Answer, FrequencyResponse, Response, StepResponse
 from hygrokf.identification.fit import Fit

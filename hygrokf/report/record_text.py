@@ -15,7 +15,7 @@ from hygrokf.report.blocks import Block, Heading, Items, Prose, Table
 from hygrokf.report.quantities import interval, place
 from hygrokf.report.terminal import blocks_text
 from hygrokf.texts.wording import duration_text
-from hygrokf.weather.clocks import Alignment, Lag
+from hygrokf.weather.clock_comparison import Alignment, Lag
 
 if TYPE_CHECKING:
     from hygrokf.drafting.draft import Draft

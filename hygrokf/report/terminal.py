@@ -24,7 +24,7 @@ from hygrokf.report.blocks import (
     Table,
     Verdicts,
 )
-from hygrokf.texts.verdict import PLAIN_MARKS, REJECT, VERDICTS
+from hygrokf.texts.reasons import PLAIN_MARKS, REJECT, VERDICTS
 from hygrokf.texts.wording import one_line, sentence, unbroken
 
 TEXT_WIDTH = 100

@@ -34,13 +34,19 @@ from hygrokf.report.blocks import (
     table_or,
     unmeasured,
 )
-from hygrokf.report.figures.comparison import SETS, figure_course, figure_parameters, figure_sets, figure_type
+from hygrokf.report.figures.comparison_figures import (
+    SETS,
+    figure_course,
+    figure_parameters,
+    figure_sets,
+    figure_type,
+)
 from hygrokf.report.fit_page import write_report
 from hygrokf.report.page import page_html
 from hygrokf.report.quantities import interval, quantity, versions
-from hygrokf.texts.transfer import TransferVerdict
+from hygrokf.texts.transfer_codes import TransferVerdict
 from hygrokf.texts.wording import NONE, fixed, p_value, percent, plain_number, sentence
-from hygrokf.transfer.results import (
+from hygrokf.transfer.transfer_results import (
     RecordCourse,
     Transfer,
     TransferResult,

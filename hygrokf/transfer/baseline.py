@@ -31,7 +31,7 @@ from hygrokf.estimation.optimiser import Estimate, Objective
 from hygrokf.evaluation.simulation import measured, settled
 from hygrokf.identification.fit import Fit
 from hygrokf.identification.fit_on_record import rated_power_mismatch
-from hygrokf.identification.procedure import expect_readings
+from hygrokf.identification.identify import expect_readings
 from hygrokf.identification.turbine_type import TurbineType
 from hygrokf.identification.verdict import inherited
 from hygrokf.identification.verdict_terms import Inherited
@@ -39,9 +39,9 @@ from hygrokf.modelling.design import HUMIDITIES, Design, read_as
 from hygrokf.modelling.inputs import Run, model_inputs
 from hygrokf.physics.model import Model
 from hygrokf.physics.parameters import Coordinates
+from hygrokf.texts.reasons import Reason
 from hygrokf.texts.statement import Statement
-from hygrokf.texts.transfer import TransferCode
-from hygrokf.texts.verdict import Reason
+from hygrokf.texts.transfer_codes import TransferCode
 from hygrokf.texts.wording import iso_time
 
 THERMAL = "thermal time constant"

@@ -31,8 +31,8 @@ from hygrokf.identification.verdict import inherited
 from hygrokf.identification.verdict_terms import Inherited
 from hygrokf.texts.statement import Statement
 from hygrokf.texts.terms import Instant, Name, Version
-from hygrokf.texts.transfer import TransferCode
-from hygrokf.transfer.results import RecordCourse
+from hygrokf.texts.transfer_codes import TransferCode
+from hygrokf.transfer.transfer_results import RecordCourse
 from hygrokf.version import __version__
 
 if TYPE_CHECKING:

@@ -116,7 +116,7 @@ def _stated(service: Service) -> None:
     from hygrokf.live.assessment import Outlook
     from hygrokf.live.batch import Assessment, Batch, Event, Shelf, content_of, text_of
     from hygrokf.live.notification.notices import acknowledge
-    from hygrokf.texts.live import StateCode
+    from hygrokf.texts.live_codes import StateCode
 
     store, now = opened(service), service.now
     advice = "from 06:00 on pre-heat for 40 min before a start; from 11:00 on none is needed."

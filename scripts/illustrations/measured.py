@@ -53,7 +53,7 @@ def attic(directory: Path, data: Path) -> None:
             )
     write_table("real_input.md", "attic scores", scores)
 
-    from hygrokf.report.figures.course import figure_residuals
+    from hygrokf.report.figures.course_panels import figure_residuals
 
     shown = fits["weather station"]
     save(figure_residuals(shown.results, shown.series).figure(), "attic_residuals")
@@ -116,9 +116,14 @@ def climate(directory: Path, data: Path) -> None:
     from plants import uk_plant
     from plants.as_record import to_record
 
-    from hygrokf.climate.procedure import climate_profile
+    from hygrokf.climate.climate_profile import climate_profile
     from hygrokf.climate.region import Region, read_region
-    from hygrokf.report.figures.climate import figure_duration, figure_joint, figure_profile, figure_regions
+    from hygrokf.report.figures.climate_figures import (
+        figure_duration,
+        figure_joint,
+        figure_profile,
+        figure_regions,
+    )
 
     label = "simulated cabinet, measured weather"
     record = to_record(uk_plant(501, days=719.0, start="2018-01-01T00:00:00"))

@@ -10,8 +10,8 @@ from illustrations.pages import DOCS, identified, save, synthetic_record
 
 def demo(directory: Path) -> None:
     """README's picture, and the profiles of docs/explanation/theory.md."""
-    from hygrokf.report.figures.course import figure_excerpts
-    from hygrokf.report.figures.fit import figure_profiles
+    from hygrokf.report.figures.course_panels import figure_excerpts
+    from hygrokf.report.figures.fit_figures import figure_profiles
 
     record, _ = synthetic_record(1, directory)
     fit = identified(record)
@@ -28,7 +28,7 @@ def fleet(directory: Path) -> None:
     from hygrokf.commands.main import main as hygrokf
     from hygrokf.fleet.outliers import spreads
     from hygrokf.fleet.tasks import TASKS
-    from hygrokf.report.figures.comparison import figure_spreads
+    from hygrokf.report.figures.comparison_figures import figure_spreads
 
     text = (DOCS / "how_to" / "fleet.md").read_text(encoding="utf-8").partition("## Outliers")[0]
     here = {}
@@ -46,7 +46,7 @@ def fleet(directory: Path) -> None:
 
 def compare(directory: Path) -> None:
     """One fit under three ambient sources."""
-    from hygrokf.report.figures.comparison import figure_errors
+    from hygrokf.report.figures.comparison_figures import figure_errors
     from hygrokf.transfer.comparison import compare, comparison_column
 
     record, _ = synthetic_record(1, directory)
@@ -67,8 +67,8 @@ def transfer(directory: Path) -> None:
     """A cabinet that releases and stores heat otherwise."""
     from hygrokf import identify, read_case, synthetic_turbine, write_case
     from hygrokf.cases.synthetic import SyntheticParameters
-    from hygrokf.report.figures.comparison import figure_course, figure_parameters
-    from hygrokf.transfer.procedure import transfer_fit
+    from hygrokf.report.figures.comparison_figures import figure_course, figure_parameters
+    from hygrokf.transfer.transfer_fit import transfer_fit
 
     other = SyntheticParameters(
         thermal_time_constant_h=2.4,

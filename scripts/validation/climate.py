@@ -19,9 +19,9 @@ from other_make.moist_air import saturation_pressure
 from hygrokf import identify
 from hygrokf.climate.bounds import bounded
 from hygrokf.climate.chamber import Acceleration
+from hygrokf.climate.climate_profile import SHARES as LEVELS
+from hygrokf.climate.climate_profile import reduced
 from hygrokf.climate.ensemble import course, draw_members, shots_of, simulate_years
-from hygrokf.climate.procedure import SHARES as LEVELS
-from hygrokf.climate.procedure import reduced
 from hygrokf.climate.region import driven
 from hygrokf.data.record import Record
 from hygrokf.physics.psychrometrics import Surface, condenses

@@ -16,11 +16,11 @@ from other_make import ROWS, make_plant
 from other_make.as_record import to_record
 
 from hygrokf.cases.alternatives import NAMED, Readings, alternative_readings
-from hygrokf.data.clocks import Shift, shifted
 from hygrokf.data.record import Record
+from hygrokf.data.shared_clocks import Shift, shifted
 from hygrokf.data.timestamps import DAY_S, HOUR_S, summer_time
 from hygrokf.physics.psychrometrics import ZERO_CELSIUS_K
-from hygrokf.texts.record import RecordCode
+from hygrokf.texts.record_codes import RecordCode
 from validation.counts import markdown
 from validation.frame import Claim
 

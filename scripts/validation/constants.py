@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from types import FunctionType
 
 from hygrokf.discovery.conclusion import Conclusion, conclude, remaining_lines
-from hygrokf.discovery.procedure import verdict
+from hygrokf.discovery.discover import verdict
 from hygrokf.discovery.search import Search
 from hygrokf.discovery.starting_model import base_estimate
 from hygrokf.modelling.causes.forms import ground_of

@@ -17,9 +17,9 @@ from plants.nulls import null_plant
 from plants.plant import Plant
 
 import hygrokf
-from hygrokf.data.clocks import Shift, shifted
 from hygrokf.data.record import Record
-from hygrokf.discovery.results import Discovery
+from hygrokf.data.shared_clocks import Shift, shifted
+from hygrokf.discovery.discovery_results import Discovery
 from validation.discovery_tables import NULLS, table
 from validation.frame import Claim
 from validation.records import CASES, IDENTIFIED, Known, before_the_last_fifth, measured

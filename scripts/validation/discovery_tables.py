@@ -11,7 +11,7 @@ from collections.abc import Iterable, Mapping, Sequence
 import numpy as np
 from scipy.optimize import minimize
 
-from hygrokf.discovery import results
+from hygrokf.discovery import discovery_results
 from validation.counts import Rate, markdown, rate
 from validation.frame import Line
 from validation.records import GIVEN, KNOWN, WITHHELD
@@ -33,7 +33,7 @@ def truths(line: Line) -> list[str]:
 
 def names(line: Line) -> list[Mapping]:
     """Names whose class is short enough to be told."""
-    return [one for one in line["names"] if 1 + len(one["rivals"]) <= results.CLASS_LIMIT]
+    return [one for one in line["names"] if 1 + len(one["rivals"]) <= discovery_results.CLASS_LIMIT]
 
 
 def first_right(line: Line, in_class: bool = False) -> bool:
@@ -230,7 +230,7 @@ def told_names(lines: Iterable[Line]) -> list[tuple[float, float, bool]]:
 
 
 def calibrated(told: Sequence[tuple[float, float, bool]]) -> str:
-    """The coefficients of `discovery.procedure.CONFIDENCE` by maximum likelihood, and how they state what was
+    """The coefficients of `discovery.discover.CONFIDENCE` by maximum likelihood, and how they state what was
     observed.
 
     P(right) = 1/(1 + exp(−(a + b ln(evidence in days) + c lead))), of every name that was told.  Raises

@@ -12,7 +12,7 @@ from hygrokf.data.readings import SATURATED
 from hygrokf.live.condition import Condition, air_condition, inputs_of, only
 from hygrokf.live.forecast import moments_by_member
 from hygrokf.live.scenarios import HORIZON_S, NoScenarios, Scenarios
-from hygrokf.texts.live import BasisCode
+from hygrokf.texts.live_codes import BasisCode
 from validation.counts import Columns, between_plants, markdown, reliability
 from validation.frame import Claim
 from validation.tracked import DAY_S, SETTLED_S, Surface, Tracked, tracked_plant, truth

@@ -21,7 +21,7 @@ from hygrokf.data.readings import mask
 from hygrokf.data.record import Record, Series
 from hygrokf.data.timestamps import DAY_S, HOUR_S
 from hygrokf.identification.fit import Fit
-from hygrokf.identification.procedure import identify
+from hygrokf.identification.identify import identify
 from hygrokf.live.plan import Plan
 from hygrokf.live.tracker import offline_course
 from validation.counts import markdown

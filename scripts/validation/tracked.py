@@ -16,7 +16,7 @@ from hygrokf.data.readings import mask
 from hygrokf.data.record import Record
 from hygrokf.estimation.likelihood import Gaussian
 from hygrokf.identification.fit import Fit
-from hygrokf.identification.procedure import identify
+from hygrokf.identification.identify import identify
 from hygrokf.live.condition import Surface
 from hygrokf.live.forecast import heating_sd
 from hygrokf.live.plan import Plan, SignalReporting, plan

@@ -11,9 +11,9 @@ import numpy as np
 from builders.transfer_pairs import KINDS, pair, record_of
 from plants.plant import plant
 
-from hygrokf.identification.procedure import identify
+from hygrokf.identification.identify import identify
 from hygrokf.identification.turbine_type import pool_types
-from hygrokf.transfer.procedure import transfer_fit
+from hygrokf.transfer.transfer_fit import transfer_fit
 from validation.counts import markdown
 from validation.frame import Claim, by_variant
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from builders.fit_case import typed
-from hygrokf.climate.procedure import climate_profile
+from hygrokf.climate.climate_profile import climate_profile
 from hygrokf.climate.region import Region
 from hygrokf.climate.study import RegionClimate, Study
 from hygrokf.data.record import Record, Series

@@ -6,7 +6,7 @@ import numpy as np
 
 from hygrokf.data.record import Provenance
 from hygrokf.transfer.comparison import ComparedColumn, ComparisonColumn, rmse_by_week
-from hygrokf.transfer.results import RecordCourse
+from hygrokf.transfer.transfer_results import RecordCourse
 
 HOUR = 3600.0
 

@@ -9,8 +9,8 @@ import math
 import numpy as np
 
 from hygrokf.data.structured import structured
+from hygrokf.discovery.discovery_results import DiscoveryResults
 from hygrokf.discovery.residuals import Residuals
-from hygrokf.discovery.results import DiscoveryResults
 
 ORIGIN_S = 1594771200.0
 """15 July 2020, midnight UTC."""

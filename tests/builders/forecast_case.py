@@ -10,7 +10,7 @@ from hygrokf.live.plan import Plan
 from hygrokf.live.scenarios import Scenarios
 from hygrokf.live.tracker import Point, offline_course
 from hygrokf.physics.psychrometrics import absolute_humidity, relative_humidity
-from hygrokf.texts.live import BasisCode
+from hygrokf.texts.live_codes import BasisCode
 
 STEP_S = 600.0
 DAY_S = 86400.0

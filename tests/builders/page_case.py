@@ -37,7 +37,7 @@ from hygrokf.live.storage.store import Store, open_store
 from hygrokf.live.web.application import PageEndpoints
 from hygrokf.live.web.page_settings import PageSettings
 from hygrokf.live.web.server import Hub, PageServer, serve
-from hygrokf.texts.live import BasisCode
+from hygrokf.texts.live_codes import BasisCode
 
 HOUR_S = 3600.0
 LOCAL = PageSettings(port=0)

@@ -17,7 +17,7 @@ from hygrokf.cases.synthetic import synthetic_turbine
 from hygrokf.data.structured import plain, structured
 from hygrokf.evaluation.innovation_tests import diagnose
 from hygrokf.identification.fit_results import FitResults
-from hygrokf.texts.fit import FitCode
+from hygrokf.texts.fit_codes import FitCode
 
 DAYS = 40.0
 TAU_H, RATIO, HYGRIC_H = 1.45, 0.84, 0.31

@@ -14,8 +14,8 @@ from other_make.as_record import to_record
 from hygrokf.cases.alternatives import EITHER, NAMED, WALL, Readings, alternative_readings, solar_lag
 from hygrokf.cases.doubts import all_doubts
 from hygrokf.cases.summary import describe
-from hygrokf.data.clocks import Shift, shifted
 from hygrokf.data.record import Record, Series, Site
+from hygrokf.data.shared_clocks import Shift, shifted
 from hygrokf.data.timestamps import DAY_S, HOUR_S
 from hygrokf.estimation.lag_model import (
     LAGS_H,
@@ -27,7 +27,7 @@ from hygrokf.estimation.lag_model import (
 )
 from hygrokf.physics.psychrometrics import ZERO_CELSIUS_K
 from hygrokf.report.record_text import describe_text
-from hygrokf.texts.record import DoubtCode, RecordCode, touched
+from hygrokf.texts.record_codes import DoubtCode, RecordCode, touched
 
 
 @cache

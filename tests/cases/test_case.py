@@ -26,7 +26,7 @@ from hygrokf.data.record import Provenance, Record, Series
 from hygrokf.modelling.design import design, extended
 from hygrokf.modelling.inputs import model_inputs
 from hygrokf.report.record_text import describe_text
-from hygrokf.texts.record import DoubtCode
+from hygrokf.texts.record_codes import DoubtCode
 from hygrokf.texts.wording import stamp_text
 
 START = datetime(2020, 6, 1, tzinfo=UTC)

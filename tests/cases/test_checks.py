@@ -15,7 +15,7 @@ from hygrokf.data.readings import mask
 from hygrokf.data.record import Record, Series, Site
 from hygrokf.data.structured import plain, structured
 from hygrokf.report.record_text import describe_text
-from hygrokf.texts.record import DoubtCode, touched
+from hygrokf.texts.record_codes import DoubtCode, touched
 from hygrokf.texts.statement import Statement
 
 DAY = 86400.0

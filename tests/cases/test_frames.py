@@ -15,7 +15,7 @@ from hygrokf.cases.case_file import CaseFault, read_case
 from hygrokf.cases.doubts import all_doubts
 from hygrokf.cases.frames import read_frames
 from hygrokf.data.record import Record, Site
-from hygrokf.texts.record import DoubtCode, touched
+from hygrokf.texts.record_codes import DoubtCode, touched
 
 COUNT = 6 * 24 * 30
 INDEX = pd.date_range("2020-10-05", periods=COUNT, freq="10min", tz="UTC")

@@ -24,7 +24,7 @@ from builders.record_shapes import SHAPES, SIGNALS, base_record, write_record
 from hygrokf.cases.case_file import read_case
 from hygrokf.commands.main import main
 from hygrokf.data.record import Record
-from hygrokf.discovery.procedure import discover
+from hygrokf.discovery.discover import discover
 from hygrokf.identification.fit import read_fit
 from hygrokf.modelling.library import LIBRARY
 

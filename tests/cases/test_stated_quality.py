@@ -16,7 +16,7 @@ from hygrokf.cases.frames import read_frames
 from hygrokf.cases.summary import describe
 from hygrokf.commands.main import main
 from hygrokf.data.record import Record
-from hygrokf.texts.record import DoubtCode, RecordCode, touched
+from hygrokf.texts.record_codes import DoubtCode, RecordCode, touched
 
 COUNT = 900
 BAD, UNSURE = [0, 90, 450], [7]

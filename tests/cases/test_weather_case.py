@@ -17,7 +17,7 @@ from hygrokf.commands.main import main
 from hygrokf.data.prepared import prepare
 from hygrokf.physics.psychrometrics import saturation_pressure_water
 from hygrokf.report.record_text import describe_text
-from hygrokf.texts.record import DoubtCode
+from hygrokf.texts.record_codes import DoubtCode
 
 SITE = "[site]\nlatitude_deg = 48.48\nlongitude_deg = 5.57\naltitude_m = 411.0\n"
 CABINET = """[[source]]

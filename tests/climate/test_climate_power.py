@@ -23,7 +23,7 @@ from hygrokf.climate.region import (
 )
 from hygrokf.data.record import Record, Series
 from hygrokf.data.toml_form import FormFault, read_toml_form
-from hygrokf.texts.climate import ClimateCode
+from hygrokf.texts.climate_codes import ClimateCode
 from hygrokf.texts.statement import Statement
 from hygrokf.texts.wording import day_text
 

@@ -18,7 +18,7 @@ from hygrokf.climate.limits import ClimateLimit
 from hygrokf.climate.region import read_region
 from hygrokf.climate.study import RegionClimate, profile_files
 from hygrokf.data.record import Record, Series
-from hygrokf.texts.climate import ClimateCode
+from hygrokf.texts.climate_codes import ClimateCode
 from hygrokf.texts.statement import Code
 
 

@@ -12,9 +12,9 @@ from builders.documents import document
 from hygrokf.climate import statistics
 from hygrokf.climate.bounds import bounded, bounded_array, held
 from hygrokf.climate.chamber import Acceleration
+from hygrokf.climate.climate_profile import TEMPERATURE_EDGES, reduced
 from hygrokf.climate.ensemble import Year
 from hygrokf.climate.limits import ClimateLimit, exceeded, judge_limit
-from hygrokf.climate.procedure import TEMPERATURE_EDGES, reduced
 from hygrokf.climate.statistics import (
     STATISTICS,
     excursions,

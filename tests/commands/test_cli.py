@@ -19,7 +19,7 @@ from hygrokf.data.files import RESULTS
 from hygrokf.data.structured import plain
 from hygrokf.identification.fit import read_fit, read_series
 from hygrokf.identification.fit_on_record import evaluate, simulate_fit, simulation_summary
-from hygrokf.identification.procedure import DEFAULT_KIND
+from hygrokf.identification.identify import DEFAULT_KIND
 from hygrokf.report.fit_tables import evaluation_text
 from hygrokf.version import __version__
 
@@ -65,7 +65,7 @@ def test_demo_makes_fits_and_reports(tmp_path):
 
 def test_demo_of_another_seed_is_another_turbine(tmp_path, monkeypatch):
     """The seed reaches the turbine; what follows is broken off."""
-    monkeypatch.setattr("hygrokf.identification.procedure.identify", interrupted)
+    monkeypatch.setattr("hygrokf.identification.identify.identify", interrupted)
     assert run(f"demo --out {tmp_path}/demo --seed 7").status == 130
     assert 'name = "synthetic-turbine-7"' in (tmp_path / "demo" / "case.toml").read_text()
     assert len(content(tmp_path / "demo")) == 4
@@ -139,7 +139,7 @@ def test_fit_json_has_the_keys_that_others_rely_on(fitted):
 
 def test_fit_as_json_is_what_it_writes(folder, monkeypatch):
     stored = replace(read_fit(folder / "result"), series=read_series(folder / "result"))
-    monkeypatch.setattr("hygrokf.commands.fit.fit_of", lambda *_: stored)
+    monkeypatch.setattr("hygrokf.commands.fit_commands.fit_of", lambda *_: stored)
     monkeypatch.setattr("hygrokf.report.fit_page.write_report", lambda out: out / "report.html")
     said = run("fit case.toml --out made/here --json")
     assert said.status == 0
@@ -154,7 +154,7 @@ def test_options_of_fit_reach_the_identification(folder, monkeypatch):
         seen.update(options, name=record.name)
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("hygrokf.identification.procedure.identify", identify)
+    monkeypatch.setattr("hygrokf.identification.identify.identify", identify)
     run("fit case.toml --out made")
     usual = {"criterion": "likelihood", "starts": 5, "kind": DEFAULT_KIND, "model": None}
     assert seen == {"name": "synthetic-turbine-3", **usual}
@@ -206,8 +206,10 @@ def test_evaluate_notes_another_rated_power(folder):
 
 
 def test_fit_says_whose_fit_it_replaces(folder, monkeypatch):
-    monkeypatch.setattr("hygrokf.commands.fit.fit_of", lambda *_: read_fit(folder / "result"))
-    monkeypatch.setattr("hygrokf.commands.fit.write_fit_and_page", lambda fit, out: out / "report.html")
+    monkeypatch.setattr("hygrokf.commands.fit_commands.fit_of", lambda *_: read_fit(folder / "result"))
+    monkeypatch.setattr(
+        "hygrokf.commands.fit_commands.write_fit_and_page", lambda fit, out: out / "report.html"
+    )
     assert "replaces" not in run("fit case.toml --out result").err
     case(("synthetic-turbine-3", "uk-01"))(folder)
     assert "replaces the fit of synthetic-turbine-3\n" in run("fit case.toml --out result").err

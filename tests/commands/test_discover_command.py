@@ -10,7 +10,7 @@ import pytest
 from builders.command_line import run
 
 from hygrokf.cases.synthetic import synthetic_turbine, write_case
-from hygrokf.discovery.procedure import BUDGET
+from hygrokf.discovery.discover import BUDGET
 from hygrokf.identification.fit import read_fit
 from hygrokf.modelling.library import LIBRARY
 

@@ -208,7 +208,7 @@ def test_what_the_system_refuses_is_told_without_a_traceback(folder, monkeypatch
 
 def test_an_interrupted_fit_leaves_nothing(folder, monkeypatch):
     before = content(folder)
-    monkeypatch.setattr("hygrokf.identification.procedure.identify", interrupted)
+    monkeypatch.setattr("hygrokf.identification.identify.identify", interrupted)
     assert run(FIT) == Said(130, "", "interrupted; no incomplete file is left\n")
     assert content(folder) == before
 
@@ -217,7 +217,7 @@ def test_faults_of_the_package_itself_are_not_hidden(folder, monkeypatch):
     def broken(*_, **__):
         raise RuntimeError("a defect")
 
-    monkeypatch.setattr("hygrokf.identification.procedure.identify", broken)
+    monkeypatch.setattr("hygrokf.identification.identify.identify", broken)
     with pytest.raises(RuntimeError, match="a defect"):
         run(FIT)
 

@@ -38,7 +38,7 @@ from hygrokf.report.fit_page import fit_blocks
 from hygrokf.report.page import page_html
 from hygrokf.report.record_text import describe_text
 from hygrokf.report.terminal import page_text
-from hygrokf.texts.fit import FitCode
+from hygrokf.texts.fit_codes import FitCode
 
 
 @pytest.fixture(scope="module")

@@ -9,8 +9,8 @@ from zoneinfo import ZoneInfo
 import numpy as np
 import pytest
 
-from hygrokf.data.clocks import Shift, shifted, sources
 from hygrokf.data.record import Record, Series, Site
+from hygrokf.data.shared_clocks import Shift, shifted, sources
 from hygrokf.data.timestamps import summer_time
 
 HOUR_S = 3600.0

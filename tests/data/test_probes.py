@@ -7,7 +7,7 @@ import pytest
 
 from hygrokf.data.probes import copies, probe_of
 from hygrokf.data.record import Series
-from hygrokf.texts.record import DoubtCode
+from hygrokf.texts.record_codes import DoubtCode
 
 TIME = 1.6e9 + 600.0 * np.arange(600.0)
 DRAW = np.random.default_rng(4)

@@ -29,7 +29,7 @@ from hygrokf.data.toml_form import (
     read_toml_form,
     setting,
 )
-from hygrokf.fleet.plan import FleetForm, FleetTurbine
+from hygrokf.fleet.fleet_plan import FleetForm, FleetTurbine
 
 
 @dataclass(frozen=True)

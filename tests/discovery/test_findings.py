@@ -18,14 +18,14 @@ import hygrokf
 from hygrokf.data.record import Record
 from hygrokf.data.structured import plain
 from hygrokf.discovery.conditions import LONG_STOPS, conditions
+from hygrokf.discovery.discovery_results import Finding
 from hygrokf.discovery.findings import MATERIAL, findings
 from hygrokf.discovery.residuals import Residuals, binned, closed, duration_h, residuals, run_lengths
-from hygrokf.discovery.results import Finding
 from hygrokf.identification.fit import Fit
 from hygrokf.report.figures.drawing import NothingToShow, inline_svg, png
-from hygrokf.report.figures.findings import figure_episodes
+from hygrokf.report.figures.findings_figures import figure_episodes
 from hygrokf.report.figures.residual_structure import figure_day_hour, figure_drivers
-from hygrokf.texts.discovery import ConditionCode, DiscoveryCode
+from hygrokf.texts.discovery_codes import ConditionCode, DiscoveryCode
 
 STEP_H = 0.25
 ORIGIN_S = 1594771200.0

@@ -28,11 +28,11 @@ from hygrokf.data.record import Record, Series
 from hygrokf.data.result_file import result_text
 from hygrokf.data.structured import structured
 from hygrokf.data.timestamps import DAY_S, HOUR_S
+from hygrokf.discovery.discover import WET_SENSOR, confidence, discover
+from hygrokf.discovery.discovery_results import Discovery, DiscoveryResults
 from hygrokf.discovery.estimate import Calibration
 from hygrokf.discovery.final_set import FinalSet, final_set, fit_of, without_input
 from hygrokf.discovery.own_causes import IDENTIFIER
-from hygrokf.discovery.procedure import WET_SENSOR, confidence, discover
-from hygrokf.discovery.results import Discovery, DiscoveryResults
 from hygrokf.discovery.screening import parent_of, screened
 from hygrokf.discovery.starting_model import base_designs, base_estimate
 from hygrokf.identification.fit_on_record import evaluate
@@ -41,8 +41,8 @@ from hygrokf.identification.verdict_terms import rests_on
 from hygrokf.modelling.causes.forms import doors, ground_of
 from hygrokf.modelling.library import CAUSES, LIBRARY
 from hygrokf.physics.psychrometrics import absolute_humidity
-from hygrokf.texts.fit import FitCode
-from hygrokf.texts.verdict import REJECT, VerdictCode
+from hygrokf.texts.fit_codes import FitCode
+from hygrokf.texts.reasons import REJECT, VerdictCode
 
 STEP = LIBRARY.only("exchange_step")
 SUN = LIBRARY.only("solar_gain", "condensation")
@@ -356,8 +356,8 @@ def test_what_only_looks_like_it_is_not_called_sorption(decoy: str, seed: int) -
 def test_a_greenhouse_is_called_unexplained() -> None:
     """Plants give vapour and the sun warms: much is missing.
 
-    The base model calls the compartment tight and its humidity an error with a long memory; a source of vapour
-    helps only beside a short hygric time constant, which the search does not reach from there.
+    The base model calls the compartment tight and its humidity an error with a long memory; a source of
+    vapour helps only beside a short hygric time constant, which the search does not reach from there.
     """
     results = discover(greenhouse.excerpt("Koala")).results
     assert results.verdict == "unexplained" and "solar_gain" in [cause.cause for cause in results.causes]

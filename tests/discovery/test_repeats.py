@@ -9,7 +9,7 @@ import pytest
 
 from hygrokf.data.record import Record, Series
 from hygrokf.discovery.repeats import repeated_statement, repeats, without_repeats
-from hygrokf.texts.discovery import DiscoveryCode
+from hygrokf.texts.discovery_codes import DiscoveryCode
 
 START = 1_596_499_200.0  # 4 August 2020, 00:00 UTC
 STEP_S = 900.0

@@ -14,8 +14,8 @@ from plants.as_record import to_record
 from plants.hidden import hidden_plant
 from scipy.integrate import quad
 
-from hygrokf.data.clocks import Shift
 from hygrokf.data.record import Record, Series
+from hygrokf.data.shared_clocks import Shift
 from hygrokf.discovery.scene import PARTS, UNKNOWN_K, Scene, driven, over_cells, scene_of
 from hygrokf.discovery.starting_model import base_estimate, free_run_error
 from hygrokf.engine.cell_loop import TEMPERATURE

@@ -31,12 +31,12 @@ from hygrokf.estimation.optimiser import Estimate, Objective, fit_mle
 from hygrokf.estimation.output_error import long_run_variance
 from hygrokf.estimation.profile_likelihood import limit_statements, profile
 from hygrokf.identification.estimation import assess_stage, estimate_design
-from hygrokf.identification.procedure import identify_stages
+from hygrokf.identification.identify import identify_stages
 from hygrokf.modelling.design import design, extended
 from hygrokf.modelling.inputs import model_inputs
 from hygrokf.physics.model import compose
 from hygrokf.physics.parameters import Parameter, Prior
-from hygrokf.texts.fit import FitCode
+from hygrokf.texts.fit_codes import FitCode
 
 LEVEL = 0.95
 CHI_SQUARED = norm.ppf(0.975) ** 2

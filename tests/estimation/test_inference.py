@@ -25,7 +25,7 @@ from hygrokf.estimation.optimiser import Estimate, Objective, fit_mle
 from hygrokf.physics.mechanisms import linear_network
 from hygrokf.physics.model import compose
 from hygrokf.physics.parameters import Parameter, Prior
-from hygrokf.texts.fit import FitCode
+from hygrokf.texts.fit_codes import FitCode
 
 
 @pytest.fixture(scope="module")

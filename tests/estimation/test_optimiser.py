@@ -27,7 +27,7 @@ from hygrokf.estimation.optimiser import (
 from hygrokf.physics.mechanisms import linear_network
 from hygrokf.physics.model import compose
 from hygrokf.physics.parameters import Coordinates, Parameter, Prior
-from hygrokf.texts.fit import FitCode
+from hygrokf.texts.fit_codes import FitCode
 
 COUNT = 50
 HILLS = 2.0 + 0.2 * np.random.default_rng(2).normal(size=30)

@@ -22,7 +22,7 @@ from hygrokf.physics.expression import where
 from hygrokf.physics.mechanisms import linear_network
 from hygrokf.physics.model import Model, compose
 from hygrokf.physics.parameters import Parameter
-from hygrokf.texts.fit import FitCode
+from hygrokf.texts.fit_codes import FitCode
 
 
 def positive(name: str, start: float, noise: bool = False) -> Parameter:

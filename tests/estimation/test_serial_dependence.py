@@ -14,7 +14,7 @@ from hygrokf.estimation.confidence import uncertainty, wald_bounds
 from hygrokf.estimation.optimiser import Objective, fit_mle
 from hygrokf.estimation.serial_dependence import FEWEST_TERMS, long_run_covariance, optimal_block
 from hygrokf.physics.parameters import Parameter
-from hygrokf.texts.fit import FitCode
+from hygrokf.texts.fit_codes import FitCode
 
 
 def autoregression(random: np.random.Generator, memory: float, count: int) -> np.ndarray:

@@ -13,7 +13,7 @@ from scipy import stats
 from hygrokf.data.structured import plain, structured
 from hygrokf.evaluation.diagnosis import Diagnosis, InnovationTest
 from hygrokf.evaluation.innovation_tests import FEWEST_READINGS, POINTS, diagnose, whitened
-from hygrokf.texts.fit import FitCode
+from hygrokf.texts.fit_codes import FitCode
 
 STEP_H = 0.25
 N = 1500

@@ -28,9 +28,9 @@ from hygrokf.data.result_file import ResultFault, result_text
 from hygrokf.data.structured import structured
 from hygrokf.data.toml_form import keys_of
 from hygrokf.fleet import job as job_module
+from hygrokf.fleet.fleet_plan import read_plan
+from hygrokf.fleet.fleet_results import columns_of, table_csv, table_parquet
 from hygrokf.fleet.job import FleetFault, Job, content_key, perform, stored_row
-from hygrokf.fleet.plan import read_plan
-from hygrokf.fleet.results import columns_of, table_csv, table_parquet
 from hygrokf.fleet.running import batches, in_processes, on_cluster
 from hygrokf.fleet.tasks import TASKS
 from hygrokf.identification.fit import read_fit

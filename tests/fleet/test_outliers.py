@@ -10,8 +10,8 @@ import pytest
 from builders.fleet_case import departing_rows
 
 from hygrokf.fleet import running
+from hygrokf.fleet.fleet_plan import FleetPlan
 from hygrokf.fleet.outliers import FEWEST_JUDGED, REACH, spread, spreads
-from hygrokf.fleet.plan import FleetPlan
 from hygrokf.fleet.tasks import Compared
 
 

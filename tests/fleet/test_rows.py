@@ -9,9 +9,9 @@ import numpy as np
 
 from hygrokf.data.result_file import result_text
 from hygrokf.data.structured import structured
+from hygrokf.fleet.fleet_results import FleetResults, table_csv
 from hygrokf.fleet.job import DONE, LOST, Job, flat, row_of
-from hygrokf.fleet.results import FleetResults, table_csv
-from hygrokf.texts.climate import ClimateCode
+from hygrokf.texts.climate_codes import ClimateCode
 
 
 def test_cells_with_statements_survive_their_file_and_become_texts() -> None:

@@ -28,7 +28,7 @@ from builders.store_case import queried
 from hygrokf.cases.synthetic import synthetic_turbine, write_case
 from hygrokf.commands.main import main
 from hygrokf.data.record import Record
-from hygrokf.discovery.procedure import discover
+from hygrokf.discovery.discover import discover
 from hygrokf.engine import jit
 from hygrokf.report.discovery_page import discovery_blocks, write_discovery_report
 from hygrokf.report.terminal import page_text

@@ -11,7 +11,7 @@ from other_make import ROWS, make_plant
 from other_make.as_record import to_record
 
 from hygrokf.identification.fit_on_record import evaluate
-from hygrokf.identification.procedure import identify
+from hygrokf.identification.identify import identify
 
 SEEDS = range(41000, 41004)
 """The first four of the twelve plants."""

@@ -38,12 +38,12 @@ from hygrokf.identification.fit_on_record import (
     simulation_summary,
 )
 from hygrokf.identification.fit_results import Covariance, FitResults
-from hygrokf.identification.procedure import identify
+from hygrokf.identification.identify import identify
 from hygrokf.modelling.design import design
 from hygrokf.modelling.inputs import Run, model_inputs
 from hygrokf.report.blocks import Table
 from hygrokf.report.fit_tables import evaluation_blocks, evaluation_text
-from hygrokf.texts.fit import FitCode
+from hygrokf.texts.fit_codes import FitCode
 from hygrokf.texts.wording import NONE, QUANTITIES, RULES
 
 HOUR = 3600.0

@@ -14,7 +14,7 @@ from hygrokf.data.result_file import ResultFault
 from hygrokf.data.structured import StructureFault, plain, structured
 from hygrokf.identification.fit import Fit, read_fit
 from hygrokf.identification.fit_results import FitResults, TimeConstant
-from hygrokf.texts.verdict import WORDS
+from hygrokf.texts.reasons import WORDS
 
 GOLDEN = Path(__file__).parents[1] / "golden" / "references"
 MADE = [("demo", "fit/fit.json"), ("discovery", "out/fit.json"), ("uk", "fit/fit.json")]

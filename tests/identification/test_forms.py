@@ -33,7 +33,7 @@ from hygrokf.identification.composition import (
     of_parts,
 )
 from hygrokf.identification.estimation import estimate_design, smoothed_temperature
-from hygrokf.identification.forms import (
+from hygrokf.identification.model_forms import (
     CONVECTION,
     RESPONSE,
     SECOND,

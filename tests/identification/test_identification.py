@@ -21,11 +21,11 @@ from hygrokf.estimation.likelihood import Likelihood
 from hygrokf.estimation.optimiser import BETTER, Objective
 from hygrokf.identification.estimation import assess_stage, estimate_design, identify_stage
 from hygrokf.identification.fit import Fit, read_fit, write_fit
-from hygrokf.identification.procedure import identify, shared_error, undetermined
+from hygrokf.identification.identify import identify, shared_error, undetermined
 from hygrokf.identification.time_constants import hygric_entry
 from hygrokf.modelling.design import Design, design, extended
 from hygrokf.physics.parameters import Parameter
-from hygrokf.texts.fit import FitCode
+from hygrokf.texts.fit_codes import FitCode
 
 DAYS = 45
 

@@ -20,7 +20,7 @@ from hygrokf.errors import HygrokfError
 from hygrokf.identification.clock_offsets import _solved
 from hygrokf.identification.composition import Resolved
 from hygrokf.modelling.library import LIBRARY
-from hygrokf.texts.fit import FitCode
+from hygrokf.texts.fit_codes import FitCode
 
 UNITS = {
     "cabinet_temperature": "degC",

@@ -24,7 +24,7 @@ from hygrokf.identification.periods import Choice, choose_length
 from hygrokf.identification.steady_state import HeatRelease, Regression, _left_out, heat_release_regression
 from hygrokf.modelling.design import design
 from hygrokf.physics.mechanisms.thermal import heat_release
-from hygrokf.texts.fit import FitCode
+from hygrokf.texts.fit_codes import FitCode
 
 SHARED = Path(__file__).resolve().parents[2] / "../shared/data"
 RATED_W = 2.0e6

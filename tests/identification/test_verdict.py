@@ -14,7 +14,7 @@ from builders.fit_case import typed
 from builders.report_case import report_case
 
 from hygrokf.data.structured import StructureFault, plain, structured
-from hygrokf.discovery.procedure import WET_SENSOR
+from hygrokf.discovery.discover import WET_SENSOR
 from hygrokf.identification.composition import CompositionStep
 from hygrokf.identification.fit import Fit
 from hygrokf.identification.fit_results import FitResults
@@ -24,9 +24,9 @@ from hygrokf.report.blocks import Cards
 from hygrokf.report.fit_page import fit_blocks
 from hygrokf.report.fit_text import judgements
 from hygrokf.report.terminal import page_text
-from hygrokf.texts.fit import FitCode
-from hygrokf.texts.record import DoubtCode
-from hygrokf.texts.verdict import BELIEVE, CAUTION, REJECT, VERDICTS, WORDS, Reason, ReasonCode, verdict_of
+from hygrokf.texts.fit_codes import FitCode
+from hygrokf.texts.reasons import BELIEVE, CAUTION, REJECT, VERDICTS, WORDS, Reason, ReasonCode, verdict_of
+from hygrokf.texts.record_codes import DoubtCode
 
 PAGE = document("verdict.md")
 

@@ -34,9 +34,9 @@ from hygrokf.live.fault_isolation import CauseFinding, shift_step
 from hygrokf.live.frozen import Frozen
 from hygrokf.live.properties import WATCHED, ParameterShift, TrackedState
 from hygrokf.physics.psychrometrics import ZERO_CELSIUS_K
-from hygrokf.texts.live import AlarmCode, CauseCode
+from hygrokf.texts.live_codes import AlarmCode, CauseCode
+from hygrokf.texts.reasons import REJECT
 from hygrokf.texts.statement import Code, Statement
-from hygrokf.texts.verdict import REJECT
 
 MINUTE = 60.0
 

@@ -24,7 +24,7 @@ from hygrokf.live.storage.store import Store
 from hygrokf.live.tracker import Reading, Tracker
 from hygrokf.live.turbines import Fleet, Turbine
 from hygrokf.live.web.views import fleet_view, turbine_view
-from hygrokf.texts.live import AlarmCode, BasisCode
+from hygrokf.texts.live_codes import AlarmCode, BasisCode
 
 RECORD = {"seed": 7, "days": 2.0}
 

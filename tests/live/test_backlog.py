@@ -9,7 +9,7 @@ import pytest
 
 from hygrokf.data.record import Record
 from hygrokf.live.batch import Batch
-from hygrokf.live.clocks import GAINED_S, QUIET_S, Backlogs
+from hygrokf.live.clock_levels import GAINED_S, QUIET_S, Backlogs
 from hygrokf.live.sources.local import record_mapping, record_messages
 from hygrokf.live.sources.stream import Delivery
 from hygrokf.live.storage.store import Store

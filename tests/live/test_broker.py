@@ -27,7 +27,7 @@ from hygrokf.live.sources.broker import (
 )
 from hygrokf.live.sources.payload import Field, PayloadMapping
 from hygrokf.live.sources.sparkplug import MqttForm
-from hygrokf.texts.doctor import CheckCode
+from hygrokf.texts.doctor_codes import CheckCode
 
 MAPPING = PayloadMapping({"Tcab": Field("cabinet_temperature", "degC")}, turbines={"T1": "T1"})
 SECRET = "pa55-4711"

@@ -50,7 +50,7 @@ from hygrokf.live.service import Service
 from hygrokf.live.sources.opcua_client import Connection
 from hygrokf.live.storage.store import open_store
 from hygrokf.live.web.page_settings import PageSettings
-from hygrokf.texts.doctor import Check, CheckCode
+from hygrokf.texts.doctor_codes import Check, CheckCode
 from hygrokf.texts.wording import several
 
 TRACK = """\

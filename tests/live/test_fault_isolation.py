@@ -13,7 +13,7 @@ import pytest
 from hygrokf.cases.case_file import read_case
 from hygrokf.cases.synthetic import SyntheticParameters, synthetic_turbine, write_case
 from hygrokf.data.record import Record, Series
-from hygrokf.identification.procedure import identify
+from hygrokf.identification.identify import identify
 from hygrokf.live.alarms import CHANGED, shift_levels
 from hygrokf.live.defaults import SIGNALS
 from hygrokf.live.fault_isolation import CLOSE, LEAST, USUAL, CauseFinding, finding_from, isolate, shift_step
@@ -22,7 +22,7 @@ from hygrokf.live.properties import ParameterShift, TrackedState
 from hygrokf.live.sources.local import form_of
 from hygrokf.live.tracker import Point, offline_course
 from hygrokf.physics.psychrometrics import saturation_pressure_water
-from hygrokf.texts.live import AlarmCode, CauseCode
+from hygrokf.texts.live_codes import AlarmCode, CauseCode
 
 SEED, DAYS, FITTED, CHANGE = 21, 75.0, 45.0, 60.0
 """Seed; days of the record, of those from which the model is identified, and until the change."""

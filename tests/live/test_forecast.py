@@ -32,7 +32,7 @@ from hygrokf.live.scenarios import HORIZON_S, Scenarios, persistence
 from hygrokf.live.traces import censored_trace
 from hygrokf.live.tracker import Point, offline_course
 from hygrokf.modelling.design import design, extended
-from hygrokf.texts.live import AdviceCode, BasisCode, StateCode
+from hygrokf.texts.live_codes import AdviceCode, BasisCode, StateCode
 
 DAYS = 16.0
 NOW_S = START_S + 14.0 * DAY_S

@@ -13,9 +13,9 @@ from builders.store_case import queried
 from builders.waiting import eventually
 
 from hygrokf.data.record import Record
-from hygrokf.live import clocks, service
+from hygrokf.live import service
 from hygrokf.live.batch import Alarm, Batch, Observation
-from hygrokf.live.clocks import MACHINE, Ahead, clock_levels
+from hygrokf.live.clock_levels import MACHINE, Ahead, clock_levels
 from hygrokf.live.service import Service
 from hygrokf.live.sources.local import TailedFile, record_mapping, record_messages
 from hygrokf.live.sources.payload_values import AHEAD_S
@@ -23,7 +23,7 @@ from hygrokf.live.sources.stream import Delivery
 from hygrokf.live.storage.store import Store, StoreFault, open_store
 from hygrokf.live.tracker import Reading
 from hygrokf.live.turbines import Fleet, Turbine
-from hygrokf.texts.live import AlarmCode
+from hygrokf.texts.live_codes import AlarmCode
 
 HOUR_S = 3600.0
 YEAR_S = 365.25 * 24.0 * HOUR_S
@@ -116,7 +116,7 @@ def test_a_clock_that_is_set_right_ends_its_alarm(store_url: str, record: Record
 def test_stamps_of_the_next_century_fill_no_disk(
     tmp_path: Path, record: Record, turbine: Turbine, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(clocks, "HELD_MOST", 30)
+    monkeypatch.setattr("hygrokf.live.clock_levels.HELD_MOST", 30)
     run = Run(f"sqlite:{tmp_path / 'live.db'}", record, turbine)
     now, far = record.end_s, 4.07e9
 

@@ -40,7 +40,7 @@ from hygrokf.live.sources.stream import Stream
 from hygrokf.live.storage.database import Row
 from hygrokf.live.web.metrics import exposition
 from hygrokf.live.web.views import fleet_view
-from hygrokf.texts.live import BasisCode
+from hygrokf.texts.live_codes import BasisCode
 
 FILES = DOCS / "live_files"
 RULES, RULES_TEST = FILES / "prometheus_rules.yml", FILES / "prometheus_rules_test.yml"

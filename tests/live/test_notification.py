@@ -39,8 +39,8 @@ from hygrokf.live.sources.local import Playback, record_mapping, record_messages
 from hygrokf.live.storage.store import Store, StoreFault, open_store
 from hygrokf.live.tracking import track
 from hygrokf.live.turbines import Turbine
-from hygrokf.texts.doctor import Check
-from hygrokf.texts.live import NoticeCode
+from hygrokf.texts.doctor_codes import Check
+from hygrokf.texts.live_codes import NoticeCode
 from hygrokf.texts.statement import Code, Statement
 
 T0 = 1.7e9

@@ -33,9 +33,9 @@ from hygrokf.live.sources.local import Playback, record_mapping, record_messages
 from hygrokf.live.web.application import PageEndpoints as LivePage
 from hygrokf.live.web.page_settings import PageSettings
 from hygrokf.live.web.server import Hub, serve
-from hygrokf.texts.live import StateCode
+from hygrokf.texts.live_codes import StateCode
+from hygrokf.texts.reasons import REJECT, ReasonCode
 from hygrokf.texts.statement import Statement
-from hygrokf.texts.verdict import REJECT, ReasonCode
 
 pytestmark = needs_chromium
 EVIL = '<img src=x onerror="window.broken=1">'

@@ -28,13 +28,13 @@ from hygrokf.data.toml_form import Place
 from hygrokf.live.config import ConfigFault, read_config, stream_of
 from hygrokf.live.doctor.examination import examine
 from hygrokf.live.service import Service
-from hygrokf.live.sources import postgres as module
+from hygrokf.live.sources import postgres_source as module
 from hygrokf.live.sources import stream as streams
 from hygrokf.live.sources.local import record_mapping, record_messages
 from hygrokf.live.sources.payload import Field, PayloadMapping
 from hygrokf.live.sources.payload_formats import Refused
 from hygrokf.live.sources.payload_values import Clock
-from hygrokf.live.sources.postgres import PostgresForm, PostgresQuery, number_of
+from hygrokf.live.sources.postgres_source import PostgresForm, PostgresQuery, number_of
 from hygrokf.live.sources.stream import Delivery
 from hygrokf.live.turbines import Turbine
 

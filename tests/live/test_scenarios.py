@@ -26,7 +26,7 @@ from hygrokf.live.scenarios import (
     weather_forecast,
 )
 from hygrokf.physics.psychrometrics import relative_humidity
-from hygrokf.texts.live import BasisCode
+from hygrokf.texts.live_codes import BasisCode
 
 DAYS = 20
 NOW_S = START_S + DAYS * DAY_S

@@ -8,7 +8,7 @@ from hygrokf.identification.verdict_terms import Inherited
 from hygrokf.live.plan import Plan
 from hygrokf.live.tracking import record_doubts
 from hygrokf.live.turbine import Turbine
-from hygrokf.texts.verdict import CAUTION, ReasonCode
+from hygrokf.texts.reasons import CAUTION, ReasonCode
 
 
 def test_doubts_about_the_record_of_a_model_are_said_once_a_turbine() -> None:

@@ -19,7 +19,7 @@ from hygrokf.live.sources.stream import SourceState, Stream
 from hygrokf.live.storage.store import Store, open_store
 from hygrokf.live.tracker import Reading
 from hygrokf.live.web.views import MOST_POINTS, alarms_view, by_hour, fleet_view, health_view, turbine_view
-from hygrokf.texts.live import BasisCode
+from hygrokf.texts.live_codes import BasisCode
 
 T0 = 1.7e9
 

@@ -25,7 +25,7 @@ from hygrokf.modelling.design import (
     read_as,
     reading_step_h,
 )
-from hygrokf.texts.fit import FitCode
+from hygrokf.texts.fit_codes import FitCode
 
 START_S = 1.6e9
 HOURS = 40 * 24

@@ -10,8 +10,8 @@ from builders.climate_case import climate_of, known_fit, made_up_weather, study_
 from builders.html_page import Page as Parsed
 
 from hygrokf.climate.bounds import BoundedMean
+from hygrokf.climate.climate_profile import climate_profile
 from hygrokf.climate.limits import ClimateLimit
-from hygrokf.climate.procedure import climate_profile
 from hygrokf.climate.region import Region
 from hygrokf.climate.study import RegionClimate, Study
 from hygrokf.data.record import Provenance

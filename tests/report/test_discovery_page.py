@@ -30,11 +30,11 @@ from plants import plant
 from plants.as_record import to_record
 
 from hygrokf.commands.main import main
-from hygrokf.data.clocks import sources
 from hygrokf.data.result_file import ResultFault
+from hygrokf.data.shared_clocks import sources
 from hygrokf.data.structured import StructureFault, plain
-from hygrokf.discovery.procedure import chosen
-from hygrokf.discovery.results import (
+from hygrokf.discovery.discover import chosen
+from hygrokf.discovery.discovery_results import (
     CauseFound,
     Discovery,
     DiscoveryResults,

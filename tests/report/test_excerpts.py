@@ -7,7 +7,7 @@ import itertools
 import numpy as np
 import pytest
 
-from hygrokf.report.figures.course import choose_excerpts, hourly
+from hygrokf.report.figures.course_panels import choose_excerpts, hourly
 
 DAY = 86400.0
 

@@ -6,12 +6,12 @@ import numpy as np
 from builders.fleet_case import departing_rows
 from builders.html_page import Page
 
-from hygrokf.fleet.results import FleetResults
+from hygrokf.fleet.fleet_results import FleetResults
 from hygrokf.report.fleet_page import fleet_blocks
 from hygrokf.report.page import page_html
 from hygrokf.report.terminal import page_text
-from hygrokf.texts.climate import ClimateCode
-from hygrokf.texts.fleet import FleetCode
+from hygrokf.texts.climate_codes import ClimateCode
+from hygrokf.texts.fleet_codes import FleetCode
 
 
 def table(task: str, rows: list[dict], name: str = "park") -> FleetResults:

@@ -20,7 +20,7 @@ from playwright.sync_api import Browser, Page
 from hygrokf.climate.limits import ClimateLimit
 from hygrokf.data.record import Provenance
 from hygrokf.data.structured import structured
-from hygrokf.fleet.results import FleetResults
+from hygrokf.fleet.fleet_results import FleetResults
 from hygrokf.report.climate_page import climate_blocks
 from hygrokf.report.comparison_page import comparison_blocks
 from hygrokf.report.discovery_page import discovery_blocks
@@ -29,7 +29,7 @@ from hygrokf.report.fleet_page import fleet_blocks
 from hygrokf.report.page import page_html
 from hygrokf.report.transfer_page import transfer_blocks
 from hygrokf.transfer.comparison import compare
-from hygrokf.transfer.results import TransferResults
+from hygrokf.transfer.transfer_results import TransferResults
 
 pytestmark = needs_chromium
 WIDE, NARROW = {"width": 1280, "height": 800}, {"width": 390, "height": 844}

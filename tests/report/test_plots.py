@@ -13,16 +13,16 @@ import pytest
 from builders.report_case import REFERENCE_K, RELEASE, TAU_H, report_case, results
 
 from hygrokf.data.structured import plain
-from hygrokf.report.figures.course import (
+from hygrokf.report.figures.course_panels import (
     figure_excerpts,
     figure_humidity,
     figure_residuals,
     figure_temperature,
 )
 from hygrokf.report.figures.drawing import NothingToShow, inline_svg, svg
-from hygrokf.report.figures.fit import FIGURES, figure_heat_release, figure_of, figure_profiles
+from hygrokf.report.figures.fit_figures import FIGURES, figure_heat_release, figure_of, figure_profiles
 from hygrokf.report.figures.innovations import figure_innovations
-from hygrokf.texts.fit import FitCode
+from hygrokf.texts.fit_codes import FitCode
 
 LIMIT = 300_000
 

@@ -17,14 +17,14 @@ from hygrokf.data.structured import StructureFault, plain
 from hygrokf.identification.verdict import with_verdicts
 from hygrokf.report.blocks import Figure
 from hygrokf.report.figures.drawing import NothingToShow
-from hygrokf.report.figures.fit import FIGURES
+from hygrokf.report.figures.fit_figures import FIGURES
 from hygrokf.report.fit_page import ReportFault, fit_blocks, read_results, write_report
 from hygrokf.report.fit_tables import rmse_table
 from hygrokf.report.fit_text import judgements
 from hygrokf.report.page import page_html
 from hygrokf.report.terminal import KEY, cells, page_text, shortened
-from hygrokf.texts.fit import FitCode
-from hygrokf.texts.record import DoubtCode
+from hygrokf.texts.fit_codes import FitCode
+from hygrokf.texts.record_codes import DoubtCode
 from hygrokf.texts.wording import decimals_for, percent, plain_number
 
 
@@ -158,7 +158,7 @@ def test_a_piece_that_is_wrong_leaves_a_page_or_is_a_fault_with_its_place(quick,
 )
 @pytest.mark.parametrize("piece", ["heat_release", "time_constants", "innovations", "parameters", "design"])
 def test_figures_take_a_fit_with_holes(piece: str, value: object) -> None:
-    from hygrokf.report.figures.fit import figure_heat_release, figure_profiles
+    from hygrokf.report.figures.fit_figures import figure_heat_release, figure_profiles
     from hygrokf.report.figures.innovations import figure_innovations
 
     fit, series = report_case()

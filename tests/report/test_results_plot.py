@@ -15,7 +15,7 @@ from builders.report_case import report_case, results, write_case
 from matplotlib import pyplot, rcParams
 from matplotlib.figure import Figure
 
-from hygrokf.discovery.results import Discovered
+from hygrokf.discovery.discovery_results import Discovered
 from hygrokf.errors import HygrokfError
 from hygrokf.evaluation.responses import FrequencyResponse, StepResponse, bode, step_response
 from hygrokf.identification.fit import Fit, read_series

@@ -45,8 +45,8 @@ from hygrokf.report.summary.contents import (
     summary_of_fit,
 )
 from hygrokf.report.summary.writing import SummaryFault, plan_summaries, write_pdf, write_summary
-from hygrokf.texts.fit import FitCode
-from hygrokf.texts.verdict import ReasonCode
+from hygrokf.texts.fit_codes import FitCode
+from hygrokf.texts.reasons import ReasonCode
 
 LONG = "Windpark Nordfriesland Süd – Umrichterschrank WEA-17/B (Nachrüstung, Prüfstand) " + "x" * 90
 LIMITS = (

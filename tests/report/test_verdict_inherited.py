@@ -21,8 +21,8 @@ from hygrokf.commands.main import main
 from hygrokf.data.record import Record
 from hygrokf.data.result_file import result_text
 from hygrokf.data.structured import plain
+from hygrokf.fleet.fleet_results import FleetResults, columns_of
 from hygrokf.fleet.outliers import spreads
-from hygrokf.fleet.results import FleetResults, columns_of
 from hygrokf.fleet.tasks import TASKS
 from hygrokf.identification.fit import Fit
 from hygrokf.identification.fit_on_record import evaluate, simulate_fit, simulation_summary
@@ -42,12 +42,12 @@ from hygrokf.report.fleet_page import fleet_blocks
 from hygrokf.report.page import page_html
 from hygrokf.report.terminal import page_text
 from hygrokf.report.transfer_page import transfer_blocks
-from hygrokf.texts.live import CauseCode, StateCode
-from hygrokf.texts.verdict import BELIEVE, CAUTION, REJECT, ReasonCode, VerdictCode
+from hygrokf.texts.live_codes import CauseCode, StateCode
+from hygrokf.texts.reasons import BELIEVE, CAUTION, REJECT, ReasonCode, VerdictCode
 from hygrokf.texts.wording import sentence
 from hygrokf.transfer.comparison import compare, comparison_column
-from hygrokf.transfer.procedure import transfer_fit
-from hygrokf.transfer.results import transfer_results
+from hygrokf.transfer.transfer_fit import transfer_fit
+from hygrokf.transfer.transfer_results import transfer_results
 
 WHY = "its interval spans a factor of 9 on either side: not even its order of magnitude is known"
 SAID = f"x thermal time constant, not reliable: {WHY} – 1.50 h (1.40 … 1.60)"

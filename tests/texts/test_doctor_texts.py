@@ -7,7 +7,7 @@ from string import Formatter
 import pytest
 
 from hygrokf.data.structured import plain
-from hygrokf.texts.doctor import DOUBT, LEVELS, OK, CheckCode, ExaminedCode
+from hygrokf.texts.doctor_codes import DOUBT, LEVELS, OK, CheckCode, ExaminedCode
 from hygrokf.texts.statement import Code, Statement
 
 KINDS = (CheckCode, ExaminedCode)

@@ -6,7 +6,7 @@ from string import Formatter
 
 import pytest
 
-from hygrokf.texts.live import AdviceCode, AlarmCode, BasisCode, CauseCode, NoticeCode, StateCode
+from hygrokf.texts.live_codes import AdviceCode, AlarmCode, BasisCode, CauseCode, NoticeCode, StateCode
 from hygrokf.texts.statement import Code, Statement
 
 KINDS = (AlarmCode, NoticeCode, AdviceCode, BasisCode, CauseCode, StateCode)

@@ -11,8 +11,8 @@ from string import Formatter
 import pytest
 
 from hygrokf.data.structured import StructureFault, plain, structured
+from hygrokf.texts.reasons import Reason, ReasonCode
 from hygrokf.texts.statement import FIELDS_OF_NAMES, Code, Statement
-from hygrokf.texts.verdict import Reason, ReasonCode
 
 
 class Example(Code):

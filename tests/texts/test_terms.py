@@ -14,8 +14,8 @@ import pytest
 
 from hygrokf.cases.summary import RecordSummary
 from hygrokf.climate.study import Study
-from hygrokf.discovery.results import DiscoveryResults
-from hygrokf.fleet.results import FleetResults
+from hygrokf.discovery.discovery_results import DiscoveryResults
+from hygrokf.fleet.fleet_results import FleetResults
 from hygrokf.identification.fit_on_record import Evaluation, SimulationSummary
 from hygrokf.identification.fit_results import FitResults
 from hygrokf.modelling.design import Design
@@ -23,8 +23,8 @@ from hygrokf.modelling.library import Library
 from hygrokf.texts import terms
 from hygrokf.texts.statement import Statement
 from hygrokf.transfer.comparison import ComparisonResults
-from hygrokf.transfer.results import TransferResults
-from hygrokf.weather import clocks
+from hygrokf.transfer.transfer_results import TransferResults
+from hygrokf.weather import clock_comparison
 
 LEAVES = {float, int, bool, type(None), np.ndarray}
 DECLARED = {get_args(term)[1] for term in terms.TERMS}
@@ -73,7 +73,7 @@ def test_texts_of_a_result_are_declared(kind: type) -> None:
     seen: set[type] = set()
     assert list(fields(kind, seen)) == []
     assert Design in seen or kind is not FitResults
-    assert clocks.Alignment in seen or kind is not RecordSummary
+    assert clock_comparison.Alignment in seen or kind is not RecordSummary
 
 
 def test_an_undeclared_text_is_found() -> None:

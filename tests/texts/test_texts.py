@@ -12,16 +12,16 @@ import pytest
 
 import hygrokf
 from hygrokf.data.structured import plain, structured
-from hygrokf.discovery.results import Exclusion, Reason, Verdict
+from hygrokf.discovery.discovery_results import Exclusion, Reason, Verdict
 from hygrokf.report.discovery_text import ANSWERS, EXCLUSIONS, REFUTATIONS
-from hygrokf.texts.climate import ClimateCode
-from hygrokf.texts.discovery import ConditionCode, DiscoveryCode
-from hygrokf.texts.fit import FitCode
-from hygrokf.texts.fleet import FleetCode
-from hygrokf.texts.record import DoubtCode, RecordCode, touched
+from hygrokf.texts.climate_codes import ClimateCode
+from hygrokf.texts.discovery_codes import ConditionCode, DiscoveryCode
+from hygrokf.texts.fit_codes import FitCode
+from hygrokf.texts.fleet_codes import FleetCode
+from hygrokf.texts.reasons import ReasonCode, VerdictCode
+from hygrokf.texts.record_codes import DoubtCode, RecordCode, touched
 from hygrokf.texts.statement import Code, Statement
-from hygrokf.texts.transfer import TransferCode, TransferVerdict
-from hygrokf.texts.verdict import ReasonCode, VerdictCode
+from hygrokf.texts.transfer_codes import TransferCode, TransferVerdict
 
 TABLES = {
     "fit": FitCode, "record": RecordCode, "doubt": DoubtCode, "condition": ConditionCode,

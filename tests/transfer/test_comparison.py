@@ -14,14 +14,14 @@ from builders.comparison_case import HOUR, made_column
 from builders.record_edits import without
 
 from hygrokf.cases.synthetic import synthetic_turbine, write_case
-from hygrokf.commands.compare import labels_of, pairs_of
+from hygrokf.commands.compare_commands import labels_of, pairs_of
 from hygrokf.commands.console import UserFault
 from hygrokf.commands.main import main
 from hygrokf.data.record import Record
 from hygrokf.data.result_file import ResultFault
 from hygrokf.identification.fit import Fit, write_fit
 from hygrokf.identification.fit_on_record import evaluate
-from hygrokf.identification.procedure import identify
+from hygrokf.identification.identify import identify
 from hygrokf.report.blocks import Cards
 from hygrokf.report.comparison_page import (
     comparison_blocks,
@@ -30,10 +30,10 @@ from hygrokf.report.comparison_page import (
     summary,
     write_comparison,
 )
-from hygrokf.report.figures.comparison import short_labels
+from hygrokf.report.figures.comparison_figures import short_labels
 from hygrokf.report.page import page_html
 from hygrokf.report.terminal import page_text
-from hygrokf.texts.transfer import TransferCode
+from hygrokf.texts.transfer_codes import TransferCode
 from hygrokf.transfer.comparison import (
     ComparisonResults,
     ErrorRow,

@@ -17,7 +17,7 @@ from golden.difference import read
 from hygrokf.data.result_file import ResultFault, read_result, result_text
 from hygrokf.data.structured import plain
 from hygrokf.transfer.comparison import ComparisonResults, compare
-from hygrokf.transfer.results import RecordCourse, TransferResults, read_courses, write_courses
+from hygrokf.transfer.transfer_results import RecordCourse, TransferResults, read_courses, write_courses
 
 MADE = {
     ComparisonResults: lambda: plain(compare([made_column("a", 1), made_column("b", 2)])),

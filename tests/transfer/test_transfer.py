@@ -25,7 +25,7 @@ from hygrokf.data.structured import plain
 from hygrokf.evaluation.simulation import free_run
 from hygrokf.identification.fit import Fit, read_fit, write_fit
 from hygrokf.identification.fit_on_record import evaluate
-from hygrokf.identification.procedure import identify
+from hygrokf.identification.identify import identify
 from hygrokf.identification.turbine_type import pool_types
 from hygrokf.report.blocks import Cards
 from hygrokf.report.terminal import page_text
@@ -35,11 +35,11 @@ from hygrokf.report.transfer_page import (
     transfer_blocks,
     write_transfer,
 )
-from hygrokf.texts.transfer import TransferCode, TransferVerdict
+from hygrokf.texts.transfer_codes import TransferCode, TransferVerdict
 from hygrokf.transfer.baseline import HEAT, HYGRIC, THERMAL
-from hygrokf.transfer.procedure import transfer_fit
-from hygrokf.transfer.results import Reduction, Structure, Transfer, TransferResult, transfer_results
-from hygrokf.transfer.verdict import with_verdict
+from hygrokf.transfer.transfer_fit import transfer_fit
+from hygrokf.transfer.transfer_results import Reduction, Structure, Transfer, TransferResult, transfer_results
+from hygrokf.transfer.transferability import with_verdict
 
 DAYS, HELD_OUT = 36.0, 9.0
 SEED = 31_000

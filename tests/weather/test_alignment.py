@@ -13,8 +13,8 @@ from builders.measured import DATA, measured
 
 from hygrokf.data.record import Record, Series, Site
 from hygrokf.data.timestamps import summer_time
-from hygrokf.texts.record import DoubtCode, RecordCode
-from hygrokf.weather.clocks import (
+from hygrokf.texts.record_codes import DoubtCode, RecordCode
+from hygrokf.weather.clock_comparison import (
     UNKNOWN,
     Bounded,
     ClockError,
@@ -233,7 +233,7 @@ def test_sentences_of_seasonal_errors() -> None:
 
 
 def test_several_signals_are_weighed() -> None:
-    from hygrokf.weather.clocks import _combined
+    from hygrokf.weather.clock_comparison import _combined
 
     joint = _combined(
         [Bounded(10.0, 10.0 - 196.0, 10.0 + 196.0), Bounded(110.0, 110.0 - 196.0, 110.0 + 196.0)]

@@ -17,7 +17,7 @@ from hygrokf.data.toml_form import read_toml
 from hygrokf.live.sources.endpoint import OTHERS_READ
 from hygrokf.live.sources.payload import PayloadStatistics
 from hygrokf.live.sources.payload_values import AHEAD_S
-from hygrokf.texts.doctor import DOUBT, FAULT, LEVELS, OK, Check, CheckCode, ExaminedCode
+from hygrokf.texts.doctor_codes import DOUBT, FAULT, LEVELS, OK, Check, CheckCode, ExaminedCode
 from hygrokf.texts.statement import Statement, Value
 
 CLOSE_S = 60.0

@@ -47,9 +47,9 @@ from hygrokf.live.turbines import Turbine, digest
 from hygrokf.live.web.page_settings import PageFault, PageSettings
 from hygrokf.live.web.server import listening_socket
 from hygrokf.modelling.inputs import model_inputs
-from hygrokf.texts.doctor import DOUBT, FAULT, LEVELS, OK, Check, CheckCode, ExaminedCode
+from hygrokf.texts.doctor_codes import DOUBT, FAULT, LEVELS, OK, Check, CheckCode, ExaminedCode
+from hygrokf.texts.reasons import REJECT
 from hygrokf.texts.statement import Statement
-from hygrokf.texts.verdict import REJECT
 
 ANSWER_S = 5.0
 """Longest time that the page may take to answer [s]."""

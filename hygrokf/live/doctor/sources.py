@@ -41,12 +41,12 @@ from hygrokf.live.sources.opcua_client import Connection, HistoryFault, Sample
 from hygrokf.live.sources.opcua_form import Node
 from hygrokf.live.sources.payload import PayloadStatistics
 from hygrokf.live.sources.payload_formats import Unreadable
-from hygrokf.live.sources.postgres import LOWEST, TIMES, PostgresQuery, reason_of, rows_above
+from hygrokf.live.sources.postgres_source import LOWEST, TIMES, PostgresQuery, reason_of, rows_above
 from hygrokf.live.sources.sparkplug import EdgeNodes, Sparkplug
 from hygrokf.live.sources.sparkplug_node import UNEXPLAINED
 from hygrokf.live.sources.stream import PAUSE_S, SourceFault, Stream
 from hygrokf.live.storage.database import Row
-from hygrokf.texts.doctor import DOUBT, OK, Check, CheckCode, ExaminedCode
+from hygrokf.texts.doctor_codes import DOUBT, OK, Check, CheckCode, ExaminedCode
 from hygrokf.texts.statement import Statement
 
 if TYPE_CHECKING:

@@ -16,7 +16,7 @@ from hygrokf.errors import HygrokfError
 from hygrokf.live.alarms import RULES
 from hygrokf.live.batch import Alarm
 from hygrokf.live.sources.endpoint import UrlKeys
-from hygrokf.texts.doctor import Check
+from hygrokf.texts.doctor_codes import Check
 from hygrokf.texts.wording import one_line, stamp_text
 
 SEVERITIES = ("notice", "warning", "alarm")

@@ -32,7 +32,7 @@ from hygrokf.live.notification.channel import (
 from hygrokf.live.storage import schema, statements
 from hygrokf.live.storage.statements import select_rows
 from hygrokf.live.storage.store import Store
-from hygrokf.texts.live import NoticeCode
+from hygrokf.texts.live_codes import NoticeCode
 from hygrokf.texts.statement import Statement
 
 if TYPE_CHECKING:

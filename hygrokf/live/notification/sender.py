@@ -21,7 +21,7 @@ from hygrokf.live.notification.channel import Channel, ChannelFault, Content, No
 from hygrokf.live.notification.notices import as_text, content_of, decide, id_prefix
 from hygrokf.live.sources.stream import pause_s
 from hygrokf.live.storage.store import Store, StoreFault, open_store
-from hygrokf.texts.live import NoticeCode
+from hygrokf.texts.live_codes import NoticeCode
 from hygrokf.texts.statement import Statement
 
 LOG = logging.getLogger("hygrokf.notify")

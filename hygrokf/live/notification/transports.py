@@ -39,7 +39,7 @@ from hygrokf.live.notification.channel import Channel, ChannelFault, NoticeMessa
 from hygrokf.live.sources.broker import unreachable
 from hygrokf.live.sources.endpoint import PasswordKeys, Secret, tls_context
 from hygrokf.live.sources.stream import SourceFault
-from hygrokf.texts.doctor import Check, CheckCode
+from hygrokf.texts.doctor_codes import Check, CheckCode
 
 _ADDRESS = 'an address such as "ops@farm.example"'
 GREYLISTING_ATTEMPTS = 3

@@ -21,7 +21,7 @@ from hygrokf.live.batch import Alarm
 from hygrokf.live.sources.endpoint import OTHERS_READ, PasswordKeys, UrlKeys, tls_context
 from hygrokf.live.sources.sparkplug_node import NAMESPACE
 from hygrokf.live.sources.stream import SourceKeys
-from hygrokf.texts.doctor import Check, CheckCode
+from hygrokf.texts.doctor_codes import Check, CheckCode
 
 if TYPE_CHECKING:
     from paho.mqtt.reasoncodes import ReasonCode

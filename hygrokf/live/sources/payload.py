@@ -58,7 +58,7 @@ from hygrokf.live.sources.payload_values import (
     tag_reader,
 )
 from hygrokf.live.tracker import Reading
-from hygrokf.texts.doctor import ExaminedCode
+from hygrokf.texts.doctor_codes import ExaminedCode
 from hygrokf.texts.statement import Statement
 
 EARLIEST_S = 631_152_000.0

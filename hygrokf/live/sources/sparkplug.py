@@ -22,8 +22,8 @@ from hygrokf.live.sources.payload_formats import Content, Payload, PayloadRecord
 from hygrokf.live.sources.sparkplug_node import NAMESPACE, Arrived, EdgeNode, Released, address_of
 from hygrokf.live.sources.sparkplug_payload import LARGEST_MESSAGE, decode, rebirth_request
 from hygrokf.live.sources.stream import Delivery, SourceState
-from hygrokf.texts.doctor import ASK_REBIRTH
-from hygrokf.texts.live import AlarmCode
+from hygrokf.texts.doctor_codes import ASK_REBIRTH
+from hygrokf.texts.live_codes import AlarmCode
 from hygrokf.texts.statement import Statement
 from hygrokf.texts.wording import several, stamp_text
 

@@ -33,8 +33,8 @@ from hygrokf.live.storage.statements import count_rows, select_newest, select_ro
 from hygrokf.live.storage.store import Store
 from hygrokf.live.web.reader import Reader
 from hygrokf.physics.psychrometrics import ZERO_CELSIUS_K
-from hygrokf.texts.live import StateCode
-from hygrokf.texts.verdict import MARKS, VERDICTS
+from hygrokf.texts.live_codes import StateCode
+from hygrokf.texts.reasons import MARKS, VERDICTS
 
 DECIMALS = 4
 """Decimal places of numbers sent to the page; rounding halves the size of a response."""

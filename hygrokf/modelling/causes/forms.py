@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
-from hygrokf.data.clocks import in_america, sources
 from hygrokf.data.record import Record
+from hygrokf.data.shared_clocks import in_america, sources
 from hygrokf.data.timestamps import HOUR_S, summer_time
 from hygrokf.modelling.derived_inputs import operating
 from hygrokf.physics.mechanisms.moisture import SLAB

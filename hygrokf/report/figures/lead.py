@@ -8,16 +8,16 @@ from functools import partial
 import numpy as np
 
 from hygrokf.climate.study import RegionClimate, Study
+from hygrokf.discovery.discovery_results import DiscoveryResults, Finding
 from hygrokf.discovery.residuals import Residuals
-from hygrokf.discovery.results import DiscoveryResults, Finding
 from hygrokf.identification.fit_results import FitResults
 from hygrokf.report.blocks import Figure
 from hygrokf.report.climate_tables import share_held
 from hygrokf.report.discovery_text import what_it_is
-from hygrokf.report.figures.climate import figure_duration, figure_joint, figure_regions
+from hygrokf.report.figures.climate_figures import figure_duration, figure_joint, figure_regions
 from hygrokf.report.figures.drawing import NothingToShow
-from hygrokf.report.figures.findings import Event, drawable, events, figure_episodes
-from hygrokf.report.figures.fit import figure_of
+from hygrokf.report.figures.findings_figures import Event, drawable, events, figure_episodes
+from hygrokf.report.figures.fit_figures import figure_of
 from hygrokf.report.figures.residual_structure import figure_drivers, telling_drivers
 from hygrokf.texts.wording import percent, sentence
 

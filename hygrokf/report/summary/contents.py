@@ -12,8 +12,8 @@ import numpy as np
 
 from hygrokf.climate.limits import Exceedance
 from hygrokf.climate.study import RegionClimate, Study, profile_files
+from hygrokf.discovery.discovery_results import DiscoveryResults
 from hygrokf.discovery.residuals import Residuals
-from hygrokf.discovery.results import DiscoveryResults
 from hygrokf.evaluation.scoring import SCORED
 from hygrokf.identification.fit_results import FitResults
 from hygrokf.identification.verdict import inherited
@@ -46,14 +46,14 @@ from hygrokf.report.climate_tables import (
 )
 from hygrokf.report.discovery_page import gains_table, spans_text
 from hygrokf.report.discovery_text import verdict_of
-from hygrokf.report.figures.climate import short_words
+from hygrokf.report.figures.climate_figures import short_words
 from hygrokf.report.figures.drawing import WIDTH_IN, NothingToShow
 from hygrokf.report.figures.lead import lead_of_climate, lead_of_discovery, lead_of_fit
 from hygrokf.report.fit_page import period_text
 from hygrokf.report.fit_text import judgements
 from hygrokf.report.quantities import quantity, versions
+from hygrokf.texts.reasons import BELIEVE, CAUTION, REJECT, VERDICTS, WORDS, Kind, Reason, ReasonCode
 from hygrokf.texts.statement import listed
-from hygrokf.texts.verdict import BELIEVE, CAUTION, REJECT, VERDICTS, WORDS, Kind, Reason, ReasonCode
 from hygrokf.texts.wording import NONE, one_line, sentence
 
 MOST_ROWS, MOST_ACTIONS = 12, 8

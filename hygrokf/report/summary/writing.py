@@ -18,7 +18,7 @@ from hygrokf.data.files import (
     SUMMARY,
     write_bytes_whole,
 )
-from hygrokf.discovery.results import read_discovery
+from hygrokf.discovery.discovery_results import read_discovery
 from hygrokf.errors import HygrokfError
 from hygrokf.report.figures.drawing import FONTS, expect_matplotlib
 from hygrokf.report.fit_page import read_results

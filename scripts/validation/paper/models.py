@@ -12,7 +12,7 @@ from hygrokf.evaluation.scoring import scores
 from hygrokf.evaluation.simulation import free_run
 from hygrokf.identification.estimation import output_errors
 from hygrokf.identification.fit import Fit
-from hygrokf.identification.procedure import assemble_fit, identify_stages
+from hygrokf.identification.identify import assemble_fit, identify_stages
 from hygrokf.modelling.design import CASCADE, Design, read_as
 from hygrokf.modelling.inputs import model_inputs
 

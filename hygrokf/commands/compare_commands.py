@@ -14,7 +14,7 @@ from hygrokf.commands.console import (
     faults_of,
     show_reported,
 )
-from hygrokf.commands.inputs import fit_of, record_of, source_model, stored_fit
+from hygrokf.commands.opening import fit_of, record_of, source_model, stored_fit
 from hygrokf.commands.verb import Verb, add_json, add_library, add_out
 from hygrokf.data import files
 from hygrokf.errors import HygrokfError
@@ -132,8 +132,8 @@ def _transfer_arguments(parser: ArgumentParser) -> None:
 def _transfer(options: Namespace) -> int:
     from hygrokf.identification.turbine_type import TurbineType, pool_types
     from hygrokf.report.transfer_page import transfer_blocks, write_transfer
-    from hygrokf.transfer.procedure import transfer_fit
-    from hygrokf.transfer.results import transfer_results
+    from hygrokf.transfer.transfer_fit import transfer_fit
+    from hygrokf.transfer.transfer_results import transfer_results
 
     expect_own_directory(options.out, files.TRANSFER)
     source = source_model(options.fit, options.library)

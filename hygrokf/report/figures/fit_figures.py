@@ -20,7 +20,7 @@ from hygrokf.identification.steady_state import Regression
 from hygrokf.identification.verdict_terms import Interval
 from hygrokf.physics.psychrometrics import ZERO_CELSIUS_K
 from hygrokf.report.blocks import Figure
-from hygrokf.report.figures.course import (
+from hygrokf.report.figures.course_panels import (
     figure_excerpts,
     figure_humidity,
     figure_residuals,

@@ -63,7 +63,7 @@ from hygrokf.modelling.design import (
 )
 from hygrokf.modelling.inputs import IDENTIFIED_ON, Run, model_inputs
 from hygrokf.physics.parameters import Parameter, Prior
-from hygrokf.texts.fit import FitCode
+from hygrokf.texts.fit_codes import FitCode
 from hygrokf.texts.statement import Statement, Value, unique
 from hygrokf.texts.wording import iso_time
 from hygrokf.version import __version__

@@ -12,8 +12,8 @@ from typing import TypeAlias
 import numpy as np
 
 from hygrokf.data.timestamps import DAY_S
+from hygrokf.discovery.discovery_results import LASTING_KINDS, CauseFound, DiscoveryResults, Finding
 from hygrokf.discovery.residuals import HUMIDITY, TEMPERATURE, Quantity, Residuals, binned
-from hygrokf.discovery.results import LASTING_KINDS, CauseFound, DiscoveryResults, Finding
 from hygrokf.report.figures.drawing import AMBIENT, INK, MEASURED, SIMULATED, NothingToShow
 from hygrokf.report.figures.panels import (
     Axis,

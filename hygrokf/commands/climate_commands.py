@@ -15,7 +15,7 @@ from hygrokf.commands.console import (
     faults_of,
     show_reported,
 )
-from hygrokf.commands.inputs import stored_fit
+from hygrokf.commands.opening import stored_fit
 from hygrokf.commands.verb import Verb, add_json, add_library, add_out, reader, whole_number, within
 from hygrokf.data.files import CLIMATE
 
@@ -86,7 +86,7 @@ def _surface(text: str) -> Surface:
 
 
 def _run(options: argparse.Namespace) -> int:
-    from hygrokf.climate.procedure import climate_profile
+    from hygrokf.climate.climate_profile import climate_profile
     from hygrokf.data.structured import plain
     from hygrokf.report.climate_page import climate_blocks, write_climate_report
 
@@ -158,6 +158,6 @@ def _regions(options: argparse.Namespace) -> list[tuple[str, list[Path]]]:
     return groups
 
 
-VERB = Verb(
+CLIMATE_VERB = Verb(
     "climate", "simulate a site's climate in a fitted cabinet; limits, and a test profile", _arguments, _run
 )

@@ -13,7 +13,7 @@ from hygrokf.estimation.confidence import Uncertainty
 from hygrokf.estimation.optimiser import Estimate
 from hygrokf.evaluation.scoring import SCORED
 from hygrokf.texts.statement import Statement, Value
-from hygrokf.texts.transfer import TransferCode, TransferVerdict
+from hygrokf.texts.transfer_codes import TransferCode, TransferVerdict
 from hygrokf.texts.wording import QUANTITIES, RULES
 from hygrokf.transfer.baseline import (
     HYGRIC,
@@ -24,7 +24,7 @@ from hygrokf.transfer.baseline import (
     GroupTest,
     members,
 )
-from hygrokf.transfer.results import (
+from hygrokf.transfer.transfer_results import (
     Contrast,
     GroupChange,
     LikelihoodRatio,

@@ -8,22 +8,16 @@ from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
-from hygrokf.data.clocks import shifted, sources
 from hygrokf.data.prepared import prepare
 from hygrokf.data.progress import Progress, reporting
 from hygrokf.data.readings import mask
 from hygrokf.data.record import Record
+from hygrokf.data.shared_clocks import shifted, sources
 from hygrokf.data.signals import SIGNALS
 from hygrokf.data.timestamps import DAY_S
 from hygrokf.discovery.candidates import Candidate, brought
 from hygrokf.discovery.conclusion import Conclusion, conclude, remaining_lines
-from hygrokf.discovery.estimate import Calibration
-from hygrokf.discovery.final_set import FinalSet, fit_of
-from hygrokf.discovery.findings import findings
-from hygrokf.discovery.own_causes import expect_usable
-from hygrokf.discovery.repeats import without_repeats
-from hygrokf.discovery.residuals import NORMAL_95, QUANTITIES, Residuals, residuals, root_mean_square
-from hygrokf.discovery.results import (
+from hygrokf.discovery.discovery_results import (
     CauseEvidence,
     CauseFound,
     CauseWords,
@@ -37,17 +31,23 @@ from hygrokf.discovery.results import (
     SpectralLine,
     Verdict,
 )
+from hygrokf.discovery.estimate import Calibration
+from hygrokf.discovery.final_set import FinalSet, fit_of
+from hygrokf.discovery.findings import findings
+from hygrokf.discovery.own_causes import expect_usable
+from hygrokf.discovery.repeats import without_repeats
+from hygrokf.discovery.residuals import NORMAL_95, QUANTITIES, Residuals, residuals, root_mean_square
 from hygrokf.discovery.search import Search, foreseen, needed
 from hygrokf.discovery.starting_model import base_estimate
 from hygrokf.identification.fit import Fit
 from hygrokf.identification.fit_results import ParameterRow
-from hygrokf.identification.procedure import expect_readings
+from hygrokf.identification.identify import expect_readings
 from hygrokf.modelling.causes.forms import Form, Setting, Settings, ground_of, possible
 from hygrokf.modelling.design import PARTS
 from hygrokf.modelling.library import LIBRARY, Library
 from hygrokf.physics.switches import CONTROLLED
+from hygrokf.texts.reasons import ReasonCode
 from hygrokf.texts.statement import unique
-from hygrokf.texts.verdict import ReasonCode
 from hygrokf.version import __version__
 
 BUDGET = 40_000

@@ -31,7 +31,7 @@ def fit_of(
 ) -> Fit:  # fmt: skip
     """Estimate the fit of a record; the options are those of `identify`.  Raises UserFault that names the
     case."""
-    from hygrokf.identification.procedure import DEFAULT_KIND, identify
+    from hygrokf.identification.identify import DEFAULT_KIND, identify
 
     with faults_of(case), Progress(16) as progress:
         return identify(

@@ -21,7 +21,7 @@ from hygrokf.live.batch import Batch, Observation
 from hygrokf.live.sources.payload_values import AHEAD_S
 from hygrokf.live.storage.store import Store
 from hygrokf.live.tracker import Reading
-from hygrokf.texts.live import AlarmCode
+from hygrokf.texts.live_codes import AlarmCode
 from hygrokf.texts.statement import Statement
 
 HELD_MOST = 200_000

@@ -31,14 +31,14 @@ from hygrokf.evaluation.scoring import SCORED, guesses, period_masks, rmse
 from hygrokf.evaluation.simulation import Prediction, free_run, measured
 from hygrokf.identification.estimation import TIME_CONSTANTS, Stage
 from hygrokf.identification.fit import Fit
-from hygrokf.identification.procedure import Basis, assemble_fit
+from hygrokf.identification.identify import Basis, assemble_fit
 from hygrokf.identification.turbine_type import TurbineType
 from hygrokf.identification.verdict import inherited, with_reasons
 from hygrokf.modelling.design import JOINT, PARTS
 from hygrokf.physics.parameters import within_limits
-from hygrokf.texts.fit import FitCode
+from hygrokf.texts.fit_codes import FitCode
 from hygrokf.texts.statement import Statement
-from hygrokf.texts.transfer import TransferVerdict
+from hygrokf.texts.transfer_codes import TransferVerdict
 from hygrokf.texts.wording import iso_time
 from hygrokf.transfer.baseline import (
     OFFSETS,
@@ -51,7 +51,7 @@ from hygrokf.transfer.baseline import (
     members,
     selection,
 )
-from hygrokf.transfer.results import (
+from hygrokf.transfer.transfer_results import (
     RecordCourse,
     Reduction,
     SetError,
@@ -60,7 +60,7 @@ from hygrokf.transfer.results import (
     TransferResult,
     TransferSource,
 )
-from hygrokf.transfer.verdict import groups_of, matters, parameters_of, ratios_of, with_verdict
+from hygrokf.transfer.transferability import groups_of, matters, parameters_of, ratios_of, with_verdict
 
 SETS = ("as_is", "own_loggers", "re_estimated", "all_own")
 

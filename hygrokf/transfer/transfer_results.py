@@ -27,7 +27,7 @@ from hygrokf.identification.verdict_terms import Inherited
 from hygrokf.modelling.inputs import Run
 from hygrokf.texts.statement import Statement
 from hygrokf.texts.terms import Instant, Meaning, Name, Unit, Version
-from hygrokf.texts.transfer import TransferCode, TransferVerdict
+from hygrokf.texts.transfer_codes import TransferCode, TransferVerdict
 from hygrokf.version import __version__
 
 if TYPE_CHECKING:

@@ -19,7 +19,7 @@ from hygrokf.commands.console import (
     show,
     show_reported,
 )
-from hygrokf.commands.inputs import fit_of, library_of, record_of, stored_fit, write_fit_and_page
+from hygrokf.commands.opening import fit_of, library_of, record_of, stored_fit, write_fit_and_page
 from hygrokf.commands.verb import Verb, add_fit_and_case, add_json, add_library, add_out, whole_number
 from hygrokf.data import files
 
@@ -109,7 +109,7 @@ def _discover_arguments(parser: ArgumentParser) -> None:
 
 
 def _discover(options: Namespace) -> int:
-    from hygrokf.discovery.procedure import BUDGET, discover
+    from hygrokf.discovery.discover import BUDGET, discover
     from hygrokf.report.discovery_page import discovery_blocks, write_discovery_report
 
     expect_own_directory(options.out, files.DISCOVERY)

@@ -22,11 +22,11 @@ from typing import Literal
 import numpy as np
 
 from hygrokf.data.ambient import at_times, bridge_h
-from hygrokf.data.clocks import in_america
 from hygrokf.data.input_paths import centred
 from hygrokf.data.record import Record, Series
+from hygrokf.data.shared_clocks import in_america
 from hygrokf.data.timestamps import DAY_S, MINUTE_S, modal_step, summer_time
-from hygrokf.texts.record import DoubtCode, RecordCode
+from hygrokf.texts.record_codes import DoubtCode, RecordCode
 from hygrokf.texts.statement import Statement
 from hygrokf.texts.terms import Name, Source
 from hygrokf.texts.wording import signed_shift

@@ -125,7 +125,7 @@ def _store_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _store(options: argparse.Namespace) -> int:
-    from hygrokf.commands.inputs import library_of
+    from hygrokf.commands.opening import library_of
     from hygrokf.live.config import read_config
     from hygrokf.live.refilter import refilter
     from hygrokf.live.storage.store import open_store

@@ -39,7 +39,7 @@ from hygrokf.identification.verdict_terms import rests_on
 from hygrokf.modelling.design import Design
 from hygrokf.modelling.inputs import IDENTIFIED_ON, Run
 from hygrokf.physics.psychrometrics import ZERO_CELSIUS_K, Surface
-from hygrokf.texts.climate import ClimateCode
+from hygrokf.texts.climate_codes import ClimateCode
 from hygrokf.texts.statement import Statement
 from hygrokf.texts.wording import stamp_text
 from hygrokf.version import __version__

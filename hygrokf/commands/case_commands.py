@@ -17,7 +17,7 @@ from hygrokf.commands.console import (
     show,
     show_reported,
 )
-from hygrokf.commands.inputs import fit_of, record_of, write_fit_and_page
+from hygrokf.commands.opening import fit_of, record_of, write_fit_and_page
 from hygrokf.commands.verb import Verb, add_json, add_out, reader, whole_number, within
 from hygrokf.data.files import FIT
 

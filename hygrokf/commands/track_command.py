@@ -21,7 +21,7 @@ from hygrokf.commands.console import (
     show,
     system_message,
 )
-from hygrokf.commands.inputs import library_of
+from hygrokf.commands.opening import library_of
 from hygrokf.commands.verb import Verb, add_json, add_library, reader, within
 from hygrokf.errors import HygrokfError
 

@@ -31,7 +31,7 @@ def _arguments(parser: ArgumentParser) -> None:
 
 def _run(options: Namespace) -> int:
     from hygrokf.commands.fleet_tasks import run_fleet
-    from hygrokf.fleet.plan import read_plan
+    from hygrokf.fleet.fleet_plan import read_plan
     from hygrokf.report.fleet_page import fleet_blocks, outcome_text
 
     expect_own_directory(options.out, FLEET)
@@ -50,4 +50,6 @@ def _run(options: Namespace) -> int:
     return FOUND if results.missing else 0
 
 
-VERB = Verb("fleet", "run one of these tasks for many turbines: one table and one page", _arguments, _run)
+FLEET_VERB = Verb(
+    "fleet", "run one of these tasks for many turbines: one table and one page", _arguments, _run
+)

@@ -40,8 +40,8 @@ from hygrokf.report.figures.panels import (
 )
 from hygrokf.report.quantities import quantity, spoken
 from hygrokf.transfer.comparison import ComparisonResults
-from hygrokf.transfer.results import RecordCourse, TransferResult
-from hygrokf.transfer.verdict import MATTERS
+from hygrokf.transfer.transfer_results import RecordCourse, TransferResult
+from hygrokf.transfer.transferability import MATTERS
 
 REGIMES = {"operation": ("o", 3.4), "standstill": ("s", 3.4), "total": ("D", 4.0)}
 """Regime → its marker and size [pt]."""

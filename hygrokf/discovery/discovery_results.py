@@ -27,7 +27,7 @@ from hygrokf.identification.fit import Fit, write_fit
 from hygrokf.identification.fit_results import FitResults, ParameterRow, TimeConstant
 from hygrokf.modelling.causes.forms import Settings
 from hygrokf.physics.model import field_values
-from hygrokf.texts.discovery import DiscoveryCode
+from hygrokf.texts.discovery_codes import DiscoveryCode
 from hygrokf.texts.statement import Statement, Value
 from hygrokf.texts.terms import Meaning, Name, Version
 from hygrokf.texts.wording import QUANTITIES as QUANTITY_WORDS
