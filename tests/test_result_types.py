@@ -29,7 +29,7 @@ from hygrokf.data.result_file import result_text
 from hygrokf.data.signals import SIGNALS
 from hygrokf.data.structured import structured
 from hygrokf.discovery.discovery_results import Discovered, Discovery, DiscoveryResults
-from hygrokf.evaluation.course import Course
+from hygrokf.evaluation.prediction import Course
 from hygrokf.evaluation.scoring import Errors
 from hygrokf.fleet.fleet_results import FleetResults
 from hygrokf.identification.fit import Fit

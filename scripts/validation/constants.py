@@ -9,8 +9,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from types import FunctionType
 
-from hygrokf.discovery.conclusion import Conclusion, conclude, remaining_lines
-from hygrokf.discovery.discover import verdict
+from hygrokf.discovery.discover import Conclusion, conclude, remaining_lines, verdict
 from hygrokf.discovery.search import Search
 from hygrokf.discovery.starting_model import base_estimate
 from hygrokf.modelling.causes.forms import ground_of

@@ -23,7 +23,7 @@ from hygrokf.discovery.findings import MATERIAL, findings
 from hygrokf.discovery.residuals import Residuals, binned, closed, duration_h, residuals, run_lengths
 from hygrokf.identification.fit import Fit
 from hygrokf.report.figures.drawing import NothingToShow, inline_svg, png
-from hygrokf.report.figures.findings_figures import figure_episodes
+from hygrokf.report.figures.lead import figure_episodes
 from hygrokf.report.figures.residual_structure import figure_day_hour, figure_drivers
 from hygrokf.texts.discovery_codes import ConditionCode, DiscoveryCode
 

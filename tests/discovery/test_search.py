@@ -12,7 +12,7 @@ from plants.as_record import to_record
 from plants.hidden import hidden_plant
 from plants.plant import Plant
 
-from hygrokf.discovery.conclusion import lines
+from hygrokf.discovery.discover import lines
 from hygrokf.discovery.estimate import Calibration
 from hygrokf.discovery.final_set import FinalSet, final_estimator, final_set, fit_of
 from hygrokf.discovery.judgement import LEAST_IMPROVEMENT, Scores, judged, levelled, scores

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from plants.chance import ornstein_uhlenbeck
 
-from hygrokf.discovery.significance import Whitened, benjamini_hochberg
+from hygrokf.discovery.findings import Whitened, benjamini_hochberg
 
 SIZE = 2000
 

@@ -20,8 +20,13 @@ from hygrokf.report.figures.course_panels import (
     figure_temperature,
 )
 from hygrokf.report.figures.drawing import NothingToShow, inline_svg, svg
-from hygrokf.report.figures.fit_figures import FIGURES, figure_heat_release, figure_of, figure_profiles
-from hygrokf.report.figures.innovations import figure_innovations
+from hygrokf.report.figures.fit_figures import (
+    FIGURES,
+    figure_heat_release,
+    figure_innovations,
+    figure_of,
+    figure_profiles,
+)
 from hygrokf.texts.fit_codes import FitCode
 
 LIMIT = 300_000

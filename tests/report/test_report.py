@@ -158,8 +158,7 @@ def test_a_piece_that_is_wrong_leaves_a_page_or_is_a_fault_with_its_place(quick,
 )
 @pytest.mark.parametrize("piece", ["heat_release", "time_constants", "innovations", "parameters", "design"])
 def test_figures_take_a_fit_with_holes(piece: str, value: object) -> None:
-    from hygrokf.report.figures.fit_figures import figure_heat_release, figure_profiles
-    from hygrokf.report.figures.innovations import figure_innovations
+    from hygrokf.report.figures.fit_figures import figure_heat_release, figure_innovations, figure_profiles
 
     fit, series = report_case()
     fit = _trimmed(fit, 9)
