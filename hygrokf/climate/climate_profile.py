@@ -26,7 +26,7 @@ from hygrokf.climate.ensemble import (
     shots_of,
     simulate_years,
 )
-from hygrokf.climate.limits import ClimateLimit, doubled, exceeded, judge_limit
+from hygrokf.climate.limits import ClimateLimit, duplicate_name_faults, exceeded, judge_limit
 from hygrokf.climate.region import PowerCurve, Region, driven, in_years
 from hygrokf.climate.statistics import CYCLE_RANGES_K, SCOPES, courses, outside, rates, scalars, wetness_class
 from hygrokf.climate.study import DurationCurve, JointDistribution, RegionClimate, Study, YearSpan
@@ -213,7 +213,7 @@ def climate_profile(
     if members < 2:
         raise ValueError(f"an ensemble has at least 2 members, found {members}")
     limits = [limit.named() for limit in limits]
-    if faults := doubled(limits):
+    if faults := duplicate_name_faults(limits):
         raise ValueError("; ".join(faults))
     plan, surface = plan or ProfilePlan(), surface or Surface()
     drawn = draw_members(fit, members, seed)

@@ -271,15 +271,19 @@ def draw_members(fit: Fit, count: int, seed: int) -> list[dict[str, float]]:
     for row in rows:
         moves = factor @ row
         own = {
-            p.name: _moved(p, float(z), float(move), float(s))
+            p.name: _perturbed(p, float(z), float(move), float(s))
             for p, z, move, s in zip(chosen, centre, moves, spread, strict=True)
         }
         members.append({**fit.values, **own})
     return members
 
 
-def _moved(p: Parameter, z: float, move: float, sd: float) -> float:
-    """The parameter's value moved from z along its coordinate, or in its own units; within its bounds."""
+def _perturbed(p: Parameter, z: float, move: float, sd: float) -> float:
+    """The value of a parameter whose coordinate changes from z by `move`, limited to its bounds.
+
+    A positive parameter with a standard deviation `sd` above `LOG_MOST` in its logarithm changes linearly
+    instead.
+    """
     if p.positive and sd > LOG_MOST:
         value = p.from_coordinate(z) * (1.0 + move)
     else:
@@ -289,7 +293,7 @@ def _moved(p: Parameter, z: float, move: float, sd: float) -> float:
 
 
 def _factor(covariance: np.ndarray) -> np.ndarray:
-    """A matrix B with B B' the covariance, which may be singular."""
+    """A matrix B such that B B' equals the covariance, which may be singular."""
     symmetric = 0.5 * (covariance + covariance.T)
     scale = np.sqrt(np.maximum(np.diag(symmetric), 0.0))
     scale[scale == 0.0] = 1.0

@@ -98,15 +98,15 @@ class LimitsForm:
     def names(self) -> list[str]:
         if not self.limit:
             return ["expected at least one [[limit]], found none; see docs/how_to/climate.md"]
-        return doubled([one.named() for one in self.limit])
+        return duplicate_name_faults([limit.named() for limit in self.limit])
 
 
 @dataclass(frozen=True, kw_only=True)
 class Exceedance(ClimateLimit):
-    """A limit and how a climate keeps to it.
+    """A limit with the exceedances of it in a climate.
 
-    `hours` [h] and `number` of exceedances in a year, `longest_h` the longest.  `why` says what prevents a
-    verdict.
+    `hours` [h] and `number` of exceedances in a year; `longest_h`: the longest exceedance; `why`: what
+    prevents a verdict.
     """
 
     hours: BoundedMean
@@ -146,7 +146,7 @@ def limits_of(given: str | os.PathLike[str]) -> tuple[ClimateLimit, ...]:
     """
     path = Path(given)
     if path.suffix == ".toml" or path.exists():
-        return tuple(one.named() for one in read_toml_form(LimitsForm, path).limit)
+        return tuple(limit.named() for limit in read_toml_form(LimitsForm, path).limit)
     for name, limits in CLASSES.items():
         standard, _, letters = name.removeprefix("IEC ").rpartition(" ")
         pattern = rf"(((DIN|EN|IEC|BS|ISO)\s+)*{re.escape(standard)}\s+(class\s+)?)?{letters}"
@@ -159,46 +159,47 @@ def limits_of(given: str | os.PathLike[str]) -> tuple[ClimateLimit, ...]:
     )
 
 
-def doubled(limits: Sequence[ClimateLimit]) -> list[str]:
-    """The names that several limits have, maybe of several files."""
+def duplicate_name_faults(limits: Sequence[ClimateLimit]) -> list[str]:
+    """A message for every name that several limits share; the limits may come from several files."""
     names = [limit.name for limit in limits]
     return [
-        f'two limits are called "{n}"; rename one' for n in sorted({n for n in names if names.count(n) > 1})
+        f'two limits are called "{name}"; rename one'
+        for name in sorted({name for name in names if names.count(name) > 1})
     ]
 
 
 def beyond(year: Year, limit: ClimateLimit) -> np.ndarray | None:
-    """Instants (N, T) at which a year is beyond a limit; None where the model lacks the quantity."""
+    """Whether each member exceeds the limit at each instant (N, T); None if the model lacks the quantity."""
     quantity = _RATE_OF.get(limit.quantity, limit.quantity)
     values = courses(year).get(quantity)
     if values is None:
         return None
-    chosen = scope_of(year, limit.during)
+    in_scope = scope_of(year, limit.during)
     if limit.quantity in _RATE_OF:
         steep, near = steepness(values, year)
-        found = np.zeros(values.shape, dtype=bool)
-        found[:, 1:] = (steep > limit.level) & near & chosen[1:] & chosen[:-1]
-        return found
+        is_beyond = np.zeros(values.shape, dtype=bool)
+        is_beyond[:, 1:] = (steep > limit.level) & near & in_scope[1:] & in_scope[:-1]
+        return is_beyond
     outside = values > limit.level if limit.side == "above" else values < limit.level
-    return outside & chosen
+    return outside & in_scope
 
 
 def exceeded(year: Year, limit: ClimateLimit) -> np.ndarray | None:
-    """Hours a year, number a year and longest exceedance [h] of every member (N, 3)."""
-    found = beyond(year, limit)
-    if found is None:
+    """Columns (N, 3): hours and number of exceedances a year, and the longest exceedance [h], by member."""
+    is_beyond = beyond(year, limit)
+    if is_beyond is None:
         return None
     per_year = YEAR_H / year.known.sum()
-    number, _, longest = excursions(found, year.step_h)
-    return np.column_stack([found.sum(axis=1) * per_year, number * per_year / year.step_h, longest])
+    number, _, longest = excursions(is_beyond, year.step_h)
+    return np.column_stack([is_beyond.sum(axis=1) * per_year, number * per_year / year.step_h, longest])
 
 
 def judge_limit(limit: ClimateLimit, years: np.ndarray, part: Statement | None = None) -> Exceedance:
     """The verdict on a limit from the members' numbers (years, N, 3), those of `exceeded`.
 
     "pass" where the upper bound of the hours in a year is within what is allowed, "fail" where the lower
-    bound is beyond it, "undecided" between them, and also where nothing more than a `part` of a year is known
-    (its length, such as 80 days) that keeps to the limit: the rest may not.
+    bound is beyond it, "undecided" between them.  Also "undecided" if only a `part` of a year is known (its
+    length, such as 80 days) and this part keeps the limit, because the rest of the year may exceed it.
     """
     hours, number, longest = (bounded(years[:, :, i]) for i in range(3))
     verdict: Literal["pass", "undecided", "fail"] = "undecided"

@@ -65,7 +65,7 @@ class Shear:
         return getattr(self, LAWS[self.law])
 
     def factor(self, hub_height_m: float, wind_height_m: float) -> float:
-        """Wind speed [1] at hub height over that at the height of the weather's wind."""
+        """Ratio [1] of the wind speed at hub height to the wind speed at the height of the weather's wind."""
         if self.law == "power":
             return (hub_height_m / wind_height_m) ** self.number
         return math.log(hub_height_m / self.number) / math.log(wind_height_m / self.number)
@@ -73,7 +73,8 @@ class Shear:
 
 @dataclass(frozen=True)
 class PowerCurve:
-    """Power over wind speed at hub height, for wind known at `wind_height_m`: a file of a power curve."""
+    """A file of a power curve: the power over the wind speed at hub height; the weather's wind is given at
+    the height `wind_height_m`."""
 
     rated_power_kW: float = setting(help="the rated power of the turbine", above=0.0)
     wind_speed_m_s: tuple[float, ...] = setting(help="speeds at hub height, rising", least=0.0)

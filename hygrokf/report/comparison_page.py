@@ -51,7 +51,7 @@ COMMAND = "hygrokf compare"
 LEAST_DIFFERENCE = 0.005
 """Difference of two errors [K], [g/m³] that two decimals do not show."""
 MOST_PAIRS = 3
-"""Pairs whose differences are not folded."""
+"""Number of pairs whose tables are shown; the tables of further pairs are folded."""
 METHOD = (
     "Instants at which an input is unknown are not scored.",
     "Bounds come from a bootstrap of circular blocks of hours. A block is four times as long as the errors "
@@ -66,22 +66,23 @@ METHOD = (
 
 
 def write_comparison(
-    found: ComparisonResults | None,
+    results: ComparisonResults | None,
     directory: str | os.PathLike[str],
     columns: Sequence[ComparisonColumn] = (),
 ) -> Path:
-    """Write compare.json, compare.csv, compare.npz and report.html; with None the page again from these.
+    """Write compare.json, compare.csv, compare.npz and report.html; without results only the page, from these
+    files.
 
     Returns the path of report.html.  Raises ResultFault where compare.json is missing or damaged, OSError
     from the system.
     """
     folder = Path(directory)
-    if found is None:
+    if results is None:
         return write_text_whole(folder / REPORT, page_html(comparison_blocks(*read_comparison(folder))))
     courses = [column.course for column in columns]
-    text = result_text(found)
-    table = found.to_frame().to_csv(index=False, float_format="%.6g", lineterminator="\n")
-    page = page_html(comparison_blocks(found, courses))
+    text = result_text(results)
+    table = results.to_frame().to_csv(index=False, float_format="%.6g", lineterminator="\n")
+    page = page_html(comparison_blocks(results, courses))
     folder.mkdir(parents=True, exist_ok=True)
     (folder / REPORT).unlink(missing_ok=True)
     write_text_whole(folder / COMPARISON, text)
@@ -96,34 +97,34 @@ def read_comparison(directory: str | os.PathLike[str]) -> tuple[ComparisonResult
     Raises ResultFault with all faults.
     """
     folder = Path(directory)
-    found = read_result(ComparisonResults, folder / COMPARISON, COMMAND)
+    results = read_result(ComparisonResults, folder / COMPARISON, COMMAND)
     path = folder / COMPARISON_SERIES
     if not path.exists():
-        return found, ()
-    return found, read_courses(path, len(found.columns), COMMAND)
+        return results, ()
+    return results, read_courses(path, len(results.columns), COMMAND)
 
 
 # --- the page --------------------------------------------------------------------------------
 
 
-def comparison_blocks(found: ComparisonResults, courses: Sequence[RecordCourse] = ()) -> Page:
-    """What a comparison says: which column errs less, and the courses, first."""
-    labels = [column.label for column in found.columns]
-    cards = tuple(_card(found, q) for q in SCORED if found.errors("whole", q))
-    scores = [scores_table(found, name) for name in SCORED]
-    differences = [differences_table(found, *pair) for pair in found.pairs]
-    skill = skill_table(found)
+def comparison_blocks(results: ComparisonResults, courses: Sequence[RecordCourse] = ()) -> Page:
+    """The page of a comparison: the columns with the smallest errors and the courses come first."""
+    labels = [column.label for column in results.columns]
+    cards = tuple(_card(results, q) for q in SCORED if results.errors("whole", q))
+    scores = [scores_table(results, name) for name in SCORED]
+    differences = [differences_table(results, *pair) for pair in results.pairs]
+    skill = skill_table(results)
     verdicts = [
         inherited_verdicts(column.verdicts, f"{column.label}: the fit {column.fit}")
-        for column in found.columns
+        for column in results.columns
     ]
     notes = tuple(
         Prose(f"{column.label}: {sentence(line.text)}", "note")
-        for column in found.columns
+        for column in results.columns
         for line in column.statements
     )
     errors = (
-        Figure(f"errors-{period}", f"Errors, {period}", caption, partial(figure_errors, found, period))
+        Figure(f"errors-{period}", f"Errors, {period}", caption, partial(figure_errors, results, period))
         for period, caption in _CAPTIONS.items()
     )
     body = (
@@ -132,7 +133,7 @@ def comparison_blocks(found: ComparisonResults, courses: Sequence[RecordCourse] 
         *section("Skill against rules without a model", table_or(skill, "No rule could be tried.")),
         Details(
             "Errors over time",
-            (Figure("weeks", "Errors by week", _CAPTION_WEEKS, partial(figure_weeks, found)),),
+            (Figure("weeks", "Errors by week", _CAPTION_WEEKS, partial(figure_weeks, results)),),
         ),
         *section("Models used", *verdicts, *notes),
     )
@@ -143,22 +144,22 @@ def comparison_blocks(found: ComparisonResults, courses: Sequence[RecordCourse] 
             " · ".join(
                 f"{column.label}: fit {column.fit} on {column.case}"
                 f"{', identified there' * column.identified_here}"
-                for column in found.columns
+                for column in results.columns
             ),
         ),
         (
-            *unmeasured(found.provenance, OF_RECORDS),
+            *unmeasured(results.provenance, OF_RECORDS),
             Cards(cards or (Card("Comparison", "Nothing could be scored", wide=True, words=True),)),
             Figure(
                 "courses",
                 "Readings and simulations",
                 "The days after the identification period, twelve at most. The simulations are free runs: "
                 "they should stay with the readings.",
-                partial(figure_column_courses, found, courses),
+                partial(figure_column_courses, results, courses),
             ),
         ),
         body,
-        method("Method", *METHOD, f"Compared by {versions(found.version)}."),
+        method("Method", *METHOD, f"Compared by {versions(results.version)}."),
     )
 
 
@@ -195,14 +196,14 @@ def _differences(tables: Sequence[Table]) -> tuple[Block, ...]:
 # --- the answer ------------------------------------------------------------------------------
 
 
-def _card(found: ComparisonResults, name: str) -> Card:
-    """The column that errs least in one quantity, and its differences from the others."""
+def _card(results: ComparisonResults, name: str) -> Card:
+    """The column with the smallest error in one quantity, and its differences from the other columns."""
     terms = quantity(name)
-    period = "validation" if found.errors("validation", name) else "whole"
-    scored = found.errors(period, name)
+    period = "validation" if results.errors("validation", name) else "whole"
+    scored = results.errors(period, name)
     best = min(scored, key=lambda label: scored[label].value)
     value = f"{best}: {terms.with_unit(scored[best].value)}"
-    lines = summary(found, name, best)
+    lines = summary(results, name, best)
     label = f"Smallest error of the {terms.words}, {_WHERE[period]}"
     return Card(label, value, lines=tuple(lines[:2]), words=True, tone="plain")
 
@@ -213,18 +214,18 @@ _WHERE = {
 }
 
 
-def summary(found: ComparisonResults, name: str, best: str) -> list[str]:
-    """The differences of the best column from the others in one quantity, in sentences: in validation, and
-    over the whole record where the validation is too short for bounds."""
-    said = []
-    for of, less in (pair for pair in found.pairs if best in pair):
-        rows = [found.row("difference", of, period, name, against=less) for period in _WHERE]
+def summary(results: ComparisonResults, name: str, best: str) -> list[str]:
+    """Sentences on the differences of the best column from the others in one quantity: in the validation
+    period, and also over the whole record if the validation period is too short for bounds."""
+    sentences = []
+    for column, reference in (pair for pair in results.pairs if best in pair):
+        rows = [results.row("difference", column, period, name, against=reference) for period in _WHERE]
         rows = [row for row in rows if row.n]
         last = next((i for i, row in enumerate(rows) if math.isfinite(row.lower)), 0)
-        said += [_sentence(row) for row in rows[: last + 1]]
-    if not said and len(found.columns) > 1:
+        sentences += [_sentence(row) for row in rows[: last + 1]]
+    if not sentences and len(results.columns) > 1:
         return [sentence(TransferCode.NO_COMMON_INSTANTS().text)]
-    return said
+    return sentences
 
 
 def _sentence(row: ErrorRow) -> str:
@@ -250,13 +251,13 @@ def _sentence(row: ErrorRow) -> str:
 # --- tables ----------------------------------------------------------------------------------
 
 
-def scores_table(found: ComparisonResults, name: str) -> Table:
+def scores_table(results: ComparisonResults, name: str) -> Table:
     """Table III of one quantity: operation, standstill and total by column and period."""
-    labels, rows = short_labels([column.label for column in found.columns]), []
+    labels, rows = short_labels([column.label for column in results.columns]), []
     for period in PERIODS:
-        for column, label in zip(found.columns, labels, strict=True):
-            if (total := found.errors(period, name).get(column.label)) is not None:
-                regimes = (found.row("rmse", column.label, period, name, regime) for regime in REGIMES)
+        for column, label in zip(results.columns, labels, strict=True):
+            if (total := results.errors(period, name).get(column.label)) is not None:
+                regimes = (results.row("rmse", column.label, period, name, regime) for regime in REGIMES)
                 cells = (fixed(row.value) for row in regimes)
                 rows.append((label, period, *cells, interval(total.lower, total.upper), str(total.n)))
     return Table(
@@ -267,45 +268,47 @@ def scores_table(found: ComparisonResults, name: str) -> Table:
     )
 
 
-def differences_table(found: ComparisonResults, of: str, less: str) -> Table:
-    """RMSE of one column less that of another; rows whose bounds exclude zero are bold."""
+def differences_table(results: ComparisonResults, column: str, reference: str) -> Table:
+    """RMSE of `column` minus RMSE of `reference`, by quantity and period; rows whose bounds exclude zero are
+    bold."""
     rows: list[tuple[str, ...]] = []
-    marked: list[int] = []
+    bold_rows: list[int] = []
     for name in SCORED:
         for period in PERIODS:
             by_regime = {
-                regime: found.row("difference", of, period, name, regime, less) for regime in REGIMES
+                regime: results.row("difference", column, period, name, regime, reference)
+                for regime in REGIMES
             }
             total = by_regime["total"]
             if not total.n:
                 continue
             if total.sure:
-                marked.append(len(rows))
-            others = "" if total.same_readings else ", other readings"
+                bold_rows.append(len(rows))
+            remark = "" if total.same_readings else ", other readings"
             cells = (signed(row.value) for row in by_regime.values())
             span = interval(total.lower, total.upper)
-            rows.append((f"{quantity(name).change}{others}", period, *cells, span, str(total.n)))
+            rows.append((f"{quantity(name).change}{remark}", period, *cells, span, str(total.n)))
     return Table(
-        f"RMSE of {of} less that of {less}",
+        f"RMSE of {column} minus RMSE of {reference}",
         ("", "period", *REGIMES, "total, 95 %", "n"),
         tuple(rows),
         left=(0, 1),
-        marked=tuple(marked),
+        marked=tuple(bold_rows),
     )
 
 
-def skill_table(found: ComparisonResults) -> Table:
-    """Skill against each rule, in total, in validation (over the whole record where there is none)."""
-    labels, rows = short_labels([column.label for column in found.columns]), []
-    for column, label in zip(found.columns, labels, strict=True):
+def skill_table(results: ComparisonResults) -> Table:
+    """Total skill against each rule in the validation period, or over the whole record if none was scored."""
+    labels, rows = short_labels([column.label for column in results.columns]), []
+    for column, label in zip(results.columns, labels, strict=True):
         for name in SCORED:
-            period = next((p for p in _WHERE if column.label in found.errors(p, name)), None)
+            period = next((p for p in _WHERE if column.label in results.errors(p, name)), None)
             if period is None:
                 continue
-            total = found.errors(period, name)[column.label]
+            total = results.errors(period, name)[column.label]
             for rule in RULES:
                 skill, error = (
-                    found.row(kind, column.label, period, name, against=rule) for kind in ("skill", "rule")
+                    results.row(kind, column.label, period, name, against=rule) for kind in ("skill", "rule")
                 )
                 if not skill.n:
                     continue

@@ -45,14 +45,14 @@ from hygrokf.report.blocks import (
     unmeasured,
 )
 from hygrokf.report.discovery_text import (
+    cause_with_form,
     chosen_words,
-    formed,
+    count_judged,
     held_out_sentences,
     held_out_text,
     line_statement,
     outcome,
-    place_of,
-    tried,
+    readings_of,
     unchanged,
     verdict_of,
 )
@@ -73,7 +73,7 @@ from hygrokf.report.quantities import (
 from hygrokf.texts.wording import NONE, fixed, one_line, p_value, percent, plain_number, sentence, stamp_text
 
 
-def findings_table(found: Sequence[Finding], when: str = "in the identification period") -> Table:
+def findings_table(findings: Sequence[Finding], when: str = "in the identification period") -> Table:
     """Significant and material errors of a simulation, worst first."""
     rows = tuple(
         (
@@ -83,7 +83,7 @@ def findings_table(found: Sequence[Finding], when: str = "in the identification 
             percent(finding.sensor_share),
             p_value(finding.p_adjusted),
         )
-        for finding in found
+        for finding in findings
     )
     return Table(
         "Worst first",
@@ -97,33 +97,35 @@ def findings_table(found: Sequence[Finding], when: str = "in the identification 
     )
 
 
-def gains_table(found: DiscoveryResults) -> Table:
-    """Free-run errors by quantity, of the base model and of the extended one where there is one, with the
+def gains_table(results: DiscoveryResults) -> Table:
+    """Free-run errors by quantity of the base model and, if there is one, of the extended model, with the
     best rule that needs no model."""
     rows = []
-    wider = found.extended is not None
-    places = [place_of(found, gain) for gain in found.gains]
-    for gain, place in zip(found.gains, places, strict=True):
+    has_extended = results.extended is not None
+    places = [readings_of(results, gain) for gain in results.gains]
+    for gain, place in zip(results.gains, places, strict=True):
         terms = quantity(gain.quantity)
         name = terms.words
-        rule = best_rule(found.baseline.fit, terms.name, gain.period) if terms.name else None
-        against = NONE if rule is None else f"{terms.with_unit(rule.rule)} (“{rule.words}”)"
+        rule = best_rule(results.baseline.fit, terms.name, gain.period) if terms.name else None
+        best_rule_text = NONE if rule is None else f"{terms.with_unit(rule.rule)} (“{rule.words}”)"
         pair = _pair(gain.rmse_before, gain.rmse_after, terms)
-        known = not unchanged(gain.rmse_before, gain.rmse_after) and math.isfinite(gain.upper - gain.lower)
-        bounds = interval(gain.lower, gain.upper, symbol=terms.unit) if known else NONE
-        rows.append((name if place == places[0] else f"{name}, {place}", *pair, bounds, against))
+        has_bounds = not unchanged(gain.rmse_before, gain.rmse_after) and math.isfinite(
+            gain.upper - gain.lower
+        )
+        bounds = interval(gain.lower, gain.upper, symbol=terms.unit) if has_bounds else NONE
+        rows.append((name if place == places[0] else f"{name}, {place}", *pair, bounds, best_rule_text))
         if math.isfinite(gain.driven_before):
             driven = _pair(gain.driven_before, gain.driven_after, terms)
             rows.append((f"{name}, on the measured temperature", *driven, NONE, NONE))
     about = f"free-run error on {places[0] if places else 'readings'}"
     head = (about, "base model", "extended model", "change", "bounds of the fall", "best rule, no model")
-    kept = range(6) if wider else (0, 1, 5)
+    shown_columns = range(6) if has_extended else (0, 1, 5)
     return Table(
         "Root mean squares",
-        tuple(head[i] for i in kept),
-        tuple(tuple(row[i] for i in kept) for row in rows),
-        left=(0, len(kept) - 1),
-        brief=(0, 1, 2, 3) if wider else (),
+        tuple(head[i] for i in shown_columns),
+        tuple(tuple(row[i] for i in shown_columns) for row in rows),
+        left=(0, len(shown_columns) - 1),
+        brief=(0, 1, 2, 3) if has_extended else (),
         note=(
             "Bounds: 95 %. Where nothing else is said, the absolute humidity is simulated on the simulated "
             "temperature, as “hygrokf simulate” does."
@@ -165,12 +167,12 @@ def parameters_table(cause: CauseFound) -> Table:
     return Table("Parameters", columns, rows, left=(0, 3, 4), brief=(0, 1, 2, 3))
 
 
-def scores_tables(found: DiscoveryResults, period: str) -> tuple[Table, ...]:
+def scores_tables(results: DiscoveryResults, period: str) -> tuple[Table, ...]:
     """Free-run errors in one period by regime, of the base model with the simple rules, and of the extended
     model; empty without scores."""
-    models = [("base", found.baseline.fit)]
-    if found.extended is not None:
-        models.append(("extended", replace(found.extended.fit, baselines={})))
+    models = [("base", results.baseline.fit)]
+    if results.extended is not None:
+        models.append(("extended", replace(results.extended.fit, baselines={})))
     return tuple(
         replace(table, heading=f"{table.heading}, {words} model")
         for words, model in models
@@ -182,17 +184,17 @@ def _change(before: float, after: float) -> str:
     return signed_percent(after / before - 1.0) if before > 0 and math.isfinite(after) else NONE
 
 
-def evidence_table(found: DiscoveryResults) -> Table:
+def evidence_table(results: DiscoveryResults) -> Table:
     """Every cause that was judged, in order of its evidence; accepted ones are set off."""
-    judged: list[CauseFound | Rejected] = [*found.causes, *found.refuted, *found.rejected]
+    judged: list[CauseFound | Rejected] = [*results.causes, *results.refuted, *results.rejected]
     judged.sort(key=lambda one: -worth if math.isfinite(worth := one.evidence.evidence) else math.inf)
     rows = []
     for cause in judged:
-        known = cause.evidence
-        paid = (str(known.constants), str(known.searched)) if known.gains else (NONE, NONE)
-        gains = (fixed(known.gains.get(q, math.nan), 1) for q in ("temperature", "vapour"))
-        worths = (fixed(known.evidence, 1), fixed(known.in_days, 1))
-        rows.append((capital(formed(cause)), *gains, *paid, *worths, outcome(found, cause)))
+        evidence = cause.evidence
+        price = (str(evidence.constants), str(evidence.searched)) if evidence.gains else (NONE, NONE)
+        gains = (fixed(evidence.gains.get(q, math.nan), 1) for q in ("temperature", "vapour"))
+        net = (fixed(evidence.evidence, 1), fixed(evidence.in_days, 1))
+        rows.append((capital(cause_with_form(cause)), *gains, *price, *net, outcome(results, cause)))
     return Table(
         "In order of their evidence",
         ("cause (best form)", "temp.", "hum.", "constants", "settings", "net", "in days", "outcome"),
@@ -218,18 +220,18 @@ TOGETHER = (
 )
 
 
-def write_discovery_report(found: Discovery | None, directory: str | os.PathLike[str]) -> Path:
+def write_discovery_report(discovery: Discovery | None, directory: str | os.PathLike[str]) -> Path:
     """Write `report.html`, the page of a discovery, and `fit_report.html`, that of the model it ends with.
 
-    found: a discovery, whose results are written first (`write_discovery`); None: `directory` holds them
+    discovery: its results are written first (`write_discovery`); None: `directory` holds them
         already.
 
     Returns the path of report.html.  The page is a pure function of `discovery.json` and `discovery.npz`.
     Raises ResultFault where these are missing or damaged, ReportFault where fit.json or series.npz are.
     """
     folder = Path(directory)
-    if found is not None:
-        write_discovery(found, folder)
+    if discovery is not None:
+        write_discovery(discovery, folder)
     read = read_discovery(folder)
     write_report(folder)
     page = discovery_blocks(read.results, read.before, read.after)
@@ -237,40 +239,40 @@ def write_discovery_report(found: Discovery | None, directory: str | os.PathLike
 
 
 def discovery_blocks(
-    found: DiscoveryResults, before: Residuals | None = None, after: Residuals | None = None
+    results: DiscoveryResults, before: Residuals | None = None, after: Residuals | None = None
 ) -> Page:
-    """What a discovery says: the verdict, the errors, and the readings beside base and extended model, first.
+    """The page of a discovery: the verdict, the pictures of the errors and the table of gains come first.
 
     before, after: residuals of both models, for the pictures.
     """
-    shown = [] if before is None else episodes(found, before, after)
-    courses = [] if before is None else _courses(found, before, after)
+    shown = [] if before is None else episodes(results, before, after)
+    courses = [] if before is None else _courses(results, before, after)
     lead = [*shown, *courses][:1]
-    evidence = evidence_table(found)
+    evidence = evidence_table(results)
     rest = [figure for figure in shown if figure not in lead]
     body = (
         *section(
             "What the simulation gets wrong",
             Prose(FREE_RUN, "note"),
             table_or(
-                findings_table(found.findings),
+                findings_table(results.findings),
                 "No significant and material error that the accuracy of the sensors does not explain.",
             ),
             *rest,
         ),
         *section(
-            "The causes" if len(found.causes) > 1 else "The cause",
-            *(block for cause in found.causes for block in _judged(found, cause)),
-            Prose(TOGETHER) if len(found.causes) > 1 else None,
+            "The causes" if len(results.causes) > 1 else "The cause",
+            *(block for cause in results.causes for block in _judged(results, cause)),
+            Prose(TOGETHER) if len(results.causes) > 1 else None,
         ),
         *section(
             "Refuted by held-out readings",
-            *(block for cause in found.refuted for block in _judged(found, cause)),
+            *(block for cause in results.refuted for block in _judged(results, cause)),
         ),
-        *_errors(found, before, after),
-        *_constants(found),
+        *_errors(results, before, after),
+        *_constants(results),
         *section("Where the errors are", Details(BY, tuple(courses)) if courses else None),
-        *_left(found),
+        *_left(results),
         *section(
             "Causes and their evidence",
             Details(f"{len(evidence.rows)} causes", (evidence,), printed=True)
@@ -278,8 +280,8 @@ def discovery_blocks(
             else Prose("No cause was tried.", "missing"),
         ),
     )
-    gains = table_or(gains_table(found), "No errors of a free run are known.")
-    verdict = verdict_of(found)
+    gains = table_or(gains_table(results), "No errors of a free run are known.")
+    verdict = verdict_of(results)
     card = Card(
         "Verdict", verdict.headline, bounds=verdict.confidence,
         lines=tuple(map(sentence, (*verdict.reasons, *verdict.actions))), wide=True, words=True,
@@ -287,16 +289,16 @@ def discovery_blocks(
     )  # fmt: skip
     return Page(
         "Discovery report",
-        one_line(found.name).strip() or "unnamed record",
+        one_line(results.name).strip() or "unnamed record",
         spans_text(before),
-        (*unmeasured(found.provenance, OF_RECORD), Cards((card,)), *lead, gains),
+        (*unmeasured(results.provenance, OF_RECORD), Cards((card,)), *lead, gains),
         body,
-        _method(found),
+        _method(results),
     )
 
 
 def spans_text(before: Residuals | None) -> tuple[str, ...]:
-    """What the record covers, in words."""
+    """The period of the record and of its held-out part, in words; empty without residuals."""
     if before is None or not len(before.time_h):
         return ()
     time = before.time_s
@@ -310,19 +312,23 @@ def spans_text(before: Residuals | None) -> tuple[str, ...]:
 # --- sections --------------------------------------------------------------------------------
 
 
-def _judged(found: DiscoveryResults, one: CauseFound | Rejected) -> tuple[Block, ...]:
-    """A cause: settings and parameters of one that was accepted, and the held-out test."""
-    blocks: list[Block | None] = [Heading(capital(formed(one)), 3)]
-    if isinstance(one, CauseFound):
+def _judged(results: DiscoveryResults, cause: CauseFound | Rejected) -> tuple[Block, ...]:
+    """The blocks of a judged cause: its held-out test, and if it was accepted its settings and parameters."""
+    blocks: list[Block | None] = [Heading(capital(cause_with_form(cause)), 3)]
+    if isinstance(cause, CauseFound):
         without = "The cause has no parameters of its own: it corrects time stamps."
         blocks += [
-            Prose(f"Found by search: {'; '.join(chosen_words(one))}.") if one.chosen else None,
-            table_or(parameters_table(one), without),
+            Prose(f"Found by search: {'; '.join(chosen_words(cause))}.") if cause.chosen else None,
+            table_or(parameters_table(cause), without),
         ]
-    return present(*blocks, Prose(sentence(held_out_text(found, one.held_out))), held_out_table(one.held_out))
+    return present(
+        *blocks, Prose(sentence(held_out_text(results, cause.held_out))), held_out_table(cause.held_out)
+    )
 
 
-def _errors(found: DiscoveryResults, before: Residuals | None, after: Residuals | None) -> tuple[Block, ...]:
+def _errors(
+    results: DiscoveryResults, before: Residuals | None, after: Residuals | None
+) -> tuple[Block, ...]:
     course = None
     if before is not None and after is not None and before.validation.any():
         course = Figure(
@@ -333,46 +339,48 @@ def _errors(found: DiscoveryResults, before: Residuals | None, after: Residuals 
         )
     return section(
         ERRORS,
-        *map(Prose, held_out_sentences(found)),
+        *map(Prose, held_out_sentences(results)),
         course,
-        *(scores_tables(found, "validation") or [Prose(NOT_HELD_OUT, "missing")]),
-        *scores_tables(found, "identification"),
+        *(scores_tables(results, "validation") or [Prose(NOT_HELD_OUT, "missing")]),
+        *scores_tables(results, "identification"),
     )
 
 
-def _constants(found: DiscoveryResults) -> tuple[Block, ...]:
-    heading = "The time constants without and with the cause" if found.extended else "The time constants"
-    base = "Time constants of the base model" if found.extended else "Time constants of the model"
-    models = [(found.baseline, base)]
-    if found.extended is not None:
-        models.append((found.extended, "Time constants of the extended model"))
+def _constants(results: DiscoveryResults) -> tuple[Block, ...]:
+    heading = "The time constants without and with the cause" if results.extended else "The time constants"
+    base = "Time constants of the base model" if results.extended else "Time constants of the model"
+    models = [(results.baseline, base)]
+    if results.extended is not None:
+        models.append((results.extended, "Time constants of the extended model"))
     return section(heading, *(inherited_verdicts(inherited(model.fit), words) for model, words in models))
 
 
-def _left(found: DiscoveryResults) -> tuple[Block, ...]:
-    """Lines in the spectra, and the errors of the extended model where there is one."""
-    lines = Items(tuple(sentence(line_statement(line).text) for line in found.lines)) if found.lines else None
+def _left(results: DiscoveryResults) -> tuple[Block, ...]:
+    """Spectral lines in the residuals, and the errors of the extended model if there is one."""
+    lines = (
+        Items(tuple(sentence(line_statement(line).text) for line in results.lines)) if results.lines else None
+    )
     errors = None
-    if found.extended is not None:
+    if results.extended is not None:
         errors = table_or(
-            findings_table(found.left, "of the extended model"),
+            findings_table(results.left, "of the extended model"),
             "The errors of the extended model show no structure under any tested condition.",
         )
     return section("What is left", lines, errors)
 
 
-def _method(found: DiscoveryResults) -> tuple[Block, ...]:
-    count = tried(found)
-    which = "base" if found.extended is None else "extended"
+def _method(results: DiscoveryResults) -> tuple[Block, ...]:
+    count = count_judged(results)
+    which = "base" if results.extended is None else "extended"
     lines = (
         "The base model was simulated from its inputs alone. What it misses is taken as a disturbance that "
         "enters as flows of heat and vapour, with a spectrum of its own. Score tests under this error model "
         "looked for structure under every condition: episodes, regimes, hour, season, level, rate and lag of "
         "every driver, steps and drifts.",
         f"{count} {'cause was' if count == 1 else 'causes were'} judged, each in several forms and settings, "
-        f"with {found.work.simulations:,} simulations. A cause is accepted by its evidence: what the maximum "
-        "of the likelihood gains, less the price of its constants and of the settings that were tried. The "
-        "same must hold by days, which are fewer than readings where they resemble each other.",
+        f"with {results.work.simulations:,} simulations. A cause is accepted by its evidence: what the "
+        "maximum of the likelihood gains, less the price of its constants and of the settings that were "
+        "tried. The same must hold by days, which are fewer than readings where they resemble each other.",
         "Choices rest on the identification readings. Held-out readings refute a cause with which the errors "
         "3, 12 and 48 h ahead or of the free run grow, one that they speak against, and one with little "
         "evidence that lowers no free-run error; they choose nothing else. The bounds of the errors’ "
@@ -385,16 +393,16 @@ def _method(found: DiscoveryResults) -> tuple[Block, ...]:
     return (
         *method("Data and method", *lines),
         Link(f"The {which} model with all its parameters:", BESIDE_DISCOVERY),
-        Prose(f"Found by {versions(found.version)}."),
+        Prose(f"Found by {versions(results.version)}."),
     )
 
 
 # --- pictures --------------------------------------------------------------------------------
 
 
-def _courses(found: DiscoveryResults, before: Residuals, after: Residuals | None) -> list[Figure]:
+def _courses(results: DiscoveryResults, before: Residuals, after: Residuals | None) -> list[Figure]:
     return [
-        errors_over_drivers(found, before, after),
+        errors_over_drivers(results, before, after),
         *(
             Figure(
                 f"days-{name}",

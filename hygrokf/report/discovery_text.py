@@ -80,27 +80,27 @@ SHORT_DAYS = 14
 MOST_SATURATED = 0.01
 """Share of readings at the sensor's ceiling from which condensation cannot be excluded."""
 UNCHANGED = 5e-3
-"""Relative change of an error that is told as none."""
+"""Largest relative change of an error that is reported as no change."""
 
 
 # --- words -----------------------------------------------------------------------------------
 
 
 def form_words(code: str) -> str:
-    """The code of a form as it is read: "humidistat__at_standstill" -> "humidistat, at standstill",
+    """The code of a form in words: "humidistat__at_standstill" -> "humidistat, at standstill",
     "in_summer_time:scada_log" -> "scada_log, in summer time"."""
     words, _, source = code.partition(":")
     return ", ".join([source] * bool(source) + [spoken(part) for part in words.split("__")])
 
 
-def formed(one: CauseFound | Rejected) -> str:
+def cause_with_form(cause: CauseFound | Rejected) -> str:
     """A cause with its form: "unlogged heater (humidistat, at standstill)"."""
-    cause = spoken(one.cause) or "unnamed cause"
-    return f"{cause} ({form_words(one.form)})" if one.form else cause
+    name = spoken(cause.cause) or "unnamed cause"
+    return f"{name} ({form_words(cause.form)})" if cause.form else name
 
 
 def unchanged(before: float, after: float) -> bool:
-    """Whether two errors are told as equal."""
+    """Whether two errors are reported as equal."""
     return abs(after - before) <= UNCHANGED * before
 
 
@@ -124,62 +124,72 @@ class DiscoveryVerdict:
     warned: bool
 
 
-def verdict_of(found: DiscoveryResults) -> DiscoveryVerdict:
+def verdict_of(results: DiscoveryResults) -> DiscoveryVerdict:
     """The verdict of a discovery in words."""
-    refuted = tuple(map(formed, found.refuted))
+    refuted = tuple(map(cause_with_form, results.refuted))
     wrong = [
         DiscoveryCode.CONSTANT_WRONG(part=part, verdict=constant.words, why=constant.why)
-        for part, constant in inherited(found.baseline.fit).items()
+        for part, constant in inherited(results.baseline.fit).items()
         if constant.verdict == REJECT
     ]
-    code = _answer(found, bool(wrong))
-    answer = code(causes=" + ".join(map(class_of, found.causes)) or "a cause", refuted=refuted)
-    budget, ended = found.work.budget, bool(found.work.not_judged)
+    code = _answer(results, bool(wrong))
+    answer = code(causes=" + ".join(map(class_of, results.causes)) or "a cause", refuted=refuted)
+    budget, budget_ended = results.work.budget, bool(results.work.not_judged)
     reasons: list[Statement] = []
-    actions = [text for cause in found.causes for text in _checks(cause)]
-    if ended:
+    actions = [text for cause in results.causes for text in _checks(cause)]
+    if budget_ended:
         none = code is DiscoveryCode.ANSWER_NONE
         reasons.append(DiscoveryCode.SO_FAR_NONE() if none else DiscoveryCode.SO_FAR(answer=answer))
-        left = tuple(map(spoken, found.work.not_judged))
-        answer = DiscoveryCode.ANSWER_ENDED(budget=budget, causes=left)
-    reasons += [DiscoveryCode.SETTLE_DOUBT(doubt=doubt) for doubt in found.doubts]
-    reasons += map(line_statement, found.lines)
-    if code in MEANINGS and not (ended and code is DiscoveryCode.ANSWER_NONE):
-        reasons.append(MEANINGS[code](tried=tried(found)))
+        not_judged = tuple(map(spoken, results.work.not_judged))
+        answer = DiscoveryCode.ANSWER_ENDED(budget=budget, causes=not_judged)
+    reasons += [DiscoveryCode.SETTLE_DOUBT(doubt=doubt) for doubt in results.doubts]
+    reasons += map(line_statement, results.lines)
+    if code in MEANINGS and not (budget_ended and code is DiscoveryCode.ANSWER_NONE):
+        reasons.append(MEANINGS[code](tried=count_judged(results)))
     if code is DiscoveryCode.ANSWER_WRONG:
         reasons += wrong
     texts = [reason.text for reason in reasons]
-    if found.refuted:
-        beside = [] if found.verdict == "refuted" else [DiscoveryCode.ANSWER_REFUTED(refuted=refuted)]
-        texts.append(joined(*beside, *map(refutation, found.refuted)))
-    alone = len(found.causes) == 1 and not ended
-    texts += [_cause(found, cause, alone) for cause in found.causes]
-    texts += [DiscoveryCode.EXTENDED_STILL_ERRS(finding=finding.statement).text for finding in found.left[:1]]
-    if found.saturated > MOST_SATURATED:
-        texts.append(DiscoveryCode.READINGS_SATURATED(share=found.saturated).text)
-    if ended:
+    if results.refuted:
+        beside = [] if results.verdict == "refuted" else [DiscoveryCode.ANSWER_REFUTED(refuted=refuted)]
+        texts.append(joined(*beside, *map(refutation, results.refuted)))
+    is_only_cause = len(results.causes) == 1 and not budget_ended
+    texts += [_cause(results, cause, is_only_cause) for cause in results.causes]
+    texts += [
+        DiscoveryCode.EXTENDED_STILL_ERRS(finding=finding.statement).text for finding in results.left[:1]
+    ]
+    if results.saturated > MOST_SATURATED:
+        texts.append(DiscoveryCode.READINGS_SATURATED(share=results.saturated).text)
+    if budget_ended:
         actions.append(DiscoveryCode.ALLOW_MORE_SIMULATIONS(budget=budget).text)
     elif code in ACTIONS:
         actions.append(ACTIONS[code]().text)
     repeated = {
-        name: [s for s in spans if all(map(math.isfinite, s))] for name, spans in found.repeated.items()
+        name: [s for s in spans if all(map(math.isfinite, s))] for name, spans in results.repeated.items()
     }
     if any(repeated.values()):
         texts.append(repeated_statement(repeated).text)
         actions.append(DiscoveryCode.FIND_OUT_REPEATS().text)
-    sure = sure_of(found.causes[0]) if alone and found.verdict in ("named", "ambiguous") else ""
+    confidence = (
+        confidence_text(results.causes[0])
+        if is_only_cause and results.verdict in ("named", "ambiguous")
+        else ""
+    )
     return DiscoveryVerdict(
-        capital(answer.text), sure, tuple(filter(None, texts)), tuple(actions), ended or code in WARNINGS
+        capital(answer.text),
+        confidence,
+        tuple(filter(None, texts)),
+        tuple(actions),
+        budget_ended or code in WARNINGS,
     )
 
 
-def _answer(found: DiscoveryResults, wrong: bool) -> DiscoveryCode:
+def _answer(results: DiscoveryResults, wrong: bool) -> DiscoveryCode:
     """The answer of a discovery; wrong: whether a time constant of its base is rejected."""
-    if found.verdict == "unexplained" and not found.causes:
+    if results.verdict == "unexplained" and not results.causes:
         return DiscoveryCode.ANSWER_UNKNOWN
-    if found.verdict == "refuted" and all(cause.held_out.reason == "unproven" for cause in found.refuted):
+    if results.verdict == "refuted" and all(cause.held_out.reason == "unproven" for cause in results.refuted):
         return DiscoveryCode.ANSWER_UNPROVEN
-    return DiscoveryCode.ANSWER_WRONG if found.verdict == "none" and wrong else ANSWERS[found.verdict]
+    return DiscoveryCode.ANSWER_WRONG if results.verdict == "none" and wrong else ANSWERS[results.verdict]
 
 
 def joined(*parts: Statement | str) -> str:
@@ -187,25 +197,29 @@ def joined(*parts: Statement | str) -> str:
     return "; ".join(filter(None, map(str, parts)))
 
 
-def tried(found: DiscoveryResults) -> int:
+def count_judged(results: DiscoveryResults) -> int:
     """How many causes were judged."""
-    left = {cause.cause for cause in found.rejected if cause.reason not in ("left_to_budget", "no_form")}
-    return len(left | {cause.cause for cause in found.causes} | {cause.cause for cause in found.refuted})
+    judged = {cause.cause for cause in results.rejected if cause.reason not in ("left_to_budget", "no_form")}
+    return len(
+        judged | {cause.cause for cause in results.causes} | {cause.cause for cause in results.refuted}
+    )
 
 
-def class_of(one: CauseFound) -> str:
-    """A cause with those that the record cannot tell from it; a long class names nothing."""
-    rest = [spoken(rival) for rival in one.ambiguous_with]
-    if not one.told_apart:
-        return DiscoveryCode.NOT_TOLD_APART(causes=(spoken(one.cause), *rest)).text
-    return listed([formed(one), *rest], "or")
+def class_of(cause: CauseFound) -> str:
+    """A cause with the rivals that the record cannot distinguish from it; too many rivals: no cause is
+    named."""
+    rivals = [spoken(rival) for rival in cause.ambiguous_with]
+    if not cause.told_apart:
+        return DiscoveryCode.NOT_TOLD_APART(causes=(spoken(cause.cause), *rivals)).text
+    return listed([cause_with_form(cause), *rivals], "or")
 
 
-def _cause(found: DiscoveryResults, one: CauseFound, alone: bool) -> str:
-    """A cause: its name where the headline does not state it alone, meaning, mark and rivals."""
-    name = "" if alone else ", ".join(filter(None, (class_of(one), sure_of(one))))
-    meaning = ": ".join(filter(None, (name, "" if one.ambiguous_with else _meaning(one))))
-    return joined(meaning, marked(found, one.held_out), alike_text(one))
+def _cause(results: DiscoveryResults, cause: CauseFound, alone: bool) -> str:
+    """A cause with its meaning, its remark and its rivals; with its name unless the headline states only this
+    cause."""
+    name = "" if alone else ", ".join(filter(None, (class_of(cause), confidence_text(cause))))
+    meaning = ": ".join(filter(None, (name, "" if cause.ambiguous_with else _meaning(cause))))
+    return joined(meaning, held_out_remark(results, cause.held_out), rivals_text(cause))
 
 
 # --- entries of the library ------------------------------------------------------------------
@@ -216,77 +230,77 @@ def _entry(one: CauseFound) -> Cause | CauseWords | None:
     return one.own or next((cause for cause in LIBRARY.causes if cause.name == one.cause), None)
 
 
-def _meaning(one: CauseFound) -> str:
-    entry = _entry(one)
+def _meaning(cause: CauseFound) -> str:
+    entry = _entry(cause)
     return "" if entry is None else entry.meaning
 
 
-def what_it_is(one: CauseFound) -> str:
+def what_it_is(cause: CauseFound) -> str:
     """What a cause is; its name where no library has it."""
-    return _meaning(one) or spoken(one.cause)
+    return _meaning(cause) or spoken(cause.cause)
 
 
-def _checks(one: CauseFound) -> Iterator[str]:
+def _checks(cause: CauseFound) -> Iterator[str]:
     """What to check in the turbine, and the measurement that tells a cause from its rivals."""
-    if (entry := _entry(one)) is None:
+    if (entry := _entry(cause)) is None:
         return
-    remedy, measurement = _remedy(one, entry.remedy), entry.separate_by
-    if one.cause == SENSOR and not set(WATER).isdisjoint(one.ambiguous_with):
+    remedy, measurement = _remedy(cause, entry.remedy), entry.separate_by
+    if cause.cause == SENSOR and not set(WATER).isdisjoint(cause.ambiguous_with):
         remedy = measurement = DiscoveryCode.COMPARE_SENSORS().text
-    if one.told_apart and remedy not in ("", measurement):
-        yield DiscoveryCode.CHECK_TURBINE(cause=one.cause, remedy=remedy).text
-    if one.ambiguous_with and measurement:
-        yield DiscoveryCode.TELL_FROM_RIVALS(cause=one.cause, measurement=measurement).text
+    if cause.told_apart and remedy not in ("", measurement):
+        yield DiscoveryCode.CHECK_TURBINE(cause=cause.cause, remedy=remedy).text
+    if cause.ambiguous_with and measurement:
+        yield DiscoveryCode.TELL_FROM_RIVALS(cause=cause.cause, measurement=measurement).text
 
 
-def _remedy(one: CauseFound, remedy: str) -> str:
+def _remedy(cause: CauseFound, remedy: str) -> str:
     """What to check; for a clock's error also the line that corrects it until then."""
-    shift_s, source = one.settings.get("shift_s"), one.settings.get("source")
-    if isinstance(shift_s, int | float) and isinstance(source, str) and not one.settings.get("summer"):
+    shift_s, source = cause.settings.get("shift_s"), cause.settings.get("source")
+    if isinstance(shift_s, int | float) and isinstance(source, str) and not cause.settings.get("summer"):
         correction = f"{shift_s / 60.0:+.4g}min"
         return DiscoveryCode.CORRECT_CLOCK(remedy=remedy, correction=correction, source=source).text
     return remedy
 
 
-def line_statement(one: SpectralLine) -> Statement:
-    """A line that is left in a spectrum."""
-    name = quantity(one.quantity).words
-    if one.period_h >= 48.0:
-        period = DiscoveryCode.PERIOD_IN_DAYS(days=one.period_h / 24.0)
+def line_statement(line: SpectralLine) -> Statement:
+    """The statement on a periodic component that remains in the spectrum of the errors or of the scores."""
+    name = quantity(line.quantity).words
+    if line.period_h >= 48.0:
+        period = DiscoveryCode.PERIOD_IN_DAYS(days=line.period_h / 24.0)
     else:
-        period = DiscoveryCode.PERIOD_IN_HOURS(hours=one.period_h)
-    if one.cause:
-        return DiscoveryCode.PERIOD_IN_SCORES(cause=one.cause, quantity=name, period=period)
+        period = DiscoveryCode.PERIOD_IN_HOURS(hours=line.period_h)
+    if line.cause:
+        return DiscoveryCode.PERIOD_IN_SCORES(cause=line.cause, quantity=name, period=period)
     return DiscoveryCode.PERIOD_IN_ERRORS(quantity=name, period=period)
 
 
 # --- errors ----------------------------------------------------------------------------------
 
 
-def selected(found: DiscoveryResults) -> bool:
+def selected(results: DiscoveryResults) -> bool:
     """Whether held-out readings were used to refute causes."""
-    return found.held_out_days > 0 and bool(found.causes or found.refuted)
+    return results.held_out_days > 0 and bool(results.causes or results.refuted)
 
 
-def place_of(found: DiscoveryResults, gain: ErrorGain) -> str:
-    """The readings that errors are told from."""
-    after = ", after selection" if gain.period == "validation" and selected(found) else ""
+def readings_of(results: DiscoveryResults, gain: ErrorGain) -> str:
+    """The words for the readings from which the errors of a gain were computed."""
+    after = ", after selection" if gain.period == "validation" and selected(results) else ""
     return f"{PERIOD.get(gain.period, gain.period)}{after}"
 
 
-def held_out_sentences(found: DiscoveryResults) -> list[str]:
+def held_out_sentences(results: DiscoveryResults) -> list[str]:
     """How both models were estimated, and what the held-out part can show."""
     statements = []
-    if found.estimator:
-        both = found.extended is not None
-        code = DiscoveryCode.BOTH_MODELS_ESTIMATED if both else DiscoveryCode.ONE_MODEL_ESTIMATED
-        statements.append(code(criterion=CRITERIA[found.estimator]()))
-    days = found.held_out_days
+    if results.estimator:
+        has_extended = results.extended is not None
+        code = DiscoveryCode.BOTH_MODELS_ESTIMATED if has_extended else DiscoveryCode.ONE_MODEL_ESTIMATED
+        statements.append(code(criterion=CRITERIA[results.estimator]()))
+    days = results.held_out_days
     if not days:
         statements.append(DiscoveryCode.NOTHING_REFUTED())
     elif days < SHORT_DAYS:
         statements.append(DiscoveryCode.FEW_DAYS_HELD_OUT(days=days))
-    if selected(found):
+    if selected(results):
         statements.append(DiscoveryCode.AFTER_SELECTION())
     return [sentence(statement.text) for statement in statements]
 
@@ -294,47 +308,47 @@ def held_out_sentences(found: DiscoveryResults) -> list[str]:
 # --- a cause ---------------------------------------------------------------------------------
 
 
-def sure_of(one: CauseFound) -> str:
-    """The confidence behind a name; empty for a class that names nothing."""
-    if not one.told_apart:
+def confidence_text(cause: CauseFound) -> str:
+    """The confidence in the named cause; empty where too many causes are alike to name any."""
+    if not cause.told_apart:
         return ""
-    if not math.isfinite(one.confidence):
+    if not math.isfinite(cause.confidence):
         return DiscoveryCode.CONFIDENCE_NOT_STATED().text
-    near = one.confidence >= 0.995
+    near = cause.confidence >= 0.995
     code = DiscoveryCode.CONFIDENCE_NEAR_ONE if near else DiscoveryCode.CONFIDENCE
-    return code(share=one.confidence).text
+    return code(share=cause.confidence).text
 
 
-def marked(found: DiscoveryResults, one: HeldOutTest) -> str:
-    """The mark of a cause that does not lower the held-out errors; empty for one that does."""
-    if not found.held_out_days:
+def held_out_remark(results: DiscoveryResults, test: HeldOutTest) -> str:
+    """The remark on a cause that does not lower the held-out errors; empty for a cause that lowers them."""
+    if not results.held_out_days:
         return ""
-    if not one.days:
+    if not test.days:
         return DiscoveryCode.NOT_SEEN().text
-    return DiscoveryCode.NOT_BETTER().text if one.improvement < LEAST_IMPROVEMENT else ""
+    return DiscoveryCode.NOT_BETTER().text if test.improvement < LEAST_IMPROVEMENT else ""
 
 
-def refutation(one: Rejected) -> Statement:
+def refutation(cause: Rejected) -> Statement:
     """Why held-out readings refute a cause."""
-    test = one.held_out
+    test = cause.held_out
     grown = [q for q in test.z if test.growth.get(q, math.nan) > WORSE_GROWTH]
     names = tuple(dict.fromkeys(quantity(q).words for q in grown)) or ("cabinet",)
-    return REFUTATIONS[test.reason](cause=one.cause, quantities=names, least=LEAST_IMPROVEMENT)
+    return REFUTATIONS[test.reason](cause=cause.cause, quantities=names, least=LEAST_IMPROVEMENT)
 
 
-def held_out_text(found: DiscoveryResults, one: HeldOutTest) -> str:
+def held_out_text(results: DiscoveryResults, test: HeldOutTest) -> str:
     """What held-out readings say of a cause beside the errors of its table."""
-    if not one.days:
-        code = DiscoveryCode.NOT_SEEN if found.held_out_days else DiscoveryCode.NO_READINGS_HELD_OUT
+    if not test.days:
+        code = DiscoveryCode.NOT_SEEN if results.held_out_days else DiscoveryCode.NO_READINGS_HELD_OUT
         return code().text
-    statements = [DiscoveryCode.ERROR_FALLS(share=one.improvement)]
-    if math.isfinite(one.gain):
-        code = DiscoveryCode.LIKELIHOOD_GROWS if one.gain >= 0 else DiscoveryCode.LIKELIHOOD_FALLS
-        statements.append(code(change=abs(one.gain)))
-    return joined(*statements, DiscoveryCode.DAYS_WITH_READINGS(days=one.days))
+    statements = [DiscoveryCode.ERROR_FALLS(share=test.improvement)]
+    if math.isfinite(test.gain):
+        code = DiscoveryCode.LIKELIHOOD_GROWS if test.gain >= 0 else DiscoveryCode.LIKELIHOOD_FALLS
+        statements.append(code(change=abs(test.gain)))
+    return joined(*statements, DiscoveryCode.DAYS_WITH_READINGS(days=test.days))
 
 
-def alike_text(cause: CauseFound) -> str:
+def rivals_text(cause: CauseFound) -> str:
     """The forms and causes that this record cannot tell apart; empty where there are none."""
     statements = []
     if cause.forms_alike:
@@ -344,15 +358,15 @@ def alike_text(cause: CauseFound) -> str:
     return joined(*statements)
 
 
-def outcome(found: DiscoveryResults, one: CauseFound | Rejected) -> str:
-    """That a cause was accepted, with its lead [1] in days, or why it was left out."""
-    if isinstance(one, CauseFound):
-        known = math.isfinite(one.evidence.lead)
-        code = DiscoveryCode.ACCEPTED_AHEAD if known else DiscoveryCode.ACCEPTED
-        return code(lead=one.evidence.lead).text
-    why = EXCLUSIONS[one.reason]()
-    hidden = one.cause == "condensation" and found.saturated > MOST_SATURATED
-    return DiscoveryCode.MAYBE_HIDDEN(why=why).text if hidden else why.text
+def outcome(results: DiscoveryResults, cause: CauseFound | Rejected) -> str:
+    """Whether a cause was accepted, with the lead [1] of its evidence by days, or why it was excluded."""
+    if isinstance(cause, CauseFound):
+        has_lead = math.isfinite(cause.evidence.lead)
+        code = DiscoveryCode.ACCEPTED_AHEAD if has_lead else DiscoveryCode.ACCEPTED
+        return code(lead=cause.evidence.lead).text
+    why = EXCLUSIONS[cause.reason]()
+    may_be_hidden = cause.cause == "condensation" and results.saturated > MOST_SATURATED
+    return DiscoveryCode.MAYBE_HIDDEN(why=why).text if may_be_hidden else why.text
 
 
 CHOSEN: Mapping[str, Callable[[Any], Statement]] = {

@@ -53,7 +53,7 @@ class ErrorRow:
     """A number of a comparison in one period, quantity and regime: a row of compare.csv.
 
     `kind`: "rmse" of a `column` [K], [g/m³]; "rule": that of the rule without a model which `against` names;
-    "skill" [1]: 1 − MSE/MSE of that rule; "difference": RMSE of `column` less that of the column `against`.
+    "skill" [1]: 1 − MSE/MSE of that rule; "difference": RMSE of `column` minus RMSE of the column `against`.
     `n` readings, those that both score.  `lower`, `upper`: 95 % bounds, NaN where there are too few readings.
     `same_readings`: whether both columns of a difference are scored on the same ones.
     """

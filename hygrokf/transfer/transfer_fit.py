@@ -10,7 +10,8 @@ judged on the held-out rest.  Four sets of values are simulated, all with the de
 - all its own: every parameter estimated here.
 
 A group differs where the two estimates are further apart than both uncertainties explain (`groups`; both
-covariances count, each the wider of Wald and sandwich) and where the difference matters (`verdict.MATTERS`).
+covariances count, each the wider of Wald and sandwich) and where the difference matters
+(`verdict.MATERIAL_DIFFERENCE`).
 """
 
 from __future__ import annotations

@@ -34,32 +34,34 @@ from hygrokf.transfer.transfer_results import (
     TransferResult,
 )
 
-MATTERS = {
+MATERIAL_DIFFERENCE = {
     "ln_time_constant": 0.10,
     "resistance_ratio": 0.05,
     "temperature_K": 0.3,
     "absolute_humidity_g_m3": 0.26,
 }
-"""Smaller differences do not matter, however significant: 10 % of a time constant, 0.05 of R_AT/(R_AT+R_IC),
-and in the simulated readings the paper's loggers' accuracy (0.3 K; 2 % relative humidity, 0.26 g/m³ at 15
-°C)."""
-WATCHED = {
+"""Smallest difference that matters; smaller ones do not, however significant: 10 % of a time constant, 0.05
+of R_AT/(R_AT+R_IC), and for the simulated readings the accuracy of the paper's loggers (0.3 K; 2 % relative
+humidity, which is 0.26 g/m³ at 15 °C)."""
+DECISIVE_PARAMETERS = {
     THERMAL: {"thermal_time_constant": "ln_time_constant", "resistance_ratio": "resistance_ratio"},
     HYGRIC: {"hygric_k": "ln_time_constant"},
 }
-"""Parameters that decide whether the difference of a group matters, with their keys of `MATTERS`; for other
-groups the effect on the simulated readings decides."""
+"""Parameters that decide whether the difference of a group matters, with their keys of
+`MATERIAL_DIFFERENCE`; for other groups the effect on the simulated readings decides."""
 STRUCTURE = 1.5
-"""Free-run error of the record's own model over that of the fit on its own record, beyond which the form is
-doubted."""
+"""[1] ratio of the free-run error of the model estimated on this record to the free-run error of the fit on
+its own record, above which the form of the model is doubted."""
 
 
 def matters(group: str, apart: Difference, effect: Mapping[str, float]) -> bool:
     """Whether a group's difference is large enough to matter."""
-    if group not in WATCHED:
-        return any(effect.get(quantity, 0.0) >= MATTERS[quantity] for quantity in SCORED)
+    if group not in DECISIVE_PARAMETERS:
+        return any(effect.get(quantity, 0.0) >= MATERIAL_DIFFERENCE[quantity] for quantity in SCORED)
     size = dict(zip(apart.names, np.abs(apart.value), strict=True))
-    return any(size.get(name, 0.0) >= MATTERS[key] for name, key in WATCHED[group].items())
+    return any(
+        size.get(name, 0.0) >= MATERIAL_DIFFERENCE[key] for name, key in DECISIVE_PARAMETERS[group].items()
+    )
 
 
 def parameters_of(
@@ -69,17 +71,18 @@ def parameters_of(
     spread: Uncertainty,
     own: Estimate,
 ) -> dict[str, ParameterChange]:
-    """Every parameter: its original and own value with standard errors, and their difference with bounds."""
-    known = {n: i for i, n in enumerate(baseline.origin.names)}
+    """Every parameter with its value in the fit and on this record, standard errors, and their difference."""
+    places = {n: i for i, n in enumerate(baseline.origin.names)}
     rows = {}
     for p in baseline.base.model.parameters:
-        i, place = known.get(p.name), spread.place(p.name)
-        old = new = math.nan
-        if i is not None:
-            old = math.sqrt(max(float(baseline.origin.covariance[i, i]), 0.0))
+        origin_place, place = places.get(p.name), spread.place(p.name)
+        original_se = own_se = math.nan
+        if origin_place is not None:
+            variance = float(baseline.origin.covariance[origin_place, origin_place])
+            original_se = math.sqrt(max(variance, 0.0))
         if place is not None:
             sd = math.sqrt(spread.wald[place, place] * spread.factor[place])
-            new = sd * abs(p.slope(own.values[p.name]))
+            own_se = sd * abs(p.slope(own.values[p.name]))
         change = None
         if p.name in apart.names:
             change = Contrast(*apart.bounds(p.name))
@@ -90,9 +93,9 @@ def parameters_of(
             p.unit,
             p.meaning,
             original=values["as_is"][p.name],
-            original_se=old,
+            original_se=original_se,
             own=own.values[p.name],
-            own_se=new if math.isfinite(new) else math.nan,
+            own_se=own_se if math.isfinite(own_se) else math.nan,
             re_estimated=values["re_estimated"][p.name],
             difference=change,
             difference_is=None if change is None else "ratio" if p.positive else "difference",
@@ -108,7 +111,8 @@ def groups_of(
     effects: Mapping[str, Mapping[str, float]],
     differing: Sequence[str],
 ) -> tuple[GroupChange, ...]:
-    """For each group the test that decided on it, its effect, and the outcome."""
+    """For each group of parameters: the test that decided on it, its effect on the readings, and the
+    outcome."""
     rows = []
     for group in dict.fromkeys(baseline.groups.values()):
         names = members(baseline.groups, group)
@@ -133,15 +137,19 @@ def groups_of(
 
 
 def _could_matter(group: str, alone: Difference, effect: Mapping[str, float]) -> bool:
-    """Whether a difference that would matter is within the uncertainty of this record.
+    """Whether the uncertainty of this record includes a difference that is large enough to matter.
 
-    For time constants and the resistance ratio: whether their bounds hold such a difference. For other
-    groups: whether the estimate, which is within its bounds, changes the simulation enough to matter.
+    For time constants and the resistance ratio: whether their 95 % bounds include such a difference. For
+    other groups: whether the estimate changes the simulation enough to matter.
     """
-    if group not in WATCHED:
+    if group not in DECISIVE_PARAMETERS:
         return matters(group, alone, effect)
-    ends = {key: alone.bounds(name)[1:] for name, key in WATCHED[group].items() if name in alone.names}
-    return any(max(-low, high) >= MATTERS[key] for key, (low, high) in ends.items())
+    for name, key in DECISIVE_PARAMETERS[group].items():
+        if name in alone.names:
+            _, lower, upper = alone.bounds(name)
+            if max(-lower, upper) >= MATERIAL_DIFFERENCE[key]:
+                return True
+    return False
 
 
 def ratios_of(
@@ -154,7 +162,8 @@ def ratios_of(
 ) -> tuple[LikelihoodRatio, ...]:
     """Exact likelihood ratios on this record alone, without the uncertainty of the original values.
 
-    They are scaled by the mean factor by which the real colour of the noise widens bounds (Kent 1982).
+    The statistic is divided by the mean factor by which the autocorrelation of the noise widens the bounds
+    (Kent 1982).
     """
     from scipy.stats import chi2
 
@@ -177,65 +186,65 @@ def ratios_of(
 # --- the verdict -----------------------------------------------------------------------------
 
 
-def with_verdict(found: TransferResult) -> TransferResult:
+def with_verdict(result: TransferResult) -> TransferResult:
     """The result with its verdict and the reasons, objections first."""
-    worse_than_rules, doubts = _against_the_rules(found)
-    against = [*_of_the_model(found), *worse_than_rules, *_worse_than_before(found)]
-    if against:
+    worse_than_rules, doubts = _against_the_rules(result)
+    objections = [*_of_the_model(result), *worse_than_rules, *_worse_than_before(result)]
+    if objections:
         verdict = TransferVerdict.DOES_NOT_TRANSFER
     elif doubts:
         verdict = TransferVerdict.CANNOT_BE_JUDGED
     else:
-        verdict = TransferVerdict.PARTLY if found.re_estimate else TransferVerdict.TRANSFERS
-    reasons = (*(against or doubts), *_errors_before_and_after(found))
-    return replace(found, verdict=verdict, reasons=reasons)
+        verdict = TransferVerdict.PARTLY if result.re_estimate else TransferVerdict.TRANSFERS
+    reasons = (*(objections or doubts), *_errors_before_and_after(result))
+    return replace(result, verdict=verdict, reasons=reasons)
 
 
-def _of_the_model(found: TransferResult) -> list[Statement]:
+def _of_the_model(result: TransferResult) -> list[Statement]:
     """Objections to the model: no group in common, parameters at bounds, errors of the structure."""
-    against = []
-    differing = found.re_estimate
-    tried = {row.group for row in found.groups if row.outcome in ("travels", "differs")}
-    if len(tried) > 1 and tried == set(differing):
-        against.append(TransferCode.ALL_GROUPS_DIFFER(groups=differing))
-    if found.at_bounds:
-        against.append(TransferCode.ENDED_AT_LIMIT(names=found.at_bounds))
-    against += [
+    objections = []
+    differing = result.re_estimate
+    judged_groups = {row.group for row in result.groups if row.outcome in ("travels", "differs")}
+    if len(judged_groups) > 1 and judged_groups == set(differing):
+        objections.append(TransferCode.ALL_GROUPS_DIFFER(groups=differing))
+    if result.at_bounds:
+        objections.append(TransferCode.ENDED_AT_LIMIT(names=result.at_bounds))
+    objections += [
         TransferCode.STRUCTURE_LACKS(**_terms(quantity), error=row.rmse, ratio=row.ratio)
-        for quantity, row in found.structure.items()
+        for quantity, row in result.structure.items()
         if row.lower > STRUCTURE
     ]
-    return against
+    return objections
 
 
-def _against_the_rules(found: TransferResult) -> tuple[list[Statement], list[Statement]]:
+def _against_the_rules(result: TransferResult) -> tuple[list[Statement], list[Statement]]:
     """Objections and doubts where a rule without a model errs less than the re-estimated model."""
-    against, doubts = [], []
-    for quantity, over in _gains(found, "over_rule"):
-        values = {**_terms(quantity), "excess": -over.gain, "rule": RULES.get(over.against, over.against)}
-        if math.isnan(over.upper) and over.gain < 0.0:
-            doubts.append(TransferCode.RULE_BETTER_UNBOUNDED(**values, readings=found.n_readings))
-        if over.upper < 0.0:
-            against.append(TransferCode.RULE_BETTER(**values))
-    return against, doubts
+    objections, doubts = [], []
+    for quantity, gain in _gains(result, "over_rule"):
+        values = {**_terms(quantity), "excess": -gain.gain, "rule": RULES.get(gain.against, gain.against)}
+        if math.isnan(gain.upper) and gain.gain < 0.0:
+            doubts.append(TransferCode.RULE_BETTER_UNBOUNDED(**values, readings=result.n_readings))
+        if gain.upper < 0.0:
+            objections.append(TransferCode.RULE_BETTER(**values))
+    return objections, doubts
 
 
-def _worse_than_before(found: TransferResult) -> list[Statement]:
+def _worse_than_before(result: TransferResult) -> list[Statement]:
     """Objections where re-estimating enlarges the error beyond its bounds."""
     return [
-        TransferCode.WORSE_RE_ESTIMATED(groups=found.re_estimate, **_terms(quantity), excess=-gain.gain)
-        for quantity, gain in _gains(found, "over_as_is")
-        if found.re_estimate and gain.upper < 0.0
+        TransferCode.WORSE_RE_ESTIMATED(groups=result.re_estimate, **_terms(quantity), excess=-gain.gain)
+        for quantity, gain in _gains(result, "over_as_is")
+        if result.re_estimate and gain.upper < 0.0
     ]
 
 
-def _errors_before_and_after(found: TransferResult) -> list[Statement]:
+def _errors_before_and_after(result: TransferResult) -> list[Statement]:
     reasons = []
-    held_out = found.period == "validation"
+    held_out = result.period == "validation"
     error = TransferCode.ERROR_HELD_OUT if held_out else TransferCode.ERROR_IDENTIFIED
-    change = TransferCode.BY_RE_ESTIMATING if found.re_estimate else TransferCode.BY_OWN_OFFSETS
-    for quantity, gain in _gains(found, "over_as_is"):
-        table = found.rmse[quantity]
+    change = TransferCode.BY_RE_ESTIMATING if result.re_estimate else TransferCode.BY_OWN_OFFSETS
+    for quantity, gain in _gains(result, "over_as_is"):
+        table = result.rmse[quantity]
         values: dict[str, Value] = {**_terms(quantity), "error": error(), "change": change()}
         values |= {"before": table["as_is"].total, "after": table["re_estimated"].total}
         if math.isnan(gain.lower):
@@ -253,9 +262,9 @@ def _terms(quantity: str) -> dict[str, Value]:
 
 
 def _gains(
-    found: TransferResult, over: Literal["over_as_is", "over_rule"]
+    result: TransferResult, reference: Literal["over_as_is", "over_rule"]
 ) -> Iterator[tuple[str, Reduction]]:
-    for quantity, rows in found.gains.items():
-        gain = rows.get("re_estimated", {}).get(over)
+    for quantity, gains_by_model in result.gains.items():
+        gain = gains_by_model.get("re_estimated", {}).get(reference)
         if gain is not None:
             yield quantity, gain

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from builders.documents import document
 
-from hygrokf.climate.limits import CLASSES, QUANTITIES, ClassFault, doubled, limits_of
+from hygrokf.climate.limits import CLASSES, QUANTITIES, ClassFault, duplicate_name_faults, limits_of
 
 
 @pytest.mark.parametrize(
@@ -25,7 +25,7 @@ def test_a_class_by_its_names(name: str) -> None:
 @pytest.mark.parametrize("name", CLASSES)
 def test_every_class_has_its_limits_in_the_docs(name: str) -> None:
     limits = limits_of(name)
-    assert doubled(limits) == []
+    assert duplicate_name_faults(limits) == []
     assert {limit.quantity for limit in limits} <= set(QUANTITIES)
     text = document("climate.md").read_text(encoding="utf-8")
     assert f"| {name} " in text

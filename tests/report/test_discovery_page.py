@@ -57,9 +57,9 @@ from hygrokf.report.discovery_page import (
     write_discovery_report,
 )
 from hygrokf.report.discovery_text import (
+    cause_with_form,
     chosen_words,
     form_words,
-    formed,
     held_out_sentences,
     held_out_text,
     verdict_of,
@@ -304,13 +304,13 @@ def test_every_form_of_the_library_has_words() -> None:
 
 
 def test_a_form_is_told_with_its_cause() -> None:
-    assert formed(Rejected("unlogged_heater", "humidistat__at_standstill")) == (
+    assert cause_with_form(Rejected("unlogged_heater", "humidistat__at_standstill")) == (
         "unlogged heater (humidistat, at standstill)"
     )
-    assert formed(Rejected("clock_shift", "in_summer_time:cabinet_log")) == (
+    assert cause_with_form(Rejected("clock_shift", "in_summer_time:cabinet_log")) == (
         "clock shift (cabinet_log, in summer time)"
     )
-    assert formed(Rejected("oven")) == "oven"
+    assert cause_with_form(Rejected("oven")) == "oven"
 
 
 def test_what_the_search_chose_is_told_in_words() -> None:
@@ -533,9 +533,7 @@ def test_report_makes_both_pages_again(written: Path, whole: str, capsys: pytest
 
 
 def test_without_an_extended_model_nothing_of_it_is_kept(tmp_path: Path) -> None:
-    write_discovery(
-        Discovery(typed(empty_case()), residuals_case(), base=fit_of(empty_case())), tmp_path
-    )
+    write_discovery(Discovery(typed(empty_case()), residuals_case(), base=fit_of(empty_case())), tmp_path)
     read = read_discovery(tmp_path)
     assert read.before is not None and read.after is None
 

@@ -41,7 +41,7 @@ from hygrokf.report.figures.panels import (
 from hygrokf.report.quantities import quantity, spoken
 from hygrokf.transfer.comparison import ComparisonResults
 from hygrokf.transfer.transfer_results import RecordCourse, TransferResult
-from hygrokf.transfer.transferability import MATTERS
+from hygrokf.transfer.transferability import MATERIAL_DIFFERENCE
 
 REGIMES = {"operation": ("o", 3.4), "standstill": ("s", 3.4), "total": ("D", 4.0)}
 """Regime → its marker and size [pt]."""
@@ -318,7 +318,7 @@ def figure_parameters(found: TransferResult) -> Picture:
             marks.append(point(change.value, place, "o", colour, 4.0))
         x = Axis("own value less the fit's")
         if ratio:
-            margin = math.exp(MATTERS["ln_time_constant"])
+            margin = math.exp(MATERIAL_DIFFERENCE["ln_time_constant"])
             marks.append(Shade(1.0 / margin, margin, SHADE))
             x = _ratios([end for change, _ in changes.values() for end in (change.lower, change.upper)])
         panels.append(Panel(tuple(marks), x, rows(list(changes))))
