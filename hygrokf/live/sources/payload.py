@@ -40,7 +40,7 @@ from hygrokf.data.timestamps import DAY_S
 from hygrokf.live.plan import SignalReporting
 from hygrokf.live.sources.payload_formats import JSON, Content, Order, PayloadRecord, Refused, Scopes, records
 from hygrokf.live.sources.payload_values import (
-    LONGEST,
+    LONGEST_TEXT,
     NAME,
     RECEIVED,
     STATED_OFFSETS,
@@ -48,14 +48,14 @@ from hygrokf.live.sources.payload_values import (
     Reader,
     Tag,
     alternatives,
-    at,
-    has,
-    measured,
+    has_any_path,
     number,
+    quantity_or_flag,
     quoted,
     reader,
     seconds,
     tag_reader,
+    value_at,
 )
 from hygrokf.live.tracker import Reading
 from hygrokf.texts.doctor_codes import ExaminedCode
@@ -300,10 +300,12 @@ class PayloadMapping:
         before = len(readings) + len(rejections)
         scopes, table = record.scopes, self.table(turbine)
         for name, conversion in table.items():
-            raw = at(scopes, name)
+            raw = value_at(scopes, name)
             if raw is not None and raw != "":
                 self._convert(record, name, raw, conversion, time, of)
-        if len(readings) + len(rejections) == before and not any(has(scopes, name) for name in table):
+        if len(readings) + len(rejections) == before and not any(
+            has_any_path(scopes, name) for name in table
+        ):
             rejections.append(Rejection("no known field", f"no field is among {_names(scopes)}"))
 
     def _read_names(self, record: PayloadRecord, split: Callable[[str], Tag | None], found: Found) -> None:
@@ -318,7 +320,7 @@ class PayloadMapping:
         seen = False
         for name, raw in record.scopes[0].items():
             tag = split(name)
-            if tag is None or not tag.known:
+            if tag is None or not tag.is_known:
                 continue
             turbine = self._turbine(spoken if tag.turbine is None else tag.turbine)
             conversion = self.table(turbine).get(tag.field)
@@ -336,7 +338,7 @@ class PayloadMapping:
         # tag and value belong together: those of the objects around it are not this record's
         inner = record if len(record.scopes) == 1 else record._replace(scopes=record.scopes[:1])
         stated, spoken = self.readers["tag"](inner), self.readers["turbine"](record)
-        name = str(stated)[: LONGEST + 1]
+        name = str(stated)[: LONGEST_TEXT + 1]
         if self.split is not None:
             tag = self.split(name)
             if tag is None:
@@ -353,7 +355,7 @@ class PayloadMapping:
         raw = self.readers["value"](inner)
         if raw is not None and raw != "":
             self._convert(record, name, raw, conversion, time, of)
-        elif raw is None and not has(inner.scopes, self.value):
+        elif raw is None and not has_any_path(inner.scopes, self.value):
             said = f"no {self.value} is among {_names(record.scopes)}"
             of.rejections.append(Rejection("no known field", said))
 
@@ -378,7 +380,7 @@ class PayloadMapping:
                     return
             found = number(raw, self.marks or POINT)
             if found is None:
-                found = measured(raw, meaning, self.marks or POINT)
+                found = quantity_or_flag(raw, meaning, self.marks or POINT)
             if self.marks is None and isinstance(raw, str) and PARTED.match(raw):
                 # the point may divide thousands: the signal's range tells, where it allows one of the two
                 either = [one for one in (found, 1e3 * found) if low <= factor * one + offset <= high]
@@ -401,7 +403,7 @@ class PayloadMapping:
             return EVERYONE
         if not self.turbine and self.only is not None:
             return self.only
-        turbine = self.turbines.get(str(name)[: LONGEST + 1]) if name is not None else None
+        turbine = self.turbines.get(str(name)[: LONGEST_TEXT + 1]) if name is not None else None
         if turbine is None:
             raise Refused("unknown turbine", f"turbine {quoted(name)} is not tracked")
         return turbine
@@ -412,7 +414,7 @@ class PayloadMapping:
             return record.received
         time = seconds(stamp, self.clock, record.received, record.order, series)
         if time is None:
-            raise Refused("no time", f"expected a time as {self.clock.words}, found {quoted(stamp)}")
+            raise Refused("no time", f"expected a time as {self.clock.expected}, found {quoted(stamp)}")
         if not EARLIEST_S <= time <= (record.received + FORECAST_S if self.weather else LATEST_S):
             late = "more than 20 days ahead of this machine's clock" if self.weather else "after 2100"
             raise Refused("impossible time", f"time {quoted(stamp)} is before 1990 or {late}")
