@@ -183,7 +183,7 @@ class Sparkplug(Mqtt):
         """The turbine that a level of the topic names, or the only one; None for any other."""
         mapping = self.mapping
         if not mapping.turbine:
-            return mapping.only
+            return mapping.only_turbine
         return mapping.turbines.get(str(mapping.readers["turbine"](PayloadRecord((), topic=topic))))
 
     @property
