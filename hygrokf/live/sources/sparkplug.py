@@ -127,7 +127,7 @@ class Sparkplug(Mqtt):
             return
         self._checked_s = time.monotonic()
         for node in self.edge_nodes.nodes.values():
-            self._put_released(node, node.look(time.time()), put)
+            self._put_released(node, node.release_overdue(time.time()), put)
         if self.broker.rebirth_requests and link.answered:
             for name in self.edge_nodes.without_birth():
                 if self._checked_s > self._requested_s.get(name, -REQUEST_INTERVAL_S) + REQUEST_INTERVAL_S:
