@@ -456,7 +456,7 @@ def test_another_client_with_the_same_name_is_told(broker: Mosquitto) -> None:
 def test_a_denied_subscription_is_lost_and_asked_for_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(mqtt, "AGAIN_S", 0.5)
+    monkeypatch.setattr(mqtt, "RETRY_S", 0.5)
     monkeypatch.setenv("BROKER_PASSWORD", "right")
     settings = dynamic_security(tmp_path, "reader", "right", denied="secret/#")
     with mosquitto(tmp_path, *settings) as found:
