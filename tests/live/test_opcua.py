@@ -397,7 +397,7 @@ def test_what_overflowed_in_the_server_is_read_back_first(peer: Peer, named, sta
 def test_what_found_no_room_here_is_read_back(
     peer: Peer, named, started, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(opcua_client, "HELD", 5)
+    monkeypatch.setattr(opcua_client, "QUEUE_SIZE", 5)
     tcab = named("Tcab")
     peer.add([tcab])
     run = started(peer.url, {tcab: "Tcab"})
