@@ -21,9 +21,9 @@ from hygrokf.live.sources.broker import (
     Broker,
     alarm_topic,
     filter_fault,
-    reason_words,
-    tls_words,
-    unreachable,
+    reason_text,
+    tls_error_text,
+    unreachable_text,
 )
 from hygrokf.live.sources.payload import Field, PayloadMapping
 from hygrokf.live.sources.sparkplug import MqttForm
@@ -225,13 +225,13 @@ def test_topics_of_alarms() -> None:
 
 
 def test_reasons_in_words() -> None:
-    assert "its own client_id" in reason_words(ReasonCode(PacketTypes.DISCONNECT, "Session taken over"))
+    assert "its own client_id" in reason_text(ReasonCode(PacketTypes.DISCONNECT, "Session taken over"))
     unusual = ReasonCode(PacketTypes.DISCONNECT, "Payload format invalid")
-    assert reason_words(unusual) == "payload format invalid (reason code 153)"
-    assert "requires a client certificate" in tls_words(
+    assert reason_text(unusual) == "payload format invalid (reason code 153)"
+    assert "requires a client certificate" in tls_error_text(
         "[SSL: TLSV13_ALERT_CERTIFICATE_REQUIRED] tlsv13 alert"
     )
-    assert tls_words("[Errno 104] Connection reset by peer") is None
-    assert unreachable(TimeoutError("timed out"), "h:1").startswith("h:1: it does not answer")
-    assert unreachable(OSError(113, "No route to host"), "h:1") == "h:1: No route to host"
-    assert unreachable(KeyError("x"), "h:1") == "h:1: KeyError: 'x'"
+    assert tls_error_text("[Errno 104] Connection reset by peer") is None
+    assert unreachable_text(TimeoutError("timed out"), "h:1").startswith("h:1: it does not answer")
+    assert unreachable_text(OSError(113, "No route to host"), "h:1") == "h:1: No route to host"
+    assert unreachable_text(KeyError("x"), "h:1") == "h:1: KeyError: 'x'"

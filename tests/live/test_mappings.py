@@ -29,10 +29,10 @@ from hygrokf.live.sources.payload import EARLIEST_S, LATEST_S, Field, PayloadMap
 from hygrokf.live.sources.payload_formats import INFLUX, LARGEST, PLAIN, UNPACKED, Refused
 from hygrokf.live.sources.payload_values import (
     Clock,
-    measured,
     number,
     path_fault,
     pattern_fault,
+    quantity_or_flag,
     seconds,
     tag_reader,
 )
@@ -161,10 +161,10 @@ def test_numbers_are_read_strictly(text: object, comma: bool, value: float | Non
 )  # fmt: skip
 def test_a_unit_in_the_text_is_checked(raw: object, unit: str, value: float | str) -> None:
     if isinstance(value, float):
-        assert measured(raw, Meaning("", unit)) == pytest.approx(value, rel=1e-12)
+        assert quantity_or_flag(raw, Meaning("", unit)) == pytest.approx(value, rel=1e-12)
         return
     with pytest.raises(Unread) as refusal:
-        measured(raw, Meaning("", unit))
+        quantity_or_flag(raw, Meaning("", unit))
     assert refusal.value.kind == value
 
 

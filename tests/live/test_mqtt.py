@@ -273,13 +273,13 @@ def test_a_tracker_that_does_not_keep_up_stays_connected(
     # long enough that neither side takes the other for lost on a machine that is busy for a second
     monkeypatch.setattr(mqtt, "KEEPALIVE_S", 4)
     stream = stream_of(broker)
-    count = mqtt.OPEN_MOST + 300
+    count = mqtt.MOST_UNACKNOWLEDGED + 300
     with running(stream, held=True) as taken, peer(broker) as other:
         publish(other, [(TOPIC, f"{i}") for i in range(count)])
         # the broker would send a client away after 1.5 times its keep-alive
         eventually(lambda: broker.log().count("PINGREQ from tracker") >= 2)
         assert stream.state[0] == "connected" and not taken.found
-        assert stream._link.arrived.qsize() <= mqtt.OPEN_MOST
+        assert stream._link.arrived.qsize() <= mqtt.MOST_UNACKNOWLEDGED
         taken.free.set()
         done = 0
         while done < count:
@@ -292,11 +292,11 @@ def test_a_tracker_that_does_not_keep_up_stays_connected(
 
 
 def test_what_nobody_confirms_is_bounded_and_told(broker: Mosquitto, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(mqtt, "UNCONFIRMED_MOST", 10)
+    monkeypatch.setattr(mqtt, "MOST_QUEUED_QOS_0", 10)
     stream = stream_of(broker)
     with running(stream, held=True) as taken, peer(broker) as other:
         publish(other, [(TOPIC, "0")], qos=0)
-        eventually(stream._open_ends)  # it is taken, and held
+        eventually(stream._has_pending)  # it is taken, and held
         publish(other, [(TOPIC, f"{i}") for i in range(1, 50)], qos=0)
         eventually(lambda: "39 messages of QoS 0" in stream.state[1])
         assert stream.state[0] == "connected"
@@ -324,7 +324,7 @@ def test_a_stopped_source_takes_the_acknowledgements_that_are_still_to_come(brok
 def test_messages_that_are_too_large_are_cut_or_stay_at_the_broker(
     broker: Mosquitto, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(mqtt, "PACKET_MOST", 3 * LARGEST)
+    monkeypatch.setattr(mqtt, "LARGEST_PACKET", 3 * LARGEST)
     stream = stream_of(broker)
     with running(stream) as taken, peer(broker) as other:
         sizes = (3 * LARGEST, 2 * LARGEST, LARGEST, 10)
@@ -456,7 +456,7 @@ def test_another_client_with_the_same_name_is_told(broker: Mosquitto) -> None:
 def test_a_denied_subscription_is_lost_and_asked_for_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(mqtt, "AGAIN_S", 0.5)
+    monkeypatch.setattr(mqtt, "RETRY_S", 0.5)
     monkeypatch.setenv("BROKER_PASSWORD", "right")
     settings = dynamic_security(tmp_path, "reader", "right", denied="secret/#")
     with mosquitto(tmp_path, *settings) as found:
@@ -631,7 +631,7 @@ def test_alarms_of_one_kind_have_a_topic_each(broker: Mosquitto) -> None:
     with running(stream):
         stream.tell(changed(ALARM, kind="cabinet changed", subject=one) for one in subjects)
         stream.tell(changed(ALARM, turbine=f"N{i}") for i in range(60))  # more than paho sends at once
-        eventually(lambda: not stream._open_ends())
+        eventually(lambda: not stream._has_pending())
     assert set(kept(broker, "alarms/#")) == {
         "alarms/T1/cabinet_changed_thermal_time_constant",
         "alarms/T1/cabinet_changed_hygric_k",

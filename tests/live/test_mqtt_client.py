@@ -13,7 +13,7 @@ import pytest
 from paho.mqtt.client import Client, MQTTv5
 from paho.mqtt.enums import CallbackAPIVersion
 
-from hygrokf.live.sources.mqtt import AT_ONCE, piecewise_client
+from hygrokf.live.sources.mqtt import READ_SIZE, piecewise_client_class
 
 ACCEPTED = bytes([0x20, 3, 0, 0, 0])
 """CONNACK: no session, success, no properties."""
@@ -48,7 +48,7 @@ def connected(pieces: list[bytes]) -> Iterator[tuple[Client, list[bytes]]]:
 
         thread = threading.Thread(target=serve)
         thread.start()
-        client = piecewise_client()(
+        client = piecewise_client_class()(
             CallbackAPIVersion.VERSION2, client_id="one", protocol=MQTTv5, reconnect_on_failure=False
         )
         found: list[bytes] = []
@@ -66,12 +66,12 @@ def connected(pieces: list[bytes]) -> Iterator[tuple[Client, list[bytes]]]:
 def test_packets_come_whole_and_in_order_wherever_they_are_cut(seed: int) -> None:
     random = np.random.default_rng(seed)
     payloads = [bytes([i % 256]) * int(2 ** random.uniform(0.0, 12.0)) for i in range(300)]
-    payloads.insert(100, b"x" * (2 * AT_ONCE + 7))
+    payloads.insert(100, b"x" * (2 * READ_SIZE + 7))
     stream = b"".join(map(packet, payloads))
     cuts = np.sort(random.integers(0, len(stream), 400))
     pieces = [stream[a:b] for a, b in zip([0, *cuts], [*cuts, len(stream)], strict=True)]
     with connected(pieces) as (client, found):
-        while client.turn(5.0):
+        while client.process_packets(5.0):
             pass
     assert found == payloads
 
@@ -83,9 +83,9 @@ def test_many_packets_take_few_calls_to_the_system(monkeypatch: pytest.MonkeyPat
     payloads = [b"%d" % i for i in range(2_000)]
     stream = b"".join(map(packet, payloads))
     with connected([stream]) as (client, found):
-        while client.turn(5.0):
+        while client.process_packets(5.0):
             pass
     assert found == payloads
     # paho alone asks three times or more for each
     assert len(calls) < len(payloads) / 10
-    assert set(calls) == {AT_ONCE}
+    assert set(calls) == {READ_SIZE}

@@ -54,6 +54,8 @@ RATES = {"sampling_s": 0.0, "publishing_s": 0.05, "queue": 5_000}
 
 def server(url: str, nodes: list[Node], **stated: object) -> Server:
     return Server(url, {one.id: one for one in nodes}, **{**RATES, **stated})
+
+
 MAPPING = PayloadMapping(
     {
         "Tcab": Field("cabinet_temperature", "degC"),
@@ -366,8 +368,8 @@ def test_the_first_start_reads_back_as_far_as_is_stated(peer: Peer, named, start
 @pytest.mark.parametrize("place", ["{", "[1]", '{"other": 1}', '{"%s": "soon"}', '{"%s": 1e12}'])
 def test_a_place_that_says_nothing_is_no_place(place: str) -> None:
     stream = OpcUa(server("opc.tcp://localhost", [Node("i=1", "T07", "Tcab")]), MAPPING)
-    assert stream._times_reached(place.replace("%s", "i=1")) == {}
-    assert stream._times_reached('{"i=1": 1.7e9}') == {"i=1": 1.7e9}
+    assert stream._stored_times(place.replace("%s", "i=1")) == {}
+    assert stream._stored_times('{"i=1": 1.7e9}') == {"i=1": 1.7e9}
 
 
 def test_a_stamp_of_the_far_future_does_not_end_reading_back(peer: Peer, named, started) -> None:
@@ -395,7 +397,7 @@ def test_what_overflowed_in_the_server_is_read_back_first(peer: Peer, named, sta
 def test_what_found_no_room_here_is_read_back(
     peer: Peer, named, started, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(opcua_client, "HELD", 5)
+    monkeypatch.setattr(opcua_client, "QUEUE_SIZE", 5)
     tcab = named("Tcab")
     peer.add([tcab])
     run = started(peer.url, {tcab: "Tcab"})
@@ -469,7 +471,7 @@ def test_history_that_fails_for_now_is_owed(
     peer: Peer, named, started, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Values go on, the place does not: a restart would begin where the gap does; then the gap is closed."""
-    monkeypatch.setattr(module, "AGAIN_S", 0.5)
+    monkeypatch.setattr(module, "RETRY_S", 0.5)
     tcab = named("Tcab")
     peer.add([tcab], history="failing")
     peer.record(at((1, 1.0), (2, 2.0), node=tcab))
@@ -486,7 +488,7 @@ def test_history_that_fails_for_now_is_owed(
 def test_nodes_that_are_not_there_are_named_and_asked_for_again(
     peer: Peer, named, started, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(module, "AGAIN_S", 0.5)
+    monkeypatch.setattr(module, "RETRY_S", 0.5)
     tcab, later = named("Tcab"), named("later")
     peer.add([tcab], value=30.0)
     elsewhere = "nsu=urn:elsewhere;s=x"
@@ -620,9 +622,7 @@ def secured(tmp_path_factory: pytest.TempPathFactory, papers: Path) -> Iterator[
 
 
 def test_an_encrypted_connection_of_a_user(secured: Peer, papers: Path, started) -> None:
-    run = started(
-        secured.url, {"ns=2;s=Tcab": "Tcab"}, place={"ns=2;s=Tcab": T0}, folder=papers, **SIGNED_ON
-    )
+    run = started(secured.url, {"ns=2;s=Tcab": "Tcab"}, place={"ns=2;s=Tcab": T0}, folder=papers, **SIGNED_ON)
     run.wait(lambda: run.values() == [(1, 31.0)] and run.stream.state == ("connected", secured.url))
 
 

@@ -136,7 +136,7 @@ def test_many_rows_with_ties_are_read_in_bounded_queries(
     postgresql: Server, historian: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """10,000 rows whose watermarks are the same in groups of up to 700: no group is cut."""
-    monkeypatch.setattr(module, "MOST", 500)
+    monkeypatch.setattr(module, "ROWS_PER_QUERY", 500)
     sizes = [1 + (37 * k) % 700 for k in range(28)]
     total = 0
     for group, size in enumerate(sizes):

@@ -50,7 +50,7 @@ class Followed:
     def wait(self, seconds: float) -> None:
         self.now += seconds
         for node in self.nodes.nodes.values():
-            self.released += node.look(self.now)
+            self.released += node.release_overdue(self.now)
             self.kept |= node.memories()
 
     @property
@@ -322,7 +322,7 @@ def test_topics_of_others(topic: str, ours: bool) -> None:
 def test_numbers_of_nodes_devices_and_held_metrics_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sparkplug, "MOST_NODES", 2)
     monkeypatch.setattr(sparkplug_node, "MOST_DEVICES", 2)
-    monkeypatch.setattr(sparkplug_node, "MOST_HELD", 3 * 600)
+    monkeypatch.setattr(sparkplug_node, "MOST_HELD_BYTES", 3 * 600)
     followed = Followed()
     for number in range(3):
         peer = EdgeNode(name=f"Farm/N{number}", devices={f"W{k}": {NAME: FLOAT} for k in range(3)})

@@ -106,7 +106,7 @@ def followed(broker: Mosquitto, rebirth_requests: bool, memories: dict[str, obje
 
 
 def test_an_edge_node_of_another_make(tmp_path: Path, python: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sparkplug, "LOOK_S", 0.05)
+    monkeypatch.setattr(sparkplug, "CHECK_INTERVAL_S", 0.05)
     monkeypatch.setattr(sparkplug_node, "REORDER_S", 0.2)
     with mosquitto(tmp_path) as broker, other_node(python, broker) as node:
         with followed(broker, False, {}) as read:

@@ -21,7 +21,7 @@ from hygrokf.live.doctor.sources import arrivals, doctor_session, listen
 from hygrokf.live.sources.broker import filter_fault
 from hygrokf.live.sources.local import Lines, TailedFile, contents
 from hygrokf.live.sources.mqtt import Mqtt
-from hygrokf.live.sources.payload import USED_THOUGH, PayloadMapping, PayloadStatistics
+from hygrokf.live.sources.payload import UNCERTAIN_QUALITY, PayloadMapping, PayloadStatistics
 from hygrokf.live.sources.payload_formats import JSON, UNPACKED, Content, Unreadable, decoded
 from hygrokf.live.sources.stream import Delivery, SourceFault, Stream
 from hygrokf.live.tracker import Reading
@@ -184,7 +184,7 @@ def as_text(trials: Sequence[Trial]) -> str:
                 shown = row | {"turbine": row["turbine"] or "all"}
                 lines.append("      {turbine}  {signal}  {time}  {value:.6g} {unit}".format_map(shown))
             for row in payload["rejections"]:
-                used = "used" if row["kind"] == USED_THOUGH else "not used"
+                used = "used" if row["kind"] == UNCERTAIN_QUALITY else "not used"
                 lines.append(f"      {used}: {row['kind']}: {row['why']}")
         if trial.count > len(trial.payloads):
             lines.append(f"  … and {trial.count - len(trial.payloads)} more")

@@ -176,7 +176,7 @@ def _filter_check(
 
 def _edge_node_checks(about: str, nodes: EdgeNodes, wait_s: float) -> Iterator[Check]:
     for node in nodes.nodes.values():
-        node.look(time.time())
+        node.release_overdue(time.time())
     gaps = [name for name, node in nodes.nodes.items() if node.gap_s is not None]
     unborn = [name for name in nodes.without_birth() if name not in gaps]
     died = [name for name, node in nodes.nodes.items() if "" in node.left_s]

@@ -36,7 +36,7 @@ from hygrokf.data.timestamps import duration
 from hygrokf.data.toml_form import Place, across, read_form, setting
 from hygrokf.errors import suggestion
 from hygrokf.live.notification.channel import Channel, ChannelFault, NoticeMessage, data, subject, text
-from hygrokf.live.sources.broker import unreachable
+from hygrokf.live.sources.broker import unreachable_text
 from hygrokf.live.sources.endpoint import PasswordKeys, Secret, tls_context
 from hygrokf.live.sources.stream import SourceFault
 from hygrokf.texts.doctor_codes import Check, CheckCode
@@ -68,7 +68,7 @@ def _faults_of(where: str) -> Iterator[None]:
     except smtplib.SMTPException as fault:
         raise ChannelFault(f"{where}: {fault}") from None
     except (OSError, ValueError) as fault:
-        raise ChannelFault(unreachable(fault, where)) from None
+        raise ChannelFault(unreachable_text(fault, where)) from None
 
 
 @contextmanager

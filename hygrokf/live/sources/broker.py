@@ -1,7 +1,8 @@
-"""An MQTT broker: address, topics, session, user and TLS; and why a connection to it fails, in plain words.
+"""The configuration of an MQTT broker: address, topics, session, user and TLS; and messages that explain why
+a connection to the broker fails.
 
 A password is kept in a file or an environment variable, never in the tracker's file or a URL.  Passwords and
-certificates are read again for every connection, so that a renewed one needs no restart.
+certificates are read again for every connection, so that a renewed one takes effect without a restart.
 """
 
 from __future__ import annotations
@@ -27,14 +28,14 @@ if TYPE_CHECKING:
     from paho.mqtt.reasoncodes import ReasonCode
 
 EXPIRY_S = 7.0 * DAY_S
-"""[s] a broker keeps the session of a disconnected tracker."""
+"""Default time [s] for which a broker keeps the session of a disconnected tracker."""
 LEAST_EXPIRY_S, MOST_EXPIRY_S = 60.0, 2.0**32 - 2.0
 LONGEST_NAME = 100
 _TLS = ("ca", "certificate", "key")
 _TOPICS = 'a list of topic filters such as ["scada/+/cabinet"]'
 MAPPED, SPARKPLUG = "mapped", "sparkplug-b"
 FORMATS = (MAPPED, SPARKPLUG)
-"""Payloads that the mapping reads as they are, or messages of Sparkplug B."""
+"""Formats of messages: payloads that the mapping reads directly, or Sparkplug B."""
 LONGEST_TOPIC = 65_535
 """Longest topic [bytes in UTF-8]."""
 _CERTIFICATE_ERRORS = {
@@ -47,7 +48,7 @@ _CERTIFICATE_ERRORS = {
     62: "its certificate is for another name: connect by the name that the certificate states",
     64: "its certificate is for another address: connect by the name that the certificate states",
 }
-"""OpenSSL's error code for the server's certificate -> message."""
+"""OpenSSL's error code of a rejected server certificate -> message."""
 _TLS_ERRORS = {
     "CERTIFICATE_REQUIRED": "it requires a client certificate: name certificate and key",
     "HANDSHAKE_FAILURE": "it refused the TLS handshake: it may require a client certificate",
@@ -159,21 +160,22 @@ class Broker(UrlKeys, PasswordKeys, SourceKeys):
     def filters(self) -> Iterator[str]:
         if not self.topics:
             yield f"topics must be {_TOPICS}, found none"
-        for one in self.topics:
-            if (wrong := filter_fault(one)) is not None:
-                yield f"topics: {wrong}, found {one!r}"
+        for topic in self.topics:
+            if (fault := filter_fault(topic)) is not None:
+                yield f"topics: {fault}, found {topic!r}"
 
     @across("alarms")
     def alarms_topic(self) -> str | None:
-        wrong, own = filter_fault(self.alarms) if self.alarms else None, self.alarms
-        if own.startswith(("$", "/")) or own.endswith("/") or "+" in own or "#" in own:
-            wrong = (
+        topic = self.alarms
+        fault = filter_fault(topic) if topic else None
+        if topic.startswith(("$", "/")) or topic.endswith("/") or "+" in topic or "#" in topic:
+            fault = (
                 'expected a topic such as "hygrokf/alarms", without +, #, a $ or / in front and a / behind'
             )
-        return None if wrong is None else f"alarms: {wrong}, found {self.alarms!r}"
+        return None if fault is None else f"alarms: {fault}, found {topic!r}"
 
     @across("user", "url")
-    def one_user(self) -> str | None:
+    def user_stated_once(self) -> str | None:
         if self.user is None or not self.address.user:
             return None
         return "user stands in the url and as a key: keep one"
@@ -186,8 +188,8 @@ class Broker(UrlKeys, PasswordKeys, SourceKeys):
 
     @across(*_TLS)
     def tls_files(self) -> Iterator[str]:
-        if not self.tls and (given := [key for key in _TLS if getattr(self, key)]):
-            yield f"{', '.join(given)}: only with TLS; write mqtts:// or take this away"
+        if not self.tls and (tls_keys := [key for key in _TLS if getattr(self, key)]):
+            yield f"{', '.join(tls_keys)}: only with TLS; write mqtts:// or take this away"
         if bool(self.certificate) != bool(self.key):
             yield "certificate and key belong together: both, or neither"
 
@@ -199,19 +201,19 @@ class Broker(UrlKeys, PasswordKeys, SourceKeys):
 
     @across("format", "weather")
     def readings_of_sparkplug(self) -> str | None:
-        wrong = self.format == SPARKPLUG and self.weather
-        return f'weather: not with format = "{SPARKPLUG}"' if wrong else None
+        is_contradictory = self.format == SPARKPLUG and self.weather
+        return f'weather: not with format = "{SPARKPLUG}"' if is_contradictory else None
 
     @across("format", "topics")
     def topics_of_sparkplug(self) -> Iterator[str]:
-        for one in self.topics if self.format == SPARKPLUG else ():
-            levels = one.split("/")
+        for topic in self.topics if self.format == SPARKPLUG else ():
+            levels = topic.split("/")
             if levels[0] == "$share":
-                yield f"topics: a share has gaps in the sequence of every edge node, found {one!r}"
+                yield f"topics: a share has gaps in the sequence of every edge node, found {topic!r}"
             elif levels[0] != NAMESPACE or ("#" not in levels[1:3] and levels[2:3] != ["+"]):
                 yield (
                     f"topics: births, data and deaths are needed: write {NAMESPACE}/GROUP/# or "
-                    f"{NAMESPACE}/GROUP/+/NODE/#, found {one!r}"
+                    f"{NAMESPACE}/GROUP/+/NODE/#, found {topic!r}"
                 )
 
     @property
@@ -220,14 +222,19 @@ class Broker(UrlKeys, PasswordKeys, SourceKeys):
 
     @property
     def session(self) -> str:
-        """The name of the session, by default `hygrokf-HOST-DIGEST`: stable across restarts on this machine,
-        but different for each folder and broker."""
+        """The name of the session, by default `hygrokf-HOST-DIGEST`.
+
+        The default stays the same across restarts on this machine, but differs between folders and between
+        brokers.
+        """
         if self.client_id:
             return self.client_id
         scheme, host, port, *_ = self.address
-        here = "".join(c for c in socket.gethostname().partition(".")[0] if c.isalnum() and c.isascii())[:20]
+        host_name = "".join(c for c in socket.gethostname().partition(".")[0] if c.isalnum() and c.isascii())[
+            :20
+        ]
         names = f"{scheme}:{host}:{port} {self.folder.resolve()}"
-        return f"hygrokf-{here}-{hashlib.sha256(names.encode()).hexdigest()[:8]}"
+        return f"hygrokf-{host_name}-{hashlib.sha256(names.encode()).hexdigest()[:8]}"
 
     @property
     def session_url(self) -> str:
@@ -255,36 +262,36 @@ class Broker(UrlKeys, PasswordKeys, SourceKeys):
 
 
 # -- why a connection fails ----------------------------------------------------------------------------------
-def unreachable(fault: BaseException, where: str) -> str:
-    """Message that says why `where` (HOST:PORT) cannot be reached."""
+def unreachable_text(fault: BaseException, where: str) -> str:
+    """Message that explains why the endpoint `where` (HOST:PORT) cannot be reached."""
     if isinstance(fault, ssl.SSLCertVerificationError):
-        said = (
+        reason = (
             _CERTIFICATE_ERRORS.get(fault.verify_code)
             or f"its certificate is not trusted: {fault.verify_message}"
         )
     elif isinstance(fault, ssl.SSLError):
-        said = tls_words(str(fault)) or f"TLS failed: {fault.reason or fault}"
+        reason = tls_error_text(str(fault)) or f"TLS failed: {fault.reason or fault}"
     elif isinstance(fault, socket.gaierror | UnicodeError):
-        said = "its name cannot be resolved: check the name and this machine's name server"
+        reason = "its name cannot be resolved: check the name and this machine's name server"
     elif isinstance(fault, ConnectionRefusedError):
-        said = "refused: nothing listens there; check host and port, and that it is running"
+        reason = "refused: nothing listens there; check host and port, and that it is running"
     elif isinstance(fault, TimeoutError):
-        said = "it does not answer: check the network and firewalls between"
+        reason = "it does not answer: check the network and firewalls between"
     elif isinstance(fault, ConnectionError):
-        said = "it closed the connection during set-up: check the port, and whether it uses TLS"
+        reason = "it closed the connection during set-up: check the port, and whether it uses TLS"
     elif isinstance(fault, OSError):
-        said = fault.strerror or str(fault)
+        reason = fault.strerror or str(fault)
     else:
-        said = f"{type(fault).__name__}: {fault}"
-    return f"{where}: {said}"
+        reason = f"{type(fault).__name__}: {fault}"
+    return f"{where}: {reason}"
 
 
-def tls_words(text: str) -> str | None:
-    """Message for OpenSSL's error text; None if it is not known."""
-    shown = text.upper()
-    return next((words for name, words in _TLS_ERRORS.items() if name in shown), None)
+def tls_error_text(text: str) -> str | None:
+    """Message for an error text of OpenSSL; None if the error is not among `_TLS_ERRORS`."""
+    upper = text.upper()
+    return next((message for name, message in _TLS_ERRORS.items() if name in upper), None)
 
 
-def reason_words(code: ReasonCode) -> str:
+def reason_text(code: ReasonCode) -> str:
     """Message for a reason code of MQTT 5."""
     return _REASONS.get(code.value, f"{str(code).lower()} (reason code {code.value})")

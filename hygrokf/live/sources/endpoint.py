@@ -1,4 +1,5 @@
-"""Both ends of a connection: hosts, TLS, and passwords that are kept outside of the tracker's file."""
+"""Keys of tables that describe a connection to another machine: its URL, TLS, and passwords, which are kept
+outside of the tracker's file."""
 
 from __future__ import annotations
 
@@ -18,7 +19,7 @@ PORTS = {
 }  # fmt: skip
 """Scheme of a URL -> default port."""
 WITH_PATH = ("opc.tcp", "http", "https")
-"""Schemes of URLs with a path."""
+"""Schemes whose URLs have a path."""
 OTHERS_READ = 0o004
 """Mode bit of a file that every user of the machine may read."""
 NO_PASSWORD_HERE = (
@@ -28,7 +29,7 @@ NO_PASSWORD_HERE = (
 
 
 class Address(NamedTuple):
-    """The parts of a URL SCHEME://[USER@]HOST[:PORT][/PATH], and what is wrong with it."""
+    """The parts of a URL SCHEME://[USER@]HOST[:PORT][/PATH]; `fault`: error message for an invalid URL."""
 
     scheme: str
     host: str
@@ -39,7 +40,7 @@ class Address(NamedTuple):
 
 
 def is_loopback(host: str) -> bool:
-    """Whether only this machine can reach a host, so that nothing sent there leaves this machine."""
+    """Whether a host is this machine itself, so that data sent to the host do not leave the machine."""
     try:
         return ipaddress.ip_address(host).is_loopback
     except ValueError:
@@ -47,18 +48,18 @@ def is_loopback(host: str) -> bool:
 
 
 def bracketed(host: str) -> str:
-    """A host as it stands in a URL: an IPv6 address in brackets."""
+    """A host as it is written in a URL: an IPv6 address in brackets."""
     return f"[{host}]" if ":" in host else host
 
 
 class UrlKeys:
-    """Keys with the `url` of another machine."""
+    """Mixin for tables with the `url` of another machine."""
 
     url: str
 
     @property
     def address(self) -> Address:
-        """The parts of the url; a fault does not show it, because it may hold a secret."""
+        """The parts of the url; its fault never quotes the url, because the url may contain a secret."""
         scheme, rest = self.url.partition(":")[0], self.url.partition("://")[2]
         default, has_path = PORTS.get(scheme, 0), scheme in WITH_PATH
         expected = f"url must be {scheme}://" + (
@@ -74,20 +75,20 @@ class UrlKeys:
             port = 0
         if port == 0:
             return Address(scheme, "", default, fault=f"{expected}, with a port of 1 to 65535")
-        more = f"?{parts.query}" if parts.query else ""
-        fits = host and self.url.isprintable() and " " not in self.url and not parts.fragment
-        if not fits or (not has_path and (more or parts.path not in ("", "/"))):
+        query = f"?{parts.query}" if parts.query else ""
+        is_valid = host and self.url.isprintable() and " " not in self.url and not parts.fragment
+        if not is_valid or (not has_path and (query or parts.path not in ("", "/"))):
             return Address(scheme, host, default, fault=expected)
-        return Address(scheme, host, port or default, unquote(login), (parts.path or "/") + more)
+        return Address(scheme, host, port or default, unquote(login), (parts.path or "/") + query)
 
     @property
     def tls(self) -> bool:
-        """Whether TLS is used from the start."""
+        """Whether the scheme uses TLS from the first byte on."""
         return self.address.scheme in ("mqtts", "smtps", "https")
 
     @property
     def leaves_machine(self) -> bool:
-        """Whether others could listen to what is sent there."""
+        """Whether the data leave this machine, so that others could read them on their way."""
         return not is_loopback(self.address.host)
 
     @property
@@ -97,24 +98,27 @@ class UrlKeys:
 
 
 def tls_context(ca: Path | None, certificate: Path | None = None, key: Path | None = None) -> ssl.SSLContext:
-    """A context that verifies chain and host name of a server's certificate, and may show one of this client.
-    Raises SourceFault."""
+    """A TLS context that verifies the chain and the host name of a server's certificate.
+
+    ca: certificates of the trusted CAs, None for those of the system. certificate, key: presented to a server
+    that asks for a client certificate. Raises SourceFault for a file that cannot be read.
+    """
     try:
         context = ssl.create_default_context(cafile=ca)
     except (OSError, ssl.SSLError) as fault:
-        raise SourceFault(f"ca: {ca}: {_file_words(fault, 'certificates in PEM')}") from None
+        raise SourceFault(f"ca: {ca}: {_file_fault_text(fault, 'certificates in PEM')}") from None
     if certificate is not None:
         try:
             # with an empty passphrase a protected key is refused instead of prompting at a terminal
             context.load_cert_chain(certificate, key, password="")
         except (OSError, ssl.SSLError) as fault:
             pair = "a certificate in PEM and the key that belongs to it, without a passphrase"
-            words = _file_words(fault, pair)
-            raise SourceFault(f"certificate {certificate}, key {key}: {words}") from None
+            reason = _file_fault_text(fault, pair)
+            raise SourceFault(f"certificate {certificate}, key {key}: {reason}") from None
     return context
 
 
-def _file_words(fault: OSError, expected: str) -> str:
+def _file_fault_text(fault: OSError, expected: str) -> str:
     if isinstance(fault, ssl.SSLError):
         return f"expected {expected}, found {fault.reason or 'nothing of the kind'}"
     return fault.strerror or str(fault)
@@ -122,7 +126,7 @@ def _file_words(fault: OSError, expected: str) -> str:
 
 @dataclass(frozen=True)
 class Secret:
-    """A password, or another secret by the name of its `key`, in a `file` or an environment `variable`."""
+    """A password or another secret in a `file` or an environment `variable`; `key`: its name in messages."""
 
     file: Path | None = None
     variable: str = ""
@@ -133,42 +137,42 @@ class Secret:
         return self.file is not None or bool(self.variable)
 
     def read(self) -> str | None:
-        """The secret as it is now; None if there is none.  Raises SourceFault."""
+        """The present value of the secret; None if none is configured.  Raises SourceFault."""
         if self.variable:
-            found = os.environ.get(self.variable, "")
-            if not found:
+            secret = os.environ.get(self.variable, "")
+            if not secret:
                 raise SourceFault(
                     f"{self.key}_env: the environment variable {self.variable} is not set or empty"
                 )
-            return found
+            return secret
         if self.file is None:
             return None
-        about = f"{self.key}_file: {self.file}"
+        prefix = f"{self.key}_file: {self.file}"
         try:
-            found = self.file.read_text(encoding="utf-8").rstrip("\r\n")
+            secret = self.file.read_text(encoding="utf-8").rstrip("\r\n")
         except OSError as fault:
-            raise SourceFault(f"{about}: {fault.strerror}") from None
+            raise SourceFault(f"{prefix}: {fault.strerror}") from None
         except UnicodeDecodeError:
-            raise SourceFault(f"{about}: expected text in UTF-8") from None
-        if not found or "\n" in found:
-            raise SourceFault(f"{about}: expected one line, the {self.key}, and nothing else")
-        return found
+            raise SourceFault(f"{prefix}: expected text in UTF-8") from None
+        if not secret or "\n" in secret:
+            raise SourceFault(f"{prefix}: expected one line, the {self.key}, and nothing else")
+        return secret
 
 
 @dataclass(frozen=True, kw_only=True)
 class PasswordKeys(FolderKeys):
-    """The keys of every table that needs a password, which never stands in the tracker's file itself."""
+    """The keys of every table that needs a password; the tracker's file never contains the password."""
 
     REFUSED: ClassVar = {"password": NO_PASSWORD_HERE}
     password_file: str = setting("", "file with the password as its only line")
     password_env: str = setting("", "environment variable with the password")
 
     @across("password_file", "password_env")
-    def one_password(self) -> str | None:
-        both = self.password_file and self.password_env
-        return "password_file and password_env: keep one" if both else None
+    def password_stated_once(self) -> str | None:
+        is_ambiguous = self.password_file and self.password_env
+        return "password_file and password_env: keep one" if is_ambiguous else None
 
     @property
     def password(self) -> Secret:
-        """Where the password is."""
+        """The place of the password: its file or its environment variable."""
         return Secret(self.path("password_file"), self.password_env)

@@ -36,25 +36,26 @@ from hygrokf.live.sources.stream import (
 )
 
 GROWTHS = 16
-"""Growths of a file whose times tell its usual interval."""
+"""Number of the latest growths of a file from whose times its usual interval is estimated."""
 LONGEST_LINE = LARGEST
-"""[bytes] of the longest line that is read."""
-PIECE = 65_536
-"""[bytes] read at once from standard input."""
+"""Longest line that is read [bytes]."""
+READ_SIZE = 65_536
+"""Number of bytes read at once from standard input."""
 _JSON_LINE = re.compile(r"\s*(\{|\[\s*[{\]])")
 
 
 class Lines:
-    """Interprets lines of text: JSON as it is, CSV by its header; a repeated header is skipped.
+    """Interprets lines of text: JSON unchanged, CSV by its header; a repeated header is skipped.
 
-    form: of payloads that are neither, such as line protocol, which are passed on as they are.
+    form: format of the payloads; lines of another format than `JSON`, such as line protocol, are delivered
+    unchanged.
     """
 
     def __init__(self, form: str = JSON) -> None:
         self.header: list[str] = []
         self._form = form
         self._separator = ","
-        self._passing = False
+        self._in_long_line = False
 
     def read_header(self, file: IO[bytes]) -> None:
         """Read a file up to its header, which later rows need, or to its first content without one."""
@@ -65,18 +66,18 @@ class Lines:
 
     def content(self, line: bytes | str) -> Content | None:
         """Content of a line; None for an empty line, a comment or a header."""
-        found = line.encode("utf-8", "replace") if isinstance(line, str) else line
-        passing = self._passing
-        self._passing = not found.endswith(b"\n") and (passing or len(found) > LONGEST_LINE)
-        if passing:  # the rest of a line that is too long
+        encoded = line.encode("utf-8", "replace") if isinstance(line, str) else line
+        was_in_long_line = self._in_long_line
+        self._in_long_line = not encoded.endswith(b"\n") and (was_in_long_line or len(encoded) > LONGEST_LINE)
+        if was_in_long_line:  # the rest of a line that is too long
             return None
-        if self._passing:
+        if self._in_long_line:
             return Unreadable("too large", f"a line of more than {LONGEST_LINE} bytes")
         try:
-            text = found.decode("utf-8")
+            text = encoded.decode("utf-8")
         except UnicodeDecodeError:
-            text = found.decode("utf-8", "replace")
-            if self._form != JSON or self.header or _is_json(text):  # other names of a header may be sound
+            text = encoded.decode("utf-8", "replace")
+            if self._form != JSON or self.header or _is_json(text):  # a header is used as far as it is valid
                 return Unreadable("malformed", "a line that is not text in UTF-8")
         text = text.strip("\ufeff\r\n")
         if not text.strip() or text.startswith("#"):
@@ -84,7 +85,7 @@ class Lines:
         return text if self._form != JSON or _is_json(text) else self._row(text)
 
     def _row(self, text: str) -> Content | None:
-        """Cells by column name; None for a header."""
+        """Column name -> cell; None for a header."""
         if not self.header:
             self._separator = max(",;\t", key=text.count)
         try:
@@ -98,7 +99,7 @@ class Lines:
         if cells == self.header:
             return None
         count = len(self.header)
-        if len(cells) < count or any(cells[count:]):  # separators at the end of a row are common
+        if len(cells) < count or any(cells[count:]):  # additional separators at the end of a row are common
             return Unreadable("malformed", f"a row of {len(cells)} cells below a header of {count}")
         return dict(zip(self.header, cells, strict=False))
 
@@ -108,12 +109,12 @@ def _is_json(text: str) -> bool:
 
 
 def next_line(file: IO[AnyStr]) -> AnyStr:
-    """The next line, or a piece of one that is too long; empty at the end of the file."""
+    """The next line, or the next piece of a line that is too long; empty at the end of the file."""
     return file.readline(LONGEST_LINE + 1)
 
 
 def is_whole(line: bytes | str) -> bool:
-    """Whether a line will not grow: it has its end, or is a piece of one that is too long."""
+    """Whether a line is complete: it ends with a line end, or it is a piece of a line that is too long."""
     return len(line) > LONGEST_LINE or line[-1:] in (b"\n", "\n")
 
 
@@ -127,8 +128,8 @@ def contents(file: IO[AnyStr], lines: Lines) -> Iterator[Content]:
 class TailedFile(Stream):
     """A growing CSV or NDJSON file, read again from its start if it was replaced or truncated.
 
-    The place is "identity offset", so that a different file of the same name is read from its start.  A line
-    without a line end is incomplete and waits.
+    The place is "identity offset", so that a different file of the same name is read from its start.  A last
+    line without a line end is incomplete and is read again when the file has grown.
     """
 
     ordered_by = "position in the file"
@@ -144,7 +145,7 @@ class TailedFile(Stream):
         self.path = Path(path)
         self.url = f"file:{self.path}"
         self.follow = follow
-        self._grew: deque[float] = deque(maxlen=GROWTHS)
+        self._growth_times: deque[float] = deque(maxlen=GROWTHS)
 
     def end_when_read(self) -> None:
         """End at the file's present end instead of following it."""
@@ -154,10 +155,10 @@ class TailedFile(Stream):
         while not self._ended.is_set():
             try:
                 with self.path.open("rb") as file:
-                    opened = os.fstat(file.fileno())
-                    identity = f"{opened.st_dev}.{opened.st_ino}"
-                    known, _, offset = (place or "").partition(" ")
-                    if self._read(file, identity, int(offset) if known == identity else 0, put):
+                    status = os.fstat(file.fileno())
+                    identity = f"{status.st_dev}.{status.st_ino}"
+                    former_identity, _, offset = (place or "").partition(" ")
+                    if self._read(file, identity, int(offset) if former_identity == identity else 0, put):
                         return
             except FileNotFoundError:
                 if not self.follow:
@@ -167,8 +168,8 @@ class TailedFile(Stream):
             place = None
 
     def _read(self, file: IO[bytes], identity: str, offset: int, put: Callable[[Delivery], None]) -> bool:
-        """Deliver the file from an offset [bytes] on; True if nothing more will come, False if the file was
-        replaced."""
+        """Deliver the lines of a file from an offset [bytes] on; returns True if the stream has ended, False
+        if the file was removed, replaced or truncated."""
         self._state = SourceState("connected", self.url)
         lines = Lines(self.mapping.form)
         if offset:
@@ -177,27 +178,27 @@ class TailedFile(Stream):
         read_until = offset
         while not self._ended.is_set():
             line = next_line(file)
-            whole = is_whole(line)
-            if whole or not self.follow:
+            line_is_whole = is_whole(line)
+            if line_is_whole or not self.follow:
                 offset += len(line)
                 content = lines.content(line)
                 if content is not None:
                     put(Delivery(content, self.clock(), place=f"{identity} {offset}"))
-                if whole:
+                if line_is_whole:
                     continue
                 return True
             file.seek(offset)
             if offset > read_until:
                 read_until = offset
-                self._grew.append(time.monotonic())
-                if len(self._grew) > 1:
-                    self.usual_interval_s = float(np.median(np.diff(self._grew)))
+                self._growth_times.append(time.monotonic())
+                if len(self._growth_times) > 1:
+                    self.usual_interval_s = float(np.median(np.diff(self._growth_times)))
             self._ended.wait(PAUSE_S)
             try:
-                now = self.path.stat()
+                status = self.path.stat()
             except FileNotFoundError:
                 return False
-            if now.st_size < offset or f"{now.st_dev}.{now.st_ino}" != identity:
+            if status.st_size < offset or f"{status.st_dev}.{status.st_ino}" != identity:
                 return False
         return True
 
@@ -211,7 +212,7 @@ class StandardInput(Stream):
         super().__init__(mapping)
         self._file = file
         self._lines = Lines(mapping.form)
-        self._held = bytearray()
+        self._buffer = bytearray()
 
     def _deliver(self, place: str | None, put: Callable[[Delivery], None]) -> None:
         file: IO[Any] = getattr(sys.stdin, "buffer", sys.stdin) if self._file is None else self._file
@@ -224,27 +225,29 @@ class StandardInput(Stream):
                 put(Delivery(content, self.clock()))
 
     def _next_line(self, descriptor: int) -> bytes:
-        """As `next_line`; empty once the stream is told to end: a thread that blocks in a buffered read would
-        keep the process from ending."""
+        """The next line as `next_line` returns it; empty when the stream is stopped.
+
+        It waits with `select`, because a thread that blocks in a buffered read would keep the process alive.
+        """
         searched = 0
-        while (end := self._held.find(b"\n", searched) + 1) == 0 and len(self._held) <= LONGEST_LINE:
-            searched, more = len(self._held), b""
+        while (end := self._buffer.find(b"\n", searched) + 1) == 0 and len(self._buffer) <= LONGEST_LINE:
+            searched, piece = len(self._buffer), b""
             while not self._ended.is_set():
                 if select.select([descriptor], [], [], PAUSE_S)[0]:
-                    more = os.read(descriptor, PIECE)
+                    piece = os.read(descriptor, READ_SIZE)
                     break
-            if not more:
-                end = len(self._held)
+            if not piece:
+                end = len(self._buffer)
                 break
-            self._held += more
+            self._buffer += piece
         count = min(end or LONGEST_LINE + 1, LONGEST_LINE + 1)
-        line = bytes(self._held[:count])
-        del self._held[:count]
+        line = bytes(self._buffer[:count])
+        del self._buffer[:count]
         return line
 
 
 def _descriptor(file: IO[Any]) -> int | None:
-    """The descriptor of a file that can be waited for; None where it has none, or the system cannot."""
+    """The descriptor of a file; None if the file has none, or if the system cannot wait for it."""
     try:
         descriptor = file.fileno()
         select.select([descriptor], [], [], 0.0)
@@ -256,9 +259,9 @@ def _descriptor(file: IO[Any]) -> int | None:
 class Playback(Stream):
     """Plays back messages in real time or faster by a factor.
 
-    messages: (arrival [s], content), sorted by arrival; speed: factor, 0 for as fast as possible; live_s:
-    messages before this time [s] are always played as fast as possible; label: what the page says of these
-    data.  The place is the number of delivered messages.
+    messages: (arrival [s], content), sorted by arrival. speed: factor, 0 for as fast as possible. live_s:
+    messages before this time [s] are always played as fast as possible. label: text about these data on the
+    page.  The place is the number of delivered messages.
     """
 
     played_back = True
@@ -279,16 +282,19 @@ class Playback(Stream):
         self._live_s = live_s
         self.messages = messages
         self._played = (messages[0][0] if messages else 0.0, math.inf)
+        """(arrival of the last committed message [s], monotonic time of its commit [s])"""
 
     def acknowledge(self, deliveries: Iterable[Delivery]) -> None:
-        """Advance the record's clock to the committed messages."""
-        for one in deliveries:
-            self._played = (one.received, time.monotonic())
+        """Set the record's clock to the arrival of the last committed message."""
+        for delivery in deliveries:
+            self._played = (delivery.received, time.monotonic())
 
     def now(self) -> float:
         """The time [s] that playback has reached in the record."""
-        at, when = self._played
-        return at + self.speed * max(time.monotonic() - when, 0.0) if at >= self._live_s else at
+        arrival, committed = self._played
+        if arrival < self._live_s:
+            return arrival
+        return arrival + self.speed * max(time.monotonic() - committed, 0.0)
 
     def _deliver(self, place: str | None, put: Callable[[Delivery], None]) -> None:
         first = int(place or 0)
@@ -296,24 +302,25 @@ class Playback(Stream):
             return
         began, origin = math.nan, 0.0
         for number in range(first, len(self.messages)):
-            at, content = self.messages[number]
-            if self.speed > 0.0 and at >= self._live_s:
+            arrival, content = self.messages[number]
+            if self.speed > 0.0 and arrival >= self._live_s:
                 if math.isnan(began):
-                    began, origin = time.monotonic(), at
-                self._ended.wait(max((at - origin) / self.speed - (time.monotonic() - began), 0.0))
+                    began, origin = time.monotonic(), arrival
+                self._ended.wait(max((arrival - origin) / self.speed - (time.monotonic() - began), 0.0))
             if self._ended.is_set():
                 return
-            put(Delivery(content, at, place=str(number + 1)))
+            put(Delivery(content, arrival, place=str(number + 1)))
 
 
 def record_mapping(record: Record, turbine: str) -> PayloadMapping:
-    """The mapping for messages of a record: signals under their own names, in SI units."""
+    """The mapping for the messages of a record: each field has the name of its signal, in SI units."""
     fields = {s.signal: Field(s.signal, SIGNALS[s.signal].unit, form_of(s)) for s in record.series}
     return PayloadMapping(fields, turbines={turbine: turbine})
 
 
 def form_of(series: Series) -> SignalReporting:
-    return SignalReporting(**{one.name: getattr(series, one.name) for one in fields(SignalReporting)})
+    """The form of readings in a series."""
+    return SignalReporting(**{field.name: getattr(series, field.name) for field in fields(SignalReporting)})
 
 
 def record_messages(record: Record, turbine: str) -> list[tuple[float, Content]]:
@@ -335,20 +342,20 @@ def delay_and_repeat(
     The same seed gives the same messages.
     """
     random = np.random.default_rng(seed)
-    found: list[tuple[float, int, Content]] = []
-    for at, content in messages:
+    delayed: list[tuple[float, int, Content]] = []
+    for arrival, content in messages:
         for _ in range(1 + int(random.random() < repeated)):
-            found.append((at + late_s * float(random.random()), len(found), content))
-    return [(at, content) for at, _, content in sorted(found, key=lambda one: one[:2])]
+            delayed.append((arrival + late_s * float(random.random()), len(delayed), content))
+    return [(arrival, content) for arrival, _, content in sorted(delayed, key=lambda row: row[:2])]
 
 
 # -- from the tracker's file ---------------------------------------------------------------------------------
 @dataclass(frozen=True)
 class FileForm(SourceKeys):
-    """A [[source]] of `file:PATH`, which is followed as it grows or, with `speed`, played back.
+    """A [[source]] of `file:PATH`: a file that is followed as it grows or, with `speed`, played back.
 
-    Playback runs at `speed` times real time, with rows delayed up to `late` and a share `repeated` of
-    duplicates.
+    Playback runs at `speed` times real time; rows are delayed by up to `late`, and a share `repeated` of them
+    is duplicated.
     """
 
     url: str = setting(help="file:PATH")
@@ -365,7 +372,7 @@ class FileForm(SourceKeys):
         return "late and repeated need a speed: they are for playing back"
 
     def stream(self, mapping: PayloadMapping, place: Place) -> Stream | None:
-        """The stream; None with a fault where a file to be played back has no rows."""
+        """The stream; None, with a fault at `place`, if a file that is played back has no rows."""
         if RECEIVED in mapping.time:
             place.fault(
                 f'time = "{RECEIVED}" is for sources that send by themselves; rows of a file need a time: '
@@ -400,5 +407,5 @@ class InputForm(SourceKeys):
 def file_messages(path: Path, mapping: PayloadMapping) -> list[tuple[float, Content]]:
     """(time [s], content) of a file's rows with a readable time, sorted by time."""
     with path.open("rb") as file:
-        stamped = [(mapping.stamp(one), one) for one in contents(file, Lines(mapping.form))]
-    return sorted(((at, one) for at, one in stamped if at is not None), key=lambda row: row[0])
+        stamped = [(mapping.stamp(content), content) for content in contents(file, Lines(mapping.form))]
+    return sorted(((at, content) for at, content in stamped if at is not None), key=lambda row: row[0])

@@ -2,10 +2,10 @@
 published retained.
 
 The broker keeps the session and repeats unacknowledged messages; the store recognises readings that it
-already has. This source publishes nothing but alarms.
+already has.  This source publishes nothing but alarms.
 
-A lost link is never reused.  A late acknowledgement goes to the link that delivered the message, where it has
-no effect, and the broker then delivers the message again.
+A link is one connection to the broker; a lost link is never reused.  A late acknowledgement goes to the link
+that delivered the message; if that link is lost, it has no effect, and the broker delivers the message again.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from hygrokf.data.structured import JsonObject
 from hygrokf.live.batch import Alarm
-from hygrokf.live.sources.broker import Broker, alarm_topic, reason_words, tls_words, unreachable
+from hygrokf.live.sources.broker import Broker, alarm_topic, reason_text, tls_error_text, unreachable_text
 from hygrokf.live.sources.payload import PayloadMapping
 from hygrokf.live.sources.payload_formats import LARGEST, Content
 from hygrokf.live.sources.stream import Delivery, SourceFault, SourceState, Stream
@@ -36,17 +36,17 @@ if TYPE_CHECKING:
     from paho.mqtt.reasoncodes import ReasonCode
 
 LOG = logging.getLogger("hygrokf.track")
-AGAIN_S = 60.0
-"""[s] after which a denied filter is requested again."""
+RETRY_S = 60.0
+"""Time [s] after which the source subscribes to denied filters again."""
 LINGER_S = 10.0
-"""[s] a stopped source waits for its deliveries to be committed."""
+"""Longest time [s] that a stopped source waits for its deliveries to be committed."""
 
 
 class Mqtt(Stream):
     """The messages of some topics of a broker; reconnects indefinitely, with pauses that grow to a minute.
 
-    The place in the store is the list of filters, so that the session can be unsubscribed from filters no
-    longer wanted.
+    The place that the store keeps is the list of filters, so that after a change of the configuration the
+    session is unsubscribed from the filters that were removed.
     """
 
     is_server = True
@@ -59,7 +59,7 @@ class Mqtt(Stream):
         self.url = broker.session_url
         self._place = "\n".join(broker.topics)
         self._link: BrokerLink | None = None
-        self._known = False
+        self._had_session = False
         self._uncommitted = 0
         self._alarms: dict[str, tuple[bytes, MQTTMessageInfo | None]] = {}
         self._lock = threading.Lock()
@@ -68,21 +68,21 @@ class Mqtt(Stream):
     def start(self, place: str | None, put: Callable[[Delivery], None]) -> None:
         for caution in self.broker.cautions():
             LOG.warning(f"{caution.text}: {caution.remedy}", extra={"source": self.url})
-        self._known = bool(place)
+        self._had_session = bool(place)
         super().start(place, put)
 
     def acknowledge(self, deliveries: Iterable[Delivery]) -> None:
         count = 0
-        for one in deliveries:
-            if one.acknowledge is not None:
-                one.acknowledge()
+        for delivery in deliveries:
+            if delivery.acknowledge is not None:
+                delivery.acknowledge()
             count += 1
         with self._lock:
             self._uncommitted -= count
 
     def tell(self, alarms: Iterable[Alarm]) -> None:
-        """Publish each alarm as a retained message at its own topic, now or once connected; later states
-        replace earlier ones."""
+        """Publish each alarm as a retained message under its own topic, at once or when connected; a later
+        state of an alarm replaces an earlier one."""
         if not self.broker.alarms:
             return
         with self._lock:
@@ -93,9 +93,9 @@ class Mqtt(Stream):
                 self._publish(self._link)
 
     def stop(self) -> None:
-        """Stop delivering; the connection ends once all deliveries are acknowledged, or at once on the second
+        """Stop delivering; the connection ends when all deliveries are acknowledged, or at once at the second
         call."""
-        if self._ended.is_set() or not self._open_ends():
+        if self._ended.is_set() or not self._has_pending():
             self._closing.set()
         self._ended.set()
         if self._link is not None:
@@ -105,17 +105,18 @@ class Mqtt(Stream):
 
     @property
     def state(self) -> SourceState:
-        link, own = self._link, self._state
-        if link is None or own.word == "stopped":
-            return own
-        found = link.state
+        link, source_state = self._link, self._state
+        if link is None or source_state.word == "stopped":
+            return source_state
+        link_state = link.state
         # while reconnecting, keep reporting the loss and its reason
-        return own if found.word == "waiting" and own.word == "lost" else found
+        return source_state if (source_state.word, link_state.word) == ("lost", "waiting") else link_state
 
     # -- the source's own thread -----------------------------------------------------------------------------
     def _deliver(self, place: str | None, put: Callable[[Delivery], None]) -> None:
-        former = [one for one in (place or "").split("\n") if one and one not in self.broker.topics]
-        link = self._link = BrokerLink(self.broker, self.largest, former, self._ready)
+        former_filters = (place or "").split("\n")
+        dropped = [name for name in former_filters if name and name not in self.broker.topics]
+        link = self._link = BrokerLink(self.broker, self.largest, dropped, self._on_accepted)
         try:
             link.open()
             self._hand_over(link, put)
@@ -128,38 +129,39 @@ class Mqtt(Stream):
         """Hand over messages until the link is lost or the source is told to stop; `put` may block.
 
         Messages that arrived before the loss are handed over too, because the broker may have lost the
-        session and with it its own copies.
+        session and with it its own copies of these messages.
         """
-        again = time.monotonic() + AGAIN_S
+        next_retry = time.monotonic() + RETRY_S
         while not self._ended.is_set():
             try:
-                found = link.arrived.get(timeout=1.0)
+                arrival = link.arrived.get(timeout=1.0)
             except queue.Empty:
                 pass
             else:
-                if found is None:
+                if arrival is None:
                     break
-                self._take(link, found, put)
-            self._look_after(link, put)
-            if time.monotonic() > again:
-                link.ask_again()
-                again = time.monotonic() + AGAIN_S
+                self._take(link, arrival, put)
+            self._do_periodic_work(link, put)
+            if time.monotonic() > next_retry:
+                link.retry_denied_filters()
+                next_retry = time.monotonic() + RETRY_S
         end = time.monotonic() + LINGER_S
         while (
-            self._ended.is_set() and self._open_ends() and not link.lost.is_set() and time.monotonic() < end
+            self._ended.is_set() and self._has_pending() and not link.lost.is_set() and time.monotonic() < end
         ):
             if self._closing.wait(0.02):
                 break
 
     def read(self, arrival: Arrival) -> Sequence[Content]:
-        """The payloads of a message that another session hears."""
+        """The payloads of a message that another session, such as the doctor's, has received."""
         return [arrival.payload]
 
-    def _take(self, link: BrokerLink, found: Arrival, put: Callable[[Delivery], None]) -> None:
-        self._put([found.payload], found.time, found.topic, partial(link.acknowledge, found.identifier), put)
+    def _take(self, link: BrokerLink, arrival: Arrival, put: Callable[[Delivery], None]) -> None:
+        acknowledge = partial(link.acknowledge, arrival.identifier)
+        self._put([arrival.payload], arrival.time, arrival.topic, acknowledge, put)
 
-    def _look_after(self, link: BrokerLink, put: Callable[[Delivery], None]) -> None:
-        """Does what is due without a message, at least every second: nothing here."""
+    def _do_periodic_work(self, link: BrokerLink, put: Callable[[Delivery], None]) -> None:
+        """Called after every message and at least every second, for work that no message causes."""
 
     def _put(
         self,
@@ -170,26 +172,27 @@ class Mqtt(Stream):
         put: Callable[[Delivery], None],
         memories: JsonObject | None = None,
     ) -> None:
-        """Put the deliveries of a message; with its last one it is acknowledged, and the data are kept."""
+        """Put the deliveries of a message; the last one carries the acknowledgement and the memories."""
         with self._lock:
             self._uncommitted += len(contents)
         for content in contents[:-1]:
             put(Delivery(content, received, topic, self._place))
         put(Delivery(contents[-1], received, topic, self._place, memories or {}, acknowledge))
 
-    def _open_ends(self) -> bool:
+    def _has_pending(self) -> bool:
+        """Whether deliveries are not committed yet, or alarms not confirmed by the broker."""
         with self._lock:
             return self._uncommitted > 0 or not all(is_confirmed(info) for _, info in self._alarms.values())
 
     # -- alarms ----------------------------------------------------------------------------------------------
-    def _ready(self, link: BrokerLink) -> None:
+    def _on_accepted(self, link: BrokerLink) -> None:
         """Called when the broker has accepted the link: publish the alarms that former links could not."""
-        if self._known and not link.resumed:
+        if self._had_session and not link.resumed:
             LOG.warning(
                 "the broker no longer has a session of this client_id: messages of the meantime are lost",
                 extra={"source": self.url},
             )
-        self._known = True
+        self._had_session = True
         with self._lock:
             for topic, (payload, info) in self._alarms.items():
                 if not is_confirmed(info):
@@ -210,34 +213,36 @@ class Mqtt(Stream):
 # -- one connection ------------------------------------------------------------------------------------------
 KEEPALIVE_S = 30
 """[s] of silence after which each side checks the connection (MQTT's keep-alive)."""
-OPEN_MOST = 500
+MOST_UNACKNOWLEDGED = 500
 """Largest number of unacknowledged messages (MQTT's receive maximum)."""
-UNCONFIRMED_MOST = 5_000
-"""Largest number of waiting QoS 0 messages, which the receive maximum does not limit; more are dropped and
-counted."""
-PACKET_MOST = 2**24
+MOST_QUEUED_QOS_0 = 5_000
+"""Largest number of queued QoS 0 messages, which the receive maximum does not limit; further messages are
+dropped and counted."""
+LARGEST_PACKET = 2**24
 """Largest packet [bytes] that the broker may send.
 
-It is far above the largest payload, because mosquitto 2.0.11 loses one of the `OPEN_MOST` places for every
-packet that it withholds as too large.
+This limit is far above the largest payload, because for every packet that mosquitto 2.0.11 withholds as too
+large, it permanently counts one more message as unacknowledged.
 """
 REST_S = 0.02
-"""[s] between two turns of the network thread, which then takes all packets at once and leaves the tracker
-time to run."""
+"""Pause [s] of the network thread between two rounds of processing packets; the tracker runs meanwhile."""
 CLOSING_S = 3.0
-"""[s] a closing link may still send its pending packets."""
-AT_ONCE = 65_536
-"""[bytes] requested per system call."""
-RECORD = 16_384
-"""[bytes] that one TLS record carries at most; a read from a TLS socket returns one record."""
-MOST = 500
-"""Packets processed before sending and keep-alive get their turn."""
+"""Time [s] in which a closing link may still send its pending packets."""
+READ_SIZE = 65_536
+"""Number of bytes requested per system call."""
+TLS_RECORD_SIZE = 16_384
+"""Largest number of bytes in a TLS record; a read from a TLS socket returns one record."""
+PACKETS_PER_ROUND = 500
+"""Largest number of packets processed before the network thread sends packets and checks the keep-alive."""
 
 
 class Arrival(NamedTuple):
-    """A received message, its arrival `time` [s] and its packet `identifier`, None if it needs no
-    acknowledgement (QoS 0); `repeated`: the broker may have sent it before; `retained`: it sends what it had
-    kept."""
+    """A received message.
+
+    `time`: time of arrival [s]; `identifier`: packet identifier, None if the message needs no acknowledgement
+    (QoS 0); `repeated`: the broker may have sent the message before; `retained`: the broker had kept the
+    message and sends it for a new subscription.
+    """
 
     payload: bytes
     topic: str
@@ -250,11 +255,14 @@ class Arrival(NamedTuple):
 class BrokerLink:
     """One connection to a broker, from its beginning to its loss.
 
-    Its network thread only queues messages, so that keep-alives go out however long the tracker takes.  The
-    tracker reads them from `arrived`, which ends with None once the link is lost.  `dropped`: filters of
-    former runs from which the session is unsubscribed; `ready` is called when the broker has accepted the
-    connection; `largest`: payload [bytes] from which the rest is cut off.  `answered`: whether the broker has
-    answered the subscription; `denied`: filters that it denied, with the reason.
+    Its network thread only queues messages, so that it sends keep-alives in time however busy the tracker is.
+    The tracker reads the messages from `arrived`, which ends with None when the link is lost.
+
+    dropped: filters of former runs from which the session is unsubscribed. on_accepted: called when the
+    broker has accepted the connection. largest: largest payload [bytes]; a longer one is cut off.
+
+    `answered`: whether the broker has answered the subscription; `denied`: filter that the broker denied ->
+    its reason; `overrun`: number of dropped messages of QoS 0.
     """
 
     def __init__(
@@ -262,7 +270,7 @@ class BrokerLink:
         broker: Broker,
         largest: int = LARGEST,
         dropped: Sequence[str] = (),
-        ready: Callable[[BrokerLink], None] = lambda link: None,
+        on_accepted: Callable[[BrokerLink], None] = lambda link: None,
     ) -> None:
         self.broker = broker
         self.arrived: queue.SimpleQueue[Arrival | None] = queue.SimpleQueue()
@@ -272,31 +280,31 @@ class BrokerLink:
         self.resumed = False
         self.overrun = 0
         self._dropped = tuple(dropped)
-        self._ready = ready
+        self._on_accepted = on_accepted
         self._largest = largest
-        self._asked: tuple[str, ...] = broker.topics
+        self._requested_filters: tuple[str, ...] = broker.topics
         self.answered = False
         self.denied: dict[str, str] = {}
         self._alarms_denied = ""
-        self._heard = False
-        self._until = math.inf
-        self._last_words = _LastWords()
+        self._has_received = False
+        self._close_by = math.inf
+        self._last_error = _LastError()
         self._thread: threading.Thread | None = None
-        self.client, self._turn = self._client()
+        self.client, self._process_packets = self._new_client()
 
-    def _client(self) -> tuple[Client, Callable[[float], bool]]:
-        """A client that is not connected yet, and its `turn`, which the network thread calls."""
+    def _new_client(self) -> tuple[Client, Callable[[float], bool]]:
+        """A client that is not connected yet, and its `process_packets`, which the network thread calls."""
         from paho.mqtt.client import MQTTv5
         from paho.mqtt.enums import CallbackAPIVersion
 
-        made = piecewise_client()(
+        piecewise_client = piecewise_client_class()(
             CallbackAPIVersion.VERSION2,
             client_id=self.broker.session,
             protocol=MQTTv5,
             manual_ack=True,
             reconnect_on_failure=False,
         )
-        client: Client = made
+        client: Client = piecewise_client
         client.on_connect = self._on_connect
         client.on_subscribe = self._on_subscribe
         client.on_message = self._on_message
@@ -305,19 +313,19 @@ class BrokerLink:
         # with this callback set only the network thread writes, whichever thread acknowledges or publishes
         client.on_socket_register_write = lambda *_: None
         logger = logging.Logger("paho", logging.ERROR)
-        logger.addHandler(self._last_words)
+        logger.addHandler(self._last_error)
         client.enable_logger(logger)
-        return client, made.turn
+        return client, piecewise_client.process_packets
 
     # -- called by the source --------------------------------------------------------------------------------
     def open(self) -> None:
-        """Connect and start receiving; a link that cannot be made is lost."""
+        """Connect and start receiving; if the connection fails, the link is lost."""
         try:
             self._connect()
         except SourceFault as fault:
             self.lose(str(fault))
-        except Exception as fault:  # of any kind: the next attempt may succeed
-            self.lose(unreachable(fault, self.broker.where))
+        except Exception as fault:  # whatever its type, the next attempt may succeed
+            self.lose(unreachable_text(fault, self.broker.where))
 
     def _connect(self) -> None:
         from paho.mqtt.packettypes import PacketTypes
@@ -329,12 +337,12 @@ class BrokerLink:
         context = broker.context()
         if context is not None:
             self.client.tls_set_context(context)
-        wanted = Properties(PacketTypes.CONNECT)
-        wanted.SessionExpiryInterval = int(broker.session_expiry_s)
-        wanted.ReceiveMaximum = OPEN_MOST
-        wanted.MaximumPacketSize = PACKET_MOST
+        requested = Properties(PacketTypes.CONNECT)
+        requested.SessionExpiryInterval = int(broker.session_expiry_s)
+        requested.ReceiveMaximum = MOST_UNACKNOWLEDGED
+        requested.MaximumPacketSize = LARGEST_PACKET
         self.client.connect(
-            address.host, address.port, keepalive=KEEPALIVE_S, clean_start=False, properties=wanted
+            address.host, address.port, keepalive=KEEPALIVE_S, clean_start=False, properties=requested
         )
         self._thread = threading.Thread(target=self._run, name=f"{broker.session_url} network", daemon=True)
         self._thread.start()
@@ -353,19 +361,19 @@ class BrokerLink:
         """Publish a message at QoS 0 that is not retained.  Callable from any thread."""
         self.client.publish(topic, payload)
 
-    def is_own(self, topic: str) -> bool:
-        """Whether a topic is one to which the tracker publishes alarms."""
-        own = self.broker.alarms
-        return bool(own) and (topic == own or topic.startswith(own + "/"))
+    def is_alarm_topic(self, topic: str) -> bool:
+        """Whether the tracker itself publishes alarms under a topic."""
+        prefix = self.broker.alarms
+        return bool(prefix) and (topic == prefix or topic.startswith(prefix + "/"))
 
-    def ask_again(self) -> None:
-        """Subscribe once more to the denied filters."""
+    def retry_denied_filters(self) -> None:
+        """Subscribe again to the filters that the broker denied."""
         if self.denied and not self.lost.is_set():
             self._subscribe(tuple(self.denied))
 
     def close(self) -> None:
         """Send pending packets and end the connection; the broker keeps the session."""
-        self._until = time.monotonic() + CLOSING_S
+        self._close_by = time.monotonic() + CLOSING_S
         self.client.disconnect()
         if self._thread is not None:
             self._thread.join(timeout=2.0 * CLOSING_S)
@@ -376,39 +384,39 @@ class BrokerLink:
         if self.lost.is_set():
             return SourceState("lost", self.reason)
         if self.denied:
-            said = "; ".join(f"{one}: {words}" for one, words in self.denied.items())
-            words = f"{where} denies a subscription ({said}): give its user the right to read it"
-            return SourceState("lost", words)
+            reasons = "; ".join(f"{denied}: {reason}" for denied, reason in self.denied.items())
+            text = f"{where} denies a subscription ({reasons}): give its user the right to read it"
+            return SourceState("lost", text)
         if not self.answered:
             return SourceState("waiting", f"connecting to {where}")
-        said = f"connected to {where} as {self.broker.session}"
-        if not self._heard:
-            said += (
+        text = f"connected to {where} as {self.broker.session}"
+        if not self._has_received:
+            text += (
                 "; no message has arrived yet: if this lasts, check topics and rights, because a broker may "
                 "grant a subscription and deliver nothing"
             )
         if self.overrun:
-            said += f"; {self.overrun} messages of QoS 0 arrived too fast and were dropped: publish at QoS 1"
+            text += f"; {self.overrun} messages of QoS 0 arrived too fast and were dropped: publish at QoS 1"
         if self._alarms_denied:
-            said += f"; the broker refuses alarms below {self.broker.alarms}: {self._alarms_denied}"
-        return SourceState("connected", said)
+            text += f"; the broker refuses alarms below {self.broker.alarms}: {self._alarms_denied}"
+        return SourceState("connected", text)
 
     # -- the network thread ----------------------------------------------------------------------------------
     def _run(self) -> None:
-        words = ""
+        reason = ""
         try:
-            while self._turn(1.0) and time.monotonic() < self._until:
+            while self._process_packets(1.0) and time.monotonic() < self._close_by:
                 time.sleep(REST_S)
         except Exception as fault:
             # malformed packets can raise any exception in paho; the next link starts afresh
-            words = f"{self.broker.where}: {type(fault).__name__}: {fault}"
+            reason = f"{self.broker.where}: {type(fault).__name__}: {fault}"
         finally:
             # close a connection that did not end by itself, so that the broker stops sending into it
-            found = self.client.socket()
-            if found is not None:
+            connection = self.client.socket()
+            if connection is not None:
                 with suppress(OSError):
-                    found.close()
-            self.lose(words or f"{self.broker.where}: the connection was lost")
+                    connection.close()
+            self.lose(reason or f"{self.broker.where}: the connection was lost")
 
     def lose(self, reason: str) -> None:
         """Mark the link as lost; the first reason is kept."""
@@ -420,37 +428,38 @@ class BrokerLink:
     def _subscribe(self, filters: tuple[str, ...]) -> None:
         from paho.mqtt.subscribeoptions import SubscribeOptions
 
-        self._asked = filters
+        self._requested_filters = filters
         # the broker sends retained values for a new subscription only, not at every connection
         options = SubscribeOptions(qos=1, retainHandling=SubscribeOptions.RETAIN_SEND_IF_NEW_SUB)
-        self.client.subscribe([(one, options) for one in filters])
+        self.client.subscribe([(topic_filter, options) for topic_filter in filters])
 
     def _on_connect(
         self, client: Client, _: object, flags: ConnectFlags, code: ReasonCode, properties: Properties | None
     ) -> None:
         if code.is_failure:
-            self.lose(f"{self.broker.where}: {reason_words(code)}")
+            self.lose(f"{self.broker.where}: {reason_text(code)}")
             return
         self.accepted, self.resumed = True, flags.session_present
-        kept, asked = getattr(properties, "SessionExpiryInterval", None), int(self.broker.session_expiry_s)
-        if kept is not None and kept < asked:
+        granted_s = getattr(properties, "SessionExpiryInterval", None)
+        requested_s = int(self.broker.session_expiry_s)
+        if granted_s is not None and granted_s < requested_s:
             LOG.warning(
                 "the broker keeps the session for less time than requested",
-                extra={"source": self.broker.session_url, "requested_s": asked, "kept_s": kept},
+                extra={"source": self.broker.session_url, "requested_s": requested_s, "kept_s": granted_s},
             )
         if self._dropped and self.resumed:
             client.unsubscribe(list(self._dropped))
         self._subscribe(self.broker.topics)
-        self._ready(self)
+        self._on_accepted(self)
 
     def _on_subscribe(
         self, client: Client, userdata: object, identifier: int, codes: Sequence[ReasonCode], *_: object
     ) -> None:
-        for one, code in zip(self._asked, codes, strict=False):
+        for topic_filter, code in zip(self._requested_filters, codes, strict=False):
             if code.is_failure:
-                self.denied[one] = reason_words(code)
+                self.denied[topic_filter] = reason_text(code)
             else:
-                self.denied.pop(one, None)
+                self.denied.pop(topic_filter, None)
         self.answered = True
 
     def _on_message(self, client: Client, userdata: object, message: MQTTMessage) -> None:
@@ -459,27 +468,27 @@ class BrokerLink:
             topic = message.topic
         except UnicodeDecodeError:
             topic = ""
-        if self.is_own(topic):
+        if self.is_alarm_topic(topic):
             self.acknowledge(identifier)  # the tracker's own alarms are not readings
-        elif identifier is None and self.arrived.qsize() >= UNCONFIRMED_MOST:
+        elif identifier is None and self.arrived.qsize() >= MOST_QUEUED_QOS_0:
             self.overrun += 1
         else:
-            self._heard = True
-            # an oversized payload keeps one byte too many, so that it is refused and counted with the others
+            self._has_received = True
+            # an oversized payload keeps one byte too many, so that the mapping refuses and counts it
             payload = bytes(message.payload[: self._largest + 1])
             self.arrived.put(Arrival(payload, topic, time.time(), identifier, message.dup, message.retain))
 
     def _on_publish(self, client: Client, _: object, identifier: int, code: ReasonCode, *__: object) -> None:
-        self._alarms_denied = reason_words(code) if code.is_failure else ""
+        self._alarms_denied = reason_text(code) if code.is_failure else ""
 
     def _on_disconnect(
         self, client: Client, userdata: object, flags: DisconnectFlags, code: ReasonCode, *_: object
     ) -> None:
         where = self.broker.where
         if flags.is_disconnect_packet_from_server:
-            self.lose(f"{where}: {reason_words(code)}")
-        elif (words := tls_words(self._last_words.text)) is not None:
-            self.lose(f"{where}: {words}")
+            self.lose(f"{where}: {reason_text(code)}")
+        elif (reason := tls_error_text(self._last_error.text)) is not None:
+            self.lose(f"{where}: {reason}")
         elif not self.accepted:
             self.lose(
                 f"{where}: the connection was closed before the broker answered: is this the port of an MQTT "
@@ -494,7 +503,7 @@ class BrokerLink:
             )
 
 
-class _LastWords(logging.Handler):
+class _LastError(logging.Handler):
     """Keeps the last error in paho's log, the only place where paho reports socket errors."""
 
     text = ""
@@ -508,13 +517,13 @@ def is_confirmed(info: MQTTMessageInfo | None) -> bool:
     try:
         return info is not None and info.is_published()
     except (ValueError, RuntimeError):
-        return False  # the message was not sent at all
+        return False  # the message was never sent
 
 
 def libraries_fault() -> str | None:
     """An error message if paho-mqtt or protobuf is missing or too old, else None."""
     try:
-        importlib.import_module("paho.mqtt.enums")  # version 2 has it
+        importlib.import_module("paho.mqtt.enums")  # new in version 2
         importlib.import_module("google.protobuf")
     except ImportError:
         return "MQTT needs paho-mqtt 2.1 or newer, and protobuf: pip install 'hygrokf[mqtt]'"
@@ -523,52 +532,52 @@ def libraries_fault() -> str | None:
 
 # -- reading in large pieces ---------------------------------------------------------------------------------
 @cache
-def piecewise_client() -> type[Any]:
-    """The client class: paho's own with buffered reading; call its `turn` instead of `loop`.
+def piecewise_client_class() -> type[Any]:
+    """Class of paho's client with buffered reading; call its `process_packets` instead of `loop`.
 
-    Each system call releases the interpreter lock to another thread and has to regain it afterwards.  A
-    client that reads every packet's first byte, length and rest separately therefore slows down a busy
-    tracker and waits for it.
+    Each system call releases the interpreter lock to another thread and has to regain it afterwards.  Paho's
+    client reads the first byte, the length and the rest of every packet separately; a busy tracker and such
+    a client would therefore slow each other down.
     """
     from paho.mqtt.client import Client
 
     class PiecewiseClient(Client):
-        _held, _place = b"", 0
+        _buffer, _position = b"", 0
 
-        def turn(self, timeout: float) -> bool:
-            """Wait for incoming or outgoing packets and process them; returns whether the connection still
-            stands."""
-            if self.loop(timeout if self._place == len(self._held) else 0.0) != 0:
+        def process_packets(self, timeout: float) -> bool:
+            """Wait up to `timeout` [s] for incoming or outgoing packets and process them; returns whether the
+            connection still exists."""
+            if self.loop(timeout if self._position == len(self._buffer) else 0.0) != 0:
                 return False
-            for _ in range(MOST):
-                if self._place == len(self._held):
+            for _ in range(PACKETS_PER_ROUND):
+                if self._position == len(self._buffer):
                     break
                 if self.loop_read() != 0:
                     return False
             return True
 
         def _sock_recv(self, bufsize: int) -> bytes:
-            if self._place == len(self._held):
-                read = self._records if isinstance(self._sock, ssl.SSLSocket) else super()._sock_recv
-                self._held, self._place = read(max(bufsize, AT_ONCE)), 0
-            found = self._held[self._place : self._place + bufsize]
-            self._place += len(found)
-            return found
+            if self._position == len(self._buffer):
+                read = self._read_records if isinstance(self._sock, ssl.SSLSocket) else super()._sock_recv
+                self._buffer, self._position = read(max(bufsize, READ_SIZE)), 0
+            piece = self._buffer[self._position : self._position + bufsize]
+            self._position += len(piece)
+            return piece
 
-        def _records(self, wanted: int) -> bytes:
-            """Read TLS records until they amount to `wanted` bytes or none is left.
+        def _read_records(self, wanted: int) -> bytes:
+            """Read TLS records until they contain at least `wanted` bytes or no record is left.
 
-            A broker often sends each packet in a record of its own, so that a single read would yield a
-            single packet per turn of the network thread.
+            A broker often sends each packet in a record of its own, so that reading one record would yield
+            only one packet per round of the network thread.
             """
-            found = [super()._sock_recv(RECORD)]
-            size = len(found[0])
-            while found[-1] and size < wanted:
+            records = [super()._sock_recv(TLS_RECORD_SIZE)]
+            size = len(records[0])
+            while records[-1] and size < wanted:
                 try:
-                    found.append(super()._sock_recv(RECORD))
+                    records.append(super()._sock_recv(TLS_RECORD_SIZE))
                 except OSError:
-                    break  # no record is left; the next read meets a lost connection again
-                size += len(found[-1])
-            return b"".join(found)
+                    break  # no record is left; the next read reports a lost connection again
+                size += len(records[-1])
+            return b"".join(records)
 
     return PiecewiseClient

@@ -1,9 +1,9 @@
 """An OPC UA server as a source: published samples as they come, and missed samples from the server's history.
 
-The place is JSON: node id -> time [s] of its last delivered sample.  At every new connection, and after a
-queue overflow, the server's history is read from there on before anything newer is delivered, because the
-filter needs readings in the order of their times.  If the server keeps no history, missed samples are lost,
-and the state says so.
+The place that the store keeps is JSON: node id -> time [s] of its last delivered sample.  At every new
+connection, and after a queue overflow, the server's history since these times is delivered before any newer
+sample, because the filter needs readings in the order of their times.  A node whose history is still to be
+read is pending.  If the server keeps no history, missed samples are lost, and the state reports this.
 """
 
 from __future__ import annotations
@@ -28,18 +28,18 @@ from hygrokf.texts.wording import several
 
 LOG = logging.getLogger("hygrokf.track")
 FIRST_S = 2.0
-"""[s] to wait for the first samples of a subscription, in addition to its publishing interval."""
-AGAIN_S = 60.0
-"""[s] after which refused nodes and histories are requested again."""
+"""Time [s] to wait for the first samples of a subscription, in addition to its publishing interval."""
+RETRY_S = 60.0
+"""Time [s] after which refused nodes and pending histories are requested again."""
 BATCH = 500
-"""Deliveries that share one place."""
+"""Largest number of samples that are delivered together; only their last delivery carries a place."""
 
 
 class OpcUa(Stream):
     """A subscription to nodes of one server, in its own asyncio loop.
 
     Each sample becomes a payload with the names turbine, time, quality and the node's field; the mapping
-    states which qualities count.
+    states which qualities are used.
     """
 
     ordered_by = "server time stamp"
@@ -51,11 +51,11 @@ class OpcUa(Stream):
         self.server = server
         self.nodes = tuple(server.nodes.values())
         self._security = security
-        self._put: Callable[[Delivery], None] = lambda one: None
-        self._reached: dict[str, float] = {}
-        self._since_s = 0.0
+        self._put: Callable[[Delivery], None] = lambda delivery: None
+        self._delivered_until: dict[str, float] = {}
+        self._start_s = 0.0
         self._last: dict[Node, tuple[float | None, object, str]] = {}
-        self._owed: set[Node] = set()
+        self._pending: set[Node] = set()
         self._refused: dict[Node, str] = {}
         self._bad: dict[Node, str] = {}
         self._unread: dict[Node, str] = {}
@@ -65,7 +65,7 @@ class OpcUa(Stream):
 
     @property
     def state(self) -> SourceState:
-        word, behind = self._state
+        word, explanation = self._state
         if word != "connected":
             return self._state
         notes = [
@@ -76,34 +76,34 @@ class OpcUa(Stream):
             "the server reports changes only" if self._changes_only else "",
             *(f"the queue {where} overflowed {n} times" for where, n in self._overflows.items() if n),
         ]
-        return SourceState(word, "; ".join([behind, *filter(None, notes)]))
+        return SourceState(word, "; ".join([explanation, *filter(None, notes)]))
 
     def _deliver(self, place: str | None, put: Callable[[Delivery], None]) -> None:
         self._put = put
-        self._reached = self._reached or self._times_reached(place)
-        self._since_s = self._since_s or time.time() - self.server.look_back_s
+        self._delivered_until = self._delivered_until or self._stored_times(place)
+        self._start_s = self._start_s or time.time() - self.server.look_back_s
         library()
         asyncio.run(self._follow())
 
-    def _times_reached(self, place: str | None) -> dict[str, float]:
-        """Node id -> time [s] up to which the node was delivered, from the place; nodes without a valid time
-        are left out."""
+    def _stored_times(self, place: str | None) -> dict[str, float]:
+        """Node id -> time [s] up to which the node was delivered, read from the place; nodes without a valid
+        time are omitted."""
         try:
-            found = json.loads(place or "{}")
+            parsed = json.loads(place or "{}")
         except ValueError:
-            found = {}
-        known = found if isinstance(found, dict) else {}
-        times = {node.id: known.get(node.id) for node in self.nodes}
+            parsed = {}
+        stored = parsed if isinstance(parsed, dict) else {}
+        times = {node.id: stored.get(node.id) for node in self.nodes}
         latest = time.time() + AHEAD_S
         return {
-            id: float(at)
-            for id, at in times.items()
-            if isinstance(at, int | float) and EARLIEST_S <= at <= latest
+            node_id: float(time_s)
+            for node_id, time_s in times.items()
+            if isinstance(time_s, int | float) and EARLIEST_S <= time_s <= latest
         }
 
     # -- connections -----------------------------------------------------------------------------------------
     def connection(self) -> Connection:
-        """A connection to the server, not open yet."""
+        """A connection to the server that is not open yet."""
         return Connection(self.server, self._security)
 
     async def _follow(self) -> None:
@@ -118,25 +118,26 @@ class OpcUa(Stream):
             await connection.close()
 
     async def _serve(self, connection: Connection) -> None:
+        """Deliver the samples of an open connection until the source is stopped or a fault is raised."""
         self._refused, self._unread, self._bad, self._without_history = {}, {}, {}, {}
-        self._owed = set()
+        self._pending = set()
         await self._begin(connection, self.nodes)
-        again = time.monotonic() + AGAIN_S
+        next_retry = time.monotonic() + RETRY_S
         while not self._ended.is_set():
             connection.check()
             samples = await connection.samples(PAUSE_S)
-            overflowed = [one for one in samples if one.overflowed]
+            overflowed = [sample for sample in samples if sample.overflowed]
             if overflowed:  # the server lost samples before these
                 self._overflows["in the server"] += len(overflowed)
-                await self._read_back(connection, {one.node: one.time for one in overflowed})
+                await self._read_back(connection, {sample.node: sample.time for sample in overflowed})
             await self._hand_over(samples)
-            if connection.dropped:  # samples after these were lost here
+            if connection.dropped:  # this machine's full queue lost samples of these nodes after those above
                 dropped, connection.dropped = connection.dropped, set()
                 self._overflows["here"] += 1
                 await self._read_back(connection, dict.fromkeys(dropped))
-            if time.monotonic() > again:
-                again = time.monotonic() + AGAIN_S
-                await self._read_back(connection, dict.fromkeys(self._owed))
+            if time.monotonic() > next_retry:
+                next_retry = time.monotonic() + RETRY_S
+                await self._read_back(connection, dict.fromkeys(self._pending))
                 await self._begin(connection, tuple(self._refused))
 
     async def _begin(self, connection: Connection, nodes: Sequence[Node]) -> None:
@@ -151,21 +152,21 @@ class OpcUa(Stream):
         awaited = set(nodes) - set(self._refused)
         end = time.monotonic() + self.server.publishing_s + FIRST_S
         while awaited - set(first) and time.monotonic() < end and not self._ended.is_set():
-            came = await connection.samples(PAUSE_S)
-            samples += came
-            for one in came:
-                first.setdefault(one.node, one.time)
+            received = await connection.samples(PAUSE_S)
+            samples += received
+            for sample in received:
+                first.setdefault(sample.node, sample.time)
         self._without_history |= await connection.without_history(tuple(awaited))
         await self._read_back(connection, {node: first.get(node) for node in awaited})
         await self._hand_over(samples)
 
-    # -- what was missed -------------------------------------------------------------------------------------
+    # -- missed samples --------------------------------------------------------------------------------------
     async def _read_back(self, connection: Connection, nodes: Mapping[Node, float | None]) -> None:
         """Deliver the history of nodes since their last delivered samples, merged in the order of time.
 
-        nodes: node -> time [s] at which the next deliveries begin and the history ends, None for all of it.
+        nodes: node -> time [s] of its first newer sample, at which the history ends; None: up to now.
         """
-        self._owed |= set(nodes)
+        self._pending |= set(nodes)
         histories = [self._missed_samples(connection, node, until_s) for node, until_s in nodes.items()]
         batch: list[Sample] = []
         self._reading = bool(histories)
@@ -183,91 +184,94 @@ class OpcUa(Stream):
     async def _missed_samples(
         self, connection: Connection, node: Node, until_s: float | None
     ) -> AsyncIterator[Sample]:
-        """A node's history since its last delivered sample; a node that cannot be read stays owed unless the
-        fault is final."""
-        since_s = self._reached.get(node.id, self._since_s)
+        """A node's history since its last delivered sample; if the history cannot be read, the node stays
+        pending unless the fault is final."""
+        since_s = self._delivered_until.get(node.id, self._start_s)
         until_s = time.time() + AHEAD_S if until_s is None else until_s
         if self._ended.is_set():
             return
-        came = False
+        has_samples = False
         try:
             if since_s < until_s:
                 async for sample in connection.history(node, since_s, until_s):
-                    came = True
+                    has_samples = True
                     yield sample
-            if not came and node in self._without_history:  # the server answers, but keeps nothing
+            if not has_samples and node in self._without_history:  # the server answers, but keeps no history
                 self._note_unread(node, self._without_history[node], final=True)
             else:
                 self._unread.pop(node, None)
-            self._owed.discard(node)
+            self._pending.discard(node)
         except HistoryFault as fault:
             self._note_unread(node, str(fault), fault.final)
             if fault.final:
-                self._owed.discard(node)
+                self._pending.discard(node)
 
-    def _note_unread(self, node: Node, words: str, final: bool) -> None:
-        """Note that a node's history cannot be read, and log it the first time."""
+    def _note_unread(self, node: Node, reason: str, final: bool) -> None:
+        """Record that a node's history cannot be read, and log this the first time."""
         if node not in self._unread:
-            said = {"source": self.url, "node": node.id, "fault": words, "final": final}
-            LOG.warning("no history", extra=said)
-        self._unread[node] = words
+            details = {"source": self.url, "node": node.id, "fault": reason, "final": final}
+            LOG.warning("no history", extra=details)
+        self._unread[node] = reason
 
     # -- deliveries ------------------------------------------------------------------------------------------
     async def _hand_over(self, samples: Sequence[Sample], from_history: bool = False) -> None:
         """Deliver samples in the order of time, from a separate thread, so that a busy service does not block
         the connection."""
-        ordered = sorted(samples, key=lambda one: one.received if one.time is None else one.time)
+        ordered = sorted(samples, key=lambda sample: sample.received if sample.time is None else sample.time)
         for start in range(0, len(ordered), BATCH):
-            deliveries = [self.delivery(one) for one in ordered[start : start + BATCH] if self._is_new(one)]
-            for one in ordered[start : start + BATCH]:
-                self._note(one, from_history)
+            batch = ordered[start : start + BATCH]
+            deliveries = [self.delivery(sample) for sample in batch if self._is_new(sample)]
+            for sample in batch:
+                self._note(sample, from_history)
             if deliveries:
-                deliveries[-1] = replace(deliveries[-1], place=json.dumps(self._reached))
+                deliveries[-1] = replace(deliveries[-1], place=json.dumps(self._delivered_until))
                 await asyncio.to_thread(self._put_all, deliveries)
 
     def _put_all(self, deliveries: Iterable[Delivery]) -> None:
-        for one in deliveries:
-            self._put(one)
+        for delivery in deliveries:
+            self._put(delivery)
 
-    def _is_new(self, one: Sample) -> bool:
+    def _is_new(self, sample: Sample) -> bool:
         """Whether a sample differs from the node's last one, which every new subscription repeats."""
-        seen, self._last[one.node] = self._last.get(one.node), (one.time, one.value, one.word)
-        return seen != self._last[one.node]
+        last, self._last[sample.node] = self._last.get(sample.node), (sample.time, sample.value, sample.word)
+        return last != self._last[sample.node]
 
-    def _note(self, one: Sample, from_history: bool) -> None:
-        """Note the time up to which a node is delivered, unless earlier samples are still owed."""
-        if one.time is not None and EARLIEST_S <= one.time <= one.received + AHEAD_S:
-            if from_history or one.node not in self._owed:
-                self._reached[one.node.id] = max(one.time, self._reached.get(one.node.id, 0.0))
-        if one.quality == "bad":
-            self._bad[one.node] = one.word
+    def _note(self, sample: Sample, from_history: bool) -> None:
+        """Record a node's quality and, unless its history is pending, its last delivered time."""
+        if sample.time is not None and EARLIEST_S <= sample.time <= sample.received + AHEAD_S:
+            if from_history or sample.node not in self._pending:
+                self._delivered_until[sample.node.id] = max(
+                    sample.time, self._delivered_until.get(sample.node.id, 0.0)
+                )
+        if sample.quality == "bad":
+            self._bad[sample.node] = sample.word
         else:
-            self._bad.pop(one.node, None)
+            self._bad.pop(sample.node, None)
 
     def signals(self, turbine: str) -> set[str]:
         """Signals of a turbine that the nodes deliver."""
         fields = self.mapping.fields
         return {fields[node.field].signal for node in self.nodes if node.turbine == turbine}
 
-    def delivery(self, one: Sample) -> Delivery:
+    def delivery(self, sample: Sample) -> Delivery:
         """The delivery of a sample."""
-        content: JsonObject = {"turbine": one.node.turbine, "time": one.time, "quality": one.quality}
-        if one.quality != "bad":
-            content[one.node.field] = self._number(one)
-        return Delivery(content, one.received, mark=one.served)
+        content: JsonObject = {"turbine": sample.node.turbine, "time": sample.time, "quality": sample.quality}
+        if sample.quality != "bad":
+            content[sample.node.field] = self._number(sample)
+        return Delivery(content, sample.received, mark=sample.served)
 
-    def _number(self, one: Sample) -> Json:
-        """The value if it is a number, 1 or 0 for a boolean of a field with unit "1", else the name of its
-        type."""
-        if isinstance(one.value, bool) and self.mapping.fields[one.node.field].unit == "1":
-            return int(one.value)
-        if isinstance(one.value, int | float) and not isinstance(one.value, bool):
-            return one.value
-        return type(one.value).__name__
+    def _number(self, sample: Sample) -> Json:
+        """The value if it is a number; 1 or 0 for a boolean in a field with the unit "1"; otherwise the name
+        of its type, which the mapping refuses."""
+        if isinstance(sample.value, bool) and self.mapping.fields[sample.node.field].unit == "1":
+            return int(sample.value)
+        if isinstance(sample.value, int | float) and not isinstance(sample.value, bool):
+            return sample.value
+        return type(sample.value).__name__
 
 
 async def in_order(histories: Iterable[AsyncIterator[Sample]]) -> AsyncIterator[Sample]:
-    """Merge the samples of several nodes, each in order, by time."""
+    """Merge the histories of several nodes, each of them sorted by time, into one sorted sequence."""
     heads: list[tuple[float, int, Sample, AsyncIterator[Sample]]] = []
     for number, history in enumerate(histories):
         sample = await anext(history, None)
@@ -283,14 +287,15 @@ async def in_order(histories: Iterable[AsyncIterator[Sample]]) -> AsyncIterator[
             heapq.heapreplace(heads, (following.time or 0.0, number, following, history))
 
 
-def _nodes_text(words: str, nodes: Mapping[Node, str]) -> str:
-    # another thread may change the nodes meanwhile
-    found = [f"{node.id} ({word})" for node, word in tuple(nodes.items())]
-    return f"{words}: {several(found)}" if found else ""
+def _nodes_text(heading: str, nodes: Mapping[Node, str]) -> str:
+    # the copy is needed because another thread may change the nodes meanwhile
+    texts = [f"{node.id} ({reason})" for node, reason in tuple(nodes.items())]
+    return f"{heading}: {several(texts)}" if texts else ""
 
 
 # -- from the tracker's file ---------------------------------------------------------------------------------
-_PLAIN = ("turbine", "time", "quality")
+_RESERVED_NAMES = ("turbine", "time", "quality")
+"""Names in the payloads of this source that no field may have."""
 
 
 @dataclass(frozen=True)
@@ -298,33 +303,33 @@ class OpcUaForm(Server):
     """A [[source]] of `opc.tcp://HOST:PORT/PATH`."""
 
     def stream(self, mapping: PayloadMapping, place: Place) -> OpcUa:
-        """The stream; faults of its nodes and files go to `place`."""
+        """The stream; faults of its nodes and files are reported at `place`."""
         security = self.security_from(place)
         self.expect(place, self.password.read, lambda: _check_nodes(self.nodes, mapping, place))
-        turbines = {one.turbine: one.turbine for one in self.nodes.values()}
-        own = mapping.of_own_payloads(self.uncertain and mapping.use_uncertain, turbines)
-        return OpcUa(self, own, security)
+        turbines = {node.turbine: node.turbine for node in self.nodes.values()}
+        flat = mapping.of_own_payloads(self.uncertain and mapping.use_uncertain, turbines)
+        return OpcUa(self, flat, security)
 
 
 def _check_nodes(nodes: Mapping[str, Node], mapping: PayloadMapping, place: Place) -> None:
-    """Faults of nodes that the mapping does not know, or that stand for one field twice.
+    """Report invalid node ids, turbines and fields that are not configured, and fields with two nodes.
 
-    Raises SourceFault without asyncua.
+    Raises SourceFault if asyncua is missing.
     """
     turbines = tuple(set(mapping.turbines.values()))
     taken: dict[tuple[str, str], str] = {}
-    for id, one in nodes.items():
-        inside = place.inside("nodes", entry=repr(id))
-        if (wrong := node_fault(id)) is not None:
-            inside.fault(wrong)
-        for key, value, known, where in (
-            ("turbine", one.turbine, turbines, "[[turbine]]"),
-            ("field", one.field, tuple(mapping.fields), "[mapping.signals]"),
+    for node_id, node in nodes.items():
+        entry = place.inside("nodes", entry=repr(node_id))
+        if (fault := node_fault(node_id)) is not None:
+            entry.fault(fault)
+        for key, value, choices, where in (
+            ("turbine", node.turbine, turbines, "[[turbine]]"),
+            ("field", node.field, tuple(mapping.fields), "[mapping.signals]"),
         ):
-            if value and value not in known:
-                inside.fault(f"{key}: {where} has no {value!r}{suggestion(value, known)}")
-        if one.field in _PLAIN:
-            inside.fault(f"a field must not be named {one.field!r} here: rename it in [mapping.signals]")
-        other = taken.setdefault((one.turbine, one.field), id)
-        if other != id:
-            inside.fault(f"{other!r} already is {one.field} of {one.turbine}")
+            if value and value not in choices:
+                entry.fault(f"{key}: {where} has no {value!r}{suggestion(value, choices)}")
+        if node.field in _RESERVED_NAMES:
+            entry.fault(f"a field must not be named {node.field!r} here: rename it in [mapping.signals]")
+        other = taken.setdefault((node.turbine, node.field), node_id)
+        if other != node_id:
+            entry.fault(f"{other!r} already is {node.field} of {node.turbine}")

@@ -1,5 +1,5 @@
-"""One connection to an OPC UA server: a subscription, its samples, and the history of its nodes; and OPC UA
-data in the tracker's terms: nodes, samples and error messages.
+"""A connection to an OPC UA server: its subscription, its samples, and the history of its nodes; and the
+conversion of OPC UA data to samples and error messages.
 
 The connection only reads: it writes no value and calls no method.  It belongs to one asyncio loop and is
 discarded when it is lost.
@@ -20,7 +20,7 @@ from types import ModuleType
 from typing import TYPE_CHECKING
 
 from hygrokf.errors import HygrokfError
-from hygrokf.live.sources.opcua_form import HELD, Node, Security, Server
+from hygrokf.live.sources.opcua_form import QUEUE_SIZE, Node, Security, Server
 from hygrokf.live.sources.stream import SourceFault
 from hygrokf.texts.wording import stamp_text
 
@@ -31,13 +31,19 @@ if TYPE_CHECKING:
     from asyncua.common.subscription import DataChangeNotif, Subscription
 
 OVERFLOW = 0x0480
-"""Status code bits of a data value before which others were lost in the server's full queue."""
+"""Status code bits of a data value before which the server's full queue lost others (InfoType, Overflow)."""
+OVERFLOW_MASK = 0x0C80
+"""Bits of a status code that hold the InfoType (DataValue) and the overflow flag."""
+NAME_MASK = 0xFFFF0000
+"""Bits of a status code that determine its name."""
+NO_TIME_YEAR = 1601
+"""Year of OPC UA's earliest time, which means that there is no time."""
 NO_HISTORY = (
     "BadHistoryOperationUnsupported", "BadHistoryOperationInvalid", "BadServiceUnsupported",
     "BadNotSupported",
     "BadNotImplemented", "BadNotReadable", "BadUserAccessDenied", "BadNodeIdUnknown", "BadAttributeIdInvalid",
 )  # fmt: skip
-"""Status codes of a server that will never provide a node's history, so that asking again is useless."""
+"""Status codes of a server that will never provide a node's history, so that a retry is useless."""
 REMEDIES = {
     "BadUserAccessDenied": "the server refuses the user: check user and password",
     "BadIdentityTokenRejected": "the server refuses the user: check user and password, or state them if "
@@ -53,20 +59,21 @@ REMEDIES = {
 
 
 class HistoryFault(HygrokfError):
-    """A node's history could not be read; `word`: the server's reason; `final`: asking again is useless."""
+    """A node's history could not be read; the message is the server's reason; `final`: a retry is useless."""
 
-    def __init__(self, word: str) -> None:
-        super().__init__(word)
-        self.final = word in NO_HISTORY
+    def __init__(self, reason: str) -> None:
+        super().__init__(reason)
+        self.final = reason in NO_HISTORY
 
 
 @dataclass(frozen=True)
 class Sample:
     """A value of a node.
 
-    `time`: stamp [s] of the source, else of the server, None without either; `quality`: "good", "uncertain"
-    or "bad" (also for a missing value); `word`: name of the status code; `overflowed`: values before it were
-    lost in the server's queue; `received`: time of arrival [s]; `served`: the server's stamp [s], else NaN.
+    `time`: time stamp [s] of the source, otherwise of the server, None without either; `quality`: "good",
+    "uncertain" or "bad" (also for a missing value); `word`: name of the status code; `overflowed`: whether
+    values before this one were lost in the server's queue; `received`: time of arrival [s]; `served`: the
+    server's time stamp [s], NaN without one.
     """
 
     node: Node
@@ -85,55 +92,55 @@ def library() -> ModuleType:
         import asyncua
     except ImportError:
         raise SourceFault("OPC UA needs asyncua: pip install 'hygrokf[opcua]'") from None
-    # its relevant log entries are also raised as exceptions; its debug output contains passwords
+    # asyncua also raises its relevant log entries as exceptions; its debug output contains passwords
     logging.getLogger("asyncua").setLevel(logging.CRITICAL)
     return asyncua
 
 
 def node_fault(text: str) -> str | None:
-    """An error message for an invalid node id, else None.  Raises SourceFault without asyncua."""
+    """An error message for an invalid node id, else None.  Raises SourceFault if asyncua is missing."""
     ua = library().ua
     try:
-        found = ua.NodeId.from_string(text)
+        node_id = ua.NodeId.from_string(text)
     except (ua.UaError, ValueError, KeyError):
-        found = None
-    if found is None or getattr(found, "ServerIndex", None):
+        node_id = None
+    if node_id is None or getattr(node_id, "ServerIndex", None):
         return (
             f'expected a node id such as "ns=2;s=T07.CabinetTemp" or "nsu=urn:plant;i=1007", found {text!r}'
         )
     return None
 
 
-def sample_of(node: Node, found: ua.DataValue, received: float) -> Sample:
-    """A sample from asyncua's DataValue; the year 1601 means in OPC UA that there is no time."""
-    status, value = found.StatusCode, None if found.Value is None else found.Value.Value
+def sample_of(node: Node, data: ua.DataValue, received: float) -> Sample:
+    """A sample from asyncua's DataValue, received at a time [s]."""
+    status, value = data.StatusCode, None if data.Value is None else data.Value.Value
     quality = "good"
     if value is None or (status is not None and status.is_bad()):
         quality = "bad"
     elif status is not None and status.is_uncertain():
         quality = "uncertain"
-    stated, served = (
-        None if s is None or s.year <= 1601 else s.replace(tzinfo=s.tzinfo or UTC).timestamp()
-        for s in (found.SourceTimestamp, found.ServerTimestamp)
+    source_time, server_time = (
+        None if t is None or t.year <= NO_TIME_YEAR else t.replace(tzinfo=t.tzinfo or UTC).timestamp()
+        for t in (data.SourceTimestamp, data.ServerTimestamp)
     )
     return Sample(
         node,
-        served if stated is None else stated,
+        server_time if source_time is None else source_time,
         value,
         quality,
-        "Good" if status is None else type(status)(type(status.value)(status.value & 0xFFFF0000)).name,
-        status is not None and status.value & 0x0C80 == OVERFLOW,
+        "Good" if status is None else type(status)(type(status.value)(status.value & NAME_MASK)).name,
+        status is not None and status.value & OVERFLOW_MASK == OVERFLOW,
         received,
-        math.nan if served is None else served,
+        math.nan if server_time is None else server_time,
     )
 
 
-def name_of(fault: Exception) -> str:
-    """The name of the status code that an exception stands for."""
+def status_name(fault: Exception) -> str:
+    """The name of an exception's status code, such as "BadTimeout", or else the exception's message."""
     return type(fault).__name__ if type(fault).__name__.startswith("Bad") else str(fault)[:80]
 
 
-def words_of(fault: Exception) -> str:
+def fault_text(fault: Exception) -> str:
     """Message for an exception of asyncua or the network."""
     if isinstance(fault, SourceFault):
         return str(fault)
@@ -143,27 +150,28 @@ def words_of(fault: Exception) -> str:
         return f"the host is not known ({fault.strerror})"
     if isinstance(fault, TimeoutError):
         return "no answer in time"
-    name = name_of(fault)
+    name = status_name(fault)
     if name in REMEDIES:
         return f"{REMEDIES[name]} ({name})"
     return " ".join(f"{type(fault).__name__} {fault}".split())[:160].strip()
 
 
 ANSWER_S = 5.0
-"""[s] allowed for a server's answer."""
+"""Longest time [s] for a server's answer."""
 HISTORY_S = 30.0
-"""[s] allowed for the answer to a history request."""
+"""Longest time [s] for the answer to a history request."""
 WATCH_S = 5.0
-"""[s] between two checks that the server is alive."""
+"""Time [s] between two checks that the server still answers."""
 KEEP_ALIVE_S = 10.0
-"""[s] without changes after which the server sends a keep-alive."""
+"""Time [s] without changes after which the server sends a keep-alive."""
 LIFETIME_S = 120.0
-"""[s] the server keeps session and subscription of a lost client."""
-AT_ONCE = 500
-"""Nodes per subscription request."""
+"""Time [s] for which the server keeps the session and the subscription of a lost client."""
+NODES_PER_REQUEST = 500
+"""Largest number of nodes in a request."""
 PAGE = 1_000
-"""Samples per history request."""
+"""Largest number of samples in the answer to a history request."""
 NO_FILTER = ("BadMonitoredItemFilterUnsupported", "BadMonitoredItemFilterInvalid", "BadFilterNotAllowed")
+"""Status codes of a server that does not support the filter by time stamp."""
 
 
 class Connection:
@@ -175,17 +183,17 @@ class Connection:
 
     def __init__(self, server: Server, security: Security | None) -> None:
         self.unfiltered = False
-        """Whether the server reports changes only and omits repeated equal values."""
+        """Whether the server reports only changes, that is omits repeated equal values."""
         self.dropped: set[Node] = set()
-        """Nodes that lost samples because the queue here was full; the caller empties the set."""
+        """Nodes that lost samples because the queue of this client was full; the caller empties the set."""
         self._server, self._security = server, security
         self._ua = library().ua
         self._client: Client | None = None
         self._subscription: Subscription
         self._handles: dict[int, Node] = {}
         self._ids: dict[Node, ua.NodeId] = {}
-        self._held: list[tuple[Node, ua.DataValue, float]] = []
-        self._came = asyncio.Event()
+        self._queued: list[tuple[Node, ua.DataValue, float]] = []
+        self._arrived = asyncio.Event()
         self._lost = ""
         self._stale_s = math.inf
 
@@ -199,9 +207,9 @@ class Connection:
             assert client.uaclient.protocol is not None
             client.uaclient.protocol.timeout = HISTORY_S
         except Exception as fault:  # asyncua raises many exceptions, also while decoding
-            words = await self._explain(fault)
+            reason = await self._explanation(fault)
             await self.close()
-            raise SourceFault(words) from None
+            raise SourceFault(reason) from None
 
     @property
     def _open_client(self) -> Client:
@@ -216,15 +224,15 @@ class Connection:
         client.name = client.description = f"hygrokf on {socket.gethostname()}"
         client.session_timeout = int(1e3 * LIFETIME_S)
         client.connection_lost_callback = self._note_loss
-        s = self._security
-        if s is not None:
-            client.application_uri = s.application_uri
+        security = self._security
+        if security is not None:
+            client.application_uri = security.application_uri
             await client.set_security(
-                getattr(security_policies, f"SecurityPolicy{s.policy}"),
-                CertProperties(s.certificate, "der"),
-                CertProperties(s.key, "der"),
-                server_certificate=CertProperties(s.server_certificate, "der"),
-                mode=self._ua.MessageSecurityMode[s.mode],
+                getattr(security_policies, f"SecurityPolicy{security.policy}"),
+                CertProperties(security.certificate, "der"),
+                CertProperties(security.key, "der"),
+                server_certificate=CertProperties(security.server_certificate, "der"),
+                mode=self._ua.MessageSecurityMode[security.mode],
             )
         if self._server.user:
             client.set_user(self._server.user)
@@ -232,19 +240,19 @@ class Connection:
         return client
 
     async def _create_subscription(self, client: Client) -> None:
-        """Create the subscription without asyncua's automatic renewal, which would not read back missed
-        samples."""
+        """Create the subscription without asyncua's automatic renewal, which would not read missed samples
+        from the history."""
         from asyncua.common.subscription import Subscription
 
-        wanted = self._ua.CreateSubscriptionParameters()
-        wanted.RequestedPublishingInterval = 1e3 * self._server.publishing_s
-        wanted.RequestedMaxKeepAliveCount = math.ceil(KEEP_ALIVE_S / self._server.publishing_s)
-        wanted.RequestedLifetimeCount = math.ceil(LIFETIME_S / self._server.publishing_s)
-        wanted.MaxNotificationsPerPublish = HELD
-        wanted.PublishingEnabled = True
-        made = self._subscription = Subscription(client.uaclient.session, wanted, self)
-        granted = await made.init()
-        made.last_publish_at = time.monotonic()
+        requested = self._ua.CreateSubscriptionParameters()
+        requested.RequestedPublishingInterval = 1e3 * self._server.publishing_s
+        requested.RequestedMaxKeepAliveCount = math.ceil(KEEP_ALIVE_S / self._server.publishing_s)
+        requested.RequestedLifetimeCount = math.ceil(LIFETIME_S / self._server.publishing_s)
+        requested.MaxNotificationsPerPublish = QUEUE_SIZE
+        requested.PublishingEnabled = True
+        subscription = self._subscription = Subscription(client.uaclient.session, requested, self)
+        granted = await subscription.init()
+        subscription.last_publish_at = time.monotonic()
         self._stale_s = 2e-3 * granted.RevisedPublishingInterval * granted.RevisedMaxKeepAliveCount + ANSWER_S
 
     async def close(self) -> None:
@@ -274,44 +282,44 @@ class Connection:
             node = self._open_client.get_node(
                 self._ua.NodeId(self._ua.ObjectIds.Server_ServerStatus_CurrentTime)
             )
-            found = await node.read_value()
-            return (found if found.tzinfo else found.replace(tzinfo=UTC)).timestamp()
+            time_utc = await node.read_value()
+            return (time_utc if time_utc.tzinfo else time_utc.replace(tzinfo=UTC)).timestamp()
         except Exception as fault:
-            raise SourceFault(words_of(fault)) from None
+            raise SourceFault(fault_text(fault)) from None
 
     async def _note_loss(self, fault: Exception) -> None:
-        self._lost = self._lost or f"the connection is lost ({words_of(fault)})"
+        self._lost = self._lost or f"the connection is lost ({fault_text(fault)})"
 
-    async def _explain(self, fault: Exception) -> str:
-        """Why a connection failed, including a mismatch with the endpoints that the server offers to
-        anyone."""
-        words = words_of(fault)
+    async def _explanation(self, fault: Exception) -> str:
+        """Message that says why a connection failed; it compares the configuration with the endpoints that
+        the server offers."""
+        text = fault_text(fault)
         if isinstance(fault, ConnectionRefusedError | socket.gaierror | SourceFault):
-            return words
-        words = await self._mismatch() or words
+            return text
+        text = await self._mismatch() or text
         if self._security is not None and self._security.valid_until < time.time():
-            words += (
+            text += (
                 f"; this client's certificate was valid until {stamp_text(self._security.valid_until)}: "
                 "make a new one"
             )
-        return words
+        return text
 
     async def _mismatch(self) -> str:
-        """A message if the server's policy, mode or certificate differs from the configured one; empty if
-        unknown."""
-        s, client = self._security, library().Client(self._server.endpoint, timeout=0.4 * ANSWER_S)
+        """A message if policy, mode or certificate of the server differ from the configuration; "" if they
+        agree or are unknown."""
+        security, client = self._security, library().Client(self._server.endpoint, timeout=0.4 * ANSWER_S)
         try:
             offers = await client.connect_and_get_server_endpoints()
-        except Exception:  # the server answers no unsecured client, or none at all
+        except Exception:  # the server does not answer unsecured clients, or does not answer at all
             return ""
-        wanted = "no security" if s is None else f"{s.policy} {s.mode}"
-        offered = {_security_name(o): o.ServerCertificate or b"" for o in offers}
-        if wanted not in offered:
+        configured = "no security" if security is None else f"{security.policy} {security.mode}"
+        offered = {_security_name(offer): offer.ServerCertificate or b"" for offer in offers}
+        if configured not in offered:
             return (
-                f"the server has no connection with {wanted}; it offers "
+                f"the server has no connection with {configured}; it offers "
                 f"{', '.join(sorted(offered)) or 'none'}"
             )
-        if s is not None and not offered[wanted].startswith(s.server_certificate):
+        if security is not None and not offered[configured].startswith(security.server_certificate):
             return (
                 "the server's certificate is not the one in server_certificate: find out whether it was "
                 "replaced, and state the new one only then"
@@ -320,17 +328,17 @@ class Connection:
 
     # -- the subscription ------------------------------------------------------------------------------------
     async def subscribe(self, nodes: Sequence[Node]) -> dict[Node, str]:
-        """Subscribe to nodes; returns the refused nodes with the server's reason.  Raises SourceFault."""
+        """Subscribe to nodes; returns refused node -> the server's reason.  Raises SourceFault."""
         try:
             refused = await self._look_up_ids(nodes)
-            for filtered in (True, False):
-                asked = [
+            for filtered in (True, False):  # without the filter if the server does not support it
+                requested = [
                     node
                     for node in nodes
                     if node in self._ids and (filtered or refused.get(node) in NO_FILTER)
                 ]
-                for start in range(0, len(asked), AT_ONCE):
-                    part = asked[start : start + AT_ONCE]
+                for start in range(0, len(requested), NODES_PER_REQUEST):
+                    part = requested[start : start + NODES_PER_REQUEST]
                     results = await self._subscription.create_monitored_items(
                         [self._item(node, filtered) for node in part]
                     )
@@ -340,95 +348,101 @@ class Connection:
                             refused[node] = result.name
                         self.unfiltered |= not filtered
         except Exception as fault:
-            raise SourceFault(words_of(fault)) from None
+            raise SourceFault(fault_text(fault)) from None
         return refused
 
     async def _look_up_ids(self, nodes: Iterable[Node]) -> dict[Node, str]:
-        """Look up the ids of nodes, because some servers renumber their namespaces at a restart; returns
-        unknown nodes."""
+        """Look up the ids of nodes, because some servers renumber their namespaces at a restart.
+
+        Returns node with an unknown namespace -> reason.
+        """
         ua = self._ua
         refused: dict[Node, str] = {}
-        found = {node: ua.NodeId.from_string(node.id) for node in nodes}
-        named = [one for one in found.values() if getattr(one, "NamespaceUri", None)]
-        namespaces = await self._open_client.get_namespace_array() if named else []
-        for node, one in found.items():
-            uri = getattr(one, "NamespaceUri", None)
+        parsed = {node: ua.NodeId.from_string(node.id) for node in nodes}
+        has_uris = any(getattr(node_id, "NamespaceUri", None) for node_id in parsed.values())
+        namespaces = await self._open_client.get_namespace_array() if has_uris else []
+        for node, node_id in parsed.items():
+            uri = getattr(node_id, "NamespaceUri", None)
             if uri and uri not in namespaces:
                 refused[node] = "the server has no such namespace"
                 continue
-            self._ids[node] = ua.NodeId(one.Identifier, namespaces.index(uri), one.NodeIdType) if uri else one
+            if uri:
+                node_id = ua.NodeId(node_id.Identifier, namespaces.index(uri), node_id.NodeIdType)
+            self._ids[node] = node_id
         return refused
 
     def _item(self, node: Node, filtered: bool) -> ua.MonitoredItemCreateRequest:
-        """The request to monitor a node; `filtered` also by time stamp, so that a repeated equal value is
-        reported."""
+        """The request to monitor a node; `filtered`: with the filter that reports also an equal value with a
+        new time stamp."""
         ua = self._ua
-        wanted = ua.MonitoringParameters()
-        wanted.ClientHandle = len(self._handles) + 1
-        wanted.SamplingInterval = 1e3 * self._server.sampling_s
-        wanted.QueueSize = self._server.queue
-        wanted.DiscardOldest = True
+        parameters = ua.MonitoringParameters()
+        parameters.ClientHandle = len(self._handles) + 1
+        parameters.SamplingInterval = 1e3 * self._server.sampling_s
+        parameters.QueueSize = self._server.queue
+        parameters.DiscardOldest = True
         if filtered:
-            wanted.Filter = ua.DataChangeFilter(Trigger=ua.DataChangeTrigger.StatusValueTimestamp)
+            parameters.Filter = ua.DataChangeFilter(Trigger=ua.DataChangeTrigger.StatusValueTimestamp)
         item = ua.MonitoredItemCreateRequest()
         item.ItemToMonitor = ua.ReadValueId(NodeId=self._ids[node], AttributeId=ua.AttributeIds.Value)
         item.MonitoringMode = ua.MonitoringMode.Reporting
-        item.RequestedParameters = wanted
-        self._handles[wanted.ClientHandle] = node
+        item.RequestedParameters = parameters
+        self._handles[parameters.ClientHandle] = node
         return item
 
     def datachange_notification(self, node: UaNode, value: object, data: DataChangeNotif) -> None:
-        """Called by asyncua; only queues the sample."""
+        """Queue a sample; called by asyncua."""
         handle = data.subscription_data.client_handle
-        assert handle is not None, "every item is asked for with one"
-        one = self._handles[handle]
-        if len(self._held) < HELD:
-            self._held.append((one, data.monitored_item.Value or self._ua.DataValue(), time.time()))
+        assert handle is not None, "every item is requested with a handle"
+        configured_node = self._handles[handle]
+        if len(self._queued) < QUEUE_SIZE:
+            self._queued.append(
+                (configured_node, data.monitored_item.Value or self._ua.DataValue(), time.time())
+            )
         else:
-            self.dropped.add(one)
-        self._came.set()
+            self.dropped.add(configured_node)
+        self._arrived.set()
 
     def status_change_notification(self, notification: ua.StatusChangeNotification) -> None:
-        """Called by asyncua when the server ends the subscription."""
+        """Record that the server has ended the subscription; called by asyncua."""
         self._lost = self._lost or f"the server ended the subscription ({notification.Status.name})"
 
     async def samples(self, patience_s: float) -> list[Sample]:
         """Samples since the last call; waits up to `patience_s` [s] for the first one."""
         with suppress(TimeoutError):
-            await asyncio.wait_for(self._came.wait(), patience_s)
-        self._came.clear()
-        held, self._held = self._held, []
-        return [sample_of(*one) for one in held]
+            await asyncio.wait_for(self._arrived.wait(), patience_s)
+        self._arrived.clear()
+        queued, self._queued = self._queued, []
+        return [sample_of(node, data, received) for node, data, received in queued]
 
     # -- history ---------------------------------------------------------------------------------------------
     async def without_history(self, nodes: Sequence[Node]) -> dict[Node, str]:
-        """Subscribed nodes whose access level excludes reading their history, with the reason.
+        """Subscribed node whose access level excludes reading its history -> reason.  Raises SourceFault.
 
-        A server that keeps no history may still answer a request for it, with nothing.  Nodes whose access
-        level the server does not tell are left out.  Raises SourceFault.
+        The access level is needed because a server without a history may answer a history request with an
+        empty one.  Nodes whose access level the server does not tell are omitted.
         """
-        ua, found = self._ua, dict[Node, str]()
-        kinds = {
+        ua, reasons = self._ua, dict[Node, str]()
+        attributes = {
             "AccessLevel": "the node's AccessLevel has no HistoryRead: the server keeps no history of it",
             "UserAccessLevel": "this user's access level has no HistoryRead",
         }
         try:
-            for name, words in kinds.items():
-                asked = [node for node in nodes if node in self._ids and node not in found]
-                for start in range(0, len(asked), AT_ONCE):
-                    part = asked[start : start + AT_ONCE]
+            for name, reason in attributes.items():
+                requested = [node for node in nodes if node in self._ids and node not in reasons]
+                for start in range(0, len(requested), NODES_PER_REQUEST):
+                    part = requested[start : start + NODES_PER_REQUEST]
                     levels = await self._open_client.uaclient.read_attributes(
                         [self._ids[node] for node in part], ua.AttributeIds[name]
                     )
                     for node, level in zip(part, levels, strict=True):
                         value = level.Value.Value if level.Value is not None else None
                         if isinstance(value, int) and not value & (1 << ua.AccessLevel.HistoryRead):
-                            found[node] = words
-        except ua.UaStatusCodeError:  # this server refuses to tell
-            return found
+                            reasons[node] = reason
+        except ua.UaStatusCodeError:  # this server does not tell access levels
+            return reasons
         except Exception as fault:
-            raise SourceFault(words_of(fault)) from None
-        return found
+            raise SourceFault(fault_text(fault)) from None
+        return reasons
 
     async def history(self, node: Node, since_s: float, until_s: float) -> AsyncIterator[Sample]:
         """A node's samples in since_s < time ≤ until_s [s], sorted by time.  Raises HistoryFault,
@@ -440,7 +454,7 @@ class Connection:
             details.StartTime = datetime.fromtimestamp(since_s, UTC)
             page, more = await self._page(node, details)
             timed = ((s.time, s) for s in page if s.time is not None and since_s < s.time <= until_s)
-            new = sorted(timed, key=lambda one: one[0])
+            new = sorted(timed, key=lambda pair: pair[0])
             for _, sample in new:
                 yield sample
             if not new or (len(page) < PAGE and not more):
@@ -450,32 +464,31 @@ class Connection:
     async def _page(self, node: Node, details: ua.ReadRawModifiedDetails) -> tuple[list[Sample], bool]:
         """A page of a node's history, and whether the server has more.
 
-        The next page is requested by time instead of a continuation point, because servers have few of these
-        and many nodes are read at once.
+        The next page is requested by time instead of a continuation point, because many nodes are read at
+        once and servers offer few continuation points.
         """
         ua = self._ua
         value = ua.HistoryReadValueId(NodeId=self._ids[node])
-        wanted = ua.HistoryReadParameters(details, ua.TimestampsToReturn.Both, False, [value])
+        request = ua.HistoryReadParameters(details, ua.TimestampsToReturn.Both, False, [value])
         try:
-            (found,) = await self._open_client.uaclient.history_read(wanted)
-            more = found.ContinuationPoint
+            (result,) = await self._open_client.uaclient.history_read(request)
+            more = result.ContinuationPoint
             if more:
                 value.ContinuationPoint = more
-                wanted.ReleaseContinuationPoints = True
+                request.ReleaseContinuationPoints = True
                 with suppress(ua.UaStatusCodeError):
-                    await self._open_client.uaclient.history_read(wanted)
-            found.StatusCode.check()
+                    await self._open_client.uaclient.history_read(request)
+            result.StatusCode.check()
         except ua.UaStatusCodeError as fault:
-            raise HistoryFault(name_of(fault)) from None
+            raise HistoryFault(status_name(fault)) from None
         except TimeoutError:
             self.check()
             raise HistoryFault(f"no answer within {HISTORY_S:g} s") from None
         except Exception as fault:
-            raise SourceFault(words_of(fault)) from None
+            raise SourceFault(fault_text(fault)) from None
         now = time.time()
-        return [
-            sample_of(node, one, now) for one in getattr(found.HistoryData, "DataValues", None) or ()
-        ], bool(more)
+        values = getattr(result.HistoryData, "DataValues", None) or ()
+        return [sample_of(node, value, now) for value in values], bool(more)
 
 
 def _security_name(offer: ua.EndpointDescription) -> str:

@@ -17,8 +17,8 @@ from hygrokf.live.sources.stream import SourceKeys
 if TYPE_CHECKING:
     from cryptography.x509 import Certificate
 
-HELD = 20_000
-"""Largest number of waiting samples."""
+QUEUE_SIZE = 20_000
+"""Largest number of samples in the queue of this client."""
 POLICIES = ("Basic256Sha256", "Aes128Sha256RsaOaep", "Aes256Sha256RsaPss")
 MODES = ("SignAndEncrypt", "Sign")
 FILES = ("certificate", "key", "server_certificate")
@@ -65,7 +65,7 @@ class Server(UrlKeys, PasswordKeys, SourceKeys):
         most=60.0,
         expected='within "0.01s" … "1min"',
     )
-    queue: int = setting(100, "values of one node that it keeps in between", least=2, most=HELD)
+    queue: int = setting(100, "values of one node that it keeps in between", least=2, most=QUEUE_SIZE)
     look_back_s: float = setting(0.0, "how far back the history of a new node is read", read=duration)
     uncertain: bool = setting(True, "whether values with an uncertain status are used")
     security: str = setting(
@@ -83,7 +83,7 @@ class Server(UrlKeys, PasswordKeys, SourceKeys):
 
     @property
     def endpoint(self) -> str:
-        """The url with the port; empty where it is at fault."""
+        """The url with the port; "" if the url is invalid."""
         return f"opc.tcp://{self.where}{self.address.path}" if self.address.host else ""
 
     @across("url")
@@ -93,26 +93,26 @@ class Server(UrlKeys, PasswordKeys, SourceKeys):
         return self.address.fault
 
     @across("nodes")
-    def any_node(self) -> str | None:
+    def has_nodes(self) -> str | None:
         if self.nodes:
             return None
         return 'no nodes: add nodes = { "ns=2;s=T07.CabinetTemp" = { turbine = "T07", field = "Tcab" } }'
 
     @property
-    def stated(self) -> list[str]:
-        """Keys of a secured connection that are stated."""
+    def security_keys(self) -> list[str]:
+        """The stated keys that belong to a secured connection."""
         return [name for name in ("policy", "mode", *FILES) if getattr(self, name)]
 
     @across("security")
-    def not_both(self) -> str | None:
-        if self.security != "none" or not self.stated:
+    def security_not_contradicted(self) -> str | None:
+        if self.security != "none" or not self.security_keys:
             return None
-        return f'security = "none" contradicts {", ".join(self.stated)}: leave out one or the other'
+        return f'security = "none" contradicts {", ".join(self.security_keys)}: leave out one or the other'
 
     @across(*FILES)
-    def all_files(self) -> str | None:
+    def files_complete(self) -> str | None:
         missing = [name for name in FILES if not getattr(self, name)]
-        if not self.stated or not missing or self.security == "none":
+        if not self.security_keys or not missing or self.security == "none":
             return None
         return f"{', '.join(missing)} missing: a secured connection needs {', '.join(FILES)}"
 
@@ -124,7 +124,7 @@ class Server(UrlKeys, PasswordKeys, SourceKeys):
 
     @across("url", "security", "user")
     def readable_by_others(self) -> Iterator[str]:
-        if not self.address.host or self.stated or not self.leaves_machine:
+        if not self.address.host or self.security_keys or not self.leaves_machine:
             return
         needed = ", ".join(FILES)
         if self.security != "none":
@@ -136,41 +136,43 @@ class Server(UrlKeys, PasswordKeys, SourceKeys):
             yield f"a password to another host needs {needed}: it would be sent readable"
 
     def security_from(self, place: Place) -> Security | None:
-        """The security, from files whose faults go to `place`; None for a plain connection."""
-        if not self.stated or self.security == "none":
+        """The security, read from files whose faults are reported at `place`; None for a plain connection."""
+        if not self.security_keys or self.security == "none":
             return None
         try:
             from cryptography.hazmat.primitives import serialization
         except ImportError:
             place.fault("certificates need cryptography: pip install 'hygrokf[opcua]'")
             return None
-        own = self._read("certificate", place)
+        certificate = self._read("certificate", place)
         key = self._read("key", place)
         server = self._read("server_certificate", place)
-        uri = "" if own is None else _application_uri(own)
-        if own is not None:
+        uri = "" if certificate is None else _application_uri(certificate)
+        if certificate is not None:
             if not uri:
                 place.fault(
                     "certificate: expected a URI among its alternative names, found none: servers refuse it"
                 )
-            if key is not None and own.public_key() != key.public_key():
+            if key is not None and certificate.public_key() != key.public_key():
                 place.fault("certificate and key do not belong together")
-        if own is None or key is None or server is None:
+        if certificate is None or key is None or server is None:
             return None
         der = serialization.Encoding.DER
         return Security(
             self.policy or POLICIES[0],
             self.mode or MODES[0],
-            own.public_bytes(der),
+            certificate.public_bytes(der),
             key.private_bytes(der, serialization.PrivateFormat.PKCS8, serialization.NoEncryption()),
             server.public_bytes(der),
             uri,
-            own.not_valid_after_utc.timestamp(),
+            certificate.not_valid_after_utc.timestamp(),
         )
 
     def _read(self, key: str, place: Place) -> Any:
-        """The private key or certificate in the file named by a key; None if there is none that can be read,
-        with a fault in `place`."""
+        """The private key or certificate in the file that the setting `key` names.
+
+        None without a file, or with a fault reported at `place` if the file cannot be read.
+        """
         from cryptography import x509
         from cryptography.hazmat.primitives import serialization
         from cryptography.hazmat.primitives.asymmetric.rsa import RSAPrivateKey, RSAPublicKey

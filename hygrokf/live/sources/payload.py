@@ -1,12 +1,13 @@
 """Converts payloads to readings: names, units, times, quality.  Impossible values are counted, never
 corrected.
 
-A payload has one or more records (`payload_formats`).  A `PayloadMapping` states where in them turbine, time
-and values stand, and how these are written (`payload_values`); `PayloadStatistics` counts what they give:
+A payload has one or more records (`payload_formats`).  A `PayloadMapping` states where in a record turbine,
+time and values stand, and how they are written (`payload_values`); `PayloadStatistics` counts the readings
+and the rejected values.  A record may hold several values:
 
     {"turbine": "T07", "time": "2026-03-01T12:10:00Z", "quality": "good", "Tcab": 31.2, "RHcab": 41.0}
 
-or, with `tag` and `value`, one reading per record:
+or, with `tag` and `value`, a single reading:
 
     {"time": …, "values": [{"tag": "T07.Tcab", "value": 31.2}, …]}
 """
@@ -40,7 +41,7 @@ from hygrokf.data.timestamps import DAY_S
 from hygrokf.live.plan import SignalReporting
 from hygrokf.live.sources.payload_formats import JSON, Content, Order, PayloadRecord, Refused, Scopes, records
 from hygrokf.live.sources.payload_values import (
-    LONGEST,
+    LONGEST_TEXT,
     NAME,
     RECEIVED,
     STATED_OFFSETS,
@@ -48,14 +49,14 @@ from hygrokf.live.sources.payload_values import (
     Reader,
     Tag,
     alternatives,
-    at,
-    has,
-    measured,
+    has_any_path,
     number,
+    quantity_or_flag,
     quoted,
     reader,
     seconds,
     tag_reader,
+    value_at,
 )
 from hygrokf.live.tracker import Reading
 from hygrokf.texts.doctor_codes import ExaminedCode
@@ -70,17 +71,18 @@ FORECAST_S = 20 * DAY_S
 EVERYONE = ""
 """Turbine name of a weather forecast that applies to all turbines."""
 NOBODY = ""
-"""Turbine name of what is rejected before its turbine is known."""
-USED_THOUGH = f"{UNCERTAIN} quality"
-"""Kind under which values are counted that are used."""
+"""Turbine name under which a rejection is counted whose turbine is not known yet."""
+UNCERTAIN_QUALITY = f"{UNCERTAIN} quality"
+"""The only kind of rejection whose values are used: it is counted as a warning."""
 
 
 @dataclass(frozen=True)
 class Field:
-    """A value in a payload: its signal, its unit, the form of its readings, and what its stamp marks.
+    """A value in a payload: its signal, its unit, and the form of its readings.
 
-    `stamp`: "instant", or "start", "middle" or "end" of the averaging interval.  The value in `unit` is
-    `scale` times the number in the payload plus `offset`.  `one`: the text of a flag that is 1.
+    `stamp`: what the time stamp marks: "instant", or "start", "middle" or "end" of the averaging interval.
+    The value in `unit` is `scale` times the number in the payload plus `offset`.  `one`: the text of a flag
+    that means 1, such as "open".
     """
 
     signal: str
@@ -93,25 +95,27 @@ class Field:
 
     @property
     def shift_s(self) -> float:
-        """[s] from the stamp to the end of the interval."""
+        """Time [s] from the stamp to the end of the averaging interval."""
         return {"start": 1.0, "middle": 0.5}.get(self.stamp, 0.0) * self.form.interval_s
 
     @property
     def conversion(self) -> Conversion:
-        """The conversion of its numbers.  Raises ValueError for a unit that does not fit the signal."""
-        zero, one = to_si(np.array([self.offset, self.scale + self.offset]), self.unit, self.signal).tolist()
+        """The conversion of the field's numbers to SI units.  Raises ValueError for a unit that does not fit
+        the signal."""
+        # the conversion is affine, so that its values at the numbers 0 and 1 determine it
+        at_0, at_1 = to_si(np.array([self.offset, self.scale + self.offset]), self.unit, self.signal).tolist()
         row = signal_named(self.signal)
-        slack = 1e-9 * (row.high - row.low)
+        slack = 1e-9 * (row.high - row.low)  # rounding must not reject a value at the limit
         meaning = Meaning(self.signal, self.unit, self.one)
         return Conversion(
-            self.signal, one - zero, zero, self.shift_s, row.low - slack, row.high + slack, meaning
+            self.signal, at_1 - at_0, at_0, self.shift_s, row.low - slack, row.high + slack, meaning
         )
 
 
 class Conversion(NamedTuple):
     """Converts a field to a reading: value = factor * number + offset [SI unit], valid within `low` … `high`.
 
-    `shift_s` [s] is added to the stamp; `meaning`: of texts.
+    `shift_s` [s] is added to the stamp; `meaning`: how a text with a unit or a flag is interpreted.
     """
 
     signal: str
@@ -124,40 +128,40 @@ class Conversion(NamedTuple):
 
 
 class Rejection(NamedTuple):
-    """Something in a payload that is counted, not used unless it is `USED_THOUGH`: its `kind`, and why."""
+    """A part of a payload that is counted and, unless its `kind` is `UNCERTAIN_QUALITY`, not used."""
 
     kind: str
-    words: str
+    reason: str
 
 
 class TurbineReadings(NamedTuple):
-    """What a payload says of one turbine (`NOBODY`: of none that is known)."""
+    """The readings and rejections of a turbine in a payload (`NOBODY`: rejections of no known turbine)."""
 
     turbine: str
     readings: list[Reading]
     rejections: list[Rejection]
 
 
-class Found(dict[str, TurbineReadings]):
-    """What a payload says, by turbine."""
+class ReadingsByTurbine(dict[str, TurbineReadings]):
+    """The readings and rejections of a payload by turbine; an absent turbine is added without any."""
 
     def __missing__(self, turbine: str) -> TurbineReadings:
-        made = self[turbine] = TurbineReadings(turbine, [], [])
-        return made
+        empty = self[turbine] = TurbineReadings(turbine, [], [])
+        return empty
 
 
 @dataclass(frozen=True)
 class PayloadMapping:
     """Describes the layout of payloads.
 
-    `fields`: name → field; `turbine`, `time`, `quality`, `tag`, `value`: where they stand (`payload_values`);
-    `vocabulary` of the quality, and whether to `use_uncertain` readings; `turbines`: name in the payload →
-    turbine.  If `turbine` is "", all payloads belong to the only turbine.  With `weather` the payloads are
-    weather forecasts, which apply to all turbines unless they name one.  `form`: one of
-    `payload_formats.FORMATS`; `records`: path to the records; `tag_pattern`: of tags or, without `tag`, of
-    the names of values; `clock`: how times are written; `marks`: of numbers in texts, None where
-    they are not stated; `names`: turbine → its own names of fields; `revision`: which of several values of a
-    stamp counts, "last" or "neither".
+    `fields`: name → field; `turbine`, `time`, `quality`, `tag`, `value`: their paths (`payload_values`);
+    `vocabulary`: meaning of the quality marks; `use_uncertain`: whether uncertain readings are used;
+    `turbines`: name in the payload → turbine.  If `turbine` is "", all payloads belong to the only turbine.
+    With `weather` the payloads are weather forecasts, which apply to all turbines unless they name one.
+    `form`: one of `payload_formats.FORMATS`; `records`: path to the records; `tag_pattern`: pattern of the
+    tags or, without `tag`, of the names of values; `clock`: how times are written; `marks`: decimal and
+    thousands marks of numbers in texts, None if they are not stated; `names`: turbine → names of fields that
+    only this turbine uses; `revision`: which of several values of one stamp counts, "last" or "neither".
     """
 
     fields: Mapping[str, Field]
@@ -179,38 +183,38 @@ class PayloadMapping:
     revision: str = "last"
 
     def __post_init__(self) -> None:
-        self.table(EVERYONE)  # a unit that does not fit is refused at once
+        self.table(EVERYONE)  # refuses a unit that does not fit its signal
 
     # -- prepared for reading --------------------------------------------------------------------------------
     @cached_property
     def steps(self) -> tuple[str, ...]:
-        """Of the path to the records."""
+        """The steps of the path to the records."""
         return tuple(self.records.split(".")) if self.records else ()
 
     @cached_property
     def readers(self) -> Mapping[str, Reader]:
-        """Key of the mapping → reader of its path."""
+        """Key of the mapping, such as "time" → reader of the path that the key states."""
         return {key: reader(getattr(self, key)) for key in ("turbine", "time", "quality", "tag", "value")}
 
     @cached_property
-    def own(self) -> tuple[bool, bool]:
-        """Whether each value of a record has its own time, and its own quality."""
+    def value_has_time_and_quality(self) -> tuple[bool, bool]:
+        """Whether each value of a record has a time of its own, and whether it has a quality of its own."""
         return NAME in self.time and not self.tag, NAME in self.quality and not self.tag
 
     @cached_property
-    def only(self) -> str | None:
-        """The only turbine; None of several."""
+    def only_turbine(self) -> str | None:
+        """The turbine if the mapping has exactly one, else None."""
         turbines = set(self.turbines.values())
         return turbines.pop() if len(turbines) == 1 else None
 
     @cached_property
     def conversions(self) -> Mapping[str, Mapping[str, Conversion]]:
-        """Turbine with names of its own, or `EVERYONE` → name in its payloads → conversion."""
-        common = {name: one.conversion for name, one in self.fields.items()}
+        """Turbine → name in its payloads → conversion; turbines without an entry use that of `EVERYONE`."""
+        common = {name: field.conversion for name, field in self.fields.items()}
         tables = {EVERYONE: common}
-        for turbine, own in self.names.items():
-            kept = {name: one for name, one in common.items() if name not in own.values()}
-            renamed = {name: common[field] for name, field in own.items() if field in common}
+        for turbine, own_names in self.names.items():
+            kept = {name: conversion for name, conversion in common.items() if name not in own_names.values()}
+            renamed = {name: common[field] for name, field in own_names.items() if field in common}
             tables[turbine] = kept | renamed
         return tables
 
@@ -219,14 +223,14 @@ class PayloadMapping:
         return self.conversions.get(turbine, self.conversions[EVERYONE])
 
     @cached_property
-    def split(self) -> Callable[[str], Tag | None] | None:
-        """Reads tags by their pattern; None without one."""
-        known = {name for table in self.conversions.values() for name in table}
-        return tag_reader(self.tag_pattern, self.turbines, known) if self.tag_pattern else None
+    def read_tag(self) -> Callable[[str], Tag | None] | None:
+        """Function that reads a tag by the pattern; None if the mapping has no pattern."""
+        field_names = {name for table in self.conversions.values() for name in table}
+        return tag_reader(self.tag_pattern, self.turbines, field_names) if self.tag_pattern else None
 
     def of_own_payloads(self, use_uncertain: bool, turbines: Mapping[str, str]) -> PayloadMapping:
-        """The mapping for a source that makes its payloads itself, one flat object each: `turbine`, `time`,
-        `quality` as a word, and the fields by their common names."""
+        """The mapping for a source that makes its payloads itself, each of them a flat object with `turbine`,
+        `time`, `quality` ("good", "uncertain" or "bad") and the fields by their common names."""
         return PayloadMapping(
             self.fields,
             quality="quality",
@@ -238,9 +242,9 @@ class PayloadMapping:
 
     @property
     def needs_topic(self) -> bool:
-        """Whether a level of the topic is read."""
+        """Whether the mapping reads a level of the topic."""
         return any("{" in text.replace(NAME, "") for text in (self.turbine, self.quality, self.tag)) or any(
-            one.startswith("{") and one not in (NAME, RECEIVED) for one in alternatives(self.time)
+            path.startswith("{") and path not in (NAME, RECEIVED) for path in alternatives(self.time)
         )
 
     def read(
@@ -248,114 +252,120 @@ class PayloadMapping:
     ) -> Sequence[TurbineReadings]:
         """The readings of a payload received at a time [s], by turbine.
 
-        order: of the source's local stamps, which is carried on; None: nothing is known of it.
+        order: order of the source's local stamps, updated by this payload; None: the order is unknown.
 
-        Raises Refused if the payload cannot be read, or if it has one record and none of that can be used.
-        Stamps before `EARLIEST_S` or after `LATEST_S` are refused, and those of a weather forecast that are
-        ahead of the arrival by more than `FORECAST_S`.
+        Raises Refused if the payload cannot be read, or if nothing of its only record can be used.  Stamps
+        before `EARLIEST_S` or after `LATEST_S` are refused; stamps of weather forecasts are refused if they
+        are ahead of the arrival by more than `FORECAST_S`.
         """
-        found, fault = Found(), None
+        result, fault = ReadingsByTurbine(), None
         for record in records(content, self.form, self.steps, topic, received):
             try:
-                self._read_record(record if order is None else record._replace(order=order), found)
+                self._read_record(record if order is None else record._replace(order=order), result)
             except Refused as refusal:
                 fault = refusal
-                found[NOBODY].rejections.append(Rejection(refusal.kind, str(refusal)))
-        if fault is not None and len(found) == 1:
-            ((_, readings, rejections),) = found.values()
+                result[NOBODY].rejections.append(Rejection(refusal.kind, str(refusal)))
+        if fault is not None and len(result) == 1:
+            ((_, readings, rejections),) = result.values()
             if not readings and len(rejections) == 1:
                 raise fault
-        return list(found.values())
+        return list(result.values())
 
     def stamp(self, content: Content) -> float | None:
-        """The first time [s] that a payload states; None if it states none that can be read."""
+        """The first time [s] in a payload; None if the payload has no time that can be read."""
         try:
             for record in records(content, self.form, self.steps):
-                found = seconds(self.readers["time"](record), self.clock) if record.scopes else None
-                if found is not None:
-                    return found
+                time = seconds(self.readers["time"](record), self.clock) if record.scopes else None
+                if time is not None:
+                    return time
         except Refused:
             pass
         return None
 
     # -- one record ------------------------------------------------------------------------------------------
-    def _read_record(self, record: PayloadRecord, found: Found) -> None:
-        """Add what a record says to what is found.  Raises Refused if none of it can be used."""
+    def _read_record(self, record: PayloadRecord, result: ReadingsByTurbine) -> None:
+        """Add the readings and rejections of a record.  Raises Refused if nothing of it can be used."""
         if not record.scopes:
             raise Refused("malformed", "expected an object as a record, found something else")
         if self.tag:
-            self._read_tag(record, found)
-        elif self.split is not None:
-            self._read_names(record, self.split, found)
+            self._read_tagged_value(record, result)
+        elif self.read_tag is not None:
+            self._read_tagged_fields(record, self.read_tag, result)
         else:
-            self._read_fields(record, found)
+            self._read_fields(record, result)
 
-    def _read_fields(self, record: PayloadRecord, found: Found) -> None:
+    def _read_fields(self, record: PayloadRecord, result: ReadingsByTurbine) -> None:
+        """Read the values of a record whose fields have the names of the mapping."""
         turbine = self._turbine(self.readers["turbine"](record))
-        own_time, own_quality = self.own
-        time, of = 0.0 if own_time else self._time(record, turbine), found[turbine]
-        _, readings, rejections = of
-        if not own_quality and not self._has_quality(record, rejections):
+        has_own_time, has_own_quality = self.value_has_time_and_quality
+        time, target = 0.0 if has_own_time else self._time(record, turbine), result[turbine]
+        _, readings, rejections = target
+        if not has_own_quality and not self._has_usable_quality(record, rejections):
             return
-        before = len(readings) + len(rejections)
+        count_before = len(readings) + len(rejections)
         scopes, table = record.scopes, self.table(turbine)
         for name, conversion in table.items():
-            raw = at(scopes, name)
+            raw = value_at(scopes, name)
             if raw is not None and raw != "":
-                self._convert(record, name, raw, conversion, time, of)
-        if len(readings) + len(rejections) == before and not any(has(scopes, name) for name in table):
+                self._convert(record, name, raw, conversion, time, target)
+        if len(readings) + len(rejections) == count_before and not any(
+            has_any_path(scopes, name) for name in table
+        ):
             rejections.append(Rejection("no known field", f"no field is among {_names(scopes)}"))
 
-    def _read_names(self, record: PayloadRecord, split: Callable[[str], Tag | None], found: Found) -> None:
-        """Read every value of a record whose names say field and perhaps turbine."""
-        spoken, (own_time, own_quality) = self.readers["turbine"](record), self.own
-        time = 0.0 if own_time else self._time(record, str(spoken))
-        marked: list[Rejection] = []
-        if not own_quality and not self._has_quality(record, marked):
-            raise Refused(marked[0].kind, marked[0].words)
-        if marked:
-            found[NOBODY if self.only is None else self.only].rejections.extend(marked)
-        seen = False
+    def _read_tagged_fields(
+        self, record: PayloadRecord, read_tag: Callable[[str], Tag | None], result: ReadingsByTurbine
+    ) -> None:
+        """Read the values of a record whose names are tags, with the field and perhaps the turbine."""
+        has_own_time, has_own_quality = self.value_has_time_and_quality
+        stated_turbine = self.readers["turbine"](record)
+        time = 0.0 if has_own_time else self._time(record, str(stated_turbine))
+        rejections: list[Rejection] = []
+        if not has_own_quality and not self._has_usable_quality(record, rejections):
+            raise Refused(*rejections[0])
+        if rejections:
+            result[NOBODY if self.only_turbine is None else self.only_turbine].rejections.extend(rejections)
+        has_field = False
         for name, raw in record.scopes[0].items():
-            tag = split(name)
-            if tag is None or not tag.known:
+            tag = read_tag(name)
+            if tag is None or not tag.is_known:
                 continue
-            turbine = self._turbine(spoken if tag.turbine is None else tag.turbine)
+            turbine = self._turbine(stated_turbine if tag.turbine is None else tag.turbine)
             conversion = self.table(turbine).get(tag.field)
             if conversion is None:
                 continue
-            seen = True
+            has_field = True
             if raw is not None and raw != "":
-                self._convert(record, name, raw, conversion, time, found[turbine])
-        if not seen:
-            said = f"no field like {self.tag_pattern} is among {_names(record.scopes)}"
-            raise Refused("no known field", said)
+                self._convert(record, name, raw, conversion, time, result[turbine])
+        if not has_field:
+            reason = f"no field like {self.tag_pattern} is among {_names(record.scopes)}"
+            raise Refused("no known field", reason)
 
-    def _read_tag(self, record: PayloadRecord, found: Found) -> None:
-        """Read the only value of a record, whose field a tag names."""
-        # tag and value belong together: those of the objects around it are not this record's
+    def _read_tagged_value(self, record: PayloadRecord, result: ReadingsByTurbine) -> None:
+        """Read the only value of a record, whose field is named by a tag."""
+        # tag and value must stand in the same object: an outer object's tag or value is not this record's
         inner = record if len(record.scopes) == 1 else record._replace(scopes=record.scopes[:1])
-        stated, spoken = self.readers["tag"](inner), self.readers["turbine"](record)
-        name = str(stated)[: LONGEST + 1]
-        if self.split is not None:
-            tag = self.split(name)
+        stated_tag, stated_turbine = self.readers["tag"](inner), self.readers["turbine"](record)
+        name = str(stated_tag)[: LONGEST_TEXT + 1]
+        if self.read_tag is not None:
+            tag = self.read_tag(name)
             if tag is None:
-                raise Refused("unknown tag", f"tag {quoted(stated)} is not like {self.tag_pattern}")
-            name, spoken = tag.field, spoken if tag.turbine is None else tag.turbine
-        turbine = self._turbine(spoken)
-        time, of = self._time(record, turbine, name), found[turbine]
-        if not self._has_quality(record, of.rejections, f"{quoted(stated)}: "):
+                raise Refused("unknown tag", f"tag {quoted(stated_tag)} is not like {self.tag_pattern}")
+            name, stated_turbine = tag.field, stated_turbine if tag.turbine is None else tag.turbine
+        turbine = self._turbine(stated_turbine)
+        time, target = self._time(record, turbine, name), result[turbine]
+        if not self._has_usable_quality(record, target.rejections, f"{quoted(stated_tag)}: "):
             return
         conversion = self.table(turbine).get(name)
         if conversion is None:
-            of.rejections.append(Rejection("unknown tag", f"tag {quoted(stated)} is no field"))
+            target.rejections.append(Rejection("unknown tag", f"tag {quoted(stated_tag)} is no field"))
             return
         raw = self.readers["value"](inner)
         if raw is not None and raw != "":
-            self._convert(record, name, raw, conversion, time, of)
-        elif raw is None and not has(inner.scopes, self.value):
-            said = f"no {self.value} is among {_names(record.scopes)}"
-            of.rejections.append(Rejection("no known field", said))
+            self._convert(record, name, raw, conversion, time, target)
+        elif raw is None and not has_any_path(inner.scopes, self.value):
+            reason = f"no {self.value} is among {_names(record.scopes)}"
+            target.rejections.append(Rejection("no known field", reason))
 
     # -- parts of a record -----------------------------------------------------------------------------------
     def _convert(
@@ -365,61 +375,69 @@ class PayloadMapping:
         raw: Json,
         conversion: Conversion,
         time: float,
-        of: TurbineReadings,
+        target: TurbineReadings,
     ) -> None:
-        """Add the reading of a value at its own time or else this one, or why it is none."""
+        """Add the reading of a value, or its rejection, to those of its turbine.
+
+        time: time [s] of the record, for values without a time of their own.
+        """
         signal, factor, offset, shift_s, low, high, meaning = conversion
-        own_time, own_quality = self.own
+        has_own_time, has_own_quality = self.value_has_time_and_quality
         try:
-            if own_time or own_quality:
+            if has_own_time or has_own_quality:
                 record = record._replace(name=name)
-                time = self._time(record, of.turbine, name) if own_time else time
-                if own_quality and not self._has_quality(record, of.rejections, f"{name}: "):
+                time = self._time(record, target.turbine, name) if has_own_time else time
+                if has_own_quality and not self._has_usable_quality(record, target.rejections, f"{name}: "):
                     return
-            found = number(raw, self.marks or POINT)
-            if found is None:
-                found = measured(raw, meaning, self.marks or POINT)
+            read = number(raw, self.marks or POINT)
+            if read is None:
+                read = quantity_or_flag(raw, meaning, self.marks or POINT)
             if self.marks is None and isinstance(raw, str) and PARTED.match(raw):
-                # the point may divide thousands: the signal's range tells, where it allows one of the two
-                either = [one for one in (found, 1e3 * found) if low <= factor * one + offset <= high]
-                if len(either) > 1:
-                    said = f'{quoted(raw)} may be {found:g} or {1e3 * found:g}: state decimal = "." or ","'
-                    raise Refused("ambiguous number", said)
-                found = either[0] if either else found
+                # the point may divide thousands: the signal's range decides if only one of the two is in it
+                possible = [x for x in (read, 1e3 * read) if low <= factor * x + offset <= high]
+                if len(possible) > 1:
+                    reason = f'{quoted(raw)} may be {read:g} or {1e3 * read:g}: state decimal = "." or ","'
+                    raise Refused("ambiguous number", reason)
+                read = possible[0] if possible else read
         except Unread as refusal:
-            of.rejections.append(Rejection(refusal.kind, f"{name}: {refusal}"))
+            target.rejections.append(Rejection(refusal.kind, f"{name}: {refusal}"))
             return
-        value = factor * found + offset
+        value = factor * read + offset
         if low <= value <= high:
-            of.readings.append(Reading(signal, time + shift_s, value))
+            target.readings.append(Reading(signal, time + shift_s, value))
         else:
-            said = f"{name}: {quoted(raw)} is outside the range of {signal}"
-            of.rejections.append(Rejection("impossible value", said))
+            reason = f"{name}: {quoted(raw)} is outside the range of {signal}"
+            target.rejections.append(Rejection("impossible value", reason))
 
     def _turbine(self, name: Json) -> str:
+        """The turbine that payloads call `name`.  Raises Refused for an unknown one."""
         if name is None and self.weather:
             return EVERYONE
-        if not self.turbine and self.only is not None:
-            return self.only
-        turbine = self.turbines.get(str(name)[: LONGEST + 1]) if name is not None else None
+        if not self.turbine and self.only_turbine is not None:
+            return self.only_turbine
+        turbine = self.turbines.get(str(name)[: LONGEST_TEXT + 1]) if name is not None else None
         if turbine is None:
             raise Refused("unknown turbine", f"turbine {quoted(name)} is not tracked")
         return turbine
 
     def _time(self, record: PayloadRecord, *series: str) -> float:
+        """The time [s] of a record or its value, whose stamps belong to a `series`.  Raises Refused."""
         stamp = self.readers["time"](record)
         if stamp is None and RECEIVED in alternatives(self.time):
             return record.received
         time = seconds(stamp, self.clock, record.received, record.order, series)
         if time is None:
-            raise Refused("no time", f"expected a time as {self.clock.words}, found {quoted(stamp)}")
+            raise Refused("no time", f"expected a time as {self.clock.expected}, found {quoted(stamp)}")
         if not EARLIEST_S <= time <= (record.received + FORECAST_S if self.weather else LATEST_S):
-            late = "more than 20 days ahead of this machine's clock" if self.weather else "after 2100"
-            raise Refused("impossible time", f"time {quoted(stamp)} is before 1990 or {late}")
+            too_late = "more than 20 days ahead of this machine's clock" if self.weather else "after 2100"
+            raise Refused("impossible time", f"time {quoted(stamp)} is before 1990 or {too_late}")
         return time
 
-    def _has_quality(self, record: PayloadRecord, rejections: list[Rejection], what: str = "") -> bool:
-        """Whether a record, or a value of it, is used by its quality; adds its count where it is not good."""
+    def _has_usable_quality(
+        self, record: PayloadRecord, rejections: list[Rejection], prefix: str = ""
+    ) -> bool:
+        """Whether the quality of a record or value allows its use; a quality that is not good is added to
+        `rejections`, with `prefix` before its text."""
         if not self.quality:
             return True
         mark = self.readers["quality"](record)
@@ -427,39 +445,42 @@ class PayloadMapping:
         if outcome == UNCERTAIN and not self.use_uncertain:
             outcome = BAD
         if outcome != GOOD:
-            rejections.append(Rejection(f"{outcome} quality", f"{what}quality {quoted(mark)}"))
+            rejections.append(Rejection(f"{outcome} quality", f"{prefix}quality {quoted(mark)}"))
         return outcome in (GOOD, UNCERTAIN)
 
 
 def _names(scopes: Scopes) -> str:
+    """The first three names of a record, for messages."""
     return ", ".join(quoted(name) for name in list(scopes[0])[:3]) or "nothing"
 
 
-# -- counted ------------------------------------------------------------------------------------------------
+# -- counts --------------------------------------------------------------------------------------------------
 @dataclass(frozen=True)
-class _Noting(QualityVocabulary):
-    """A vocabulary that notes the marks that it judges."""
+class _RecordingVocabulary(QualityVocabulary):
+    """A vocabulary that records the marks that it judges, in the order of their first occurrence."""
 
-    of: QualityVocabulary = UNSTATED
-    seen: dict[str, None] = field(default_factory=dict)
+    wrapped: QualityVocabulary = UNSTATED
+    marks: dict[str, None] = field(default_factory=dict)
 
     def judge(self, mark: object) -> str:
-        self.seen[str(mark)] = None
-        return self.of.judge(mark)
+        self.marks[str(mark)] = None
+        return self.wrapped.judge(mark)
 
 
 class PayloadStatistics:
-    """Counts payloads that are read by a mapping.
+    """Counts the payloads that a mapping reads.
 
-    `payloads`: number received; `used`: number that gave readings; `newest`: (turbine, signal) -> time [s] of
-    the newest reading; `counts`: rejected items by kind, with one example of each in `reasons`; `lag_s`:
-    smallest delay [s] from stamp to arrival, negative if the stamp is ahead, NaN without payloads.
+    `payloads`: number of payloads received; `used`: number of payloads with readings; `newest`: (turbine,
+    signal) -> time [s] of the newest reading; `counts`: kind of rejection -> its number; `reasons`: kind of
+    rejection -> the reason of the first one; `lag_s`: smallest delay [s] from stamp to arrival, negative if
+    the stamp is ahead, NaN without a stamp.
     """
 
     def __init__(self, mapping: PayloadMapping) -> None:
-        self._noting = _Noting("", {}, of=mapping.vocabulary)
-        self._beside: dict[tuple[str, str], dict[str, None]] = {}
-        self.mapping = replace(mapping, vocabulary=self._noting)
+        self._vocabulary = _RecordingVocabulary("", {}, wrapped=mapping.vocabulary)
+        self._unstated_marks: dict[tuple[str, str], dict[str, None]] = {}
+        """(field, field that seems to hold its quality) -> distinct marks in the latter."""
+        self.mapping = replace(mapping, vocabulary=self._vocabulary)
         self.payloads = self.used = 0
         self.newest: dict[tuple[str, str], float] = {}
         self.counts: Counter[str] = Counter()
@@ -468,50 +489,51 @@ class PayloadStatistics:
         self._order: Order = {}
 
     def take(self, content: Content, received: float, topic: str = "") -> Sequence[TurbineReadings]:
-        """Count a payload received at a time [s], and return what it gave."""
+        """Count a payload received at a time [s]; returns its readings and rejections by turbine."""
         self.payloads += 1
         if not self.mapping.quality:
-            self._look_for_quality(content, topic)
+            self._record_unstated_quality(content, topic)
         try:
-            found = self.mapping.read(content, received, topic, self._order)
+            results = self.mapping.read(content, received, topic, self._order)
         except Refused as fault:
-            found = [TurbineReadings(NOBODY, [], [Rejection(fault.kind, str(fault))])]
+            results = [TurbineReadings(NOBODY, [], [Rejection(fault.kind, str(fault))])]
             if fault.kind == "impossible time":
-                self._note(self.mapping.stamp(content), received)
-        if not any(one.readings or one.rejections for one in found):
-            # ordinary for a sensor that pauses, but nothing to be content with when a mapping is checked
-            found = [TurbineReadings(NOBODY, [], [Rejection("no value", "its fields are empty")])]
-        self.used += any(one.readings for one in found)
-        for turbine, readings, rejections in found:
-            for kind, words in rejections:
+                self._update_lag(self.mapping.stamp(content), received)
+        if not any(result.readings or result.rejections for result in results):
+            # a pausing sensor sends empty payloads, but a check of the mapping must not take them as success
+            results = [TurbineReadings(NOBODY, [], [Rejection("no value", "its fields are empty")])]
+        self.used += any(result.readings for result in results)
+        for turbine, readings, rejections in results:
+            for kind, reason in rejections:
                 self.counts[kind] += 1
-                self.reasons.setdefault(kind, f"{words}, used" if kind == USED_THOUGH else words)
-            for one in readings:
-                key = (turbine, one.signal)
-                self.newest[key] = max(one.time, self.newest.get(key, -math.inf))
-                self._note(one.time, received)
-        return found
+                self.reasons.setdefault(kind, f"{reason}, used" if kind == UNCERTAIN_QUALITY else reason)
+            for reading in readings:
+                key = (turbine, reading.signal)
+                self.newest[key] = max(reading.time, self.newest.get(key, -math.inf))
+                self._update_lag(reading.time, received)
+        return results
 
-    def _note(self, stamp: float | None, received: float) -> None:
+    def _update_lag(self, stamp: float | None, received: float) -> None:
         if stamp is not None:
             lag_s = received - stamp
-            self.lag_s = min(lag_s, self.lag_s) if self.lag_s == self.lag_s else lag_s
+            self.lag_s = lag_s if math.isnan(self.lag_s) else min(lag_s, self.lag_s)
 
-    def _look_for_quality(self, content: Content, topic: str) -> None:
-        """Note the marks in fields that, by their names, hold the quality of others."""
+    def _record_unstated_quality(self, content: Content, topic: str) -> None:
+        """Record the marks in fields that, judging by their names, hold the quality of other fields."""
         mapping = self.mapping
         with suppress(Refused):
-            for one in records(content, mapping.form, mapping.steps, topic):
-                payload = one.scopes[0] if one.scopes else {}
+            for record in records(content, mapping.form, mapping.steps, topic):
+                payload = record.scopes[0] if record.scopes else {}
                 columns = [mapping.value] if mapping.tag else [n for n in payload if n in mapping.fields]
-                for names in quality_columns(list(payload), columns).items():
-                    self._beside.setdefault(names, {})[str(payload[names[1]])] = None
+                for column, quality_column in quality_columns(list(payload), columns).items():
+                    marks = self._unstated_marks.setdefault((column, quality_column), {})
+                    marks[str(payload[quality_column])] = None
 
     @property
     def rejected(self) -> tuple[Statement, ...]:
-        """The rejected items by kind, and doubts about quality."""
+        """The numbers of rejections by kind, and doubts about quality marks."""
         kinds = self.counts.most_common()
-        counted = (ExaminedCode.REFUSED(count=n, kind=kind, why=self.reasons[kind]) for kind, n in kinds)
-        doubts = [misfit(self._noting.of, list(self._noting.seen))]
-        doubts += [unstated(*names, list(marks)) for names, marks in self._beside.items()]
-        return (*counted, *filter(None, doubts))
+        counts = (ExaminedCode.REFUSED(count=n, kind=kind, why=self.reasons[kind]) for kind, n in kinds)
+        doubts = [misfit(self._vocabulary.wrapped, list(self._vocabulary.marks))]
+        doubts += [unstated(*columns, list(marks)) for columns, marks in self._unstated_marks.items()]
+        return (*counts, *filter(None, doubts))

@@ -1,7 +1,7 @@
-"""Payloads as they arrive to records: JSON, a plain value or line protocol, packed or not, within limits.
+"""Splits payloads into records: JSON, a plain value or line protocol, compressed or not, up to limited sizes.
 
-A record is an object that holds values, and the objects around it: what a record does not say itself (a time,
-a turbine) is looked up in those.
+A record is an object that holds values, together with the objects around it, where a time or a turbine is
+looked up that the object itself does not state.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from hygrokf.data.structured import Json, JsonObject
 Payload = Mapping[str, Json]
 """A parsed object: names with plain values."""
 Scopes = tuple[Payload, ...]
-"""A record, and the objects around it from the inside out."""
+"""The object of a record, and the objects around it from the innermost to the outermost."""
 LARGEST = 65_536
 """Largest payload [bytes]."""
 UNPACKED = 4 * LARGEST
@@ -42,8 +42,8 @@ class Refused(Unread):
 
 
 Order = dict[tuple[str, ...], tuple[float, float]]
-"""The order in which a source brings its local stamps: series (a turbine, or one tag of it) -> its newest
-stamp, and the step to it [s].  Nothing is known after a restart until stamps are unambiguous again."""
+"""Order in which local stamps arrive: series (a turbine, or one of its tags) -> (newest stamp, step from
+its predecessor) [s].  After a restart the order is unknown until stamps are unambiguous again."""
 
 
 @dataclass(frozen=True)
@@ -55,14 +55,14 @@ class Unreadable:
 
 
 Content = bytes | str | Payload | Unreadable
-"""What a source delivers: text, cells by column name, or a row that cannot be read."""
+"""Content of a delivery: text, cells by column name, or a row that cannot be read."""
 
 
 class PayloadRecord(NamedTuple):
-    """A record of a payload, without `scopes` if it is no object.
+    """A record of a payload; `scopes` is empty if the record is not an object.
 
-    `name`: its key in the object around it; `topic` at which it arrived, and when it was `received` [s];
-    `order`: of its source's local stamps.
+    `name`: key of the record in the object around it, or name of the value that is read; `topic`: topic of
+    its arrival; `received`: time of its arrival [s]; `order`: order of its source's local stamps.
     """
 
     scopes: Scopes
@@ -75,9 +75,9 @@ class PayloadRecord(NamedTuple):
 def records(
     content: Content, form: str, steps: Sequence[str], topic: str = "", received: float = math.inf
 ) -> Iterable[PayloadRecord]:
-    """The records of a payload: itself, the objects of its array, or those at the end of a path.
+    """The records of a payload: the payload itself, the objects of its array, or those at the path `steps`.
 
-    form: one of `FORMATS`, for content that is still text.  Raises Refused for a payload without the path.
+    form: format of content that is text, one of `FORMATS`. Raises Refused for a payload without the path.
     """
     parsed: Json = content if isinstance(content, Mapping) else parsed_text(content, form)
     if isinstance(parsed, Mapping):
@@ -91,27 +91,28 @@ def records(
 
 
 def _walk(
-    content: Json, steps: Sequence[str], at: int, around: Scopes, name: str
+    content: Json, steps: Sequence[str], index: int, around: Scopes, name: str
 ) -> Iterator[tuple[Scopes, str]]:
-    if isinstance(content, list):  # wherever an array is met, each of its elements is taken
-        for one in content:
-            yield from _walk(one, steps, at, around, name)
+    """The scopes and the name of each record below `content`, along the path from step `index` on."""
+    if isinstance(content, list):  # an array stands for each of its elements
+        for element in content:
+            yield from _walk(element, steps, index, around, name)
     elif not isinstance(content, Mapping):
         yield (), name
-    elif at == len(steps):
+    elif index == len(steps):
         yield (content, *around), name
-    elif steps[at] == EACH:
+    elif steps[index] == EACH:
         for key, member in content.items():
             if isinstance(member, Mapping | list):
-                yield from _walk(member, steps, at + 1, (content, *around), key)
-    elif steps[at] in content:
-        yield from _walk(content[steps[at]], steps, at + 1, (content, *around), name)
+                yield from _walk(member, steps, index + 1, (content, *around), key)
+    elif steps[index] in content:
+        yield from _walk(content[steps[index]], steps, index + 1, (content, *around), name)
     else:
-        raise Refused("no records", f"there is no {steps[at]!r} of records = {'.'.join(steps)!r}")
+        raise Refused("no records", f"there is no {steps[index]!r} of records = {'.'.join(steps)!r}")
 
 
 def parsed_text(content: bytes | str | Unreadable, form: str) -> Json:
-    """The content of a payload's text, which may be packed by gzip.  Raises Refused."""
+    """The parsed content of a payload's text, which may be compressed by gzip.  Raises Refused."""
     if isinstance(content, Unreadable):
         raise Refused(content.kind, content.words)
     if len(content) > LARGEST:
@@ -131,14 +132,14 @@ def parsed_text(content: bytes | str | Unreadable, form: str) -> Json:
 def _unpacked(packed: bytes) -> bytes:
     unpacking = zlib.decompressobj(zlib.MAX_WBITS | 16)
     try:
-        found = unpacking.decompress(packed, UNPACKED + 1)
+        unpacked = unpacking.decompress(packed, UNPACKED + 1)
     except zlib.error as fault:
         raise Refused("malformed", f"gzip that cannot be unpacked: {fault}") from None
-    if len(found) > UNPACKED:
+    if len(unpacked) > UNPACKED:
         raise Refused("too large", f"a payload of more than {UNPACKED} bytes after unpacking")
     if not unpacking.eof:
         raise Refused("malformed", "gzip that ends too early")
-    return found
+    return unpacked
 
 
 # -- JSON ----------------------------------------------------------------------------------------------------
@@ -152,34 +153,34 @@ def _json(text: bytes) -> Json:
 
 
 _NOT_FINITE = re.compile(
-    r'"(?:[^"\\]|\\.)*+(?:"|\\?\Z)|(?P<one>[+-]?(?:nan|inf(?:inity)?|\d\.#\w+)\b(?:\(\w*\))?)',
+    r'"(?:[^"\\]|\\.)*+(?:"|\\?\Z)|(?P<number>[+-]?(?:nan|inf(?:inity)?|\d\.#\w+)\b(?:\(\w*\))?)',
     re.IGNORECASE | re.DOTALL,
 )
-"""A text of JSON (to the end if it is open), or a number that is not finite: -nan, nan(ind), inf, 1.#QNAN."""
+"""A string in JSON (to the end if its quote is missing), or a number that is not finite, as 1.#QNAN."""
 
 
 def decoded(text: bytes) -> Json:
-    """What a JSON text holds; a bare nan or inf of any spelling is NaN, which no field takes for a number.
+    """The parsed JSON text; an unquoted nan or inf of any spelling becomes NaN, which no field accepts.
 
     Raises ValueError and RecursionError.
     """
     plain = text.decode(json.detect_encoding(text))
     try:
-        found: Json = _DECODER.decode(plain)
+        parsed: Json = _DECODER.decode(plain)
     except ValueError as fault:
-        finite = _NOT_FINITE.sub(lambda one: "NaN" if one["one"] else one[0], plain)
-        if finite == plain:
+        corrected = _NOT_FINITE.sub(lambda match: "NaN" if match["number"] else match[0], plain)
+        if corrected == plain:
             raise fault
-        found = _DECODER.decode(finite)
-    return found
+        parsed = _DECODER.decode(corrected)
+    return parsed
 
 
 def _object(pairs: list[tuple[str, Json]]) -> JsonObject:
-    """A JSON object with unique keys; a repeated key is an error, because its value is ambiguous."""
-    found = dict(pairs)
-    if len(found) < len(pairs):
+    """The JSON object of (key, value) pairs.  Raises ValueError for a repeated, thus ambiguous key."""
+    members = dict(pairs)
+    if len(members) < len(pairs):
         raise ValueError("a key occurs twice")
-    return found
+    return members
 
 
 _DECODER = json.JSONDecoder(object_pairs_hook=_object)
@@ -217,42 +218,42 @@ _FLAGS = {"t": True, "T": True, "f": False, "F": False}
 
 
 def _lines(text: str) -> list[Json]:
-    """One object for each line: its tags and fields, `measurement`, and `time` where it has one; None for a
-    line that is none."""
+    """One object for each line, with its tags, its fields, `measurement` and, if stated, `time`; None for an
+    invalid line."""
     lines = (line.strip() for line in text.splitlines())
     return [_line(line) for line in lines if line and not line.startswith("#")]
 
 
 def _line(line: str) -> JsonObject | None:
-    whole = _LINE.fullmatch(line)
-    if whole is None:
+    match = _LINE.fullmatch(line)
+    if match is None:
         return None
-    measurement, *tags = re.split(r"(?<!\\),", whole["head"])
-    found: JsonObject = {"measurement": _plain(measurement)}
-    if whole["time"] is not None:
-        found["time"] = int(whole["time"])
-    for one in tags:
-        tag = _TAG.fullmatch(one)
+    measurement, *tags = re.split(r"(?<!\\),", match["head"])
+    members: JsonObject = {"measurement": _unescaped(measurement)}
+    if match["time"] is not None:
+        members["time"] = int(match["time"])
+    for text in tags:
+        tag = _TAG.fullmatch(text)
         if tag is None:
             return None
-        found[_plain(tag[1])] = _plain(tag[2])
-    at, fields = 0, whole["fields"]
-    while at < len(fields):
-        field = _FIELD.match(fields, at)
+        members[_unescaped(tag[1])] = _unescaped(tag[2])
+    position, fields = 0, match["fields"]
+    while position < len(fields):
+        field = _FIELD.match(fields, position)
         if field is None:
             return None
-        found[_plain(field[1])] = _field_value(field[2])
-        at = field.end()
-    return found
+        members[_unescaped(field[1])] = _field_value(field[2])
+        position = field.end()
+    return members
 
 
 def _field_value(text: str) -> Json:
     if text.startswith('"'):
-        return _plain(text[1:-1])
+        return _unescaped(text[1:-1])
     if _INTEGER.fullmatch(text):
         return int(text[:-1])
     return _FLAGS.get(text, text)
 
 
-def _plain(text: str) -> str:
+def _unescaped(text: str) -> str:
     return _ESCAPED.sub(r"\1", text)

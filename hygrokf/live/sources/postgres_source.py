@@ -1,7 +1,8 @@
 """A PostgreSQL or TimescaleDB database as a source: a query is repeated for the rows above a watermark.
 
-The watermark is a column that grows as rows come in, such as the time at which they were written.  Rows that
-are committed late, below watermarks that were read already, are found by reading an overlap again.
+The watermark is a column that grows as rows are added, such as the time at which they were written.  A row
+may be committed late, below a watermark that was read already; so each query reads an overlap again.  A
+watermark is settled when all rows up to it are delivered and no further one can follow.
 """
 
 from __future__ import annotations
@@ -36,11 +37,11 @@ from hygrokf.live.storage.postgres import connect, import_psycopg, url_fault
 if TYPE_CHECKING:
     import psycopg
 
-FETCHED = 1_000
-"""Rows fetched from the server at once."""
-MOST = 20_000
-"""Rows read by one query, so that no snapshot of the server stays open for long; rows of one watermark stay
-together."""
+ROWS_PER_FETCH = 1_000
+"""Number of rows fetched from the server at once."""
+ROWS_PER_QUERY = 20_000
+"""Number of rows after which a query ends, so that no snapshot of the server stays open for long; rows with
+the same watermark stay together."""
 SESSION = (
     "SET default_transaction_read_only = on",
     "SET statement_timeout = '5min'",
@@ -59,10 +60,11 @@ EDGES: dict[str, tuple[date, date]] = {
     "timestamp": (datetime.min, datetime.max),
     "date": (date.min, date.max),
 }
-"""What stands for times before year 1 and after year 9999, and for infinity."""
-REMEMBERED = 200_000
-"""Rows remembered as delivered; further ones that are read again are delivered again, and the store knows
-them."""
+"""Type of a time -> the earliest and the latest value, which replace times before year 1 and after year 9999,
+and the infinities."""
+REMEMBERED_ROWS = 200_000
+"""Largest number of rows remembered as delivered; other rows that are read again are delivered again, and the
+store recognises them."""
 AFTER = "%(after)s"
 
 Watermark: TypeAlias = datetime | date | int | float | Decimal
@@ -72,9 +74,9 @@ Watermark: TypeAlias = datetime | date | int | float | Decimal
 class PostgresForm(PasswordKeys, SourceKeys):
     """A [[source]] of `postgresql://USER@HOST/NAME`: a query and how it is repeated.
 
-    `query` contains `AFTER`, and sorts by the column `watermark`; `poll_s` [s] between two queries; `lag_s`
-    [s] from a row's watermark to its commit at most; `look_back_s` [s] read at the first start, None for all
-    rows; `name` tells several queries of one database apart.
+    `query` contains `AFTER` and sorts by the column `watermark`; `poll_s`: time [s] between two queries;
+    `lag_s`: longest time [s] from a row's watermark to its commit; `look_back_s`: time [s] before the first
+    start from which rows are read, None for all rows; `name`: distinguishes several queries of a database.
     """
 
     url: str = setting(help="postgresql://USER@HOST:PORT/NAME")
@@ -107,33 +109,35 @@ class PostgresForm(PasswordKeys, SourceKeys):
 
 @dataclass(frozen=True)
 class Columns:
-    """The columns of a query, the place of the watermark among them, and its type."""
+    """The columns of a query: their names, and index and type of the watermark's column."""
 
     names: tuple[str, ...]
-    place: int
+    watermark_index: int
     kind: str
 
     def watermark(self, row: Row) -> Watermark:
-        """The watermark of a row; infinity for NaN, which sorts above all others.  Raises SourceFault where
-        it has none."""
-        found: Watermark | None = row[self.place]
-        if found is not None and found != found:
-            return type(found)("inf")  # type: ignore[call-arg, arg-type]
-        if found is None:
+        """The watermark of a row; infinity for NaN, which the server sorts above all numbers.
+
+        Raises SourceFault for a row without a watermark.
+        """
+        watermark: Watermark | None = row[self.watermark_index]
+        if watermark is None:
             raise SourceFault(
-                f"a row has no {self.names[self.place]}, the watermark; select rows that have one"
+                f"a row has no {self.names[self.watermark_index]}, the watermark; select rows that have one"
             )
-        return found
+        if isinstance(watermark, float | Decimal) and math.isnan(watermark):
+            return type(watermark)("inf")
+        return watermark
 
     def payload(self, row: Row) -> Payload:
-        """The payload of a row: its values by the names of the columns."""
+        """The payload of a row: name of the column -> value."""
         return {name: _plain(value) for name, value in zip(self.names, row, strict=True)}
 
 
 class PostgresQuery(Stream):
-    """The rows of a query, from a session that may only read; reconnects indefinitely.
+    """The rows of a query, from a read-only session; reconnects indefinitely.
 
-    The place is type and text of a watermark below which every row is committed.
+    The place that the store keeps is the type and the text of the settled watermark.
     """
 
     ordered_by = "watermark"
@@ -147,15 +151,16 @@ class PostgresQuery(Stream):
         self._follow = True
         self._connection: psycopg.Connection[Row] | None = None
         self._after = ""
-        """Text of the watermark above which the next poll reads."""
-        self._reached: list[tuple[float, Watermark]] = []
-        """(monotonic time [s] of a query, highest watermark that it found), the newest last."""
-        self._polled = -math.inf
-        self._seen: dict[int, Watermark] = {}
-        """Rows above `_after` that were delivered, by their hash."""
+        """Text of the settled watermark, above which the next poll reads."""
+        self._highest_read: list[tuple[float, Watermark]] = []
+        """(monotonic time [s] of a query, highest completely read watermark), the newest last."""
+        self._polled_s = -math.inf
+        """Monotonic time [s] of the last poll."""
+        self._delivered: dict[int, Watermark] = {}
+        """Hash of each delivered row above `_after` -> its watermark."""
 
     def end_when_read(self) -> None:
-        """End when all present rows are read."""
+        """End when all rows that exist now are read."""
         self._follow = False
 
     def stop(self) -> None:
@@ -168,7 +173,7 @@ class PostgresQuery(Stream):
 
     # -- connection ------------------------------------------------------------------------------------------
     def open(self) -> psycopg.Connection[Row]:
-        """A session that may only read.  Raises SourceFault."""
+        """A read-only session.  Raises SourceFault."""
         try:
             import_psycopg("a PostgreSQL source")
             connection = connect(self.form.url, self.form.password.read())
@@ -180,24 +185,24 @@ class PostgresQuery(Stream):
         return connection
 
     def columns(self, connection: psycopg.Connection[Row]) -> Columns:
-        """The columns of the query.  Raises SourceFault where the watermark is not one that can be used."""
-        cursor = connection.execute(self.form.query, {"after": None})  # no row is above NULL
+        """The columns of the query.  Raises SourceFault if the watermark is missing or unusable."""
+        cursor = connection.execute(self.form.query, {"after": None})  # gives no rows: none is above NULL
         if cursor.description is None:
             raise SourceFault("the query gives no rows; write a SELECT")
-        names = tuple(one.name for one in cursor.description)
+        names = tuple(column.name for column in cursor.description)
         if self.form.watermark not in names:
             raise SourceFault(
                 f"expected the watermark {self.form.watermark!r} among the query's columns, found "
                 f"{', '.join(names)}; select it"
             )
-        place = names.index(self.form.watermark)
-        known = connection.adapters.types.get(cursor.description[place].type_code)
-        kind = known.name if known is not None else "an unknown type"
+        index = names.index(self.form.watermark)
+        type_info = connection.adapters.types.get(cursor.description[index].type_code)
+        kind = "an unknown type" if type_info is None else type_info.name
         if kind not in LOWEST:
             raise SourceFault(
                 f"expected a watermark that is a time or a number, found {self.form.watermark} of type {kind}"
             )
-        return Columns(names, place, kind)
+        return Columns(names, index, kind)
 
     def first_after(self, columns: Columns, place: str | None) -> str:
         """Text of the watermark above which the source begins or resumes.  Raises SourceFault."""
@@ -216,10 +221,10 @@ class PostgresQuery(Stream):
 
     # -- the source's own thread -----------------------------------------------------------------------------
     def _deliver(self, place: str | None, put: Callable[[Delivery], None]) -> None:
-        """Poll until the source is stopped or, where it does not follow, until every present row is read."""
+        """Poll until the source is stopped or, after `end_when_read`, until all existing rows are read."""
         try:
             self._follow_query(place, put)
-        except Exception as fault:  # of the driver, which only this module imports
+        except Exception as fault:  # the driver's exceptions are imported only in this module
             raise SourceFault(reason_of(fault)) from fault
         finally:
             connection, self._connection = self._connection, None
@@ -237,23 +242,23 @@ class PostgresQuery(Stream):
             self._state = SourceState("connected", self.url)
             if not self._follow:
                 return
-            # a long history is read again only once all of it can be settled
+            # a long history is not read again before all its watermarks can be settled
             self._ended.wait(max(self.form.poll_s, self.form.lag_s) if is_long else self.form.poll_s)
 
     def _poll(
         self, connection: psycopg.Connection[Row], columns: Columns, put: Callable[[Delivery], None]
     ) -> bool:
-        """Deliver the rows that have come since the last poll, in queries of at most `MOST` rows; returns
+        """Deliver the rows added since the last poll, in queries of about `ROWS_PER_QUERY` rows; returns
         whether there was more than one query.
 
-        A row that is committed after the last poll got its watermark at most `lag_s` before that.  So it is
-        above every watermark that was found earlier than `lag_s` before the last poll.
+        A row that was committed after the last poll received its watermark at most `lag_s` before that poll.
+        Its watermark is therefore above every watermark that was read `lag_s` or more before the last poll.
         """
-        settled = [mark for at, mark in self._reached if at <= self._polled - self.form.lag_s]
+        settled = [mark for read_s, mark in self._highest_read if read_s <= self._polled_s - self.form.lag_s]
         if settled:
-            del self._reached[: len(settled) - 1]
+            del self._highest_read[: len(settled) - 1]
             self._settle(settled[-1])
-        self._polled = began = time.monotonic()
+        self._polled_s = began = time.monotonic()
         after, count = self._read(connection, columns, self._after, began, put), 1
         while after is not None and not self._ended.is_set():
             after, count = self._read(connection, columns, after, time.monotonic(), put), count + 1
@@ -267,103 +272,108 @@ class PostgresQuery(Stream):
         began: float,
         put: Callable[[Delivery], None],
     ) -> str | None:
-        """Deliver the rows of one query, which began at a monotonic time [s].
+        """Deliver the rows of one query that began at the monotonic time `began` [s].
 
-        Returns the watermark above which rows remain, None without any.
-
-        The highest watermark itself is never passed: further rows may have the same.
+        Returns the text of the watermark above which rows remain, None if no row remains.  The highest
+        watermark is never settled, because further rows may have the same watermark.
         """
         (now,) = connection.execute("SELECT clock_timestamp()").fetchone() or (None,)
-        old = now - timedelta(seconds=self.form.lag_s) if columns.kind == "timestamptz" else None
+        settled_until = now - timedelta(seconds=self.form.lag_s) if columns.kind == "timestamptz" else None
         ahead = now + timedelta(days=1)
         latest = {"timestamptz": ahead, "timestamp": ahead.replace(tzinfo=None), "date": ahead.date()}
-        before: Any = None
-        last: Any = None
+        complete: Any = None  # highest watermark whose rows are all read
+        last: Any = None  # watermark of the last row
         with closing(rows_above(connection, self.form.query, after)) as rows:
             for count, row in enumerate(rows):
                 mark: Any = columns.watermark(row)
                 if columns.kind in latest and mark > latest[columns.kind]:
-                    mark = EDGES[columns.kind][1]  # passed, a wrong stamp would hide all rows to come
+                    # if a wrong time in the future were settled, it would hide all later rows
+                    mark = EDGES[columns.kind][1]
                 if last is not None and mark < last:
                     raise SourceFault(f"the rows are not sorted; add ORDER BY {self.form.watermark}")
                 if mark != last:
-                    before, last = last, mark
-                    if before is not None and old is not None and before <= old:
-                        self._after = text_of(before)
-                    if count >= MOST and before is not None:
+                    complete, last = last, mark
+                    if complete is not None and settled_until is not None and complete <= settled_until:
+                        self._after = text_of(complete)
+                    if count >= ROWS_PER_QUERY and complete is not None:
                         break
                 if self._ended.is_set():
                     return None
                 self._put(columns, row, mark, put)
             else:
                 last = None
-        if before is None:
+        if complete is None:
             return None
-        if old is not None and before <= old:
-            self._settle(before)
-        if not self._reached or before > self._reached[-1][1]:
-            self._reached.append((began, before))
-        return None if last is None else text_of(before)
+        if settled_until is not None and complete <= settled_until:
+            self._settle(complete)
+        if not self._highest_read or complete > self._highest_read[-1][1]:
+            self._highest_read.append((began, complete))
+        return None if last is None else text_of(complete)
 
     def _put(self, columns: Columns, row: Row, mark: Watermark, put: Callable[[Delivery], None]) -> None:
-        """Deliver a row that is not known to be delivered already."""
+        """Deliver a row unless it is remembered as delivered."""
         identity = hash(repr(row))
-        if identity in self._seen:
+        if identity in self._delivered:
             return
         place = f"{columns.kind} {self._after}"
         put(Delivery(columns.payload(row), time.time(), place=place, mark=number_of(mark)))
-        if len(self._seen) < REMEMBERED:
-            self._seen[identity] = mark
+        if len(self._delivered) < REMEMBERED_ROWS:
+            self._delivered[identity] = mark
 
     def _settle(self, mark: Any) -> None:
-        """Pass a watermark: every row up to it was delivered, and none will follow."""
+        """Settle a watermark: all rows up to it are delivered, and no further one will be committed."""
         self._after = text_of(mark)
-        self._seen = {row: one for row, one in self._seen.items() if one > mark}
+        self._delivered = {row: watermark for row, watermark in self._delivered.items() if watermark > mark}
 
 
 def rows_above(connection: psycopg.Connection[Row], text: str, after: str) -> Generator[Row, None, None]:
-    """The rows of a query above a watermark, fetched in portions through a cursor on the server."""
+    """The rows of the query `text` above the watermark `after`, fetched by a server-side cursor."""
     with connection.transaction():
         connection.execute(f"DECLARE hygrokf NO SCROLL CURSOR FOR {text}", {"after": after})
-        while rows := connection.execute(f"FETCH FORWARD {FETCHED} FROM hygrokf").fetchall():
+        while rows := connection.execute(f"FETCH FORWARD {ROWS_PER_FETCH} FROM hygrokf").fetchall():
             yield from rows
 
 
 def _read_all_times(connection: psycopg.Connection[Row]) -> None:
-    """Let a time that Python does not have cost its own value alone, not all rows that are fetched with it:
-    it is read as one of the `EDGES`, a time of day (24:00) and an interval as text."""
+    """Let the driver read times that Python cannot represent, which otherwise make a whole fetch fail.
+
+    Such a date or time stamp becomes one of the `EDGES`, a time of day (24:00) or an interval becomes text.
+    """
     from psycopg import DataError
     from psycopg.types import datetime as loaders
 
-    def passing(kind: type[Any], edges: tuple[date, date] | None) -> type[Any]:
+    def tolerant(kind: type[Any], edges: tuple[date, date] | None) -> type[Any]:
         def load(self: Any, data: Any) -> Any:
             try:
                 return kind.load(self, data)
             except DataError:
                 text = bytes(data).decode("ascii", "replace")
-                return text if edges is None else edges[not text.startswith("-") and "BC" not in text]
+                if edges is None:
+                    return text
+                earliest, latest = edges
+                return earliest if text.startswith("-") or "BC" in text else latest
 
         return type(kind.__name__, (kind,), {"load": load})
 
     for name in (*TIMES, "time", "timetz", "interval"):
         kind = getattr(loaders, f"{name.capitalize()}Loader")
-        connection.adapters.register_loader(name, passing(kind, EDGES.get(name)))
+        connection.adapters.register_loader(name, tolerant(kind, EDGES.get(name)))
 
 
 def text_of(mark: Watermark) -> str:
-    """A watermark as text from which the server makes the same value."""
+    """A watermark as text that the server reads as the same value."""
     return mark.isoformat() if isinstance(mark, date) else str(mark)
 
 
 def number_of(mark: Watermark) -> float:
-    """A watermark as a finite number that grows with it."""
+    """A watermark as a finite number; a higher watermark never has a smaller number."""
     if isinstance(mark, datetime):
         return mark.replace(tzinfo=mark.tzinfo or UTC).timestamp()
     return min(float(mark.toordinal() if isinstance(mark, date) else mark), sys.float_info.max)
 
 
 def _plain(value: Any) -> Json:
-    """A value of a row as it stands in a payload: times in ISO 8601, exact numbers as floating point."""
+    """A value of a row in the form of payloads: times in ISO 8601, exact numbers as floating point."""
     if isinstance(value, date):
         return value.isoformat()
     if isinstance(value, Decimal):
@@ -376,8 +386,9 @@ def _plain(value: Any) -> Json:
 
 
 def reason_of(fault: Exception) -> str:
-    """Why a source is lost, in one line: the server's own message where there is one."""
-    said = getattr(getattr(fault, "diag", None), "message_primary", None)
+    """The reason why a source is lost, in one line: the server's own message and hint, if it sent any."""
+    message = getattr(getattr(fault, "diag", None), "message_primary", None)
     hint = getattr(getattr(fault, "diag", None), "message_hint", None)
-    words = one_line(fault) if said is None else f"{said}; {hint}" if hint else str(said)
-    return words or type(fault).__name__
+    if message is None:
+        return one_line(fault) or type(fault).__name__
+    return (f"{message}; {hint}" if hint else str(message)) or type(fault).__name__

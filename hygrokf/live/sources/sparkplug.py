@@ -1,8 +1,8 @@
 """Sparkplug B on an MQTT broker as a source: edge nodes with their births, data and deaths.
 
-What the births define is kept in the store together with the readings, because a broker does not repeat them
-after a restart of the tracker.  With `rebirth_requests` an edge node is asked for its birth certificates when
-they are needed; nothing else is published here but alarms.
+The store keeps the definitions of the birth certificates together with the readings, because a broker does
+not repeat the certificates after a restart of the tracker.  With `rebirth_requests` the tracker asks an edge
+node for its birth certificates when it needs them; apart from these requests, it publishes only alarms.
 """
 
 from __future__ import annotations
@@ -29,15 +29,15 @@ from hygrokf.texts.wording import several, stamp_text
 
 LOG = logging.getLogger("hygrokf.track")
 MOST_NODES = 1_000
-"""Edge nodes that are followed."""
-LOOK_S = 0.5
-"""[s] between two looks for messages that wait in vain, and for edge nodes to be asked."""
-ASK_AGAIN_S = 60.0
-"""[s] after which an edge node is asked again."""
-DEVICE_PLACE = 4
-"""Place of the device in a topic."""
-DEVICE_LEVEL = f"{{{DEVICE_PLACE}}}"
-"""The mapping's turbine where each device is one."""
+"""Largest number of edge nodes that are followed."""
+CHECK_INTERVAL_S = 0.5
+"""Time [s] between two checks for messages that have waited too long, and for edge nodes without births."""
+REQUEST_INTERVAL_S = 60.0
+"""Time [s] after which the tracker repeats a rebirth request to an edge node."""
+DEVICE_INDEX = 4
+"""Index of the device among the levels of a topic."""
+DEVICE_LEVEL = f"{{{DEVICE_INDEX}}}"
+"""Path of the turbine in a mapping where each device is a turbine."""
 _OF_NO_DEVICE = Unreadable("of no device", "metrics of an edge node itself, while turbines are devices")
 
 
@@ -75,7 +75,7 @@ class EdgeNodes:
         return node, node.take(Arrived(address, topic, message, payload, received, acknowledge, repeated))
 
     def recall(self, memories: JsonObject) -> None:
-        """Resume from what `EdgeNode.memories` gave."""
+        """Resume from the stored `EdgeNode.memories` of all edge nodes."""
         prefix = "edge node "
         for key, content in memories.items():
             if key.startswith(prefix) and len(self.nodes) < MOST_NODES:
@@ -89,49 +89,49 @@ class EdgeNodes:
 
 
 def data_topic(name: str, device: str) -> str:
-    """The topic at which an edge node (GROUP/NODE) publishes data of a device, "" for its own."""
+    """The topic of the data of a device, or of the edge node (GROUP/NODE) itself if `device` is ""."""
     group, _, node = name.partition("/")
     return f"{NAMESPACE}/{group}/DDATA/{node}/{device}" if device else f"{NAMESPACE}/{group}/NDATA/{node}"
 
 
 class Sparkplug(Mqtt):
-    """The edge nodes below some topics of a broker."""
+    """A source of the edge nodes whose topics match the broker's filters."""
 
     largest = LARGEST_MESSAGE
 
     def __init__(self, broker: Broker, mapping: PayloadMapping) -> None:
-        own = mapping.of_own_payloads(mapping.use_uncertain, mapping.turbines)
-        named = replace(own, turbine=mapping.turbine, tag_pattern=mapping.tag_pattern, names=mapping.names)
+        flat = mapping.of_own_payloads(mapping.use_uncertain, mapping.turbines)
+        named = replace(flat, turbine=mapping.turbine, tag_pattern=mapping.tag_pattern, names=mapping.names)
         super().__init__(broker, named)
         self.edge_nodes = EdgeNodes()
-        self._asked: dict[str, float] = {}
-        self._looked = 0.0
+        self._requested_s: dict[str, float] = {}
+        self._checked_s = 0.0
 
     def recall(self, memories: JsonObject) -> None:
         self.edge_nodes.recall(memories)
 
     # -- the source's own thread -----------------------------------------------------------------------------
-    def _take(self, link: BrokerLink, found: Arrival, put: Callable[[Delivery], None]) -> None:
-        acknowledge = partial(link.acknowledge, found.identifier)
+    def _take(self, link: BrokerLink, arrival: Arrival, put: Callable[[Delivery], None]) -> None:
+        acknowledge = partial(link.acknowledge, arrival.identifier)
         node, released = self.edge_nodes.take(
-            found.topic, found.payload, found.time, acknowledge, found.repeated
+            arrival.topic, arrival.payload, arrival.time, acknowledge, arrival.repeated
         )
         if node is None and not released[0].contents:
             acknowledge()
         else:
             self._put_released(node, released, put)
 
-    def _look_after(self, link: BrokerLink, put: Callable[[Delivery], None]) -> None:
-        """Release messages that wait in vain for those before them; ask for births."""
-        if time.monotonic() < self._looked + LOOK_S:
+    def _do_periodic_work(self, link: BrokerLink, put: Callable[[Delivery], None]) -> None:
+        """Release messages whose predecessors are overdue; request missing birth certificates."""
+        if time.monotonic() < self._checked_s + CHECK_INTERVAL_S:
             return
-        self._looked = time.monotonic()
+        self._checked_s = time.monotonic()
         for node in self.edge_nodes.nodes.values():
-            self._put_released(node, node.look(time.time()), put)
+            self._put_released(node, node.release_overdue(time.time()), put)
         if self.broker.rebirth_requests and link.answered:
             for name in self.edge_nodes.without_birth():
-                if self._looked > self._asked.get(name, -ASK_AGAIN_S) + ASK_AGAIN_S:
-                    self._asked[name] = self._looked
+                if self._checked_s > self._requested_s.get(name, -REQUEST_INTERVAL_S) + REQUEST_INTERVAL_S:
+                    self._requested_s[name] = self._checked_s
                     group, _, node_id = name.partition("/")
                     link.request(f"{NAMESPACE}/{group}/NCMD/{node_id}", rebirth_request(time.time()))
                     LOG.info("asked for a rebirth", extra={"source": self.url, "edge_node": name})
@@ -139,25 +139,27 @@ class Sparkplug(Mqtt):
     def _put_released(
         self, node: EdgeNode | None, released: list[Released], put: Callable[[Delivery], None]
     ) -> None:
-        for place, one in enumerate(released, 1):
-            # the data to keep describe the edge node after all that is released
-            memories = node.memories() if node is not None and place == len(released) else None
-            self._put(self.contents(one), one.received, one.topic, one.acknowledge, put, memories)
+        for number, message in enumerate(released, 1):
+            # the stored data describe the edge node after the last of the released messages
+            memories = node.memories() if node is not None and number == len(released) else None
+            self._put(
+                self.contents(message), message.received, message.topic, message.acknowledge, put, memories
+            )
 
     def read(self, arrival: Arrival) -> Sequence[Content]:
         _, released = self.edge_nodes.take(arrival.topic, arrival.payload, arrival.time)
-        return [content for one in released for content in self.contents(one)]
+        return [content for message in released for content in self.contents(message)]
 
-    def contents(self, one: Released) -> Sequence[Payload | Unreadable]:
-        """What the mapping is given: where turbines are devices, nothing that an edge node says of itself."""
-        if self.mapping.turbine != DEVICE_LEVEL or one.topic.count("/") >= DEVICE_PLACE:
-            return one.contents
-        return [_OF_NO_DEVICE if not isinstance(c, Unreadable) else c for c in one.contents]
+    def contents(self, message: Released) -> Sequence[Payload | Unreadable]:
+        """The contents for the mapping; if devices are turbines, an edge node's own metrics are refused."""
+        if self.mapping.turbine != DEVICE_LEVEL or message.topic.count("/") >= DEVICE_INDEX:
+            return message.contents
+        return [c if isinstance(c, Unreadable) else _OF_NO_DEVICE for c in message.contents]
 
-    # -- what the state says ---------------------------------------------------------------------------------
+    # -- state -----------------------------------------------------------------------------------------------
     def _absences(self) -> list[tuple[str, str, float]]:
-        """Names of edge nodes and devices that have left and have not come back, the topics of their data,
-        and the times [s] of their death certificates."""
+        """(name, topic of its data, time [s] of its death certificate) of each edge node or device that is
+        absent."""
         nodes = tuple(self.edge_nodes.nodes.items())
         return [
             (f"{name}/{device}" if device else name, data_topic(name, device), since)
@@ -166,40 +168,42 @@ class Sparkplug(Mqtt):
         ]
 
     def left(self) -> dict[str, Statement]:
-        """Turbine -> that its edge node or device has left, where the topic names the turbine and nothing
-        else sends for it."""
-        found: dict[str, Statement] = {}
+        """Turbine -> statement that its edge node or device has left; only for turbines that the topic names
+        and that no present edge node or device sends for."""
+        statements: dict[str, Statement] = {}
         nodes = tuple(self.edge_nodes.nodes.items())
         present = {
-            self._turbine(data_topic(name, one)) for name, node in nodes for one in tuple(node.present)
+            self._turbine(data_topic(name, device)) for name, node in nodes for device in tuple(node.present)
         }
         for sender, topic, since in self._absences():
             turbine = self._turbine(topic)
             if turbine is not None and turbine not in present:
-                found[turbine] = AlarmCode.SENDER_LEFT(sender=sender, at=since)
-        return found
+                statements[turbine] = AlarmCode.SENDER_LEFT(sender=sender, at=since)
+        return statements
 
     def _turbine(self, topic: str) -> str | None:
-        """The turbine that a level of the topic names, or the only one; None for any other."""
+        """The turbine that a level of the topic names, or the only turbine; None for an unknown name."""
         mapping = self.mapping
         if not mapping.turbine:
-            return mapping.only
+            return mapping.only_turbine
         return mapping.turbines.get(str(mapping.readers["turbine"](PayloadRecord((), topic=topic))))
 
     @property
     def state(self) -> SourceState:
-        found = super().state
-        if found.word != "connected":
-            return found
-        nodes = tuple(self.edge_nodes.nodes.items())
-        left = [name for name, node in nodes if "" in node.left_s]
-        notes = [found.words, *self._notes()]
-        return SourceState("lost" if nodes and len(left) == len(nodes) else "connected", "; ".join(notes))
+        link_state = super().state
+        if link_state.word != "connected":
+            return link_state
+        nodes = tuple(self.edge_nodes.nodes.values())
+        all_left = bool(nodes) and all("" in node.left_s for node in nodes)
+        notes = [link_state.words, *self._notes()]
+        return SourceState("lost" if all_left else "connected", "; ".join(notes))
 
     def _notes(self) -> list[str]:
-        left = [f"{sender} since {stamp_text(since)}" for sender, _, since in self._absences()]
+        absent = [f"{sender} since {stamp_text(since)}" for sender, _, since in self._absences()]
         notes = (
-            [f"left, so that its signals are stale until it is born again: {several(left)}"] if left else []
+            [f"left, so that its signals are stale until it is born again: {several(absent)}"]
+            if absent
+            else []
         )
         if waiting := self.edge_nodes.without_birth():
             remedy = (
@@ -216,7 +220,7 @@ class MqttForm(Broker):
     """A [[source]] of a broker: payloads for the mapping, or Sparkplug B."""
 
     def stream(self, mapping: PayloadMapping, place: Place) -> Mqtt:
-        """The stream; secrets and certificates that cannot be read are faults."""
+        """The stream; unreadable secrets and certificates are reported as faults of `place`."""
         if (missing := libraries_fault()) is not None:
             place.fault(missing)
         if not place.faults:

@@ -1,9 +1,9 @@
-"""A Sparkplug edge node as its messages describe it: birth certificates define names, aliases and data types,
-data use them, death certificates end them; and the payloads that a message gives for the mapping.
+"""The state of a Sparkplug edge node, and the payloads that its messages contain for the mapping.  Birth
+certificates define names, aliases and data types; data messages use them; death certificates end them.
 
-The node numbers its messages (0 … 255).  A missing number may be that of a birth certificate that gave the
-aliases another meaning.  What comes by alias after such a gap, or after a death certificate, is therefore
-held until the next birth certificate, and is read only if its alias means the same before and after.
+The node numbers its messages (0 … 255).  A missing number may belong to a birth certificate that redefined
+the aliases.  After such a gap, or after a death certificate, metrics without a name are therefore held until
+the next birth certificate, and are read only if their aliases mean the same before and after it.
 """
 
 from __future__ import annotations
@@ -20,17 +20,17 @@ from hygrokf.live.sources.payload_formats import Payload, Refused, Unreadable
 from hygrokf.live.sources.sparkplug_payload import Metric, SparkplugMessage, decode
 
 NAMESPACE = "spBv1.0"
-CERTIFICATES = ("NBIRTH", "NDATA", "NDEATH", "DBIRTH", "DDATA", "DDEATH")
+MESSAGE_TYPES = ("NBIRTH", "NDATA", "NDEATH", "DBIRTH", "DDATA", "DDEATH")
 """Types of the messages that an edge node publishes."""
-PASSED_BY = ("NCMD", "DCMD", "STATE")
-"""Types of the messages to edge nodes, and of those of host applications."""
+IGNORED_TYPES = ("NCMD", "DCMD", "STATE")
+"""Types of commands to edge nodes, and of the states of host applications."""
 LONGEST_METRIC_NAME = 500
 """Longest name of a metric [characters]."""
 LARGEST_QUALITY = 255
-"""Largest value of the property Quality that is a code of OPC DA; those above it, such as 500 (stale), are
+"""Largest value of the property Quality that is a code of OPC DA; larger values, such as 500 (stale), mean
 bad."""
 _CONTROL = ("bdSeq", "Node Control/", "Device Control/")
-"""Beginnings of the names of metrics that belong to the protocol."""
+"""Prefixes of the names of metrics that belong to the protocol."""
 
 
 class EdgeAddress(NamedTuple):
@@ -58,10 +58,10 @@ def address_of(topic: str) -> EdgeAddress | None:
     levels = topic.split("/")
     if not topic.isprintable():
         raise Refused("no Sparkplug topic", f"expected printable characters, found {topic[:80]!r}")
-    if levels[0] == NAMESPACE and any(one in PASSED_BY for one in levels[1:3]):
+    if levels[0] == NAMESPACE and any(level in IGNORED_TYPES for level in levels[1:3]):
         return None
-    wanted = 5 if len(levels) > 2 and levels[2].startswith("D") else 4
-    if len(levels) != wanted or levels[0] != NAMESPACE or levels[2] not in CERTIFICATES or "" in levels:
+    level_count = 5 if len(levels) > 2 and levels[2].startswith("D") else 4
+    if len(levels) != level_count or levels[0] != NAMESPACE or levels[2] not in MESSAGE_TYPES or "" in levels:
         raise Refused(
             "no Sparkplug topic", f"expected {NAMESPACE}/GROUP/TYPE/NODE[/DEVICE], found {topic[:80]!r}"
         )
@@ -69,8 +69,10 @@ def address_of(topic: str) -> EdgeAddress | None:
 
 
 class Arrived(NamedTuple):
-    """A message from an address, decoded and as its `payload`, with its time of arrival [s]; `repeated`: the
-    broker sends it once more."""
+    """A message from an address: decoded, as its undecoded `payload`, and with its time of arrival [s].
+
+    `repeated`: the broker marks the message as sent again.
+    """
 
     address: EdgeAddress
     topic: str
@@ -82,7 +84,7 @@ class Arrived(NamedTuple):
 
 
 class Released(NamedTuple):
-    """What a message gives: payloads for the mapping, and reasons why parts of it are not used."""
+    """The contents of a message: payloads for the mapping, and the reasons why other parts are not used."""
 
     contents: tuple[Payload | Unreadable, ...]
     topic: str
@@ -92,7 +94,7 @@ class Released(NamedTuple):
 
 @dataclass(frozen=True)
 class BirthTable:
-    """What a birth certificate defines: name -> data type, and name -> alias."""
+    """The definitions of a birth certificate: name -> data type, and name -> alias."""
 
     types: Mapping[str, int] = field(default_factory=dict)
     aliases: Mapping[str, int] = field(default_factory=dict)
@@ -104,10 +106,11 @@ class BirthTable:
 
     @classmethod
     def of(cls, message: SparkplugMessage) -> BirthTable:
-        named = [one for one in message.metrics if one.name and len(one.name) <= LONGEST_METRIC_NAME]
+        """The table of a birth certificate."""
+        named = [(m.name, m) for m in message.metrics if m.name and len(m.name) <= LONGEST_METRIC_NAME]
         return cls(
-            {one.name: one.datatype for one in named if one.name},
-            {one.name: one.alias for one in named if one.name and one.alias is not None},
+            {name: metric.datatype for name, metric in named},
+            {name: metric.alias for name, metric in named if metric.alias is not None},
         )
 
     def name_of(self, metric: Metric) -> str | None:
@@ -115,20 +118,20 @@ class BirthTable:
         return metric.name or (None if metric.alias is None else self.names.get(metric.alias))
 
     def agrees(self, other: BirthTable, metric: Metric) -> bool:
-        """Whether a metric means the same in another table."""
+        """Whether a metric has the same name and data type in this table and in another one."""
         name = self.name_of(metric)
         return name is not None and name == other.name_of(metric) and self.types[name] == other.types[name]
 
 
-def contents_of(one: Arrived, table: BirthTable) -> list[Payload | Unreadable]:
+def contents_of(arrived: Arrived, table: BirthTable) -> list[Payload | Unreadable]:
     """Payloads of the metrics that a table can name, one for each time and quality, in the order of time.
 
-    Each holds "time" [s], "quality" ("good", "uncertain" or "bad") and the values by the metrics' names.
-    Metrics whose alias the table does not know are left to the caller.
+    Each payload holds "time" [s], "quality" ("good", "uncertain" or "bad") and the values by the metrics'
+    names.  Metrics whose alias is not in the table are not treated here.
     """
     groups: dict[tuple[float | None, str], list[JsonObject]] = {}
     reasons: dict[str, list[Metric]] = {}
-    for metric in one.message.metrics:
+    for metric in arrived.message.metrics:
         name = table.name_of(metric)
         if name is None or name.startswith(_CONTROL):
             if name is None and metric.alias is None:
@@ -142,55 +145,56 @@ def contents_of(one: Arrived, table: BirthTable) -> list[Payload | Unreadable]:
         elif len(name) > LONGEST_METRIC_NAME:
             reasons.setdefault("name too long", []).append(metric)
         elif value is not None:
-            # a historical value without a time of its own is not of the time of its message
-            time = one.message.time if metric.time is None and not metric.is_historical else metric.time
+            # the time of the message does not apply to a historical value without a time of its own
+            time = arrived.message.time if metric.time is None and not metric.is_historical else metric.time
             quality = GOOD if metric.quality is None else BAD
             if metric.quality is not None and metric.quality <= LARGEST_QUALITY:
                 quality = VOCABULARIES["opc-da"].judge(metric.quality)
-            those = groups.setdefault((time, quality), [{}])
-            if name in those[-1]:
-                those.append({})
-            those[-1][name] = value
-    ordered = sorted(groups.items(), key=lambda group: -1.0 if group[0][0] is None else group[0][0])
+            group = groups.setdefault((time, quality), [{}])
+            if name in group[-1]:  # a second value of a name needs a payload of its own
+                group.append({})
+            group[-1][name] = value
+    ordered = sorted(groups.items(), key=lambda item: -1.0 if item[0][0] is None else item[0][0])
     payloads = [
-        {**values, "time": time, "quality": quality} for (time, quality), those in ordered for values in those
+        {**values, "time": time, "quality": quality} for (time, quality), group in ordered for values in group
     ]
-    return [*payloads, *(Unreadable(kind, metrics_text(one, found, kind)) for kind, found in reasons.items())]
+    unused = (Unreadable(kind, metrics_text(arrived, metrics, kind)) for kind, metrics in reasons.items())
+    return [*payloads, *unused]
 
 
-def refused(one: Arrived, kind: str, words: str) -> Released:
-    """A message of which nothing is used."""
-    text = f"{one.address.kind} of {one.address.where}: {words}"
-    return Released((Unreadable(kind, text),), one.topic, one.received, one.acknowledge)
+def refused(arrived: Arrived, kind: str, reason: str) -> Released:
+    """The contents of a message of which nothing is used: the reason alone."""
+    text = f"{arrived.address.kind} of {arrived.address.where}: {reason}"
+    return Released((Unreadable(kind, text),), arrived.topic, arrived.received, arrived.acknowledge)
 
 
-def metrics_text(one: Arrived, metrics: Sequence[Metric], words: str) -> str:
-    """Text about some metrics of a message."""
+def metrics_text(arrived: Arrived, metrics: Sequence[Metric], reason: str) -> str:
+    """Message with the number of some metrics of a message and the reason why they are not used."""
     count = f"{len(metrics)} metric{'s' * (len(metrics) > 1)}"
-    return f"{count} in {one.address.kind} of {one.address.where}: {words}"
+    return f"{count} in {arrived.address.kind} of {arrived.address.where}: {reason}"
 
 
 REORDER_S = 2.0
-"""[s] a message waits for those before it: brokers keep the order within a topic only."""
+"""Time [s] for which a message waits for its predecessors: brokers keep the order only within a topic."""
 MOST_WAITING = 100
-"""Messages of an edge node that may wait for those before them."""
+"""Largest number of messages of an edge node that wait for their predecessors."""
 UNEXPLAINED = ("held until birth", "no birth yet")
-"""Reasons for which metrics by alias are not read: a birth certificate is awaited."""
+"""Kinds of unused metrics whose aliases need a birth certificate: held for it, or never defined so far."""
 MOST_DEVICES = 1_000
-"""Devices of an edge node."""
-MOST_HELD = 8 * 2**20
-"""[bytes] of messages held of an edge node; the oldest are dropped."""
-BESIDE = 500
-"""[bytes] that a held message takes beside its payload."""
+"""Largest number of devices of an edge node."""
+MOST_HELD_BYTES = 8 * 2**20
+"""Largest size [bytes] of the held messages of an edge node; beyond it the oldest are dropped."""
+OVERHEAD_BYTES = 500
+"""Estimated size [bytes] of a held message without its payload."""
 
 
 @dataclass(frozen=True)
 class NodeMemory:
-    """What an edge node resumes from, as plain data.
+    """The state of an edge node that the store keeps, as plain data.
 
-    `bdseq`: number of the session that its birth certificate names; `tables` by device, and the `former` ones
-    in doubt since a gap or a death; `gap_s`: time [s] of the gap; `left_s`: device -> time [s] of its death
-    certificate, "" for the edge node.
+    `bdseq`: session number in its birth certificate; `tables`: device -> valid birth table; `former`: device
+    -> birth table that is in doubt since a gap or a death; `gap_s`: time [s] of the gap; `left_s`: device ->
+    time [s] of its death certificate, "" for the edge node.
     """
 
     bdseq: int | None = None
@@ -203,34 +207,35 @@ class NodeMemory:
 class HeldMessages:
     """Messages whose aliases await a birth certificate, in the order of their arrival.
 
-    They are held encoded, which takes much less space: a backlog after an outage is long.
+    They are kept undecoded, because the backlog after an outage is long and decoded messages need much more
+    memory.
     """
 
     def __init__(self) -> None:
         self._messages: deque[Arrived] = deque()
         self._size = 0
 
-    def add(self, one: Arrived) -> None:
-        """Hold a message, and drop the oldest ones that have no place beside it."""
-        self._messages.append(one._replace(message=SparkplugMessage(), acknowledge=None))
-        self._size += len(one.payload) + BESIDE
-        while self._size > MOST_HELD:
-            self._size -= len(self._messages.popleft().payload) + BESIDE
+    def add(self, arrived: Arrived) -> None:
+        """Hold a message; drop the oldest messages beyond `MOST_HELD_BYTES`."""
+        self._messages.append(arrived._replace(message=SparkplugMessage(), acknowledge=None))
+        self._size += len(arrived.payload) + OVERHEAD_BYTES
+        while self._size > MOST_HELD_BYTES:
+            self._size -= len(self._messages.popleft().payload) + OVERHEAD_BYTES
 
     def release(self, device: str) -> Iterator[Arrived]:
-        """The messages of a device, which are held no longer."""
-        those = [one for one in self._messages if one.address.device == device]
-        self._messages = deque(one for one in self._messages if one.address.device != device)
-        self._size -= sum(len(one.payload) + BESIDE for one in those)
-        return (one._replace(message=decode(one.payload)) for one in those)
+        """Remove the held messages of a device and return them, decoded."""
+        released = [held for held in self._messages if held.address.device == device]
+        self._messages = deque(held for held in self._messages if held.address.device != device)
+        self._size -= sum(len(held.payload) + OVERHEAD_BYTES for held in released)
+        return (held._replace(message=decode(held.payload)) for held in released)
 
 
 class EdgeNode:
     """The present session of an edge node `name` (GROUP/NODE).
 
-    `gap_s`: time [s] since which a message is missing, None without a gap; `unborn`: whether metrics came by
-    aliases that the birth certificates so far do not define; `left_s`: device -> time [s] of its death
-    certificate, "" for the edge node; `present`: devices that have sent since.
+    `gap_s`: time [s] since which a message is missing, None without a gap; `unborn`: whether metrics arrived
+    with aliases that no birth certificate has defined yet; `left_s`: device -> time [s] of its death
+    certificate, "" for the edge node; `present`: devices that have sent a message and not left since.
     """
 
     def __init__(self, name: str) -> None:
@@ -249,156 +254,165 @@ class EdgeNode:
         self._changed = False
 
     # -- messages --------------------------------------------------------------------------------------------
-    def take(self, one: Arrived) -> list[Released]:
-        """What a message releases: itself, and messages that waited for it."""
-        sequence = one.message.sequence
-        if one.address.kind == "NDEATH":
-            return self._node_death(one)
-        if one.address.kind == "NBIRTH":
-            return [*self._node_birth(one), *self._in_order()]
+    def take(self, arrived: Arrived) -> list[Released]:
+        """Process a message; returns the released messages: this one, and those that waited for it."""
+        sequence = arrived.message.sequence
+        if arrived.address.kind == "NDEATH":
+            return self._end_session(arrived)
+        if arrived.address.kind == "NBIRTH":
+            return [*self._start_session(arrived), *self._apply_in_order()]
         if sequence is None or self._expected in (None, sequence):
-            return [*self._next(one), *self._in_order()]
+            return [*self._apply_next(arrived), *self._apply_in_order()]
         last = self._last
-        is_last = last is not None and (last.address, last.message) == (one.address, one.message)
-        if is_last or (one.repeated and (sequence - (self._expected or 0)) % 256 >= 128):
-            return [refused(one, "repeated", "it came before")]
-        self._waiting.append(one)
-        return self.look(one.received)
+        is_last = last is not None and (last.address, last.message) == (arrived.address, arrived.message)
+        # sequence numbers wrap at 256; one that is 128 or more ahead is taken as one in the past
+        if is_last or (arrived.repeated and (sequence - (self._expected or 0)) % 256 >= 128):
+            return [refused(arrived, "repeated", "it came before")]
+        self._waiting.append(arrived)
+        return self.release_overdue(arrived.received)
 
-    def look(self, now: float) -> list[Released]:
-        """What is released because the messages before it are missing for too long at a time [s]."""
+    def release_overdue(self, now: float) -> list[Released]:
+        """Release waiting messages whose predecessors are overdue at the time `now` [s]."""
         waiting = self._waiting
         if not waiting or (now - waiting[0].received < REORDER_S and len(waiting) <= MOST_WAITING):
             return []
-        return self._without_missing(now, waiting)
+        return self._apply_despite_gap(now, waiting)
 
-    def _next(self, one: Arrived) -> list[Released]:
-        if one.message.sequence is not None:
-            self._expected = (one.message.sequence + 1) % 256
-        self._last = one
-        return self._apply(one)
+    def _apply_next(self, arrived: Arrived) -> list[Released]:
+        if arrived.message.sequence is not None:
+            self._expected = (arrived.message.sequence + 1) % 256
+        self._last = arrived
+        return self._apply(arrived)
 
-    def _in_order(self) -> list[Released]:
-        """Apply waiting messages as long as the next of the sequence is among them."""
+    def _apply_in_order(self) -> list[Released]:
+        """Apply waiting messages as long as the next number of the sequence is among them."""
         released: list[Released] = []
-        by_number = {one.message.sequence: one for one in self._waiting}
-        while (one := by_number.pop(self._expected, None)) is not None:
-            self._waiting.remove(one)
-            released += self._next(one)
+        by_number = {arrived.message.sequence: arrived for arrived in self._waiting}
+        while (following := by_number.pop(self._expected, None)) is not None:
+            self._waiting.remove(following)
+            released += self._apply_next(following)
         return released
 
-    def _without_missing(self, now: float, those: Sequence[Arrived]) -> list[Released]:
-        """Apply waiting messages in their order although some before them are missing: a gap."""
+    def _apply_despite_gap(self, now: float, messages: Sequence[Arrived]) -> list[Released]:
+        """Apply waiting messages in the order of their numbers although predecessors are missing: a gap."""
         self.gap_s = now if self.gap_s is None else self.gap_s
         self._former |= self._tables
         self._tables, self._changed = {}, True
         expected = self._expected or 0
-        ordered = sorted(those, key=lambda one: ((one.message.sequence or 0) - expected) % 256)
-        self._waiting = [one for one in self._waiting if one not in those]
-        return [released for one in ordered for released in self._next(one)]
+        ordered = sorted(messages, key=lambda m: ((m.message.sequence or 0) - expected) % 256)
+        self._waiting = [waiting for waiting in self._waiting if waiting not in messages]
+        return [released for message in ordered for released in self._apply_next(message)]
 
-    def _node_birth(self, one: Arrived) -> list[Released]:
-        """A new session; waiting messages that are older than its birth certificate belong to the former."""
-        born = one.message.time
-        old = [w for w in self._waiting if born is None or w.message.time is None or w.message.time < born]
-        released = self._without_missing(one.received, old) if old else []
+    def _start_session(self, arrived: Arrived) -> list[Released]:
+        """Process the birth certificate of a new session; older waiting messages belong to the last one."""
+        birth_time = arrived.message.time
+        old = [
+            waiting
+            for waiting in self._waiting
+            if birth_time is None or waiting.message.time is None or waiting.message.time < birth_time
+        ]
+        released = self._apply_despite_gap(arrived.received, old) if old else []
         self._former |= self._tables
         self._tables = {}
-        self._bdseq = one.message.session
+        self._bdseq = arrived.message.session
         self.gap_s, self._expected = None, None
-        return [*released, *self._next(one)]
+        return [*released, *self._apply_next(arrived)]
 
-    def _node_death(self, one: Arrived) -> list[Released]:
-        number = one.message.session
+    def _end_session(self, arrived: Arrived) -> list[Released]:
+        """Process the death certificate of the edge node."""
+        number = arrived.message.session
         if number is not None and self._bdseq is not None and (number - self._bdseq) % 256 >= 128:
-            return [refused(one, "former death certificate", "it belongs to a former session")]
-        released = self._without_missing(one.received, self._waiting) if self._waiting else []
+            return [refused(arrived, "former death certificate", "it belongs to a former session")]
+        released = self._apply_despite_gap(arrived.received, self._waiting) if self._waiting else []
         self._former |= self._tables
-        self.left_s |= dict.fromkeys(("", *self._former), one.received)
+        self.left_s |= dict.fromkeys(("", *self._former), arrived.received)
         self.present.clear()
         self._tables, self._expected, self._last = {}, None, None
         self.gap_s, self.unborn, self._changed = None, False, True
-        return [*released, refused(one, "death certificate", "it has left")]
+        return [*released, refused(arrived, "death certificate", "it has left")]
 
-    def _apply(self, one: Arrived) -> list[Released]:
-        device, kind = one.address.device, one.address.kind
+    def _apply(self, arrived: Arrived) -> list[Released]:
+        """Process a message that is next in the sequence, except a death certificate of the edge node."""
+        device, kind = arrived.address.device, arrived.address.kind
         if kind == "DDEATH":
             if device in self._tables:
                 self._former[device] = self._tables.pop(device)
             self.present.discard(device)
-            self.left_s[device], self._changed = one.received, True
-            return [refused(one, "death certificate", "it has left")]
-        # whoever sends lives
+            self.left_s[device], self._changed = arrived.received, True
+            return [refused(arrived, "death certificate", "it has left")]
+        # a message shows that its device and the edge node are present
         self.present.add(device)
-        for alive in {"", device} & set(self.left_s):
-            del self.left_s[alive]
+        for returned in {"", device} & set(self.left_s):
+            del self.left_s[returned]
             self._changed = True
         if kind not in ("NBIRTH", "DBIRTH"):
-            return [self._read(one)]
+            return [self._read(arrived)]
         if device not in self._tables and len(self._tables) > MOST_DEVICES:
-            return [refused(one, "too large", f"more than {MOST_DEVICES} devices")]
-        self._tables[device], self._changed, self.unborn = BirthTable.of(one.message), True, False
-        return [self._read(one), *self._released_by_birth(device)]
+            return [refused(arrived, "too large", f"more than {MOST_DEVICES} devices")]
+        self._tables[device], self._changed, self.unborn = BirthTable.of(arrived.message), True, False
+        return [self._read(arrived), *self._released_by_birth(device)]
 
     # -- metrics ---------------------------------------------------------------------------------------------
-    def _read(self, one: Arrived) -> Released:
-        """Payloads of a message by the present table; metrics with aliases in doubt are held."""
-        table = self._tables.get(one.address.device, BirthTable())
-        contents = contents_of(one, table)
-        former = self._former.get(one.address.device, BirthTable())
-        unknown = [m for m in one.message.metrics if m.alias is not None and table.name_of(m) is None]
+    def _read(self, arrived: Arrived) -> Released:
+        """The payloads of a message by the valid birth table; a message with aliases in doubt is held."""
+        table = self._tables.get(arrived.address.device, BirthTable())
+        contents = contents_of(arrived, table)
+        former = self._former.get(arrived.address.device, BirthTable())
+        unknown = [m for m in arrived.message.metrics if m.alias is not None and table.name_of(m) is None]
         held = tuple(m for m in unknown if former.name_of(m) is not None)
         if held:
-            self._held.add(one)
+            self._held.add(arrived)
             contents.append(
-                Unreadable(UNEXPLAINED[0], metrics_text(one, held, "wait for a birth certificate"))
+                Unreadable(UNEXPLAINED[0], metrics_text(arrived, held, "wait for a birth certificate"))
             )
         if len(unknown) > len(held):
-            strange = [m for m in unknown if former.name_of(m) is None]
+            undefined = [m for m in unknown if former.name_of(m) is None]
             contents.append(
-                Unreadable(UNEXPLAINED[1], metrics_text(one, strange, "no birth certificate has come"))
+                Unreadable(UNEXPLAINED[1], metrics_text(arrived, undefined, "no birth certificate has come"))
             )
         self.unborn = self.unborn or bool(unknown)
         if not contents:
             contents.append(
-                Unreadable("no value", f"{one.address.kind} of {one.address.where} without a value")
+                Unreadable("no value", f"{arrived.address.kind} of {arrived.address.where} without a value")
             )
-        return Released(tuple(contents), one.topic, one.received, one.acknowledge)
+        return Released(tuple(contents), arrived.topic, arrived.received, arrived.acknowledge)
 
     def _released_by_birth(self, device: str) -> list[Released]:
-        """Held metrics of a device: read if the new birth certificate gives their aliases the old meaning."""
+        """The held metrics of a device whose aliases have the same meaning in the new birth certificate."""
         former, table = self._former.pop(device, BirthTable()), self._tables[device]
         released = []
-        for one in self._held.release(device):
-            held = [m for m in one.message.metrics if not m.name and former.name_of(m) is not None]
-            same = tuple(m for m in held if table.agrees(former, m))
-            contents = contents_of(one._replace(message=replace(one.message, metrics=same)), table)
-            if len(same) < len(held):
+        for arrived in self._held.release(device):
+            held = [m for m in arrived.message.metrics if not m.name and former.name_of(m) is not None]
+            unchanged = tuple(m for m in held if table.agrees(former, m))
+            message = replace(arrived.message, metrics=unchanged)
+            contents = contents_of(arrived._replace(message=message), table)
+            if len(unchanged) < len(held):
                 contents.append(
-                    Unreadable("alias changed", f"aliases of {one.address.where} changed in a gap")
+                    Unreadable("alias changed", f"aliases of {arrived.address.where} changed in a gap")
                 )
-            released.append(Released(tuple(contents), one.topic, one.received))
-        return [one for one in released if one.contents]
+            if contents:
+                released.append(Released(tuple(contents), arrived.topic, arrived.received))
+        return released
 
     # -- memories --------------------------------------------------------------------------------------------
     def memories(self) -> JsonObject:
-        """Data to resume from, by name: the place in the sequence, and the rest if it has changed."""
-        found: JsonObject = {f"sequence of {self.name}": self._expected}
+        """Data for the store by name: the next sequence number, and the `NodeMemory` if it has changed."""
+        memories: JsonObject = {f"sequence of {self.name}": self._expected}
         if self._changed:
             self._changed = False
-            known = NodeMemory(self._bdseq, self._tables, self._former, self.gap_s, self.left_s)
-            found[f"edge node {self.name}"] = plain(known)
-        return found
+            memory = NodeMemory(self._bdseq, self._tables, self._former, self.gap_s, self.left_s)
+            memories[f"edge node {self.name}"] = plain(memory)
+        return memories
 
     @classmethod
     def recalled(cls, name: str, sequence: Json, content: Json) -> EdgeNode:
-        """The edge node from its `memories`; those that cannot be read are forgotten."""
-        found = cls(name)
+        """The edge node with the state of its `memories`; without a state if they cannot be read."""
+        node = cls(name)
         try:
-            known = structured(NodeMemory, content)
+            memory = structured(NodeMemory, content)
         except StructureFault:
-            return found
-        found._bdseq, found._tables, found._former = known.bdseq, dict(known.tables), dict(known.former)
-        found.gap_s, found.left_s, found.present = known.gap_s, dict(known.left_s), set(known.tables)
-        found._expected = sequence % 256 if isinstance(sequence, int) else None
-        return found
+            return node
+        node._bdseq, node._tables, node._former = memory.bdseq, dict(memory.tables), dict(memory.former)
+        node.gap_s, node.left_s, node.present = memory.gap_s, dict(memory.left_s), set(memory.tables)
+        node._expected = sequence % 256 if isinstance(sequence, int) else None
+        return node

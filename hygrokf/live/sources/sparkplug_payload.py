@@ -1,7 +1,7 @@
-"""Decodes Sparkplug B payloads, which are messages of protobuf with metrics, within bounds.
+"""Decodes Sparkplug B payloads, which are protobuf messages with metrics, up to a limited size.
 
-The numbers of the fields are those of the Sparkplug specification 3.0, chapter 6.4; of the fields only those
-that are used here have a type.  Protobuf skips the others.
+The field numbers are those of the Sparkplug specification 3.0, chapter 6.4.  Only the fields used here are
+declared; protobuf skips the others.
 """
 
 from __future__ import annotations
@@ -20,14 +20,14 @@ MOST_METRICS = 20_000
 COMPRESSED = "SPBV1.0_COMPRESSED"
 """`uuid` of a payload whose body is another payload, compressed by zlib or gzip."""
 SIGNED = {1: 8, 2: 16, 3: 32, 4: 64}
-"""Data type of a signed integer -> its bits."""
+"""Data type of a signed integer -> its number of bits."""
 UNSIGNED = {5: 8, 6: 16, 7: 32, 8: 64, 13: 64}
-"""Data type of an unsigned integer, or of a date [ms] -> its bits."""
+"""Data type of an unsigned integer, or of a date [ms] -> its number of bits."""
 BOOLEAN = 11
 NO_SCALAR = frozenset({16, 17, 18, 19, *range(22, 35)})
 """Data types without a single value: data sets, bytes, files, templates, arrays."""
 QUALITY = "Quality"
-"""Name of the property with a metric's quality."""
+"""Name of the property that holds a metric's quality."""
 REBIRTH = "Node Control/Rebirth"
 """The metric that asks an edge node for its birth certificates."""
 _FIELDS = {
@@ -48,7 +48,7 @@ _FIELDS = {
         (13, "double_value", "double"),
         (14, "boolean_value", "bool"),
         (15, "string_value", "bytes"),
-        # these are no single values and are not looked into
+        # not single values: their bytes are not decoded
         (16, "bytes_value", "bytes"),
         (17, "dataset_value", "bytes"),
         (18, "template_value", "bytes"),
@@ -62,23 +62,23 @@ _FIELDS = {
         (5, "body", "bytes"),
     ),
 }
-"""Message -> numbers, names and types of its fields.
+"""Message -> number, name and type of each of its fields.
 
-Texts are bytes, because the runtimes of protobuf differ in what they make of other bytes than UTF-8.
+Texts are declared as bytes, because the protobuf runtimes differ in how they treat bytes that are not UTF-8.
 """
 _NO_SCALAR_FIELDS = ("bytes_value", "dataset_value", "template_value", "extension_value")
 _REPEATED = ("keys", "values", "metrics")
 _VALUE = "value"
-"""Of the fields whose names end so, a message holds the last that was sent."""
+"""Suffix of the fields that form a protobuf `oneof`: a message keeps only the last of them that was sent."""
 
 
 @dataclass(frozen=True)
 class Metric:
-    """A metric of a message; what a message leaves out is None.
+    """A metric of a message; a field that the message omits is None.
 
-    `time` [s]; `datatype`: number of its data type, 0 if not stated; `value`: an integer as sent, before its
-    sign is known, a number, a text, None for none; `is_scalar`: False for templates, data sets, bytes and
-    arrays; `quality`: the property of that name.
+    `time`: time stamp [s]; `datatype`: number of the data type, 0 if not stated; `value`: number, text or
+    None; an integer is kept as sent, without its sign (see `reading`); `is_scalar`: False for templates, data
+    sets, bytes and arrays; `quality`: value of the property Quality.
     """
 
     name: str | None = None
@@ -93,7 +93,7 @@ class Metric:
     is_scalar: bool = True
 
     def reading(self, datatype: int) -> int | float | str | None:
-        """The value as its data type reads it: integers with their sign, booleans as 1 and 0."""
+        """The value interpreted by a data type: integers with their sign, booleans as 1 and 0."""
         value = None if self.is_null else self.value
         if isinstance(value, int):
             if datatype in SIGNED:
@@ -105,7 +105,7 @@ class Metric:
 
 @dataclass(frozen=True)
 class SparkplugMessage:
-    """A decoded payload: its `time` [s], its sequence number, its metrics."""
+    """A decoded payload: its time stamp [s], its sequence number and its metrics."""
 
     time: float | None = None
     sequence: int | None = None
@@ -113,13 +113,13 @@ class SparkplugMessage:
 
     @property
     def session(self) -> int | None:
-        """The number of the edge node's session (bdSeq) of a birth or death certificate."""
-        number = next((one.reading(one.datatype) for one in self.metrics if one.name == "bdSeq"), None)
+        """The session number (bdSeq, 0 … 255) in a birth or death certificate; None without one."""
+        number = next((m.reading(m.datatype) for m in self.metrics if m.name == "bdSeq"), None)
         return number % 256 if isinstance(number, int) else None
 
 
 def decode(payload: bytes) -> SparkplugMessage:
-    """The message of a payload.  Raises Refused for anything that is no Sparkplug B payload."""
+    """The message in a payload.  Raises Refused for bytes that are not a Sparkplug B payload."""
     message, uuid, body = _decode(payload)
     if uuid != COMPRESSED:
         return message
@@ -131,33 +131,34 @@ def decode(payload: bytes) -> SparkplugMessage:
 
 
 def rebirth_request(now: float) -> bytes:
-    """The payload of a command that asks an edge node for its birth certificates, sent at a time [s]."""
-    made = _payload_class()(timestamp=int(1000.0 * now))
-    made.metrics.add(name=REBIRTH.encode(), timestamp=made.timestamp, datatype=BOOLEAN, boolean_value=True)
-    return bytes(made.SerializeToString())
+    """Payload of the command that asks an edge node for its birth certificates, sent at time `now` [s]."""
+    command = _payload_class()(timestamp=int(1000.0 * now))
+    command.metrics.add(
+        name=REBIRTH.encode(), timestamp=command.timestamp, datatype=BOOLEAN, boolean_value=True
+    )
+    return bytes(command.SerializeToString())
 
 
 # -- messages ------------------------------------------------------------------------------------------------
 @cache
 def _payload_class() -> Any:
-    """The class of payloads, which protobuf makes from `_FIELDS`."""
+    """The protobuf class of payloads, built from `_FIELDS`."""
     from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 
     kinds = descriptor_pb2.FieldDescriptorProto
     file = descriptor_pb2.FileDescriptorProto(name="hygrokf_sparkplug", package="hygrokf", syntax="proto2")
     for message, fields in _FIELDS.items():
-        made = file.message_type.add(name=message)
+        message_type = file.message_type.add(name=message)
         for number, name, kind in fields:
-            many = name in _REPEATED
-            label = kinds.LABEL_REPEATED if many else kinds.LABEL_OPTIONAL
-            field = made.field.add(name=name, number=number, label=label)
+            label = kinds.LABEL_REPEATED if name in _REPEATED else kinds.LABEL_OPTIONAL
+            field = message_type.field.add(name=name, number=number, label=label)
             if kind in _FIELDS:
                 field.type, field.type_name = kinds.TYPE_MESSAGE, f".hygrokf.{kind}"
             else:
                 field.type = getattr(kinds, f"TYPE_{kind.upper()}")
             if name.endswith(f"_{_VALUE}"):
-                if not made.oneof_decl:
-                    made.oneof_decl.add(name=_VALUE)
+                if not message_type.oneof_decl:
+                    message_type.oneof_decl.add(name=_VALUE)
                 field.oneof_index = 0
     pool = descriptor_pool.DescriptorPool()
     pool.Add(file)
@@ -165,40 +166,41 @@ def _payload_class() -> Any:
 
 
 def _decode(payload: bytes) -> tuple[SparkplugMessage, str, bytes]:
+    """The message of a payload, with its fields `uuid` and `body`, which may hold a compressed payload."""
     from google.protobuf.message import DecodeError
 
     if len(payload) > LARGEST_MESSAGE:
         raise Refused("too large", f"a message of {len(payload)} bytes; at most {LARGEST_MESSAGE} are read")
     try:
-        found = _payload_class().FromString(payload)
-        if len(found.metrics) > MOST_METRICS:
+        decoded = _payload_class().FromString(payload)
+        if len(decoded.metrics) > MOST_METRICS:
             raise Refused("too large", f"a message with more than {MOST_METRICS} metrics")
-        metrics = tuple(_metric(one) for one in found.metrics)
+        metrics = tuple(_metric(raw) for raw in decoded.metrics)
         message = SparkplugMessage(
-            found.timestamp / 1e3 if found.HasField("timestamp") else None,
-            found.seq % 256 if found.HasField("seq") else None,
+            decoded.timestamp / 1e3 if decoded.HasField("timestamp") else None,
+            decoded.seq % 256 if decoded.HasField("seq") else None,
             metrics,
         )
-        return message, found.uuid.decode(), found.body
+        return message, decoded.uuid.decode(), decoded.body
     except DecodeError:
         raise Refused("malformed", "no protobuf, or cut short") from None
     except UnicodeDecodeError:
         raise Refused("malformed", "a text that is not in UTF-8") from None
 
 
-def _metric(found: Any) -> Metric:
-    kind = found.WhichOneof(_VALUE)
-    is_scalar = kind not in _NO_SCALAR_FIELDS and found.datatype not in NO_SCALAR
+def _metric(raw: Any) -> Metric:
+    kind = raw.WhichOneof(_VALUE)
+    is_scalar = kind not in _NO_SCALAR_FIELDS and raw.datatype not in NO_SCALAR
     return Metric(
-        name=found.name.decode() if found.HasField("name") else None,
-        alias=found.alias if found.HasField("alias") else None,
-        time=found.timestamp / 1e3 if found.HasField("timestamp") else None,
-        datatype=found.datatype,
-        value=_scalar(getattr(found, kind)) if is_scalar and kind is not None else None,
-        quality=_quality(found.properties) if found.HasField("properties") else None,
-        is_historical=found.is_historical,
-        is_transient=found.is_transient,
-        is_null=found.is_null,
+        name=raw.name.decode() if raw.HasField("name") else None,
+        alias=raw.alias if raw.HasField("alias") else None,
+        time=raw.timestamp / 1e3 if raw.HasField("timestamp") else None,
+        datatype=raw.datatype,
+        value=_scalar(getattr(raw, kind)) if is_scalar and kind is not None else None,
+        quality=_quality(raw.properties) if raw.HasField("properties") else None,
+        is_historical=raw.is_historical,
+        is_transient=raw.is_transient,
+        is_null=raw.is_null,
         is_scalar=is_scalar,
     )
 
@@ -210,16 +212,17 @@ def _scalar(value: bool | float | bytes) -> int | float | str:
 
 
 def _quality(properties: Any) -> int | None:
-    names = [one.decode() for one in properties.keys]
-    for name, one in zip(names, properties.values, strict=False):
-        if name == QUALITY and (kind := one.WhichOneof(_VALUE)) is not None:
-            return int(getattr(one, str(kind)))
+    names = [key.decode() for key in properties.keys]
+    for name, value in zip(names, properties.values, strict=False):
+        if name == QUALITY and (kind := value.WhichOneof(_VALUE)) is not None:
+            return int(getattr(value, str(kind)))
     return None
 
 
 def _decompressed(body: bytes) -> bytes:
     try:
-        found = zlib.decompressobj(wbits=47).decompress(body, LARGEST_MESSAGE + 1)
+        # wbits 47: the header decides between zlib and gzip; one byte too many shows that a limit is exceeded
+        decompressed = zlib.decompressobj(wbits=47).decompress(body, LARGEST_MESSAGE + 1)
     except zlib.error:
         raise Refused("malformed", "a compressed payload that cannot be decompressed") from None
-    return found
+    return decompressed

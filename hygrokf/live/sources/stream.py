@@ -1,7 +1,7 @@
-"""What a source is to the tracker: a `Stream` of deliveries, with a state.
+"""The interface between a source and the tracker: a `Stream` of deliveries, with a state.
 
-Every source hands deliveries to the service from its own thread, and `acknowledge` tells it which of them the
-store has committed.
+Every source hands deliveries to the service from its own thread; the service calls `acknowledge` with those
+that the store has committed.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from hygrokf.texts.statement import Statement
 
 LOG = logging.getLogger("hygrokf.track")
 PAUSE_S = 0.2
-"""[s] between two looks at a source that has nothing new."""
+"""Pause [s] before a source that has nothing new is read again."""
 BACK_OFF_S = (1.0, 60.0)
 """Shortest and longest pause [s] between attempts to read a source."""
 
@@ -37,8 +37,8 @@ class Delivery:
 
     `received`: time of arrival [s]; `topic`: MQTT topic; `place`: position from which the source resumes
     after this delivery; `memories`: name → JSON data of the source that the store keeps together with this
-    delivery and gives back by `Stream.recall`; `acknowledge`: tells the source that it is committed, None if
-    there is nothing to tell; `mark`: the source's own number of this version of its values (`Reading.mark`).
+    delivery and returns by `Stream.recall`; `acknowledge`: called when the delivery is committed, None if the
+    source needs no call; `mark`: number by which the source orders the versions of a value (`Reading.mark`).
     """
 
     content: Content
@@ -51,20 +51,24 @@ class Delivery:
 
 
 def pause_s(failed: int, limits_s: tuple[float, float]) -> float:
-    """Pause [s] after `failed` attempts in a row, 1 or more: the shortest of its limits at first, then each
-    twice as long as the one before, up to the longest."""
+    """Pause [s] after `failed` ≥ 1 consecutive failed attempts.
+
+    limits_s: shortest pause, which follows the first attempt, and longest pause. Each pause is twice as long
+    as the one before, up to the longest.
+    """
     shortest, longest = limits_s
-    return min(shortest * 2.0 ** min(failed - 1, 30), longest)
+    return min(shortest * 2.0 ** min(failed - 1, 30), longest)  # 30: the power must not overflow
 
 
 class BackOff:
     """Pauses between attempts to reach a source.
 
-    Each is up to twice as long as the one before, from the shortest again after an attempt that held for
-    longer than the longest.  Their length is random, so that trackers of one broker do not return together.
+    Each pause is up to twice as long as the one before; after an attempt that lasted longer than the longest
+    pause, the next pause is the shortest again.  The length is random, so that the trackers of a broker do
+    not reconnect at the same time.
     """
 
-    # its own generator: the global one belongs to the program that runs the tracker
+    # a separate generator, because the global one belongs to the program that runs the tracker
     _random = random.Random()
 
     def __init__(self) -> None:
@@ -73,7 +77,7 @@ class BackOff:
 
     @property
     def has_held(self) -> bool:
-        """Whether the present attempt has held for longer than the longest pause."""
+        """Whether the present attempt has lasted longer than the longest pause."""
         return time.monotonic() - self._began > BACK_OFF_S[1]
 
     @property
@@ -86,7 +90,7 @@ class BackOff:
         self._failed = 1
 
     def wait(self, ended: threading.Event) -> None:
-        """End the present attempt; wait for the pause, or until `ended` is set; the next attempt begins."""
+        """End the present attempt, wait for the pause or until `ended` is set, and begin the next attempt."""
         if self.has_held:
             self.reset()
         ended.wait(pause_s(self._failed, BACK_OFF_S) * self._random.uniform(0.5, 1.0))
@@ -107,27 +111,30 @@ class SourceState(NamedTuple):
 
 
 REACHED = ("connected", "ended", "stopped")
-"""Words of the states in which a source is reached."""
-INTERVALS = 3.0
-"""Usual intervals of a source, but at least a minute, after which one that is not reached is an alarm."""
+"""Words of the states in which a source counts as reached."""
+ALARM_INTERVALS = 3.0
+"""Number of a source's usual intervals, or at least a minute, after which its absence is an alarm."""
 
 
 class Reach(NamedTuple):
-    """Since when [s, this machine's clock] a source is not reached, None while it is; the time [s] after
-    which that is an alarm; and why."""
+    """How long a source has not been reached.
+
+    `since`: beginning [s, this machine's clock], None while the source is reached; `limit_s`: time [s] after
+    which an alarm is raised; `words`: reason.
+    """
 
     since: float | None
     limit_s: float
     words: str = ""
 
     def share(self, now: float) -> float:
-        """The time that it has not been reached at `now` [s] as a multiple of the limit."""
+        """The time without a connection, until `now` [s], as a multiple of the limit."""
         return 0.0 if self.since is None else (now - self.since) / self.limit_s
 
 
 @dataclass(frozen=True, kw_only=True)
 class SourceKeys(FolderKeys):
-    """The keys of every [[source]] table, whose form makes its stream."""
+    """The keys of every [[source]] table; the subclass for each kind of source creates its stream."""
 
     weather: bool = setting(False, "whether it brings weather forecasts, not readings")
     revision: str = setting("last", "which of several values of a stamp counts", choices=("last", "neither"))
@@ -137,11 +144,11 @@ class SourceKeys(FolderKeys):
     )  # fmt: skip
 
     def stream(self, mapping: PayloadMapping, place: Place) -> Stream | None:
-        """The stream; None with faults in `place`."""
+        """The stream; None if faults are reported at `place`."""
         raise NotImplementedError
 
     def expect(self, place: Place, *reads: Callable[[], object]) -> None:
-        """Read what a connection needs, such as secrets; what cannot be read is a fault in `place`."""
+        """Read what a connection needs, such as secrets, by `reads`; report their faults at `place`."""
         for read in reads:
             try:
                 read()
@@ -150,17 +157,17 @@ class SourceKeys(FolderKeys):
 
 
 class Stream:
-    """A source of deliveries: a thread that runs `_deliver` until it returns or `_ended` is set, and this
-    machine's `clock` [s].
+    """A source of deliveries, with a thread that runs `_deliver` until it returns or `_ended` is set.
 
-    `url` identifies the source in the store and never contains a secret; `mapping` tells how to read its
-    payloads; `played_back` whether it repeats a record, whose age says nothing; `label` is what the page says
-    of its data, such as that they are a demonstration's; `reach_limit_s`: the limit of `reach` [s] that it
-    states; `ordered_by`: what orders the versions of a value; `state` is shown on the page and by the doctor.
+    `url` identifies the source in the store and never contains a secret; `mapping`: how to read its payloads;
+    `clock`: this machine's clock [s]; `played_back`: whether the source repeats a record, whose age is
+    meaningless; `label`: text about its data on the page, such as that they are a demonstration;
+    `reach_limit_s`: configured limit of `reach` [s]; `ordered_by`: what orders the versions of a value;
+    `state` is shown on the page and by the doctor.
 
-    Whatever `_deliver` raises makes the source "lost", with the reason.  After a pause it is called again,
-    from the place of the last delivery.  Pauses grow until a delivery or, of a server (`is_server`), to which
-    many may come back at once, until a connection holds.
+    If `_deliver` raises an exception, the source is "lost", with the reason.  After a pause `_deliver` is
+    called again with the place of the last delivery.  The pauses grow until something is delivered; for a
+    server (`is_server`), to which many clients may return at once, until a connection lasts.
     """
 
     url = ""
@@ -170,7 +177,7 @@ class Stream:
     ordered_by = "arrival"
     reach_limit_s: float | None = None
     usual_interval_s = 0.0
-    """[s] after which more comes from the source as a rule, if that is known."""
+    """Usual time [s] between two deliveries, 0 if unknown."""
     _unreached: float | None = None
 
     def __init__(self, mapping: PayloadMapping, clock: Callable[[], float] = time.time) -> None:
@@ -188,36 +195,35 @@ class Stream:
 
     def _run(self, place: str | None, put: Callable[[Delivery], None]) -> None:
         back_off = BackOff()
-        reached, reason = place, ""
+        last_place, reason = place, ""
 
-        def reach(one: Delivery) -> None:
-            nonlocal reached
-            put(one)
-            reached = one.place or reached
+        def put_and_record(delivery: Delivery) -> None:
+            nonlocal last_place
+            put(delivery)
+            last_place = delivery.place or last_place
             if not self.is_server:
                 back_off.reset()
             if self._state.word == "lost":
                 self._state = SourceState("connected", self.url)
 
-        waits, reads = SourceState("waiting", "not connected yet"), SourceState("connected", self.url)
-        self._state = waits if self.is_server else reads
+        waiting, connected = SourceState("waiting", "not connected yet"), SourceState("connected", self.url)
+        self._state = waiting if self.is_server else connected
         while not self._ended.is_set():
             try:
-                self._deliver(reached, reach)
+                self._deliver(last_place, put_and_record)
                 self._state = SourceState("ended", "read to its end")
                 break
-            except Exception as fault:  # of any kind: a source must never end without a word
+            except Exception as fault:  # whatever its type: a source must never end without a reason
                 if self._ended.is_set():
                     break
-                words = _reason(fault, self.url)
-                self._state = SourceState("lost", f"{words}; next attempt within {back_off.next_s:g} s")
-                if words != reason or back_off.has_held:  # log once, not at every attempt
-                    foreseen = isinstance(fault, SourceFault | OSError)
-                    said = {"source": self.url, "reason": words}
-                    LOG.warning("source lost", extra=said, exc_info=None if foreseen else fault)
-                reason = words
+                last_reason, reason = reason, _reason(fault, self.url)
+                self._state = SourceState("lost", f"{reason}; next attempt within {back_off.next_s:g} s")
+                if reason != last_reason or back_off.has_held:  # log once, not at every attempt
+                    is_foreseen = isinstance(fault, SourceFault | OSError)
+                    details = {"source": self.url, "reason": reason}
+                    LOG.warning("source lost", extra=details, exc_info=None if is_foreseen else fault)
             back_off.wait(self._ended)
-        # a file that is not there when the tracker ends stays lost, which the command reports
+        # a file that does not exist when the tracker ends stays "lost", so that the command reports it
         if self._ended.is_set() and (self.is_server or self._state.word != "lost"):
             self._state = SourceState("stopped", "")
 
@@ -225,29 +231,29 @@ class Stream:
         raise NotImplementedError
 
     def recall(self, memories: JsonObject) -> None:
-        """Take back, before the start, the data that its deliveries let the store keep: none by default."""
+        """Restore, before the start, the `memories` of former deliveries from the store: none by default."""
 
     def end_when_read(self) -> None:
-        """End at the present end of a growing source; the others end by themselves."""
+        """End at the present end of a growing source; other sources end by themselves."""
 
     def acknowledge(self, deliveries: Iterable[Delivery]) -> None:
-        """Note which deliveries the store has committed; most need only its place to resume."""
+        """Called with the deliveries that the store has committed; most sources need only their places."""
 
     def tell(self, alarms: Iterable[Alarm]) -> None:
-        """Pass on alarms that began, changed or ended, if the source can publish them."""
+        """Publish alarms that began, changed or ended, if the source can publish."""
 
     def now(self) -> float:
         """The time [s] against which the age of the data is judged."""
         return self.clock()
 
     def reach(self) -> Reach:
-        """Since when the source is not reached, whatever its state is called: seen whenever it is asked."""
+        """Since when the source has not been reached: the first call that finds it so sets the time."""
         word, words = self.state
         if word in REACHED:
             self._unreached = None
         elif self._unreached is None:
             self._unreached = self.clock()
-        limit_s = self.reach_limit_s or max(MINUTE_S, INTERVALS * self.usual_interval_s)
+        limit_s = self.reach_limit_s or max(MINUTE_S, ALARM_INTERVALS * self.usual_interval_s)
         return Reach(self._unreached, limit_s, words)
 
     def stop(self) -> None:
@@ -260,7 +266,7 @@ class Stream:
         return self._state
 
     def left(self) -> dict[str, Statement]:
-        """Turbine -> that its sender has left: none, because these senders do not say so."""
+        """Turbine -> statement that its sender has left; empty for senders that do not announce it."""
         return {}
 
     def signals(self, turbine: str) -> set[str]:
