@@ -39,7 +39,7 @@ from hygrokf.live.alarms import (
     stale_levels,
     with_doubts,
 )
-from hygrokf.live.assessment import STANDSTILL_S, Known, Outlook, assess
+from hygrokf.live.assessment import STANDSTILL_S, Facts, Outlook, assess
 from hygrokf.live.batch import (
     Alarm,
     Assessment,
@@ -142,10 +142,10 @@ class TurbineState(Kept):
         )
         return state
 
-    def known(self, now: float, catching_up: bool) -> Known:
-        """What is known of the turbine at `now` [s]; `catching_up`: whether a backlog is being delivered."""
+    def facts(self, now: float, catching_up: bool) -> Facts:
+        """The facts about the turbine at `now` [s]; `catching_up`: whether a backlog is being delivered."""
         plan, tracker, awaited = self.turbine.plan, self.tracker, self.tracker.awaited()
-        return Known(
+        return Facts(
             known_s=min(self.known_s, now),
             heard=tracker.heard(),
             awaited=[need for need in plan.needs if need.required and need.signals[0] in awaited],
@@ -562,7 +562,7 @@ class Fleet:
         if not math.isfinite(self._now):
             return
         state, now = self.tracked[name], self._now
-        state_word, statements = assess(state.known(now, self.backlogs.awaited(name, now)), now)
+        state_word, statements = assess(state.facts(now, self.backlogs.awaited(name, now)), now)
         content, previous = content_of(statements), state.assessment
         if previous is None or (previous.state, previous.content) != (state_word, content):
             since = previous.since if previous is not None and previous.state == state_word else now
