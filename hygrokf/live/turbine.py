@@ -157,9 +157,8 @@ def instants_kept(course: TrackedCourse) -> np.ndarray:
     outputs = course.run.timeline.outputs
     heard = np.max([course.heard(signal) for signal in outputs], axis=0) if outputs else -np.inf
     slot = np.floor(np.append(course.after_s, course.seconds) / THIN_S)
-    kept = (
-        course.seconds - heard <= SAME_S
-    )  # also readings that the filter does not use, while an input is unknown
+    # also with readings that the filter does not use while an input is unknown
+    kept = course.seconds - heard <= SAME_S
     kept |= (np.diff(slot) > 0) & (course.seconds - heard >= SILENT_S)
     kept[-1] |= course.seconds[-1] > course.final_s + SAME_S
     return np.flatnonzero(kept)
