@@ -2,8 +2,8 @@
 
 A rule watches a level.  An alarm begins once the level has been at or above `on` for `hold_s` and ends once
 it has been below `off` for as long; between the two thresholds nothing changes.  Alarms about the process
-follow from final estimates and their times alone, so that a replay gives the same ones; alarms about delivery
-(`DELIVERY`) follow from the wall clock.  An alarm's id consists of turbine, kind and beginning, so
+follow from final estimates and their times alone, so that a replay raises the same alarms; alarms about
+delivery (`DELIVERY`) follow from the wall clock.  An alarm's id consists of turbine, kind and beginning, so
 that no alarm is raised twice after a crash.
 """
 
@@ -35,19 +35,19 @@ from hygrokf.texts.statement import Statement
 ESTIMATES, SHIFTS, INNOVATIONS = "estimates", "shifts", "innovations"
 SILENCE, CLOCKS, REACH = "silence", "clocks", "reach"
 DELIVERY = (SILENCE, CLOCKS, REACH)
-"""What levels follow from where alarms are about delivery; none of them begins in a replay."""
+"""What the levels of alarms about delivery follow from; no alarm about delivery begins in a replay."""
 FROZEN_S = 6 * HOUR_S
-"""[s] for which a signal must have repeated one value, beyond what it ever did before."""
+"""[s] for which a signal must have repeated a value, beyond its longest repetition before."""
 BEYOND = 8.0
 """Standard deviations √S of the prediction ŷ beyond which a reading y contradicts it: |y − ŷ| > `BEYOND` √S.
 
 On ordinary data of simulated cabinets the innovations have heavier tails than a normal distribution, so that
 the bound is wider than a normal distribution would need: docs/validation/live_trials.md has the shares
-of false and of right flags.
+of false and of correct flags.
 """
 HUMIDITY_SENSOR = "humidity_sensor"
-UNSURE = 0.75
-"""Level of a change whose bounds contain zero: no alarm begins, and none ends."""
+UNDECIDED_LEVEL = 0.75
+"""Level of a change whose bounds contain zero, between `off` and `on`: no alarm begins or ends."""
 CHANGES = {
     ("thermal_time_constant", True): AlarmCode.HEAT_LOSS_LOWER,
     ("thermal_time_constant", False): AlarmCode.HEAT_LOSS_HIGHER,
@@ -85,9 +85,9 @@ RESTS_ON = {
 
 @dataclass(frozen=True)
 class Level:
-    """A level that the rule of a kind judges, and what an alarm of it says; `severity` replaces the rule's.
+    """A level that the rule of its kind judges, and the `statements` of the alarm.
 
-    `subject` distinguishes alarms of one kind.
+    `subject` distinguishes alarms of one kind; `severity`, if any, replaces that of the rule.
     """
 
     kind: str
@@ -103,8 +103,8 @@ class Level:
 
 @dataclass(frozen=True)
 class Standing:
-    """State of an alarm of a kind: the open `alarm`, if any, and `since` when [s] the level has been past the
-    next threshold."""
+    """State of an alarm of a kind: the open `alarm`, if any, and the time `since` [s] when the level has been
+    past the threshold at which the alarm begins or, if it is open, ends."""
 
     kind: str
     since: float | None = None
@@ -112,22 +112,28 @@ class Standing:
 
 
 def judge(
-    turbine: str, known: Mapping[str, Standing], now: float, levels: Iterable[Level], kinds: Collection[str]
+    turbine: str,
+    previous: Mapping[str, Standing],
+    now: float,
+    levels: Iterable[Level],
+    kinds: Collection[str],
 ) -> tuple[dict[str, Standing], list[Alarm]]:
     """The standings after judging the levels at `now` [s], and the alarms that began, changed or ended.
 
     A missing level of these `kinds` counts as 0; standings of other kinds stay as they are.  `now` may go
-    back where a late delivery changed what was judged; what was before an alarm began does not end it.
+    back after a late delivery; a level before the beginning of an alarm does not end the alarm.
     """
-    given = {level.key: level for level in levels}
-    standings = {key: standing for key, standing in known.items() if standing.kind not in kinds}
+    level_by_key = {level.key: level for level in levels}
+    standings = {key: standing for key, standing in previous.items() if standing.kind not in kinds}
     alarms: list[Alarm] = []
-    for key in dict.fromkeys((*(key for key in known if key not in standings), *given)):
-        before = known[key] if key in known else Standing(given[key].kind)
-        standing, alarm = _judge_level(turbine, before, now, given.get(key, Level(before.kind, 0.0)))
+    for key in dict.fromkeys((*(key for key in previous if key not in standings), *level_by_key)):
+        standing_before = previous[key] if key in previous else Standing(level_by_key[key].kind)
+        standing, alarm = _judge_level(
+            turbine, standing_before, now, level_by_key.get(key, Level(standing_before.kind, 0.0))
+        )
         if alarm is not None:
             alarms.append(alarm)
-        if standing != Standing(before.kind):
+        if standing != Standing(standing_before.kind):
             standings[key] = standing
     return standings, alarms
 
@@ -135,16 +141,16 @@ def judge(
 def _judge_level(turbine: str, before: Standing, now: float, level: Level) -> tuple[Standing, Alarm | None]:
     rule, alarm = RULES[level.kind], before.alarm
     severity = "alarm" if level.level >= rule.severe else level.severity or rule.severity
-    past = level.level >= rule.on if alarm is None else level.level < rule.off and now >= alarm.began
-    since = None if not past else now if before.since is None else min(now, before.since)
+    is_past = level.level >= rule.on if alarm is None else level.level < rule.off and now >= alarm.began
+    since = None if not is_past else now if before.since is None else min(now, before.since)
     if since is not None and now - since >= rule.hold_s:
         if alarm is not None:
             return Standing(level.kind), replace(alarm, ended=since)
         begun = _alarm(turbine, since, severity, level)
         return Standing(level.kind, None, begun), begun
     if alarm is not None and severity == "alarm" and alarm.severity != "alarm":
-        worse = _alarm(turbine, alarm.began, severity, level)
-        return Standing(level.kind, since, worse), worse
+        worsened = _alarm(turbine, alarm.began, severity, level)
+        return Standing(level.kind, since, worsened), worsened
     return Standing(level.kind, since, alarm), None
 
 
@@ -165,90 +171,95 @@ def _alarm(turbine: str, began: float, severity: str, level: Level) -> Alarm:
 # -- levels that follow from estimates -----------------------------------------------------------------------
 @dataclass(frozen=True)
 class Estimated:
-    """A turbine's estimates: the condition, of which instant `place` is judged, and its frozen signals."""
+    """A turbine's condition, of which the instant at index `place` is judged, and its frozen signals."""
 
     condition: Condition
     place: int
     frozen: Sequence[Frozen] = ()
 
 
-def condensation_levels(now: Estimated) -> list[Level]:
-    """The probability of condensation: that the coldest surface is below the dew point."""
-    chances, margin = now.condition.condensation, now.condition.margin_K
-    if chances is None or margin is None:
+def condensation_levels(estimated: Estimated) -> list[Level]:
+    """The probability that water condenses, because the coldest surface is below the dew point."""
+    probabilities, margin = estimated.condition.condensation, estimated.condition.margin_K
+    if probabilities is None or margin is None:
         return []
-    chance = float(chances[now.place])
-    if chance < CONDENSATION.off:
-        return [Level(CONDENSATION.kind, chance)]
-    value, lower, upper = (float(one[now.place]) for one in (margin.value, margin.lower, margin.upper))
-    statement = AlarmCode.WATER_CONDENSES(probability=chance, margin_K=value, lower_K=lower, upper_K=upper)
-    return [Level(CONDENSATION.kind, chance, (statement,))]
+    probability = float(probabilities[estimated.place])
+    if probability < CONDENSATION.off:
+        return [Level(CONDENSATION.kind, probability)]
+    value, lower, upper = (
+        float(column[estimated.place]) for column in (margin.value, margin.lower, margin.upper)
+    )
+    statement = AlarmCode.WATER_CONDENSES(
+        probability=probability, margin_K=value, lower_K=lower, upper_K=upper
+    )
+    return [Level(CONDENSATION.kind, probability, (statement,))]
 
 
-def frozen_levels(now: Estimated) -> list[Level]:
-    """One level for each signal that repeats a value: for how long, as a multiple of `FROZEN_S`."""
-    time, levels = float(now.condition.time_s[now.place]), []
-    for one in now.frozen:
-        if one.known_s <= time < one.end:
-            (value,), unit = _shown(one.signal, one.value)
-            statement = AlarmCode.SIGNAL_FROZEN(signal=one.signal, value=value, unit=unit, since=one.since)
-            levels.append(Level(STUCK.kind, (time - one.since) / FROZEN_S, (statement,), one.signal))
+def frozen_levels(estimated: Estimated) -> list[Level]:
+    """One level for each signal that repeats a value: the duration as a multiple of `FROZEN_S`."""
+    time, levels = float(estimated.condition.time_s[estimated.place]), []
+    for run in estimated.frozen:
+        if run.known_s <= time < run.end:
+            (value,), unit = _in_display_unit(run.signal, run.value)
+            statement = AlarmCode.SIGNAL_FROZEN(signal=run.signal, value=value, unit=unit, since=run.since)
+            levels.append(Level(STUCK.kind, (time - run.since) / FROZEN_S, (statement,), run.signal))
     return levels
 
 
-def _shown(signal: str, *values: float) -> tuple[list[float], str]:
-    """Values [SI unit] of a signal in the unit that messages show, and this unit after its blank."""
+def _in_display_unit(signal: str, *values: float) -> tuple[list[float], str]:
+    """Values [SI unit] of a signal in the unit that messages show, and the unit with a blank before it."""
     row = signal_named(signal)
     unit = {"degC": " °C", "1": ""}.get(row.display, f" {row.display}")
     return [float(from_si(value, row.display, row)) for value in values], unit
 
 
-def estimate_levels(now: Estimated, verdicts: Mapping[str, Inherited]) -> list[Level]:
+def estimate_levels(estimated: Estimated, verdicts: Mapping[str, Inherited]) -> list[Level]:
     """All levels that follow from a turbine's estimates, with the doubts about its fit (`verdicts`)."""
-    rules = (rule.levels for rule in RULES.values() if rule.levels is not None)
-    return with_doubts((level for levels in rules for level in levels(now)), verdicts)
+    functions = (rule.levels for rule in RULES.values() if rule.levels is not None)
+    return with_doubts((level for levels_of in functions for level in levels_of(estimated)), verdicts)
 
 
 def with_doubts(levels: Iterable[Level], verdicts: Mapping[str, Inherited]) -> list[Level]:
-    """The levels, with a doubt about each that rests on a number of the fit that its verdict rejects;
-    `verdicts` are the fit's."""
-    doubted = []
+    """The levels; a level that rests on a number of the fit also states the doubt if one of the fit's
+    `verdicts` rejects this number."""
+    with_statements = []
     for level in levels:
         doubts = rests_on(verdicts, RESTS_ON.get(level.subject, RULES[level.kind].rests_on))
         if doubts and level.statements:
             level = replace(level, statements=(*level.statements, *doubts))
-        doubted.append(level)
-    return doubted
+        with_statements.append(level)
+    return with_statements
 
 
 # -- levels of lasting shifts --------------------------------------------------------------------------------
 def shift_levels(step: ShiftStep, finding: CauseFinding | None) -> list[Level]:
-    """Levels that follow from the tracked properties and, for those of lasting shifts, from fault isolation.
+    """Levels that follow from the tracked properties and, for lasting shifts, from fault isolation.
 
     There is no level of a shift before fault isolation has a finding; a finding without a cause gives one
-    level for each property.  No alarm begins while the bounds of its size contain zero.  Moister air is told
-    unless another sensor explains the readings better; before that is known, no alarm of it begins or ends.
+    level for each property.  No alarm begins while the bounds of its size contain zero.  An alarm states
+    moister air unless another sensor explains the readings better; before the finding it neither begins
+    nor ends.
     """
     lasting = {shift.name: shift for shift in step.lasting}
-    known = finding if lasting else None
+    relevant = finding if lasting else None  # a finding explains lasting shifts alone
     deviations = step.deviations
     moist = deviations.get(MOIST)
-    alike = () if known is None else (known.cause, *known.alike)
+    causes = () if relevant is None else (relevant.cause, *relevant.alike)
     levels = []
-    if moist is not None and (HUMIDITY_SENSOR in alike or not alike or alike[0] not in SENSORS):
-        either = set(PAIRS) & set(alike)
-        code = AlarmCode.EITHER_SENSOR_OR_WATER if either else AlarmCode.HUMIDITY_SENSOR_OR_WATER
+    if moist is not None and (HUMIDITY_SENSOR in causes or not causes or causes[0] not in SENSORS):
+        may_be_ambient = bool(set(PAIRS) & set(causes))
+        code = AlarmCode.EITHER_SENSOR_OR_WATER if may_be_ambient else AlarmCode.HUMIDITY_SENSOR_OR_WATER
         level = relative_shift(MOIST, moist)
-        level = level if known is not None and MOIST in lasting else min(level, UNSURE)
+        level = level if relevant is not None and MOIST in lasting else min(level, UNDECIDED_LEVEL)
         levels.append(Level(SENSOR_OR_WATER.kind, level, (code(**_size(MOIST, moist)),)))
-    if known is None:
+    if relevant is None:
         return levels
-    if known.cause in SENSORS:
-        return [*levels, *_sensor_levels(known)]
-    named = {known.cause: lasting[known.cause]} if known.cause in lasting else lasting
+    if relevant.cause in SENSORS:
+        return [*levels, *_sensor_levels(relevant)]
+    shifts = {relevant.cause: lasting[relevant.cause]} if relevant.cause in lasting else lasting
     return levels + [
-        _shift_level(name, deviations.get(name, TrackedState(shift.change, 0.0)), known)
-        for name, shift in named.items()
+        _shift_level(name, deviations.get(name, TrackedState(shift.change, 0.0)), relevant)
+        for name, shift in shifts.items()
         if (name, shift.change > 0.0) in CHANGES
     ]
 
@@ -258,23 +269,23 @@ def _sensor_levels(finding: CauseFinding) -> list[Level]:
     and is part of `SENSOR_OR_WATER`."""
     if finding.cause == HUMIDITY_SENSOR and finding.value > 0.0:
         return []
-    factor = 1.0 if "temperature" in finding.state else 100.0
-    low, size, high = (factor * (abs(finding.value) + part * Z95 * finding.sd) for part in (-1.0, 0.0, 1.0))
-    side, other = ("high", "low") if finding.value > 0.0 else ("low", "high")
-    pair = any(PAIRS.get(one) == finding.cause for one in finding.alike)
+    factor = 1.0 if "temperature" in finding.state else 100.0  # [K] or [%]
+    low, size, high = (factor * (abs(finding.value) + sign * Z95 * finding.sd) for sign in (-1.0, 0.0, 1.0))
+    side, other_side = ("high", "low") if finding.value > 0.0 else ("low", "high")
+    is_in_pair = any(PAIRS.get(cause) == finding.cause for cause in finding.alike)
     statement = SENSOR_ERRORS[finding.state](
         size=size,
         lower=low,
         upper=high,
         side=side,
-        either=AlarmCode.OR_AMBIENT(side=other) if pair else "",
+        either=AlarmCode.OR_AMBIENT(side=other_side) if is_in_pair else "",
         others=_others(finding),
     )
-    return [Level(SUSPECT.kind, 1.0 if low > 0.0 else UNSURE, (statement,), finding.cause)]
+    return [Level(SUSPECT.kind, 1.0 if low > 0.0 else UNDECIDED_LEVEL, (statement,), finding.cause)]
 
 
 def _shift_level(name: str, deviation: TrackedState, finding: CauseFinding) -> Level:
-    level = 1.0 if abs(deviation.x) > Z95 * deviation.sd else UNSURE
+    level = 1.0 if abs(deviation.x) > Z95 * deviation.sd else UNDECIDED_LEVEL
     statement = CHANGES[name, deviation.x > 0.0](**_size(name, deviation), others=_others(finding))
     return Level(CHANGED.kind, level, (statement,), name)
 
@@ -282,14 +293,15 @@ def _shift_level(name: str, deviation: TrackedState, finding: CauseFinding) -> L
 def _size(name: str, deviation: TrackedState) -> dict[str, float]:
     """The size of a deviation with its bounds, in the unit that its alarm shows: [K] or [%]."""
     x, sd = deviation
-    ends = np.array([x, x - Z95 * sd, x + Z95 * sd])
+    change_and_bounds = np.array([x, x - Z95 * sd, x + Z95 * sd])
     if name != "heat_release_change":
-        ends = 100.0 * (ends if name == MOIST else np.expm1(ends))
-    return dict(zip(("change", "lower", "upper"), ends.tolist(), strict=True))
+        change_and_bounds = 100.0 * (change_and_bounds if name == MOIST else np.expm1(change_and_bounds))
+    return dict(zip(("change", "lower", "upper"), change_and_bounds.tolist(), strict=True))
 
 
 def _others(finding: CauseFinding) -> Statement | str:
-    """Causes that cannot be distinguished from that of the finding, but for the other sensor of a pair."""
+    """The causes that explain the readings as well as the finding's cause, without the other sensor of its
+    pair."""
     causes = [CAUSES[cause]() for cause in finding.alike if PAIRS.get(cause) != finding.cause]
     return AlarmCode.OR_OTHERS(causes=tuple(causes)) if causes else ""
 
@@ -311,8 +323,8 @@ class Innovation:
 
     @property
     def deviations(self) -> float:
-        """The innovation in standard deviations of its prediction; at its ceiling a humidity sensor reads at
-        least its reading."""
+        """The innovation in standard deviations of its prediction; a humidity reading at the sensor's ceiling
+        is a lower bound of the humidity."""
         reading = self.reading
         if self.signal == HUMIDITY and reading >= SATURATED:
             reading = max(SATURATED, self.expected)
@@ -320,41 +332,49 @@ class Innovation:
 
 
 def innovations(course: TrackedCourse, final_s: float = math.inf) -> list[Innovation]:
-    """The innovations of a course by time, as far as its estimates are final (up to `final_s` [s])."""
+    """The innovations of a course up to the time `final_s` [s], sorted by time and signal."""
     timeline, trace = course.run.timeline, course.trace
-    known = course.seconds <= final_s + SAME_S
-    columns = timeline.y, trace.prediction, np.sqrt(trace.variance)
-    found = [
-        Innovation(signal, float(course.seconds[i]), *(float(one[i, column]) for one in columns))
+    is_final = course.seconds <= final_s + SAME_S
+    arrays = timeline.y, trace.prediction, np.sqrt(trace.variance)
+    by_signal = [
+        Innovation(signal, float(course.seconds[i]), *(float(values[i, column]) for values in arrays))
         for column, signal in enumerate(timeline.outputs)
-        for i in np.flatnonzero(known & np.isfinite(timeline.y[:, column]))
+        for i in np.flatnonzero(is_final & np.isfinite(timeline.y[:, column]))
     ]
-    return sorted(found, key=lambda one: (one.time_s, one.signal))
+    return sorted(by_signal, key=lambda innovation: (innovation.time_s, innovation.signal))
 
 
-def contradiction_level(one: Innovation) -> Level:
+def contradiction_level(innovation: Innovation) -> Level:
     """The level of a contradiction: 1 at `BEYOND` standard deviations of the prediction."""
-    level = abs(one.deviations) / BEYOND
+    level = abs(innovation.deviations) / BEYOND
     if level < CONTRADICTS.off:
-        return Level(CONTRADICTS.kind, level, subject=one.signal)
-    ends = (one.expected, one.expected - 2.0 * one.sd, one.expected + 2.0 * one.sd)
-    (reading, expected, lower, upper), unit = _shown(one.signal, one.reading, *ends)
-    statement = AlarmCode.READING_CONTRADICTS(
-        signal=one.signal, reading=reading, expected=expected, lower=lower, upper=upper, unit=unit
+        return Level(CONTRADICTS.kind, level, subject=innovation.signal)
+    prediction = (
+        innovation.expected,
+        innovation.expected - 2.0 * innovation.sd,
+        innovation.expected + 2.0 * innovation.sd,
     )
-    return Level(CONTRADICTS.kind, level, (statement,), one.signal)
+    (reading, expected, lower, upper), unit = _in_display_unit(
+        innovation.signal, innovation.reading, *prediction
+    )
+    statement = AlarmCode.READING_CONTRADICTS(
+        signal=innovation.signal, reading=reading, expected=expected, lower=lower, upper=upper, unit=unit
+    )
+    return Level(CONTRADICTS.kind, level, (statement,), innovation.signal)
 
 
 # -- levels of missing data ----------------------------------------------------------------------------------
-def stale_levels(ages_s: Mapping[str, float], limit_s: float, left: Statement | None = None) -> list[Level]:
+def stale_levels(
+    ages_s: Mapping[str, float], limit_s: float, departure: Statement | None = None
+) -> list[Level]:
     """The level of stale data: age [s] of a turbine's oldest signal as a multiple of the limit [s].
 
-    left: about a sender that has left, so that its signals are stale at once.
+    departure: statement that the sender has left, so that its signals are stale at once.
     """
     silent = {signal: age for signal, age in ages_s.items() if age > limit_s}
     age_s = max(silent.values(), default=0.0)
-    if left is not None:
-        return [Level(STALE.kind, max(1.0, age_s / limit_s), (left,))]
+    if departure is not None:
+        return [Level(STALE.kind, max(1.0, age_s / limit_s), (departure,))]
     if not silent:
         return []
     if len(silent) == len(ages_s):
@@ -365,28 +385,28 @@ def stale_levels(ages_s: Mapping[str, float], limit_s: float, left: Statement | 
 
 
 def missing_levels(missing: Iterable[Need], since: float, now: float, limit_s: float) -> list[Level]:
-    """The levels of what never came `since` the tracker knows the turbine: the time until `now` [s] as a
-    multiple of the limit [s]; a notice where there is an estimate without it."""
+    """The levels of signals that never came: the time from `since`, when the tracker first knew the turbine,
+    to `now` [s] as a multiple of the limit [s]; a notice if the model does not require the signal."""
     level, levels = (now - since) / limit_s, []
-    for one in missing:
-        code = AlarmCode.REQUIRED_NEVER_CAME if one.required else AlarmCode.SIGNAL_NEVER_CAME
-        statement, severity = code(quantity=one.quantity, since=since), "" if one.required else "notice"
-        levels.append(Level(MISSING.kind, level, (statement,), one.signals[0], severity))
+    for need in missing:
+        code = AlarmCode.REQUIRED_NEVER_CAME if need.required else AlarmCode.SIGNAL_NEVER_CAME
+        statement, severity = code(quantity=need.quantity, since=since), "" if need.required else "notice"
+        levels.append(Level(MISSING.kind, level, (statement,), need.signals[0], severity))
     return levels
 
 
 def source_levels(reaches: Mapping[str, Reach], now: float) -> list[Level]:
-    """One level for each source that is not reached: for how long at `now` [s], as a multiple of its
-    limit."""
-    lost = {url: (one, one.since) for url, one in reaches.items() if one.since is not None}
+    """One level for each source that is not reached: the duration until `now` [s] as a multiple of the
+    source's limit."""
+    lost = {url: (reach, reach.since) for url, reach in reaches.items() if reach.since is not None}
     return [
         Level(
             LOST.kind,
-            one.share(now),
-            (AlarmCode.SOURCE_NOT_REACHED(source=url, since=since, reason=one.words),),
+            reach.share(now),
+            (AlarmCode.SOURCE_NOT_REACHED(source=url, since=since, reason=reach.words),),
             url,
         )
-        for url, (one, since) in lost.items()
+        for url, (reach, since) in lost.items()
     ]
 
 
@@ -395,10 +415,10 @@ def source_levels(reaches: Mapping[str, Reach], now: float) -> list[Level]:
 class AlarmRule:
     """When alarms of a kind begin and end, from levels that follow from `follows`.
 
-    `on`, `off`: levels at which it begins and ends; `hold_s`: time [s] the level must persist; `severity`: at
-    first; `severe`: level from which the severity is "alarm"; `rests_on`: numbers of the fit on which it
-    rests; `levels`: its levels where they follow from `ESTIMATES`.  What to do stands beside what an alarm
-    says, in `AlarmCode`.
+    `on`, `off`: levels at which an alarm begins and ends; `hold_s`: time [s] the level must persist;
+    `severity`: severity at the beginning; `severe`: level from which the severity is "alarm"; `rests_on`:
+    numbers of the fit on which the levels rest; `levels`: function that gives the levels where they follow
+    from `ESTIMATES`.  `AlarmCode` has the statement and the remedy of each alarm.
     """
 
     kind: str
@@ -444,5 +464,5 @@ LOST = RULES["source lost"]
 
 
 def kinds_of(*follows: str) -> tuple[str, ...]:
-    """Kinds of alarms whose levels follow from these."""
+    """Kinds of alarms whose levels follow from one of `follows`."""
     return tuple(rule.kind for rule in RULES.values() if rule.follows in follows)

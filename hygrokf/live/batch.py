@@ -1,4 +1,4 @@
-"""A batch: what one round of the tracker gives the store to keep, completely or not at all."""
+"""A batch: the results of a round of the tracker, which the store keeps completely or not at all."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from hygrokf.texts.statement import Statement
 
 @dataclass(frozen=True)
 class Observation:
-    """A reading of a turbine, the time it was `received` [s], whether it came too `late` to be used, and
-    whether it is a `revision`: another value of its stamp than those before."""
+    """A reading of a turbine, the time [s] at which it was `received`, whether it came too `late` to be used,
+    and whether it is a `revision`: a value that differs from earlier values of its stamp."""
 
     turbine: str
     reading: Reading
@@ -29,7 +29,8 @@ class Observation:
 
 @dataclass(frozen=True)
 class Loss:
-    """A span in which the connection of a turbine's signal was lost [s]; None while it still is."""
+    """A span in which the connection of a turbine's signal was lost: times [s] at which it was `lost` and
+    `regained`, None while it is lost."""
 
     turbine: str
     signal: str
@@ -41,28 +42,28 @@ STATES = ("at risk", "alarm", "stale", "no estimate", "ok", "off")
 """States of a turbine, in the order in which they need attention.
 
 "at risk": condensation is likely now or within the forecast; "alarm": an alarm is open; "stale": its data
-are too old; "no estimate": nothing can be said, for the reason that the assessment gives; "off": it is
-stopped, and its estimate holds.
+are too old; "no estimate": the state is unknown, for the reason that the assessment gives; "off": the turbine
+is stopped, and condensation is unlikely.
 """
 CAUSES = ("defect", "settings changed", "false alarm", "unexplained", "look again")
 """Causes with which a person acknowledges an alarm."""
 
 
 def content_of(statements: Sequence[Statement]) -> str:
-    """What a row says, as the JSON of its column `content`."""
+    """The statements of a row, as the JSON of its column `content`."""
     return json.dumps(plain(list(statements)), ensure_ascii=False)
 
 
 def text_of(statements: Sequence[Statement]) -> str:
-    """What a row says, as the text of the column that people read."""
-    return "; ".join(one.text for one in statements)
+    """The statements of a row, as the text of the column that people read."""
+    return "; ".join(statement.text for statement in statements)
 
 
 def pieces_of(statements: Sequence[Statement]) -> list[str | float]:
-    """The same in pieces, of which the numbers are instants [s]: the page writes them in its own zone."""
+    """The text of statements in pieces; numbers are instants [s], which the page writes in its own zone."""
     pieces: list[str | float] = []
-    for one in statements:
-        pieces += ["; ", *one.pieces] if pieces else one.pieces
+    for statement in statements:
+        pieces += ["; ", *statement.pieces] if pieces else statement.pieces
     return pieces
 
 
@@ -71,8 +72,9 @@ class Alarm:
     """An alarm: `began`, `ended`, `acknowledged` [s]; `severity` "notice", "warning" or "alarm"; `subject`
     distinguishes alarms of one kind.
 
-    It says `content`, of which `statement` is the text, and what to do is the `remedy`.  Whoever acknowledges
-    it states a `cause` (one of `CAUSES`) and may add a `note`; `look_again` [s] is when it is due once more.
+    `content` holds its statements, `statement` is their text, and `remedy` tells what to do.  Whoever
+    acknowledges the alarm states a `cause` (one of `CAUSES`) and may add a `note`; `look_again` [s] is the
+    time at which the alarm is due again.
     """
 
     id: str
@@ -93,7 +95,7 @@ class Alarm:
 
     @property
     def statements(self) -> tuple[Statement, ...]:
-        """What it says: the first statement, and doubts about it."""
+        """The statement of the alarm, and doubts about it."""
         return structured(tuple[Statement, ...], json.loads(self.content))
 
     def served(self) -> JsonObject:
@@ -103,7 +105,7 @@ class Alarm:
 
 @dataclass(frozen=True)
 class Assessment:
-    """The `state` of a turbine (one of `STATES`) `since` a time [s]; its `reason` is that of `content`."""
+    """The `state` of a turbine (one of `STATES`) `since` a time [s]; `reason` is the text of `content`."""
 
     turbine: str
     state: str
@@ -113,7 +115,7 @@ class Assessment:
 
     @property
     def statements(self) -> tuple[Statement, ...]:
-        """The reason, and what the estimate lacks."""
+        """The reason of the state, and the sensors that the estimate lacks."""
         return structured(tuple[Statement, ...], json.loads(self.content))
 
 

@@ -1,12 +1,12 @@
-"""Stamps beside this machine's clock: those ahead of it, and whose clock is wrong; and backlogs.
+"""Comparison of stamps with this machine's clock: readings ahead of the clock, wrong clocks, and backlogs.
 
-A reading that is ahead by more than `AHEAD_S` is held back, in the store and acknowledged, until the clock
-reaches its stamp less `AHEAD_S` or is set right.
+A reading that is ahead by more than `AHEAD_S` is acknowledged and held back in the store until the clock
+reaches its stamp minus `AHEAD_S` or is set right.
 
-A backlog is of readings that were kept while source or tracker were away.  While it comes, a turbine whose
-part of it is still to come looks silent and is not.  A source delivers a backlog while stamps advance faster
-than the clock: by `GAINED_S` more than the clock within `WINDOW_S`.  A source whose readings are always late
-by the same time delivers none.
+A backlog consists of readings that were kept while source or tracker were away.  While a backlog is
+delivered, a turbine whose readings have not come yet looks silent although it is not.  A source delivers a
+backlog while its stamps advance faster than the clock: by `GAINED_S` more than the clock within `WINDOW_S`.
+A source whose readings are always late by the same time delivers no backlog.
 """
 
 from __future__ import annotations
@@ -36,8 +36,8 @@ MACHINE = ""
 
 
 class Ahead:
-    """Readings that are ahead of this machine's clock: those that are held back in a store (without a store
-    nothing is), and how far the newest ones of each turbine were ahead when they arrived."""
+    """Readings that are ahead of this machine's clock: readings that are held back in the store, if there is
+    one, and the times by which the newest readings of each turbine were ahead when they arrived."""
 
     def __init__(self, store: Store | None) -> None:
         self._store = store
@@ -53,18 +53,19 @@ class Ahead:
 
     def note(self, turbine: str, observations: Iterable[Observation]) -> None:
         """Note readings of a turbine, in the order of their arrival."""
-        for one in observations:
-            ahead_s = one.reading.time - one.received
-            self._ahead_s[turbine][one.reading.signal] = ahead_s if ahead_s > AHEAD_S else 0.0
+        for observed in observations:
+            ahead_s = observed.reading.time - observed.received
+            self._ahead_s[turbine][observed.reading.signal] = ahead_s if ahead_s > AHEAD_S else 0.0
 
     def hold(self, turbine: str, ahead: Sequence[Observation], batch: Batch) -> None:
-        """Put readings that are ahead into the batch; those beyond `HELD_MOST` are counted."""
+        """Put readings that are ahead into the batch; readings beyond `HELD_MOST` are counted and
+        discarded."""
         if not ahead:
             return
-        known = sum(one.turbine == turbine for one in batch.held)
+        held_count = sum(held.turbine == turbine for held in batch.held)
         if self._store is not None:
-            known += self._store.held_count(turbine)
-        kept = ahead[: max(HELD_MOST - known, 0)]
+            held_count += self._store.held_count(turbine)
+        kept = ahead[: max(HELD_MOST - held_count, 0)]
         if len(kept) < len(ahead):
             batch.counters[turbine, "too many ahead"] += len(ahead) - len(kept)
         batch.held += kept
@@ -76,42 +77,44 @@ class Ahead:
             return []
         due = self._store.held(turbine, now + AHEAD_S)
         batch.released += due
-        if self._store.held_count(turbine) == len(due) and all(o.turbine != turbine for o in batch.held):
+        if self._store.held_count(turbine) == len(due) and all(
+            observed.turbine != turbine for observed in batch.held
+        ):
             self._held.discard(turbine)
         return due
 
     def by_turbine(self) -> dict[str, float]:
-        """Time [s] by which each turbine's newest readings were ahead, 0 if by no more than `AHEAD_S`."""
-        return {turbine: max(known.values()) for turbine, known in self._ahead_s.items()}
+        """Time [s] by which each turbine's newest readings were ahead, 0 up to `AHEAD_S`."""
+        return {turbine: max(by_signal.values()) for turbine, by_signal in self._ahead_s.items()}
 
 
 def clock_levels(ahead_s: Mapping[str, float]) -> dict[str, list[Level]]:
     """The levels of wrong clocks by turbine, `MACHINE` for this machine's clock, from the time [s] by which
-    each turbine is ahead of it.
+    each turbine is ahead of this clock.
 
-    Several turbines that are ahead by the same time share the cause, which is this machine's clock if they
-    are at least the share `SHARED` of all; any other turbine's own clock is fast.
+    Several turbines that are ahead by the same time share the cause, this machine's clock, if they are at
+    least the share `SHARED` of all turbines; the clock of any other turbine that is ahead is fast.
     """
-    found: dict[str, list[Level]] = {name: [] for name in (*ahead_s, MACHINE)}
-    wrong = sorted(one for one in ahead_s.values() if one > 0.0)
-    if not wrong:
-        return found
-    middle = wrong[(len(wrong) - 1) // 2]
-    alike = {name for name, one in ahead_s.items() if one > 0.0 and abs(one - middle) <= ALIKE_S}
+    levels: dict[str, list[Level]] = {name: [] for name in (*ahead_s, MACHINE)}
+    positive = sorted(seconds for seconds in ahead_s.values() if seconds > 0.0)
+    if not positive:
+        return levels
+    median = positive[(len(positive) - 1) // 2]
+    alike = {name for name, s in ahead_s.items() if s > 0.0 and abs(s - median) <= ALIKE_S}
     if len(alike) < max(2.0, SHARED * len(ahead_s)):
         alike = set()
     else:
-        shared = AlarmCode.MACHINE_CLOCK_SLOW(count=len(alike), of=len(ahead_s), ahead=_shown(middle))
-        found[MACHINE] = [Level(CLOCK.kind, 1.0, (shared,))]
-    own = AlarmCode.SENDER_OR_MACHINE_CLOCK if len(ahead_s) == 1 else AlarmCode.SENDER_CLOCK_FAST
-    for name, one in ahead_s.items():
-        if one > 0.0 and name not in alike:
-            found[name] = [Level(CLOCK.kind, 1.0, (own(ahead=_shown(one)),))]
-    return found
+        shared = AlarmCode.MACHINE_CLOCK_SLOW(count=len(alike), of=len(ahead_s), ahead=_rounded(median))
+        levels[MACHINE] = [Level(CLOCK.kind, 1.0, (shared,))]
+    code = AlarmCode.SENDER_OR_MACHINE_CLOCK if len(ahead_s) == 1 else AlarmCode.SENDER_CLOCK_FAST
+    for name, seconds in ahead_s.items():
+        if seconds > 0.0 and name not in alike:
+            levels[name] = [Level(CLOCK.kind, 1.0, (code(ahead=_rounded(seconds)),))]
+    return levels
 
 
-def _shown(seconds: float) -> float | Statement:
-    """A duration [s] in whole minutes, or in years."""
+def _rounded(seconds: float) -> float | Statement:
+    """A duration [s] rounded to minutes, or a statement in years from one year on."""
     years = seconds / (365.25 * DAY_S)
     return AlarmCode.YEARS(count=years) if years >= 1.0 else 60.0 * round(seconds / 60.0)
 
@@ -119,7 +122,7 @@ def _shown(seconds: float) -> float | Statement:
 GAINED_S = 2.0 * MINUTE_S
 """[s] by which stamps must advance more than the clock."""
 WINDOW_S = 10.0 * MINUTE_S
-"""[s] within which they must."""
+"""[s] within which stamps must advance by `GAINED_S` more than the clock."""
 QUIET_S = 5.0 * MINUTE_S
 """[s] after the last such advance at which the backlog counts as delivered."""
 
@@ -136,24 +139,24 @@ class Backlogs:
         """Note readings of a turbine that a source delivered up to the time `received` [s]."""
         self._sources[turbine].add(source)
         stamps: dict[str, list[float]] = defaultdict(list)
-        for one in readings:
-            stamps[one.signal].append(one.time)
+        for reading in readings:
+            stamps[reading.signal].append(reading.time)
         for signal, times in stamps.items():
             key, stamp = (source, turbine, signal), max(times)
-            known_stamp, known_received = self._anchors.setdefault(key, (min(times), received))
-            passed = max(received - known_received, 0.0)  # negative if the clock was set back
-            if stamp - known_stamp - passed >= GAINED_S:
+            anchor_stamp, anchor_received = self._anchors.setdefault(key, (min(times), received))
+            passed = max(received - anchor_received, 0.0)  # negative if the clock was set back
+            if stamp - anchor_stamp - passed >= GAINED_S:
                 self._gained[source] = received
-            elif passed <= WINDOW_S and received >= known_received:
+            elif passed <= WINDOW_S and received >= anchor_received:
                 continue
-            self._anchors[key] = (max(stamp, known_stamp), received)
+            self._anchors[key] = (max(stamp, anchor_stamp), received)
 
     def delivering(self, source: str, now: float) -> bool:
         """Whether a source delivers a backlog at `now` [s]."""
         return abs(now - self._gained.get(source, -math.inf)) < QUIET_S
 
     def awaited(self, turbine: str, now: float) -> bool:
-        """Whether a backlog may still bring readings of a turbine: one of a source that has delivered the
-        turbine's readings or, if none has yet, of any source."""
+        """Whether a backlog may still bring readings of a turbine: a backlog of a source that has delivered
+        readings of the turbine or, if no source has, of any source."""
         sources = self._sources.get(turbine) or set(self._gained)
-        return any(self.delivering(one, now) for one in sources)
+        return any(self.delivering(source, now) for source in sources)

@@ -3,11 +3,11 @@
 All quantities follow from the air's temperature T, its vapour pressure e = c* R_v T_amb (equation 5) and
 their covariance, which is propagated to first order.  Shapes: T instants, n states.
 
-A humidity reading beyond the estimate has two explanations.  By the *model* it is an error of the sensor,
-whose offset is a slow state.  By the *sensor* it is right within the sensor's accuracy, and the vapour
-beyond the estimate is water: its concentration is c + excess, where the excess is that of the newest
-reading.  Which of them holds, the readings cannot tell; so the larger of the two probabilities of
-condensation counts, until a second sensor or a person tells.
+A humidity reading above the estimate has two explanations.  By the *model* the sensor errs, and its offset is
+a slow state.  By the *sensor* the reading is right within the sensor's accuracy, and there is more vapour in
+the cabinet: the concentration is c + excess, with the excess of the newest reading.  The readings cannot
+distinguish the two explanations; so the larger of the two probabilities of condensation counts, until a
+second sensor or a person decides.
 """
 
 from __future__ import annotations
@@ -76,16 +76,16 @@ class Condition:
     excess_g_m3: np.ndarray | None = None
 
     def mapped(self, change: Callable[[str, Quantity], Quantity], **others: np.ndarray | None) -> Condition:
-        """The condition with each quantity that the model has changed by its name, and with other fields."""
-        found = {name: change(name, one) for name, one in vars(self).items() if isinstance(one, Quantity)}
-        return replace(self, **found, **others)  # type: ignore[arg-type]
+        """The condition with each quantity replaced by `change(name, quantity)`, and with other fields."""
+        changed = {name: change(name, q) for name, q in vars(self).items() if isinstance(q, Quantity)}
+        return replace(self, **changed, **others)  # type: ignore[arg-type]
 
 
 @dataclass(frozen=True)
 class DisplayedQuantity:
     """A quantity of `Condition` for the store and the page: displayed value = factor × value + offset [unit].
 
-    `column`: its name in `Condition` and in the store's tables.
+    `column`: name of the quantity in `Condition` and in the store's tables.
     """
 
     name: str
@@ -96,7 +96,7 @@ class DisplayedQuantity:
 
     @property
     def sd_column(self) -> str:
-        """The store's column of its standard deviation."""
+        """The store's column of the quantity's standard deviation."""
         return f"{self.name}_sd"
 
 
@@ -130,63 +130,72 @@ def air_condition(
     Parameter values and the surface may differ between instants (T,), so that many cabinets of one model are
     evaluated at once.
     """
-    nothing = Condition(seconds, *[None] * 8)
+    without_quantities = Condition(seconds, *[None] * 8)
     air, air_row = _air(model, values, u, mean)
     if air is None:
-        return nothing
-    heat = np.einsum("ti,tij,tj->t", air_row, covariance, air_row)
-    warm = Quantity(air, np.sqrt(np.maximum(heat, 0.0)))
+        return without_quantities
+    air_variance = np.einsum("ti,tij,tj->t", air_row, covariance, air_row)
+    temperature = Quantity(air, np.sqrt(np.maximum(air_variance, 0.0)))
     if "vapour" not in model.states:
-        return Condition(seconds, warm, *[None] * 7)
-    place = model.states.index("vapour")
-    outside = u["ambient_temperature"]
-    scale = 1e-3 * GAS_CONSTANT_VAPOUR * outside
+        return Condition(seconds, temperature, *[None] * 7)
+    vapour_index = model.states.index("vapour")
+    ambient = u["ambient_temperature"]
+    scale = 1e-3 * GAS_CONSTANT_VAPOUR * ambient
     # the filter's vapour state is linear and may become negative in almost dry air
-    e = np.maximum(mean[:, place], 1e-3) * scale
-    spread = scale**2 * np.maximum(covariance[:, place, place], 0.0)
-    common = scale * np.einsum("ti,ti->t", air_row, covariance[:, :, place])
+    vapour_pressure = np.maximum(mean[:, vapour_index], 1e-3) * scale
+    vapour_variance = scale**2 * np.maximum(covariance[:, vapour_index, vapour_index], 0.0)
+    air_vapour_covariance = scale * np.einsum("ti,ti->t", air_row, covariance[:, :, vapour_index])
 
     def derived(value: np.ndarray, by_air: np.ndarray | float, by_vapour: np.ndarray | float) -> Quantity:
-        variance = by_air**2 * heat + by_vapour**2 * spread + 2.0 * by_air * by_vapour * common
+        variance = (
+            by_air**2 * air_variance
+            + by_vapour**2 * vapour_variance
+            + 2.0 * by_air * by_vapour * air_vapour_covariance
+        )
         return Quantity(value, np.sqrt(np.maximum(variance, 0.0)))
 
     saturated = saturation_pressure_water(air)
-    humidity = e / saturated
+    humidity = vapour_pressure / saturated
     relative = derived(
         humidity, -humidity * saturation_pressure_water_slope(air) / saturated, 1.0 / saturated
     )
-    density = 1e3 * absolute_humidity_from_vapour_pressure(e, air)
-    absolute = derived(density, -density / air, density / e)
-    dew = dew_point(e)
+    density = 1e3 * absolute_humidity_from_vapour_pressure(vapour_pressure, air)
+    absolute = derived(density, -density / air, density / vapour_pressure)
+    dew = dew_point(vapour_pressure)
     by_dew = 1.0 / saturation_pressure_water_slope(dew)
-    frost = np.where(dew < ZERO_CELSIUS_K, frost_point(e), np.nan)
+    frost = np.where(dew < ZERO_CELSIUS_K, frost_point(vapour_pressure), np.nan)
     by_frost = 1.0 / saturation_pressure_ice_slope(np.clip(frost, ICE_RANGE[0], ZERO_CELSIUS_K))
-    cold = surface.temperature(outside, air)
+    surface_K = surface.temperature(ambient, air)
     # on a surface below freezing vapour deposits as frost, slightly above the dew point
-    icy = (cold < ZERO_CELSIUS_K) & np.isfinite(frost)
-    margin = derived(cold - np.where(icy, frost, dew), surface.follows, -np.where(icy, by_frost, by_dew))
-    at_surface = saturation_pressure_water(cold)
-    near = e / at_surface
-    by_cold = -near * saturation_pressure_water_slope(cold) / at_surface
+    has_frost = (surface_K < ZERO_CELSIUS_K) & np.isfinite(frost)
+    margin = derived(
+        surface_K - np.where(has_frost, frost, dew), surface.follows, -np.where(has_frost, by_frost, by_dew)
+    )
+    at_surface = saturation_pressure_water(surface_K)
+    humidity_there = vapour_pressure / at_surface
+    by_cold = -humidity_there * saturation_pressure_water_slope(surface_K) / at_surface
     return Condition(
         time_s=seconds,
-        temperature_K=warm,
+        temperature_K=temperature,
         relative_humidity=relative,
         absolute_humidity_g_m3=absolute,
         dew_point_K=derived(dew, 0.0, by_dew),
         frost_point_K=derived(frost, 0.0, by_frost),
         margin_K=margin,
         condensation=probability_below(margin, 0.0),
-        surface_humidity=derived(near, surface.follows * by_cold, 1.0 / at_surface),
+        surface_humidity=derived(humidity_there, surface.follows * by_cold, 1.0 / at_surface),
     )
 
 
-def only(found: Condition, kept: np.ndarray | slice) -> Condition:
+def only(condition: Condition, selected: np.ndarray | slice) -> Condition:
     """The condition at a selection of its instants."""
-    chance, excess = (one if one is None else one[kept] for one in (found.condensation, found.excess_g_m3))
-    return found.mapped(
-        lambda name, one: Quantity(one.value[kept], one.sd[kept]),
-        time_s=found.time_s[kept], condensation=chance, excess_g_m3=excess,
+    probability, excess = (
+        values if values is None else values[selected]
+        for values in (condition.condensation, condition.excess_g_m3)
+    )
+    return condition.mapped(
+        lambda name, quantity: Quantity(quantity.value[selected], quantity.sd[selected]),
+        time_s=condition.time_s[selected], condensation=probability, excess_g_m3=excess,
     )  # fmt: skip
 
 
@@ -210,11 +219,11 @@ def _air(
     """Temperature (T,) of the cabinet air [K], None without it, and its exact gradient (T, n) with respect to
     the states."""
     name, columns = "cabinet_air_temperature", list(mean.T)
-    found = model.quantities(columns, u, values).get(name)
-    if found is None:
+    temperature = model.quantities(columns, u, values).get(name)
+    if temperature is None:
         return None, np.zeros(mean.shape)
-    slopes = np.broadcast_to(state_derivatives(model, name, values, columns, u), mean.shape)
-    return np.broadcast_to(np.asarray(found), len(mean)), slopes
+    derivatives = np.broadcast_to(state_derivatives(model, name, values, columns, u), mean.shape)
+    return np.broadcast_to(np.asarray(temperature), len(mean)), derivatives
 
 
 # -- water in the cabinet, or a humidity sensor that errs ----------------------------------------------------
@@ -224,10 +233,11 @@ model: half a percent."""
 
 
 def vapour_read(readings: Mapping[str, np.ndarray], air_K: np.ndarray, ambient_K: np.ndarray) -> np.ndarray:
-    """Equivalent vapour concentration (T,) [g/m³] that the readings of a cabinet show, NaN without one.
+    """Equivalent vapour concentration (T,) [g/m³] c* = e/(R_v T_amb) (equation 5) by the readings of a
+    cabinet, NaN without a reading.
 
-    readings: signal -> values (T,) [K], [1] or [g/m³]; air_K: (T,) the estimated temperature, where there is
-    no reading.  It is that of equation (5): c* = e/(R_v T_amb).  Of two sensors the moister one counts.
+    readings: signal -> values (T,) [K], [1] or [g/m³]; air_K: (T,) the estimated temperature, used where
+    there is no reading of it.  Of two sensors the moister one counts.
     """
     nothing = np.full(len(air_K), np.nan)
     kelvin = readings.get("cabinet_temperature", nothing)
@@ -240,22 +250,22 @@ def vapour_read(readings: Mapping[str, np.ndarray], air_K: np.ndarray, ambient_K
 
 def carried(excess: np.ndarray, before: float = np.nan) -> np.ndarray:
     """The excess (T,) [g/m³] of each instant's newest reading, from the excess at readings, NaN elsewhere;
-    `before`: that of the newest reading before them."""
-    all_of_them = np.append(before, excess)
-    newest = np.maximum.accumulate(np.where(np.isfinite(all_of_them), np.arange(len(all_of_them)), 0))
-    return all_of_them[newest][1:]
+    `before`: the excess of the newest earlier reading."""
+    padded = np.append(before, excess)
+    newest = np.maximum.accumulate(np.where(np.isfinite(padded), np.arange(len(padded)), 0))
+    return padded[newest][1:]
 
 
 def accuracy_sd(model: Model, air_K: np.ndarray, ambient_K: np.ndarray) -> np.ndarray:
-    """Standard deviation (T,) [g/m³] of the vapour concentration by a sensor of the stated accuracy."""
+    """Standard deviation (T,) [g/m³] of the vapour concentration that follows from the sensor's accuracy."""
     sd = np.zeros(len(air_K))
-    for one in model.mechanisms:
+    for mechanism in model.mechanisms:
         scale = {
             "humidity_sensor": saturation_pressure(air_K) / (1e-3 * GAS_CONSTANT_VAPOUR * ambient_K),
             "absolute_humidity_sensor": air_K / ambient_K,
-        }.get(one.name)
+        }.get(mechanism.name)
         if scale is not None:
-            sd = np.maximum(sd, one.settings["accuracy"] / 1.96 * scale)
+            sd = np.maximum(sd, mechanism.settings["accuracy"] / 1.96 * scale)
     return sd
 
 
@@ -271,24 +281,28 @@ def on_the_safe_side(
 ) -> Condition:
     """The condition by the model or, at instants where condensation is likelier, by the sensor.
 
-    The arguments are those of `air_condition` and its result.  By the sensor the vapour is higher by the
-    excess (T,) [g/m³], NaN where none is known, and has the variance of the sensor's accuracy besides.  The
-    probability is the larger one; the quantities are those by the sensor where this differs by `SHOWN`.
+    The arguments are the arguments and the result of `air_condition`.  By the sensor the vapour is higher by
+    the excess (T,) [g/m³], NaN where it is unknown, and the variance of the sensor's accuracy is added.  The
+    probability is the larger of the two; the quantities are those by the sensor where the probability by the
+    sensor is larger by more than `SHOWN`.
     """
     if by_model.condensation is None or by_model.temperature_K is None:
         return by_model
-    place, known = model.states.index("vapour"), np.isfinite(excess)
+    vapour_index, is_known = model.states.index("vapour"), np.isfinite(excess)
     sd = accuracy_sd(model, by_model.temperature_K.value, u["ambient_temperature"])
     mean, covariance = mean.copy(), covariance.copy()
-    mean[:, place] += np.where(known, excess, 0.0)
-    covariance[:, place, place] += np.where(known, sd**2, 0.0)
+    mean[:, vapour_index] += np.where(is_known, excess, 0.0)
+    covariance[:, vapour_index, vapour_index] += np.where(is_known, sd**2, 0.0)
     by_sensor = air_condition(model, values, by_model.time_s, u, mean, covariance, surface)
-    assert by_sensor.condensation is not None, "both are of one model"
+    assert by_sensor.condensation is not None, "by_model has it, and both have the same model"
     larger = np.fmax(by_model.condensation, by_sensor.condensation)
     wetter = larger > by_model.condensation + SHOWN
 
-    def chosen(name: str, one: Quantity) -> Quantity:
-        other = getattr(by_sensor, name)
-        return Quantity(np.where(wetter, other.value, one.value), np.where(wetter, other.sd, one.sd))
+    def chosen(name: str, quantity: Quantity) -> Quantity:
+        quantity_by_sensor = getattr(by_sensor, name)
+        return Quantity(
+            np.where(wetter, quantity_by_sensor.value, quantity.value),
+            np.where(wetter, quantity_by_sensor.sd, quantity.sd),
+        )
 
     return by_model.mapped(chosen, condensation=larger, excess_g_m3=excess)

@@ -55,14 +55,14 @@ PATHS = ("turbine", "time", "quality", "tag", "value")
 ON_CHANGE = ("mqtt", "opc.tcp:")
 """Beginnings of the URLs of sources that report a value when it changes."""
 SAMPLE = datetime.datetime(2026, 11, 23, 17, 48)
-"""A time whose parts differ, to try a form of stamps on."""
+"""A time whose parts differ, with which a form of stamps is tested."""
 
 
 def texts(value: object) -> tuple[str, ...]:
     """A list as texts.  Raises ValueError."""
     if not isinstance(value, list):
         raise ValueError(f"expected a list, found {value!r}")
-    return tuple(str(one) for one in value)
+    return tuple(str(item) for item in value)
 
 
 def _time_form(value: object) -> str:
@@ -73,8 +73,8 @@ def _time_form(value: object) -> str:
         if fault := time_format_fault(value):
             raise ValueError(fault)
         try:
-            found = datetime.datetime.strptime(SAMPLE.astimezone().strftime(value), value)
-            if found.replace(tzinfo=None) == SAMPLE:
+            parsed = datetime.datetime.strptime(SAMPLE.astimezone().strftime(value), value)
+            if parsed.replace(tzinfo=None) == SAMPLE:
                 return value
         except ValueError:
             pass
@@ -120,7 +120,7 @@ class SignalForm(StatedSensor):
 class MappingForm:
     """The table [mapping]."""
 
-    format: str = setting(JSON, "of payloads that are no rows of a table", choices=FORMATS)
+    format: str = setting(JSON, "of payloads that are not rows of a table", choices=FORMATS)
     records: str = setting("", "path to the objects that hold the values")
     turbine: str = setting("turbine", "field with the turbine's name", empty=True)
     time: str = setting("time", "field with the time")
@@ -129,7 +129,7 @@ class MappingForm:
     quality: str = setting("", "field with a quality")
     vocabulary: QualityVocabulary = setting(UNSTATED, "of quality, or its good marks", read=stated_vocabulary)
     good: QualityVocabulary | None = setting(
-        None, "good marks, in place of a vocabulary", read=stated_vocabulary
+        None, "marks of good quality, instead of a vocabulary", read=stated_vocabulary
     )
     use_uncertain: bool = setting(True, "use readings of uncertain quality")
     tag: str = setting("", "field with the name, where a record is one reading")
@@ -147,9 +147,9 @@ class MappingForm:
     @across(*PATHS)
     def paths(self) -> Iterator[str]:
         for key in PATHS:
-            wrong = path_fault(getattr(self, key), *((RECEIVED,) if key == "time" else ()))
-            if wrong is not None:
-                yield f"{key}: {wrong}"
+            fault = path_fault(getattr(self, key), *((RECEIVED,) if key == "time" else ()))
+            if fault is not None:
+                yield f"{key}: {fault}"
 
     @across("records")
     def path_of_records(self) -> str | None:
@@ -160,29 +160,29 @@ class MappingForm:
 
     @across("tag_pattern", "turbine")
     def pattern(self) -> str | None:
-        wrong = pattern_fault(self.tag_pattern) if self.tag_pattern else None
-        return None if wrong is None else f"tag_pattern: {wrong}"
+        fault = pattern_fault(self.tag_pattern) if self.tag_pattern else None
+        return None if fault is None else f"tag_pattern: {fault}"
 
     @across("format", "time")
     def time_of_plain(self) -> str | None:
-        if self.format != PLAIN or any("{" in one for one in alternatives(self.time)):
+        if self.format != PLAIN or any("{" in path for path in alternatives(self.time)):
             return None
         return f'a plain value has no field {self.time!r}: state time = "{RECEIVED}", the time of arrival'
 
     @across("signals")
     def rows(self) -> Iterator[str]:
-        taken: dict[str, str] = {}
-        for name, one in self.signals.items():
-            if one.signal.name in taken:
-                yield f"{name} and {taken[one.signal.name]} are both {one.signal.name}"
-            taken[one.signal.name] = name
+        name_by_signal: dict[str, str] = {}
+        for name, row in self.signals.items():
+            if row.signal.name in name_by_signal:
+                yield f"{name} and {name_by_signal[row.signal.name]} are both {row.signal.name}"
+            name_by_signal[row.signal.name] = name
 
     def to_mapping(self) -> PayloadMapping:
         """The mapping, without rows that cannot be used and without turbines yet."""
-        valid = {name: one for name, one in self.signals.items() if one.signal and not one.unit_of_signal()}
+        usable = {name: row for name, row in self.signals.items() if row.signal and not row.unit_of_signal()}
         zone = zone_in_header(self.time) if self.timezone is None else None
         return PayloadMapping(
-            {name: one.to_field() for name, one in valid.items()},
+            {name: row.to_field() for name, row in usable.items()},
             turbine=self.turbine,
             time=self.time,
             quality=self.quality,
@@ -201,87 +201,90 @@ class MappingForm:
 def source_mappings(
     common: MappingForm, stated: object, sources: Sequence[Mapping[str, object]], place: Place
 ) -> tuple[PayloadMapping, ...]:
-    """The mapping of each [[source]]: the common one, with the keys that its own table has instead.
+    """The mapping of each [[source]]: the common mapping, with keys replaced by those of [source.mapping].
 
-    stated: the common table as it stands in the file, whose faults are in `place` already.
+    stated: the common table as it stands in the file; `place` has its faults already.
     """
-    said = {_without_place(one) for one in place.faults}
-    base = stated if isinstance(stated, Mapping) else {}
+    common_faults = {_without_place(fault) for fault in place.faults}
+    common_table = stated if isinstance(stated, Mapping) else {}
     forms = []
     for number, source in enumerate(sources):
-        own, inside, form = source.get("mapping"), place.inside("source", number), common
-        if isinstance(own, Mapping):
-            apart = replace(inside.inside("mapping"), faults=[])
-            form = read_form(MappingForm, {**base, **own}, apart)
-            place.faults.extend(one for one in apart.faults if _without_place(one) not in said)
-        elif own is not None:
-            inside.fault(f"mapping must be a table [source.mapping], found {own!r}")
+        own_table, inside, form = source.get("mapping"), place.inside("source", number), common
+        if isinstance(own_table, Mapping):
+            own_place = replace(inside.inside("mapping"), faults=[])
+            form = read_form(MappingForm, {**common_table, **own_table}, own_place)
+            place.faults.extend(
+                fault for fault in own_place.faults if _without_place(fault) not in common_faults
+            )
+        elif own_table is not None:
+            inside.fault(f"mapping must be a table [source.mapping], found {own_table!r}")
         forms.append(form)
-    if not all(one.signals for one in forms or [common]):
+    if not all(form.signals for form in forms or [common]):
         place.inside("mapping").fault(
             "no signals: add [mapping.signals] with rows such as "
             'Tcab = { signal = "cabinet_temperature", unit = "degC" }'
         )
-    return tuple(one.to_mapping() for one in forms)
+    return tuple(form.to_mapping() for form in forms)
 
 
 def _without_place(fault: str) -> str:
-    """A fault of a mapping without the table that it is in."""
+    """A fault of a mapping without the name of its table."""
     return fault.partition("mapping")[2].lstrip("] ")
 
 
 def expect_one_place(
     mappings: Iterable[PayloadMapping], sources: Sequence[Mapping[str, Any]], place: Place
 ) -> None:
-    """Faults of tags of one server or file that two [[source]] tables read as different signals."""
-    taken: dict[tuple[str, ...], tuple[str, int]] = {}
+    """Add a fault to `place` for each tag of a server or file that two [[source]] tables read as different
+    signals."""
+    first_readers: dict[tuple[str, ...], tuple[str, int]] = {}
     for number, (mapping, source) in enumerate(zip(mappings, sources, strict=True)):
         nodes, topics = source.get("nodes"), source.get("topics")
         tags: dict[tuple[str, ...], str] = {}
-        for name, one in mapping.fields.items():
+        for name, field_ in mapping.fields.items():
             for topic in topics if isinstance(topics, list) else [""]:
-                tags[str(topic), name] = one.signal
+                tags[str(topic), name] = field_.signal
         if isinstance(nodes, Mapping):
             tags = {
-                (name,): f"{mapping.fields[one['field']].signal} of {one.get('turbine')}"
-                for name, one in nodes.items()
-                if isinstance(one, Mapping) and one.get("field") in mapping.fields
+                (name,): f"{mapping.fields[node['field']].signal} of {node.get('turbine')}"
+                for name, node in nodes.items()
+                if isinstance(node, Mapping) and node.get("field") in mapping.fields
             }
-        for tag, said in tags.items():
-            of = (str(source.get("url")), str(source.get("query")), str(source.get("weather")), *tag)
-            other, first = taken.setdefault(of, (said, number))
-            if other != said:
-                there = place.inside("source", first).at()
+        for tag, meaning in tags.items():
+            address = (str(source.get("url")), str(source.get("query")), str(source.get("weather")), *tag)
+            first_meaning, first_number = first_readers.setdefault(address, (meaning, number))
+            if first_meaning != meaning:
+                first_place = place.inside("source", first_number).at()
                 place.inside("source", number).fault(
-                    f"{tag[-1]} of {of[0]} is {said} here and {other} in {there}: a tag has one place; name "
-                    "the right one alone"
+                    f"{tag[-1]} of {address[0]} is {meaning} here and {first_meaning} in {first_place}: a "
+                    "tag has one place; name the right one alone"
                 )
 
 
 def source_forms(
     mappings: Iterable[PayloadMapping], sources: Sequence[Mapping[str, object]], place: Place
 ) -> dict[str, SignalReporting]:
-    """Signal → how its sources report it, which must be the same for all but weather forecasts.
+    """Signal → how its sources report it; all sources but weather forecasts must report it alike.
 
-    What only switches and comes from a source that reports changes holds while connected by default.
+    By default a switched signal of a source that reports changes is held while the source is connected.
     """
-    found: dict[str, SignalReporting] = {}
-    on_change: set[str] = set()
+    forms: dict[str, SignalReporting] = {}
+    switched_on_change: set[str] = set()
     for number, mapping in enumerate(mappings):
         if number < len(sources) and sources[number].get("weather") is True:
             continue
-        for name, one in mapping.fields.items():
-            if found.setdefault(one.signal, one.form) != one.form:
+        for name, field_ in mapping.fields.items():
+            if forms.setdefault(field_.signal, field_.form) != field_.form:
                 place.inside("source", number).fault(
-                    f"mapping: {name} is {one.signal} of another interval, accuracy, resolution or response "
-                    "time than that of an earlier source; state the same in both"
+                    f"mapping: {name} is {field_.signal} of another interval, accuracy, resolution or "
+                    "response time than that of an earlier source; state the same in both"
                 )
-            if str(sources[number].get("url")).startswith(ON_CHANGE) and one.signal in SWITCHED:
-                on_change.add(one.signal)
-    for signal in on_change:
-        if found[signal].hold == PREVIOUS and found[signal].longest_hold_s is None:
-            found[signal] = replace(found[signal], longest_hold_s=math.inf)
-    return found
+            if str(sources[number].get("url")).startswith(ON_CHANGE) and field_.signal in SWITCHED:
+                switched_on_change.add(field_.signal)
+    for signal in switched_on_change:
+        if forms[signal].hold == PREVIOUS and forms[signal].longest_hold_s is None:
+            forms[signal] = replace(forms[signal], longest_hold_s=math.inf)
+    return forms
 
 
 # -- the whole file ------------------------------------------------------------------------------------------
@@ -303,7 +306,7 @@ class ConfigFault(FormFault):
     """A tracker's file cannot be used; the message lists every fault on its own line."""
 
     def __str__(self) -> str:
-        return "\n".join(f"{self.file}: {one}" for one in self.faults)
+        return "\n".join(f"{self.file}: {fault}" for fault in self.faults)
 
 
 @dataclass(frozen=True)
@@ -321,30 +324,32 @@ class Config:
 def stream_of(
     table: Mapping[str, object], place: Place, folder: Path, mapping: PayloadMapping
 ) -> Stream | None:
-    """The stream of a `[[source]]` table; None if the table is faulty, with the faults in `place`.
+    """The stream of a `[[source]]` table, not connected or opened yet; None if the table has faults, which
+    are added to `place`.
 
-    Nothing is connected or opened yet.  Paths are relative to `folder`.  With `weather = true` the source
-    delivers weather forecasts.
+    Paths are relative to `folder`.  With `weather = true` the source delivers weather forecasts.
     """
     url = table.get("url")
     scheme = url.partition(":")[0] if isinstance(url, str) else ""
-    kind = KINDS.get(scheme)
-    if kind is None:
+    form_class = KINDS.get(scheme)
+    if form_class is None:
         schemes = ", ".join(f"{name}:" if name != "stdin" else name for name in KINDS)
         # the rest of the url may hold a password
         place.fault(f"url must begin with one of {schemes}, found {scheme!r}")
         return None
-    own = replace(place, faults=[])
-    form = read_form(kind, table, own, folder=folder)
-    made = form.stream(replace(mapping, weather=form.weather, revision=form.revision), own)
-    if made is not None and form.reach_limit_s is not None:
-        made.reach_limit_s = form.reach_limit_s
-    place.faults.extend(own.faults)
-    return None if own.faults else made
+    own_place = replace(place, faults=[])
+    source_form = read_form(form_class, table, own_place, folder=folder)
+    stream = source_form.stream(
+        replace(mapping, weather=source_form.weather, revision=source_form.revision), own_place
+    )
+    if stream is not None and source_form.reach_limit_s is not None:
+        stream.reach_limit_s = source_form.reach_limit_s
+    place.faults.extend(own_place.faults)
+    return None if own_place.faults else stream
 
 
 def _names(value: object) -> dict[str, str]:
-    if not isinstance(value, dict) or not all(isinstance(one, str) for one in value.values()):
+    if not isinstance(value, dict) or not all(isinstance(name, str) for name in value.values()):
         raise ValueError(f'expected a table such as {{ TT101 = "Tcab" }}, found {value!r}')
     return value
 
@@ -353,12 +358,12 @@ def store_url(value: object) -> str:
     """The URL of a store, which messages do not show because it may hold a password.  Raises ValueError."""
     if not isinstance(value, str):
         raise ValueError(f"expected text in quotes, found {value!r}")
-    wrong = url_fault(value)
-    if wrong is None and not value.startswith(("sqlite:", *SCHEMES)):
-        begin = repr(value.partition(":")[0])
-        wrong = f"expected sqlite:PATH or postgresql://USER@HOST/NAME, found one that begins with {begin}"
-    if wrong is not None:
-        raise ValueError(wrong)
+    fault = url_fault(value)
+    if fault is None and not value.startswith(("sqlite:", *SCHEMES)):
+        beginning = repr(value.partition(":")[0])
+        fault = f"expected sqlite:PATH or postgresql://USER@HOST/NAME, found one that begins with {beginning}"
+    if fault is not None:
+        raise ValueError(fault)
     return value
 
 
@@ -372,7 +377,7 @@ class SurfaceForm:
 
 @dataclass(frozen=True)
 class SiteForm(Site):
-    """The table site of a [[turbine]], whose place in a message names the site already."""
+    """The table site of a [[turbine]]; messages do not repeat "site", which their place names already."""
 
     def __post_init__(self) -> None:
         try:
@@ -460,18 +465,22 @@ def read_config(path: str | os.PathLike[str], library: Library = LIBRARY) -> Con
     mappings = source_mappings(form.mapping, stated.get("mapping"), form.source, place)
     reporting = source_forms(mappings, form.source, place)
     turbines, names = _turbines(form, file.parent, reporting, place, library)
-    own_names = _own_names(form.turbine, {name for one in mappings for name in one.fields}, place)
+    names_by_turbine = _own_names(
+        form.turbine, {name for mapping in mappings for name in mapping.fields}, place
+    )
     expect_one_place(mappings, form.source, place)
     streams: list[Stream] = []
     for number, (table, layout) in enumerate(zip(form.source, mappings, strict=True)):
-        inside = place.inside("source", number)
-        mapping = replace(layout, turbines=names, names=own_names)
-        made = stream_of({k: v for k, v in table.items() if k != "mapping"}, inside, file.parent, mapping)
-        if made is None:
+        source_place = place.inside("source", number)
+        mapping = replace(layout, turbines=names, names=names_by_turbine)
+        stream = stream_of(
+            {k: v for k, v in table.items() if k != "mapping"}, source_place, file.parent, mapping
+        )
+        if stream is None:
             continue
-        if made.url in [one.url for one in streams]:
-            inside.fault(f"{made.url} is a source already; two of one broker need a client_id each")
-        streams.append(made)
+        if stream.url in [other.url for other in streams]:
+            source_place.fault(f"{stream.url} is a source already; two of one broker need a client_id each")
+        streams.append(stream)
     channels = _channels(form, file.parent, place)
     page = page_settings(form.page, file.parent, place)
     if place.faults:
@@ -484,69 +493,72 @@ def read_config(path: str | os.PathLike[str], library: Library = LIBRARY) -> Con
 
 def _channels(form: TrackForm, folder: Path, place: Place) -> tuple[Channel, ...]:
     channels: list[Channel] = []
-    turbines = [one.name for one in form.turbine]
+    turbines = [turbine.name for turbine in form.turbine]
     for number, table in enumerate(form.notify):
-        inside = place.inside("notify", number)
-        made = channel_of(table, inside, folder, turbines)
-        if made is not None and made.name in [one.name for one in channels]:
-            inside.fault(f"a second channel named {made.name!r}")
-        elif made is not None:
-            channels.append(made)
+        channel_place = place.inside("notify", number)
+        channel = channel_of(table, channel_place, folder, turbines)
+        if channel is not None and channel.name in [other.name for other in channels]:
+            channel_place.fault(f"a second channel named {channel.name!r}")
+        elif channel is not None:
+            channels.append(channel)
     return tuple(channels)
 
 
 def _own_names(
     turbines: Sequence[TurbineForm], fields: Collection[str], place: Place
 ) -> dict[str, dict[str, str]]:
-    """Turbine → its own names of fields; names of fields that no mapping has are faults."""
-    for number, one in enumerate(turbines):
-        for name, field_ in one.names.items():
+    """Turbine → its own names of fields; a field that no mapping has is a fault."""
+    for number, turbine in enumerate(turbines):
+        for name, field_ in turbine.names.items():
             if field_ not in fields:
-                near = suggestion(field_, fields)
+                similar = suggestion(field_, fields)
                 place.inside("turbine", number).fault(
-                    f"names: {name} is {field_!r}, which [mapping.signals] does not have{near}"
+                    f"names: {name} is {field_!r}, which [mapping.signals] does not have{similar}"
                 )
-    return {one.name: dict(one.names) for one in turbines if one.names}
+    return {turbine.name: dict(turbine.names) for turbine in turbines if turbine.names}
 
 
 def _turbines(
     form: TrackForm, folder: Path, forms: Mapping[str, SignalReporting], place: Place, library: Library
 ) -> tuple[dict[str, Turbine], dict[str, str]]:
-    """Turbines by name, and the turbine that each name in a payload stands for."""
+    """Turbines by name, and the turbine of each name that stands for a turbine in payloads."""
     rates = None
     if form.wandering is not None:
         stated = vars(read_form(WanderingForm, form.wandering, place.inside("wandering")))
         rates = {name: rate for name, rate in stated.items() if rate is not None}
     turbines: dict[str, Turbine] = {}
-    names: dict[str, str] = {}
-    for number, one in enumerate(form.turbine):
-        inside = place.inside("turbine", number)
-        if one.name in turbines:
-            inside.fault(f"a second turbine named {one.name!r}")
-        for known in (one.name,) if one.known_as is None else one.known_as:
-            if names.setdefault(known, one.name) != one.name:
-                inside.fault(f"{known!r} already stands for {names[known]!r}")
-        if not one.fit:
+    turbine_by_name: dict[str, str] = {}
+    for number, row in enumerate(form.turbine):
+        turbine_place = place.inside("turbine", number)
+        if row.name in turbines:
+            turbine_place.fault(f"a second turbine named {row.name!r}")
+        for payload_name in (row.name,) if row.known_as is None else row.known_as:
+            if turbine_by_name.setdefault(payload_name, row.name) != row.name:
+                turbine_place.fault(f"{payload_name!r} already stands for {turbine_by_name[payload_name]!r}")
+        if not row.fit:
             continue
-        made = read_turbine(
-            folder / one.fit,
-            inside,
+        turbine = read_turbine(
+            folder / row.fit,
+            turbine_place,
             library,
-            name=one.name,
+            name=row.name,
             forms=forms,
-            lateness_s=form.lateness_s if one.lateness_s is None else one.lateness_s,
+            lateness_s=form.lateness_s if row.lateness_s is None else row.lateness_s,
             wandering=rates,
-            site=None if one.site is None else Site(**vars(one.site)),
-            rated_power_W=None if one.rated_power_kW is None else 1e3 * one.rated_power_kW,
+            site=None if row.site is None else Site(**vars(row.site)),
+            rated_power_W=None if row.rated_power_kW is None else 1e3 * row.rated_power_kW,
         )
-        if made is not None:
-            surface = Surface(**vars(one.cold_surface))
-            turbines[one.name] = replace(made, surface=surface, limit=one.humidity_limit, stale_s=one.stale_s)
-    return turbines, names
+        if turbine is not None:
+            surface = Surface(**vars(row.cold_surface))
+            turbines[row.name] = replace(
+                turbine, surface=surface, limit=row.humidity_limit, stale_s=row.stale_s
+            )
+    return turbines, turbine_by_name
 
 
 def read_turbine(path: Path, place: Place, library: Library, **options: Any) -> Turbine | None:
-    """A turbine with the model in a file or folder; None with a fault in `place` where it cannot be used.
+    """A turbine with the model in a file or folder; None if the model cannot be used, with a fault in
+    `place`.
 
     library: with the mechanisms of the model.  options: of `plan`.
     """

@@ -3,10 +3,10 @@
 The default has one turbine per model, and signals under their own names.
 
 The demonstration tracks a synthetic turbine and needs no server and no file.  The model is identified on some
-weeks, and the following weeks are played back faster than real time.  From some days before them on the
-cabinet loses heat more slowly (a clogged filter), which the tracker finds at the beginning of the playback.
-The same cabinet is also tracked without its humidity sensor and without any sensor, so that the model alone
-can be compared with the readings.
+weeks, and the following weeks are played back faster than real time.  Some days before the playback the
+cabinet begins to lose heat more slowly (a clogged filter); the tracker finds this at the beginning of the
+playback.  The same cabinet is also tracked without its humidity sensor and without any sensor, so that the
+model alone can be compared with the readings.
 """
 
 from __future__ import annotations
@@ -38,21 +38,21 @@ NAMES = {
     "Synthetic 2, temperature only": ("cabinet_relative_humidity",),
     "Synthetic 3, no sensor": ("cabinet_relative_humidity", "cabinet_temperature"),
 }
-"""Turbine -> signals that it lacks."""
+"""Turbine -> signals that are left out."""
 FIRST = next(iter(NAMES))
 SEED = 1
-"""Of the synthetic turbine."""
+"""Seed of the synthetic turbine."""
 DAYS = 100.0
 LIVE_DAYS = 60.0
-"""Length of the record, and from its start to the live part [d]."""
+"""`DAYS`: length of the record [d]; `LIVE_DAYS`: time from its start to the live part [d]."""
 IDENTIFIED_DAYS = 30.0
-"""Length of the period before the change on which the model is identified [d]: with more of it the page would
-not be there within ten seconds."""
+"""Length of the period before the change on which the model is identified [d]: with a longer one the page
+would not open within ten seconds."""
 KNOWN_DAYS = 12.0
-"""[d] before the live part that the tracker gets at once, as history for the forecasts."""
+"""[d] before the live part whose readings the tracker gets at once, as history for the forecasts."""
 CHANGED_DAYS = -7.0
-"""[d] from the start of the live part to the change of the cabinet: so long before it that the shift, which
-must last two days to be told, is told within seconds of the playback."""
+"""[d] from the start of the live part to the change of the cabinet: early enough that the alarm of the shift,
+which must last two days, begins within seconds of the playback."""
 CHANGED = SyntheticParameters(thermal_time_constant_h=2.5)
 PLAYED = (
     "cabinet_temperature", "cabinet_relative_humidity", "ambient_temperature", "ambient_relative_humidity",
@@ -70,10 +70,10 @@ def default_mapping() -> PayloadMapping:
 def page_at(address: str | None) -> PageSettings:
     """Settings of a page at an address (None: the default).  Raises ConfigFault."""
     place = Place()
-    found = page_settings(address or PAGE, Path(), place)
+    settings = page_settings(address or PAGE, Path(), place)
     if place.faults:
         raise ConfigFault("--page", place.faults)
-    return found
+    return settings
 
 
 def store_at(url: str) -> str:
@@ -94,7 +94,7 @@ def default_config(
     """A configuration with one turbine per model.  Raises ConfigFault with all faults."""
     place = Place()
     mapping = default_mapping()
-    forms = {one.signal: one.form for one in mapping.fields.values()}
+    forms = {field.signal: field.form for field in mapping.fields.values()}
     turbines: dict[str, Turbine] = {}
     for path in fits:
         turbine = read_turbine(path, place, library, forms=forms)
@@ -119,7 +119,7 @@ def default_config(
         )
     if place.faults:
         raise ConfigFault("track", place.faults)
-    return Config(turbines, tuple(one for one in streams if one is not None), store, page)
+    return Config(turbines, tuple(stream for stream in streams if stream is not None), store, page)
 
 
 def table_of(url: str) -> dict[str, str | list[str]]:
@@ -165,13 +165,15 @@ def demo_turbines(
 
 def demo_stream(record: Record, live_s: float, speed: float) -> Playback:
     """The record as messages, played at once before `live_s` [s] and at `speed` times real time after it."""
-    found = []
-    for name, without in NAMES.items():
-        own = replace(record, series=tuple(s for s in record.series if s.signal not in without))
-        found += record_messages(own, name)
+    messages = []
+    for name, left_out in NAMES.items():
+        sensed = replace(record, series=tuple(s for s in record.series if s.signal not in left_out))
+        messages += record_messages(sensed, name)
     mapping = replace(record_mapping(record, FIRST), turbines={name: name for name in NAMES})
     label = f"Demo: synthetic turbines, played back at {speed:,.0f} times real time"
-    return Playback("replay:demo", sorted(found, key=lambda one: one[0]), mapping, speed, live_s, label)
+    return Playback(
+        "replay:demo", sorted(messages, key=lambda message: message[0]), mapping, speed, live_s, label
+    )
 
 
 def _record(folder: Path, parameters: SyntheticParameters) -> Record:

@@ -6,11 +6,12 @@ one of them drift at a time and holds the others constant.  This is the same fil
 that likelihoods are comparable.  For example, a thermometer's error shifts the humidity reading as saturation
 demands, while a heater that stays on does not.
 
-An error of an ambient sensor looks like one of the cabinet's, because both act on the difference between
-inside and outside.  What sister turbines read of the ambient tells them apart, because the turbines of one
-tracker share their weather.  The mean difference of a day between a turbine's reading and the median of its
-sisters' varies little from day to day; an error of its own sensor shows in it, and one of a sensor in its
-cabinet does not.  Sisters that are far away vary more and so say less.
+An error of an ambient sensor looks like an error of the cabinet's sensor, because both act on the difference
+between inside and outside.  The ambient readings of sister turbines distinguish the two, because the turbines
+of a tracker share their weather.  The daily mean of the difference between a turbine's reading and the median
+of its sisters' readings varies little from day to day; an error of the turbine's ambient sensor shows in this
+difference, and an error of a sensor in the cabinet does not.  The readings of distant sisters vary more and
+give less evidence.
 """
 
 from __future__ import annotations
@@ -45,8 +46,8 @@ STATES = {
 }
 """Cause -> states that drift if it is the cause, each with the drift rates [per day^0.5] to try."""
 PAIRS = {"ambient_temperature": "temperature_sensor", "ambient_humidity": "humidity_sensor"}
-"""Error of an ambient sensor -> that of the cabinet's sensor, from which sister turbines alone tell it: in
-the likelihood, small misfits of the model weigh more than what distinguishes them."""
+"""Error of an ambient sensor -> error of the cabinet's sensor that only sister turbines can distinguish from
+it: in the likelihood, small misfits of the model weigh more than the difference between the two errors."""
 SENSORS = (*PAIRS, *PAIRS.values())
 LEAST = 8.0
 """Gain in ln L from which a cause counts as an explanation; fault isolation chooses among about twenty
@@ -63,10 +64,10 @@ EVERY_S = DAY_S
 
 @dataclass(frozen=True)
 class CauseFinding:
-    """How well a cause explains the readings, or the most likely one, "" if none explains them.
+    """How well a `cause` explains the readings, or the most likely cause, "" if no cause explains them.
 
-    `state`, `value`, `sd`: the state that explains it, its value now and its standard deviation; `gain`: in
-    ln L over an unchanged cabinet; `alike`: causes that cannot be distinguished from it.
+    `state`, `value`, `sd`: the drifting state, its present value and its standard deviation; `gain`: increase
+    of ln L over an unchanged cabinet; `alike`: causes that cannot be distinguished from this one.
     """
 
     time_s: float
@@ -80,10 +81,10 @@ class CauseFinding:
 
 @dataclass(frozen=True)
 class ShiftStep:
-    """What the final estimates at a `time` [s] say of the tracked properties: the `lasting` shifts, how far
-    each property is from its reference, and whether fault isolation is `due` for the shifts.
+    """The tracked properties by the final estimates at a `time` [s]: the `lasting` shifts, the `deviations`
+    of the properties from their references, and whether fault isolation is `due` for the shifts.
 
-    Their alarms are judged step after step, however fast the estimates came.
+    The alarms of the shifts are judged step by step, however fast the estimates came.
     """
 
     time: float
@@ -95,11 +96,12 @@ class ShiftStep:
 def shift_step(
     time: float, shifts: Mapping[str, ParameterShift], deviations: Mapping[str, TrackedState], last_s: float
 ) -> ShiftStep:
-    """The step at a time [s].  Isolation is due when a shift becomes lasting and then once per `EVERY_S`;
-    last_s: when it last was [s]."""
-    lasting = tuple(one for one in shifts.values() if one.lasting)
-    newest = max((one.since + lasting_s(one) for one in lasting), default=-np.inf)
-    due = bool(lasting) and (last_s < newest or last_s <= time - EVERY_S)
+    """The step at a time [s].  Isolation is due when a shift becomes lasting and then once per `EVERY_S`.
+
+    last_s: time [s] of the last isolation."""
+    lasting = tuple(shift for shift in shifts.values() if shift.lasting)
+    newest_s = max((shift.since + lasting_s(shift) for shift in lasting), default=-np.inf)
+    due = bool(lasting) and (last_s < newest_s or last_s <= time - EVERY_S)
     return ShiftStep(time, lasting, due, dict(deviations))
 
 
@@ -118,18 +120,20 @@ def isolate(
     if "ambient_absolute_humidity" in plan.model.inputs:
         additions.append(("wandering_ambient_humidity", {}))
     wide = replace(plan, design=extended(plan.design, additions))
-    t = model_inputs(wide.design, record).timeline
+    timeline = model_inputs(wide.design, record).timeline
     # the smallest drift rates that the model allows hold every state constant
     wandering = {f"{state}_rate" for options in STATES.values() for state, _ in options}
-    still = {**wide.values, **{p.name: p.lower for p in wide.model.parameters if p.name in wandering}}
+    constant = {**wide.values, **{p.name: p.lower for p in wide.model.parameters if p.name in wandering}}
     start = None
     if reference is not None:
-        t = t.window(int(np.searchsorted(t.seconds, reference.time + SAME_S, side="right")), len(t))
-        if not len(t):
+        timeline = timeline.window(
+            int(np.searchsorted(timeline.seconds, reference.time + SAME_S, side="right")), len(timeline)
+        )
+        if not len(timeline):
             raise ValueError("no readings since the stated change")
-        start = _still_state(plan, wide, reference.state)
-    likelihood = wide.likelihood(t)
-    base, end_s = censored_end(likelihood, still, start).loglik, float(t.seconds[-1])
+        start = _widened_state(plan, wide, reference.state)
+    likelihood = wide.likelihood(timeline)
+    base_loglik, end_s = censored_end(likelihood, constant, start).loglik, float(timeline.seconds[-1])
     gains: dict[str, CauseFinding] = {}
     evidence: dict[str, float] = {}
     for cause, options in STATES.items():
@@ -137,31 +141,31 @@ def isolate(
         for state, rates in options:
             if state not in wide.model.states:
                 continue
-            place = wide.model.states.index(state)
+            state_index = wide.model.states.index(state)
             for rate in rates:
-                begin = None if start is None else _with_variance(start, place, rate**2)
-                values = {**still, f"{state}_rate": rate}
-                found = censored_end(likelihood, values, begin)
-                gain = found.loglik - base
+                prior = None if start is None else _with_variance(start, state_index, rate**2)
+                values = {**constant, f"{state}_rate": rate}
+                end = censored_end(likelihood, values, prior)
+                gain = end.loglik - base_loglik
                 if cause not in gains or gain > gains[cause].gain:
-                    sd = float(np.sqrt(max(found.last.covariance[place, place], 0.0)))
+                    sd = float(np.sqrt(max(end.last.covariance[state_index, state_index], 0.0)))
                     gains[cause] = CauseFinding(
-                        end_s, cause, state, float(found.last.mean[place]), gain, sd=sd
+                        end_s, cause, state, float(end.last.mean[state_index]), gain, sd=sd
                     )
-                    best = values, begin, place
+                    best = values, prior, state_index
                 yield None
-        departed = departures(record, sisters, AMBIENT.get(cause, ""))
-        if departed is not None and best is not None:
+        departures_ = departures(record, sisters, AMBIENT.get(cause, ""))
+        if departures_ is not None and best is not None:
             error = censored_trace(likelihood, *best[:2]).mean[:, best[2]]
-            evidence[cause] = departed.support(t.seconds, error, gains[cause].sd)
+            evidence[cause] = departures_.support(timeline.seconds, error, gains[cause].sd)
     yield finding_from(gains, end_s, evidence)
 
 
-def _still_state(plan: Plan, wide: Plan, state: Gaussian) -> Gaussian:
-    """A state of the plan as one of the wider plan, whose wandering properties are known."""
-    known, size = [wide.model.states.index(name) for name in plan.model.states], len(wide.model.states)
+def _widened_state(plan: Plan, wide: Plan, state: Gaussian) -> Gaussian:
+    """A state of the plan as a state of the wider plan, whose wandering properties are known exactly."""
+    places, size = [wide.model.states.index(name) for name in plan.model.states], len(wide.model.states)
     mean, covariance = np.zeros(size), np.zeros((size, size))
-    mean[known], covariance[np.ix_(known, known)] = state.mean, state.covariance
+    mean[places], covariance[np.ix_(places, places)] = state.mean, state.covariance
     state = replace(state, mean=mean, covariance=covariance)
     for name in (name for options in STATES.values() for name, _ in options):
         if name in wide.model.states:
@@ -182,39 +186,45 @@ def finding_from(
 ) -> CauseFinding:
     """The finding at `time_s` [s] from the best explanation by each cause.
 
-    `evidence`: by how much in ln L the sister turbines support each error of an ambient sensor.  If they
-    decide, one of the `PAIRS` is left.  Else both count alike: as the likelier one where it may be water, as
-    the less likely one where that would rule water out.
+    `evidence`: cause, an error of an ambient sensor -> gain in ln L by which the sister turbines support it.
+    If the sisters decide, one error of each of the `PAIRS` remains.  Else both errors get the same gain: the
+    larger one where the cause may be water, the smaller one where the larger would rule water out.
     """
-    left = dict(gains)
+    remaining = dict(gains)
     for ambient, sensor in PAIRS.items():
-        support, pair = (evidence or {}).get(ambient, 0.0), [one for one in (sensor, ambient) if one in left]
+        support, pair = (
+            (evidence or {}).get(ambient, 0.0),
+            [cause for cause in (sensor, ambient) if cause in remaining],
+        )
         if abs(support) >= CLOSE:
-            left.pop(sensor if support > 0.0 else ambient, None)
+            remaining.pop(sensor if support > 0.0 else ambient, None)
         elif len(pair) > 1:
-            gain = (max if sensor == "humidity_sensor" else min)(left[one].gain for one in pair)
-            left.update({one: replace(left[one], gain=gain) for one in pair})
-    ordered = sorted(left, key=lambda cause: -left[cause].gain)
-    if not ordered or left[ordered[0]].gain < LEAST:
+            gain = (max if sensor == "humidity_sensor" else min)(remaining[cause].gain for cause in pair)
+            remaining.update({cause: replace(remaining[cause], gain=gain) for cause in pair})
+    ordered = sorted(remaining, key=lambda cause: -remaining[cause].gain)
+    if not ordered or remaining[ordered[0]].gain < LEAST:
         return CauseFinding(time_s, "")
-    best = left[ordered[0]]
-    alike = tuple(cause for cause in ordered[1:] if best.gain - left[cause].gain < CLOSE)
+    best = remaining[ordered[0]]
+    alike = tuple(cause for cause in ordered[1:] if best.gain - remaining[cause].gain < CLOSE)
     return replace(best, alike=alike)
 
 
 AMBIENT = {"ambient_temperature": "ambient_temperature", "ambient_humidity": "ambient_relative_humidity"}
-"""Cause in `STATES` -> signal that is compared with the sisters'."""
+"""Cause in `STATES` -> signal that is compared with the signal of the sisters."""
 USUAL = 10
-"""Days at the beginning of a record that show what is usual, before a shift was noticed."""
+"""Days at the beginning of a record, before a shift was noticed, that give the usual difference."""
 FEWEST = 5
-"""Fewest of these days with readings of both."""
+"""Smallest number of these days on which both turbines must have readings."""
 
 
 @dataclass(frozen=True)
 class Departures:
-    """By how much a turbine's reading departed from its sisters' on each day before `end_s` [s], the newest
-    first: `size` (D,) [SI unit] beyond the mean of the last `USUAL` of them, NaN for a day that is not known;
-    `sd` of such a departure, from `count` days."""
+    """Deviation of a turbine's reading from its sisters' readings on each day before `end_s` [s], newest
+    first.
+
+    `size` (D,) [SI unit]: deviation minus its mean on the oldest `USUAL` days, NaN for an unknown day; `sd`:
+    standard deviation of `size` on a usual day, from `count` days.
+    """
 
     size: np.ndarray
     sd: float
@@ -222,37 +232,43 @@ class Departures:
     end_s: float
 
     def support(self, seconds: np.ndarray, error: np.ndarray, sd: float) -> float:
-        """Gain in ln L by an error (T,) [SI unit] of the turbine's own reading at times (T,) [s], known to
-        `sd`, over none: Student's t, because few days tell the standard deviation."""
+        """Gain in ln L by an error (T,) [SI unit] of the turbine's reading at times (T,) [s] with the
+        standard deviation `sd`, by Student's t, because few days determine the standard deviation of a
+        day."""
         expected = _daily(seconds, error, self.end_s, len(self.size))
         expected = expected - np.nanmean(expected[-USUAL:])
         gain = self._log_density(self.size - expected, sd) - self._log_density(self.size, 0.0)
         return float(np.nansum(gain[:-USUAL]))
 
-    def _log_density(self, apart: np.ndarray, sd: float) -> np.ndarray:
+    def _log_density(self, deviation: np.ndarray, sd: float) -> np.ndarray:
         variance, freedom = self.sd**2 + sd**2, self.count - 1
-        return -0.5 * np.log(variance) - 0.5 * self.count * np.log1p(apart**2 / (freedom * variance))
+        return -0.5 * np.log(variance) - 0.5 * self.count * np.log1p(deviation**2 / (freedom * variance))
 
 
 def departures(record: Record, sisters: Sequence[Record], signal: str) -> Departures | None:
-    """How a turbine's reading of a signal departs from its sisters'; None where too little is known.
+    """The deviations of a turbine's reading of a signal from its sisters' readings; None if too little is
+    known.
 
-    Each sister counts by its own usual difference, so that it may come and go.  One whose readings are the
-    turbine's own, as those of a common mast, is no witness.
+    The usual difference is subtracted for each sister, so that a sister may miss days.  A sister with the
+    same readings as the turbine, from a common mast, is left out.
     """
     if signal not in record:
         return None
-    own, end_s = record[signal], record.end_s
+    series, end_s = record[signal], record.end_s
     days = int((end_s - record.start_s) // DAY_S) + 1
-    mean = _daily(*own.known, end_s, days)
-    found = []
-    for other in (one[signal] for one in sisters if signal in one and not _same(own, one[signal])):
+    mean = _daily(*series.known, end_s, days)
+    differences = []
+    for other in (
+        sister[signal]
+        for sister in sisters
+        if signal in sister and not _is_same_sensor(series, sister[signal])
+    ):
         difference = mean - _daily(*other.known, end_s, days)
         if np.isfinite(difference[-USUAL:]).sum() >= FEWEST:
-            found.append(difference - np.nanmedian(difference[-USUAL:]))
-    if not found or days < 2 * USUAL:
+            differences.append(difference - np.nanmedian(difference[-USUAL:]))
+    if not differences or days < 2 * USUAL:
         return None
-    size = np.ma.median(np.ma.masked_invalid(found), axis=0).filled(np.nan)
+    size = np.ma.median(np.ma.masked_invalid(differences), axis=0).filled(np.nan)
     usual = size[-USUAL:][np.isfinite(size[-USUAL:])]
     if not usual.std() > 0.0:
         return None
@@ -269,8 +285,8 @@ def _daily(time: np.ndarray, value: np.ndarray, end_s: float, days: int) -> np.n
     return np.where(count > 0, total / np.maximum(count, 1), np.nan)
 
 
-def _same(one: Series, other: Series) -> bool:
+def _is_same_sensor(series: Series, other: Series) -> bool:
     """Whether two series are readings of one sensor: equal at all stamps that they share."""
-    shared, first, second = np.intersect1d(one.time, other.time, return_indices=True)
-    apart = np.abs(one.value[first] - other.value[second])
-    return len(shared) > 0 and bool(np.all(apart <= max(one.resolution, other.resolution, 1e-9)))
+    shared, first, second = np.intersect1d(series.time, other.time, return_indices=True)
+    difference = np.abs(series.value[first] - other.value[second])
+    return len(shared) > 0 and bool(np.all(difference <= max(series.resolution, other.resolution, 1e-9)))

@@ -2,7 +2,7 @@
 operation.
 
 Possible futures are a small set of **members**, each a course of every driver.  The state's Gaussian is
-propagated under each member.  The forecast is the mixture: probabilities are means over the members, and
+propagated under each member.  The forecast is the mixture of the members: probabilities are their means, and
 bounds include their spread.
 """
 
@@ -53,7 +53,7 @@ class Forecast:
     """The condition at future instants (T,).
 
     `made_s`: time [s] of the state it starts from; `above` (T,): probability [1] that relative humidity
-    exceeds `limit`; `basis`: that of the scenarios.
+    exceeds `limit`; `basis`: what the scenarios are based on.
     """
 
     made_s: float
@@ -85,41 +85,44 @@ def forecast(
 ) -> Forecast:
     """The forecast from the newest state under scenarios.
 
-    `excess` [g/m³]: vapour by which the newest reading exceeds the estimate (`live.condition`); it stays.
+    `excess` [g/m³]: vapour by which the newest reading exceeds the estimate (`live.condition`), assumed to
+    remain constant.
     Raises NoForecast if the model uses the cabinet's own readings as inputs, because future readings do not
     exist.
     """
-    found = conditions_by_member(plan, state, scenarios, surface, excess)
-    mixed = mixture(found)
-    humidities = [one.relative_humidity for one in found if one.relative_humidity is not None]
-    above = np.full(len(mixed.time_s), np.nan)
+    members = conditions_by_member(plan, state, scenarios, surface, excess)
+    condition = mixture(members)
+    humidities = [member.relative_humidity for member in members if member.relative_humidity is not None]
+    above = np.full(len(condition.time_s), np.nan)
     if humidities:
         above = np.mean([probability_above(humidity, limit) for humidity in humidities], axis=0)
-    return Forecast(state.time, mixed, above, limit, scenarios.basis)
+    return Forecast(state.time, condition, above, limit, scenarios.basis)
 
 
 def conditions_by_member(
     plan: Plan, state: Point, scenarios: Scenarios, surface: Surface, excess: float = np.nan
 ) -> list[Condition]:
-    """The condition at the state's time and at the scenarios' instants after it, one for each member, on the
-    safe side of model and sensor.
+    """The condition of each member at the state's time and at the scenarios' later instants, on the safe side
+    of model and sensor.
 
-    The state's time must be the scenarios' `now_s`.  Raises NoForecast as `forecast` does.
+    The state's time must equal the scenarios' `now_s`.  Raises NoForecast as `forecast` does.
     """
-    found = []
+    conditions = []
     for t, mean, covariance in moments_by_member(plan, state, scenarios):
-        known, u = np.full(len(t), excess), inputs_of(plan.model, t)
+        vapour_excess, u = np.full(len(t), excess), inputs_of(plan.model, t)
         by_model = air_condition(plan.model, plan.values, t.seconds, u, mean, covariance, surface)
-        whole = on_the_safe_side(by_model, plan.model, plan.values, u, mean, covariance, surface, known)
-        found.append(only(whole, np.isin(np.round(whole.time_s), np.round(scenarios.time_s))))
-    return found
+        safe = on_the_safe_side(
+            by_model, plan.model, plan.values, u, mean, covariance, surface, vapour_excess
+        )
+        conditions.append(only(safe, np.isin(np.round(safe.time_s), np.round(scenarios.time_s))))
+    return conditions
 
 
 def moments_by_member(
     plan: Plan, state: Point, scenarios: Scenarios
 ) -> Iterator[tuple[Timeline, np.ndarray, np.ndarray]]:
-    """For each member: the timeline from the state's time on, and the state's means (T, n) and covariances
-    (T, n, n) there."""
+    """For each member: the timeline from the state's time on, and the means (T, n) and covariances (T, n, n)
+    of the state at its instants."""
     if abs(state.time - scenarios.now_s) > SAME_S:
         raise NoForecast(
             f"the scenarios must begin at the state's time; they begin {scenarios.now_s - state.time:+.0f} s "
@@ -129,38 +132,42 @@ def moments_by_member(
         series = (_series(plan, name, scenarios, values) for name, values in sorted(member.items()))
         record = Record(plan.name, tuple(series), plan.site, plan.rated_power_W)
         try:
-            whole = model_inputs(plan.design, record)
+            run = model_inputs(plan.design, record)
         except (ValueError, KeyError) as fault:
             raise NoForecast(f"the model needs inputs that are unknown in the future: {fault}") from fault
-        made = whole.timeline
-        first = int(np.searchsorted(made.seconds, state.time + 1e-3, side="right"))
-        later = whole.window(first, len(made)).unread()
-        part = self_switched(plan.design, plan.values, [later], [state.state])[0].timeline
-        trace = plan.likelihood(part).trace(plan.values, start=state.state)
+        timeline = run.timeline
+        first = int(np.searchsorted(timeline.seconds, state.time + 1e-3, side="right"))
+        future = run.window(first, len(timeline)).unread()
+        future_timeline = self_switched(plan.design, plan.values, [future], [state.state])[0].timeline
+        trace = plan.likelihood(future_timeline).trace(plan.values, start=state.state)
         mean = np.concatenate([state.state.mean[None], trace.mean])
         covariance = np.concatenate([state.state.covariance[None], trace.covariance])
-        yield made.window(first - 1, len(made)), mean, covariance
+        yield timeline.window(first - 1, len(timeline)), mean, covariance
 
 
 def _series(plan: Plan, signal: str, scenarios: Scenarios, values: np.ndarray) -> Series:
-    """A driver of a member; a signal that is not joined by lines is constant over each step of the
+    """A driver of a member; a signal that is not interpolated linearly is constant over each step of the
     scenarios."""
-    stepped = signal in OPERATION or (plan.form(signal).hold != LINEAR and not signal.startswith("ambient_"))
+    is_stepwise = signal in OPERATION or (
+        plan.form(signal).hold != LINEAR and not signal.startswith("ambient_")
+    )
     step_s = float(scenarios.time_s[1] - scenarios.time_s[0])
-    hold = (MEAN, step_s) if stepped else (LINEAR, 0.0)
+    hold = (MEAN, step_s) if is_stepwise else (LINEAR, 0.0)
     return Series(signal, scenarios.time_s, values, *hold)
 
 
-def mixture(found: Sequence[Condition]) -> Condition:
+def mixture(conditions: Sequence[Condition]) -> Condition:
     """The mixture of equally likely conditions at the same instants: means and standard deviations."""
 
-    def mixed(name: str, _: Quantity) -> Quantity:
-        values = np.array([getattr(one, name).value for one in found])
-        spreads = np.array([getattr(one, name).sd for one in found])
+    def mixed_quantity(name: str, _: Quantity) -> Quantity:
+        values = np.array([getattr(condition, name).value for condition in conditions])
+        spreads = np.array([getattr(condition, name).sd for condition in conditions])
         return Quantity(values.mean(axis=0), np.sqrt(values.var(axis=0) + np.mean(spreads**2, axis=0)))
 
-    chances = [one.condensation for one in found if one.condensation is not None]
-    return found[0].mapped(mixed, condensation=np.mean(chances, axis=0) if chances else None)
+    probabilities = [condition.condensation for condition in conditions if condition.condensation is not None]
+    return conditions[0].mapped(
+        mixed_quantity, condensation=np.mean(probabilities, axis=0) if probabilities else None
+    )
 
 
 # -- advice for a restart ------------------------------------------------------------------------------------
@@ -170,10 +177,8 @@ LONGEST_H = 24.0
 """Longest pre-heating that is considered [h]."""
 STAYS_H = 1.0
 """[h] the air must stay dry: the peak of vapour that the heat drives out of materials must have passed."""
-
-
 LEVEL = 0.95
-"""Level of the bounds of the heaters' effect (`Heating.bounds_K`)."""
+"""Confidence level of the bounds of the heaters' effect (`Heating.bounds_K`)."""
 PREHEATING, PREHEATING_HEAT = "preheating", "preheating_heat"
 LOGGED, LOGGED_HEAT = "logged_heater", "logged_heater_heat"
 
@@ -200,35 +205,38 @@ class Heating:
     @property
     def signals(self) -> dict[str, float]:
         """Signal of each heater, and its value at full power [SI unit]."""
-        return {one.signal: one.full for one in self.heaters}
+        return {heater.signal: heater.full for heater in self.heaters}
 
     @property
     def bounds_K(self) -> tuple[float, float]:
         """Bounds of the effect [K]; a heater does not cool."""
-        reach = normal_quantile(LEVEL) * self.sd_K
-        return max(self.effect_K - reach, 0.0), self.effect_K + reach
+        half_width_K = normal_quantile(LEVEL) * self.sd_K
+        return max(self.effect_K - half_width_K, 0.0), self.effect_K + half_width_K
 
     def values_at(self, effect_K: float, values: Mapping[str, float]) -> dict[str, float]:
         """Parameter values with another effect, to which the heaters contribute in the same proportions."""
-        share = effect_K / self.effect_K
-        return {**values, **{one.parameter: share * values[one.parameter] for one in self.heaters}}
+        ratio = effect_K / self.effect_K
+        return {**values, **{heater.parameter: ratio * values[heater.parameter] for heater in self.heaters}}
 
 
 def heaters(model: Model) -> tuple[Heater, ...]:
     """The heaters among a model's inputs: a logged heater, the pre-heating flag, or both."""
-    found = []
-    for one in model.mechanisms:
-        if one.name == LOGGED:
-            found.append(Heater(one.settings["signal"], float(one.settings["full"]), LOGGED_HEAT))
-        elif PREHEATING in one.inputs and any(p.name == PREHEATING_HEAT for p in one.parameters):
-            found.append(Heater(PREHEATING, 1.0, PREHEATING_HEAT))
-    return tuple(found)
+    model_heaters = []
+    for mechanism in model.mechanisms:
+        if mechanism.name == LOGGED:
+            model_heaters.append(
+                Heater(mechanism.settings["signal"], float(mechanism.settings["full"]), LOGGED_HEAT)
+            )
+        elif PREHEATING in mechanism.inputs and PREHEATING_HEAT in [p.name for p in mechanism.parameters]:
+            model_heaters.append(Heater(PREHEATING, 1.0, PREHEATING_HEAT))
+    return tuple(model_heaters)
 
 
 def heating(plan: Plan, sd_K: float = 0.0) -> Heating | None:
     """All heaters of a plan at full power, with the standard error of their effect; None without a heater."""
-    found = heaters(plan.model)
-    return Heating(found, sum(plan.values[one.parameter] for one in found), sd_K) if found else None
+    all_heaters = heaters(plan.model)
+    effect_K = sum(plan.values[heater.parameter] for heater in all_heaters)
+    return Heating(all_heaters, effect_K, sd_K) if all_heaters else None
 
 
 def heating_sd(fit: Fit) -> float:
@@ -236,9 +244,9 @@ def heating_sd(fit: Fit) -> float:
     if fit.results.covariance is None:
         return 0.0
     names, covariance = fit.covariance
-    known = {one.parameter for one in heaters(fit.design.model)}
-    chosen = np.array([name in known for name in names])
-    return math.sqrt(max(float(chosen @ covariance @ chosen), 0.0))
+    heat_releases = {heater.parameter for heater in heaters(fit.design.model)}
+    is_heat_release = np.array([name in heat_releases for name in names])
+    return math.sqrt(max(float(is_heat_release @ covariance @ is_heat_release), 0.0))
 
 
 @dataclass(frozen=True)
@@ -246,7 +254,7 @@ class Advice:
     """How long to pre-heat before a restart.
 
     `hours` [h] of pre-heating until the air is dry enough, None if `LONGEST_H` is not enough or the time is
-    unknown; `probability` [1] of dry air after that time, or the highest one within `LONGEST_H`.
+    unknown; `probability` [1] of dry air after `hours` or, without them, its maximum within `LONGEST_H`.
     """
 
     statement: Statement
@@ -269,66 +277,78 @@ def restart(
     with a probability of at least `ENOUGH`, and stays so for `STAYS_H`.  The probability includes the
     standard error `heating_sd_K` of the heaters' effect.  `excess` as in `forecast`.
     """
-    found = heating(plan, heating_sd_K)
-    if found is None:
+    heating_ = heating(plan, heating_sd_K)
+    if heating_ is None:
         return Advice(AdviceCode.HEATING_UNKNOWN())
-    effect: dict[str, Value] = {"heaters": tuple(found.signals), "effect_K": found.effect_K}
-    if not found.effect_K > 0.0:
+    effect: dict[str, Value] = {"heaters": tuple(heating_.signals), "effect_K": heating_.effect_K}
+    if not heating_.effect_K > 0.0:
         return Advice(AdviceCode.HEATING_COOLS(**effect))
-    heated = scenarios.with_preheating(LONGEST_H + STAYS_H, found.signals)
-    effects = sorted({found.effect_K, *found.bounds_K})
-    chances = []
+    heated = scenarios.with_preheating(LONGEST_H + STAYS_H, heating_.signals)
+    effects = sorted({heating_.effect_K, *heating_.bounds_K})
+    dry_by_effect = []
     for effect_K in effects:
-        own = replace(plan, values=found.values_at(effect_K, plan.values))
-        conditions = conditions_by_member(own, state, heated, surface, excess)
-        humidities = [one.surface_humidity for one in conditions if one.surface_humidity is not None]
+        changed_plan = replace(plan, values=heating_.values_at(effect_K, plan.values))
+        conditions = conditions_by_member(changed_plan, state, heated, surface, excess)
+        humidities = [
+            condition.surface_humidity for condition in conditions if condition.surface_humidity is not None
+        ]
         if not humidities:
             return Advice(StateCode.MODEL_WITHOUT_HUMIDITY())
-        chances.append(np.mean([probability_below(humidity, limit) for humidity in humidities], axis=0))
+        dry_by_effect.append(np.mean([probability_below(humidity, limit) for humidity in humidities], axis=0))
     hours = (conditions[0].time_s - state.time) / HOUR_S
     if len(effects) == 1:
-        return advice_from(hours, chances[0], limit)
-    # three points at the bounds and between, with the mean and the variance of the effect
+        return advice_from(hours, dry_by_effect[0], limit)
+    # quadrature at the bounds and the estimate, with the weights that give the variance of the effect
     outer = 0.5 / normal_quantile(LEVEL) ** 2
-    advice = advice_from(hours, outer * (chances[0] + chances[2]) + (1.0 - 2.0 * outer) * chances[1], limit)
-    weak, _, strong = (_hours_until_dry(hours, chance) for chance in chances)
-    lower, upper = found.bounds_K
-    needed: Statement | str = ""
-    if strong is not None and advice.hours != 0.0:
-        code = AdviceCode.NEEDED_HOURS_OPEN if weak is None else AdviceCode.NEEDED_HOURS
-        needed = code(shortest_h=strong, longest_h=LONGEST_H if weak is None else weak)
-    told = AdviceCode.WITH_EFFECT(**effect, lower_K=lower, upper_K=upper, needed=needed)
-    values = {**advice.statement.values, "effect": told}
+    weak, estimated, strong = dry_by_effect
+    advice = advice_from(hours, outer * (weak + strong) + (1.0 - 2.0 * outer) * estimated, limit)
+    longest_h, shortest_h = _hours_until_dry(hours, weak), _hours_until_dry(hours, strong)
+    lower, upper = heating_.bounds_K
+    needed_hours: Statement | str = ""
+    if shortest_h is not None and advice.hours != 0.0:
+        code = AdviceCode.NEEDED_HOURS_OPEN if longest_h is None else AdviceCode.NEEDED_HOURS
+        needed_hours = code(shortest_h=shortest_h, longest_h=LONGEST_H if longest_h is None else longest_h)
+    effect_statement = AdviceCode.WITH_EFFECT(**effect, lower_K=lower, upper_K=upper, needed=needed_hours)
+    values = {**advice.statement.values, "effect": effect_statement}
     return replace(advice, statement=replace(advice.statement, values=values))
 
 
-def _hours_until_dry(hours: np.ndarray, chance: np.ndarray) -> float | None:
-    """The first of `hours` (T,) [h] after which the air is and stays dry with a probability of `ENOUGH`; None
-    where `LONGEST_H` is not enough."""
-    possible = hours[hours <= LONGEST_H].tolist()
-    return next((at for at in possible if np.all(chance[_until_start(hours, at)] >= ENOUGH)), None)
+def _hours_until_dry(hours: np.ndarray, probability: np.ndarray) -> float | None:
+    """The first of `hours` (T,) [h] from which the air is dry for `STAYS_H` with a probability of `ENOUGH`;
+    None if `LONGEST_H` is not enough."""
+    for start_h in hours[hours <= LONGEST_H].tolist():
+        if np.all(probability[_while_restarting(hours, start_h)] >= ENOUGH):
+            return float(start_h)
+    return None
 
 
-def _until_start(hours: np.ndarray, at: float) -> np.ndarray:
-    return (hours >= at) & (hours <= at + STAYS_H)
+def _while_restarting(hours: np.ndarray, start_h: float) -> np.ndarray:
+    return (hours >= start_h) & (hours <= start_h + STAYS_H)
 
 
-def advice_from(hours: np.ndarray, chance: np.ndarray, limit: float) -> Advice:
+def advice_from(hours: np.ndarray, probability: np.ndarray, limit: float) -> Advice:
     """The advice from the probability `chance` (T,) of dry air after `hours` (T,) [h] of pre-heating."""
-    at = _hours_until_dry(hours, chance)
-    if at is not None:
-        likely, least = float(chance[hours == at][0]), float(chance[_until_start(hours, at)].min())
-        code = AdviceCode.NO_PREHEATING if at == 0.0 else AdviceCode.PREHEAT
-        own = {"limit": limit, "probability": likely, "least": least, "stays_h": STAYS_H, "hours": at}
-        return Advice(code(**own, effect=""), at, likely)
-    best = int(np.argmax(np.where(hours <= LONGEST_H, chance, -1.0)))
+    start_h = _hours_until_dry(hours, probability)
+    if start_h is not None:
+        at_start = float(probability[hours == start_h][0])
+        least = float(probability[_while_restarting(hours, start_h)].min())
+        code = AdviceCode.NO_PREHEATING if start_h == 0.0 else AdviceCode.PREHEAT
+        values = {
+            "limit": limit,
+            "probability": at_start,
+            "least": least,
+            "stays_h": STAYS_H,
+            "hours": start_h,
+        }
+        return Advice(code(**values, effect=""), start_h, at_start)
+    best = int(np.argmax(np.where(hours <= LONGEST_H, probability, -1.0)))
     statement = AdviceCode.PREHEATING_TOO_WEAK(
         limit=limit,
         longest_h=LONGEST_H,
         stays_h=STAYS_H,
         enough=ENOUGH,
-        probability=float(chance[best]),
+        probability=float(probability[best]),
         hours=float(hours[best]),
         effect="",
     )
-    return Advice(statement, probability=float(chance[best]))
+    return Advice(statement, probability=float(probability[best]))

@@ -30,31 +30,33 @@ EVERY_S = HOUR_S
 """[s] between two forecasts of a turbine."""
 
 
-def make_forecast(name: str, one: Turbine, tracker: Tracker, store: Store) -> tuple[float, Batch] | None:
+def make_forecast(name: str, turbine: Turbine, tracker: Tracker, store: Store) -> tuple[float, Batch] | None:
     """Forecast a turbine from its newest state on; None before it has a state.
 
-    Returns the time [s] of that state, and the batch that stores the forecast and, at standstill, the advice,
-    or why there are none.
+    Returns the time [s] of the state, and the batch that stores the forecast and, at standstill, the advice,
+    or the reason why there is no forecast.
     """
     state = tracker.newest_state
     if state is None:
         return None
-    plan, excess = one.plan, tracker.excess
+    plan, excess = turbine.plan, tracker.excess
     signals = (*DRIVERS, *plan.further)
     history = _history(store, name, plan, signals, state.time - (DAYS + 5) * DAY_S, state.time)
-    found, advice = None, None
+    new_forecast, advice = None, None
     try:
         scenarios = _scenarios(store, name, plan.further, history, state)
-        found = forecast(plan, state, scenarios, one.surface, one.limit, excess)
+        new_forecast = forecast(plan, state, scenarios, turbine.surface, turbine.limit, excess)
         basis = scenarios.basis
         # a running turbine needs no restart advice
         if not tracker.running:
-            heating_sd_K = one.heating_sd_K
-            advice = restart(plan, state, scenarios, one.surface, one.limit, heating_sd_K, excess).statement
+            heating_sd_K = turbine.heating_sd_K
+            advice = restart(
+                plan, state, scenarios, turbine.surface, turbine.limit, heating_sd_K, excess
+            ).statement
     except (NoScenarios, NoForecast) as fault:
-        found, basis = None, BasisCode.NO_FORECAST(fault=str(fault))
-    batch = Batch(forecasts={name: found})
-    batch.memories[name, "forecast"] = plain(ForecastMade(state.time, basis, one.limit, advice))
+        new_forecast, basis = None, BasisCode.NO_FORECAST(fault=str(fault))
+    batch = Batch(forecasts={name: new_forecast})
+    batch.memories[name, "forecast"] = plain(ForecastMade(state.time, basis, turbine.limit, advice))
     return state.time, batch
 
 
@@ -65,34 +67,37 @@ def _scenarios(store: Store, name: str, further: tuple[str, ...], history: Recor
             seed = int(state.time) % 2**32
             return weather_forecast(history, state.time, weather, further, seed=seed)
         except NoScenarios:
-            pass  # the last weeks are better than an expired forecast
+            pass  # persistence of the last weeks is better than an expired forecast
     return persistence(history, state.time, further)
 
 
 def isolation_steps(
     name: str,
-    one: Turbine,
+    turbine: Turbine,
     step: ShiftStep,
     store: Store,
     reference: Point | None = None,
     sisters: Mapping[str, Plan] | None = None,
 ) -> Iterator[CauseFinding | None]:
-    """Search for the cause of a turbine's lasting shifts, on readings from some weeks before them, or since
-    the state from which shifts count after a stated change, up to the time of the step; `sisters`: the plans
-    of the turbines whose readings up to then are final."""
+    """Search for the cause of a turbine's lasting shifts in its readings up to the time of the step.
+
+    The readings begin some weeks before the shifts or, with a `reference`, before this state, against which
+    shifts are judged after a stated change.  `sisters`: the plans of the turbines whose readings up to the
+    step are final.
+    """
     since = min(shift.since for shift in step.lasting)
-    first = max(since - BEFORE_S, step.time - LONGEST_S)
+    first_s = max(since - BEFORE_S, step.time - LONGEST_S)
     if reference is not None:
-        first = reference.time - one.plan.context_s
-    signals = (*CABINET, *DRIVERS, *one.plan.further)
+        first_s = reference.time - turbine.plan.context_s
+    signals = (*CABINET, *DRIVERS, *turbine.plan.further)
     try:
-        history = _history(store, name, one.plan, signals, first, step.time)
+        history = _history(store, name, turbine.plan, signals, first_s, step.time)
         others = [
-            _history(store, sister, plan, tuple(AMBIENT.values()), first, step.time)
+            _history(store, sister, plan, tuple(AMBIENT.values()), first_s, step.time)
             for sister, plan in (sisters or {}).items()
         ]
-        for found in isolate(one.plan, history, reference, others):
-            yield None if found is None else replace(found, time_s=step.time)
+        for finding in isolate(turbine.plan, history, reference, others):
+            yield None if finding is None else replace(finding, time_s=step.time)
     except ValueError:
         yield CauseFinding(step.time, "")
 
@@ -101,14 +106,17 @@ def _history(
     store: Store, name: str, plan: Plan, signals: tuple[str, ...], since: float, until: float
 ) -> Record:
     courses = _by_signal(store.course(name, signals, since, until))
-    times, values = ({signal: one[column] for signal, one in courses.items()} for column in (0, 1))
+    times, values = ({signal: rows[column] for signal, rows in courses.items()} for column in (0, 1))
     return record_of(plan, times, values, store.losses(name))
 
 
 def _stored_weather(store: Store, name: str, now_s: float) -> Mapping[str, Series]:
-    """The stored weather forecast for a turbine or, else, for all; empty without one."""
+    """The stored weather forecast for a turbine or, without it, for all turbines; empty without a
+    forecast."""
     courses = _by_signal(store.weather(name, now_s - DAY_S))
-    record = Record(name, tuple(Series(signal, *one) for signal, one in courses.items() if len(one[0]) > 1))
+    record = Record(
+        name, tuple(Series(signal, *rows) for signal, rows in courses.items() if len(rows[0]) > 1)
+    )
     if "ambient_temperature" not in record:
         return {}
     vapour = prepare(record).ambient_vapour
@@ -116,6 +124,6 @@ def _stored_weather(store: Store, name: str, now_s: float) -> Mapping[str, Serie
 
 
 def _by_signal(rows: Iterable[tuple[str, float, float]]) -> dict[str, np.ndarray]:
-    """Times and values (2, T) of each signal, from rows that are sorted by it."""
+    """Times and values (2, T) of each signal, from rows that are sorted by signal."""
     groups = groupby(rows, key=itemgetter(0))
     return {signal: np.array([row[1:] for row in group]).T.copy() for signal, group in groups}

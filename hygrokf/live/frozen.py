@@ -1,7 +1,7 @@
-"""Signals that repeat one value for longer than they ever stay still.
+"""Signals that repeat a value for longer than they ever stay still.
 
-A humidity that is frozen in the range of saturated air is named, and its readings are used all the same: it
-can err only towards wet, and to leave out a sensor that is rightly flat would hide water.
+A humidity that is frozen in the range of saturated air raises an alarm, but its readings are used: they can
+err only towards wet, and without a sensor that is rightly constant water would remain hidden.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ from hygrokf.data.gate import resting, runs_of
 
 @dataclass(frozen=True)
 class Frozen:
-    """A signal that has repeated a `value` [SI unit] `since` a time [s]: for longer than it stays still from
-    `known_s` [s] on, and until it reads another one at `end` [s]."""
+    """A signal that has repeated a `value` [SI unit] `since` a time [s]; at `known_s` [s] the repetition
+    became too long, and at `end` [s] the first other value was read."""
 
     signal: str
     since: float
@@ -35,13 +35,13 @@ def frozen_runs(
     after_s: float,
     known: Frozen | None,
 ) -> Iterator[Frozen]:
-    """The runs of identical readings that are longer than the signal stays still (`still_s` [s]) and that
-    last at or beyond a time `after_s` [s].
+    """The runs of identical readings that are longer than `still_s` [s], for which the signal may stay still,
+    and that last beyond `after_s` [s].
 
-    readings: times [s] (T,) and values [SI unit] (T,).  In the range of saturated air, where the gate lets
-    readings pass, the value must be below one that was read within `context_s` [s] before the run became too
-    long: a sensor at its ceiling is not frozen.  Of a run that became so up to `after_s` it is `known`,
-    because older readings may be gone.
+    readings: times [s] (T,) and values [SI unit] (T,).  In the range of saturated air, where the gate accepts
+    readings, the value must be below a value that was read within `context_s` [s] before the run became too
+    long, because a sensor at its ceiling is not frozen.  A run that became too long up to `after_s` must be
+    `known`, because older readings may have been dropped.
     """
     time, value = readings
     if not len(time):
@@ -51,12 +51,12 @@ def frozen_runs(
     for place in np.flatnonzero(time[lasts] - time[starts] > still_s):
         start, last = int(starts[place]), int(lasts[place])
         end = float(time[last + 1]) if last + 1 < len(time) else math.inf
-        at = float(time[start:][time[start:] - time[start] > still_s][0])
-        if at <= after_s:
+        too_long_s = float(time[start:][time[start:] - time[start] > still_s][0])
+        if too_long_s <= after_s:
             if known is not None and known.value == value[start] and end > after_s:
                 yield replace(known, end=end)
             continue
-        earlier = value[np.searchsorted(time, at - context_s) : start]
-        rests = resting(signal, value[start : start + 1], math.inf)[0]
-        if not rests or value[start] < earlier.max(initial=-math.inf):
-            yield Frozen(signal, float(time[start]), float(value[start]), at, end)
+        earlier = value[np.searchsorted(time, too_long_s - context_s) : start]
+        may_rest = resting(signal, value[start : start + 1], math.inf)[0]
+        if not may_rest or value[start] < earlier.max(initial=-math.inf):
+            yield Frozen(signal, float(time[start]), float(value[start]), too_long_s, end)

@@ -27,12 +27,12 @@ AMBIENT_HUMIDITIES = (
     "ambient_absolute_humidity",
     "ambient_dew_point_temperature",
 )
-"""Signals of which one is enough to know the ambient's humidity."""
+"""Signals each of which determines the ambient's humidity."""
 FEATURES_H = 48.0
 BEFORE = USUAL_STEPS + 1
-"""Readings of each signal kept from before the context, to know its usual step and so recognise long gaps."""
+"""Readings of each signal kept from before the context, which give its usual step, to recognise long gaps."""
 LATENESS_S = 1800.0
-"""[s] a reading may be older than the newest one and still be used."""
+"""[s] by which a reading may be older than the newest reading and still be used."""
 WANDERING = {
     "wandering_time_constant": ("converter_temperature", 0.02),
     "wandering_exchange": ("vapour", 0.02),
@@ -44,7 +44,7 @@ WANDERING = {
 """Tracked properties: mechanism -> (state or output that it requires, drift rate per day^0.5).
 
 Over hours an offset of the thermometer looks like a change of the heat release, and an offset of the humidity
-sensor like a scale error.  One of each pair is held almost constant; fault isolation varies it.
+sensor like a scale error.  One property of each pair is held almost constant; fault isolation varies it.
 """
 
 
@@ -64,9 +64,9 @@ class SignalReporting:
 
 @dataclass(frozen=True)
 class Need:
-    """A quantity that the model reads, and the `signals` of which one gives it.
+    """A quantity that the model reads, and the `signals` each of which determines it.
 
-    `required`: whether there is no estimate without it.
+    `required`: whether there is no estimate without the quantity.
     """
 
     signals: tuple[str, ...]
@@ -113,7 +113,7 @@ class Plan:
 
     @cached_property
     def held_while_connected(self) -> tuple[str, ...]:
-        """Signals whose values hold until the next one, as long as their source is connected."""
+        """Signals whose values are held until the next reading, as long as their source is connected."""
         forms = self.forms.items()
         return tuple(
             name for name, form in forms if form.hold == PREVIOUS and form.longest_hold_s == math.inf
@@ -124,8 +124,7 @@ class Plan:
         return Scale(*self.design.scales[signal]) if signal in self.design.scales else None
 
     def readings_ahead(self, signal: str) -> int:
-        """Number of later readings, besides the next one, on which an input's path depends; 0 for a step
-        signal."""
+        """Number of readings after the next reading on which an input's path depends; 0 for a step signal."""
         form = self.form(signal)
         if HOLDS[signal] == MEAN:
             return 0
@@ -133,8 +132,8 @@ class Plan:
 
     @property
     def context_s(self) -> float:
-        """[s] before a final estimate for which readings are kept: inputs look back over gaps, features over
-        a day, and the gate, which judges these readings, over the time for which a signal may stay still."""
+        """Time [s] before a final estimate for which readings are kept: inputs look back over gaps, features
+        over a day, and the gate over the time for which a signal may stay still."""
         hours = FEATURES_H if self.design.features else AMBIENT_BRIDGE_H + 2.0
         still_s = max((scale[1] for scale in self.design.scales.values()), default=0.0)
         return HOUR_S * hours + REACH_STEPS * still_s + 2.0 * REACH_S
@@ -148,12 +147,13 @@ class Plan:
     @cached_property
     def further(self) -> tuple[str, ...]:
         """Signals of the signal table that an added mechanism uses directly as inputs."""
-        own = {"ambient_temperature", "ambient_absolute_humidity", "cabinet_temperature", "preheating"}
-        return tuple(sorted((set(self.model.inputs) & set(SIGNALS)) - own))
+        basic = {"ambient_temperature", "ambient_absolute_humidity", "cabinet_temperature", "preheating"}
+        return tuple(sorted((set(self.model.inputs) & set(SIGNALS)) - basic))
 
     @cached_property
     def needs(self) -> tuple[Need, ...]:
-        """What the model reads: first what it requires, then what only makes its estimate better."""
+        """The quantities that the model reads: first the required ones, then those that improve the
+        estimate."""
         inputs, outputs = set(self.model.inputs), self.model.outputs
         required: list[tuple[str, ...]] = [("ambient_temperature",)]
         required += [(signal,) for signal in self.further]
@@ -173,8 +173,8 @@ class Plan:
 
     @property
     def expected(self) -> tuple[Need, ...]:
-        """What must come: what the model requires, and what it reads and a source states to deliver."""
-        return tuple(one for one in self.needs if one.required or set(one.signals) & set(self.forms))
+        """The quantities that must come: those that the model requires or that a source states to deliver."""
+        return tuple(need for need in self.needs if need.required or set(need.signals) & set(self.forms))
 
 
 def plan(
@@ -201,9 +201,9 @@ def plan(
     additions = [
         (m, {"rate": rate}) for m, rate in rates.items() if WANDERING[m][0] in (*model.states, *model.outputs)
     ]
-    # a fit without these means is of an earlier version: what is unknown is off, whatever the readings so far
-    acting = {name: 0.0 for name in ACTUATORS if name in model.inputs} | dict(fit.design.actuator_means)
-    design = replace(extended(fit.design, additions), ambient_noise={}, actuator_means=acting)
+    # a fit of an earlier version lacks these means: an unknown actuator is off, whatever the earlier readings
+    means = {name: 0.0 for name in ACTUATORS if name in model.inputs} | dict(fit.design.actuator_means)
+    design = replace(extended(fit.design, additions), ambient_noise={}, actuator_means=means)
     values = {p.name: fit.values.get(p.name, p.start) for p in design.model.parameters}
     return Plan(
         name=name or fit.name,

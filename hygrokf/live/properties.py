@@ -19,9 +19,9 @@ from hygrokf.physics.model import Model
 class Watched:
     """A tracked property with its state x.
 
-    `parameter`: parameter of the fit that e^x multiplies, None if the property is x itself; `least`: smallest
-    shift of x that matters; `blind`: standard deviation of x from which the property is not observable;
-    `shown_by`: signals that make it observable.
+    `parameter`: parameter of the fit that e^x multiplies, None if the property is x; `least`: smallest shift
+    of x that matters; `blind`: standard deviation of x from which the property is not observable; `shown_by`:
+    signals that make the property observable.
     """
 
     name: str
@@ -53,9 +53,9 @@ LASTING_S = 2.0 * DAY_S
 """[s] after which a shift counts as lasting."""
 MOIST = "humidity_offset"
 MOIST_S = 6.0 * HOUR_S
-"""[s] after which a rise of the humidity offset does: it may be water."""
+"""[s] after which a rise of the humidity offset counts as lasting; shorter, because it may be water."""
 BACK = 0.5
-"""Share of the largest shift below which a property counts as back."""
+"""Share of the largest shift below which a shift has ended."""
 
 
 class TrackedState(NamedTuple):
@@ -74,8 +74,8 @@ class TrackedState(NamedTuple):
 
 @dataclass(frozen=True)
 class Property:
-    """A property now: `value` with 95 % bounds, which are None if it is not `observable`, and the fit's
-    `reference` value."""
+    """The present `value` of a property with 95 % bounds, None if the property is not `observable`, and the
+    fit's `reference` value."""
 
     name: str
     unit: str
@@ -88,8 +88,8 @@ class Property:
 
 @dataclass(frozen=True)
 class ParameterShift:
-    """A property's shift from the fit's value: since when [s], whether it is lasting, and the largest
-    change so far.
+    """A property's shift from its reference: its beginning `since` [s], whether it is `lasting`, and the
+    largest change so far.
 
     `change`: logarithm of the ratio [1], or difference [K] or [1]; negative for a decrease.
     """
@@ -107,56 +107,60 @@ def standard_errors(fit: Fit) -> dict[str, float]:
     names, covariance = fit.covariance
     sd = dict(zip(names, np.sqrt(np.maximum(np.diag(covariance), 0.0)), strict=True))
     return {
-        one.name: float(sd[one.parameter] / fit.values[one.parameter])
-        for one in WATCHED
-        if one.parameter in sd
+        watched.name: float(sd[watched.parameter] / fit.values[watched.parameter])
+        for watched in WATCHED
+        if watched.parameter in sd
     }
 
 
 def states_of(
     model: Model, mean: np.ndarray, covariance: np.ndarray, time: float, heard: Mapping[str, float]
 ) -> dict[str, TrackedState]:
-    """The state of each watched property that the model has, from mean (n,) and covariance (n,
-    n).
+    """The state of each watched property that the model has, from the mean (n,) and
+    covariance (n, n) of the state.
 
     `heard`: signal → time [s] of its newest reading.  The standard deviation is infinite if no recent reading
     shows the property at `time` [s].
     """
-    found = {}
-    for one in WATCHED:
-        if one.state in model.states:
-            i = model.states.index(one.state)
-            newest = max((heard.get(signal, -math.inf) for signal in one.shown_by), default=-math.inf)
-            sd = math.sqrt(max(float(covariance[i, i]), 0.0)) if time - newest < SILENT_S else math.inf
-            found[one.name] = TrackedState(float(mean[i]), sd)
-    return found
+    states = {}
+    for watched in WATCHED:
+        if watched.state in model.states:
+            index = model.states.index(watched.state)
+            newest = max((heard.get(signal, -math.inf) for signal in watched.shown_by), default=-math.inf)
+            sd = (
+                math.sqrt(max(float(covariance[index, index]), 0.0)) if time - newest < SILENT_S else math.inf
+            )
+            states[watched.name] = TrackedState(float(mean[index]), sd)
+    return states
 
 
 def observable(states: Mapping[str, TrackedState]) -> dict[str, TrackedState]:
-    """The states of those properties that are observable."""
-    blind = {one.name: one.blind for one in WATCHED}
+    """The states of the observable properties."""
+    blind = {watched.name: watched.blind for watched in WATCHED}
     return {name: state for name, state in states.items() if state.sd < blind[name]}
 
 
 def properties(
     states: Mapping[str, TrackedState], values: Mapping[str, float], errors: Mapping[str, float]
 ) -> list[Property]:
-    """The properties now; the bounds include the filter's uncertainty and, for time constants, the fit's."""
-    found = []
-    for one in WATCHED:
-        if one.name not in states:
+    """The present properties; the bounds include the uncertainty of the filter and, for time constants, of
+    the fit."""
+    present = []
+    for watched in WATCHED:
+        if watched.name not in states:
             continue
-        x, sd = states[one.name]
-        reference = 0.0 if one.parameter is None else values[one.parameter]
-        if sd >= one.blind:
-            found.append(Property(one.name, one.unit, None, None, None, reference, False))
+        x, sd = states[watched.name]
+        reference = 0.0 if watched.parameter is None else values[watched.parameter]
+        if sd >= watched.blind:
+            present.append(Property(watched.name, watched.unit, None, None, None, reference, False))
             continue
-        spread = Z95 * math.hypot(sd, errors.get(one.name, 0.0))
+        spread = Z95 * math.hypot(sd, errors.get(watched.name, 0.0))
         low, middle, high = (
-            at if one.parameter is None else reference * math.exp(at) for at in (x - spread, x, x + spread)
+            state if watched.parameter is None else reference * math.exp(state)
+            for state in (x - spread, x, x + spread)
         )
-        found.append(Property(one.name, one.unit, middle, low, high, reference, True))
-    return found
+        present.append(Property(watched.name, watched.unit, middle, low, high, reference, True))
+    return present
 
 
 def deviations(
@@ -164,10 +168,11 @@ def deviations(
     errors: Mapping[str, float],
     references: Mapping[str, TrackedState] | None = None,
 ) -> dict[str, TrackedState]:
-    """How far each observable property is from its reference, with the standard deviation of both.
+    """The deviation of each observable property from its reference, with the standard deviation of the
+    difference.
 
-    `references`: the states from which shifts count after a stated change, None for the fit's values; a
-    property without one is not judged.
+    `references`: the states against which shifts are judged after a stated change, None for the fit's values;
+    a property without a reference is not judged.
     """
     if references is None:
         references = {name: TrackedState(0.0, errors.get(name, 0.0)) for name in states}
@@ -179,8 +184,8 @@ def deviations(
 
 
 def relative_shift(name: str, deviation: TrackedState) -> float:
-    """A deviation of a property as a multiple of the smallest that counts as a shift."""
-    (least,) = (one.least for one in WATCHED if one.name == name)
+    """A deviation of a property as a multiple of the smallest deviation that counts as a shift."""
+    (least,) = (watched.least for watched in WATCHED if watched.name == name)
     return deviation.x / max(least, SURE * deviation.sd)
 
 
@@ -190,23 +195,23 @@ def lasting_s(shift: ParameterShift) -> float:
 
 
 def parameter_shifts(
-    known: Mapping[str, ParameterShift], time: float, found: Mapping[str, TrackedState]
+    previous: Mapping[str, ParameterShift], time: float, present: Mapping[str, TrackedState]
 ) -> dict[str, ParameterShift]:
-    """Parameter shifts at `time` [s], updated from the known ones by the `deviations` found now.
+    """The parameter shifts at `time` [s], updated from the `previous` shifts by the present deviations.
 
     A shift begins when a property differs from its reference by more than the smallest change that matters
     and by `SURE` standard deviations.  It is lasting after `lasting_s`.  It ends when less than the share
-    `BACK` of it is left, or when the property cannot be observed.
+    `BACK` of its largest change remains, or when the property cannot be observed.
     """
     shifts = {}
-    for name, deviation in found.items():
-        x, large = deviation.x, abs(relative_shift(name, deviation)) > 1.0
-        before = known.get(name)
+    for name, deviation in present.items():
+        x, is_large = deviation.x, abs(relative_shift(name, deviation)) > 1.0
+        before = previous.get(name)
         if before is None or before.change * x < 0.0:
-            if large:
+            if is_large:
                 shifts[name] = ParameterShift(name, time, False, x)
             continue
-        if abs(x) < BACK * abs(before.change) or not (before.lasting or large):
+        if abs(x) < BACK * abs(before.change) or not (before.lasting or is_large):
             continue
         change = x if abs(x) > abs(before.change) else before.change
         lasting = before.lasting or time - before.since >= lasting_s(before)

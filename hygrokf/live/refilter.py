@@ -1,5 +1,5 @@
-"""Filters the stored readings of turbines anew, with those that came too late and with the versions of their
-values that count now."""
+"""Filters the stored readings of turbines anew, with the readings that came too late and with the present
+versions of their values."""
 
 from __future__ import annotations
 
@@ -20,15 +20,15 @@ from hygrokf.live.turbines import Fleet, Turbine, digest
 from hygrokf.texts.wording import stamp_text
 
 KEPT = ("alarms", "known_s", "forecast")
-"""Memories of a turbine that do not follow from its final estimates; alarms stay as they were told."""
+"""Memories of a turbine that do not follow from its final estimates; alarms stay as they were raised."""
 
 
 @dataclass(frozen=True)
 class Refiltered:
-    """What filtering a turbine anew takes into account and gives.
+    """The result of filtering a turbine anew.
 
-    `late`: readings and versions of values that had come too late; `differences`: alarms about the process
-    that would have begun, ended or weighed otherwise, in words.
+    `late`: number of readings and versions of values that had come too late; `differences`: in words, alarms
+    about the process whose beginning, end or severity would have been different.
     """
 
     turbine: str
@@ -39,18 +39,19 @@ class Refiltered:
 def refilter(
     store: Store, turbines: Mapping[str, Turbine], names: Collection[str] | None = None
 ) -> list[Refiltered]:
-    """Filter turbines anew, all in one transaction: those of some `names`, the others being their sisters.
+    """Filter the turbines with these `names` anew, by default all, in one transaction; the others are
+    sisters.
 
-    Estimates, properties and the tracker's state are replaced; alarms stay as they were told.  Raises
+    Estimates, properties and the tracker's state are replaced; alarms stay as they were raised.  Raises
     StoreFault if a tracker is running.
     """
     chosen = turbines if names is None else names
     store.claim("turbine", chosen)
     with store.transaction():
-        return [_refiltered(store, name, turbines) for name in chosen]
+        return [_refilter_turbine(store, name, turbines) for name in chosen]
 
 
-def _refiltered(store: Store, name: str, turbines: Mapping[str, Turbine]) -> Refiltered:
+def _refilter_turbine(store: Store, name: str, turbines: Mapping[str, Turbine]) -> Refiltered:
     ((late,),) = store.rows(statements.LATE_VERSIONS, turbine=name)
     store.execute(statements.USE_LATE_VERSIONS, turbine=name)
     late += store.execute(statements.USE_LATE, turbine=name)
@@ -67,37 +68,40 @@ def _refiltered(store: Store, name: str, turbines: Mapping[str, Turbine]) -> Ref
         after.update({alarm.id: alarm for alarm in batch.alarms})
         batch.memories.pop((name, "alarms"), None)
         store.write(replace(batch, alarms=[]))
-    told = store.records(Alarm, statements.BEGUN_ALARMS, turbine=name, since=begin)
-    before = {alarm.id: alarm for alarm in told}
+    raised = store.records(Alarm, statements.BEGUN_ALARMS, turbine=name, since=begin)
+    before = {alarm.id: alarm for alarm in raised}
     return Refiltered(name, late, tuple(_differences(before, after)))
 
 
 def _batches(store: Store, name: str, turbines: Mapping[str, Turbine]) -> Iterator[Batch]:
-    fleet, one = Fleet({name: turbines[name]}), turbines[name]
-    fleet.tracked[name].tracker = Tracker(one.plan, lost=store.losses(name))
+    fleet, turbine = Fleet({name: turbines[name]}), turbines[name]
+    fleet.tracked[name].tracker = Tracker(turbine.plan, lost=store.losses(name))
     points = {other: store.point(other) for other in turbines if other != name}
     yield fleet.take_events(store.events(name))
     readings = sorted(store.readings(name, -math.inf), key=lambda reading: reading.time)
-    for _, part in groupby(readings, key=lambda reading: reading.time // DAY_S):
-        fleet.tracked[name].tracker.take(reading for reading in part if not math.isnan(reading.value))
+    for _, day in groupby(readings, key=lambda reading: reading.time // DAY_S):
+        fleet.tracked[name].tracker.take(reading for reading in day if not math.isnan(reading.value))
         fleet.waiting[name] = None
         yield fleet.filter_waiting(Batch())
         while (due := fleet.isolation_due()) is not None:
             final = [n for n, point in points.items() if point and point.time >= due[1].time]
             sisters = {other: turbines[other].plan for other in final}
-            steps = isolation_steps(name, one, due[1], store, fleet.tracked[name].reference_point, sisters)
-            yield fleet.keep_finding(name, next(found for found in steps if found is not None))
+            steps = isolation_steps(
+                name, turbine, due[1], store, fleet.tracked[name].reference_point, sisters
+            )
+            yield fleet.keep_finding(name, next(finding for finding in steps if finding is not None))
 
 
 def _differences(before: Mapping[str, Alarm], after: Mapping[str, Alarm]) -> Iterator[str]:
-    """How the alarms of before would differ, in words, by their beginnings."""
-    told = {key: alarm for key, alarm in before.items() if alarm.kind not in kinds_of(*DELIVERY)}
-    for key, alarm in sorted({**told, **after}.items(), key=lambda item: (item[1].began, item[0])):
+    """The differences between the alarms `before` and `after` filtering anew, in words, by their
+    beginnings."""
+    raised = {key: alarm for key, alarm in before.items() if alarm.kind not in kinds_of(*DELIVERY)}
+    for key, alarm in sorted({**raised, **after}.items(), key=lambda item: (item[1].began, item[0])):
         about = f"{alarm.kind} from {stamp_text(alarm.began)}"
-        if key not in told:
+        if key not in raised:
             yield f"{about} would have begun: {alarm.statement}"
         elif key not in after:
             yield f"{about} would not have begun"
-        elif (told[key].ended, told[key].severity) != (alarm.ended, alarm.severity):
+        elif (raised[key].ended, raised[key].severity) != (alarm.ended, alarm.severity):
             end = "be open" if alarm.ended is None else f"have ended at {stamp_text(alarm.ended)}"
             yield f"{about} would {end}, severity {alarm.severity}"

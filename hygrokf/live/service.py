@@ -2,8 +2,8 @@
 deliveries.
 
 Nothing is acknowledged before it is committed.  If the store fails, the loop keeps its deliveries, reopens
-the store until that succeeds, and starts again from the stored state: whatever was not committed has not
-happened.
+the store until that succeeds, and starts again from the stored state, without whatever was not
+committed.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ LOG = logging.getLogger("hygrokf.track")
 T = TypeVar("T")
 WAITING = 20_000
 """Largest number of waiting deliveries; a faster source is blocked."""
-MOST = 2_000
+MOST_PER_ROUND = 2_000
 """Largest number of deliveries per round."""
 PATIENCE_S = 0.1
 """[s] a round waits for its first delivery."""
@@ -47,7 +47,7 @@ TICK_S = 10.0
 SHARE = 0.3
 """Largest share of time spent on forecasts while deliveries come."""
 LEAST_SHARE = 0.05
-"""The same while deliveries or unfiltered turbines wait."""
+"""Largest share of time spent on forecasts while deliveries or unfiltered turbines wait."""
 PRUNED_S = 6.0 * HOUR_S
 """[s] between two passes over the fleet that delete old history."""
 RETRY_S = (0.5, 10.0)
@@ -55,13 +55,13 @@ RETRY_S = (0.5, 10.0)
 
 
 WAITS_S = (0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 5.0, 10.0, 30.0)
-"""Upper bounds [s] of the classes in which waits are counted; the last class has none."""
+"""Upper bounds [s] of the classes in which waits are counted; a further class has no upper bound."""
 
 
 @dataclass(frozen=True)
 class SourceTimes:
-    """Of a source's last delivery: when it was committed [s, this machine's clock], and how long after the
-    time of its newest reading it arrived [s]; None without readings so far."""
+    """Times of a source's last delivery: of its commit [s, this machine's clock], and the lag [s] of its
+    arrival behind the stamp of its newest reading, None without readings so far."""
 
     committed: float
     lag_s: float | None = None
@@ -71,11 +71,11 @@ class SourceTimes:
 class Health:
     """Counts of the loop.
 
-    `failures` of the store; `committed_s`: time of the last commit [s]; `looped`: monotonic time at which the
-    loop last went round, ∞ before and after it; `waits_s`: times [s] from the last
-    deliveries to their commits; `wait_counts`: all of them since the start by the classes `WAITS_S`, and
-    `wait_sum_s` their sum [s]; `sources`: times of each source by its URL; `store`: why the store fails now,
-    empty if it does not.
+    `failures` of the store; `committed_s`: time of the last commit [s]; `looped`: monotonic time of the last
+    cycle of the loop, ∞ before and after the loop; `waits_s`: times [s] from the last deliveries to their
+    commits; `wait_counts`: numbers of all these times since the start by the classes `WAITS_S`, and
+    `wait_sum_s` [s] their sum; `sources`: times of each source by its URL; `store`: why the store fails now,
+    empty if it works.
     """
 
     rounds: int = 0
@@ -96,9 +96,11 @@ class Health:
         self.wait_sum_s += sum(waits)
 
     def note_source(self, url: str, batch: Batch) -> None:
-        """Note that deliveries of a source were committed, and how far their newest reading was behind."""
+        """Note that deliveries of a source were committed, and the lag of their newest reading."""
         before = self.sources.get(url, SourceTimes(0.0))
-        newest = max((*batch.observations, *batch.weather), key=lambda one: one.reading.time, default=None)
+        newest = max(
+            (*batch.observations, *batch.weather), key=lambda observed: observed.reading.time, default=None
+        )
         lag_s = before.lag_s if newest is None else newest.received - newest.reading.time
         self.sources[url] = SourceTimes(time.time(), lag_s)
 
@@ -127,7 +129,7 @@ class Service:
         clock: Callable[[], float] = time.time,
     ) -> None:
         self.turbines = turbines
-        self.streams = {one.url: one for one in streams}
+        self.streams = {stream.url: stream for stream in streams}
         self.store_url = store_url
         self.health = Health()
         self.ending = threading.Event()
@@ -135,7 +137,7 @@ class Service:
         self.channels = tuple(channels)
         self._settle = settle
         self._clock = clock
-        self._tick = self._forecasts = self._latest = 0.0
+        self._next_tick = self._next_work = self._next_work_behind = 0.0
         self._words: dict[str, str] = {}
         self._marks: dict[str, str] = {}
         self._isolation: tuple[str, Iterator[CauseFinding | None]] | None = None
@@ -196,10 +198,10 @@ class Service:
         store = open_store(self.store_url)
         try:
             store.claim("turbine", self.turbines)
-            store.claim("channel", [one.name for one in self.channels])
+            store.claim("channel", [channel.name for channel in self.channels])
             store.claim("source", [url for url in self.streams if store.place(url) is not None])
             begins, self.fleet = self.fleet is None, Fleet.from_store(self.turbines, store)
-            # before anything that came meanwhile is filtered
+            # connections first: the filter needs them for the readings that came meanwhile
             if not (batch := self._connections(self.fleet, begins=begins)).empty:
                 store.commit(batch)
             self._marks.clear()
@@ -208,38 +210,38 @@ class Service:
             raise
         self.store = store
 
-    def _put(self, url: str, one: Delivery) -> None:
+    def _put(self, url: str, delivery: Delivery) -> None:
         """Queue a delivery, called from the streams' threads; blocks while the queue is full, unless the
         service is ending."""
         while not self.ending.is_set():
             with suppress(queue.Full):
-                self._waiting.put((url, one, time.monotonic()), timeout=0.5)
+                self._waiting.put((url, delivery, time.monotonic()), timeout=0.5)
                 return
 
     def _sources_ended(self) -> bool:
-        # in this order: what a source delivered before it ended waits when the queue is asked
-        words = [one.state.word for one in self.streams.values()]
+        # states before the queue: then the queue holds everything that an ended source delivered
+        words = [stream.state.word for stream in self.streams.values()]
         return all(word in ("ended", "lost", "stopped") for word in words) and self._waiting.empty()
 
     def round(self) -> bool:
-        """Run one round of deliveries or, without any, of waiting turbines; returns whether there was
-        either."""
-        found = take_from(self._waiting, MOST, 0.0 if self._open_fleet.waiting else PATIENCE_S)
-        self.retention.bite(self._open_store, self._open_fleet)
-        if not found and self._open_fleet.waiting:
+        """Run one round of deliveries or, without deliveries, of waiting turbines; returns whether anything
+        was done."""
+        arrived = take_from(self._waiting, MOST_PER_ROUND, 0.0 if self._open_fleet.waiting else PATIENCE_S)
+        self.retention.delete_portion(self._open_store, self._open_fleet)
+        if not arrived and self._open_fleet.waiting:
             self._publish(self._commit(lambda: self._open_fleet.filter_waiting(Batch(), FILTER_S)))
             return True
         by_source: dict[str, list[Delivery]] = {}
-        for url, one, _ in found:
-            by_source.setdefault(url, []).append(one)
+        for url, delivery, _ in arrived:
+            by_source.setdefault(url, []).append(delivery)
         for url, deliveries in by_source.items():
             self._process(url, deliveries)
-        if found:
-            now = time.monotonic()
-            self.health.note([now - came for _, _, came in found])
+        if arrived:
+            committed_at = time.monotonic()
+            self.health.note([committed_at - arrived_at for _, _, arrived_at in arrived])
             self.health.rounds += 1
-            self.health.deliveries += len(found)
-        return bool(found)
+            self.health.deliveries += len(arrived)
+        return bool(arrived)
 
     def _process(self, url: str, deliveries: Sequence[Delivery]) -> None:
         stream = self.streams[url]
@@ -251,15 +253,17 @@ class Service:
     def _forecast(self, name: str) -> Batch:
         """Forecast a turbine; the next forecast is due an hour later, even if none could be made."""
         fleet = self._open_fleet
-        made = make_forecast(name, self.turbines[name], fleet.tracked[name].tracker, self._open_store)
-        if made is None:
+        forecast_batch = make_forecast(
+            name, self.turbines[name], fleet.tracked[name].tracker, self._open_store
+        )
+        if forecast_batch is None:
             return Batch()
-        made_s, batch = made
+        made_s, batch = forecast_batch
         fleet.keep_forecast(name, made_s, batch)
         return batch
 
     def _commit(self, make: Callable[[], Batch], source: str = "") -> Batch:
-        """Make a batch and commit it, reopening the store (and so the fleet) as often as necessary."""
+        """Make a batch and commit it; reopens the store, and with it the fleet, as often as necessary."""
         attempt, mark, replaced = 0, secrets.token_hex(8), False
         while True:
             try:
@@ -279,7 +283,7 @@ class Service:
             except StoreFault as fault:
                 replaced = replaced or isinstance(fault, StoreReplaced)
                 self.health.store = str(fault).strip()
-                self.health.failures += 1  # after the message, which whoever sees the failure finds then
+                self.health.failures += 1  # after the message: whoever sees the new count finds the message
                 LOG.warning("the store failed", extra={"fault": self.health.store, "attempt": attempt + 1})
                 if attempt and self.ending.is_set():
                     raise
@@ -307,70 +311,71 @@ class Service:
 
     @property
     def now(self) -> float:
-        """The time [s] against which the age of data is judged; where nothing but records is played back, it
-        is theirs."""
-        clocks = [one for one in self.streams.values() if not one.mapping.weather]
-        live = [one for one in clocks if not one.played_back]
-        return min((one.now() for one in live or clocks), default=self._clock())
+        """The time [s] against which the age of data is judged; if all streams are played back, the time of
+        their records."""
+        streams = [stream for stream in self.streams.values() if not stream.mapping.weather]
+        live = [stream for stream in streams if not stream.played_back]
+        return min((stream.now() for stream in live or streams), default=self._clock())
 
     def _work_between_rounds(self, idle: bool) -> None:
         """Check for missing data, make forecasts and isolate faults, for a limited share of the time."""
-        begin = time.monotonic()
-        if begin >= self._tick:
-            self._tick = begin + TICK_S
+        begin_s = time.monotonic()
+        if begin_s >= self._next_tick:
+            self._next_tick = begin_s + TICK_S
             for url, stream in self.streams.items():
                 word, words = stream.state
                 if self._words.get(url) != word:
                     self._words[url] = word
                     LOG.info("source", extra={"source": url, "state": word, "behind": words})
-            left = {name: why for one in self.streams.values() for name, why in one.left().items()}
+            left = {name: why for stream in self.streams.values() for name, why in stream.left().items()}
             now, reaches = self.now, self.reaches()
             quiet = self._quiet(reaches, now)
             self._publish(self._commit(lambda: self._open_fleet.tick(now, reaches, left, quiet)))
             self._publish(self._commit(lambda: self._connections(self._open_fleet, left)))
             self._publish(self._commit(lambda: self._open_fleet.take_events(self._open_store.all_events())))
             self._publish(self._commit(lambda: look_again(self._open_store, self.now, self.channels)))
-        behind = self._open_fleet.waiting or not self._waiting.empty()
-        if idle or begin >= (self._latest if behind else self._forecasts):
+        is_behind = self._open_fleet.waiting or not self._waiting.empty()
+        if idle or begin_s >= (self._next_work_behind if is_behind else self._next_work):
             name = self._open_fleet.forecast_due(EVERY_S)
             if name is not None:
                 self._publish(self._commit(lambda: self._forecast(name)))
             self._isolate()
-            end = time.monotonic()
-            self._forecasts, self._latest = (
-                end + (end - begin) * (1.0 / share - 1.0) for share in (SHARE, LEAST_SHARE)
+            end_s = time.monotonic()
+            self._next_work, self._next_work_behind = (
+                end_s + (end_s - begin_s) * (1.0 / share - 1.0) for share in (SHARE, LEAST_SHARE)
             )
 
     def reaches(self) -> dict[str, Reach]:
-        """Since when each source is not reached, by its URL; a record that is played back always is."""
-        return {url: one.reach() for url, one in self.streams.items() if not one.played_back}
+        """Source URL -> since when the source is not reached, without sources that play back a record."""
+        return {url: stream.reach() for url, stream in self.streams.items() if not stream.played_back}
 
     def _quiet(self, reaches: Mapping[str, Reach], now: float) -> list[str]:
-        """Turbines whose silence is no news of its own: their sources are played back, or are an alarm."""
-        news = [one for url, one in self.streams.items() if url in reaches and reaches[url].share(now) < 1.0]
-        known = [name for name in self.turbines if any(one.signals(name) for one in self.streams.values())]
-        return [name for name in known if not any(one.signals(name) for one in news)]
+        """Turbines whose silence raises no alarm: all their sources are played back or have an alarm."""
+        reached = [s for url, s in self.streams.items() if url in reaches and reaches[url].share(now) < 1.0]
+        served = [name for name in self.turbines if any(s.signals(name) for s in self.streams.values())]
+        return [name for name in served if not any(stream.signals(name) for stream in reached)]
 
     def _connections(self, fleet: Fleet, left: Collection[str] = (), begins: bool = False) -> Batch:
         now = self.now
         return fleet.note_connections(now, self._unreached(self.reaches(), now), left, begins)
 
     def _unreached(self, reaches: Mapping[str, Reach], now: float) -> dict[str, dict[str, float | None]]:
-        """Turbine -> signal that is held while connected -> time [s] since when its sources are all lost,
-        None while one is reached and ∞ before their limit; without signals that are played back alone."""
-        found: dict[str, dict[str, float | None]] = {}
-        held = {
-            name: signals for name, one in self.turbines.items() if (signals := one.plan.held_while_connected)
-        }
-        for name, signals in held.items():
+        """Turbine -> signal that is held while connected -> time [s] since when all its sources are lost,
+        None while one is reached, ∞ before their limit; signals from played-back records alone are left
+        out."""
+        lost_by_turbine: dict[str, dict[str, float | None]] = {}
+        for name, turbine in self.turbines.items():
+            if not (held := turbine.plan.held_while_connected):
+                continue
             senders = [(reaches[url], self.streams[url].signals(name)) for url in reaches]
-            for signal in signals:
-                own = [reach for reach, sent in senders if signal in sent]
-                since = [reach.since for reach in own if reach.since is not None]
-                if own:
-                    lost_s = max(since) if all(reach.share(now) >= 1.0 for reach in own) else math.inf
-                    found.setdefault(name, {})[signal] = lost_s if len(since) == len(own) else None
-        return found
+            for signal in held:
+                of_signal = [reach for reach, sent in senders if signal in sent]
+                since = [reach.since for reach in of_signal if reach.since is not None]
+                if of_signal:
+                    lost_s = max(since) if all(reach.share(now) >= 1.0 for reach in of_signal) else math.inf
+                    is_lost = len(since) == len(of_signal)
+                    lost_by_turbine.setdefault(name, {})[signal] = lost_s if is_lost else None
+        return lost_by_turbine
 
     def _isolate(self) -> None:
         """Take one step of the current fault isolation, or start the next one."""
@@ -385,13 +390,13 @@ class Service:
             self._isolation = (name, steps)
         name, steps = self._isolation
         try:
-            found = next(steps)
+            finding = next(steps)
         except StoreFault:  # the next commit notices it too and reopens the store
             self._isolation = None
             return
-        if found is not None:
+        if finding is not None:
             self._isolation = None
-            self._publish(self._commit(lambda: self._open_fleet.keep_finding(name, found)))
+            self._publish(self._commit(lambda: self._open_fleet.keep_finding(name, finding)))
 
     def _reopen(self, attempt: int) -> int:
         """Reopen the store, trying until it succeeds or, once the service is ending, only once.
@@ -427,9 +432,9 @@ class Retention:
         self._due: list[str] = []
         self._next = -math.inf
 
-    def bite(self, store: Store, fleet: Fleet) -> int:
-        """Delete one portion if a pass is due; returns the number of rows.  The next commit notices a failing
-        store."""
+    def delete_portion(self, store: Store, fleet: Fleet) -> int:
+        """Delete a portion of the old rows if a pass is due; returns the number of rows.  A failure of the
+        store is left to the next commit."""
         if not self._due and time.monotonic() >= self._next and math.isfinite(self.seconds):
             self._due, self._next = list(fleet.tracked), time.monotonic() + PRUNED_S
         while self._due:
@@ -454,9 +459,9 @@ class Retention:
 
 def take_from(waiting: queue.Queue[T], most: int, patience_s: float) -> list[T]:
     """Take at most `most` items from a queue; waits up to `patience_s` [s] for the first one."""
-    found: list[T] = []
+    items: list[T] = []
     with suppress(queue.Empty):
-        found.append(waiting.get(timeout=patience_s))
-        while len(found) < most:
-            found.append(waiting.get_nowait())
-    return found
+        items.append(waiting.get(timeout=patience_s))
+        while len(items) < most:
+            items.append(waiting.get_nowait())
+    return items

@@ -1,20 +1,20 @@
-"""The filter's trace as the tracker takes it: with humidity readings at their ceiling, which give only a
+"""The tracker's variant of the filter's trace: with humidity readings at their ceiling, which give only a
 lower bound, and with changes at the cabinet that people state (settings, a repair, a sensor that is wrong).
 
-A reading at the ceiling c is censored: it tells only that y ≥ c.  With the prediction ŷ of the reading, its
+A reading at the ceiling c is censored: only y ≥ c is known.  With the prediction ŷ of the reading, its
 variance S, z = (c − ŷ)/√S and λ = φ(z)/Φ(−z), the conditional moments of y are
     E y = ŷ + λ √S,    var y = S (1 − δ),    δ = λ (λ − z),  between 0 and 1,
 and the moments of the state follow from them with the gain K of an ordinary reading:
     m + K (E y − ŷ),   P − δ K S K'.
-So a censored reading shifts the mean like a reading of E y, and reduces the covariance by the share δ of an
+So a censored reading changes the mean like a reading of E y, and reduces the covariance by the share δ of an
 ordinary reading's reduction.  The filter continues with the Gaussian of these moments (the Tobit Kalman
 filter; Allik et al. 2016, doi:10.1109/TCST.2015.2432155; moments of a truncated normal distribution: Tobin
 1958).
 
 At a stated change every tracked property may jump by an unknown amount: its variance is increased by the
 square of `Watched.blind`, so that the property counts as unknown until readings show it again.  The other
-states go on.  What had shifted until then is expected: shifts are judged anew against the property as it is
-`SETTLED_S` after the change.
+states are not changed.  Shifts before the change count as expected: later shifts are judged against the
+property `SETTLED_S` after the change.
 """
 
 from __future__ import annotations
@@ -40,21 +40,22 @@ def censored_trace(
     """The filter's trace with relative humidity censored from `SATURATED` on, starting from a state or from
     the prior.
 
-    A timeline may be filtered in pieces: starting each piece from the last state of the previous one gives
+    A timeline may be filtered in pieces: starting each piece from the last state of the previous piece gives
     the same bits.
     """
-    found = list(_pieces(likelihood, start, lambda one, begin: one.trace(values, start=begin), values))
-    return found[0] if len(found) == 1 else joined(found)
+    pieces = list(_pieces(likelihood, start, lambda piece, begin: piece.trace(values, start=begin), values))
+    return pieces[0] if len(pieces) == 1 else joined(pieces)
 
 
 def censored_end(likelihood: Likelihood, values: Mapping[str, float], start: Gaussian | None = None) -> End:
-    """ln L and the last state of the `censored_trace`, without what lies between."""
+    """ln L and the last state of the `censored_trace`, without the moments at the other instants."""
 
-    def run(one: Likelihood, begin: Gaussian | None) -> End:
-        return (one if begin is None else replace(one, initial=begin)).end(values)
+    def run(piece: Likelihood, begin: Gaussian | None) -> End:
+        started = piece if begin is None else replace(piece, initial=begin)
+        return started.end(values)
 
-    found = list(_pieces(likelihood, start, run, values))
-    return End(sum(one.loglik for one in found), found[-1].last)
+    ends = list(_pieces(likelihood, start, run, values))
+    return End(sum(end.loglik for end in ends), ends[-1].last)
 
 
 Ended = TypeVar("Ended", End, Trace)
@@ -64,21 +65,24 @@ def _pieces(
     likelihood: Likelihood, start: Gaussian | None, run: Callable[[Likelihood, Gaussian | None], Ended],
     values: Mapping[str, float],
 ) -> Iterator[Ended | Trace]:  # fmt: skip
-    """The runs of the pieces between censored readings, and the traces of these."""
+    """The results of `run` for the pieces between censored readings, and the traces of the censored readings,
+    in the order of time."""
     t = likelihood.timeline
     humidity = t.reading(HUMIDITY) if HUMIDITY in t.outputs else np.zeros(0)
     places: list[int] = np.flatnonzero(humidity >= SATURATED).tolist()
     first = 0
     for place in (*places, len(t)):
         if place > first:
-            whole = place - first == len(t)
-            one = run(likelihood if whole else replace(likelihood, timeline=t.window(first, place)), start)
-            yield one
-            start = one.last
+            is_complete = place - first == len(t)
+            piece = run(
+                likelihood if is_complete else replace(likelihood, timeline=t.window(first, place)), start
+            )
+            yield piece
+            start = piece.last
         if place < len(t):
-            at = _censored(replace(likelihood, timeline=t.window(place, place + 1)), values, start)
-            yield at
-            start, first = at.last, place + 1
+            censored = _censored(replace(likelihood, timeline=t.window(place, place + 1)), values, start)
+            yield censored
+            start, first = censored.last, place + 1
 
 
 def _censored(likelihood: Likelihood, values: Mapping[str, float], start: Gaussian | None) -> Trace:
@@ -92,18 +96,18 @@ def _censored(likelihood: Likelihood, values: Mapping[str, float], start: Gaussi
 
     without = read(np.nan)
     prediction, spread = float(without.prediction[0, column]), float(np.sqrt(without.variance[0, column]))
-    mean, share, chance = truncated_moments((SATURATED - prediction) / spread)
+    mean, share, log_probability = truncated_moments((SATURATED - prediction) / spread)
     expected = read(prediction + mean * spread)
 
-    def partly(unread: np.ndarray, whole: np.ndarray) -> np.ndarray:
-        return unread + share * (whole - unread)
+    def reduced(unread: np.ndarray, read_: np.ndarray) -> np.ndarray:
+        return unread + share * (read_ - unread)
 
     return replace(
         without,
         mean=expected.mean,
-        covariance=partly(without.covariance, expected.covariance),
-        loglik=without.loglik + chance,
-        last=replace(expected.last, covariance=partly(without.last.covariance, expected.last.covariance)),
+        covariance=reduced(without.covariance, expected.covariance),
+        loglik=without.loglik + log_probability,
+        last=replace(expected.last, covariance=reduced(without.last.covariance, expected.last.covariance)),
     )
 
 
@@ -116,33 +120,33 @@ def truncated_moments(z: float) -> tuple[float, float, float]:
     return mean, float(np.clip(mean * (mean - z), 0.0, 1.0)), float(log_ndtr(-z))
 
 
-def joined(found: list[Trace]) -> Trace:
-    """Join the traces of consecutive pieces."""
+def joined(traces: list[Trace]) -> Trace:
+    """The joined trace of consecutive pieces."""
     arrays = {
-        name: np.concatenate([getattr(one, name) for one in found])
-        for name, value in vars(found[0]).items()
+        name: np.concatenate([getattr(trace, name) for trace in traces])
+        for name, value in vars(traces[0]).items()
         if isinstance(value, np.ndarray)
     }
-    return Trace(**arrays, loglik=sum(one.loglik for one in found), last=found[-1].last)
+    return Trace(**arrays, loglik=sum(trace.loglik for trace in traces), last=traces[-1].last)
 
 
 # -- changes that people state -------------------------------------------------------------------------------
 SENSOR_WRONG = "humidity sensor wrong"
-"""From this event to the next one the humidity sensor's readings are no evidence of condensation."""
+"""From this event to the next event the humidity sensor's readings are no evidence of condensation."""
 KINDS = ("settings changed", "defect repaired", SENSOR_WRONG)
 """Kinds of events."""
 SETTLED_S = 7.0 * DAY_S
 """[s] after a change at which a property becomes the reference for later shifts."""
 SAME_S = 1e-3
-"""[s] times closer than this count as equal."""
+"""[s] below which a difference of times counts as zero."""
 
 
 @dataclass(frozen=True)
 class StatedChange:
-    """The event with an id and a kind, as taken into account from a `time` [s] on.
+    """The event with an id and a kind, and the `time` [s] from which it is taken into account.
 
-    This is the event's time, or that of the newest final estimate if the event became known later: final
-    estimates stay as they are.
+    This is the event's time or, if the event became known later, the time of the newest final estimate,
+    because final estimates are not changed.
     """
 
     event: str
@@ -152,7 +156,7 @@ class StatedChange:
 
 def jump_variance(model: Model) -> np.ndarray:
     """Variance (n,) by which a stated change widens the states."""
-    blind = {one.state: one.blind for one in WATCHED}
+    blind = {watched.state: watched.blind for watched in WATCHED}
     return np.array([blind.get(state, 0.0) ** 2 for state in model.states])
 
 
@@ -164,11 +168,11 @@ def changed_trace(
 ) -> Trace:
     """The filter's trace with stated changes at times [s], from a state or from the prior.
 
-    A change acts between the last instant up to its time and the next one; one before the first instant acts
-    on `start`, and one after the last instant does not act yet.
+    A change acts between the last instant up to its time and the next instant; a change before the first
+    instant acts on `start`, and a change after the last instant does not act yet.
     """
     t, variance = likelihood.timeline, jump_variance(likelihood.model)
-    found: list[Trace] = []
+    traces: list[Trace] = []
     first = 0
     for time in sorted(changes):
         place = int(np.searchsorted(t.seconds, time + SAME_S, side="right"))
@@ -176,14 +180,14 @@ def changed_trace(
             break
         if place > first:
             piece = replace(likelihood, timeline=t.window(first, place))
-            found.append(censored_trace(piece, values, start))
-            start, first = found[-1].last, place
-        if start is not None:  # the prior knows nothing that a change could spoil
+            traces.append(censored_trace(piece, values, start))
+            start, first = traces[-1].last, place
+        if start is not None:  # without `start` the prior applies, which a change does not affect
             start = replace(start, covariance=start.covariance + np.diag(variance))
-    if not found:
+    if not traces:
         return censored_trace(likelihood, values, start)
     rest = replace(likelihood, timeline=t.window(first, len(t)))
-    return joined([*found, censored_trace(rest, values, start)])
+    return joined([*traces, censored_trace(rest, values, start)])
 
 
 def settled(
@@ -191,14 +195,14 @@ def settled(
 ) -> dict[str, TrackedState]:
     """The references of properties at `time` [s] after a change at `changed_s` [s].
 
-    A property gets one as soon as it has settled and is observable.
+    A property gets a reference as soon as `SETTLED_S` have passed and the property is observable.
     """
     return {**(observable(states) if time >= changed_s + SETTLED_S else {}), **references}
 
 
 def believed(changes: Sequence[StatedChange], seconds: np.ndarray) -> np.ndarray:
-    """Whether the sensor may be right (T,) at times [s]: False from a statement that it is wrong to the next
-    stated change."""
-    place = np.searchsorted([one.time for one in changes], seconds + SAME_S, side="right")
-    wrong = np.array([False, *(one.kind == SENSOR_WRONG for one in changes)])
+    """Whether the humidity sensor may be right (T,) at times [s]: False from a statement that it is wrong to
+    the next stated change."""
+    place = np.searchsorted([change.time for change in changes], seconds + SAME_S, side="right")
+    wrong = np.array([False, *(change.kind == SENSOR_WRONG for change in changes)])
     return ~wrong[place]

@@ -1,8 +1,8 @@
-"""The complete tracker: service, page, log and operating-system signals, run from a configuration until it is
-told to end.
+"""The complete tracker: service, page, log and operating-system signals, run from a configuration until a
+signal ends it.
 
-The log on standard error takes in everything that would otherwise reach it in a form of its own: the logs of
-other packages, warnings, and exceptions that end a thread.
+The log on standard error includes, in its own form, the logs of other packages, warnings, and exceptions that
+end a thread.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from hygrokf.texts.reasons import ReasonCode
 from hygrokf.texts.wording import one_line
 
 LOG = logging.getLogger("hygrokf.track")
-_OWN = frozenset(vars(logging.makeLogRecord({}))) | {"message", "asctime", "taskName"}
+_STANDARD_FIELDS = frozenset(vars(logging.makeLogRecord({}))) | {"message", "asctime", "taskName"}
 
 
 def track(
@@ -65,21 +65,21 @@ def track(
             app = PageEndpoints(service, hub, config.page).app()
             page = stack.enter_context(serve(app, config.page, hub)).url
         stack.enter_context(ended_by_signals(service))
-        senders = [Sender(one, service.store_url, lambda: service.now) for one in service.channels]
-        # the last one registered is called first: all are told to end before one is waited for
+        senders = [Sender(channel, service.store_url, lambda: service.now) for channel in service.channels]
+        # callbacks run in reverse order: all senders are told to end before the first one is waited for
         for act in (Sender.stop, Sender.end):
-            for one in senders:
-                stack.callback(act, one)
+            for sender in senders:
+                stack.callback(act, sender)
 
         def begin() -> None:
-            for one in senders:  # their stores are there now
-                one.start()
-            for name, said in record_doubts(config.turbines):
-                LOG.warning("its model rests on a doubted record", extra={"turbine": name, "why": said})
+            for sender in senders:  # the store exists now
+                sender.start()
+            for name, doubt in record_doubts(config.turbines):
+                LOG.warning("its model rests on a doubted record", extra={"turbine": name, "why": doubt})
             begun(service, page)
 
         service.run(until_ended, begin)
-    lost = [said for word, said in (one.state for one in config.streams) if word == "lost"]
+    lost = [reason for word, reason in (stream.state for stream in config.streams) if word == "lost"]
     if until_ended and lost:
         raise SourceFault(f"{'; '.join(lost)}. All {service.health.deliveries} deliveries are committed")
     return service
@@ -88,9 +88,9 @@ def track(
 def record_doubts(turbines: Mapping[str, Turbine]) -> Iterator[tuple[str, str]]:
     """(turbine, sentence) of each doubt about a record that a turbine's model was identified on."""
     for name, turbine in turbines.items():
-        reasons = (reason for one in turbine.verdicts.values() for reason in one.reasons)
-        said = dict.fromkeys(one.text for one in reasons if one.code is ReasonCode.RECORD_DOUBTED)
-        yield from ((name, one) for one in said)
+        reasons = (reason for verdict in turbine.verdicts.values() for reason in verdict.reasons)
+        doubts = (reason.text for reason in reasons if reason.code is ReasonCode.RECORD_DOUBTED)
+        yield from ((name, doubt) for doubt in dict.fromkeys(doubts))
 
 
 @contextmanager
@@ -128,21 +128,21 @@ class LogLines(logging.Formatter):
 
     def format(self, record: logging.LogRecord) -> str:
         at = datetime.fromtimestamp(record.created, UTC).isoformat(timespec="milliseconds")
-        beside = {key: value for key, value in vars(record).items() if key not in _OWN}
+        extra = {key: value for key, value in vars(record).items() if key not in _STANDARD_FIELDS}
         if record.exc_info:
-            beside["trace"] = self.formatException(record.exc_info)
+            extra["trace"] = self.formatException(record.exc_info)
         if self.form == "json":
-            said = {
+            entry = {
                 "time": at,
                 "level": record.levelname.lower(),
                 "name": record.name,
                 "message": _message(record),
             }
-            # ASCII: what an encoding cannot express would be replaced by something that is no JSON
-            return json.dumps({**{key: _plain(value) for key, value in beside.items()}, **said})
+            # ASCII: replacements of characters that an encoding cannot express would break the JSON
+            return json.dumps({**{key: _plain(value) for key, value in extra.items()}, **entry})
         # an event stays on one line, whatever characters an external name contains
-        more = "".join(f" {key}={one_line(str(value))}" for key, value in beside.items())
-        return f"{at} {record.levelname.lower():7} {record.name}: {one_line(_message(record))}{more}"
+        fields = "".join(f" {key}={one_line(str(value))}" for key, value in extra.items())
+        return f"{at} {record.levelname.lower():7} {record.name}: {one_line(_message(record))}{fields}"
 
 
 def _message(record: logging.LogRecord) -> str:
@@ -164,29 +164,29 @@ def log_to_stderr(form: str = "text", level: int = logging.INFO) -> Iterator[Non
     to standard error in a form, "text" or "json"."""
     handler = logging.StreamHandler(sys.stderr)
     handler.setFormatter(LogLines(form))
-    own, root = logging.getLogger("hygrokf"), logging.getLogger()
-    before = [(one, list(one.handlers), one.level, one.propagate) for one in (own, root)]
+    package, root = logging.getLogger("hygrokf"), logging.getLogger()
+    before = [(logger, list(logger.handlers), logger.level, logger.propagate) for logger in (package, root)]
     hooks = sys.unraisablehook, threading.excepthook
-    own.handlers[:] = root.handlers[:] = [handler]
-    own.setLevel(level)
-    own.propagate = False
+    package.handlers[:] = root.handlers[:] = [handler]
+    package.setLevel(level)
+    package.propagate = False
     root.setLevel(logging.WARNING)
     logging.captureWarnings(True)
-    sys.unraisablehook = lambda one: _log_exception("an exception could not be raised", one)
-    threading.excepthook = lambda one: _log_exception("a thread ended by an exception", one)
+    sys.unraisablehook = lambda raised: _log_exception("an exception could not be raised", raised)
+    threading.excepthook = lambda raised: _log_exception("a thread ended by an exception", raised)
     try:
         yield
     finally:
         sys.unraisablehook, threading.excepthook = hooks
         logging.captureWarnings(False)
-        for one, handlers, before_level, propagate in before:
-            one.handlers[:] = handlers
-            one.setLevel(before_level)
-            one.propagate = propagate
+        for logger, handlers, before_level, propagate in before:
+            logger.handlers[:] = handlers
+            logger.setLevel(before_level)
+            logger.propagate = propagate
 
 
-def _log_exception(words: str, one: sys.UnraisableHookArgs | threading.ExceptHookArgs) -> None:
+def _log_exception(message: str, raised: sys.UnraisableHookArgs | threading.ExceptHookArgs) -> None:
     """Log an exception that nobody has handled, unless it ends a thread on purpose."""
-    if not issubclass(one.exc_type, SystemExit):
-        exc_info = (one.exc_type, one.exc_value or one.exc_type(), one.exc_traceback)
-        LOG.error(words, exc_info=exc_info, extra={"fault": str(one.exc_value)})
+    if not issubclass(raised.exc_type, SystemExit):
+        exc_info = (raised.exc_type, raised.exc_value or raised.exc_type(), raised.exc_traceback)
+        LOG.error(message, exc_info=exc_info, extra={"fault": str(raised.exc_value)})

@@ -39,7 +39,7 @@ THIN_S = 600.0
 none."""
 SILENT_S = 0.5 * HOUR_S
 STALE_S = 2.0 * HOUR_S
-"""[s] age above which data are stale, unless the turbine states another one."""
+"""[s] age above which data are stale, unless the turbine states another age."""
 
 
 @dataclass(frozen=True)
@@ -62,13 +62,13 @@ class Turbine:
 
 @dataclass(kw_only=True)
 class Kept:
-    """What the store keeps of a turbine, or of what belongs to none, by the names of its memories.
+    """The memories that the store keeps of a turbine, or of the alarms and counts that belong to no turbine.
 
     `excess`: vapour [g/m³] by which the newest humidity reading exceeds the final estimate; `references` and
-    `reference_point`: what shifts are judged against after a stated change, the states of properties and the
-    whole state; `shift_steps`: at which lasting shifts have still to be judged, the first one as soon as its
-    cause is isolated; `judged`: the time [s] up to which its alarms are; `frozen`: signals that repeat a
-    value at the point; `known_s`: time [s] since when the tracker knows the turbine.
+    `reference_point`: the states of properties and the complete state against which shifts are judged after a
+    stated change; `shift_steps`: steps whose lasting shifts are still to be judged, the first step as soon as
+    its cause is isolated; `judged`: time [s] up to which alarms have been judged; `frozen`: signals that
+    repeat a value at the point; `known_s`: time [s] since when the tracker knows the turbine.
     """
 
     changes: list[StatedChange] = field(default_factory=list)
@@ -86,8 +86,8 @@ class Kept:
 
     @classmethod
     def of(cls, memories: JsonObject) -> Kept:
-        """What the memories of a store say."""
-        names = {one.name for one in fields(Kept)}
+        """The memories as a store holds them; memories with other names are ignored."""
+        names = {field_.name for field_ in fields(Kept)}
         return structured(Kept, {k: v for k, v in memories.items() if k in names and v is not None})
 
 
@@ -95,15 +95,15 @@ def conditions(
     courses: Mapping[str, tuple[Turbine, TrackedCourse]], kept: Mapping[str, Kept] = MappingProxyType({})
 ) -> dict[str, Condition]:
     """The condition of each turbine at the instants of its course that the store keeps, on the safe side of
-    what the model and what the humidity sensor says (`live.condition`).
+    model and humidity sensor (`live.condition`).
 
     Turbines of one model are evaluated together, because numpy's overhead exceeds the work for the few
-    instants of one.
+    instants of a single turbine.
     """
     by_model: dict[int, list[str]] = defaultdict(list)
     for name, (turbine, _) in courses.items():
         by_model[id(turbine.plan.model)].append(name)
-    found: dict[str, Condition] = {}
+    by_name: dict[str, Condition] = {}
     for names in by_model.values():
         turbines, runs = zip(*(courses[name] for name in names), strict=True)
         model = turbines[0].plan.model
@@ -111,39 +111,40 @@ def conditions(
         counts = [len(places) for places in stored]
         inputs = [inputs_of(model, course.run.timeline) for course in runs]
         values = {
-            p.name: np.repeat([one.plan.values[p.name] for one in turbines], counts) for p in model.parameters
+            p.name: np.repeat([turbine.plan.values[p.name] for turbine in turbines], counts)
+            for p in model.parameters
         }
         u = {name: _joined((u[name] for u in inputs), stored) for name in model.inputs}
         mean = _joined((course.trace.mean for course in runs), stored)
         covariance = _joined((course.trace.covariance for course in runs), stored)
         seconds = _joined((course.seconds for course in runs), stored)
         surface = Surface(
-            np.repeat([one.surface.follows for one in turbines], counts),
-            np.repeat([one.surface.offset_K for one in turbines], counts),
+            np.repeat([turbine.surface.follows for turbine in turbines], counts),
+            np.repeat([turbine.surface.offset_K for turbine in turbines], counts),
         )
-        together = air_condition(model, values, seconds, u, mean, covariance, surface)
+        condition = air_condition(model, values, seconds, u, mean, covariance, surface)
         ends = np.cumsum(counts)
-        if together.condensation is not None and together.temperature_K is not None:
+        if condition.condensation is not None and condition.temperature_K is not None:
             readings = {
                 name: _joined((course.run.timeline.reading(name) for course in runs), stored)
                 for name in model.outputs
             }
-            shown = vapour_read(readings, together.temperature_K.value, u["ambient_temperature"])
-            beyond = np.split(shown - mean[:, model.states.index("vapour")], ends[:-1])
-            said = [kept.get(name, Kept()) for name in names]
-            pieces = zip(beyond, np.split(seconds, ends[:-1]), said, strict=True)
+            vapour = vapour_read(readings, condition.temperature_K.value, u["ambient_temperature"])
+            excess_of_readings = np.split(vapour - mean[:, model.states.index("vapour")], ends[:-1])
+            kept_by_turbine = [kept.get(name, Kept()) for name in names]
+            pieces = zip(excess_of_readings, np.split(seconds, ends[:-1]), kept_by_turbine, strict=True)
             excess = np.concatenate([_excess(*piece) for piece in pieces])
-            together = on_the_safe_side(together, model, values, u, mean, covariance, surface, excess)
+            condition = on_the_safe_side(condition, model, values, u, mean, covariance, surface, excess)
         for name, count, end in zip(names, counts, ends.tolist(), strict=True):
-            found[name] = only(together, slice(end - count, end))
-    return found
+            by_name[name] = only(condition, slice(end - count, end))
+    return by_name
 
 
-def _excess(beyond: np.ndarray, seconds: np.ndarray, said: Kept) -> np.ndarray:
+def _excess(excess_of_readings: np.ndarray, seconds: np.ndarray, kept: Kept) -> np.ndarray:
     """The excess (T,) [g/m³] of each instant's newest reading; NaN while a person says that the sensor is
     wrong."""
-    trusted = believed(said.changes, seconds)
-    return np.where(trusted, carried(np.where(trusted, beyond, np.nan), said.excess), np.nan)
+    trusted = believed(kept.changes, seconds)
+    return np.where(trusted, carried(np.where(trusted, excess_of_readings, np.nan), kept.excess), np.nan)
 
 
 def _joined(arrays: Iterable[np.ndarray], kept: Sequence[np.ndarray]) -> np.ndarray:
@@ -151,12 +152,13 @@ def _joined(arrays: Iterable[np.ndarray], kept: Sequence[np.ndarray]) -> np.ndar
 
 
 def instants_kept(course: TrackedCourse) -> np.ndarray:
-    """Indices of the instants that the store keeps: those with cabinet readings, while these are silent one
-    per `THIN_S`, and the last one while it may change; the others whatever the courses are."""
+    """Indices of the instants that the store keeps: instants with cabinet readings, one instant per `THIN_S`
+    while the cabinet's sensors are silent, and the last instant while it may change."""
     outputs = course.run.timeline.outputs
-    heard = np.max([course.heard(one) for one in outputs], axis=0) if outputs else -np.inf
+    heard = np.max([course.heard(signal) for signal in outputs], axis=0) if outputs else -np.inf
     slot = np.floor(np.append(course.after_s, course.seconds) / THIN_S)
-    kept = course.seconds - heard <= SAME_S  # used or, while an input is unknown, not
+    # also with readings that the filter does not use while an input is unknown
+    kept = course.seconds - heard <= SAME_S
     kept |= (np.diff(slot) > 0) & (course.seconds - heard >= SILENT_S)
     kept[-1] |= course.seconds[-1] > course.final_s + SAME_S
     return np.flatnonzero(kept)
@@ -164,9 +166,9 @@ def instants_kept(course: TrackedCourse) -> np.ndarray:
 
 def digest(plan: Plan) -> str:
     """Digest of what a point depends on: the model, its parameter values and the forms of the readings."""
-    said = {
+    content = {
         "design": plan.design.to_json(),
         "values": dict(plan.values),
         "forms": {name: asdict(form) for name, form in sorted(plan.forms.items())},
     }
-    return hashlib.sha256(json.dumps(said, sort_keys=True, default=str).encode()).hexdigest()
+    return hashlib.sha256(json.dumps(content, sort_keys=True, default=str).encode()).hexdigest()

@@ -39,7 +39,7 @@ from hygrokf.live.alarms import (
     stale_levels,
     with_doubts,
 )
-from hygrokf.live.assessment import STANDSTILL_S, Known, Outlook, assess
+from hygrokf.live.assessment import STANDSTILL_S, Facts, Outlook, assess
 from hygrokf.live.batch import (
     Alarm,
     Assessment,
@@ -84,9 +84,9 @@ PROPERTY_S = HOUR_S
 SISTERS_S = DAY_S
 """[s] for which fault isolation waits for the readings of other turbines."""
 DOWN_S = MINUTE_S
-"""[s] after which a tracker that does not run has lost its connections."""
+"""[s] without a running tracker after which all connections count as lost."""
 CONNECTED = "connected"
-"""Name of the memory of the time at which a tracker last knew what is connected."""
+"""Name of the memory that holds the time at which a tracker last noted its connections."""
 SOURCE = ""
 """Name under which counts, alarms and memories that belong to no turbine are kept."""
 
@@ -95,9 +95,9 @@ SOURCE = ""
 class TurbineState(Kept):
     """What a turbine carries from round to round.
 
-    `newest`: time [s] of its newest estimate and the probability of condensation [1]; `outlook`: that of its
-    forecast; `fault`: why its readings cannot be filtered; `slot`: of its newest properties; `turn`: number
-    of the last fault isolation.
+    `newest`: time [s] of its newest estimate and the probability of condensation [1]; `outlook`: forecast of
+    this probability; `fault`: why its readings cannot be filtered; `slot`: number of the hour of its newest
+    properties; `turn`: number of the last fault isolation.
     """
 
     turbine: Turbine
@@ -127,23 +127,25 @@ class TurbineState(Kept):
             kept.frozen,
             store.losses(name),
         )
-        made = cls(turbine=turbine, tracker=tracker, **vars(kept))
-        made.assessment = next(
+        state = cls(turbine=turbine, tracker=tracker, **vars(kept))
+        state.assessment = next(
             iter(store.records(Assessment, select_rows(assessment, same="turbine"), turbine=name)), None
         )
-        made.newest = store.newest_estimate(name) or made.newest
+        state.newest = store.newest_estimate(name) or state.newest
         if outlook := store.outlook(name):
-            made.outlook = Outlook(*np.array(outlook, dtype=float).T)
+            state.outlook = Outlook(*np.array(outlook, dtype=float).T)
         if "forecast" in memories:
-            made.forecast_made_s = structured(ForecastMade, memories["forecast"]).made
-        last = store.first(select_newest(property_, "time", "turbine"), turbine=name)
-        made.slot = -math.inf if point is None or last is None else last[0] // PROPERTY_S
-        return made
+            state.forecast_made_s = structured(ForecastMade, memories["forecast"]).made
+        newest_property = store.first(select_newest(property_, "time", "turbine"), turbine=name)
+        state.slot = (
+            -math.inf if point is None or newest_property is None else newest_property[0] // PROPERTY_S
+        )
+        return state
 
-    def known(self, now: float, catching_up: bool) -> Known:
-        """What is known of the turbine at `now` [s]; `catching_up`: whether a backlog is being delivered."""
+    def facts(self, now: float, catching_up: bool) -> Facts:
+        """The facts about the turbine at `now` [s]; `catching_up`: whether a backlog is being delivered."""
         plan, tracker, awaited = self.turbine.plan, self.tracker, self.tracker.awaited()
-        return Known(
+        return Facts(
             known_s=min(self.known_s, now),
             heard=tracker.heard(),
             awaited=[need for need in plan.needs if need.required and need.signals[0] in awaited],
@@ -151,7 +153,7 @@ class TurbineState(Kept):
             condensation=self.newest[1],
             with_humidity="vapour" in plan.model.states,
             outlook=self.outlook,
-            alarms=[one.alarm for one in self.alarms.values() if one.alarm is not None],
+            alarms=[standing.alarm for standing in self.alarms.values() if standing.alarm is not None],
             standstill=tracker.stands_still(STANDSTILL_S),
             history_until_s=tracker.history_until(),
             fault=self.fault,
@@ -162,17 +164,18 @@ class TurbineState(Kept):
 
 
 class Fleet:
-    """The state of each turbine, and what belongs to several.
+    """The state of each turbine, and the alarms and memories that belong to no turbine.
 
     Readings that are ahead of the clock are held back in the `store`.
     """
 
     def __init__(self, turbines: Mapping[str, Turbine], store: Store | None = None) -> None:
         self.tracked = {
-            name: TurbineState(turbine=one, tracker=Tracker(one.plan)) for name, one in turbines.items()
+            name: TurbineState(turbine=turbine, tracker=Tracker(turbine.plan))
+            for name, turbine in turbines.items()
         }
-        self._common = Kept()
-        self._turns = count(1)
+        self._shared = Kept()
+        self._turn_numbers = count(1)
         self._store = store
         self.ahead = Ahead(store)
         self.backlogs = Backlogs()
@@ -185,11 +188,13 @@ class Fleet:
     @classmethod
     def from_store(cls, turbines: Mapping[str, Turbine], store: Store) -> Fleet:
         """The fleet in the state that the store holds."""
-        store.add_turbines({name: digest(one.plan) for name, one in turbines.items()})
+        store.add_turbines({name: digest(turbine.plan) for name, turbine in turbines.items()})
         fleet = cls(turbines, store)
-        fleet.tracked = {name: TurbineState.from_store(name, one, store) for name, one in turbines.items()}
+        fleet.tracked = {
+            name: TurbineState.from_store(name, turbine, store) for name, turbine in turbines.items()
+        }
         fleet.waiting = dict.fromkeys(turbines)  # committed readings may not have been filtered yet
-        fleet._common = Kept.of(store.memories(SOURCE))
+        fleet._shared = Kept.of(store.memories(SOURCE))
         return fleet
 
     def round(
@@ -199,46 +204,50 @@ class Fleet:
         source: str = "",
         filter_s: float = math.inf,
     ) -> Batch:
-        """Read the deliveries of one source by its mapping, and filter the turbines that they belong to.
+        """Read the deliveries of a source by its mapping, and filter the turbines whose readings they
+        contain.
 
         The batch contains all deliveries; turbines that are not filtered within `filter_s` [s] wait for the
         next round.
         """
         batch = Batch()
-        self._now = max((one.received for one in deliveries), default=self._now)
-        touched: dict[str, list[Observation]] = defaultdict(list)
-        for one in deliveries:
+        self._now = max((delivery.received for delivery in deliveries), default=self._now)
+        by_turbine: dict[str, list[Observation]] = defaultdict(list)
+        for delivery in deliveries:
             try:
-                found = mapping.read(one.content, one.received, one.topic, self._orders[source])
+                contents = mapping.read(
+                    delivery.content, delivery.received, delivery.topic, self._orders[source]
+                )
             except Refused as fault:
                 batch.counters[SOURCE, fault.kind] += 1
                 continue
-            for turbine, stated, rejections in found:
-                mark = NEITHER if mapping.revision == "neither" else one.mark
+            for turbine, stated, rejections in contents:
+                mark = NEITHER if mapping.revision == "neither" else delivery.mark
                 readings = [reading.as_stored(mark) for reading in stated]
                 batch.counters.update((turbine, rejection.kind) for rejection in rejections)
-                observations = [Observation(turbine, reading, one.received) for reading in readings]
+                observations = [Observation(turbine, reading, delivery.received) for reading in readings]
                 if mapping.weather:
                     batch.weather += observations
                 elif observations:
-                    touched[turbine] += observations
-        for name, observations in touched.items():
+                    by_turbine[turbine] += observations
+        for name, observations in by_turbine.items():
             self.ahead.note(name, observations)
             limit = self._now + AHEAD_S
-            ahead = [one for one in observations if one.reading.time > limit]
-            present = [one for one in observations if one.reading.time <= limit]
-            self.backlogs.note(source, name, (one.reading for one in present), self._now)
-            # the filter takes readings that were ahead before those that came after them
+            ahead = [observed for observed in observations if observed.reading.time > limit]
+            present = [observed for observed in observations if observed.reading.time <= limit]
+            self.backlogs.note(source, name, (observed.reading for observed in present), self._now)
+            # the filter takes readings that were held back before those that came after them
             due = self.ahead.release(name, self._now, batch)
             self.ahead.hold(name, ahead, batch)
             self._take(name, [*due, *present], batch)
-        places = [one.place for one in deliveries if one.place]
+        places = [delivery.place for delivery in deliveries if delivery.place]
         if source and places:
             batch.place[source] = places[-1]
-        for one in deliveries:
-            batch.memories.update({(source, name): data for name, data in one.memories.items()})
+        for delivery in deliveries:
+            batch.memories.update({(source, name): data for name, data in delivery.memories.items()})
         self.filter_waiting(batch, filter_s)
-        for name in touched.keys() & self.waiting.keys():  # the others were assessed when they were filtered
+        # the other turbines were assessed when they were filtered
+        for name in by_turbine.keys() & self.waiting.keys():
             self._assess(name, batch)
         return batch
 
@@ -247,20 +256,20 @@ class Fleet:
             return
         state = self.tracked[name]
         tracker = state.tracker
-        readings = [one.reading for one in observations]
-        final = {(one.signal, one.time) for one in readings if tracker.is_late(one)}
+        readings = [observed.reading for observed in observations]
+        final = {(reading.signal, reading.time) for reading in readings if tracker.is_late(reading)}
         outcomes = tracker.take(readings, self._store.versions(name, final) if self._store else None)
         batch.observations += [
-            replace(one, late="late" in outcome, revision=outcome in REVISIONS)
-            for one, outcome in zip(observations, outcomes, strict=True)
+            replace(observed, late="late" in outcome, revision=outcome in REVISIONS)
+            for observed, outcome in zip(observations, outcomes, strict=True)
         ]
-        self._note_doubt(name, batch)
+        self._note_rejudgement(name, batch)
         self.waiting.setdefault(name)
         batch.counters.update({(name, kind): n for kind, n in tracker.counts.items() if n})
         tracker.counts.clear()
 
-    def _note_doubt(self, name: str, batch: Batch) -> None:
-        """Keep that alarms will be judged anew from the point on."""
+    def _note_rejudgement(self, name: str, batch: Batch) -> None:
+        """Let the store remember that the turbine's alarms will be judged anew from the point on."""
         tracker = self.tracked[name].tracker
         if tracker.point is not None and tracker.judged_s == -math.inf:
             self._keep(name, batch, judged=-math.inf)
@@ -270,21 +279,23 @@ class Fleet:
         batch."""
         end = time.monotonic() + filter_s
         courses: dict[str, TrackedCourse] = {}
-        done: list[str] = []
+        filtered: list[str] = []
         while self.waiting:
             name = next(iter(self.waiting))
             del self.waiting[name]
-            done.append(name)
+            filtered.append(name)
             course = self._advance(name)
             if course is not None:
                 courses[name] = course
             if time.monotonic() >= end:
                 break
         states = {name: self.tracked[name] for name in courses}
-        found = conditions({name: (states[name].turbine, one) for name, one in courses.items()}, states)
+        by_name = conditions(
+            {name: (states[name].turbine, course) for name, course in courses.items()}, states
+        )
         for name, course in courses.items():
-            self._add_results(name, course, found[name], batch)
-        for name in done:
+            self._add_results(name, course, by_name[name], batch)
+        for name in filtered:
             self._assess(name, batch)
         return batch
 
@@ -296,19 +307,19 @@ class Fleet:
             state.fault = str(fault)
         return course
 
-    def _add_results(self, name: str, course: TrackedCourse, found: Condition, batch: Batch) -> None:
+    def _add_results(self, name: str, course: TrackedCourse, condition: Condition, batch: Batch) -> None:
         state = self.tracked[name]
         tracker, point = state.tracker, state.tracker.point
-        final = 0 if point is None else int(np.sum(found.time_s <= point.time + SAME_S))
-        # also where none is kept: the provisional ones of this stretch are not any more
-        batch.estimates[name] = Estimates(found, final, float(course.seconds[0]))
-        if len(found.time_s):
-            chance = None if found.condensation is None else float(found.condensation[-1])
-            state.newest = float(found.time_s[-1]), chance
-            if found.excess_g_m3 is not None:
-                tracker.excess = float(found.excess_g_m3[-1])
-                if final:
-                    self._keep(name, batch, excess=float(found.excess_g_m3[final - 1]))
+        final_count = 0 if point is None else int(np.sum(condition.time_s <= point.time + SAME_S))
+        # also without new estimates: the stored provisional estimates from the first instant on are void
+        batch.estimates[name] = Estimates(condition, final_count, float(course.seconds[0]))
+        if len(condition.time_s):
+            probability = None if condition.condensation is None else float(condition.condensation[-1])
+            state.newest = float(condition.time_s[-1]), probability
+            if condition.excess_g_m3 is not None:
+                tracker.excess = float(condition.excess_g_m3[-1])
+                if final_count:
+                    self._keep(name, batch, excess=float(condition.excess_g_m3[final_count - 1]))
         if point is None:
             return
         batch.points[name] = point
@@ -317,41 +328,43 @@ class Fleet:
         if tracker.frozen != state.frozen:
             self._keep(name, batch, frozen=tracker.frozen)
         self._watch_properties(name, course, point.time, batch)
-        for one in innovations(course, point.time):
-            # between the two thresholds a level says nothing: that of the other signals
-            others = [s for s in course.run.timeline.outputs if s != one.signal]
-            silent = [Level(CONTRADICTS.kind, CONTRADICTS.off, subject=s) for s in others]
-            self._judge(name, one.time_s, [*silent, contradiction_level(one)], INNOVATIONS, batch)
-        due = (found.time_s > course.judged_s + SAME_S) & (found.time_s <= course.final_s + SAME_S)
+        for innovation in innovations(course, point.time):
+            # for the other signals a level between the two thresholds, which changes no alarm
+            others = [signal for signal in course.run.timeline.outputs if signal != innovation.signal]
+            unchanged = [Level(CONTRADICTS.kind, CONTRADICTS.off, subject=signal) for signal in others]
+            self._judge(
+                name, innovation.time_s, [*unchanged, contradiction_level(innovation)], INNOVATIONS, batch
+            )
+        due = (condition.time_s > course.judged_s + SAME_S) & (condition.time_s <= course.final_s + SAME_S)
         for i in np.flatnonzero(due):
-            levels = estimate_levels(Estimated(found, int(i), course.frozen), state.turbine.verdicts)
-            self._judge(name, float(found.time_s[i]), levels, ESTIMATES, batch)
+            levels = estimate_levels(Estimated(condition, int(i), course.frozen), state.turbine.verdicts)
+            self._judge(name, float(condition.time_s[i]), levels, ESTIMATES, batch)
 
     def _watch_properties(self, name: str, course: TrackedCourse, final_s: float, batch: Batch) -> None:
-        """Update properties and parameter shifts once per hour of final estimates, however many hours came at
-        once."""
+        """Update properties and parameter shifts once per hour of final estimates, for each hour of the
+        course."""
         state = self.tracked[name]
         plan, errors = state.turbine.plan, state.turbine.errors
         slots = np.floor(course.seconds / PROPERTY_S)
-        begins = (slots > np.append(state.slot, slots[:-1])) & (course.seconds <= final_s + SAME_S)
+        begins_slot = (slots > np.append(state.slot, slots[:-1])) & (course.seconds <= final_s + SAME_S)
         heard = {signal: course.heard(signal) for signal in course.run.timeline.outputs}
-        for i in np.flatnonzero(begins):
-            at = float(course.seconds[i])
+        for i in np.flatnonzero(begins_slot):
+            time_s = float(course.seconds[i])
             mean, covariance = course.trace.mean[i], course.trace.covariance[i]
             newest = {signal: float(times[i]) for signal, times in heard.items()}
-            states = states_of(plan.model, mean, covariance, at, newest)
+            states = states_of(plan.model, mean, covariance, time_s, newest)
             if not states:
                 return
             state.slot = slots[i]
-            batch.properties.append((name, at, properties(states, plan.values, errors)))
-            references = self._references(name, at, states, Point(at, course.state(int(i))), batch)
+            batch.properties.append((name, time_s, properties(states, plan.values, errors)))
+            references = self._references(name, time_s, states, Point(time_s, course.state(int(i))), batch)
             present = deviations(states, errors, references)
-            known = state.deviations | present  # what cannot be observed now stays as it was
-            shifts = parameter_shifts(state.parameter_shifts, at, present)
-            self._keep(name, batch, deviations=known, parameter_shifts=shifts)
+            latest = state.deviations | present  # a deviation that cannot be observed keeps its last value
+            shifts = parameter_shifts(state.parameter_shifts, time_s, present)
+            self._keep(name, batch, deviations=latest, parameter_shifts=shifts)
             isolated_s = -math.inf if state.finding is None else state.finding.time_s
-            isolated_s = next((one.time for one in reversed(state.shift_steps) if one.due), isolated_s)
-            state.shift_steps.append(shift_step(at, shifts, known, isolated_s))
+            isolated_s = next((step.time for step in reversed(state.shift_steps) if step.due), isolated_s)
+            state.shift_steps.append(shift_step(time_s, shifts, latest, isolated_s))
             self._judge_shifts(name, batch)
 
     def _judge_shifts(self, name: str, batch: Batch) -> None:
@@ -364,37 +377,37 @@ class Fleet:
         self._keep(name, batch, shift_steps=steps)
 
     def _references(
-        self, name: str, at: float, states: Mapping[str, TrackedState], point: Point, batch: Batch
+        self, name: str, time_s: float, states: Mapping[str, TrackedState], point: Point, batch: Batch
     ) -> Mapping[str, TrackedState] | None:
         """The states against which shifts are judged at a time [s]; None for the fit's values."""
         state = self.tracked[name]
-        if not state.changes or at < state.changes[-1].time:
+        if not state.changes or time_s < state.changes[-1].time:
             return None
-        before = state.references
-        found = settled(before, state.changes[-1].time, at, states)
-        if found != before:
-            self._keep(name, batch, references=found)
-        if found and not before:
+        previous = state.references
+        references = settled(previous, state.changes[-1].time, time_s, states)
+        if references != previous:
+            self._keep(name, batch, references=references)
+        if references and not previous:
             self._keep(name, batch, reference_point=point)
-        return found
+        return references
 
     def take_events(self, events: Iterable[Event]) -> Batch:
-        """Take stated changes into account that are not known yet: what had shifted is expected, and its
-        alarms end."""
+        """Take new stated changes into account: the present shifts are expected, and alarms about shifts
+        end."""
         batch = Batch()
         for event in events:
             name = event.turbine
             state = self.tracked.get(name)
-            if state is None or event.id in [one.event for one in state.changes]:
+            if state is None or event.id in [known.event for known in state.changes]:
                 continue
             tracker = state.tracker
             change = StatedChange(event.id, tracker.note_change(event.time), event.kind)
-            changes = sorted([*state.changes, change], key=lambda one: one.time)
+            changes = sorted([*state.changes, change], key=lambda stated: stated.time)
             self._keep(
                 name, batch, changes=changes, parameter_shifts={}, references={}, deviations={}, finding=None,
                 reference_point=None, shift_steps=[],
             )  # fmt: skip
-            self._note_doubt(name, batch)
+            self._note_rejudgement(name, batch)
             if tracker.point is not None:
                 self._judge(name, tracker.point.time, [], SHIFTS, batch)
             self.waiting[name] = None
@@ -408,9 +421,11 @@ class Fleet:
         left: Mapping[str, Statement] | None = None,
         quiet: Collection[str] = (),
     ) -> Batch:
-        """Judge alarms about delivery at `now` [s], release readings that were ahead, assess every turbine.
+        """Judge alarms about delivery at `now` [s], release readings that the clock has reached, assess every
+        turbine.
 
-        left: turbine -> that its sender has left. quiet: turbines whose silence is no news.
+        left: turbine -> statement that its sender has left.  quiet: turbines whose silence raises no alarm,
+        because other alarms explain it or a record is played back.
         """
         batch, left = Batch(), left or {}
         self._began, self._now = min(self._began, now), now
@@ -436,80 +451,86 @@ class Fleet:
     ) -> Batch:
         """Note at `now` [s] which connections are lost or regained.
 
-        unreached: turbine -> signal that is held while connected -> time [s] since when its sources are lost.
-        left: turbines whose sender has left.  begins: whether a tracker begins; all were lost while none ran
-        for longer than `DOWN_S`.
+        unreached: turbine -> signal that is held while connected -> time [s] since which its sources are
+        lost.  left: turbines whose sender has left.  begins: whether the tracker begins; all connections were
+        lost if none ran for longer than `DOWN_S`.
         """
-        batch, noted = Batch(), self._store.memory(SOURCE, CONNECTED) if begins and self._store else None
-        down_s = [noted] if isinstance(noted, float) and now - noted > DOWN_S else []
+        batch, noted_s = Batch(), self._store.memory(SOURCE, CONNECTED) if begins and self._store else None
+        lost_while_down = [noted_s] if isinstance(noted_s, float) and now - noted_s > DOWN_S else []
         for name, signals in unreached.items():
             for signal, lost_s in signals.items():
-                for since in (*down_s, now if lost_s is None and name in left else lost_s):
+                for since in (*lost_while_down, now if lost_s is None and name in left else lost_s):
                     span = self.tracked[name].tracker.note_connection(signal, since, now)
                     if span is not None:
                         regained = span[1] if math.isfinite(span[1]) else None
                         batch.losses.append(Loss(name, signal, span[0], regained))
-                        self._note_doubt(name, batch)
+                        self._note_rejudgement(name, batch)
                         self.waiting.setdefault(name)
         if unreached:
             batch.memories[SOURCE, CONNECTED] = now
         return batch
 
     def _judge_missing(self, name: str, now: float, left: Statement | None, batch: Batch) -> None:
-        """Judge alarms about signals that came and come no more, and signals that never came; not while a
-        backlog may still bring them, unless their sender has `left`."""
+        """Judge alarms about signals that became silent or never came; not while a backlog may still bring
+        the signals, unless their sender has left (statement `left`)."""
         state = self.tracked[name]
-        one, heard = state.turbine, state.tracker.heard()
+        turbine, heard = state.turbine, state.tracker.heard()
         if state.known_s > now:  # new, or this machine's clock was ahead
             self._keep(name, batch, known_s=now)
         if self.backlogs.awaited(name, now) and not left:
             return
         ages = {signal: now - time for signal, time in heard.items()} or {"": now - self._began}
-        missing = [need for need in one.plan.expected if heard and not set(need.signals) & set(heard)]
-        levels = stale_levels(ages, one.stale_s, left)
-        levels += missing_levels(missing, state.known_s, now, one.stale_s)
+        missing = [need for need in turbine.plan.expected if heard and not set(need.signals) & set(heard)]
+        levels = stale_levels(ages, turbine.stale_s, left)
+        levels += missing_levels(missing, state.known_s, now, turbine.stale_s)
         self._judge(name, now, levels, SILENCE, batch)
 
     def isolation_due(self) -> tuple[str, ShiftStep] | None:
-        """A turbine, the one that waits longest first, with the step at which the cause of its shifts is to
-        be isolated next; None if no cause is due, and while sisters are waited for."""
-        turns = sorted(self.tracked.items(), key=lambda item: item[1].turn)
-        due = ((name, one.shift_steps[0]) for name, one in turns if one.shift_steps)
+        """The turbine that has waited longest for fault isolation, and the step whose cause is to be
+        isolated; None if none is due or all of these await readings of the other turbines (sisters)."""
+        by_turn = sorted(self.tracked.items(), key=lambda item: item[1].turn)
+        due = ((name, state.shift_steps[0]) for name, state in by_turn if state.shift_steps)
         return next(((name, step) for name, step in due if not self._awaits_sisters(name, step.time)), None)
 
     def sisters(self, name: str, time: float) -> dict[str, Plan]:
         """The plans of the other turbines whose readings up to a time [s] are final."""
         others = {other: state for other, state in self.tracked.items() if other != name}
-        return {other: one.turbine.plan for other, one in others.items() if one.tracker.judged_s >= time}
+        return {
+            other: state.turbine.plan for other, state in others.items() if state.tracker.judged_s >= time
+        }
 
     def _awaits_sisters(self, name: str, time: float) -> bool:
-        """Whether the readings of sisters up to a time [s] will be final: for `SISTERS_S`, by the newest
-        stamps, so that the order in which turbines are delivered does not matter."""
-        now = self.tracked[name].tracker.newest
+        """Whether to wait until the readings of sisters up to a time [s] are final.
+
+        The turbine waits for at most `SISTERS_S`, measured by stamps, so that the order of deliveries does
+        not matter.
+        """
+        newest_s = self.tracked[name].tracker.newest
         trackers = {other: state.tracker for other, state in self.tracked.items() if other != name}
         behind = {other: tracker.newest for other, tracker in trackers.items() if tracker.judged_s < time}
-        recent = any(newest > now - SISTERS_S for newest in behind.values())
-        return any(other in self.waiting for other in behind) or (now < time + SISTERS_S and recent)
+        any_recent = any(newest > newest_s - SISTERS_S for newest in behind.values())
+        return any(other in self.waiting for other in behind) or (newest_s < time + SISTERS_S and any_recent)
 
     def open_alarms(self) -> list[Alarm]:
         """The open alarms."""
-        owners = (*self.tracked.values(), self._common)
-        return [one.alarm for owner in owners for one in owner.alarms.values() if one.alarm is not None]
+        owners = (*self.tracked.values(), self._shared)
+        alarms = (standing.alarm for owner in owners for standing in owner.alarms.values())
+        return [alarm for alarm in alarms if alarm is not None]
 
     def keep_forecast(self, name: str, made_s: float, batch: Batch) -> None:
         """Keep the forecast of a turbine in the batch, from its state at `made_s` [s], and assess the
         turbine."""
-        state, made = self.tracked[name], batch.forecasts[name]
+        state, forecast_ = self.tracked[name], batch.forecasts[name]
         state.forecast_made_s, state.outlook = made_s, None
-        if made is not None and made.condition.condensation is not None:
-            state.outlook = Outlook(made.condition.time_s, made.condition.condensation)
+        if forecast_ is not None and forecast_.condition.condensation is not None:
+            state.outlook = Outlook(forecast_.condition.time_s, forecast_.condition.condensation)
         self._assess(name, batch)
 
     def keep_finding(self, name: str, finding: CauseFinding) -> Batch:
         """Keep the finding of fault isolation, unless a change was stated meanwhile, and judge the alarms
         that it explains."""
         state, batch = self.tracked[name], Batch()
-        state.turn = next(self._turns)  # the others come first now
+        state.turn = next(self._turn_numbers)  # the other turbines come first from now on
         if state.shift_steps and state.shift_steps[0].time == finding.time_s:
             self._keep(name, batch, finding=finding)
             self._judge_shifts(name, batch)
@@ -519,46 +540,53 @@ class Fleet:
     def forecast_due(self, every_s: float) -> str | None:
         """The turbine whose forecast is oldest, if it is at least `every_s` [s] old in the turbine's own
         time."""
-        best, oldest = None, every_s
+        oldest_name, greatest_age = None, every_s
         for name, state in self.tracked.items():
             newest = state.tracker.newest_state
             if newest is not None:
                 age = newest.time - state.forecast_made_s
-                if age >= oldest:
-                    best, oldest = name, age
-        return best
+                if age >= greatest_age:
+                    oldest_name, greatest_age = name, age
+        return oldest_name
 
     def _judge(self, name: str, now: float, levels: list[Level], follows: str, batch: Batch) -> None:
-        before = self.tracked.get(name, self._common).alarms
+        before = self.tracked.get(name, self._shared).alarms
         after, changed = judge(name, before, now, levels, kinds_of(follows))
         if after != before:
             self._keep(name, batch, alarms=after)
         batch.alarms += changed
 
     def _assess(self, name: str, batch: Batch) -> None:
-        """Assess a turbine; a change goes to the batch.  Before the first round or tick the time is not known
-        yet, and the state that the store holds stands."""
+        """Assess a turbine, and put a changed assessment into the batch.  Before the first round or tick the
+        time is not known yet, and the stored assessment stays valid."""
         if not math.isfinite(self._now):
             return
         state, now = self.tracked[name], self._now
-        word, statements = assess(state.known(now, self.backlogs.awaited(name, now)), now)
-        content, before = content_of(statements), state.assessment
-        if before is None or (before.state, before.content) != (word, content):
-            since = before.since if before is not None and before.state == word else now
-            state.assessment = Assessment(name, word, text_of(statements), since, content)
-            others = [one for one in batch.assessments if one.turbine != name]
+        state_word, statements = assess(state.facts(now, self.backlogs.awaited(name, now)), now)
+        content, previous = content_of(statements), state.assessment
+        if previous is None or (previous.state, previous.content) != (state_word, content):
+            since = previous.since if previous is not None and previous.state == state_word else now
+            state.assessment = Assessment(name, state_word, text_of(statements), since, content)
+            others = [other for other in batch.assessments if other.turbine != name]
             batch.assessments = [*others, state.assessment]
 
-    def _keep(self, name: str, batch: Batch, **kept: object) -> None:
-        """Let a turbine, or what belongs to none, carry something from now on, and the store keep it."""
-        owner = self.tracked.get(name, self._common)
-        for key, value in kept.items():
+    def _keep(self, name: str, batch: Batch, **attributes: object) -> None:
+        """Set attributes of a turbine's state, or of the shared state for `SOURCE`, and store them."""
+        owner = self.tracked.get(name, self._shared)
+        for key, value in attributes.items():
             setattr(owner, key, value)
             batch.memories[name, key] = plain(value)
 
 
 def _without_pending(standings: Mapping[str, Standing]) -> dict[str, Standing]:
-    """Standings at a restart: what was silent before it must be silent again for as long before an alarm
-    begins, because its readings may have been kept for the tracker."""
-    silent = kinds_of(SILENCE, CLOCKS)
-    return {key: one for key, one in standings.items() if one.alarm is not None or one.kind not in silent}
+    """The standings without those of silence and clocks that have no alarm yet.
+
+    After a restart a signal must be silent for the full time before its alarm begins, because the source may
+    have kept its readings for the tracker.
+    """
+    kinds = kinds_of(SILENCE, CLOCKS)
+    return {
+        key: standing
+        for key, standing in standings.items()
+        if standing.alarm is not None or standing.kind not in kinds
+    }

@@ -38,7 +38,7 @@ class Acknowledging(Halting):
 
 def in_small_rounds(monkeypatch: pytest.MonkeyPatch, most: int, retry_s: float = 0.01) -> None:
     """Services take at most so many deliveries a round, and reopen a failed store without delay."""
-    monkeypatch.setattr(module, "MOST", most)
+    monkeypatch.setattr(module, "MOST_PER_ROUND", most)
     monkeypatch.setattr(module, "RETRY_S", (retry_s, retry_s))
 
 

@@ -77,7 +77,7 @@ def track(case: str, url: str, speed: str, halt: str) -> None:
 
     made = read_case(case)
     record = replace(made, series=tuple(s for s in made.series if s.signal in SIGNALS))
-    service.MOST = 20  # many small rounds: a kill hits each part of one
+    service.MOST_PER_ROUND = 20  # many small rounds: a kill hits each part of one
     messages, halts = record_messages(record, "T1"), [float(halt)] if halt else []
     stream = Halting("replay:", messages, record_mapping(record, "T1"), float(speed), halts=halts)
     service.Service({"T1": live_turbine(record)}, [stream], url).run(until_ended=True)

@@ -12,7 +12,7 @@ import pytest
 
 from hygrokf.data.record import Record
 from hygrokf.live.alarms import RULES
-from hygrokf.live.assessment import Known, Outlook, assess
+from hygrokf.live.assessment import Facts, Outlook, assess
 from hygrokf.live.batch import Alarm, Batch, content_of, text_of
 from hygrokf.live.condition import Condition
 from hygrokf.live.forecast import Forecast
@@ -39,10 +39,10 @@ def alarm(kind: str, severity: str = "warning") -> Alarm:
     return Alarm(f"T1:{kind}:0", "T1", kind, severity, NOW, "", "", content=content)
 
 
-def known(**changed: object) -> Known:
+def known(**changed: object) -> Facts:
     """A turbine that is fine."""
     heard = {"cabinet_temperature": NOW, "ambient_temperature": NOW, "active_power": NOW}
-    return Known(**{"known_s": 0.0, "heard": heard, "estimate_s": NOW, "condensation": 0.01, **changed})
+    return Facts(**{"known_s": 0.0, "heard": heard, "estimate_s": NOW, "condensation": 0.01, **changed})
 
 
 def coming(*chances: float) -> Outlook:

@@ -84,7 +84,10 @@ def test_bites_are_small_and_come_to_an_end(store: Store) -> None:
 def test_a_turbine_without_a_point_and_an_endless_retention_keep_all(store: Store, tmp_path) -> None:
     turbine = live_turbine(live_record(tmp_path, seed=8, days=3.0))
     fleet = Fleet({"T1": turbine})
-    assert Retention(0.0).bite(store, fleet) == 0 and Retention(np.inf).bite(store, fleet) == 0
+    assert (
+        Retention(0.0).delete_portion(store, fleet) == 0
+        and Retention(np.inf).delete_portion(store, fleet) == 0
+    )
     assert left(store)[0] == 100
 
 
@@ -95,7 +98,7 @@ def test_a_pruned_store_ends_in_the_offline_filter(
     record = live_record(tmp_path, seed=9, days=5.0)
     turbine = live_turbine(record)
     monkeypatch.setattr(service, "PRUNED_S", 0.0)
-    monkeypatch.setattr(service, "MOST", 60)
+    monkeypatch.setattr(service, "MOST_PER_ROUND", 60)
     total = len(Acknowledging(record).messages)
     for end in range(0, total + total // 6, total // 6):
         stream = Acknowledging(record)
