@@ -127,13 +127,12 @@ def judge(
     standings = {key: standing for key, standing in previous.items() if standing.kind not in kinds}
     alarms: list[Alarm] = []
     for key in dict.fromkeys((*(key for key in previous if key not in standings), *level_by_key)):
-        standing_before = previous[key] if key in previous else Standing(level_by_key[key].kind)
-        standing, alarm = _judge_level(
-            turbine, standing_before, now, level_by_key.get(key, Level(standing_before.kind, 0.0))
-        )
+        before = previous[key] if key in previous else Standing(level_by_key[key].kind)
+        level = level_by_key.get(key, Level(before.kind, 0.0))
+        standing, alarm = _judge_level(turbine, before, now, level)
         if alarm is not None:
             alarms.append(alarm)
-        if standing != Standing(standing_before.kind):
+        if standing != Standing(before.kind):
             standings[key] = standing
     return standings, alarms
 
@@ -186,12 +185,10 @@ def condensation_levels(estimated: Estimated) -> list[Level]:
     probability = float(probabilities[estimated.place])
     if probability < CONDENSATION.off:
         return [Level(CONDENSATION.kind, probability)]
-    value, lower, upper = (
-        float(column[estimated.place]) for column in (margin.value, margin.lower, margin.upper)
-    )
-    statement = AlarmCode.WATER_CONDENSES(
-        probability=probability, margin_K=value, lower_K=lower, upper_K=upper
-    )
+    place, columns = estimated.place, (margin.value, margin.lower, margin.upper)
+    value, lower, upper = (float(column[place]) for column in columns)
+    code = AlarmCode.WATER_CONDENSES
+    statement = code(probability=probability, margin_K=value, lower_K=lower, upper_K=upper)
     return [Level(CONDENSATION.kind, probability, (statement,))]
 
 
@@ -349,14 +346,9 @@ def contradiction_level(innovation: Innovation) -> Level:
     level = abs(innovation.deviations) / BEYOND
     if level < CONTRADICTS.off:
         return Level(CONTRADICTS.kind, level, subject=innovation.signal)
-    prediction = (
-        innovation.expected,
-        innovation.expected - 2.0 * innovation.sd,
-        innovation.expected + 2.0 * innovation.sd,
-    )
-    (reading, expected, lower, upper), unit = _in_display_unit(
-        innovation.signal, innovation.reading, *prediction
-    )
+    mean, sd = innovation.expected, innovation.sd
+    values = (innovation.reading, mean, mean - 2.0 * sd, mean + 2.0 * sd)
+    (reading, expected, lower, upper), unit = _in_display_unit(innovation.signal, *values)
     statement = AlarmCode.READING_CONTRADICTS(
         signal=innovation.signal, reading=reading, expected=expected, lower=lower, upper=upper, unit=unit
     )

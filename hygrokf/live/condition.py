@@ -134,8 +134,8 @@ def air_condition(
     air, air_row = _air(model, values, u, mean)
     if air is None:
         return without_quantities
-    air_variance = np.einsum("ti,tij,tj->t", air_row, covariance, air_row)
-    temperature = Quantity(air, np.sqrt(np.maximum(air_variance, 0.0)))
+    air_var = np.einsum("ti,tij,tj->t", air_row, covariance, air_row)
+    temperature = Quantity(air, np.sqrt(np.maximum(air_var, 0.0)))
     if "vapour" not in model.states:
         return Condition(seconds, temperature, *[None] * 7)
     vapour_index = model.states.index("vapour")
@@ -143,15 +143,11 @@ def air_condition(
     scale = 1e-3 * GAS_CONSTANT_VAPOUR * ambient
     # the filter's vapour state is linear and may become negative in almost dry air
     vapour_pressure = np.maximum(mean[:, vapour_index], 1e-3) * scale
-    vapour_variance = scale**2 * np.maximum(covariance[:, vapour_index, vapour_index], 0.0)
-    air_vapour_covariance = scale * np.einsum("ti,ti->t", air_row, covariance[:, :, vapour_index])
+    vapour_var = scale**2 * np.maximum(covariance[:, vapour_index, vapour_index], 0.0)
+    cross_var = scale * np.einsum("ti,ti->t", air_row, covariance[:, :, vapour_index])
 
     def derived(value: np.ndarray, by_air: np.ndarray | float, by_vapour: np.ndarray | float) -> Quantity:
-        variance = (
-            by_air**2 * air_variance
-            + by_vapour**2 * vapour_variance
-            + 2.0 * by_air * by_vapour * air_vapour_covariance
-        )
+        variance = by_air**2 * air_var + by_vapour**2 * vapour_var + 2.0 * by_air * by_vapour * cross_var
         return Quantity(value, np.sqrt(np.maximum(variance, 0.0)))
 
     saturated = saturation_pressure_water(air)
@@ -167,9 +163,9 @@ def air_condition(
     by_frost = 1.0 / saturation_pressure_ice_slope(np.clip(frost, ICE_RANGE[0], ZERO_CELSIUS_K))
     surface_K = surface.temperature(ambient, air)
     # on a surface below freezing vapour deposits as frost, slightly above the dew point
-    has_frost = (surface_K < ZERO_CELSIUS_K) & np.isfinite(frost)
+    frosty = (surface_K < ZERO_CELSIUS_K) & np.isfinite(frost)
     margin = derived(
-        surface_K - np.where(has_frost, frost, dew), surface.follows, -np.where(has_frost, by_frost, by_dew)
+        surface_K - np.where(frosty, frost, dew), surface.follows, -np.where(frosty, by_frost, by_dew)
     )
     at_surface = saturation_pressure_water(surface_K)
     humidity_there = vapour_pressure / at_surface
@@ -299,10 +295,8 @@ def on_the_safe_side(
     wetter = larger > by_model.condensation + SHOWN
 
     def chosen(name: str, quantity: Quantity) -> Quantity:
-        quantity_by_sensor = getattr(by_sensor, name)
-        return Quantity(
-            np.where(wetter, quantity_by_sensor.value, quantity.value),
-            np.where(wetter, quantity_by_sensor.sd, quantity.sd),
-        )
+        other = getattr(by_sensor, name)
+        sd = np.where(wetter, other.sd, quantity.sd)
+        return Quantity(np.where(wetter, other.value, quantity.value), sd)
 
     return by_model.mapped(chosen, condensation=larger, excess_g_m3=excess)

@@ -126,9 +126,8 @@ def isolate(
     constant = {**wide.values, **{p.name: p.lower for p in wide.model.parameters if p.name in wandering}}
     start = None
     if reference is not None:
-        timeline = timeline.window(
-            int(np.searchsorted(timeline.seconds, reference.time + SAME_S, side="right")), len(timeline)
-        )
+        first = int(np.searchsorted(timeline.seconds, reference.time + SAME_S, side="right"))
+        timeline = timeline.window(first, len(timeline))
         if not len(timeline):
             raise ValueError("no readings since the stated change")
         start = _widened_state(plan, wide, reference.state)
@@ -192,10 +191,8 @@ def finding_from(
     """
     remaining = dict(gains)
     for ambient, sensor in PAIRS.items():
-        support, pair = (
-            (evidence or {}).get(ambient, 0.0),
-            [cause for cause in (sensor, ambient) if cause in remaining],
-        )
+        support = (evidence or {}).get(ambient, 0.0)
+        pair = [cause for cause in (sensor, ambient) if cause in remaining]
         if abs(support) >= CLOSE:
             remaining.pop(sensor if support > 0.0 else ambient, None)
         elif len(pair) > 1:

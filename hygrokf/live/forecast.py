@@ -109,11 +109,9 @@ def conditions_by_member(
     """
     conditions = []
     for t, mean, covariance in moments_by_member(plan, state, scenarios):
-        vapour_excess, u = np.full(len(t), excess), inputs_of(plan.model, t)
+        excesses, u = np.full(len(t), excess), inputs_of(plan.model, t)
         by_model = air_condition(plan.model, plan.values, t.seconds, u, mean, covariance, surface)
-        safe = on_the_safe_side(
-            by_model, plan.model, plan.values, u, mean, covariance, surface, vapour_excess
-        )
+        safe = on_the_safe_side(by_model, plan.model, plan.values, u, mean, covariance, surface, excesses)
         conditions.append(only(safe, np.isin(np.round(safe.time_s), np.round(scenarios.time_s))))
     return conditions
 
@@ -159,15 +157,14 @@ def _series(plan: Plan, signal: str, scenarios: Scenarios, values: np.ndarray) -
 def mixture(conditions: Sequence[Condition]) -> Condition:
     """The mixture of equally likely conditions at the same instants: means and standard deviations."""
 
-    def mixed_quantity(name: str, _: Quantity) -> Quantity:
+    def mixed(name: str, _: Quantity) -> Quantity:
         values = np.array([getattr(condition, name).value for condition in conditions])
         spreads = np.array([getattr(condition, name).sd for condition in conditions])
         return Quantity(values.mean(axis=0), np.sqrt(values.var(axis=0) + np.mean(spreads**2, axis=0)))
 
     probabilities = [condition.condensation for condition in conditions if condition.condensation is not None]
-    return conditions[0].mapped(
-        mixed_quantity, condensation=np.mean(probabilities, axis=0) if probabilities else None
-    )
+    condensation = np.mean(probabilities, axis=0) if probabilities else None
+    return conditions[0].mapped(mixed, condensation=condensation)
 
 
 # -- advice for a restart ------------------------------------------------------------------------------------
@@ -224,9 +221,8 @@ def heaters(model: Model) -> tuple[Heater, ...]:
     model_heaters = []
     for mechanism in model.mechanisms:
         if mechanism.name == LOGGED:
-            model_heaters.append(
-                Heater(mechanism.settings["signal"], float(mechanism.settings["full"]), LOGGED_HEAT)
-            )
+            settings = mechanism.settings
+            model_heaters.append(Heater(settings["signal"], float(settings["full"]), LOGGED_HEAT))
         elif PREHEATING in mechanism.inputs and PREHEATING_HEAT in [p.name for p in mechanism.parameters]:
             model_heaters.append(Heater(PREHEATING, 1.0, PREHEATING_HEAT))
     return tuple(model_heaters)
@@ -333,14 +329,10 @@ def advice_from(hours: np.ndarray, probability: np.ndarray, limit: float) -> Adv
         at_start = float(probability[hours == start_h][0])
         least = float(probability[_while_restarting(hours, start_h)].min())
         code = AdviceCode.NO_PREHEATING if start_h == 0.0 else AdviceCode.PREHEAT
-        values = {
-            "limit": limit,
-            "probability": at_start,
-            "least": least,
-            "stays_h": STAYS_H,
-            "hours": start_h,
-        }
-        return Advice(code(**values, effect=""), start_h, at_start)
+        statement = code(
+            limit=limit, probability=at_start, least=least, stays_h=STAYS_H, hours=start_h, effect=""
+        )
+        return Advice(statement, start_h, at_start)
     best = int(np.argmax(np.where(hours <= LONGEST_H, probability, -1.0)))
     statement = AdviceCode.PREHEATING_TOO_WEAK(
         limit=limit,

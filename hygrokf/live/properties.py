@@ -125,12 +125,10 @@ def states_of(
     states = {}
     for watched in WATCHED:
         if watched.state in model.states:
-            index = model.states.index(watched.state)
+            i = model.states.index(watched.state)
             newest = max((heard.get(signal, -math.inf) for signal in watched.shown_by), default=-math.inf)
-            sd = (
-                math.sqrt(max(float(covariance[index, index]), 0.0)) if time - newest < SILENT_S else math.inf
-            )
-            states[watched.name] = TrackedState(float(mean[index]), sd)
+            sd = math.sqrt(max(float(covariance[i, i]), 0.0)) if time - newest < SILENT_S else math.inf
+            states[watched.name] = TrackedState(float(mean[i]), sd)
     return states
 
 

@@ -136,10 +136,8 @@ class TurbineState(Kept):
             state.outlook = Outlook(*np.array(outlook, dtype=float).T)
         if "forecast" in memories:
             state.forecast_made_s = structured(ForecastMade, memories["forecast"]).made
-        newest_property = store.first(select_newest(property_, "time", "turbine"), turbine=name)
-        state.slot = (
-            -math.inf if point is None or newest_property is None else newest_property[0] // PROPERTY_S
-        )
+        row = store.first(select_newest(property_, "time", "turbine"), turbine=name)
+        state.slot = -math.inf if point is None or row is None else row[0] // PROPERTY_S
         return state
 
     def facts(self, now: float, catching_up: bool) -> Facts:
@@ -290,9 +288,8 @@ class Fleet:
             if time.monotonic() >= end:
                 break
         states = {name: self.tracked[name] for name in courses}
-        by_name = conditions(
-            {name: (states[name].turbine, course) for name, course in courses.items()}, states
-        )
+        tracked = {name: (states[name].turbine, course) for name, course in courses.items()}
+        by_name = conditions(tracked, states)
         for name, course in courses.items():
             self._add_results(name, course, by_name[name], batch)
         for name in filtered:
@@ -332,9 +329,8 @@ class Fleet:
             # for the other signals a level between the two thresholds, which changes no alarm
             others = [signal for signal in course.run.timeline.outputs if signal != innovation.signal]
             unchanged = [Level(CONTRADICTS.kind, CONTRADICTS.off, subject=signal) for signal in others]
-            self._judge(
-                name, innovation.time_s, [*unchanged, contradiction_level(innovation)], INNOVATIONS, batch
-            )
+            levels = [*unchanged, contradiction_level(innovation)]
+            self._judge(name, innovation.time_s, levels, INNOVATIONS, batch)
         due = (condition.time_s > course.judged_s + SAME_S) & (condition.time_s <= course.final_s + SAME_S)
         for i in np.flatnonzero(due):
             levels = estimate_levels(Estimated(condition, int(i), course.frozen), state.turbine.verdicts)
@@ -585,8 +581,4 @@ def _without_pending(standings: Mapping[str, Standing]) -> dict[str, Standing]:
     have kept its readings for the tracker.
     """
     kinds = kinds_of(SILENCE, CLOCKS)
-    return {
-        key: standing
-        for key, standing in standings.items()
-        if standing.alarm is not None or standing.kind not in kinds
-    }
+    return {key: s for key, s in standings.items() if s.alarm is not None or s.kind not in kinds}

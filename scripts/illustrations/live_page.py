@@ -86,7 +86,7 @@ def live_page(directory: Path) -> None:
             Case(f"Synthetic {n:02d}", **{"seed": 1 + n % 4, "known": own, "surface": surface, **given})
         )
     hub, settings = Hub(), PageSettings(port=0)
-    loop.MOST = 50  # rounds as short as those of a live source: alarms are judged once a round
+    loop.MOST_PER_ROUND = 50  # rounds as short as those of a live source: alarms are judged once a round
     service = filled(directory, cases, 7.0)
     _stated(service)
     with (
