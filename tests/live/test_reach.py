@@ -76,10 +76,10 @@ def test_the_limit_of_a_file_is_three_of_its_usual_intervals(tmp_path: Path) -> 
     with started(stream):
         eventually(lambda: stream.reach().since is None)
         for number in range(3):
-            grown = len(stream._grew)
+            grown = len(stream._growth_times)
             with path.open("a") as file:
                 file.write(f"T1,{1.6e9 + number:.0f},20\n")
-            eventually(lambda grown=grown: len(stream._grew) > grown)
+            eventually(lambda grown=grown: len(stream._growth_times) > grown)
         assert 0.0 < stream.usual_interval_s < 60.0 and stream.reach().limit_s == 60.0
         stream.usual_interval_s = 3600.0
         path.unlink()

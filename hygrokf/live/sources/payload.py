@@ -160,8 +160,8 @@ class PayloadMapping:
     With `weather` the payloads are weather forecasts, which apply to all turbines unless they name one.
     `form`: one of `payload_formats.FORMATS`; `records`: path to the records; `tag_pattern`: pattern of the
     tags or, without `tag`, of the names of values; `clock`: how times are written; `marks`: decimal and
-    thousands marks of numbers in texts, None if they are not stated; `names`: turbine → names of fields that
-    only this turbine uses; `revision`: which of several values of one stamp counts, "last" or "neither".
+    thousands marks of numbers in texts, None if they are not stated; `names`: turbine → its own name of a
+    field → common name; `revision`: which of several values of one stamp counts, "last" or "neither".
     """
 
     fields: Mapping[str, Field]
