@@ -352,7 +352,8 @@ CAUSES: tuple[Cause, ...] = (
         forms.cooling,
     ),
 )  # fmt: skip
-"""The package's causes; a new one is a module of `modelling.causes` and its line here."""
+"""The package's causes; a new one is a function of `modelling.causes.forms` and its line here, and a
+mechanism of `physics.mechanisms` where none has its effect yet."""
 
 
 def _of_package() -> Library:

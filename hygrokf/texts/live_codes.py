@@ -22,8 +22,8 @@ class AlarmCode(Code):
     """What an alarm says, and what to do; `change`, `size` and their bounds have the unit of the template."""
 
     WATER_CONDENSES = (
-        "water condenses on the coldest surface with a probability of {probability:%}: its margin to the dew "
-        "point is {margin_K:+.1} K ({lower_K:+.1} … {upper_K:+.1})",
+        "water condenses on the coldest surface with a probability of {probability:chance}: its margin to "
+        "the dew point is {margin_K:+.1} K ({lower_K:+.1} … {upper_K:+.1})",
         "pre-heat before the converter is started, and look for water at the coldest surface",
     )
     SIGNAL_FROZEN = (
