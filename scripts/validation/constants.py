@@ -23,7 +23,7 @@ CONSTANTS = (
     ("candidates", "THRESHOLD"), ("search", "FURTHER"), ("candidates", "CLOSE_Z"),
     ("candidates", "WATER_SHARE"), ("error_model", "HUBER"), ("judgement", "BETTER_Z"),
     ("judgement", "WORSE_GROWTH"), ("judgement", "LEAST_IMPROVEMENT"), ("judgement", "NOTICED"),
-    ("conclusion", "SIGNIFICANT"), ("conclusion", "CYCLES"), ("results", "CLASS_LIMIT"),
+    ("discover", "SIGNIFICANT"), ("discover", "CYCLES"), ("discovery_results", "CLASS_LIMIT"),
     ("final_set", "BETTER"),
 )  # fmt: skip
 """Module of `hygrokf.discovery` and name; the share of saturated readings decides a remark alone."""
