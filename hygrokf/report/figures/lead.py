@@ -60,7 +60,7 @@ def drawable(found: DiscoveryResults) -> list[Finding]:
 
 
 @dataclass(frozen=True)
-class Event:
+class CauseEpisodes:
     """The stretches of time in which a cause was found, and the quantity that gained most there."""
 
     cause: CauseFound
@@ -69,7 +69,7 @@ class Event:
     kind: str = "episode"
 
 
-def events(found: DiscoveryResults) -> list[Event]:
+def events(found: DiscoveryResults) -> list[CauseEpisodes]:
     """Accepted causes that were found in stretches of time."""
     result = []
     for cause in found.causes:
@@ -77,7 +77,7 @@ def events(found: DiscoveryResults) -> list[Event]:
         gains = cause.evidence.gains
         if spans and gains:
             most = max(gains, key=lambda name: gains[name])
-            result.append(Event(cause, TEMPERATURE if most == TEMPERATURE else HUMIDITY, spans))
+            result.append(CauseEpisodes(cause, TEMPERATURE if most == TEMPERATURE else HUMIDITY, spans))
     return result
 
 
@@ -85,7 +85,7 @@ def events(found: DiscoveryResults) -> list[Event]:
 
 
 def figure_episodes(
-    residuals: Residuals, finding: Finding | Event, after: Residuals | None = None
+    residuals: Residuals, finding: Finding | CauseEpisodes, after: Residuals | None = None
 ) -> Picture:
     """The episodes in which a finding is largest, with the free run's 95 % band and below it the error; of a
     lasting finding the daily means over the whole record."""
@@ -130,7 +130,7 @@ def _before_after(residuals: Residuals, after: Residuals | None) -> list[tuple[R
     return [(residuals, SIMULATED, ", before"), (after, AFTER, ", after")]
 
 
-def _windows(finding: Finding | Event, residuals: Residuals) -> list[tuple[Span, list[Span]]]:
+def _windows(finding: Finding | CauseEpisodes, residuals: Residuals) -> list[tuple[Span, list[Span]]]:
     """Up to three windows ((start, end), episodes in it) [s] in order of time around the worst episodes."""
     low, high = float(residuals.time_s[0]), float(residuals.time_s[-1])
     chosen: list[tuple[float, float]] = []
@@ -167,7 +167,7 @@ def _course(
     return (*marks, *extended), limits
 
 
-def _lasting(residuals: Residuals, finding: Finding | Event, after: Residuals | None) -> Panel:
+def _lasting(residuals: Residuals, finding: Finding | CauseEpisodes, after: Residuals | None) -> Panel:
     hours = binned(residuals)
     marks: list[Mark] = [CrossLine(0.0, "y")]
     for one, colour, end in _before_after(residuals, after):
@@ -237,11 +237,11 @@ def episodes(found: DiscoveryResults, before: Residuals, after: Residuals | None
     time."""
     compare = "." if after is None else ": compare the base model (red) with the extended one (green)."
     caption = f"Where the background is shaded the simulation should stay with the blue readings{compare}"
-    shown: list[Finding | Event] = [*drawable(found)[:EPISODE_FIGURES], *events(found)]
+    shown: list[Finding | CauseEpisodes] = [*drawable(found)[:EPISODE_FIGURES], *events(found)]
     return [
         Figure(
             f"episodes-{place}",
-            sentence(what_it_is(one.cause) if isinstance(one, Event) else one.statement.text),
+            sentence(what_it_is(one.cause) if isinstance(one, CauseEpisodes) else one.statement.text),
             caption if place == 1 else "",
             partial(figure_episodes, before, one, after),
         )
