@@ -352,8 +352,8 @@ CAUSES: tuple[Cause, ...] = (
         forms.cooling,
     ),
 )  # fmt: skip
-"""The package's causes; a new one is a function of `modelling.causes.forms` and its line here, and a
-mechanism of `physics.mechanisms` where none has its effect yet."""
+"""The package's causes.  A new one is a line here: with forms in `modelling.causes.forms` where a mechanism
+of `physics.mechanisms` has its effect, else with a module of `modelling.causes` for mechanism and forms."""
 
 
 def _of_package() -> Library:
