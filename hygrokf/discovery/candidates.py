@@ -49,12 +49,18 @@ the sensor's error."""
 
 @dataclass(frozen=True)
 class Candidate:
-    """A form of a cause at its maximum beside a parent.
+    """A cause in one form, fitted beside a parent model, with the evidence for it.
 
-    gains: in −2 ln L by quantity; searched: number of settings of the cause that were tried; lacking: whether
-    a quantity that must gain does not; alike: codes of the cause's other forms that the record cannot
-    distinguish from this form; judged: the test on held-out readings; rivals: candidates of the same round
-    that the record cannot distinguish; lead: evidence in days minus that of the best other cause.
+    setting: the form's fixed settings.  estimate: the parent extended by the form, fitted.
+    gains: gain in −2 ln L by quantity.  constants: number of added parameters.
+    searched: number of settings of the cause that were tried.
+    evidence: the gains minus the penalties for constants and settings; in_days: the same, divided by the
+        correction for readings that are correlated within a day.
+    lacking: whether a quantity gains nothing although the form requires a gain in each.
+    alike: codes of the cause's other forms that fit equally well.
+    judged: the test on held-out readings.
+    rivals: candidates of other causes that fit equally well.
+    lead: evidence in days minus that of the best other cause.
     """
 
     form: Form
@@ -73,21 +79,22 @@ class Candidate:
 
     @property
     def cause(self) -> str:
+        """Name of the cause."""
         return self.form.cause
 
     @property
     def acts(self) -> set[str]:
-        """The quantities that the form acts on."""
+        """Quantities that the form changes: "temperature", "vapour" or both."""
         return acts(self.form, self.estimate.quantities)
 
     @property
     def wet(self) -> bool:
-        """Whether the cause is an error of the humidity sensor with water among its rivals."""
+        """Whether the cause is a humidity sensor error that could also be explained by water."""
         return self.cause == SENSOR and any(rival.cause in WATER for rival in self.rivals)
 
     @property
     def strength(self) -> float:
-        """The smaller of evidence and evidence in days, by which candidates are ordered and accepted."""
+        """The smaller of `evidence` and `in_days`; candidates are ranked and accepted by it."""
         return min(self.evidence, self.in_days)
 
     @property
@@ -97,7 +104,7 @@ class Candidate:
 
 
 def acts(form: Form, quantities: Sequence[str]) -> set[str]:
-    """The quantities that a form acts on."""
+    """Return those of the quantities ("temperature", "vapour") that a form changes."""
     if form.clock:
         return set(quantities)
     if form.freed:
@@ -106,8 +113,8 @@ def acts(form: Form, quantities: Sequence[str]) -> set[str]:
     return {q for q, mechanisms in pairs if mechanisms and q in quantities}
 
 
-def brought(form: Form, simulator: Simulator) -> frozenset[str]:
-    """The parameters of a form's own mechanisms in a simulator."""
+def own_parameters(form: Form, simulator: Simulator) -> frozenset[str]:
+    """Return the names of the parameters that a form's own mechanisms add to a simulator."""
     mechanisms = {name for name, _ in (*form.heat, *form.vapour)}
     return frozenset(
         p.name
@@ -118,7 +125,7 @@ def brought(form: Form, simulator: Simulator) -> frozenset[str]:
     )
 
 
-def estimated(
+def fit_form(
     parent: Calibration,
     form: Form,
     setting: Setting,
@@ -126,7 +133,12 @@ def estimated(
     effort: tuple[int, float],
     kept: Columns | None = None,
 ) -> Calibration:
-    """A form beside a parent, fitted from start values in the quantities on which the form acts."""
+    """Fit a parent model extended by a form, in the quantities that the form changes.
+
+    setting: the form's fixed settings.  values: start values of the form's own parameters.
+    effort: largest number of rounds, and the gain at which they end.
+    kept: Jacobian columns to reuse instead of computing them.
+    """
     wider = widened(parent, form, setting)
     sizes = frozenset(p.name for p in amplitudes(added(parent, wider)))
     theta = wider.vector({**parent.values, **values})
@@ -137,7 +149,11 @@ def estimated(
 def candidate(
     parent: Calibration, child: Calibration, form: Form, setting: Setting, searched: int
 ) -> Candidate:
-    """The candidate of a child beside its parent; evidence in days equals the evidence below `THRESHOLD`."""
+    """Return the candidate of a child model: its gains over the parent and its evidence.
+
+    child: the parent extended by `form`, fitted.  searched: number of settings that were tried.  The
+        correction for correlated days is computed only for evidence of at least `THRESHOLD`.
+    """
     added_parameters = added(parent, child.simulator)
     gains, total_constants, lacking = {}, 0, False
     evidence = -2.0 * math.log(max(searched, 1)) - setting.price
@@ -157,8 +173,11 @@ def candidate(
 
 
 def day_factor(parent: Calibration, child: Calibration) -> float:
-    """tr(H⁻¹ J)/k of the k added parameters, at least 1: H is their information given all other parameters, J
-    the sum of squares of the daily scores."""
+    """Return the factor (≥ 1) by which correlation within days overstates a child's evidence.
+
+    It is tr(H⁻¹ J)/k over the k added parameters: H is their information given all other parameters, J the
+    sum of squares of their daily scores.  With independent readings H = J in expectation.
+    """
     added_names = {p.name for p in added(parent, child.simulator)}
     if not added_names:
         return _factor_of_gains(parent, child)
@@ -179,19 +198,22 @@ def day_factor(parent: Calibration, child: Calibration) -> float:
 
 
 def _factor_of_gains(parent: Calibration, child: Calibration) -> float:
-    """The day factor of a child without added parameters, from the daily gains: with independent readings the
-    variance of their sum is four times the sum."""
+    """Return the day factor of a child without added parameters, from its gains per day.
+
+    With independent readings the variance of the summed gain is four times the sum.
+    """
     gains = [_daily(child, parent, q) for q in child.quantities]
     total = sum(float(g.sum()) for g in gains)
     spread = sum(float(((g - g.mean()) ** 2).sum()) for g in gains)
     return max(1.0, spread / (4.0 * total)) if total > 0.0 else 1.0
 
 
-def jumped(parent: Calibration, best: Candidate) -> Candidate:
-    """The candidate improved by jumps of its amplitudes, its other parameters and its settings.
+def improved_by_jumps(parent: Calibration, best: Candidate) -> Candidate:
+    """Return the candidate after trying large changes of its parameters and settings, to leave a local
+    maximum.
 
-    All jumps are simulated; those that are hardly worse after one chord step (`chord_gains`) of the other
-    parameters are fitted.
+    Each jump is simulated after one linear step of the other parameters (`chord_gains`).  The `FOLLOWED` best
+    jumps are fitted, unless they are worse than the start by more than `WORSE`.
     """
     steps = dict(best.form.steps)
     for _ in range(SWEEPS):
@@ -205,7 +227,7 @@ def jumped(parent: Calibration, best: Candidate) -> Candidate:
         for gain, setting, values in promising[:FOLLOWED]:
             if gain < -WORSE:
                 break
-            trial = estimated(parent, best.form, setting, values, LIGHT, parent_at_best.columns)
+            trial = fit_form(parent, best.form, setting, values, LIGHT, parent_at_best.columns)
             if trial.deviance < best.estimate.deviance + 0.5 * WORSE:
                 fit = fitted(trial, acting(trial, best.acts), POLISH)
                 if fit.deviance < best.estimate.deviance - 0.1:
@@ -221,6 +243,10 @@ def jumped(parent: Calibration, best: Candidate) -> Candidate:
 def _jumps(
     parent: Calibration, best: Candidate, steps: Mapping[tuple[str, str], float]
 ) -> Iterator[tuple[Setting, dict[str, float]]]:
+    """Yield the jumps to try from the best candidate: (setting, parameter values).
+
+    Amplitudes are scaled, other parameters are shifted, and each setting moves by one of `steps`.
+    """
     values, setting = best.estimate.values, best.setting
     added_parameters = added(parent, best.estimate.simulator)
     sizes = amplitudes(added_parameters)
@@ -251,11 +277,16 @@ def _jumps(
 
 
 def _within(p: Parameter, value: float) -> float:
+    """Return the value limited to the parameter's range; its null value counts as part of the range."""
     return float(np.clip(value, p.lower if p.null is None else min(p.lower, p.null), p.upper))
 
 
-def grafted(parent: Calibration, candidate: Candidate) -> Calibration:
-    """A candidate of an earlier parent, moved to a parent that differs from it in the other quantity only."""
+def moved_to_parent(parent: Calibration, candidate: Candidate) -> Calibration:
+    """Return the candidate's fitted model with a newer parent, without refitting it.
+
+    The newer parent must differ from the candidate's own parent only in quantities that the candidate leaves
+    unchanged.
+    """
     wider = widened(parent, candidate.form, candidate.setting)
     own_values = {
         n: v
@@ -267,9 +298,11 @@ def grafted(parent: Calibration, candidate: Candidate) -> Calibration:
     return estimate_at(wider, parent.errors, theta, parent.linear | candidate.estimate.linear, variances)
 
 
-def alike(best: Candidate, rival: Candidate) -> bool:
-    """Whether a rival explains the readings of the shared quantities as well as the best candidate (Vuong's
-    test on daily sums)."""
+def fits_equally_well(best: Candidate, rival: Candidate) -> bool:
+    """Whether a rival explains the readings as well as the best candidate.
+
+    They are compared in the quantities that both change, by Vuong's test on daily sums of −2 ln L.
+    """
     shared = best.acts & rival.acts
     if not shared or rival.evidence < THRESHOLD:
         return False
@@ -280,17 +313,20 @@ def alike(best: Candidate, rival: Candidate) -> bool:
 
 
 def _daily(best: Calibration, rival: Calibration, quantity: str) -> np.ndarray:
-    """(days,) −2 ln L of the rival minus that of the best."""
+    """Return −2 ln L of the rival minus that of the best fit, summed by day (days,)."""
     terms = rival.filtered[quantity].terms - best.filtered[quantity].terms
     return best.simulator.scene.readings[quantity].by_day(terms)
 
 
-def water(best: Candidate, rival: Candidate) -> bool:
-    """Whether a rival is water that an error of the humidity sensor must not explain away."""
+def is_water_rival(best: Candidate, rival: Candidate) -> bool:
+    """Whether a rival describes water that a humidity sensor error would wrongly explain away."""
     return best.cause == SENSOR and rival.cause in WATER and rival.in_days >= WATER_SHARE * best.in_days
 
 
-def lead(best: Candidate, candidates: Sequence[Candidate]) -> float:
-    """Evidence in days minus that of the best other cause on any of the same quantities."""
+def lead_over_others(best: Candidate, candidates: Sequence[Candidate]) -> float:
+    """Return the candidate's evidence in days minus that of the best other cause.
+
+    Only causes that share a quantity with the candidate count; without any, the other evidence is 0.
+    """
     others = [c.in_days for c in candidates if c.cause != best.cause and c.acts & best.acts]
     return best.in_days - max([0.0, *others])

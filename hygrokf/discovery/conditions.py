@@ -55,12 +55,14 @@ Phrase = Callable[[int, int], Statement]
 
 @dataclass(frozen=True)
 class Stratum:
-    """A condition on which errors may depend.
+    """A condition on which errors may depend, such as "in stops" or "wind speed above 8 m/s".
 
-    kind: one of `GROUPS`.  driver: the signal, or "".  basis: (n, k), NaN = unknown.
-    bins: (n,) number of the bin 0 … m − 1, −1 = none.
-    phrase: first and last bin -> the condition.  flag: bin 0 is the condition, bin 1 the rest.
-    circular: the bins close a circle.
+    kind: one of `GROUPS`.  driver: the signal that the condition is about, or "".
+    basis: (n, k) columns that are tested against the errors; NaN = unknown.
+    bins: (n,) bin number 0 … m − 1 of each instant; −1 = none.
+    phrase: makes the statement of the condition from its first and last bin.
+    flag: whether the condition is yes or no; bin 0 is then yes and bin 1 no.
+    circular: whether the last bin is followed by the first, as for hours of the day.
     """
 
     kind: str
@@ -73,70 +75,85 @@ class Stratum:
 
     @property
     def group(self) -> str:
-        """Group with which it shares the false discoveries."""
+        """Group of conditions that share one part of the allowed false discoveries."""
         return GROUPS[self.kind]
 
     @property
     def flow(self) -> bool:
-        """Whether a flow under the condition leaves a course of its own, unlike that of a lag or a wave."""
+        """Whether a heat or vapour flow under this condition would have a distinct effect on the air, unlike
+        a time lag or a wave."""
         return self.group in ("episodes", "drivers") and self.kind != "lag"
 
     def worst(self, effect: np.ndarray) -> tuple[int, int]:
-        """First and last bin of the stretch of bins whose effect (n,), NaN = unknown, differs most from the
-        rest."""
+        """Return the first and last bin of the contiguous bins whose mean effect differs most from the rest.
+
+        effect: (n,) explained error; NaN = unknown.  The bins hold at most `LARGEST_PART` of the readings.
+        """
         if self.flag:
             return 0, 0
-        there = np.isfinite(effect) & (self.bins >= 0)
+        usable = np.isfinite(effect) & (self.bins >= 0)
         count = int(self.bins.max()) + 1
-        number = np.bincount(self.bins[there], minlength=count).astype(float)
-        total = np.bincount(self.bins[there], weights=effect[there], minlength=count)
-        all_n, all_e = number.sum(), total.sum()
-        best, chosen = 0.0, (0, 0)
+        bins_count = np.bincount(self.bins[usable], minlength=count).astype(float)
+        effect_sum = np.bincount(self.bins[usable], weights=effect[usable], minlength=count)
+        overall_count, overall_effect = bins_count.sum(), effect_sum.sum()
+        best, worst_stretch = 0.0, (0, 0)
         for first in range(count):
             for length in range(1, count if self.circular else count - first + 1):
-                place = np.arange(first, first + length) % count
-                n, e = number[place].sum(), total[place].sum()
-                if not 0 < n <= LARGEST_PART * all_n:
+                stretch = np.arange(first, first + length) % count
+                inside_count, inside_effect = bins_count[stretch].sum(), effect_sum[stretch].sum()
+                if not 0 < inside_count <= LARGEST_PART * overall_count:
                     continue
-                gain = (e / n - (all_e - e) / (all_n - n)) ** 2 * n * (all_n - n)
+                gain = (
+                    (
+                        inside_effect / inside_count
+                        - (overall_effect - inside_effect) / (overall_count - inside_count)
+                    )
+                    ** 2
+                    * inside_count
+                    * (overall_count - inside_count)
+                )
                 if gain > best * (1.0 + 1e-9):
-                    best, chosen = gain, (first, first + length - 1)
-        return chosen
+                    best, worst_stretch = gain, (first, first + length - 1)
+        return worst_stretch
 
     def inside(self, first: int, last: int) -> np.ndarray:
-        """(n,) whether a bin of the stretch holds."""
+        """Return (n,) whether each instant lies in the bins from `first` to `last`."""
         count = int(self.bins.max()) + 1
         return np.isin(self.bins, np.arange(first, last + 1) % count)
 
 
 def conditions(hours: Residuals) -> list[Stratum]:
-    """All conditions that a record can show: those that hold for at least six hours."""
-    made = [*_regimes(hours), *_preheating(hours), _hour(hours), *_calendar(hours)]
+    """Return all conditions to test on a record; yes-or-no conditions must hold, and fail, for at least six
+    hours."""
+    strata = [*_regimes(hours), *_preheating(hours), _hour(hours), *_calendar(hours)]
     humidity = hours.drivers.get("cabinet_relative_humidity")
     if humidity is not None:
         saturated = np.nan_to_num(humidity) >= SATURATED
-        made.append(_flag("saturation", saturated, ConditionCode.SATURATED_AIR(share=SATURATED)))
+        strata.append(_flag("saturation", saturated, ConditionCode.SATURATED_AIR(share=SATURATED)))
     for name, value in hours.drivers.items():
         if name != "preheating":
-            made += _driver(hours, name, value)
-    return [one for one in made if not one.flag or _held(one, hours.step_h)]
+            strata += _driver(hours, name, value)
+    return [stratum for stratum in strata if not stratum.flag or _held(stratum, hours.step_h)]
 
 
-def _held(one: Stratum, step_h: float) -> bool:
-    inside = float((one.bins == 0).sum()) * step_h
-    return SHORTEST_H <= inside <= len(one.bins) * step_h - SHORTEST_H
+def _held(stratum: Stratum, step_h: float) -> bool:
+    """Whether a yes-or-no condition holds, and fails, for at least `SHORTEST_H`."""
+    hours_inside = float((stratum.bins == 0).sum()) * step_h
+    return SHORTEST_H <= hours_inside <= len(stratum.bins) * step_h - SHORTEST_H
 
 
-def _flag(
-    kind: str, flag: np.ndarray, condition: Statement, share: np.ndarray | None = None
-) -> Stratum:
-    """A condition that holds or not; share: (n,) of each bin for which it holds, where that is known."""
+def _flag(kind: str, flag: np.ndarray, condition: Statement, share: np.ndarray | None = None) -> Stratum:
+    """Return a yes-or-no condition.
+
+    flag: (n,) where it holds.  share: (n,) share of each bin for which it holds, where that is known.
+    """
     column = flag.astype(float) if share is None else share
     return Stratum(kind, "", column[:, None], np.where(flag, 0, 1), lambda a, b: condition, flag=True)
 
 
 def dummies(bins: np.ndarray) -> np.ndarray:
-    """Columns (n, m − 1) that are 1 in one bin each; NaN where there is no bin."""
+    """Return indicator columns (n, m − 1), one for each bin except the first; NaN where an instant has no
+    bin."""
     labels = np.unique(bins[bins >= 0])
     table = (bins[:, None] == labels[None, 1:]).astype(float)
     table[bins < 0] = np.nan
@@ -147,6 +164,7 @@ def dummies(bins: np.ndarray) -> np.ndarray:
 
 
 def _filled(spans: Iterable[tuple[int, int]], count: int) -> np.ndarray:
+    """Return flags (count,) that are True inside the spans [first, last)."""
     flag = np.zeros(count, dtype=bool)
     for first, last in spans:
         flag[max(first, 0) : last] = True
@@ -154,31 +172,34 @@ def _filled(spans: Iterable[tuple[int, int]], count: int) -> np.ndarray:
 
 
 def _regimes(hours: Residuals) -> list[Stratum]:
-    """Standstill, its longer episodes, the hours after starts, hours since the last change."""
+    """Return the conditions about operation and standstill.
+
+    They are: standstill, long stops, the hours after long stops, and the hours since the last start or stop.
+    """
     count, step, running = len(hours.time_h), hours.step_h, hours.operating
     if running.all() or not running.any():
         return []
-    made = [_flag("regime", ~running, ConditionCode.STANDING())]
+    strata = [_flag("regime", ~running, ConditionCode.STANDING())]
     stops = run_lengths(~running)
-    after = round(AFTERWARDS_H / step)
+    bins_after = round(AFTERWARDS_H / step)
     longer = ConditionCode.STOPS_LONGER_THAN(hours=STANDSTILL_H)
     for least, long in ((STANDSTILL_H, longer), (LONG_STANDSTILL_H, LONG_STOPS)):
-        chosen = [(a, b) for a, b in stops if step * (b - a) >= least]
-        if not chosen:
+        long_stops = [(a, b) for a, b in stops if step * (b - a) >= least]
+        if not long_stops:
             continue
-        made.append(_flag("episode", _filled(chosen, count), ConditionCode.IN_STOPS(stops=long)))
-        started = _filled([(b, b + after) for _, b in chosen], count) & running
+        strata.append(_flag("episode", _filled(long_stops, count), ConditionCode.IN_STOPS(stops=long)))
+        after_start = _filled([(b, b + bins_after) for _, b in long_stops], count) & running
         after_stops = ConditionCode.STARTED_AFTER_STOPS(stops=long, hours=AFTERWARDS_H)
-        made.append(_flag("episode", started, after_stops))
+        strata.append(_flag("episode", after_start, after_stops))
     edges = (0.0, *SINCE_H, math.inf)
     for flag, within, beyond in (
         (~running, ConditionCode.SINCE_STOP, ConditionCode.LONG_SINCE_STOP),
         (running, ConditionCode.SINCE_START, ConditionCode.LONG_SINCE_START),
     ):
-        since = np.full(count, np.nan)
+        hours_since = np.full(count, np.nan)
         for first, last in run_lengths(flag):
-            since[first:last] = step * np.arange(last - first)
-        bins = np.where(flag, np.digitize(since, SINCE_H), -1)
+            hours_since[first:last] = step * np.arange(last - first)
+        bins = np.where(flag, np.digitize(hours_since, SINCE_H), -1)
 
         def phrase(
             a: int, b: int, within: ConditionCode = within, beyond: ConditionCode = beyond
@@ -188,39 +209,46 @@ def _regimes(hours: Residuals) -> list[Stratum]:
             return within(first=edges[a], last=edges[b + 1])
 
         basis = (bins[:, None] == np.arange(len(SINCE_H) + 1)).astype(float)
-        made.append(Stratum("since", "", basis, bins, phrase))
-    return made
+        strata.append(Stratum("since", "", basis, bins, phrase))
+    return strata
 
 
 def _preheating(hours: Residuals) -> list[Stratum]:
-    """Pre-heating, after long standstills and after any, and the hours after it."""
+    """Return the conditions about pre-heating: during it, during it after long stops, and in the hours after
+    it."""
     count, step = len(hours.time_h), hours.step_h
     heating = hours.preheating > 0.5
-    heated = run_lengths(heating)
-    if not heated:
+    heating_spans = run_lengths(heating)
+    if not heating_spans:
         return []
     stops = run_lengths(~hours.operating)
-    near = round(AFTERWARDS_H / step)
-    stood = [
-        max((step * (b - a) for a, b in stops if a <= first < b + near), default=0.0) for first, _ in heated
+    bins_after = round(AFTERWARDS_H / step)
+    hours_stood_before = [
+        max((step * (b - a) for a, b in stops if a <= first < b + bins_after), default=0.0)
+        for first, _ in heating_spans
     ]
-    long = [span for span, length in zip(heated, stood, strict=True) if length >= LONG_STANDSTILL_H]
+    after_long_stop = [
+        span
+        for span, length in zip(heating_spans, hours_stood_before, strict=True)
+        if length >= LONG_STANDSTILL_H
+    ]
     stood_long = ConditionCode.PREHEATED_AFTER_STOPS(stops=LONG_STOPS)
-    every = stood_long if len(long) == len(heated) else ConditionCode.PREHEATING()
-    made = [_flag("episode", heating, every, hours.preheating)]
-    if 0 < len(long) < len(heated):
-        around = _filled([(a - 1, b + 1) for a, b in long], count)
+    condition = stood_long if len(after_long_stop) == len(heating_spans) else ConditionCode.PREHEATING()
+    strata = [_flag("episode", heating, condition, hours.preheating)]
+    if 0 < len(after_long_stop) < len(heating_spans):
+        around = _filled([(a - 1, b + 1) for a, b in after_long_stop], count)
         share = np.where(around, hours.preheating, 0.0)
-        made.append(_flag("episode", _filled(long, count), stood_long, share))
-    after = _filled([(last, last + near) for _, last in heated], count) & ~heating
-    made.append(_flag("episode", after, ConditionCode.PREHEATED(hours=AFTERWARDS_H)))
-    return made
+        strata.append(_flag("episode", _filled(after_long_stop, count), stood_long, share))
+    after_heating = _filled([(last, last + bins_after) for _, last in heating_spans], count) & ~heating
+    strata.append(_flag("episode", after_heating, ConditionCode.PREHEATED(hours=AFTERWARDS_H)))
+    return strata
 
 
 # --- clock and calendar ----------------------------------------------------------------------
 
 
 def _hour(hours: Residuals) -> Stratum:
+    """Return the condition "hour of the day": three harmonics, described in 24 bins."""
     hour = hours.time_s / 3600.0 % 24.0
     angle = 2.0 * math.pi * hour / 24.0
     basis = np.column_stack([wave(k * angle) for k in (1, 2, 3) for wave in (np.cos, np.sin)])
@@ -233,24 +261,26 @@ def _hour(hours: Residuals) -> Stratum:
 
 
 def _calendar(hours: Residuals) -> list[Stratum]:
-    """Months and a straight drift."""
+    """Return the conditions about the date: the month (given three full months) and a linear drift."""
     count, step = len(hours.time_h), hours.step_h
     month = hours.time_s.astype("datetime64[s]").astype("datetime64[M]").astype(int)
     bins = month - month[0]
-    names = [f"{np.datetime64(int(one), 'M').item():%B %Y}" for one in range(month[0], month[-1] + 1)]
+    month_names = [
+        f"{np.datetime64(int(number), 'M').item():%B %Y}" for number in range(month[0], month[-1] + 1)
+    ]
 
     def months(a: int, b: int) -> Statement:
         if a == b:
-            return ConditionCode.MONTH(month=names[a])
-        return ConditionCode.MONTHS(first=names[a], last=names[b])
+            return ConditionCode.MONTH(month=month_names[a])
+        return ConditionCode.MONTHS(first=month_names[a], last=month_names[b])
 
-    made = []
+    strata = []
     if (np.bincount(bins) * step >= MONTH_H).sum() >= 3:
-        made.append(Stratum("season", "", dummies(bins), bins, months))
-    third = np.minimum(3 * np.arange(count) // count, 2)
+        strata.append(Stratum("season", "", dummies(bins), bins, months))
+    third_of_record = np.minimum(3 * np.arange(count) // count, 2)
     trend = np.linspace(-1.0, 1.0, count)[:, None]
-    made.append(Stratum("drift", "", trend, third, lambda a, b: THIRDS[a, b]()))
-    return made
+    strata.append(Stratum("drift", "", trend, third_of_record, lambda a, b: THIRDS[a, b]()))
+    return strata
 
 
 THIRDS = {
@@ -261,7 +291,10 @@ THIRDS = {
 
 
 def step_at(hours: Residuals, first: int, sharp: bool) -> Stratum:
-    """What lasts from a bin on, against before; sharp: its date is sure to the hour."""
+    """Return the condition "from this bin on".
+
+    first: bin at which it begins.  sharp: whether the date is certain to the hour.
+    """
     date = hours.time_s[first] - 1800.0 * hours.step_h
     code = ConditionCode.SINCE_DATE if sharp else ConditionCode.SINCE_ABOUT_DATE
     return _flag("step", np.arange(len(hours.time_h)) >= first, code(date=float(date)))
@@ -271,34 +304,47 @@ def step_at(hours: Residuals, first: int, sharp: bool) -> Stratum:
 
 
 def _driver(hours: Residuals, name: str, value: np.ndarray) -> list[Stratum]:
-    """Level (straight, and any curve), rate (rising and falling apart) and lag of one driver."""
+    """Return the conditions about one driver (n,): its level, its rate of change, and its earlier values.
+
+    The level is tested as a straight line and as a free curve; rising and falling rates are tested
+    separately.
+    """
     if name.endswith("_direction"):
         return [_direction(name, value)]
-    level = _binned("level", name, value, LEVELS, ConditionCode.LEVEL_OF_DRIVER)
-    if level is None:
+    level_stratum = _binned("level", name, value, LEVELS, ConditionCode.LEVEL_OF_DRIVER)
+    if level_stratum is None:
         return []
-    made = [level]
-    if level.bins.max() > 1:
-        made.append(replace(level, basis=np.column_stack([level.basis, dummies(level.bins)[:, 1:]])))
-    count, reach = len(value), max(1, round(RATE_H / hours.step_h))
+    strata = [level_stratum]
+    if level_stratum.bins.max() > 1:
+        strata.append(
+            replace(
+                level_stratum,
+                basis=np.column_stack([level_stratum.basis, dummies(level_stratum.bins)[:, 1:]]),
+            )
+        )
+    count, rate_steps = len(value), max(1, round(RATE_H / hours.step_h))
     rate = np.full(count, np.nan)
-    rate[reach:] = (value[reach:] - value[:-reach]) / (reach * hours.step_h)
-    changing = _binned("rate", name, rate, RATES, ConditionCode.RATE_OF_DRIVER)
-    if changing is not None:
-        made.append(replace(changing, basis=np.column_stack([np.maximum(rate, 0.0), np.minimum(rate, 0.0)])))
+    rate[rate_steps:] = (value[rate_steps:] - value[:-rate_steps]) / (rate_steps * hours.step_h)
+    rate_stratum = _binned("rate", name, rate, RATES, ConditionCode.RATE_OF_DRIVER)
+    if rate_stratum is not None:
+        strata.append(
+            replace(rate_stratum, basis=np.column_stack([np.maximum(rate, 0.0), np.minimum(rate, 0.0)]))
+        )
     for lag in LAGS_H:
-        shift = round(lag / hours.step_h)
-        if not 1 <= shift < count or abs(shift * hours.step_h - lag) > LAG_TOLERANCE * lag:
+        lag_steps = round(lag / hours.step_h)
+        if not 1 <= lag_steps < count or abs(lag_steps * hours.step_h - lag) > LAG_TOLERANCE * lag:
             continue
-        before = np.full(count, np.nan)
-        before[shift:] = value[:-shift]
-        one = _binned("lag", name, before, LEVELS, ConditionCode.EARLIER_DRIVER, hours=lag)
-        if one is not None:
-            made.append(one)
-    return made
+        earlier_value = np.full(count, np.nan)
+        earlier_value[lag_steps:] = value[:-lag_steps]
+        lag_stratum = _binned("lag", name, earlier_value, LEVELS, ConditionCode.EARLIER_DRIVER, hours=lag)
+        if lag_stratum is not None:
+            strata.append(lag_stratum)
+    return strata
 
 
 def _direction(name: str, value: np.ndarray) -> Stratum:
+    """Return the condition "direction of the wind": two harmonics of the angle [rad], described in 12
+    sectors."""
     basis = np.column_stack([wave(k * value) for k in (1, 2) for wave in (np.cos, np.sin)])
     degrees = np.degrees(value)
     width = 360.0 / SECTORS
@@ -319,37 +365,47 @@ def _binned(
     code: ConditionCode,
     **values: float,
 ) -> Stratum | None:
-    """A condition by bins between quantiles of a value; its basis is the standardised value itself."""
-    known = value[np.isfinite(value)]
-    if len(known) < 48 or not known.std() > 1e-9 * max(1.0, float(np.abs(known).max())):
+    """Return a condition about the level of a value (n,), in bins between its quantiles; None if it hardly
+    varies.
+
+    quantiles: of the bin edges.  code: makes the statement, with the further `values`.  The tested basis is
+        the standardised value itself.
+    """
+    finite = value[np.isfinite(value)]
+    if len(finite) < 48 or not finite.std() > 1e-9 * max(1.0, float(np.abs(finite).max())):
         return None
     rate = kind == "rate"
-    edges = _edges(known, quantiles, rate)
+    edges = _edges(finite, quantiles, rate)
     if len(edges) == 0:
         return None
     bins = np.where(np.isfinite(value), np.digitize(value, edges), -1)
-    marks, unit = displayed(name, edges, rate)
+    displayed_edges, unit = displayed(name, edges, rate)
     unit = f"{unit}/h" if rate else unit
 
     def phrase(a: int, b: int) -> Statement:
-        lower = {} if a == 0 else {"lower": float(marks[a - 1])}
-        upper = {} if b == len(edges) else {"upper": float(marks[b])}
+        lower = {} if a == 0 else {"lower": float(displayed_edges[a - 1])}
+        upper = {} if b == len(edges) else {"upper": float(displayed_edges[b])}
         between = ConditionCode.DRIVER_BETWEEN if lower and upper else ConditionCode.DRIVER_ABOVE
         within = between if lower else ConditionCode.DRIVER_BELOW
         return code(driver=words(name), range=within(**lower, **upper, unit=unit), **values)
 
-    scaled = (value - known.mean()) / known.std()
+    scaled = (value - finite.mean()) / finite.std()
     return Stratum(kind, name, scaled[:, None], bins, phrase)
 
 
-def _edges(known: np.ndarray, quantiles: tuple[float, ...], rate: bool) -> np.ndarray:
-    least = float(known.min())
-    small = 1e-6 * float(known.std())
-    resting = not rate and float(np.mean(known <= least + small)) > RESTING
+def _edges(finite: np.ndarray, quantiles: tuple[float, ...], rate: bool) -> np.ndarray:
+    """Return the edges between the bins of a driver.
+
+    finite: its known values.  A driver that often rests at its lowest value (night, calm) gets a bin of its
+        own for it.
+    """
+    lowest = float(finite.min())
+    tolerance = 1e-6 * float(finite.std())
+    resting = not rate and float(np.mean(finite <= lowest + tolerance)) > RESTING
     if not resting:
-        edges = np.unique(np.quantile(known, quantiles))
-        return edges[(edges > least) & (edges < known.max())]
-    above = known[known > least + small]
+        edges = np.unique(np.quantile(finite, quantiles))
+        return edges[(edges > lowest) & (edges < finite.max())]
+    above_rest = finite[finite > lowest + tolerance]
     return np.unique(
-        np.concatenate([[0.5 * (least + float(above.min()))], np.quantile(above, quantiles[1:])])
+        np.concatenate([[0.5 * (lowest + float(above_rest.min()))], np.quantile(above_rest, quantiles[1:])])
     )

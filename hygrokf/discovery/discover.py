@@ -24,7 +24,7 @@ from hygrokf.data.record import Record
 from hygrokf.data.shared_clocks import shifted, sources
 from hygrokf.data.signals import SIGNALS
 from hygrokf.data.timestamps import DAY_S
-from hygrokf.discovery.candidates import Candidate, brought
+from hygrokf.discovery.candidates import Candidate, own_parameters
 from hygrokf.discovery.discovery_results import (
     CauseEvidence,
     CauseFound,
@@ -48,7 +48,14 @@ from hygrokf.discovery.own_causes import expect_usable
 from hygrokf.discovery.repeats import without_repeats
 from hygrokf.discovery.residuals import NORMAL_95, QUANTITIES, Residuals, residuals, root_mean_square
 from hygrokf.discovery.screening import added
-from hygrokf.discovery.search import Search, composed, effect_of, foreseen, needed, tested
+from hygrokf.discovery.search import (
+    Search,
+    effect_of,
+    held_out_test,
+    refitted_with,
+    required_evidence,
+    with_held_out_openings,
+)
 from hygrokf.discovery.starting_model import base_estimate
 from hygrokf.identification.fit import Fit
 from hygrokf.identification.fit_results import ParameterRow
@@ -65,8 +72,12 @@ from hygrokf.version import __version__
 # -- the end of a search -------------------------------------------------------------------------------------
 @dataclass(frozen=True)
 class Conclusion:
-    """The final sets of the base and of the extended model (None without a name), with the accepted and the
-    refuted candidates."""
+    """The result of a search after its final check.
+
+    base, extended: final parameter sets of the base model and of the model with all named causes; extended is
+        None if no cause is named.
+    accepted, refuted: candidates that passed and failed the held-out test.
+    """
 
     base: FinalSet
     extended: FinalSet | None
@@ -75,21 +86,21 @@ class Conclusion:
 
 
 def conclude(search: Search) -> Conclusion:
-    """The conclusion of a search, without the names that held-out readings refute under the final sets."""
+    """Fit the final parameter sets, dropping every cause that held-out readings then refute."""
     accepted, refuted, extended_estimate = list(search.accepted), list(search.refuted), search.parent
     while accepted:
         estimator = final_estimator(search.base, extended_estimate)
         base, extended = (final_set(model, estimator) for model in (search.base, extended_estimate))
-        verdicts = [_judged(search.base, base, accepted, name, extended, estimator) for name in accepted]
-        refuted_places = [i for i, verdict in enumerate(verdicts) if verdict.reason]
+        tests = [_judged(search.base, base, accepted, name, extended, estimator) for name in accepted]
+        refuted_places = [i for i, test in enumerate(tests) if test.reason]
         if not refuted_places:
-            named = tuple(replace(a, judged=v) for a, v in zip(accepted, verdicts, strict=True))
+            named = tuple(replace(a, judged=v) for a, v in zip(accepted, tests, strict=True))
             return Conclusion(base, extended, named, tuple(refuted))
         # drop first a name without an effect, then the name with the largest growth of errors
-        harm = [(v.reason == "no_effect", max(v.growth.values(), default=0.0)) for v in verdicts]
-        worst = max(refuted_places, key=lambda i: harm[i])
-        refuted.append(replace(accepted.pop(worst), judged=verdicts[worst]))
-        extended_estimate = composed(search.base, accepted, extended_estimate, refuted[-1].acts)
+        badness = [(v.reason == "no_effect", max(v.growth.values(), default=0.0)) for v in tests]
+        worst = max(refuted_places, key=lambda i: badness[i])
+        refuted.append(replace(accepted.pop(worst), judged=tests[worst]))
+        extended_estimate = refitted_with(search.base, accepted, extended_estimate, refuted[-1].acts)
     return Conclusion(final_set(search.base, final_estimator(search.base)), None, (), tuple(refuted))
 
 
@@ -97,22 +108,29 @@ def _judged(
     start: Calibration,
     base: FinalSet,
     accepted: Sequence[Candidate],
-    name: Candidate,
+    judged_candidate: Candidate,
     extended: FinalSet,
     estimator: Estimator,
 ) -> HeldOutTest:
-    """The test, on held-out readings, of the extended model against the model without one of the names."""
-    others = [candidate for candidate in accepted if candidate is not name]
-    without = base.estimate
+    """Test one accepted cause on held-out readings: the extended model with it against the model without it.
+
+    start: the fitted base model.  base: its final set.  extended: final set with all accepted causes.
+    """
+    others = [candidate for candidate in accepted if candidate is not judged_candidate]
+    model_without = base.estimate
     if others:
-        without = fitted_by(composed(start, others, extended.estimate, name.acts), estimator, name.acts)
-    child = foreseen(without, replace(name, estimate=extended.estimate))
+        model_without = fitted_by(
+            refitted_with(start, others, extended.estimate, judged_candidate.acts),
+            estimator,
+            judged_candidate.acts,
+        )
+    child = with_held_out_openings(model_without, replace(judged_candidate, estimate=extended.estimate))
     after = scores(child)
-    earlier = list(itertools.takewhile(lambda candidate: candidate is not name, accepted))
-    verdict = tested(scores(without), after, name, earlier)
-    if effect_of(name.form, without, child, after) < NOTICED:
-        return replace(verdict, reason="no_effect")
-    return verdict
+    accepted_before = list(itertools.takewhile(lambda candidate: candidate is not judged_candidate, accepted))
+    result = held_out_test(scores(model_without), after, judged_candidate, accepted_before)
+    if effect_of(judged_candidate.form, model_without, child, after) < NOTICED:
+        return replace(result, reason="no_effect")
+    return result
 
 
 SIGNIFICANT = 1e-4
@@ -127,7 +145,11 @@ FEWEST_DAYS = 30
 
 
 def lines(estimate: Calibration, causes: Mapping[str, tuple[str, ...]]) -> list[SpectralLine]:
-    """Significant lines of an estimate, the smallest p first; causes: cause → its own parameters."""
+    """Return the significant spectral lines that an estimate leaves, the least probable first.
+
+    causes: cause → names of its own parameters.  Lines are searched in the errors and in the daily scores of
+        these parameters; one line is kept for each quantity and cause.
+    """
     all_lines = [line for q in estimate.quantities if (line := _in_errors(estimate, q)) is not None]
     scores = _daily_scores(estimate)
     for cause, names in causes.items():
@@ -141,17 +163,17 @@ def lines(estimate: Calibration, causes: Mapping[str, tuple[str, ...]]) -> list[
 
 
 def _in_errors(estimate: Calibration, quantity: str) -> SpectralLine | None:
-    """The strongest line of the whitened errors relative to the mean of its neighbours; None if it is not
-    significant."""
-    reference, r = estimate.filtered[quantity], estimate.simulator.scene.readings[quantity]
-    is_present = np.isfinite(reference.innovation)
-    errors = (reference.standardised * reference.weight)[is_present]
-    hours = r.time_h[is_present]
+    """Return the strongest line in the spectrum of the whitened errors, relative to the mean of its
+    neighbours; None if it is not significant."""
+    filter_result, readings = estimate.filtered[quantity], estimate.simulator.scene.readings[quantity]
+    is_present = np.isfinite(filter_result.innovation)
+    errors = (filter_result.standardised * filter_result.weight)[is_present]
+    hours = readings.time_h[is_present]
     width = max(BIN_H, float(np.median(np.diff(hours)))) if len(hours) > 1 else BIN_H
     bin_index = ((hours - hours[0]) / width).astype(int)
-    total = np.bincount(bin_index, errors)
+    sum_in_bin = np.bincount(bin_index, errors)
     count_in_bin = np.bincount(bin_index)
-    mean = np.divide(total, np.sqrt(np.maximum(count_in_bin, 1)))
+    mean = np.divide(sum_in_bin, np.sqrt(np.maximum(count_in_bin, 1)))
     power = np.abs(np.fft.rfft(mean - mean[count_in_bin > 0].mean() * (count_in_bin > 0))) ** 2
     power = power[1:-1]
     if len(power) < FEWEST:
@@ -169,7 +191,7 @@ def _in_errors(estimate: Calibration, quantity: str) -> SpectralLine | None:
 
 
 def _daily_scores(estimate: Calibration) -> dict[tuple[str, str], np.ndarray]:
-    """(days,) sums of the scores of every parameter, by quantity and name."""
+    """Return the daily sums (days,) of the score of every parameter, by (quantity, parameter name)."""
     coordinates = frame(estimate.simulator.parameters, set(estimate.simulator.names), estimate.linear)
     daily_scores = {}
     for q, columns in slopes(estimate, coordinates).items():
@@ -180,17 +202,17 @@ def _daily_scores(estimate: Calibration) -> dict[tuple[str, str], np.ndarray]:
         readings = estimate.simulator.scene.readings[q]
         daily = readings.by_day(score)
         has_reading = np.bincount(readings.day, np.isfinite(reference.innovation)) > 0
-        for i, place in enumerate(coordinates.place):
+        for i, parameter_index in enumerate(coordinates.place):
             if columns[:, i].any():
-                daily_scores[q, estimate.simulator.names[place]] = daily[
+                daily_scores[q, estimate.simulator.names[parameter_index]] = daily[
                     : np.flatnonzero(has_reading)[-1] + 1, i
                 ]
     return daily_scores
 
 
 def _in_days(quantity: str, cause: str, daily: np.ndarray) -> SpectralLine | None:
-    """The strongest line of daily scores by Fisher's g, the largest share of an ordinate in the total power;
-    None if it is not significant."""
+    """Return the strongest line of daily scores (days,) by Fisher's g, the largest share of one ordinate in
+    the total power; None if it is not significant."""
     if len(daily) < FEWEST_DAYS:
         return None
     ranks = np.argsort(np.argsort(daily)) - 0.5 * (len(daily) - 1)  # ranks: single days must not decide
@@ -198,19 +220,19 @@ def _in_days(quantity: str, cause: str, daily: np.ndarray) -> SpectralLine | Non
     power = power[CYCLES : (len(daily) + 1) // 2]
     if not power.sum() > 0.0:
         return None
-    share = float(power.max() / power.sum())
-    p = min(len(power) * (1.0 - share) ** (len(power) - 1), 1.0)
+    largest_share = float(power.max() / power.sum())
+    p = min(len(power) * (1.0 - largest_share) ** (len(power) - 1), 1.0)
     period = 24.0 * len(daily) / (int(np.argmax(power)) + CYCLES)
     return SpectralLine(quantity, period, p, cause) if p < SIGNIFICANT else None
 
 
 def remaining_lines(conclusion: Conclusion) -> list[SpectralLine]:
-    """The lines in the errors of the last model and in the daily scores of the named causes."""
+    """Return the lines in the errors of the final model and in the daily scores of the named causes."""
     final, parameters_of = conclusion.extended or conclusion.base, {}
     for candidate in conclusion.accepted:
         added_names = {p.name for p in added(conclusion.base.estimate, candidate.estimate.simulator)}
         parameters_of[candidate.cause] = tuple(
-            sorted(added_names & brought(candidate.form, final.estimate.simulator))
+            sorted(added_names & own_parameters(candidate.form, final.estimate.simulator))
         )
     return lines(final.estimate, parameters_of)
 
@@ -278,6 +300,7 @@ def expect_movement(early: Record) -> None:
 
 
 def _discovered(record: Record, library: Library, say: Progress, budget: int) -> Discovery:
+    """Run the whole discovery on a prepared record; `budget` is the largest number of simulations."""
     saturated = _saturated(record)
     record, repeated = without_repeats(record)
     say("base model")
@@ -292,8 +315,8 @@ def _discovered(record: Record, library: Library, say: Progress, budget: int) ->
     before = after = residuals(base, record)
     extended = None
     if conclusion.extended is not None:
-        against = (WET_SENSOR,) if any(candidate.wet for candidate in conclusion.accepted) else ()
-        extended = fit_of(record, conclusion.extended, say, against)
+        reasons_against = (WET_SENSOR,) if any(candidate.wet for candidate in conclusion.accepted) else ()
+        extended = fit_of(record, conclusion.extended, say, reasons_against)
         after = residuals(extended, shifted(record, *conclusion.extended.estimate.simulator.scene.shifts))
     say("what is left")
     lines = remaining_lines(conclusion)
@@ -322,7 +345,7 @@ def _discovered(record: Record, library: Library, say: Progress, budget: int) ->
 
 
 def verdict(conclusion: Conclusion, lines: Sequence[SpectralLine]) -> Verdict:
-    """The verdict: spectral lines that remain overrule a name, and a name with rivals is ambiguous."""
+    """Return the verdict: remaining spectral lines make it "unexplained", rivals make it "ambiguous"."""
     if lines:
         return "unexplained"
     if conclusion.accepted:
@@ -333,13 +356,13 @@ def verdict(conclusion: Conclusion, lines: Sequence[SpectralLine]) -> Verdict:
 def _rejected(
     search: Search, conclusion: Conclusion, library: Library, forms: Mapping[str, Sequence[object]]
 ) -> list[Rejected]:
-    """The causes that were left out: displaced ones first, then those estimated in the last round, then the
-    rest of the library."""
+    """Return the causes that were left out, with reasons: dropped ones, then those of the last round, then
+    the rest."""
     rejected: dict[str, Rejected] = {}
     for candidate in search.left:
         rejected.setdefault(candidate.cause, _rejection(candidate, "later_gone"))
     for candidate in sorted(search.beside, key=lambda candidate: -candidate.evidence):
-        is_weak = candidate.evidence < needed(candidate, conclusion.accepted)
+        is_weak = candidate.evidence < required_evidence(candidate, conclusion.accepted)
         rejected.setdefault(candidate.cause, _rejection(candidate, "weak" if is_weak else "weak_by_days"))
     for cause in library.causes:
         reason: Exclusion = "no_effect" if forms[cause.name] else "no_form"
@@ -350,16 +373,19 @@ def _rejected(
 
 
 def _rejection(candidate: Candidate, reason: Exclusion) -> Rejected:
+    """Return a candidate as a rejected cause with the reason."""
     return Rejected(candidate.cause, candidate.form.code, evidence_of(candidate), reason, candidate.judged)
 
 
 def _scores(fit: Fit) -> ModelScores:
+    """Return the errors and time constants of a fit."""
     results = fit.results
     return ModelScores(results.rmse, results.baselines, results.time_constants)
 
 
 def _saturated(record: Record) -> float:
-    """[1] share of the humidity readings at the upper end of the sensor's range."""
+    """Return the share [1] of humidity readings at the upper end of the sensor's range; NaN without
+    humidity."""
     if "cabinet_relative_humidity" not in record:
         return math.nan
     humidity = record["cabinet_relative_humidity"]
@@ -374,9 +400,9 @@ in days."""
 
 
 def cause_found(candidate: Candidate, conclusion: Conclusion, library: Library) -> CauseFound:
-    """A named cause with its evidence, its parameters, and the confidence of its name."""
+    """Return a named cause for the results: evidence, parameters with bounds, confidence."""
     cause = library.cause(candidate.cause)
-    entry = None if cause in LIBRARY.causes else cause
+    own_entry = None if cause in LIBRARY.causes else cause
     rivals = tuple(dict.fromkeys(rival.cause for rival in candidate.rivals))
     settings = _settings(candidate, conclusion.base.estimate.simulator.scene.record)
     assert conclusion.extended is not None
@@ -391,13 +417,15 @@ def cause_found(candidate: Candidate, conclusion: Conclusion, library: Library) 
         evidence=evidence_of(candidate),
         held_out=candidate.judged,
         ambiguous_with=rivals,
-        own=None if entry is None else CauseWords(entry.meaning, entry.remedy, entry.separate_by),
+        own=None
+        if own_entry is None
+        else CauseWords(own_entry.meaning, own_entry.remedy, own_entry.separate_by),
     )
 
 
 def confidence(in_days: float, lead: float) -> float:
-    """The probability [1] that a name is right: logistic in ln of the evidence in days and in the lead over
-    the best rival, in days."""
+    """Return the probability [1] that a named cause is right: logistic in ln of the evidence in days and in
+    the lead over the best rival, in days."""
     from scipy.special import expit
 
     constant, by_evidence, by_lead = CONFIDENCE
@@ -405,7 +433,7 @@ def confidence(in_days: float, lead: float) -> float:
 
 
 def evidence_of(candidate: Candidate) -> CauseEvidence:
-    """The evidence of a candidate as a record of the results."""
+    """Return the evidence of a candidate in the form that the results store."""
     return CauseEvidence(
         dict(candidate.gains),
         candidate.constants,
@@ -417,8 +445,8 @@ def evidence_of(candidate: Candidate) -> CauseEvidence:
 
 
 def _settings(candidate: Candidate, record: Record) -> Settings:
-    """The settings of a candidate's features and the shift [s] of its clock; the shift is relative to the
-    other clock where the record has two."""
+    """Return the settings of a candidate's features and, for a clock cause, source, shift [s] and season; the
+    shift is relative to the other clock where the record has two."""
     chosen_settings = {
         key: value for settings in candidate.setting.features.values() for key, value in settings.items()
     }
@@ -434,8 +462,8 @@ def _settings(candidate: Candidate, record: Record) -> Settings:
 
 
 def chosen(form: Form, setting: Setting) -> Iterator[str]:
-    """Names of the settings that differ within a form's grid, so that the search chose them; the levels of a
-    controller are parameters, not settings."""
+    """Yield the names of the settings that vary within a form's grid, which the search therefore chose;
+    levels of a controller are parameters, not settings."""
     for feature, feature_settings in setting.features.items():
         for key, value in feature_settings.items() if feature not in CONTROLLED else ():
             if any(setting_of_grid.features[feature].get(key) != value for setting_of_grid in form.grid):
@@ -445,17 +473,23 @@ def chosen(form: Form, setting: Setting) -> Iterator[str]:
 
 
 def _parameters(candidate: Candidate, base: FinalSet, extended: FinalSet) -> dict[str, ParameterRow]:
-    """The cause's own parameters in the extended model, with bounds."""
+    """Return the cause's own parameters in the extended model, with bounds."""
     added = set(candidate.estimate.simulator.names) - set(base.estimate.simulator.names)
     simulator, rows = extended.estimate.simulator, {}
-    for p in simulator.parameters:
-        level = p.name.rpartition("_")[0] in candidate.setting.features
+    for parameter in simulator.parameters:
+        is_level = parameter.name.rpartition("_")[0] in candidate.setting.features
         if (
-            p.name in added and (p.name in brought(candidate.form, simulator) or level)
-        ) or p.name == candidate.form.freed:
-            lower, upper = (b if math.isfinite(b) else math.nan for b in extended.bounds(p.name))
-            value, se = extended.estimate.values[p.name], extended.deviation(p.name)
-            rows[p.name] = ParameterRow(value, p.unit, se, lower, upper, p.meaning)
+            parameter.name in added
+            and (parameter.name in own_parameters(candidate.form, simulator) or is_level)
+        ) or parameter.name == candidate.form.freed:
+            lower, upper = (b if math.isfinite(b) else math.nan for b in extended.bounds(parameter.name))
+            value, standard_error = (
+                extended.estimate.values[parameter.name],
+                extended.deviation(parameter.name),
+            )
+            rows[parameter.name] = ParameterRow(
+                value, parameter.unit, standard_error, lower, upper, parameter.meaning
+            )
     return rows
 
 
@@ -465,39 +499,38 @@ QUANTITY = {"temperature": "temperature", "humidity": "vapour"}
 
 
 def gains(conclusion: Conclusion, before: Residuals, after: Residuals) -> tuple[ErrorGain, ...]:
-    """The gains by quantity: on held-out readings where there are any, else on the identification readings.
+    """Return the change of the free run's error by quantity, on held-out readings where there are any.
 
-    before, after: residuals of the free runs of the base and of the extended model; without an extended
-    model, those of the base twice.
+    before, after: residuals of the base and of the extended model; the base twice if no cause is named.
     """
     spans = _openings(conclusion)
     # a corrected clock shifts the instants of the extended model: then there are no pairs of errors
     same_instants = np.array_equal(before.time_s, after.time_s)
     quantity_gains = []
     for quantity in QUANTITIES:
-        old = _outside(before.time_s, before.error[quantity], spans)
-        new = _outside(after.time_s, after.error[quantity], spans)
+        error_before = _outside(before.time_s, before.error[quantity], spans)
+        error_after = _outside(after.time_s, after.error[quantity], spans)
         for period, held_out in (("validation", True), ("identification", False)):
             period_before, period_after = before.validation == held_out, after.validation == held_out
-            pair = old[period_before], new[period_after]
-            if not all(np.isfinite(errors).any() for errors in pair):
+            errors_of_period = error_before[period_before], error_after[period_after]
+            if not all(np.isfinite(errors).any() for errors in errors_of_period):
                 continue
             bounds = math.nan, math.nan
             if same_instants:
-                bounds = _bounds(*pair, np.floor(before.time_s[period_before] / DAY_S))
+                bounds = _bounds(*errors_of_period, np.floor(before.time_s[period_before] / DAY_S))
             driven = _driven(conclusion, QUANTITY[quantity], held_out, spans)
-            rmse_before, rmse_after = map(root_mean_square, pair)
+            rmse_before, rmse_after = map(root_mean_square, errors_of_period)
             quantity_gains.append(ErrorGain(quantity, period, rmse_before, rmse_after, *bounds, *driven))
             break
     return tuple(quantity_gains)
 
 
 def _openings(conclusion: Conclusion) -> list[list[float]]:
-    """The stretches [s] of named door openings, also outside of the identification period."""
+    """Return the spans [start, end] [s] of named door openings, also after the identification period."""
     spans = []
     for candidate in conclusion.accepted:
         if candidate.form.windows and conclusion.extended is not None:
-            full_estimate = foreseen(conclusion.base.estimate, candidate)
+            full_estimate = with_held_out_openings(conclusion.base.estimate, candidate)
             spans += next(
                 design.features["door_open"]["spans"]
                 for design in full_estimate.simulator.designs
@@ -507,7 +540,7 @@ def _openings(conclusion: Conclusion) -> list[list[float]]:
 
 
 def _outside(time_s: np.ndarray, error: np.ndarray, spans: Sequence[Sequence[float]]) -> np.ndarray:
-    """The error (T,), NaN inside the spans [s]."""
+    """Return the error (T,) with NaN at the times [s] inside the spans."""
     inside = np.zeros(len(time_s), bool)
     for first, last in spans:
         inside |= (time_s >= first) & (time_s <= last)
@@ -517,8 +550,10 @@ def _outside(time_s: np.ndarray, error: np.ndarray, spans: Sequence[Sequence[flo
 def _driven(
     conclusion: Conclusion, quantity: str, held_out: bool, spans: Sequence[Sequence[float]]
 ) -> tuple[float, float]:
-    """RMSE of the vapour of the base and of the extended model, driven by the measured temperature; NaN for
-    the temperature."""
+    """Return the RMSE of the vapour, driven by the measured temperature, for the base and the extended model.
+
+    NaN for the temperature.  held_out: whether the held-out readings count, else the identification readings.
+    """
     if quantity == "temperature":
         return math.nan, math.nan
 
@@ -530,16 +565,20 @@ def _driven(
     return error(conclusion.base.estimate), error((conclusion.extended or conclusion.base).estimate)
 
 
-def _bounds(old: np.ndarray, new: np.ndarray, day: np.ndarray) -> tuple[float, float]:
-    """95 % bounds of the decrease of the root mean square error at common instants, for independent days and
-    a normally distributed change of the mean square."""
-    in_both = np.isfinite(old) & np.isfinite(new)
-    _, day_index = np.unique(day[in_both], return_inverse=True)
+def _bounds(
+    error_before: np.ndarray, error_after: np.ndarray, day_of_instant: np.ndarray
+) -> tuple[float, float]:
+    """Return the 95 % bounds of the decrease in RMSE between errors (T,) of the same instants; days count as
+    independent."""
+    in_both = np.isfinite(error_before) & np.isfinite(error_after)
+    _, day_index = np.unique(day_of_instant[in_both], return_inverse=True)
     if not len(day_index) or day_index.max() < 1:
         return math.nan, math.nan
     # by the delta method: d rmse = d (mean square) / (2 rmse)
-    rmse_old, rmse_new = root_mean_square(old[in_both]), root_mean_square(new[in_both])
-    change = old[in_both] ** 2 / max(2.0 * rmse_old, 1e-12) - new[in_both] ** 2 / max(2.0 * rmse_new, 1e-12)
+    rmse_old, rmse_new = root_mean_square(error_before[in_both]), root_mean_square(error_after[in_both])
+    change = error_before[in_both] ** 2 / max(2.0 * rmse_old, 1e-12) - error_after[in_both] ** 2 / max(
+        2.0 * rmse_new, 1e-12
+    )
     daily = np.bincount(day_index, change - change.mean())
     half_width = NORMAL_95 * math.sqrt(float(daily @ daily)) / len(change)
     return rmse_old - rmse_new - half_width, rmse_old - rmse_new + half_width

@@ -60,16 +60,15 @@ CLASS_LIMIT = 3
 
 @dataclass(frozen=True)
 class Finding:
-    """An error of the free run in the identification period.
+    """An error of the free run under one condition, in the identification period.
 
-    kind: of the condition; driver: signal that it goes with, or "".
-    side: of the readings on which the simulation lies under the condition; lasting_h: for how long an episode
-        leaves the error, else NaN.
-    size: [K], [g/m³] mean effect under the condition less that elsewhere, by generalised least squares under
-        the error model.
-    n_episodes: in which it is seen, of n_possible.
-    sensor_share: [1] of its square that the sensors' accuracy explains.
-    p_adjusted: [1] chance of it without a cause, as adjusted share of false discoveries.
+    kind: of the condition.  driver: signal that the condition is about, or "".
+    side: "low" or "high", where the simulation lies beside the readings.
+    lasting_h: [h] how long the error lasts after an episode begins, else NaN.
+    size: [K] or [g/m³] mean error under the condition minus that elsewhere, by generalised least squares.
+    n_episodes, n_possible: number of episodes that show the error, and of all episodes.
+    sensor_share: [1] share of size² that the sensors' accuracy explains.
+    p_adjusted: [1] probability of such an error by chance, adjusted for the number of tests.
     spans: (start, end) [s] of its episodes, the largest error first.
     """
 
@@ -88,7 +87,7 @@ class Finding:
 
     @property
     def statement(self) -> Statement:
-        """Condition, quantity, size and side of the error."""
+        """Condition, quantity, size and sign of the error as a statement."""
         name, unit = QUANTITY_WORDS[SCORED_AS[self.quantity]]
         low, high = DiscoveryCode.SIMULATED_TOO_LOW, DiscoveryCode.SIMULATED_TOO_HIGH
         lasting: dict[str, Value] = {}
@@ -101,8 +100,11 @@ class Finding:
 
 @dataclass(frozen=True)
 class SpectralLine:
-    """A line that is left in a spectrum: its quantity, its period [h], and the chance [1] of one without an
-    effect; cause: the named one in whose daily scores it stands, "" in the errors themselves."""
+    """A significant periodicity that the model leaves unexplained.
+
+    p: [1] probability of such a line by chance.  cause: the named cause in whose daily scores it appears; ""
+        for a line in the errors themselves.
+    """
 
     quantity: Name
     period_h: float
@@ -112,12 +114,11 @@ class SpectralLine:
 
 @dataclass(frozen=True)
 class ErrorGain:
-    """Errors of the base and of the extended model's free run: root mean squares [K] or [g/m³], and the 95 %
-    bounds of their difference.
+    """Errors of the free run before and after the causes were added: RMSE [K] or [g/m³].
 
-    period: "validation" or "identification"; hours of openings that were named are left out of both.
-    driven_before, driven_after: of the vapour on the measured temperature, else NaN; the errors themselves
-    are those of `hygrokf.simulate`, on the simulated one.
+    period: "validation" or "identification".  lower, upper: 95 % bounds of the decrease.
+    driven_before, driven_after: RMSE of the vapour when the measured temperature drives it, else NaN. Hours
+        of named door openings are left out.
     """
 
     quantity: Name
@@ -132,12 +133,13 @@ class ErrorGain:
 
 @dataclass(frozen=True)
 class CauseEvidence:
-    """Evidence of a cause's best form.
+    """The evidence for a cause in its best form.
 
-    gains: [1] 2 ln L by quantity, a difference of maxima; constants: free ones that it adds; searched:
-    settings that were tried.
-    evidence: the gains less ln N for each constant and 2 ln of the settings; in_days: the same by how
-    independent its days are.  lead: by how much the best rival of another cause stays behind, in days.
+    gains: [1] gain in 2 ln L by quantity.  constants: number of added parameters.
+    searched: number of settings that were tried.
+    evidence: gains minus ln N for each constant and 2 ln of the settings.
+    in_days: the same, divided by the correction for correlated days.
+    lead: evidence in days minus that of the best other cause.
     """
 
     gains: Mapping[Name, float] = field(default_factory=dict)
@@ -150,11 +152,13 @@ class CauseEvidence:
 
 @dataclass(frozen=True)
 class HeldOutTest:
-    """What held-out readings say of a cause beside the model without it, by quantity.
+    """Comparison of a model with and without a cause on held-out readings, by quantity.
 
-    z: [1] mean over days of the squared errors' change 3, 12 and 48 h ahead, in its standard errors; growth:
-    [1] mean change of ln squared error, the free run's included; before, after: RMSE of the free runs with
-    levels at their least squares; gain: [1] in 2 ln L of these readings; days: with readings.
+    z: [1] mean daily change of the squared forecast errors (3, 12 and 48 h ahead), in standard errors.
+    growth: [1] mean change of ln squared error, including the free run's.
+    before, after: RMSE of the free run without and with the cause, levels fitted.
+    gain: [1] in 2 ln L of the held-out readings.  days: number of days with readings.
+    reason: why the cause is refuted, "" if it is not.
     """
 
     z: Mapping[Name, float] = field(default_factory=dict)
@@ -167,15 +171,19 @@ class HeldOutTest:
 
     @property
     def improvement(self) -> float:
-        """[1] largest share by which a quantity's free-run error falls; 0 without held-out readings."""
-        known = [(old, self.after[q]) for q, old in self.before.items() if old > 0 and q in self.after]
-        return max((1.0 - new / old for old, new in known), default=0.0)
+        """[1] largest relative decrease of a quantity's free-run error; 0 without held-out readings."""
+        pairs = [
+            (rmse_before, self.after[q])
+            for q, rmse_before in self.before.items()
+            if rmse_before > 0 and q in self.after
+        ]
+        return max((1.0 - rmse_after / rmse_before for rmse_before, rmse_after in pairs), default=0.0)
 
 
 @dataclass(frozen=True)
 class CauseWords:
-    """The entry of a cause in a library of the user's own: what it is, what to check in the turbine, and the
-    measurement that tells it from its rivals."""
+    """Texts of a cause from a user's own library: what it is, what to check, and how to tell it from its
+    rivals."""
 
     meaning: Meaning
     remedy: Meaning
@@ -186,11 +194,12 @@ class CauseWords:
 class CauseFound:
     """An accepted cause.
 
-    form: code of its best form; forms_alike: codes of those that the record cannot tell from it.
-    confidence: [1] how often a name with such evidence is right.
-    settings: those of its features; chosen: the names of those that the search chose.
-    ambiguous_with: causes that the record cannot tell from it; more than two: it names nothing.
-    own: its entry where it is none of the package's library, which holds the others under their names.
+    form: code of its best form.  forms_alike: codes of its other forms that fit equally well.
+    confidence: [1] probability that a cause with such evidence is right.
+    parameters: its own parameters with bounds.  settings: of its features; chosen: those that the search
+        chose.
+    ambiguous_with: other causes that fit equally well; with more than two the cause is not named.
+    own: texts of the cause if it comes from a user's library.
     """
 
     cause: Name
@@ -207,14 +216,13 @@ class CauseFound:
 
     @property
     def told_apart(self) -> bool:
-        """Whether its class is small enough to name something."""
+        """Whether few enough causes are indistinguishable from this one for it to be named."""
         return len(self.ambiguous_with) < CLASS_LIMIT
 
 
 @dataclass(frozen=True)
 class Rejected:
-    """A cause that was left out: its best form, its evidence, the reason, and the held-out test where there
-    was one."""
+    """A cause that was left out, with its best form, its evidence and the reason."""
 
     cause: Name
     form: Name = ""
@@ -225,8 +233,7 @@ class Rejected:
 
 @dataclass(frozen=True)
 class SearchCost:
-    """What the search cost: simulations, those that it was allowed, and the causes that it therefore did not
-    judge."""
+    """Number of simulations of a search, its budget, and the causes that the budget left untested."""
 
     simulations: int = 0
     budget: int = 0
@@ -243,7 +250,7 @@ class ModelScores:
 
     @cached_property
     def fit(self) -> FitResults:
-        """These numbers as the results of a fit, for functions that take those."""
+        """These numbers as `FitResults`, for functions that take a fit."""
         return FitResults(**field_values(self))
 
 
@@ -251,16 +258,16 @@ class ModelScores:
 class DiscoveryResults:
     """The results of a discovery.
 
-    baseline, extended: the model before and after; `extended` is None where no cause was accepted.
+    verdict: on the whole record.  baseline, extended: scores of the model before and after; extended is None
+        if no cause was accepted.
     estimator: of both models' parameters, "likelihood" or "output-error".
-    gains: errors of both by quantity; held_out_days: with readings after the identification period.  As these
-    can refute a cause, errors told from them are those after a selection.
-    findings: errors of the base model's free run, worst first; left: those of the model that it ends with.
-    causes: in the order in which they were accepted; rejected, refuted: those that were left out.
-    lines: what is left without a cause.
-    repeated: signal → stretches [s] of repeated readings that were set aside; saturated: [1] share of the
-    humidity readings at the end of the sensor's range.
-    doubts: those about the record that concern a time constant.
+    gains: errors of both models by quantity.  held_out_days: number of days after the identification period.
+    causes: accepted, in order.  rejected, refuted: left out, and contradicted by held-out readings.
+    lines: spectral lines that remain unexplained.
+    repeated: signal → spans [s] of repeated readings that were removed.
+    saturated: [1] share of humidity readings at the end of the sensor's range.
+    findings: errors of the base model's free run, worst first.  left: those of the final model.
+    doubts: about the record, as far as they concern a time constant.
     """
 
     name: Name
@@ -285,24 +292,26 @@ class DiscoveryResults:
 
     @property
     def named(self) -> tuple[str, ...]:
-        """The causes that it names, each with those that the record cannot tell from it."""
+        """The causes that the discovery names, each followed by those that fit equally well."""
         return tuple(
-            name for one in self.causes if one.told_apart for name in (one.cause, *one.ambiguous_with)
+            name for cause in self.causes if cause.told_apart for name in (cause.cause, *cause.ambiguous_with)
         )
 
     def to_frame(self) -> pandas.DataFrame:
-        """Every cause that was tried, by name: verdict on it, confidence [1], gain in evidence, and largest
-        share [1] by which a free-run error on held-out readings falls."""
+        """Return every tried cause as a row: form, verdict, confidence [1], evidence, improvement [1].
+
+        improvement: largest relative decrease of a free-run error on held-out readings.
+        """
         import pandas
 
-        judged: list[tuple[CauseFound | Rejected, str, float]] = [
+        causes_with_verdict: list[tuple[CauseFound | Rejected, str, float]] = [
             *((c, "accepted", c.confidence) for c in self.causes),
             *((c, c.reason, math.nan) for c in (*self.refuted, *self.rejected)),
         ]
         rows = [
-            (c.cause, c.form, verdict, sure, c.evidence.evidence,
+            (c.cause, c.form, verdict, confidence, c.evidence.evidence,
              c.held_out.improvement if c.held_out.days else math.nan)
-            for c, verdict, sure in judged
+            for c, verdict, confidence in causes_with_verdict
         ]  # fmt: skip
         columns = ["cause", "form", "verdict", "confidence", "evidence", "improvement"]
         frame = pandas.DataFrame(rows, columns=columns).set_index("cause")
@@ -311,7 +320,7 @@ class DiscoveryResults:
 
 @dataclass(frozen=True)
 class Discovered:
-    """The content of a discovery's page: its results (`discovery.json`), and the residuals of both models."""
+    """Results of a discovery as read from files, with the residuals of the base and of the extended model."""
 
     results: DiscoveryResults
     before: Residuals | None = None
@@ -331,7 +340,7 @@ class Discovered:
 
 @dataclass(frozen=True)
 class Discovery(Discovered):
-    """The base fit, the extended fit where a cause was accepted, and what was found.
+    """A discovery: the base fit, the extended fit (None if no cause was accepted) and the results.
 
     `results.to_frame()` lists every cause that was tried.  A discovery can be pickled.
     """
@@ -340,20 +349,22 @@ class Discovery(Discovered):
     extended: Fit | None = field(default=None, kw_only=True)
 
     def to_json(self) -> JsonObject:
-        """The data of `discovery.json`."""
+        """Return the content of `discovery.json`."""
         data: JsonObject = plain(self.results)
         return data
 
     def __str__(self) -> str:
-        """The name with its verdict, and each cause with its confidence [1]."""
+        """Return the record's name with the verdict, and each cause with its confidence [1]."""
         causes = [
-            f"  {one.cause} ({one.form}), confidence {one.confidence:.2f}" for one in self.results.causes
+            f"  {cause.cause} ({cause.form}), confidence {cause.confidence:.2f}"
+            for cause in self.results.causes
         ]
         return "\n".join([f"{self.results.name}: {self.results.verdict}", *causes])
 
     __repr__ = __str__
 
     def _repr_html_(self) -> str:
+        """Return the table of causes for a notebook."""
         return str(self.results.to_frame().to_html())
 
 
@@ -362,22 +373,22 @@ class Discovery(Discovered):
 WHICH = ("before", "after")
 
 
-def write_discovery(found: Discovery, directory: str | os.PathLike[str]) -> Path:
+def write_discovery(discovery: Discovery, directory: str | os.PathLike[str]) -> Path:
     """Write `discovery.json` and `discovery.npz`, and the extended model (the base without one) as `fit.json`
     and `series.npz`; returns the path of discovery.json.
 
     Pages of earlier results in the directory are removed first.  Raises OSError as the system gives it.
     """
     folder = Path(directory)
-    write_fit(found.extended or found.base, folder)
+    write_fit(discovery.extended or discovery.base, folder)
     buffer = io.BytesIO()
-    np.savez_compressed(buffer, **_arrays(found))  # type: ignore[arg-type]  # its flag is a keyword too
+    np.savez_compressed(buffer, **_arrays(discovery))  # type: ignore[arg-type]  # its flag is a keyword too
     write_bytes_whole(folder / DISCOVERY_SERIES, buffer.getvalue())
-    return write_text_whole(folder / DISCOVERY, result_text(found.results))
+    return write_text_whole(folder / DISCOVERY, result_text(discovery.results))
 
 
 def read_discovery(directory: str | os.PathLike[str]) -> Discovered:
-    """The discovery of a directory; raises ResultFault that lists all faults."""
+    """Read the discovery in a directory.  Raises ResultFault that lists all faults."""
     folder, path = Path(directory), Path(directory) / DISCOVERY_SERIES
     faults: list[str] = []
     try:
@@ -396,25 +407,26 @@ def read_discovery(directory: str | os.PathLike[str]) -> Discovered:
     return Discovered(results, **residuals)
 
 
-def _arrays(found: Discovery) -> dict[str, np.ndarray]:
-    """Every array of both residuals under "which/field" or "which/field/name"."""
+def _arrays(discovery: Discovery) -> dict[str, np.ndarray]:
+    """Return all arrays of the residuals before and after, keyed "before/field" or "before/field/name"."""
     result = {}
     for which in WHICH:
-        one = getattr(found, which)
-        for name, value in vars(one).items() if one is not None else ():
-            parts = value.items() if isinstance(value, Mapping) else [(None, value)]
-            for part, array in parts:
-                result["/".join(filter(None, (which, name, part)))] = np.asarray(array)
+        residuals_of_model = getattr(discovery, which)
+        for name, value in vars(residuals_of_model).items() if residuals_of_model is not None else ():
+            arrays_by_name = value.items() if isinstance(value, Mapping) else [(None, value)]
+            for name_inside, array in arrays_by_name:
+                result["/".join(filter(None, (which, name, name_inside)))] = np.asarray(array)
     return result
 
 
 def _residuals(arrays: Mapping[str, np.ndarray], which: str) -> Residuals | None:
-    """Residuals from the arrays of `_arrays`; None where there are none."""
-    found: dict[str, Any] = {}
+    """Return the residuals of one model ("before" or "after") from the arrays of `_arrays`; None if
+    absent."""
+    fields: dict[str, Any] = {}
     for key, array in arrays.items():
-        head, name, *part = key.split("/", 2)
-        if head == which and part:
-            found.setdefault(name, {})[part[0]] = array
-        elif head == which:
-            found[name] = array if array.ndim else float(array)
-    return Residuals(**found) if found else None
+        model, name, *name_inside = key.split("/", 2)
+        if model == which and name_inside:
+            fields.setdefault(name, {})[name_inside[0]] = array
+        elif model == which:
+            fields[name] = array if array.ndim else float(array)
+    return Residuals(**fields) if fields else None

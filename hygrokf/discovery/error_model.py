@@ -54,13 +54,14 @@ _STEPS = 60
 
 @dataclass(frozen=True)
 class Instants:
-    """The instants at which an error is observed, with the coefficients of the process between them.
+    """The instants at which an error is observed, and the error process between them.
 
-    time_h: (T,) [h]; tau_h: [h] time constant of the low pass; added: (T,) variance of n beyond the
-    stationary one, where the state is unknown (at the start, after a gap) or an input's time is uncertain;
-    key: (T,) row of each step in `table` (d, 2m+1), the coefficients of the distinct steps; there: (m,)
-    whether the readings resolve a part; shape: (T,) noise variance of each reading as a multiple of R;
-    largest: variance of the readings, the limit of each part at the output.
+    time_h: (T,) [h].  tau_h: [h] time constant of the cabinet's low pass.
+    added: (T,) variance added to the state n where it is unknown: at the start and after gaps.
+    key: (T,) row of `table` (d, 2m+1), which holds the coefficients of each distinct step.
+    there: (m,) whether the readings resolve a part of the process.
+    shape: (T,) noise variance of each reading as a multiple of R.
+    largest: variance of the readings; no part may exceed it at the output.
     """
 
     time_h: np.ndarray
@@ -75,26 +76,32 @@ class Instants:
 
 def course(
     time_h: np.ndarray, tau_h: float, added: np.ndarray, shape: np.ndarray | None = None,
-    there: np.ndarray | None = None, largest: float = math.inf,
+    is_resolved: np.ndarray | None = None, largest: float = math.inf,
 ) -> Instants:  # fmt: skip
-    """`Instants` with the coefficients of their steps, and the parts that they resolve unless `there` is
-    given."""
+    """Return the instants of an error with the coefficients of the process between them.
+
+    there: (m,) which parts the readings resolve; None: decided from the step and length of the record.
+    """
     steps = np.round(np.diff(time_h, prepend=time_h[0]) * 3.6e6) / 3.6e6
     lengths, key = np.unique(steps, return_inverse=True)
-    if there is None:
-        usual = float(np.median(steps[1:])) if len(steps) > 1 else math.inf
-        span = float(time_h[-1] - time_h[0])
-        there = np.array([FEWEST_STEPS * usual <= t <= LONGEST_SHARE * span for t in TIMES_H])
+    if is_resolved is None:
+        usual_step_h = float(np.median(steps[1:])) if len(steps) > 1 else math.inf
+        record_h = float(time_h[-1] - time_h[0])
+        is_resolved = np.array(
+            [FEWEST_STEPS * usual_step_h <= t <= LONGEST_SHARE * record_h for t in TIMES_H]
+        )
     table = np.stack([coefficients(length, tau_h) for length in lengths.tolist()])
     shape = np.ones(len(time_h)) if shape is None else np.ascontiguousarray(shape, dtype=float)
-    return Instants(time_h, tau_h, added, key.reshape(-1).astype(np.int32), table, there, shape, largest)
+    return Instants(
+        time_h, tau_h, added, key.reshape(-1).astype(np.int32), table, is_resolved, shape, largest
+    )
 
 
 def coefficients(step_h: float, tau_h: float) -> np.ndarray:
-    """(2m+1,) coefficients of a step [h] in the order a_j, g_j, a of u_j ← a_j u_j, n ← a n + Σ g_j u_j.
+    """Return the coefficients (2m+1,) of one step [h] in the order a_j, g_j, a.
 
-    a_j = e^(−dt/θ_j), a = e^(−dt/τ), g_j = a (dt/τ)(e^δ − 1)/δ with δ = dt (1/τ − 1/θ_j): regular also for
-    θ_j = τ.
+    They are those of u_j ← a_j u_j and n ← a n + Σ g_j u_j: a_j = e^(−dt/θ_j), a = e^(−dt/τ), g_j = a
+    (dt/τ)(e^δ − 1)/δ with δ = dt (1/τ − 1/θ_j), which is also regular for θ_j = τ.
     """
     times_h = np.array(TIMES_H)
     low_pass = math.exp(-step_h / tau_h)
@@ -113,12 +120,15 @@ def coefficients(step_h: float, tau_h: float) -> np.ndarray:
 
 
 def shares(tau_h: float) -> np.ndarray:
-    """(m,) share θ_j/(θ_j+τ) of a part's variance that passes the low pass."""
+    """Return the share (m,) θ_j/(θ_j+τ) of each part's variance that passes the low pass."""
     return np.array(TIMES_H) / (np.array(TIMES_H) + tau_h)
 
 
 def stationary(variances: Sequence[Expression], share: Sequence[Expression]) -> Matrix:
-    """Stationary covariance (n, n) of the state, from traced variances (R, s_w², s_1² …) and `shares`."""
+    """Return the stationary covariance (n, n) of the state as expressions.
+
+    variances: (R, s_w², s_1² …).  share: of each part, as `shares` computes it.
+    """
     flow, parts = variances[1], variances[2:]
     covariance: Matrix = [[0.0] * _STATES for _ in range(_STATES)]
     total: Expression | float = flow
@@ -132,9 +142,10 @@ def stationary(variances: Sequence[Expression], share: Sequence[Expression]) -> 
 
 # -- compiled passes -----------------------------------------------------------------------------------------
 class _Traced:
-    """The expressions of one filter step."""
+    """Symbols and expressions of one filter step, from which the compiled passes are written."""
 
     def __init__(self) -> None:
+        """Make the symbols of one step: variances, coefficients, state, covariance, reading."""
         g = self.graph = Graph()
         parts = range(len(TIMES_H))
         self.variances = [g.symbol(f"s{i}") for i in range(VARIANCES)]
@@ -158,11 +169,11 @@ class _Traced:
         self.resting = stationary(self.variances, self.share)
 
     def predicted_state(self) -> list[Expression]:
-        """The state predicted after a step."""
+        """Return the state after a step, before its reading is used."""
         return [row[0] for row in product(self.transition, [[x] for x in self.x])]
 
     def predicted_covariance(self) -> Matrix:
-        """P∞ + F (P − P∞) F' plus the added variance of n."""
+        """Return the covariance after a step: P∞ + F (P − P∞) F' plus the added variance of n."""
         excess: Matrix = [[0.0] * _STATES for _ in range(_STATES)]
         for (i, j), value in zip(self.places, self.p, strict=True):
             excess[i][j] = excess[j][i] = value - self.resting[i][j]
@@ -175,26 +186,32 @@ _ARRAYS = ("key", "table", "variances", "share", "residual", "seen", "added", "s
 
 
 class _FilterEmission:
-    """LLVM text of a pass: the recursion with scalars, or with vectors of LANES (`wide`)."""
+    """Writer of the LLVM text of one compiled pass; `wide`: LANES runs side by side instead of one."""
 
     def __init__(self, name: str, arguments: Sequence[str], wide: bool) -> None:
+        """Begin the text of a function with a count and the named arrays as arguments."""
         self.traced = _Traced()
         self.wide = wide
         self.w = Writer(name, [("i64", "count"), *(("ptr", argument) for argument in arguments)])
         self.kind = self.w.vector if wide else SCALAR
 
     def load(self, array: str, place: str | int, kind: str | None = None) -> str:
+        """Write the loading of an array's element and return the name of its value."""
         kind = kind or self.kind
         return self.w.load(kind, self.w.at(kind, f"%{array}", place))
 
     def values(
         self, outputs: Sequence[Expression], leaves: dict[int, str], vectors: Sequence[int]
     ) -> list[str]:
-        """Names of the computed outputs; leaves: symbol index → name of its value."""
-        computed = self.w.block(self.traced.graph, outputs, leaves, vectors)
-        return [self.w.as_vector(kind, name) if self.wide else name for kind, name in computed]
+        """Write the computation of expressions and return the names of their values.
+
+        leaves: symbol index → name of its value.  vectors: indices of symbols that hold vectors.
+        """
+        named_values = self.w.block(self.traced.graph, outputs, leaves, vectors)
+        return [self.w.as_vector(kind, name) if self.wide else name for kind, name in named_values]
 
     def step(self, instant: str) -> dict[int, str]:
+        """Write the loading of a step's coefficients; returns symbol index → name of its value."""
         key = self.w.value(f"sext i32 {self.load('key', instant, 'i32')} to i64")
         row = self.w.integer("mul", key, _COEFFICIENTS)
         return {
@@ -204,56 +221,74 @@ class _FilterEmission:
 
 
 def _filter_text(name: str, wide: bool) -> str:
-    """`name(count, key, table, variances, share, residual, seen, added, shape, innovation, …)`.
+    """Return the LLVM text of a filter pass.
 
-    Writes innovations and their variances (T, lanes), and without `wide` also P H' (T, n), the predicted
-    error (T,) and the state after each reading (T, n).
+    The function is `name(count, key, table, variances, share, residual, seen, added, shape, innovation, …)`.
+    It writes innovations and their variances (T, lanes); without `wide` also P H' (T, n), the predicted error
+    (T,) and the state after each reading (T, n).
     """
     outputs = ("innovation", "variance", *(() if wide else ("reach", "predicted", "state")))
     e = _FilterEmission(name, (*_ARRAYS, *outputs), wide)
-    t, w = e.traced, e.w
-    constants = {symbol.index: e.load("variances", i) for i, symbol in enumerate(t.variances)}
-    constants |= {symbol.index: e.load("share", j, SCALAR) for j, symbol in enumerate(t.share)}
-    wide_leaves = [symbol.index for symbol in (*t.variances, *t.x, *t.p)] if wide else []
+    traced, writer = e.traced, e.w
+    constants = {symbol.index: e.load("variances", i) for i, symbol in enumerate(traced.variances)}
+    constants |= {symbol.index: e.load("share", j, SCALAR) for j, symbol in enumerate(traced.share)}
+    wide_leaves = [symbol.index for symbol in (*traced.variances, *traced.x, *traced.p)] if wide else []
     zero = "zeroinitializer" if wide else "0.0"
-    state = {symbol.index: w.slot(e.kind, zero) for symbol in t.x}
-    resting = e.values([t.graph.lift(t.resting[i][j]) for i, j in t.places], constants, wide_leaves)
-    spread = {symbol.index: w.slot(e.kind, value) for symbol, value in zip(t.p, resting, strict=True)}
-    with w.loop("%count") as k:
+    state_slots = {symbol.index: writer.slot(e.kind, zero) for symbol in traced.x}
+    stationary_values = e.values(
+        [traced.graph.lift(traced.resting[i][j]) for i, j in traced.places], constants, wide_leaves
+    )
+    covariance_slots = {
+        symbol.index: writer.slot(e.kind, value)
+        for symbol, value in zip(traced.p, stationary_values, strict=True)
+    }
+    with writer.loop("%count") as k:
         leaves = constants | e.step(k)
-        leaves |= {i: w.load(e.kind, slot) for i, slot in (state | spread).items()}
+        leaves |= {i: writer.load(e.kind, slot) for i, slot in (state_slots | covariance_slots).items()}
         leaves |= {
-            t.residual.index: e.load("residual", k, SCALAR), t.seen.index: e.load("seen", k, SCALAR),
-            t.added.index: e.load("added", k, SCALAR), t.shape.index: e.load("shape", k, SCALAR),
-        }  # fmt: skip
-        predicted, covariance = t.predicted_state(), t.predicted_covariance()
-        innovation = t.residual - predicted[-1]
-        variance = t.variances[0] * t.shape + covariance[-1][-1]
-        share = t.seen / variance
+            traced.residual.index: e.load("residual", k, SCALAR),
+            traced.seen.index: e.load("seen", k, SCALAR),
+            traced.added.index: e.load("added", k, SCALAR),
+            traced.shape.index: e.load("shape", k, SCALAR),
+        }
+        predicted, covariance = traced.predicted_state(), traced.predicted_covariance()
+        innovation = traced.residual - predicted[-1]
+        variance = traced.variances[0] * traced.shape + covariance[-1][-1]
+        share = traced.seen / variance
         state_after = [x + covariance[i][-1] * (share * innovation) for i, x in enumerate(predicted)]
         covariance_after = [
-            covariance[i][j] - covariance[i][-1] * (share * covariance[j][-1]) for i, j in t.places
+            covariance[i][j] - covariance[i][-1] * (share * covariance[j][-1]) for i, j in traced.places
         ]
         reported = [innovation, variance]
         reported += [] if wide else [*(row[-1] for row in covariance), predicted[-1]]
         values = e.values([*reported, *state_after, *covariance_after], leaves, wide_leaves)
-        w.store(e.kind, values[0], w.at(e.kind, "%innovation", k))
-        w.store(e.kind, values[1], w.at(e.kind, "%variance", k))
+        writer.store(e.kind, values[0], writer.at(e.kind, "%innovation", k))
+        writer.store(e.kind, values[1], writer.at(e.kind, "%variance", k))
         if not wide:
-            row = w.integer("mul", k, _STATES)
+            row = writer.integer("mul", k, _STATES)
             for i in range(_STATES):
-                w.store(SCALAR, values[2 + i], w.at(SCALAR, "%reach", w.integer("add", row, i)))
-            w.store(SCALAR, values[2 + _STATES], w.at(SCALAR, "%predicted", k))
+                writer.store(
+                    SCALAR, values[2 + i], writer.at(SCALAR, "%reach", writer.integer("add", row, i))
+                )
+            writer.store(SCALAR, values[2 + _STATES], writer.at(SCALAR, "%predicted", k))
             for i in range(_STATES):
-                w.store(SCALAR, values[len(reported) + i], w.at(SCALAR, "%state", w.integer("add", row, i)))
-        for slot, value in zip([*state.values(), *spread.values()], values[len(reported) :], strict=True):
-            w.store(e.kind, value, slot)
-    return w.text()
+                writer.store(
+                    SCALAR,
+                    values[len(reported) + i],
+                    writer.at(SCALAR, "%state", writer.integer("add", row, i)),
+                )
+        for slot, value in zip(
+            [*state_slots.values(), *covariance_slots.values()], values[len(reported) :], strict=True
+        ):
+            writer.store(e.kind, value, slot)
+    return writer.text()
 
 
 def _whiten_text() -> str:
-    """`whiten(count, key, table, gain, scale, columns)`: replaces LANES columns (T, LANES) by their
-    innovations under known gains (T, n), times `scale` (T,)."""
+    """Return the LLVM text of `whiten(count, key, table, gain, scale, columns)`.
+
+    It replaces LANES columns (T, LANES) by their innovations under known gains (T, n), times `scale` (T,).
+    """
     e = _FilterEmission("whiten", ("key", "table", "gain", "scale", "columns"), True)
     t, w = e.traced, e.w
     state = {symbol.index: w.slot(e.kind, "zeroinitializer") for symbol in t.x}
@@ -276,8 +311,11 @@ def _whiten_text() -> str:
 
 
 def _smooth_text() -> str:
-    """`smooth(count, key, table, gain, share, innovation, reach, smoothed)`: a backward pass that adds the
-    corrections by later readings to the predicted errors in `smoothed` (T,)."""
+    """Return the LLVM text of `smooth(count, key, table, gain, share, innovation, reach, smoothed)`.
+
+    It is a backward pass, which adds the corrections by later readings to the predicted errors `smoothed`
+    (T,).
+    """
     e = _FilterEmission("smooth", ("key", "table", "gain", "share", "innovation", "reach", "smoothed"), False)
     t, w = e.traced, e.w
     state = {symbol.index: w.slot(SCALAR, "0.0") for symbol in t.x}
@@ -306,6 +344,7 @@ def _smooth_text() -> str:
 
 @cache
 def _code() -> CompiledCode:
+    """Compile the four passes: `scores`, `filter`, `whiten` and `smooth`."""
     texts = (_filter_text("scores", True), _filter_text("filter", False), _whiten_text(), _smooth_text())
     return CompiledCode(declarations() + "".join(texts), ["scores", "filter", "whiten", "smooth"])
 
@@ -313,11 +352,12 @@ def _code() -> CompiledCode:
 # -- filter, likelihood, scoring -----------------------------------------------------------------------------
 @dataclass(frozen=True)
 class Filtered:
-    """An error (T,) filtered under variances (7,) (R, s_w², s_1² …).
+    """An error (T,) after the Kalman filter, under variances (7,) in the order R, s_w², s_1² ….
 
-    innovation, variance: (T,) of the readings, the innovation NaN without a reading; reach: (T, n) P H', the
-    predicted covariance of the state with the error; predicted: (T,) predicted error; state: (T, n) state
-    after each reading.
+    innovation, variance: (T,) of the readings; the innovation is NaN without a reading.
+    reach: (T, n) P H', the covariance of the state with the error before the reading.
+    predicted: (T,) error before the reading.  state: (T, n) after it.
+    bound: of Huber's loss, in standard deviations.
     """
 
     course: Instants
@@ -331,16 +371,16 @@ class Filtered:
 
     @property
     def standardised(self) -> np.ndarray:
-        """(T,) innovations by their standard deviations."""
+        """(T,) innovations divided by their standard deviations."""
         return self.innovation / np.sqrt(self.variance)
 
     @property
     def deviance(self) -> float:
         """−2 ln L, without ln 2π."""
-        seen = np.isfinite(self.innovation)
-        v = self.variance[seen][:, None]
-        e = self.innovation[seen][:, None] / np.sqrt(v)
-        return float(np.sum(np.log(v) + loss(e, self.bound), axis=0)[0])
+        is_read = np.isfinite(self.innovation)
+        variance_column = self.variance[is_read][:, None]
+        standardised = self.innovation[is_read][:, None] / np.sqrt(variance_column)
+        return float(np.sum(np.log(variance_column) + loss(standardised, self.bound), axis=0)[0])
 
     @property
     def terms(self) -> np.ndarray:
@@ -360,87 +400,106 @@ class Filtered:
         return np.where(np.isfinite(self.innovation), 1.0 / self.variance, 0.0)[:, None] * self.reach
 
     def whitened(self, columns: np.ndarray) -> np.ndarray:
-        """Columns (T, c) as standardised innovations (T, c), 0 where there is no reading."""
-        seen = np.isfinite(self.innovation)
-        scale = np.where(seen, 1.0 / np.sqrt(self.variance), 0.0)
+        """Filter further columns (T, c) with the same gains.
+
+        Returns their standardised innovations (T, c), 0 where there is no reading.
+        """
+        is_read = np.isfinite(self.innovation)
+        scale = np.where(is_read, 1.0 / np.sqrt(self.variance), 0.0)
         gain = np.ascontiguousarray(self.gain)
         count, width = columns.shape
         result = np.empty((count, width))
-        for first in range(0, width, LANES):
+        for first_column in range(0, width, LANES):
             block = np.zeros((count, LANES))
-            part = columns[:, first : first + LANES]
-            block[:, : part.shape[1]] = np.where(seen[:, None], part, 0.0)
+            columns_of_block = columns[:, first_column : first_column + LANES]
+            block[:, : columns_of_block.shape[1]] = np.where(is_read[:, None], columns_of_block, 0.0)
             _code()("whiten", count, self.course.key, self.course.table, gain, scale, block)
-            result[:, first : first + LANES] = block[:, : part.shape[1]]
+            result[:, first_column : first_column + LANES] = block[:, : columns_of_block.shape[1]]
         return result
 
     def smoothed(self) -> np.ndarray:
-        """(T,) the error given all readings."""
+        """Return the expected error (T,) given all readings, earlier and later."""
         result = self.predicted.copy()
-        seen = np.isfinite(self.innovation)
-        share = np.where(seen, 1.0 / self.variance, 0.0)
-        innovation = np.where(seen, self.innovation, 0.0)
-        c = self.course
+        is_read = np.isfinite(self.innovation)
+        inverse_variance = np.where(is_read, 1.0 / self.variance, 0.0)
+        innovation = np.where(is_read, self.innovation, 0.0)
+        instants = self.course
         _code()(
-            "smooth", len(result), c.key, c.table, np.ascontiguousarray(self.gain), share, innovation,
-            np.ascontiguousarray(self.reach), result,
-        )  # fmt: skip
+            "smooth",
+            len(result),
+            instants.key,
+            instants.table,
+            np.ascontiguousarray(self.gain),
+            inverse_variance,
+            innovation,
+            np.ascontiguousarray(self.reach),
+            result,
+        )
         return result
 
 
 def loss(e: np.ndarray, bound: float = HUBER) -> np.ndarray:
-    """Huber's loss: e² up to the bound b, 2 b |e| − b² beyond."""
+    """Return Huber's loss of standardised innovations: e² up to the bound b, 2 b |e| − b² beyond."""
     size = np.abs(e)
     counted = np.minimum(size, bound)
     return counted * (2.0 * size - counted)
 
 
-def filtered(course: Instants, variances: np.ndarray, residual: np.ndarray, bound: float = HUBER) -> Filtered:
-    """Filter an error (T,), NaN where there is no reading, under variances (7,)."""
+def filtered(
+    instants: Instants, variances: np.ndarray, residual: np.ndarray, bound: float = HUBER
+) -> Filtered:
+    """Filter an error (T,) under variances (7,); the error is NaN where there is no reading."""
     count = len(residual)
     innovation, variance, predicted = (np.empty(count) for _ in range(3))
     reach, state = np.empty((count, _STATES)), np.empty((count, _STATES))
-    given, seen = _given(course, variances, residual)
-    _code()("filter", count, *given, innovation, variance, reach, predicted, state)
-    innovation[~seen] = np.nan
-    return Filtered(course, variances, innovation, variance, reach, predicted, state, bound)
+    arguments, is_read = _given(instants, variances, residual)
+    _code()("filter", count, *arguments, innovation, variance, reach, predicted, state)
+    innovation[~is_read] = np.nan
+    return Filtered(instants, variances, innovation, variance, reach, predicted, state, bound)
 
 
 def _given(
-    course: Instants, variances: np.ndarray, residual: np.ndarray
+    instants: Instants, variances: np.ndarray, residual: np.ndarray
 ) -> tuple[tuple[np.ndarray, ...], np.ndarray]:
+    """Return the arrays that the compiled filter takes, and (T,) whether there is a reading."""
     is_present = np.isfinite(residual)
-    arrays = (
-        course.key, course.table, np.ascontiguousarray(variances, dtype=float), shares(course.tau_h),
-        np.where(is_present, residual, 0.0), is_present.astype(float), course.added, course.shape,
+    filter_arguments = (
+        instants.key, instants.table, np.ascontiguousarray(variances, dtype=float), shares(instants.tau_h),
+        np.where(is_present, residual, 0.0), is_present.astype(float), instants.added, instants.shape,
     )  # fmt: skip
-    return arrays, is_present
+    return filter_arguments, is_present
 
 
-def start_variances(course: Instants, residual: np.ndarray) -> np.ndarray:
-    """Start values (7,): 0.05 of the error's variance as noise, 0.1 as white flow, the rest in equal shares
-    over the resolved parts."""
+def start_variances(instants: Instants, residual: np.ndarray) -> np.ndarray:
+    """Return start values of the variances (7,).
+
+    They are 0.05 of the error's variance for noise, 0.1 for white flow, and the rest in equal shares for the
+    parts that the readings resolve.
+    """
     total = max(float(np.nanvar(residual)), 1e-12)
     variances = np.zeros(VARIANCES)
     variances[:2] = 0.05 * total, 0.1 * total
     variances[2:] = np.where(
-        course.there, 0.85 * total / max(course.there.sum(), 1) / shares(course.tau_h), 0.0
+        instants.there, 0.85 * total / max(instants.there.sum(), 1) / shares(instants.tau_h), 0.0
     )
     return variances
 
 
-def maximised(course: Instants, residual: np.ndarray, start: np.ndarray | None = None) -> np.ndarray:
-    """Variances (7,) that maximise the likelihood of an error (T,), by Fisher scoring."""
-    upper = np.full(VARIANCES, course.largest)
-    upper[2:] = course.largest / shares(course.tau_h)
-    active = np.append([True, True], course.there)
-    common = start_variances(course, residual)
-    initial = common if start is None else start
+def maximised(instants: Instants, residual: np.ndarray, start: np.ndarray | None = None) -> np.ndarray:
+    """Return the variances (7,) with the largest likelihood of an error (T,), found by Fisher scoring.
+
+    start: start values (7,); None: those of `start_variances`.
+    """
+    upper = np.full(VARIANCES, instants.largest)
+    upper[2:] = instants.largest / shares(instants.tau_h)
+    active = np.append([True, True], instants.there)
+    default_start = start_variances(instants, residual)
+    initial = default_start if start is None else start
     lowest = np.log(LEAST * upper)
-    log_common = np.log(np.maximum(common, LEAST * upper))
+    log_common = np.log(np.maximum(default_start, LEAST * upper))
     z = np.clip(np.log(np.maximum(np.where(active, initial, 1.0), 1e-300)), lowest, np.log(upper))
-    damping, value, gradient, information = 1e-3, *_scores(course, residual, z, active)
-    is_near = False
+    damping, value, gradient, information = 1e-3, *_scores(instants, residual, z, active)
+    almost_converged = False
     for _ in range(_STEPS):
         outward = ((z <= lowest + 1e-9) & (gradient > 0)) | ((z >= np.log(upper) - 1e-9) & (gradient < 0))
         free = active & ~outward
@@ -453,10 +512,10 @@ def maximised(course: Instants, residual: np.ndarray, start: np.ndarray | None =
         matrix = matrix + np.diag(damping * np.diag(matrix) + prior_weight)
         step = np.zeros(VARIANCES)
         step[free] = np.clip(-np.linalg.solve(matrix, gradient[free]), -_STEP, _STEP)
-        if is_near and step.max() < _STEP:
+        if almost_converged and step.max() < _STEP:
             break
         trial_z = np.clip(z + step, lowest, np.log(upper))
-        trial_scores = _scores(course, residual, trial_z, active)
+        trial_scores = _scores(instants, residual, trial_z, active)
         if not trial_scores[0] < value:
             damping *= 8.0
             if damping > 1e6:
@@ -464,37 +523,43 @@ def maximised(course: Instants, residual: np.ndarray, start: np.ndarray | None =
             continue
         gain = value - trial_scores[0]
         z, (value, gradient, information) = trial_z, trial_scores
-        is_near = gain < _GAIN and damping < 0.05
+        almost_converged = gain < _GAIN and damping < 0.05
         damping = max(damping / 5.0, 1e-6)
     return np.where(active, np.exp(z), 0.0)
 
 
 def _scores(
-    course: Instants, residual: np.ndarray, z: np.ndarray, active: np.ndarray, bound: float = HUBER
+    instants: Instants, residual: np.ndarray, z: np.ndarray, active: np.ndarray, bound: float = HUBER
 ) -> tuple[float, np.ndarray, np.ndarray]:
-    """−2 ln L, its gradient (7,) and its expected information (7, 7) in the log variances.
+    """Return −2 ln L, its gradient (7,) and expected information (7, 7) in the log variances z (7,).
 
-    The eight lanes run at z and at z with each log variance increased by `_MOVE`.
+    active: (7,) which variances are estimated.  The derivatives are numerical: the eight lanes of one filter
+        run hold z and z with each element increased by `_MOVE`.
     """
     lanes = np.repeat(np.where(active, np.exp(z), 0.0)[:, None], LANES, axis=1)
     lanes[np.arange(VARIANCES), np.arange(1, LANES)] *= math.exp(_MOVE)
     count = len(residual)
     innovation, variance = (np.empty((count, LANES)) for _ in range(2))
-    given, seen = _given(course, lanes, residual)
-    _code()("scores", count, *given, innovation, variance)
-    r, v = innovation[seen], variance[seen]
-    root = np.sqrt(v[:, 0])
-    e = r[:, 0] / root
-    u = np.log(v[:, 1:] / v[:, :1]) / _MOVE
-    d = (r[:, 1:] - r[:, :1]) / (_MOVE * root[:, None])
-    w = np.minimum(1.0, bound / np.maximum(np.abs(e), 1e-300))
-    gradient = (1.0 - w * e * e) @ u + 2.0 * (w * e) @ d
-    information = u.T @ u + 2.0 * (w[:, None] * d).T @ d
-    value = float(np.sum(np.log(v[:, 0]) + loss(e, bound)))
+    arguments, is_read = _given(instants, lanes, residual)
+    _code()("scores", count, *arguments, innovation, variance)
+    innovation_of_lane, variance_of_lane = innovation[is_read], variance[is_read]
+    root = np.sqrt(variance_of_lane[:, 0])
+    standardised = innovation_of_lane[:, 0] / root
+    log_variance_slope = np.log(variance_of_lane[:, 1:] / variance_of_lane[:, :1]) / _MOVE
+    innovation_slope = (innovation_of_lane[:, 1:] - innovation_of_lane[:, :1]) / (_MOVE * root[:, None])
+    weight = np.minimum(1.0, bound / np.maximum(np.abs(standardised), 1e-300))
+    gradient = (1.0 - weight * standardised * standardised) @ log_variance_slope + 2.0 * (
+        weight * standardised
+    ) @ innovation_slope
+    information = (
+        log_variance_slope.T @ log_variance_slope
+        + 2.0 * (weight[:, None] * innovation_slope).T @ innovation_slope
+    )
+    value = float(np.sum(np.log(variance_of_lane[:, 0]) + loss(standardised, bound)))
     return value, gradient, information
 
 
-def forecast_weights(course: Instants, horizon_h: np.ndarray) -> np.ndarray:
-    """Weights (k, n) of the state's components in the error that is expected after k horizons [h]."""
-    rows = np.stack([coefficients(float(hours), course.tau_h) for hours in horizon_h])
+def forecast_weights(instants: Instants, horizon_h: np.ndarray) -> np.ndarray:
+    """Return the weights (k, n) that turn a state into the error expected after k horizons [h]."""
+    rows = np.stack([coefficients(float(hours), instants.tau_h) for hours in horizon_h])
     return np.column_stack([rows[:, len(TIMES_H) : -1], rows[:, -1]])

@@ -46,8 +46,15 @@ LIGHT, POLISH = (3, 0.3), (10, 0.05)
 
 @dataclass(frozen=True)
 class Calibration:
-    """Parameters `theta` (P,) of a simulator; by quantity, the instants of the error, its variances (7,) and
-    the simulated readings (T,); linear: parameters whose coordinate is never the logarithm."""
+    """A simulator with parameter values, and the error process of each quantity.
+
+    errors: by quantity, the instants and coefficients of the error process.
+    theta: (P,) parameter values.
+    variances: (7,) of the error process, by quantity.
+    simulated: (T,) simulated readings, by quantity.
+    linear: parameters that are estimated as they are, never as logarithms.
+    plain: whether the error counts as white noise (least squares) instead of the error process.
+    """
 
     simulator: Simulator
     errors: Mapping[str, Instants]
@@ -59,19 +66,22 @@ class Calibration:
 
     @property
     def values(self) -> dict[str, float]:
+        """Parameter values by name."""
         return dict(zip(self.simulator.names, self.theta.tolist(), strict=True))
 
     @property
     def quantities(self) -> tuple[str, ...]:
+        """Names of the simulated quantities."""
         return tuple(self.simulated)
 
     def residual(self, quantity: str) -> np.ndarray:
-        """(T,) reading − simulation in the identification period, else NaN."""
+        """Return (T,) reading minus simulation in the identification period, NaN elsewhere."""
         r = self.simulator.scene.readings[quantity]
         return np.where(r.identified, r.value - self.simulated[quantity], np.nan)
 
     @cached_property
     def filtered(self) -> dict[str, Filtered]:
+        """The error of each quantity after the filter of its error process."""
         bound = math.inf if self.plain else HUBER
         return {
             q: filtered(self.errors[q], self.variances[q], self.residual(q), bound) for q in self.quantities
@@ -79,7 +89,7 @@ class Calibration:
 
     @cached_property
     def deviances(self) -> dict[str, float]:
-        """−2 ln L of each quantity, the priors of its parameters included."""
+        """−2 ln L of each quantity, including the priors of the parameters that act on it."""
         return {
             q: reference.deviance + sum(
                 _prior_term(p, x) for p, x in zip(self.simulator.parameters, self.theta, strict=True)
@@ -90,20 +100,26 @@ class Calibration:
 
     @property
     def deviance(self) -> float:
+        """−2 ln L of all quantities."""
         return sum(self.deviances.values())
 
 
-def _prior_term(p: Parameter, value: float) -> float:
-    if p.prior is None:
+def _prior_term(parameter: Parameter, value: float) -> float:
+    """Return a parameter's contribution to −2 ln L from its prior; 0 without a prior."""
+    if parameter.prior is None:
         return 0.0
-    coordinate = math.log(value) if p.prior.logarithmic else value
-    return ((coordinate - p.prior.mean) / p.prior.sd) ** 2
+    coordinate = math.log(value) if parameter.prior.logarithmic else value
+    return ((coordinate - parameter.prior.mean) / parameter.prior.sd) ** 2
 
 
 @dataclass(frozen=True)
 class Frame:
-    """Coordinates of the free parameters (each (d,)): their places among all parameters, whether a coordinate
-    is the logarithm, its limits, and its `move` for the numerical Jacobian."""
+    """The coordinates in which d free parameters are estimated: a parameter or its logarithm.
+
+    place: (d,) index of each among all parameters.  logarithmic: (d,) whether the coordinate is the
+        logarithm.
+    lower, upper: (d,) limits of the coordinates.  move: (d,) steps for the numerical Jacobian.
+    """
 
     place: np.ndarray
     logarithmic: np.ndarray
@@ -112,18 +128,22 @@ class Frame:
     move: np.ndarray
 
     def coordinates(self, theta: np.ndarray) -> np.ndarray:
+        """Return the coordinates (d,) of a parameter vector (P,)."""
         x = theta[self.place]
         return np.where(self.logarithmic, np.log(np.maximum(x, 1e-300)), x)
 
     def theta(self, start: np.ndarray, z: np.ndarray) -> np.ndarray:
+        """Return the parameter vector (P,) at coordinates z (d,); parameters that are not free keep their
+        `start`."""
         theta = start.copy()
         theta[self.place] = np.where(self.logarithmic, np.exp(np.where(self.logarithmic, z, 0.0)), z)
         return theta
 
 
 def frame(parameters: Sequence[Parameter], free: Collection[str], linear: Collection[str]) -> Frame:
-    place = np.array([i for i, p in enumerate(parameters) if p.name in free], dtype=int)
-    free_parameters = [parameters[i] for i in place]
+    """Return the coordinates of the free parameters; `linear` names those that are never logarithms."""
+    indices = np.array([i for i, p in enumerate(parameters) if p.name in free], dtype=int)
+    free_parameters = [parameters[i] for i in indices]
     logarithmic = np.array([p.positive and p.name not in linear for p in free_parameters], dtype=bool)
     lower = [math.log(p.lower) if is_log else (min(p.lower, p.null or 0.0) if p.positive else p.lower)
              for p, is_log in zip(free_parameters, logarithmic, strict=True)]  # fmt: skip
@@ -131,11 +151,11 @@ def frame(parameters: Sequence[Parameter], free: Collection[str], linear: Collec
         math.log(p.upper) if is_log else p.upper
         for p, is_log in zip(free_parameters, logarithmic, strict=True)
     ]
-    move = [
+    jacobian_step = [
         MOVE if is_log else 50.0 * MOVE * p.prior.sd if p.prior else 0.1 * MOVE * min(p.upper - p.lower, 50.0)
         for p, is_log in zip(free_parameters, logarithmic, strict=True)
     ]
-    return Frame(place, logarithmic, np.array(lower), np.array(upper), np.array(move))
+    return Frame(indices, logarithmic, np.array(lower), np.array(upper), np.array(jacobian_step))
 
 
 def estimate_at(
@@ -143,14 +163,18 @@ def estimate_at(
     linear: frozenset[str] = frozenset(), variances: Mapping[str, np.ndarray] | None = None,
     plain: bool = False,
 ) -> Calibration:  # fmt: skip
-    """The calibration at given parameters; without `variances`, with those of the greatest likelihood."""
+    """Return the calibration at parameters theta (P,).
+
+    errors: error process by quantity.  variances: (7,) by quantity; None: those with the largest likelihood.
+    """
     simulated = {q: simulator.simulated(theta[:, None], q)[:, 0] for q in errors}
     calibration = Calibration(simulator, errors, theta, variances or {}, simulated, linear, plain)
     return calibration if variances else with_variances(calibration)
 
 
 def with_variances(estimate: Calibration, quantities: Sequence[str] | None = None) -> Calibration:
-    """The estimate with the variances of the quantities (None: all) at their maximum likelihood."""
+    """Return the estimate with the error variances of largest likelihood, for the given quantities (None:
+    all)."""
     variances = dict(estimate.variances)
     for q in estimate.quantities if quantities is None else quantities:
         residual = estimate.residual(q)
@@ -173,10 +197,11 @@ def fitted(
     effort: tuple[int, float] = POLISH,
     kept: Columns | None = None,
 ) -> Calibration:
-    """The estimate with the free parameters (None: all) and the variances at their maximum likelihood.
+    """Return the estimate with its free parameters and error variances at their maximum likelihood.
 
-    Quantities that share no parameter are fitted one after the other.  kept: columns of the Jacobian at a
-    nearby point, used in all steps.
+    free: names of the parameters to fit; None: all.  effort: largest number of rounds, and the gain in −2 ln
+        L at which they end.  kept: Jacobian columns of a nearby point, used in all steps. Quantities that
+        share no free parameter are fitted separately.
     """
     names = set(estimate.simulator.names) if free is None else set(free)
     for block in _blocks(estimate, names):
@@ -190,14 +215,17 @@ def fitted(
 
 
 def acting(estimate: Calibration, quantities: Collection[str]) -> list[str]:
-    """The parameters that act on any of the quantities."""
+    """Return the names of the parameters that act on any of the quantities."""
     return [
         name for name in estimate.simulator.names if set(estimate.simulator.affects(name)) & set(quantities)
     ]
 
 
 def _blocks(estimate: Calibration, free: set[str]) -> list[tuple[str, ...]]:
-    """The quantities that free parameters act on, as one block if any parameter acts on several of them."""
+    """Return the groups of quantities that must be fitted together.
+
+    All of them form one group if any free parameter acts on several.
+    """
     acted_on = [set(estimate.simulator.affects(name)) & set(estimate.quantities) for name in free]
     if any(len(group) > 1 for group in acted_on):
         return [estimate.quantities]
@@ -205,20 +233,30 @@ def _blocks(estimate: Calibration, free: set[str]) -> list[tuple[str, ...]]:
 
 
 def _stepped(estimate: Calibration, free: set[str], block: tuple[str, ...], kept: Columns) -> Calibration:
-    """Up to `STEPS` Gauss–Newton steps under fixed variances."""
+    """Make up to `STEPS` damped Gauss–Newton steps of the free parameters, with the error variances fixed.
+
+    block: the quantities that count.  kept: Jacobian columns that are not computed again.
+    """
     acting_names = {name for name in free if set(estimate.simulator.affects(name)) & set(block)}
     for _ in range(STEPS):
-        f = frame(estimate.simulator.parameters, acting_names, estimate.linear)
-        matrix, gradient = _normal_equations(estimate, f, block, kept)
-        z = f.coordinates(estimate.theta)
-        steps = [_step(matrix, gradient, z, f, damping) for damping in DAMPINGS]
-        trials = np.column_stack([f.theta(estimate.theta, np.clip(z + s, f.lower, f.upper)) for s in steps])
-        deviance, runs = _trials(estimate, trials, block)
+        coordinates = frame(estimate.simulator.parameters, acting_names, estimate.linear)
+        matrix, gradient = _normal_equations(estimate, coordinates, block, kept)
+        position = coordinates.coordinates(estimate.theta)
+        steps = [_step(matrix, gradient, position, coordinates, damping) for damping in DAMPINGS]
+        trials = np.column_stack(
+            [
+                coordinates.theta(
+                    estimate.theta, np.clip(position + step, coordinates.lower, coordinates.upper)
+                )
+                for step in steps
+            ]
+        )
+        deviance, simulated_of_trials = _trials(estimate, trials, block)
         best = int(np.argmin(deviance))
         gain = sum(estimate.deviances[q] for q in block) - deviance[best]
         if not gain > 0.0:
             break
-        simulated = {q: y[:, best] for q, y in runs.items()}
+        simulated = {q: readings_of_trials[:, best] for q, readings_of_trials in simulated_of_trials.items()}
         estimate = replace(
             estimate, theta=trials[:, best].copy(), simulated={**estimate.simulated, **simulated}
         )
@@ -230,54 +268,67 @@ def _stepped(estimate: Calibration, free: set[str], block: tuple[str, ...], kept
 def _trials(
     estimate: Calibration, theta: np.ndarray, block: Sequence[str]
 ) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-    """−2 ln L (n,) under the estimate's variances, and the readings (T, n), of runs with parameters (P, n);
-    −2 ln L is infinite where a run diverges."""
+    """Simulate parameter vectors theta (P, n).
+
+    Returns −2 ln L (n,), infinite where a run diverges, and the simulated readings (T, n) by quantity.
+    """
     total = np.zeros(theta.shape[1])
     simulated = {}
     for q in block:
-        reference, r = estimate.filtered[q], estimate.simulator.scene.readings[q]
+        reference, readings = estimate.filtered[q], estimate.simulator.scene.readings[q]
         with np.errstate(over="ignore", invalid="ignore"):
             trial_readings = simulated[q] = estimate.simulator.simulated(theta, q)
             errors = reference.whitened(
-                np.where(r.identified[:, None], r.value[:, None] - trial_readings, np.nan)
+                np.where(readings.identified[:, None], readings.value[:, None] - trial_readings, np.nan)
             )
             total += loss(errors, reference.bound).sum(axis=0) + float(
                 np.log(reference.variance[np.isfinite(reference.innovation)]).sum()
             )
-        for i, p in enumerate(estimate.simulator.parameters):
-            if p.prior is not None and q in estimate.simulator.affects(p.name):
-                total += np.array([_prior_term(p, x) for x in theta[i]])
+        for i, parameter in enumerate(estimate.simulator.parameters):
+            if parameter.prior is not None and q in estimate.simulator.affects(parameter.name):
+                total += np.array([_prior_term(parameter, x) for x in theta[i]])
     return np.where(np.isfinite(total), total, math.inf), simulated
 
 
 def slopes(
-    estimate: Calibration, coordinates: Frame, block: Sequence[str] | None = None, kept: Columns | None = None
+    estimate: Calibration,
+    coordinates: Frame,
+    block: Sequence[str] | None = None,
+    known_columns: Columns | None = None,
 ) -> dict[str, np.ndarray]:
-    """The Jacobian (T, d) of the simulated readings in the coordinates, by quantity (None: all); columns in
-    `kept` are used as they are."""
+    """Return the Jacobian (T, d) of the simulated readings in the coordinates, by quantity.
+
+    block: the quantities; None: all.  kept: columns that are used as they are, by quantity and parameter.
+    """
     block = estimate.quantities if block is None else block
-    z = coordinates.coordinates(estimate.theta)
+    position = coordinates.coordinates(estimate.theta)
     names = [estimate.simulator.names[i] for i in coordinates.place]
-    jacobian = {q: np.zeros((len(estimate.simulated[q]), len(z))) for q in block}
+    jacobian = {q: np.zeros((len(estimate.simulated[q]), len(position))) for q in block}
     for q in block:
-        kept_columns = (kept or {}).get(q, {})
+        kept_columns = (known_columns or {}).get(q, {})
         for i, name in enumerate(names):
             if name in kept_columns:
                 jacobian[q][:, i] = kept_columns[name]
         to_run = [
-            i for i, n in enumerate(names) if n not in kept_columns and q in estimate.simulator.affects(n)
+            i
+            for i, name in enumerate(names)
+            if name not in kept_columns and q in estimate.simulator.affects(name)
         ]
         if not to_run:
             continue
-        move = np.where(z + coordinates.move > coordinates.upper, -coordinates.move, coordinates.move)
-        moved_theta = [coordinates.theta(estimate.theta, z + move * (np.arange(len(z)) == i)) for i in to_run]
+        steps = np.where(position + coordinates.move > coordinates.upper, -coordinates.move, coordinates.move)
+        moved_theta = [
+            coordinates.theta(estimate.theta, position + steps * (np.arange(len(position)) == i))
+            for i in to_run
+        ]
         moved_readings = estimate.simulator.simulated(np.column_stack(moved_theta), q)
-        jacobian[q][:, to_run] = (moved_readings - estimate.simulated[q][:, None]) / move[to_run]
+        jacobian[q][:, to_run] = (moved_readings - estimate.simulated[q][:, None]) / steps[to_run]
     return jacobian
 
 
 def weighted(estimate: Calibration, quantity: str, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Whitened columns (T, c) and whitened errors (T,), each times the roots of the readings' weights."""
+    """Return whitened columns (T, c) and whitened errors (T,), each times the root of the readings' Huber
+    weights."""
     reference = estimate.filtered[quantity]
     root = np.sqrt(reference.weight)
     with np.errstate(invalid="ignore", over="ignore"):
@@ -288,16 +339,16 @@ def weighted(estimate: Calibration, quantity: str, columns: np.ndarray) -> tuple
 def _normal_equations(
     estimate: Calibration, coordinates: Frame, block: Sequence[str], kept: Columns
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Gauss–Newton matrix (d, d) and gradient (d,) of half of −2 ln L."""
-    d = len(coordinates.place)
-    matrix, gradient = np.zeros((d, d)), np.zeros(d)
+    """Return the Gauss–Newton matrix (d, d) and the gradient (d,) of ½ (−2 ln L), priors included."""
+    count = len(coordinates.place)
+    matrix, gradient = np.zeros((count, count)), np.zeros(count)
     for q, columns in slopes(estimate, coordinates, block, kept).items():
         reference = estimate.filtered[q]
         nonzero = np.flatnonzero(columns.any(axis=0))
         white = reference.whitened(columns[:, nonzero])
-        e, w = np.nan_to_num(reference.standardised), reference.weight
-        matrix[np.ix_(nonzero, nonzero)] += white.T @ (white * w[:, None])
-        gradient[nonzero] -= white.T @ (w * e)
+        errors, weights = np.nan_to_num(reference.standardised), reference.weight
+        matrix[np.ix_(nonzero, nonzero)] += white.T @ (white * weights[:, None])
+        gradient[nonzero] -= white.T @ (weights * errors)
     information, slope = of_priors(estimate, coordinates)
     matrix += np.diag(information)
     gradient -= slope
@@ -305,7 +356,8 @@ def _normal_equations(
 
 
 def of_priors(estimate: Calibration, coordinates: Frame) -> tuple[np.ndarray, np.ndarray]:
-    """(d,) information of the priors in the coordinates, and the gradient of their log densities."""
+    """Return the information (d,) of the priors in the coordinates, and the gradient (d,) of their log
+    densities."""
     information, gradient = np.zeros((2, len(coordinates.place)))
     for i, place in enumerate(coordinates.place):
         prior, value = estimate.simulator.parameters[place].prior, float(estimate.theta[place])
@@ -321,7 +373,10 @@ def of_priors(estimate: Calibration, coordinates: Frame) -> tuple[np.ndarray, np
 def _step(
     matrix: np.ndarray, gradient: np.ndarray, z: np.ndarray, coordinates: Frame, damping: float
 ) -> np.ndarray:
-    """A damped Gauss–Newton step; coordinates at a limit with an outward gradient stay there."""
+    """Return a damped Gauss–Newton step (d,) from coordinates z (d,).
+
+    A coordinate at a limit stays there if the gradient points outward.
+    """
     step = np.zeros(len(z))
     free = ~(((z <= coordinates.lower) & (gradient > 0)) | ((z >= coordinates.upper) & (gradient < 0))) & (
         np.diag(matrix) > 0
@@ -346,12 +401,21 @@ def _step(
 
 
 def errors_of(simulator: Simulator, theta: np.ndarray, quantities: Sequence[str]) -> dict[str, Instants]:
-    """The instants of the errors by quantity; their low pass has the time constants of parameters (P,)."""
+    """Return the error process of each quantity at parameters theta (P,), which give the time constants of
+    its low pass."""
     values = dict(zip(simulator.names, theta.tolist(), strict=True))
-    courses = {}
+    instants_of = {}
     for q in quantities:
-        r = simulator.scene.readings[q]
-        shape = (r.saturated / np.mean(r.saturated)) ** 2
-        largest = max(float(np.nanvar(np.where(r.identified, r.value, np.nan))), 1e-9)
-        courses[q] = course(r.time_h, values[TIME_CONSTANT[q]], r.added, shape, largest=largest)
-    return courses
+        readings = simulator.scene.readings[q]
+        relative_noise = (readings.saturated / np.mean(readings.saturated)) ** 2
+        variance_of_readings = max(
+            float(np.nanvar(np.where(readings.identified, readings.value, np.nan))), 1e-9
+        )
+        instants_of[q] = course(
+            readings.time_h,
+            values[TIME_CONSTANT[q]],
+            readings.added,
+            relative_noise,
+            largest=variance_of_readings,
+        )
+    return instants_of

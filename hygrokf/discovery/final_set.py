@@ -65,9 +65,12 @@ determined."""
 
 @dataclass(frozen=True)
 class FinalSet:
-    """An estimate with its estimator and the covariance (d, d) of its coordinates `names` (logarithms of
-    positive parameters); at_bounds: parameters that ended at a limit; flat: parameters that the readings do
-    not determine."""
+    """The final parameter values of a model with their covariance.
+
+    names: parameters of the rows of `covariance` (d, d), which is in coordinates: logarithms of positive
+        parameters.
+    at_bounds: parameters that ended at a limit.  flat: parameters that the readings do not determine.
+    """
 
     estimate: Calibration
     estimator: Estimator
@@ -77,36 +80,51 @@ class FinalSet:
     flat: tuple[str, ...]
 
     def deviation(self, name: str) -> float:
-        """Standard error of a parameter's coordinate (of the logarithm if that is the coordinate)."""
-        i = self.names.index(name)
-        return math.sqrt(max(self.covariance[i, i], 0.0))
+        """Return the standard error of a parameter's coordinate: of its logarithm if it is estimated as
+        one."""
+        index = self.names.index(name)
+        return math.sqrt(max(self.covariance[index, index], 0.0))
 
     def bounds(self, name: str, quantile: float = 1.96) -> tuple[float, float]:
-        """95 % bounds of a parameter, in its unit; open if the parameter ended at a limit or is not
-        determined."""
-        p = self.estimate.simulator.parameters[self.estimate.simulator.names.index(name)]
-        value, reach = self.estimate.values[name], quantile * self.deviation(name)
-        logarithmic = p.positive and name not in self.estimate.linear
-        if name in (*self.at_bounds, *self.flat) or not reach < 50.0 * (1.0 if logarithmic else math.inf):
+        """Return the bounds of a parameter in its unit; by default with 95 % probability.
+
+        They are open (0 or ∓∞) if the parameter ended at a limit or is not determined.
+        """
+        parameter = self.estimate.simulator.parameters[self.estimate.simulator.names.index(name)]
+        value, half_width = self.estimate.values[name], quantile * self.deviation(name)
+        logarithmic = parameter.positive and name not in self.estimate.linear
+        if name in (*self.at_bounds, *self.flat) or not half_width < 50.0 * (
+            1.0 if logarithmic else math.inf
+        ):
             return (0.0 if logarithmic else -math.inf), math.inf
         if logarithmic:
-            return value * math.exp(-reach), value * math.exp(reach)
-        return value - reach, value + reach
+            return value * math.exp(-half_width), value * math.exp(half_width)
+        return value - half_width, value + half_width
 
 
 def final_estimator(*models: Calibration) -> Estimator:
-    """The estimator with which the models' free runs predict the last third of the identification period
-    better."""
+    """Return the estimator whose free runs predict the last third of the identification period better.
+
+    Both estimators are fitted to the first two thirds; "likelihood" is kept unless output error is better by
+    5 %.
+    """
     ratios = []
     for model in models:
-        early = _until(model, EARLY)
-        by_likelihood, by_output = fitted_by(early, "likelihood"), fitted_by(early, "output-error")
+        on_early_part = _until(model, EARLY)
+        by_likelihood, by_output = (
+            fitted_by(on_early_part, "likelihood"),
+            fitted_by(on_early_part, "output-error"),
+        )
         for q in model.quantities:
-            r = model.simulator.scene.readings[q]
-            late = r.identified & ~early.simulator.scene.readings[q].identified & np.isfinite(r.value)
-            if late.sum() > 1:
+            readings = model.simulator.scene.readings[q]
+            is_late = (
+                readings.identified
+                & ~on_early_part.simulator.scene.readings[q].identified
+                & np.isfinite(readings.value)
+            )
+            if is_late.sum() > 1:
                 errors = [
-                    max(float(np.mean((r.value - fit.simulated[q])[late] ** 2)), 1e-12)
+                    max(float(np.mean((readings.value - fit.simulated[q])[is_late] ** 2)), 1e-12)
                     for fit in (by_likelihood, by_output)
                 ]
                 ratios.append(0.5 * math.log(errors[1] / errors[0]))
@@ -114,7 +132,7 @@ def final_estimator(*models: Calibration) -> Estimator:
 
 
 def final_set(estimate: Calibration, estimator: Estimator) -> FinalSet:
-    """The final set of an estimator on the entire identification period, with the sandwich covariance by
+    """Fit a model by an estimator to the whole identification period, with the sandwich covariance by
     days."""
     fit = fitted_by(estimate, estimator)
     names, covariance, flat = sandwich(
@@ -131,7 +149,7 @@ def final_set(estimate: Calibration, estimator: Estimator) -> FinalSet:
 def fitted_by(
     estimate: Calibration, estimator: Estimator, quantities: Collection[str] | None = None
 ) -> Calibration:
-    """The estimate refitted by an estimator in the parameters that act on the quantities (None: all)."""
+    """Refit a model by an estimator, in the parameters that act on the quantities (None: all)."""
     free = None if quantities is None else acting(estimate, quantities)
     if estimator == "likelihood":
         return levelled(fitted(estimate, free))
@@ -140,7 +158,7 @@ def fitted_by(
 
 
 def _until(estimate: Calibration, share: float) -> Calibration:
-    """The estimate on the first `share` of its identification period."""
+    """Return the estimate with its identification period cut to the first `share` of its length."""
     scene, readings = estimate.simulator.scene, {}
     for q, r in estimate.simulator.scene.readings.items():
         identified_s = r.time_s[r.identified]
@@ -153,27 +171,26 @@ def _until(estimate: Calibration, share: float) -> Calibration:
 
 
 def sandwich(estimate: Calibration) -> tuple[tuple[str, ...], np.ndarray, tuple[str, ...]]:
-    """Names, covariance H⁻¹ J H⁻¹ in the coordinates of all parameters, and the parameters that H does not
-    determine.
+    """Return names, covariance H⁻¹ J H⁻¹ in coordinates, and the parameters that H does not determine.
 
-    H is the Gauss–Newton information plus that of the priors; J the sum of squares of the daily scores, with
-    those of neighbouring days, plus the information of the priors.
+    H is the Gauss–Newton information plus that of the priors.  J is the covariance of the daily scores,
+    including that between neighbouring days, plus the information of the priors.
     """
     coordinates = frame(estimate.simulator.parameters, set(estimate.simulator.names), estimate.linear)
     names = tuple(estimate.simulator.names[i] for i in coordinates.place)
-    information, spread = np.zeros((2, len(names), len(names)))
+    information, score_covariance = np.zeros((2, len(names), len(names)))
     for q, columns in slopes(estimate, coordinates).items():
         white, error = weighted(estimate, q, columns)
         daily = estimate.simulator.scene.readings[q].by_day(white * error[:, None])
         information += white.T @ white
         # neighbouring days of a slow disturbance are not independent
-        spread += daily.T @ daily
+        score_covariance += daily.T @ daily
         for lag in (1, 2):
             cross = (1.0 - lag / 3.0) * daily[lag:].T @ daily[:-lag]
-            spread += cross + cross.T
+            score_covariance += cross + cross.T
     priors = np.diag(of_priors(estimate, coordinates)[0])
     information += priors
-    spread += priors
+    score_covariance += priors
     is_informed = np.diag(information) > UNDETERMINED
     scale = np.where(is_informed, 1.0 / np.sqrt(np.where(is_informed, np.diag(information), 1.0)), 0.0)
     eigenvalues, eigenvectors = np.linalg.eigh(information * scale[:, None] * scale)
@@ -181,11 +198,13 @@ def sandwich(estimate: Calibration) -> tuple[tuple[str, ...], np.ndarray, tuple[
     undetermined_share = (eigenvectors[:, ~is_determined] ** 2).sum(axis=1)
     root = scale[:, None] * eigenvectors[:, is_determined] / eigenvalues[is_determined]
     inverse = root @ (eigenvectors[:, is_determined] * scale[:, None]).T
-    covariance = inverse @ spread @ inverse.T
+    covariance = inverse @ score_covariance @ inverse.T
     flat = tuple(
-        n
-        for n, s, d in zip(names, undetermined_share, np.diag(covariance), strict=True)
-        if s > 0.01 or not d > 0.0
+        name
+        for name, share_undetermined, variance in zip(
+            names, undetermined_share, np.diag(covariance), strict=True
+        )
+        if share_undetermined > 0.01 or not variance > 0.0
     )
     return names, covariance, flat
 
@@ -199,10 +218,10 @@ STEP_TOLERANCE = 1e-5
 def fit_of(
     record: Record, final: FinalSet, say: Progress = lambda text: None, against: Sequence[Reason] = ()
 ) -> Fit:
-    """A final set as a fit of the record, with the record's clocks corrected by the shifts of the set.
+    """Return a final set as a `Fit` of the record, with the record's clocks corrected as the set states.
 
-    against: reasons against the hygric constant, beside the fit's own.
-    Raises ValueError if the dynamics of the set are too fast for a filter of the readings.
+    against: reasons against the hygric constant, beside the fit's own. Raises ValueError if the dynamics of
+        the set are too fast for a filter of the readings.
     """
     record = shifted(record, *final.estimate.simulator.scene.shifts)
     early = prepare(record.identification())
@@ -219,7 +238,7 @@ def fit_of(
 
 
 def final_designs(final: FinalSet) -> tuple[Design, ...]:
-    """The designs of a final set, with the estimated levels of the controllers."""
+    """Return the designs of a final set, with the estimated switching levels of the controllers."""
     values, simulator = final.estimate.values, final.estimate.simulator
     designs = []
     for design in simulator.designs:
@@ -232,10 +251,13 @@ def final_designs(final: FinalSet) -> tuple[Design, ...]:
 
 
 def _stage(early: PreparedRecord, base: Design, final: FinalSet, say: Progress) -> Stage:
-    """The stage of one design with the values and the covariance of the final set."""
+    """Return one design as a stage of a fit, with the values and the covariance of the final set.
+
+    early: the record's identification period.  The noise parameters are estimated by the Kalman filter.
+    """
     say("sizes of the disturbances")
-    run = model_inputs(base, early)
-    likelihood = Likelihood(base.model, run.timeline, tolerance=STEP_TOLERANCE)
+    run_of_record = model_inputs(base, early)
+    likelihood = Likelihood(base.model, run_of_record.timeline, tolerance=STEP_TOLERANCE)
     estimated = final.estimate.values
     fixed = {
         p.name: min(max(estimated[p.name], p.lower), p.upper)
@@ -257,54 +279,67 @@ def _stage(early: PreparedRecord, base: Design, final: FinalSet, say: Progress) 
         if name in coordinates.names
     }
     say("models without the input")
-    stated = base.humidity is not None and early[base.humidity].response_time_s is not None
+    response_stated = base.humidity is not None and early[base.humidity].response_time_s is not None
     without = {name: without_input(final.estimate, name) for name in bounds}
-    return Stage(base, run, estimate, uncertainty, bounds, response_stated=stated, without=without)
+    return Stage(
+        base, run_of_record, estimate, uncertainty, bounds, response_stated=response_stated, without=without
+    )
 
 
 def without_input(model: Calibration, name: str) -> WithoutInput:
-    """The best simulation in which the input of a time constant does not act, compared with the maximum of
-    the likelihood of the model itself."""
+    """Return the best simulation in which the input of a time constant does not act, compared with the model.
+
+    name: "thermal_time_constant" or "hygric_k".
+    """
     from scipy.special import chdtri
 
-    q = next(quantity for quantity, best in TIME_CONSTANT.items() if best == name)
+    quantity = next(q for q, parameter in TIME_CONSTANT.items() if parameter == name)
     scene, simulator = model.simulator.scene, model.simulator
-    time, vapour = scene.edges_s / HOUR_S, np.full(len(scene.edges_s), np.nan)
+    time_h, vapour = scene.edges_s / HOUR_S, np.full(len(scene.edges_s), np.nan)
     if "vapour" in scene.readings:
-        r = scene.readings["vapour"]
-        vapour[np.clip(np.searchsorted(scene.edges_s, r.time_s), 0, len(time) - 1)] = r.value
-    names = [n for n in simulator.cell_model(q).inputs if n != TEMPERATURE]
+        readings = scene.readings["vapour"]
+        vapour[np.clip(np.searchsorted(scene.edges_s, readings.time_s), 0, len(time_h) - 1)] = readings.value
+    names = [n for n in simulator.cell_model(quantity).inputs if n != TEMPERATURE]
     inputs = {n: scene.at_edges(n, simulator.owner(n)) for n in names}
-    free, results = acting(model, [q]), []
-    best = fitted(model, free)
+    free, comparisons = acting(model, [quantity]), []
+    full_fit = fitted(model, free)
     required = float(chdtri(len(free), CHANCE))
-    for code, moved, fixed in alternatives(name, inputs, time, scene.drive, vapour):
-        still = scene.with_inputs([(n, simulator.owner(n), value) for n, value in moved.items()])
-        other = replace(simulator, scene=still, _cells={})
-        theta = other.vector({**best.values, **fixed})
+    for code, changed_inputs, fixed in alternatives(name, inputs, time_h, scene.drive, vapour):
+        scene_without_input = scene.with_inputs(
+            [(n, simulator.owner(n), value) for n, value in changed_inputs.items()]
+        )
+        simulator_without_input = replace(simulator, scene=scene_without_input, _cells={})
+        theta = simulator_without_input.vector({**full_fit.values, **fixed})
         # the variances have several maxima: start with those of the model and with new ones
         for errors, variances in (
-            (best.errors, best.variances),
-            (errors_of(other, theta, model.quantities), None),
+            (full_fit.errors, full_fit.variances),
+            (errors_of(simulator_without_input, theta, model.quantities), None),
         ):
-            start = estimate_at(other, errors, theta, best.linear, variances)
+            start = estimate_at(simulator_without_input, errors, theta, full_fit.linear, variances)
             fit = fitted(start, [n for n in free if n not in fixed])
-            results.append(WithoutInput(code(), float(fit.deviances[q] - best.deviances[q]), required))
-    return min(results, key=lambda other: other.gain)
+            comparisons.append(
+                WithoutInput(code(), float(fit.deviances[quantity] - full_fit.deviances[quantity]), required)
+            )
+    return min(comparisons, key=lambda simulator_without_input: simulator_without_input.gain)
 
 
 def _uncertainty(final: FinalSet, coordinates: Coordinates) -> Uncertainty:
-    """The uncertainty of a stage's parameters in the stage's coordinates."""
-    open_ = (*final.at_bounds, *final.flat)
-    names = tuple(n for n in coordinates.names if n in final.names and n not in open_)
-    place = [final.names.index(n) for n in names]
+    """Return the uncertainty of a stage's parameters in the stage's own coordinates."""
+    without_covariance = (*final.at_bounds, *final.flat)
+    names = tuple(
+        name for name in coordinates.names if name in final.names and name not in without_covariance
+    )
+    indices = [final.names.index(name) for name in names]
     values: Mapping[str, float] = final.estimate.values
     linear = final.estimate.linear
-    as_logarithm = [coordinates.parameter(n).positive and n in linear for n in names]
+    as_logarithm = [coordinates.parameter(name).positive and name in linear for name in names]
     scale = np.array(
-        [1.0 / max(values[n], 1e-300) if log else 1.0 for n, log in zip(names, as_logarithm, strict=True)]
+        [
+            1.0 / max(values[name], 1e-300) if log else 1.0
+            for name, log in zip(names, as_logarithm, strict=True)
+        ]
     )
-    covariance = final.covariance[np.ix_(place, place)] * np.outer(scale, scale)
+    covariance = final.covariance[np.ix_(indices, indices)] * np.outer(scale, scale)
     information = np.linalg.pinv(covariance)
     factor = np.ones(len(names))
     return Uncertainty(names, covariance, covariance, factor, final.flat, (), information)

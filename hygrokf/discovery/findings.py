@@ -59,11 +59,13 @@ SHARP_H = 1.0
 
 @dataclass(frozen=True)
 class Whitened:
-    """The standardised innovations of an error (n,), orthogonal to nuisance columns (n, q).
+    """The whitened error of one quantity (n bins), with all nuisance effects removed.
 
-    error: NaN without a reading; step_h, tau_h: [h] length of a bin, time constant of the low pass; basis:
-    (n, q) orthonormal basis of the whitened nuisance; e: (n,) innovations orthogonal to the basis, 0 without
-    a reading.
+    error: (n,) NaN without a reading.  step_h: [h] length of a bin.  tau_h: [h] time constant of the low
+        pass.
+    known: the filtered error.  nuisance: (n, q) columns of effects that are already explained.
+    basis: (n, q) orthonormal basis of the whitened nuisance.
+    e: (n,) standardised innovations orthogonal to it; 0 without a reading.
     """
 
     error: np.ndarray
@@ -76,30 +78,39 @@ class Whitened:
 
     @classmethod
     def of(cls, error: np.ndarray, step_h: float, tau_h: float) -> Whitened:
-        """The error whitened under its maximum-likelihood variances, with a constant as nuisance."""
+        """Whiten an error (n,) under its maximum-likelihood variances; its mean is a nuisance."""
         error = error - np.nanmean(error)
-        largest = max(float(np.nanvar(error)), 1e-12)
+        variance = max(float(np.nanvar(error)), 1e-12)
         time = step_h * np.arange(len(error))
-        seen = course(time, tau_h, np.zeros(len(error)), largest=largest)
-        known = filtered(seen, maximised(seen, error), error)
+        instants = course(time, tau_h, np.zeros(len(error)), largest=variance)
+        filter_result = filtered(instants, maximised(instants, error), error)
         empty = np.empty((len(error), 0))
-        return cls(error, step_h, tau_h, known, empty, empty, error)._with(
-            error, known.variances, np.ones((len(error), 1))
+        return cls(error, step_h, tau_h, filter_result, empty, empty, error)._with(
+            error, filter_result.variances, np.ones((len(error), 1))
         )
 
     def _with(self, error: np.ndarray, variances: np.ndarray, nuisance: np.ndarray) -> Whitened:
-        known = filtered(self.known.course, variances, error)
-        white = known.whitened(nuisance)
-        root = _root(white)
-        basis = white[:, :0] if root is None else white @ root
-        e = np.nan_to_num(known.standardised)
+        """Return the same object for another error (n,), variances (7,) and nuisance columns (n, q)."""
+        filter_result = filtered(self.known.course, variances, error)
+        white_nuisance = filter_result.whitened(nuisance)
+        root = _root(white_nuisance)
+        basis = white_nuisance[:, :0] if root is None else white_nuisance @ root
+        innovations = np.nan_to_num(filter_result.standardised)
         return replace(
-            self, error=error, known=known, nuisance=nuisance, basis=basis, e=e - basis @ (basis.T @ e)
+            self,
+            error=error,
+            known=filter_result,
+            nuisance=nuisance,
+            basis=basis,
+            e=innovations - basis @ (basis.T @ innovations),
         )
 
     def columns(self, condition: np.ndarray, flow: bool) -> np.ndarray:
-        """Columns (n, k) of a condition (n, m), NaN = unknown, minus their means; with `flow` also the
-        responses of the air and of a slower mass to a flow with the course of the condition."""
+        """Return the columns (n, k) by which a condition (n, m) is tested; they have mean 0, unknown values
+        count as 0.
+
+        flow: whether to add the condition as a flow: its response in the air, and in a slower mass.
+        """
         is_known = np.isfinite(condition)
         values = np.where(is_known, condition, 0.0)
         mean = values.sum(axis=0) / np.maximum(is_known.sum(axis=0), 1)
@@ -109,39 +120,41 @@ class Whitened:
         return np.column_stack([centred, self.low_passed(centred), self.low_passed(centred, SLOWER)])
 
     def low_passed(self, columns: np.ndarray, slower: float = 1.0) -> np.ndarray:
-        """Columns (n, k) filtered by the low pass τ dz/dt = −z + column, whose τ is `slower` times the
-        error's time constant."""
+        """Filter columns (n, k) by the low pass τ dz/dt = −z + column, with τ = `slower` times that of the
+        cabinet."""
         from scipy.signal import lfilter
 
         decay = np.exp(-self.step_h / (slower * self.tau_h))
         return lfilter([1.0 - decay], [1.0, -decay], columns, axis=0)
 
     def whitened(self, columns: np.ndarray) -> np.ndarray:
-        """Columns (n, k) whitened by the filter and orthogonal to the nuisance."""
+        """Whiten columns (n, k) and remove their parts along the nuisance."""
         white = self.known.whitened(columns)
         squares_before = np.einsum("ni,ni->i", white, white)
         white -= self.basis @ (self.basis.T @ white)
         white[:, np.einsum("ni,ni->i", white, white) <= ROUNDING * squares_before] = 0.0
         return white
 
-    def log_p(self, white: np.ndarray, full: bool = False) -> float:
-        """ln p of the hypothesis that the error does not depend on a condition with whitened columns (n, k);
-        full: without the Huber bound."""
+    def log_p(self, white: np.ndarray, unbounded: bool = False) -> float:
+        """Return ln p of the hypothesis that the error does not depend on a condition.
+
+        white: (n, k) whitened columns of the condition.  unbounded: whether large innovations count in full.
+        """
         root = _root(white)
         if root is None:
             return 0.0
-        e, rank = self.e if full else _clipped(self.e), root.shape[1]
-        statistic = _square(root.T @ (white.T @ e))
-        if _log_tail(statistic, rank) > POSSIBLE:
-            return _log_tail(statistic, rank)
+        innovations, degrees_of_freedom = self.e if unbounded else _clipped(self.e), root.shape[1]
+        statistic = _square(root.T @ (white.T @ innovations))
+        if _log_tail(statistic, degrees_of_freedom) > POSSIBLE:
+            return _log_tail(statistic, degrees_of_freedom)
         remainder = _clipped(self.e - white @ (root @ (root.T @ (white.T @ self.e))))
         daily = np.add.reduceat(
             white * remainder[:, None], np.arange(0, len(remainder), round(24.0 / self.step_h))
         )
-        return _log_tail(statistic / max(1.0, _square(daily @ root) / rank), rank)
+        return _log_tail(statistic / max(1.0, _square(daily @ root) / degrees_of_freedom), degrees_of_freedom)
 
     def effect(self, columns: np.ndarray) -> np.ndarray:
-        """The part (n,) of the error that columns (n, k) explain, by generalised least squares."""
+        """Return the part (n,) of the error that columns (n, k) explain, by generalised least squares."""
         white = self.whitened(columns)
         root = _root(white)
         if root is None:
@@ -149,27 +162,33 @@ class Whitened:
         return columns @ (root @ (root.T @ (white.T @ self.e)))
 
     def rejudged(self, columns: np.ndarray) -> Whitened:
-        """The same error under the variances of its part that columns (n, k) do not explain: the effect would
-        otherwise raise the slow variances, which then hide it."""
+        """Return this error with the variances estimated without the effect of columns (n, k).
+
+        Otherwise a slow effect would raise the slow variances, which then hide it.
+        """
         remainder = self.error - self.effect(columns)
         variances = maximised(self.known.course, remainder, self.known.variances)
         return self._with(self.error, variances, self.nuisance)
 
     def without(self, columns: np.ndarray, kin: np.ndarray) -> Whitened:
-        """The error minus the part that columns (n, k) explain; these columns and `kin` (n, c) join the
-        nuisance."""
+        """Return the error minus the part that columns (n, k) explain.
+
+        These columns and the related columns `kin` (n, c) become nuisance.
+        """
         remainder = self.error - self.effect(columns)
         variances = maximised(self.known.course, remainder, self.known.variances)
         return self._with(remainder, variances, np.column_stack([self.nuisance, columns, kin]))
 
     def change(self) -> tuple[int, bool, int, bool]:
-        """The likeliest lasting change: its first bin, whether it is one of a flow (else of the readings),
-        the number of changes that were tried, and whether the date is certain to the hour.
+        """Return the likeliest lasting change of the error.
+
+        Returns its first bin, whether a flow changed (else the readings), the number of changes that were
+        tried, and whether the date is certain to the hour.
 
         The adjoint filter gives the scores of all dates in one pass: the score of a change at bin t is the
         sum of the contributions from bin t on.  The information is that of a record without gaps.
-        Innovations count without the Huber bound.  Dates near which an outlier, or a shock to the process
-        itself, explains the innovations clearly better are left out.
+        Innovations count without the Huber bound.  Dates are skipped where an outlier, or a shock to the
+        process, explains the innovations clearly better.
         """
         from scipy.ndimage import maximum_filter1d
         from scipy.signal import lfilter
@@ -177,77 +196,92 @@ class Whitened:
         count, decay = len(self.e), np.exp(-self.step_h / self.tau_h)
         contributions = np.column_stack([self._adjoint(column) for column in (self.e, *self.basis.T)])
         reversed_contributions = contributions[::-1]
-        direct = np.cumsum(reversed_contributions, axis=0)
+        direct_sums = np.cumsum(reversed_contributions, axis=0)
         sums = np.stack(
-            [direct, direct - decay * lfilter([1.0], [1.0, -decay], reversed_contributions, axis=0)], axis=1
+            [
+                direct_sums,
+                direct_sums - decay * lfilter([1.0], [1.0, -decay], reversed_contributions, axis=0),
+            ],
+            axis=1,
         )[::-1]
-        read = np.flatnonzero(np.isfinite(self.error))
-        margin = round(EDGE * len(read))
-        dates = read[margin : len(read) - margin]
-        first = min(round(EDGE * count), int(dates[0]))
+        read_bins = np.flatnonzero(np.isfinite(self.error))
+        margin = round(EDGE * len(read_bins))
+        dates = read_bins[margin : len(read_bins) - margin]
+        first_bin = min(round(EDGE * count), int(dates[0]))
         bin_index = np.arange(count)
         step, outlier = (
-            (bin_index >= first)[:, None].astype(float),
-            (bin_index == first)[:, None].astype(float),
+            (bin_index >= first_bin)[:, None].astype(float),
+            (bin_index == first_bin)[:, None].astype(float),
         )
-        steady = filtered(self.known.course, self.known.variances, np.zeros(count))
-        white = steady.whitened(np.column_stack([step, self.low_passed(step), outlier]))[first:]
-        square = np.cumsum(white[:, :2] ** 2, axis=0)[count - 1 - dates]
-        square = square - (sums[dates, :, 1:] ** 2).sum(axis=2)
-        safe = np.where(square > 0.0, square, np.inf)
-        statistic = sums[dates, :, 0] ** 2 / safe
-        shock = np.maximum(self.e**2, contributions[:, 0] ** 2 / _square(white[:, 2]))
+        filter_without_gaps = filtered(self.known.course, self.known.variances, np.zeros(count))
+        white_columns = filter_without_gaps.whitened(np.column_stack([step, self.low_passed(step), outlier]))[
+            first_bin:
+        ]
+        information = np.cumsum(white_columns[:, :2] ** 2, axis=0)[count - 1 - dates]
+        information = information - (sums[dates, :, 1:] ** 2).sum(axis=2)
+        positive_information = np.where(information > 0.0, information, np.inf)
+        statistic = sums[dates, :, 0] ** 2 / positive_information
+        shock = np.maximum(self.e**2, contributions[:, 0] ** 2 / _square(white_columns[:, 2]))
         statistic[statistic < maximum_filter1d(shock, 2 * NEAR + 1)[dates, None] - INTERVAL] = 0.0
-        best, flow = np.unravel_index(np.argmax(statistic), statistic.shape)
-        likely_bins = int((statistic[:, flow] > statistic[best, flow] - INTERVAL).sum())
-        return int(dates[best]), bool(flow), statistic.size, likely_bins * self.step_h <= SHARP_H
+        best_row, flow_column = np.unravel_index(np.argmax(statistic), statistic.shape)
+        likely_bins = int((statistic[:, flow_column] > statistic[best_row, flow_column] - INTERVAL).sum())
+        return int(dates[best_row]), bool(flow_column), statistic.size, likely_bins * self.step_h <= SHARP_H
 
     def _adjoint(self, white: np.ndarray) -> np.ndarray:
-        """(n,) contribution of each reading to the product of the whitened readings with a vector (n,)."""
+        """Return the contribution (n,) of each reading to the product of two whitened series.
+
+        One of them is `white` (n,); the other is to be multiplied later.
+        """
         is_present = np.isfinite(self.known.innovation)
         innovation = np.where(is_present, white * np.sqrt(self.known.variance), np.nan)
         smoothed = replace(self.known, innovation=innovation, predicted=np.zeros(len(white))).smoothed()
-        noise = self.known.variances[0] * self.known.course.shape
-        return np.where(is_present, (innovation - smoothed) / noise, 0.0)
+        noise_variance = self.known.variances[0] * self.known.course.shape
+        return np.where(is_present, (innovation - smoothed) / noise_variance, 0.0)
 
 
 def _square(values: np.ndarray) -> float:
+    """Return the sum of squares."""
     return float(np.sum(values**2))
 
 
 def _clipped(e: np.ndarray) -> np.ndarray:
+    """Return innovations limited to the Huber bound."""
     return np.clip(e, -HUBER, HUBER)
 
 
 def _root(white: np.ndarray) -> np.ndarray | None:
-    """R (k, r) that makes columns (n, k) orthonormal in their r independent directions; None for r = 0."""
-    gram = white.T @ white
-    scale = np.sqrt(np.diag(gram))
-    used = scale > 1e-9 * max(float(scale.max(initial=0.0)), 1e-9)
-    if not used.any():
+    """Return the matrix R (k, r) for which `white` (n, k) times R has orthonormal columns; None if all
+    columns are 0."""
+    products = white.T @ white
+    scale = np.sqrt(np.diag(products))
+    is_used = scale > 1e-9 * max(float(scale.max(initial=0.0)), 1e-9)
+    if not is_used.any():
         return None
-    scale = np.where(used, scale, np.inf)
-    value, vector = np.linalg.eigh(gram / np.outer(scale, scale))
-    kept = value > 1e-6 * value[-1]
-    return vector[:, kept] / np.sqrt(value[kept]) / scale[:, None]
+    scale = np.where(is_used, scale, np.inf)
+    value, vector = np.linalg.eigh(products / np.outer(scale, scale))
+    is_kept = value > 1e-6 * value[-1]
+    return vector[:, is_kept] / np.sqrt(value[is_kept]) / scale[:, None]
 
 
 def _log_tail(value: float, freedom: int) -> float:
-    """ln of the probability that χ² with `freedom` degrees of freedom exceeds a value."""
+    """Return ln of the probability that χ² with `freedom` degrees of freedom exceeds a value."""
     from scipy.special import chdtrc, gammaln
 
-    p = float(chdtrc(freedom, value))
-    if p > 0.0:
-        return math.log(p)
+    probability = float(chdtrc(freedom, value))
+    if probability > 0.0:
+        return math.log(probability)
     return (0.5 * freedom - 1.0) * math.log(0.5 * value) - 0.5 * value - float(gammaln(0.5 * freedom))
 
 
 def benjamini_hochberg(p: np.ndarray, weights: np.ndarray | None = None) -> np.ndarray:
-    """q (J,): the share of false discoveries among all tests that are at least as significant.
+    """Return adjusted p (J,): the share of false discoveries among all tests that are at least as
+    significant.
 
-    weights: (J,) fixed beforehand, scaled to mean 1; p is divided by them.  Valid for independent and for
-    positively dependent tests.  Overlapping conditions share hours, so that their statistics are positively
-    dependent and need no factor Σ 1/j (Benjamini & Yekutieli 2001, doi:10.1214/aos/1013699998).
+    p: (J,) of the tests.
+    weights: (J,) chosen beforehand; p is divided by them, after they are scaled to mean 1. Valid for
+        independent and for positively dependent tests.  Overlapping conditions share hours, so their
+        statistics are positively dependent and need no factor Σ 1/j (Benjamini & Yekutieli 2001,
+        doi:10.1214/aos/1013699998).
 
     Source: Genovese, Roeder & Wasserman 2006, doi:10.1093/biomet/93.3.509 (weights).
     """
@@ -283,8 +317,11 @@ SEEN = 0.5
 
 @dataclass
 class _QuantityErrors:
-    """The errors of one quantity without the findings so far, and ln p of each condition; the last condition
-    is a step, of a flow (`flow`) or of the readings."""
+    """The state of the search for findings in one quantity.
+
+    white: its errors without the findings so far.  conditions: all conditions, a possible step last.
+    flow: whether that step is one of a flow, else of the readings.  log_p: (J,) ln p of each condition.
+    """
 
     quantity: Quantity
     rmse: float
@@ -294,8 +331,10 @@ class _QuantityErrors:
     log_p: np.ndarray = field(default_factory=lambda: np.empty(0))
 
     def columns(self, number: int) -> np.ndarray:
-        """Columns (n, k) of a condition; columns of all conditions would not fit into memory for years of
-        readings."""
+        """Return the columns (n, k) of one condition.
+
+        They are not stored, since those of all conditions would not fit into memory for years of readings.
+        """
         condition = self.conditions[number]
         if number < len(self.conditions) - 1:
             return self.white.columns(condition.basis, condition.flow)
@@ -304,40 +343,43 @@ class _QuantityErrors:
 
 
 def findings(residuals: Residuals) -> list[Finding]:
-    """The errors of the free run in the identification period, worst (in units of its RMSE) first, at most
-    eight.
+    """Return under which conditions the free run errs in the identification period, at most eight, worst
+    first.
 
     Each condition (episodes, regimes, hours since a change, hour, season, level, rate and lag of every
     driver, drift and step, saturation) is tested on the free run's errors.  The most significant condition is
-    described and removed from the errors, then all conditions are tested again, so that an effect is reported
-    under one condition only.  A finding must be significant (weighted Benjamini–Hochberg: episodes, hour,
-    calendar and drivers have equal shares of the level), material (0.2 RMSE) and larger than the sensors'
-    accuracy explains.
+    reported and its effect removed, then all conditions are tested again, so that an effect is reported only
+    once.  A finding must be significant (weighted Benjamini–Hochberg: episodes, hour, calendar and drivers
+    have equal shares of the level), material (0.2 RMSE) and larger than the sensors' accuracy explains.
 
     A quantity with errors in fewer than 72 hours has no findings.  Raises KeyError for a quantity without a
     time constant in the residuals.
     """
-    bins = binned(residuals, BIN_H)
-    common_conditions = conditions(bins)
+    binned_residuals = binned(residuals, BIN_H)
+    common_conditions = conditions(binned_residuals)
     states = []
     for quantity in QUANTITIES:
-        error = bins.error[quantity]
-        if np.isfinite(error).sum() * bins.step_h >= FEWEST_H:
-            white = Whitened.of(error, bins.step_h, residuals.time_constants[quantity])
+        error = binned_residuals.error[quantity]
+        if np.isfinite(error).sum() * binned_residuals.step_h >= FEWEST_H:
+            white = Whitened.of(error, binned_residuals.step_h, residuals.time_constants[quantity])
             states.append(_QuantityErrors(quantity, residuals.rmse(quantity), white, common_conditions))
     results: list[Finding] = []
     changed_states = states
     for _ in range(MOST):
         for state in changed_states:
-            _test(state, common_conditions, bins)
+            _test(state, common_conditions, binned_residuals)
         adjusted = _adjusted(states)
         changed_states = []
-        for state, q in zip(states, adjusted, strict=True):
-            for number in np.argsort(state.log_p, kind="stable"):
-                finding = _described(bins, state, number, float(q[number])) if q[number] <= LEVEL else None
+        for state, p_adjusted in zip(states, adjusted, strict=True):
+            for condition_index in np.argsort(state.log_p, kind="stable"):
+                finding = (
+                    _described(binned_residuals, state, condition_index, float(p_adjusted[condition_index]))
+                    if p_adjusted[condition_index] <= LEVEL
+                    else None
+                )
                 if finding is not None:
                     results.append(finding)
-                    _remove_effect(state, number)
+                    _remove_effect(state, condition_index)
                     changed_states.append(state)
                     break
         if not changed_states:
@@ -348,23 +390,24 @@ def findings(residuals: Residuals) -> list[Finding]:
 
 
 def _test(state: _QuantityErrors, common_conditions: Sequence[Stratum], hours: Residuals) -> None:
-    """Compute ln p of every condition and of the likeliest step."""
+    """Test every condition and the likeliest step; the result is stored in `state.log_p`."""
     white = state.white
-    first_bin, state.flow, number_tried, sharp = white.change()
-    state.conditions = [*common_conditions, step_at(hours, first_bin, sharp)]
+    first_bin, state.flow, number_tried, is_sharp = white.change()
+    state.conditions = [*common_conditions, step_at(hours, first_bin, is_sharp)]
 
-    def log_p(under: Whitened, condition: Stratum, table: np.ndarray) -> float:
+    def log_p(errors: Whitened, condition: Stratum, columns: np.ndarray) -> float:
+        """Return ln p of a condition; a step's p is multiplied by the number of dates that were tried."""
         if condition.kind != "step":
-            return under.log_p(table)
-        return min(0.0, under.log_p(table, full=True) + math.log(number_tried))
+            return errors.log_p(columns)
+        return min(0.0, errors.log_p(columns, unbounded=True) + math.log(number_tried))
 
     log_p_of: list[float] = []
     for first in range(0, len(state.conditions), BATCH):
-        batch = state.conditions[first : first + BATCH]
-        tables = [state.columns(first + i) for i in range(len(batch))]
-        ends = np.cumsum([table.shape[1] for table in tables])[:-1]
-        tables = np.split(white.whitened(np.column_stack(tables)), ends, axis=1)
-        log_p_of += [log_p(white, *pair) for pair in zip(batch, tables, strict=True)]
+        conditions_of_batch = state.conditions[first : first + BATCH]
+        whitened_columns = [state.columns(first + i) for i in range(len(conditions_of_batch))]
+        ends = np.cumsum([columns.shape[1] for columns in whitened_columns])[:-1]
+        whitened_columns = np.split(white.whitened(np.column_stack(whitened_columns)), ends, axis=1)
+        log_p_of += [log_p(white, *pair) for pair in zip(conditions_of_batch, whitened_columns, strict=True)]
     for i, condition in enumerate(state.conditions):
         if condition.group == "calendar" and log_p_of[i] > math.log(CERTAIN):
             retested = white.rejudged(columns := state.columns(i))
@@ -373,7 +416,7 @@ def _test(state: _QuantityErrors, common_conditions: Sequence[Stratum], hours: R
 
 
 def _adjusted(states: Sequence[_QuantityErrors]) -> list[np.ndarray]:
-    """q (J,) of every quantity; groups of conditions have equal shares of the level."""
+    """Return the adjusted p (J,) of every quantity; groups of conditions have equal shares of the level."""
     if not states:
         return []
     groups = [condition.group for condition in states[0].conditions]
@@ -383,52 +426,60 @@ def _adjusted(states: Sequence[_QuantityErrors]) -> list[np.ndarray]:
     return list(q.reshape(len(states), -1))
 
 
-def _remove_effect(state: _QuantityErrors, number: int) -> None:
-    """Remove the part of the errors that a condition explains; its bins, and all conditions on the same
-    driver, become nuisance."""
-    condition = state.conditions[number]
+def _remove_effect(state: _QuantityErrors, condition_index: int) -> None:
+    """Remove the part of the errors that a condition explains.
+
+    The condition's bins and all conditions on the same driver become nuisance.
+    """
+    condition = state.conditions[condition_index]
     same_driver = [
         state.columns(i)
         for i, other in enumerate(state.conditions)
         if other.driver and other.driver == condition.driver
     ]
-    bins = state.white.columns(dummies(condition.bins), False)
-    state.white = state.white.without(state.columns(number), np.column_stack([bins, *same_driver]))
+    bin_columns = state.white.columns(dummies(condition.bins), False)
+    state.white = state.white.without(
+        state.columns(condition_index), np.column_stack([bin_columns, *same_driver])
+    )
 
 
-def _described(hours: Residuals, state: _QuantityErrors, number: int, q: float) -> Finding | None:
-    """The finding of a condition; None if it is immaterial, or if the free run does not show it.
+def _described(hours: Residuals, state: _QuantityErrors, number: int, p_adjusted: float) -> Finding | None:
+    """Return the finding for one condition; None if it is immaterial or the free run does not show it.
 
-    Innovations show fast effects.  An effect whose removal would not lower the squared error of the free run
-    is not reported, since the model compensates for it on average.
+    An effect is dropped if removing it would not lower the squared error of the free run: the model then
+    compensates for it on average.
     """
     condition, error = state.conditions[number], state.white.error
     is_known = np.isfinite(error)
     effect = np.where(is_known, state.white.effect(state.columns(number)), np.nan)
-    centred = effect[is_known] - effect[is_known].mean()
-    if 2.0 * centred @ error[is_known] <= centred @ centred:
+    centred_effect = effect[is_known] - effect[is_known].mean()
+    if 2.0 * centred_effect @ error[is_known] <= centred_effect @ centred_effect:
         return None
     first, last = condition.worst(effect)
     inside = condition.inside(first, last)
-    inside_known, outside_known = is_known & inside, is_known & ~inside & (condition.bins >= 0)
-    if not (inside_known.any() and outside_known.any()):
+    known_inside, known_outside = is_known & inside, is_known & ~inside & (condition.bins >= 0)
+    if not (known_inside.any() and known_outside.any()):
         return None
-    size = float(effect[inside_known].mean() - effect[outside_known].mean())
+    size = float(effect[known_inside].mean() - effect[known_outside].mean())
     sensor_error = float(np.nan_to_num(root_mean_square(hours.sensor_error[state.quantity][inside])))
     sensor_share = min(1.0, (sensor_error / size) ** 2) if size else 1.0
     if abs(size) < MATERIAL * state.rmse or sensor_share > SENSORS:
         return None
-    deviation = np.sign(size) * (error - error[outside_known].mean())
-    episodes = [(a, b) for a, b in run_lengths(closed(inside, hours.step_h)) if inside_known[a:b].any()]
-    means = np.array([float(deviation[a:b][inside_known[a:b]].mean()) for a, b in episodes])
+    deviation = np.sign(size) * (error - error[known_outside].mean())
+    episodes = [
+        (begin, end)
+        for begin, end in run_lengths(closed(inside, hours.step_h))
+        if known_inside[begin:end].any()
+    ]
+    means = np.array([float(deviation[begin:end][known_inside[begin:end]].mean()) for begin, end in episodes])
     duration = duration_h(deviation, episodes, hours.step_h) if condition.kind == "episode" else math.nan
-    half = 1800.0 * hours.step_h
+    half_step_s = 1800.0 * hours.step_h
     return Finding(
         state.quantity, condition.kind, condition.driver, condition.phrase(first, last),
         "low" if size > 0 else "high", duration if duration > 0 else math.nan,
-        abs(size), int((means >= SEEN * abs(size)).sum()), len(episodes), sensor_share, q,
+        abs(size), int((means >= SEEN * abs(size)).sum()), len(episodes), sensor_share, p_adjusted,
         tuple(
-            (float(hours.time_s[a] - half), float(hours.time_s[b - 1] + half))
-            for a, b in (episodes[i] for i in np.argsort(-means, kind="stable"))
+            (float(hours.time_s[begin] - half_step_s), float(hours.time_s[end - 1] + half_step_s))
+            for begin, end in (episodes[i] for i in np.argsort(-means, kind="stable"))
         ),
     )  # fmt: skip

@@ -34,11 +34,12 @@ OLDEST = 1.5
 
 @dataclass(frozen=True)
 class Scores:
-    """Scores of a quantity on held-out readings.
+    """Errors of one quantity on held-out readings.
 
-    squares: (T, 4) squared errors of forecasts over 3, 12 and 48 h and of the free run, NaN outside of the
-    held-out readings; deviance: −2 ln L of the held-out readings; simulated: (T,) free run; run: the filter
-    over all readings; held_out: (T,).
+    squares: (T, 4) squared errors of the forecasts over 3, 12 and 48 h and of the free run; NaN outside of
+        the held-out readings.  day: (T,) day number.
+    deviance: −2 ln L of the held-out readings.  simulated: (T,) free run.
+    run: the filter over all readings.  held_out: (T,) whether a reading is held out.
     """
 
     squares: np.ndarray
@@ -50,9 +51,9 @@ class Scores:
 
 
 def levelled(estimate: Calibration) -> Calibration:
-    """The estimate with the `LEVELS` of the least free-run error in the identification period.
+    """Return the estimate with its level parameters refitted to the smallest free-run error.
 
-    The variances are maximised again: part of the slow disturbance may have been the error of a level.
+    The error variances are estimated again: they may have absorbed the error of a level.
     """
     names = set(LEVELS) & set(estimate.simulator.names)
     plain = fitted(with_variances(replace(estimate, plain=True)), names, (4, 0.1))
@@ -60,37 +61,43 @@ def levelled(estimate: Calibration) -> Calibration:
 
 
 def scores(estimate: Calibration) -> dict[str, Scores]:
-    """The scores of an estimate by quantity."""
+    """Return the errors of an estimate on held-out readings, by quantity."""
     scores_of = {}
     for q in estimate.quantities:
-        r = estimate.simulator.scene.readings[q]
-        error = r.value - estimate.simulated[q]
-        run = filtered(estimate.errors[q], estimate.variances[q], error)
-        read = np.flatnonzero(np.isfinite(error))
-        time_h = r.time_h[read]
-        squares = np.full((len(error), len(HORIZONS_H) + 1), np.nan)
-        for c, horizon in enumerate(HORIZONS_H):
-            last = np.searchsorted(time_h, time_h - horizon + 1e-6, side="right") - 1
-            has_origin = (last >= 0) & (time_h - time_h[np.maximum(last, 0)] <= OLDEST * horizon + 0.5)
+        readings = estimate.simulator.scene.readings[q]
+        residual = readings.value - estimate.simulated[q]
+        run = filtered(estimate.errors[q], estimate.variances[q], residual)
+        read_indices = np.flatnonzero(np.isfinite(residual))
+        time_h = readings.time_h[read_indices]
+        squared_errors = np.full((len(residual), len(HORIZONS_H) + 1), np.nan)
+        for column, horizon in enumerate(HORIZONS_H):
+            last_origin = np.searchsorted(time_h, time_h - horizon + 1e-6, side="right") - 1
+            has_origin = (last_origin >= 0) & (
+                time_h - time_h[np.maximum(last_origin, 0)] <= OLDEST * horizon + 0.5
+            )
             if not has_origin.any():
                 continue
-            target, origin = read[has_origin], read[last[has_origin]]
-            lead = np.round(r.time_h[target] - r.time_h[origin], 4)
-            leads, lead_index = np.unique(lead, return_inverse=True)
-            weights = forecast_weights(estimate.errors[q], leads)[lead_index.reshape(-1)]
-            squares[target, c] = (error[target] - (weights * run.state[origin]).sum(axis=1)) ** 2
-        squares[:, -1] = error**2
-        squares[r.identified] = np.nan
+            target, origin = read_indices[has_origin], read_indices[last_origin[has_origin]]
+            lead_h = np.round(readings.time_h[target] - readings.time_h[origin], 4)
+            distinct_leads_h, lead_index = np.unique(lead_h, return_inverse=True)
+            weights = forecast_weights(estimate.errors[q], distinct_leads_h)[lead_index.reshape(-1)]
+            squared_errors[target, column] = (
+                residual[target] - (weights * run.state[origin]).sum(axis=1)
+            ) ** 2
+        squared_errors[:, -1] = residual**2
+        squared_errors[readings.identified] = np.nan
         innovation = run.standardised
-        is_held_out = np.isfinite(innovation) & ~r.identified
+        is_held_out = np.isfinite(innovation) & ~readings.identified
         deviance = float((np.log(run.variance[is_held_out]) + loss(innovation[is_held_out], HUBER)).sum())
-        scores_of[q] = Scores(squares, r.day, deviance, estimate.simulated[q], run, is_held_out)
+        scores_of[q] = Scores(squared_errors, readings.day, deviance, estimate.simulated[q], run, is_held_out)
     return scores_of
 
 
 def difference(first: Mapping[str, Scores], other: Mapping[str, Scores]) -> dict[str, np.ndarray]:
-    """(T,) squared whitened difference of two simulations, by quantity: the expected gain in −2 ln L of
-    `other` over the first simulation if `other` is right."""
+    """Return (T,) the squared whitened difference of two simulations, by quantity.
+
+    Its sum is the expected gain in −2 ln L of `other` over `first` if `other` is right.
+    """
     squares = {}
     for q, reference in first.items():
         white = reference.run.whitened((other[q].simulated - reference.simulated)[:, None])[:, 0]
@@ -117,36 +124,43 @@ def judged(
     """
     z, growth, before, after, day_count = {}, {}, {}, {}, 0
     differences = difference(parent, child)
-    for q, old in parent.items():
+    for q, parent_scores in parent.items():
         if differences[q][child[q].held_out].sum() < NOTICED:
             continue
-        new = child[q]
-        in_both = np.isfinite(old.squares) & np.isfinite(new.squares)
+        child_scores = child[q]
+        in_both = np.isfinite(parent_scores.squares) & np.isfinite(child_scores.squares)
         if not in_both.any():
             continue
         # a short record has no errors at the longer horizons
         has_horizon = in_both.any(axis=0)
         in_both = in_both[:, has_horizon]
-        old_squares, new_squares = (np.where(in_both, s.squares[:, has_horizon], np.nan) for s in (old, new))
-        mean = np.nanmean(old_squares, axis=0)
-        ratio = np.nanmean(new_squares, axis=0) / mean
+        parent_squares, child_squares = (
+            np.where(in_both, squares_of.squares[:, has_horizon], np.nan)
+            for squares_of in (parent_scores, child_scores)
+        )
+        mean = np.nanmean(parent_squares, axis=0)
+        ratio = np.nanmean(child_squares, axis=0) / mean
         growth[q] = float(np.nanmean(np.log(np.maximum(ratio, 1e-12))))
-        before[q], after[q] = (float(math.sqrt(np.nanmean(s[:, -1]))) for s in (old_squares, new_squares))
-        change = np.nansum((new_squares - old_squares)[:, :-1] / mean[:-1], axis=1)
+        before[q], after[q] = (
+            float(math.sqrt(np.nanmean(squares_of[:, -1]))) for squares_of in (parent_squares, child_squares)
+        )
+        change = np.nansum((child_squares - parent_squares)[:, :-1] / mean[:-1], axis=1)
         with_free_run = in_both[:, -1]
-        days = np.unique(old.day[with_free_run])
+        days = np.unique(parent_scores.day[with_free_run])
         day_count = max(day_count, len(days))
-        daily = np.array([change[with_free_run & (old.day == d)].mean() for d in days])
-        spread = daily.std(ddof=1) / math.sqrt(len(daily)) if len(daily) > 1 else math.inf
-        z[q] = float(daily.mean() / spread) if spread > 0 else 0.0
+        daily_change = np.array([change[with_free_run & (parent_scores.day == day)].mean() for day in days])
+        standard_error = (
+            daily_change.std(ddof=1) / math.sqrt(len(daily_change)) if len(daily_change) > 1 else math.inf
+        )
+        z[q] = float(daily_change.mean() / standard_error) if standard_error > 0 else 0.0
     gain = sum(parent[q].deviance - child[q].deviance for q in parent)
-    test = HeldOutTest(z, growth, before, after, gain, day_count)
-    cost = max(0.0, -gain) / factor + sum(max(0.0, v) ** 2 for v in z.values())
-    if any(v > WORSE_GROWTH for v in growth.values()):
-        return replace(test, reason="worse")
-    if z and not any(v <= -BETTER_Z for v in z.values()) and cost > spare:
-        return replace(test, reason="no_gain")
-    held_out = any(old.held_out.any() for old in parent.values())
-    if weak and held_out and test.improvement < LEAST_IMPROVEMENT:
-        return replace(test, reason="unproven")
-    return test
+    result = HeldOutTest(z, growth, before, after, gain, day_count)
+    cost = max(0.0, -gain) / factor + sum(max(0.0, value) ** 2 for value in z.values())
+    if any(value > WORSE_GROWTH for value in growth.values()):
+        return replace(result, reason="worse")
+    if z and not any(value <= -BETTER_Z for value in z.values()) and cost > spare:
+        return replace(result, reason="no_gain")
+    held_out = any(parent_scores.held_out.any() for parent_scores in parent.values())
+    if weak and held_out and result.improvement < LEAST_IMPROVEMENT:
+        return replace(result, reason="unproven")
+    return result

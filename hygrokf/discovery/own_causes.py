@@ -69,13 +69,16 @@ _RANGES: Mapping[str, tuple[float, float]] = {
 
 # -- a record to try causes on ------------------------------------------------------------------------------
 def trial_record() -> Record:
-    """A record with every signal, of two clocks: sines of many periods in ordinary ranges."""
+    """Return a record with every signal, in ordinary ranges and with two clocks: sums of sines of different
+    periods."""
     hour = np.arange(24 * DAYS + 1.0)
     series = []
-    for place, signal in enumerate(SIGNALS.values()):
-        low, high = _RANGES.get(signal.name, _RANGES[signal.unit])
-        wave = 0.35 * np.sin(2.0 * np.pi * hour / 24.0 + place)
-        value = low + (high - low) * (0.5 + wave + 0.15 * np.sin(2.0 * np.pi * hour / (31.0 + 3.0 * place)))
+    for number, signal in enumerate(SIGNALS.values()):
+        lowest, highest = _RANGES.get(signal.name, _RANGES[signal.unit])
+        wave = 0.35 * np.sin(2.0 * np.pi * hour / 24.0 + number)
+        value = lowest + (highest - lowest) * (
+            0.5 + wave + 0.15 * np.sin(2.0 * np.pi * hour / (31.0 + 3.0 * number))
+        )
         if signal.name in ("preheating", "door_open"):
             value = (value > 0.9).astype(float)
         if signal.name == "active_power":
@@ -87,7 +90,7 @@ def trial_record() -> Record:
 
 @lru_cache(maxsize=2)
 def trial_estimate(library: Library = LIBRARY) -> Calibration:
-    """The base model on the trial record at its start values, without estimation."""
+    """Return the base model on the trial record, simulated at its start values; nothing is estimated."""
     record = trial_record()
     heat, vapour = base_designs(record, library)
     simulator = Simulator(scene_of(record, heat, vapour), heat, vapour)
@@ -97,18 +100,18 @@ def trial_estimate(library: Library = LIBRARY) -> Calibration:
 
 
 def trial_ground() -> Ground:
-    """The ground (record and base designs) for which causes give their forms on the trial record."""
+    """Return what a cause's `forms` function gets for the trial record: the record and the base designs."""
     simulator = trial_estimate().simulator
     return ground_of(simulator.scene.record, simulator.heat, simulator.vapour)
 
 
 # -- faults of what it states --------------------------------------------------------------------------------
 def declared_faults(cause: Cause) -> list[str]:
-    """Faults of a cause's sentences, names, factories and features."""
+    """Return the faults in what a cause declares: its sentences, names, factories and features."""
     faults = [
-        f"{word}: expected a sentence, found {getattr(cause, word)!r}"
-        for word in ("meaning", "remedy", "separate_by")
-        if not isinstance(getattr(cause, word), str) or not getattr(cause, word).strip()
+        f"{field_name}: expected a sentence, found {getattr(cause, field_name)!r}"
+        for field_name in ("meaning", "remedy", "separate_by")
+        if not isinstance(getattr(cause, field_name), str) or not getattr(cause, field_name).strip()
     ]
     if not isinstance(cause.name, str) or not IDENTIFIER.fullmatch(cause.name):
         faults.append(
@@ -116,18 +119,25 @@ def declared_faults(cause: Cause) -> list[str]:
         )
     if cause.name in {known.name for known in CAUSES}:
         faults.append("the package has a cause of that name; choose another name")
-    odd = [word for word in ("mechanisms", "features") if not isinstance(getattr(cause, word), Mapping)]
-    if odd:
+    not_mappings = [
+        field_name
+        for field_name in ("mechanisms", "features")
+        if not isinstance(getattr(cause, field_name), Mapping)
+    ]
+    if not_mappings:
         return faults + [
-            f"{word}: expected a mapping of names, found {getattr(cause, word)!r}" for word in odd
+            f"{field_name}: expected a mapping of names, found {getattr(cause, field_name)!r}"
+            for field_name in not_mappings
         ]
     faults += name_faults(cause.mechanisms, cause.features)
-    for name, pair in cause.features.items():
-        if not is_feature(pair):
-            faults.append(f"feature {name!r}: expected (function(record, time), hold), found {pair!r}")
+    for name, feature_and_hold in cause.features.items():
+        if not is_feature(feature_and_hold):
+            faults.append(
+                f"feature {name!r}: expected (function(record, time), hold), found {feature_and_hold!r}"
+            )
         else:
             try:
-                hold_named(pair[1])
+                hold_named(feature_and_hold[1])
             except ValueError as fault:
                 faults.append(f"feature {name!r}: {fault}")
         if name in HOLDS and name not in {*FEATURES, *SIGNALS}:
@@ -142,6 +152,10 @@ def declared_faults(cause: Cause) -> list[str]:
 def _factory_faults(
     name: str, factory: Callable[..., Mechanism], features: Mapping[str, object]
 ) -> Iterator[str]:
+    """Yield the faults of a mechanism's factory and of the mechanism that it makes.
+
+    features: those that the cause declares.
+    """
     try:
         mechanism = factory()
     except Exception as fault:
@@ -151,11 +165,11 @@ def _factory_faults(
         found = f"one named {mechanism.name!r}" if isinstance(mechanism, Mechanism) else repr(mechanism)
         yield f"mechanism {name!r}: expected its factory to return a Mechanism of that name, found {found}"
         return
-    absent = [feature for feature in mechanism.features if feature not in features]
-    if absent:
+    missing_features = [feature for feature in mechanism.features if feature not in features]
+    if missing_features:
         yield (
-            f"mechanism {name!r}: expected its features {', '.join(absent)} in features= of the Cause too, "
-            "found none there; state them, or make the cause with cause_of"
+            f"mechanism {name!r}: expected its features {', '.join(missing_features)} in features= of the "
+            "Cause too, found none there; state them, or make the cause with cause_of"
         )
     known_names = {*HOLDS, *features, *mechanism.features}
     for signal in mechanism.inputs:
@@ -165,37 +179,52 @@ def _factory_faults(
                 f"{suggestion(signal, known_names)}"
             )
     package_names = _package_names()
-    taken = sorted({*(p.name for p in mechanism.parameters), *mechanism.states} & package_names)
-    if taken:
+    taken_names = sorted(
+        {*(parameter.name for parameter in mechanism.parameters), *mechanism.states} & package_names
+    )
+    if taken_names:
         yield (
-            f"mechanism {name!r}: the package has parameters or states named {', '.join(taken)}; rename them"
+            f"mechanism {name!r}: the package has parameters or states named {', '.join(taken_names)}; "
+            "rename them"
         )
     if not mechanism.null:
         yield (
             f"mechanism {name!r}: expected a parameter with a null value at which it has no effect, found "
             "none; give one of its parameters null=0.0"
         )
-    for p in mechanism.parameters:
-        if p.null is not None and not (p.lower <= p.null <= p.upper or (p.positive and p.null == 0.0)):
-            yield f"mechanism {name!r}: the null value {p.null:g} of {p.name} is outside of its bounds"
-        if not p.meaning or not p.unit:
-            yield f"mechanism {name!r}: the parameter {p.name} needs a unit and a meaning"
+    for parameter in mechanism.parameters:
+        if parameter.null is not None and not (
+            parameter.lower <= parameter.null <= parameter.upper
+            or (parameter.positive and parameter.null == 0.0)
+        ):
+            yield (
+                f"mechanism {name!r}: the null value {parameter.null:g} of {parameter.name} is outside of "
+                "its bounds"
+            )
+        if not parameter.meaning or not parameter.unit:
+            yield f"mechanism {name!r}: the parameter {parameter.name} needs a unit and a meaning"
 
 
 @lru_cache(maxsize=1)
 def _package_names() -> frozenset[str]:
-    """Parameters and states of the base models and of the package's further mechanisms."""
-    models = [m for design in trial_estimate().simulator.designs for m in design.model.mechanisms]
+    """Return the names of all parameters and states of the package's own mechanisms."""
+    mechanisms = [
+        mechanism for design in trial_estimate().simulator.designs for mechanism in design.model.mechanisms
+    ]
     factories = [factory for cause in CAUSES for factory in cause.mechanisms.values()]
-    models += [factory() for factory in (*LOGGED, *FURTHER, *factories)]
-    return frozenset(name for m in models for name in (*(p.name for p in m.parameters), *m.states))
+    mechanisms += [factory() for factory in (*LOGGED, *FURTHER, *factories)]
+    return frozenset(
+        name
+        for mechanism in mechanisms
+        for name in (*(parameter.name for parameter in mechanism.parameters), *mechanism.states)
+    )
 
 
 # -- faults of its forms -------------------------------------------------------------------------------------
 def form_faults(cause: Cause, library: Library) -> list[str]:
-    """Faults of a cause's forms on the trial record: names, values, equations, nesting.
+    """Return the faults of a cause's forms on the trial record: names, values, equations, nesting.
 
-    library: with the mechanisms and features of the cause.
+    library: holds the cause's mechanisms and features.
     """
     try:
         forms = list(cause.forms(trial_ground()))
@@ -215,8 +244,13 @@ def form_faults(cause: Cause, library: Library) -> list[str]:
 
 
 def _faults_of(form: Form, library: Library) -> list[str]:
+    """Return the faults of one form on the trial record."""
     trial = trial_estimate(library)
-    faults = [f"feature {fault}" for s in form.grid for fault in feature_faults(s.features, library.features)]
+    faults = [
+        f"feature {fault}"
+        for setting in form.grid
+        for fault in feature_faults(setting.features, library.features)
+    ]
     faults += [
         f"unknown mechanism {name!r}: name one of the package, or add it to the cause's mechanisms"
         for name, _ in (*form.heat, *form.vapour)
@@ -227,14 +261,16 @@ def _faults_of(form: Form, library: Library) -> list[str]:
     faults += [
         f"steps: expected a setting of a feature in every point of the grid, found {key!r} of {name!r}"
         for name, key in form.steps
-        if not form.clock and any(key not in s.features.get(name, {}) for s in form.grid)
+        if not form.clock and any(key not in setting.features.get(name, {}) for setting in form.grid)
     ]
     if faults or not (form.heat or form.vapour):
         return faults
     try:
         wider = widened(trial, form, form.grid[0])
         own_parameters = {p.name: p for p in added(trial, wider)}
-        unknown = sorted({*form.limits, *(name for s in form.grid for name in s.values)} - set(wider.names))
+        unknown = sorted(
+            {*form.limits, *(name for setting in form.grid for name in setting.values)} - set(wider.names)
+        )
         if unknown:
             faults.append(
                 f"values of unknown parameters {', '.join(unknown)}; "
@@ -247,26 +283,29 @@ def _faults_of(form: Form, library: Library) -> list[str]:
 
 
 def _nesting_faults(
-    trial: Calibration, wider: Simulator, form: Form, start: Mapping[str, float]
+    base: Calibration, wider: Simulator, form: Form, start: Mapping[str, float]
 ) -> Iterator[str]:
-    """Faults of a form that is not nested in the base, or does not change the simulation of the base."""
-    own_parameters = added(trial, wider)
-    null = {p.name: p.null for p in own_parameters if p.null is not None}
-    changed = {p.name: _away(p.start, p.lower, p.upper, p.positive) for p in own_parameters}
-    for values in ({**start, **null}, {**start, **changed, **null}):
-        deviation = max(_deviations(trial, wider, values).values())
+    """Yield the faults of a form that changes the simulation at its null value, or that never changes it.
+
+    wider: simulator with the form.  start: start values of all its parameters.
+    """
+    own_parameters = added(base, wider)
+    null_values = {p.name: p.null for p in own_parameters if p.null is not None}
+    changed_values = {p.name: _away(p.start, p.lower, p.upper, p.positive) for p in own_parameters}
+    for values in ({**start, **null_values}, {**start, **changed_values, **null_values}):
+        deviation = max(_deviations(base, wider, values).values())
         if not deviation <= SAME:
-            null_values = ", ".join(f"{name} = {value:g}" for name, value in null.items())
+            listed = ", ".join(f"{name} = {value:g}" for name, value in null_values.items())
             differs = f"differs by {100.0 * deviation:.3g} % of its spread"
             yield (
-                f"expected the base model at the null value ({null_values}), found a simulation that "
+                f"expected the base model at the null value ({listed}), found a simulation that "
                 f"{differs if deviation < math.inf else 'is not finite'}; every effect must vanish there"
             )
             return
-    with_effect = {**start, **{name: changed[name] for name in null}}
-    waved = replace(wider, scene=_with_waves(wider), _cells={})
-    without_effect = replace(trial, simulated=_simulated(waved, {**start, **null}))
-    changes = _deviations(without_effect, waved, with_effect)
+    with_effect = {**start, **{name: changed_values[name] for name in null_values}}
+    wider_with_waves = replace(wider, scene=_with_waves(wider), _cells={})
+    without_effect = replace(base, simulated=_simulated(wider_with_waves, {**start, **null_values}))
+    changes = _deviations(without_effect, wider_with_waves, with_effect)
     for quantity, mechanisms in (("temperature", form.heat), ("vapour", form.vapour)):
         if mechanisms and not changes[quantity] < math.inf:
             yield (
@@ -281,23 +320,29 @@ def _nesting_faults(
 
 
 def _simulated(simulator: Simulator, values: Mapping[str, float]) -> dict[str, np.ndarray]:
+    """Return the simulated readings (T,) by quantity."""
     theta = simulator.vector(values)[:, None]
     return {q: simulator.simulated(theta, q)[:, 0] for q in simulator.scene.readings}
 
 
-def _deviations(trial: Calibration, wider: Simulator, values: Mapping[str, float]) -> dict[str, float]:
-    """Largest difference of each quantity's simulation from that of the base, as a share of the standard
-    deviation of the base's simulation; infinite if a simulation is not finite."""
+def _deviations(base: Calibration, wider: Simulator, values: Mapping[str, float]) -> dict[str, float]:
+    """Return the largest difference from the base's simulation, as a share of its standard deviation, by
+    quantity.
+
+    Infinite if a simulation is not finite.
+    """
     simulated, shares = _simulated(wider, values), {}
-    for q, base in trial.simulated.items():
-        share = float(np.max(np.abs(simulated[q] - base)) / np.std(base))
+    for q, base_simulated in base.simulated.items():
+        share = float(np.max(np.abs(simulated[q] - base_simulated)) / np.std(base_simulated))
         shares[q] = share if math.isfinite(share) else math.inf
     return shares
 
 
 def _with_waves(simulator: Simulator) -> Scene:
-    """The scene with waves in place of features that are constant in it, such as a threshold that the trial
-    record never reaches."""
+    """Return the scene with sine waves in place of features that are constant on the trial record.
+
+    Such a feature (a threshold that the record never reaches) would hide the effect of a mechanism.
+    """
     scene, waves = simulator.scene, []
     for design in simulator.designs:
         for name in design.features:
@@ -308,7 +353,7 @@ def _with_waves(simulator: Simulator) -> Scene:
 
 
 def _away(start: float, lower: float, upper: float, positive: bool) -> float:
-    """A value some way from the start, within the bounds."""
+    """Return a value clearly different from the start value, within the bounds."""
     if positive:
         return start * 1.5 if start * 1.5 <= upper else start / 1.5
     step = 0.1 * (min(upper, start + 50.0) - max(lower, start - 50.0))
@@ -321,29 +366,36 @@ _FUNCTOOLS = functools.__file__
 
 
 def exception_text(fault: BaseException, file: str | None = None) -> str:
-    """An exception in a user's code as a phrase: its type, its text, and the last line of the code that it
-    passed."""
+    """Describe an exception of a user's code: type, text and the last line of that code.
+
+    file: the user's file; None: any file outside of the package.
+    """
     if isinstance(fault, LibraryFault) and fault.__cause__:  # of a guarded function
         fault = fault.__cause__
     frames = traceback.extract_tb(fault.__traceback__)
     if file:
-        inside = [f for f in frames if f.filename == file]
+        frames_of_code = [frame for frame in frames if frame.filename == file]
     else:
-        inside = [f for f in frames if not f.filename.startswith((_PACKAGE, _FUNCTOOLS))]
-    where = f" (line {inside[-1].lineno} of {Path(inside[-1].filename).name})" if inside else ""
-    return f"{type(fault).__name__}: {fault}{where}"
+        frames_of_code = [frame for frame in frames if not frame.filename.startswith((_PACKAGE, _FUNCTOOLS))]
+    place = (
+        f" (line {frames_of_code[-1].lineno} of {Path(frames_of_code[-1].filename).name})"
+        if frames_of_code
+        else ""
+    )
+    return f"{type(fault).__name__}: {fault}{place}"
 
 
 # -- a library -----------------------------------------------------------------------------------------------
 def expect_usable(library: Library) -> None:
-    """Check the user's causes of a library that bring mechanisms or features.
-
-    Raises LibraryFault that lists all faults.
-    """
-    new = [cause for cause in library.own if cause.mechanisms or cause.features]
-    faults = [f"cause {cause.name!r}: {fault}" for cause in new for fault in declared_faults(cause)]
+    """Check all user causes that bring mechanisms or features; raises LibraryFault that lists every fault."""
+    causes_with_code = [cause for cause in library.own if cause.mechanisms or cause.features]
+    faults = [
+        f"cause {cause.name!r}: {fault}" for cause in causes_with_code for fault in declared_faults(cause)
+    ]
     faults = faults or [
-        f"cause {cause.name!r}: {fault}" for cause in new for fault in form_faults(cause, library)
+        f"cause {cause.name!r}: {fault}"
+        for cause in causes_with_code
+        for fault in form_faults(cause, library)
     ]
     if faults:
         raise LibraryFault(faults)
@@ -369,26 +421,26 @@ def load_library(*files: str | Path, installed: bool = False, library: Library =
             loaded += [(path.name, _guarded(cause, path), origin) for cause in causes]
         except LibraryFault as fault:
             faults += [f"{path.name}: {text}" for text in fault.faults]
-    for entry in entry_points(group=GROUP) if installed else ():
-        label, origin = _origin_of(entry)
+    for entry_point in entry_points(group=GROUP) if installed else ():
+        label, origin = _origin_of(entry_point)
         try:
-            loaded += [(label, _guarded(cause), origin) for cause in _causes_of(entry)]
+            loaded += [(label, _guarded(cause), origin) for cause in _causes_of(entry_point)]
         except LibraryFault as fault:
             faults += [f"{label}: {text}" for text in fault.faults]
     faults += duplicates([(source, cause) for source, cause, _ in loaded])
     declared = [declared_faults(cause) for _, cause, _ in loaded]
-    for (_, cause, origin), wrong in zip(loaded, declared, strict=True):
-        library = library if wrong else library.joined(cause, origin)
-    for (source, cause, _), wrong in zip(loaded, declared, strict=True):
-        wrong = wrong or form_faults(cause, library)
-        faults += [f"{source}: cause {cause.name!r}: {fault}" for fault in wrong]
+    for (_, cause, origin), faults_of_cause in zip(loaded, declared, strict=True):
+        library = library if faults_of_cause else library.joined(cause, origin)
+    for (source, cause, _), faults_of_cause in zip(loaded, declared, strict=True):
+        faults_of_cause = faults_of_cause or form_faults(cause, library)
+        faults += [f"{source}: cause {cause.name!r}: {fault}" for fault in faults_of_cause]
     if faults:
         raise LibraryFault(faults)
     return library
 
 
 def _causes_in(path: Path) -> tuple[list[Cause], Origin]:
-    """Causes at the top level of a Python file, and its origin."""
+    """Run a Python file; return the causes at its top level and its origin (name and SHA-256)."""
     try:
         content = path.read_bytes()
     except OSError as fault:
@@ -413,15 +465,20 @@ def _causes_in(path: Path) -> tuple[list[Cause], Origin]:
 
 
 def _causes_at_top(module: object) -> list[Cause]:
+    """Return the causes at the top level of a module, without the package's own; raises LibraryFault without
+    any."""
     causes = {id(value): value for value in vars(module).values() if isinstance(value, Cause)}
-    own = [cause for cause in causes.values() if all(cause is not known for known in CAUSES)]
-    if not own:
-        text = "expected a hygrokf.Cause at the top level, found none: NAME = hygrokf.cause_of(…), "
-        raise LibraryFault([text + "docs/how_to/own_cause.md"])
-    return own
+    user_causes = [
+        cause for cause in causes.values() if all(cause is not package_cause for package_cause in CAUSES)
+    ]
+    if not user_causes:
+        message = "expected a hygrokf.Cause at the top level, found none: NAME = hygrokf.cause_of(…), "
+        raise LibraryFault([message + "docs/how_to/own_cause.md"])
+    return user_causes
 
 
 def _causes_of(entry: EntryPoint) -> list[Cause]:
+    """Load an entry point and return its causes; raises LibraryFault if it fails or has none."""
     try:
         with redirect_stdout(sys.stderr):
             loaded = entry.load()
@@ -435,19 +492,21 @@ def _causes_of(entry: EntryPoint) -> list[Cause]:
 
 
 def _origin_of(entry: EntryPoint) -> tuple[str, Origin]:
+    """Return an entry point's label for messages, and its package with the version."""
     name, version = (entry.dist.name, entry.dist.version) if entry.dist else (entry.value, "?")
     return f"package {name} (entry point {entry.name})", {"package": name, "version": version}
 
 
 @dataclass(frozen=True)
 class _Guarded:
-    """A user's function whose exceptions are faults of its file, not of the package."""
+    """A user's function; its exceptions become a LibraryFault that names the file."""
 
     __wrapped__: Callable[..., Any]
     what: str
     file: Path | None
 
     def __call__(self, *arguments: object, **settings: object) -> Any:
+        """Call the function; raises LibraryFault if it fails."""
         try:
             return self.__wrapped__(*arguments, **settings)
         except Exception as fault:
@@ -457,7 +516,8 @@ class _Guarded:
 
 
 def _guarded(cause: Cause, file: Path | None = None) -> Cause:
-    """The cause with functions whose exceptions are reported as faults of its file, not of the package."""
+    """Return the cause with its functions wrapped, so that their exceptions are reported as faults of its
+    file."""
     head = f"cause {cause.name!r}:"
     return replace(
         cause,

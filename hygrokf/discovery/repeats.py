@@ -32,46 +32,56 @@ every lag."""
 
 
 def repeats(series: Series) -> list[tuple[float, float]]:
-    """Stretches (first, last) [s] of a series over which the readings equal the readings 24 h earlier."""
+    """Return the spans (first, last) [s] over which a series repeats its readings of 24 h earlier.
+
+    A span must be longer than repetitions that occur by chance, as measured at other lags near a day.
+    """
     is_known = ~series.missing
     time, value = series.time[is_known], series.value[is_known]
     if len(time) < 3:
         return []
     step = float(np.median(np.diff(time)))
-    day = round(DAY_S / step)
+    steps_per_day = round(DAY_S / step)
     grid_index = np.round((time - time[0]) / step).astype(np.int64)
-    if day < 2 or abs(day * step - DAY_S) > 1.0 or grid_index[-1] <= day:
+    if steps_per_day < 2 or abs(steps_per_day * step - DAY_S) > 1.0 or grid_index[-1] <= steps_per_day:
         return []
     grid = np.full(int(grid_index[-1]) + 1, np.nan)
     grid[grid_index] = value
     tolerance = 1e-6 * float(np.nanstd(value))
-    other_lags = (day + side * k for k in range(2, 2 + OTHERS // 2) for side in (-1, 1))
-    chance = max((b - a for lag in other_lags for a, b in _equal(grid, lag, tolerance)), default=0)
-    fewest = max(FEWEST_REPEATED, SHORTEST_S / step, BEYOND * chance)
+    other_lags = (
+        steps_per_day + sign * distance for distance in range(2, 2 + OTHERS // 2) for sign in (-1, 1)
+    )
+    longest_by_chance = max(
+        (end - first for lag in other_lags for first, end in _equal(grid, lag, tolerance)), default=0
+    )
+    shortest_run = max(FEWEST_REPEATED, SHORTEST_S / step, BEYOND * longest_by_chance)
     return [
-        (float(time[0] + step * (day + a)), float(time[0] + step * (day + b - 1)))
-        for a, b in _equal(grid, day, tolerance)
-        if b - a >= fewest
+        (float(time[0] + step * (steps_per_day + first)), float(time[0] + step * (steps_per_day + end - 1)))
+        for first, end in _equal(grid, steps_per_day, tolerance)
+        if end - first >= shortest_run
     ]
 
 
 def _equal(grid: np.ndarray, lag: int, tolerance: float) -> list[tuple[int, int]]:
-    """Runs [a, b) of moving values that equal the values `lag` steps earlier; a, b count from `lag` on."""
+    """Return the runs [first, end) in which a grid of values (n,) equals its values `lag` steps earlier.
+
+    Positions count from `lag` on.  Runs in which the values hardly change are left out.
+    """
     if not 0 < lag < len(grid):
         return []
     current, earlier = grid[lag:], grid[:-lag]
     return [
-        (a, b)
-        for a, b in run_lengths(np.abs(current - earlier) < tolerance)
-        if b - a > 1 and np.mean(np.diff(current[a:b]) != 0.0) >= MOVING
+        (first, end)
+        for first, end in run_lengths(np.abs(current - earlier) < tolerance)
+        if end - first > 1 and np.mean(np.diff(current[first:end]) != 0.0) >= MOVING
     ]
 
 
 def without_repeats(record: Record) -> tuple[Record, dict[str, list[tuple[float, float]]]]:
-    """The record without the cabinet's repeated readings, and the stretches [s] of such readings by signal.
+    """Return the record without the cabinet's repeated readings, and their spans [s] by signal.
 
-    A logger repeats all its signals: the stretches of one signal, with the pauses between them, are removed
-    from every signal of the same source.
+    A logger repeats all its signals, so a span found in one signal is removed from all signals of the same
+    source; pauses between spans are removed too.
     """
     cabinet_series = [series for series in record.series if series.signal.startswith("cabinet_")]
     spans = {series.signal: found for series in cabinet_series if (found := repeats(series))}
@@ -90,7 +100,7 @@ def without_repeats(record: Record) -> tuple[Record, dict[str, list[tuple[float,
 
 
 def joined(spans: Iterable[Sequence[float]], pause_s: float = 0.0) -> list[tuple[float, float]]:
-    """Stretches in order, merged where they overlap or are separated by at most `pause_s`."""
+    """Return spans in order, merged where they overlap or lie at most `pause_s` [s] apart."""
     merged: list[tuple[float, float]] = []
     for first, last in sorted(map(tuple, spans)):
         if merged and first - merged[-1][1] <= pause_s:
@@ -101,11 +111,11 @@ def joined(spans: Iterable[Sequence[float]], pause_s: float = 0.0) -> list[tuple
 
 
 def repeated_statement(spans: Mapping[str, Sequence[tuple[float, float]]]) -> Statement:
-    """The statement of repeated readings, for the signal with most stretches."""
-    name, stretches = max(spans.items(), key=lambda pair: len(pair[1]))
-    days = tuple(dict.fromkeys(day_text(first) for first, _ in stretches))
+    """Return the statement about repeated readings, for the signal with the most spans."""
+    name, spans_of_signal = max(spans.items(), key=lambda pair: len(pair[1]))
+    days = tuple(dict.fromkeys(day_text(first) for first, _ in spans_of_signal))
     values: dict[str, Value] = {"signal": name, "days": days[:3]}
-    values["hours"] = sum(last - first for first, last in stretches) / 3600.0
+    values["hours"] = sum(last - first for first, last in spans_of_signal) / 3600.0
     if len(days) > 3:
         return DiscoveryCode.READINGS_REPEATED_OFTEN(**values, more=len(days) - 3)
     return DiscoveryCode.READINGS_REPEATED(**values)

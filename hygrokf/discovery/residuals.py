@@ -87,40 +87,41 @@ class Residuals:
 
 
 def root_mean_square(values: np.ndarray) -> float:
-    """Root mean square of the finite values; NaN without finite values."""
+    """Return the root mean square of the finite values; NaN without any."""
     finite = values[np.isfinite(values)]
     return float(np.sqrt(np.mean(finite**2))) if len(finite) else math.nan
 
 
 def residuals(fit: Fit, record: Record) -> Residuals:
-    """Residuals of a fit, with every driver that the record has, at the instants of the fit's series.
+    """Return the free run's errors of a fit, with all drivers on which they may depend.
 
-    record: the one that was fitted (its drivers and the accuracy of its sensors are read).
-    Raises ValueError for a fit without series (one read from fit.json).
+    record: the one that was fitted; its drivers and the accuracy of its sensors are read. Raises ValueError
+        for a fit without series, such as one read from fit.json.
     """
-    s = fit.series
-    if "time_s" not in s:
+    series = fit.series
+    if "time_s" not in series:
         raise ValueError(
             f"fit {fit.name}: expected its series, found none; a fit read from fit.json has no residuals, "
             "identify again"
         )
-    time = np.asarray(s["time_s"], dtype=float)
-    scored = np.asarray(s["scored"]) > 0
-    until = float(s["until_s"])
+    time = np.asarray(series["time_s"], dtype=float)
+    scored = np.asarray(series["scored"]) > 0
+    until = float(series["until_s"])
 
     def course(ending: str) -> dict[str, np.ndarray]:
-        return {q: np.asarray(s[f"{SERIES[q]}_{ending}"], dtype=float) for q in QUANTITIES}
+        """Return the series (T,) of every quantity whose name ends so."""
+        return {q: np.asarray(series[f"{SERIES[q]}_{ending}"], dtype=float) for q in QUANTITIES}
 
     measured, simulated = course("measured"), course("simulated")
     return Residuals(
         time_h=(time - time[0]) / 3600.0,
         origin_s=float(time[0]),
         error={q: np.where(scored, measured[q] - simulated[q], np.nan) for q in QUANTITIES},
-        drivers=_drivers(s, record, time),
-        operating=np.asarray(s["operating"]) > 0.5,
-        preheating=np.nan_to_num(np.asarray(s["preheating"], dtype=float)) > 0.5,
+        drivers=_drivers(series, record, time),
+        operating=np.asarray(series["operating"]) > 0.5,
+        preheating=np.nan_to_num(np.asarray(series["preheating"], dtype=float)) > 0.5,
         validation=time > until if math.isfinite(until) else np.zeros(len(time), bool),
-        sensor_error=_sensor_error(s, record),
+        sensor_error=_sensor_error(series, record),
         time_constants={q: fit.values[name] for q, name in TIME_CONSTANT.items() if name in fit.values},
         measured=measured,
         simulated=simulated,
@@ -128,18 +129,19 @@ def residuals(fit: Fit, record: Record) -> Residuals:
     )
 
 
-def _drivers(s: Mapping[str, np.ndarray], record: Record, time: np.ndarray) -> dict[str, np.ndarray]:
-    """Every signal that varies and is not a response of the cabinet, at the instants [s] of the fit."""
+def _drivers(fit_series: Mapping[str, np.ndarray], record: Record, time: np.ndarray) -> dict[str, np.ndarray]:
+    """Return every driver (T,) at the instants `time` [s]: signals that vary and do not respond to the
+    cabinet."""
     fit_signals = ("ambient_temperature", "ambient_absolute_humidity", "power", "preheating")
     names = {name: name for name in fit_signals} | {
         "cabinet_temperature": "temperature_simulated",
         "cabinet_relative_humidity": "relative_humidity_simulated",
     }
-    drivers = {name: np.asarray(s[key], dtype=float) for name, key in names.items()}
+    drivers = {name: np.asarray(fit_series[key], dtype=float) for name, key in names.items()}
     if not np.isfinite(drivers["ambient_absolute_humidity"]).any():
-        prepared = prepare(record)
-        if prepared.ambient_vapour is not None:
-            drivers[VAPOUR] = 1e3 * at_times(prepared.path(VAPOUR), time, AMBIENT_BRIDGE_H)
+        prepared_record = prepare(record)
+        if prepared_record.ambient_vapour is not None:
+            drivers[VAPOUR] = 1e3 * at_times(prepared_record.path(VAPOUR), time, AMBIENT_BRIDGE_H)
     for series in record.series:
         is_excluded = series.signal in (*drivers, *SAME_AIR, "active_power") or series.signal.startswith(
             RESPONSES
@@ -150,40 +152,44 @@ def _drivers(s: Mapping[str, np.ndarray], record: Record, time: np.ndarray) -> d
 
 
 def _varies(value: np.ndarray) -> bool:
+    """Whether enough values are known and they are not constant."""
     finite = value[np.isfinite(value)]
     return len(finite) >= KNOWN * len(value) and bool(np.ptp(finite) > 1e-9 * max(1.0, np.abs(finite).max()))
 
 
-def _sensor_error(s: Mapping[str, np.ndarray], record: Record) -> dict[str, np.ndarray]:
-    """Standard deviations (T,) of the error due to the accuracy (95 % bound) of the cabinet's and of the
-    ambient sensors, added in quadrature."""
+def _sensor_error(fit_series: Mapping[str, np.ndarray], record: Record) -> dict[str, np.ndarray]:
+    """Return the standard deviation (T,) of the error due to the sensors' stated accuracy, by quantity.
+
+    The errors of the cabinet's and of the ambient sensors are independent.
+    """
 
     def sd(name: str) -> float:
+        """Return the standard deviation of a cabinet sensor's error; 0 without the sensor."""
         return accuracy_of(record[name]) / NORMAL_95 if name in record else 0.0
 
-    inside, outside = sd("cabinet_temperature"), ambient_sd(record, "ambient_temperature")
+    cabinet_sd, ambient_temperature_sd = sd("cabinet_temperature"), ambient_sd(record, "ambient_temperature")
     cabinet_K, relative_humidity, vapour, ambient_K = (
-        np.asarray(s[name], dtype=float)
+        np.asarray(fit_series[name], dtype=float)
         for name in (
             "temperature_simulated", "relative_humidity_simulated", "absolute_humidity_simulated",
             "ambient_temperature",
         )
     )  # fmt: skip
-    parts = [
+    variance_parts = [
         1e3 * absolute_humidity(1.0, cabinet_K) * sd("cabinet_relative_humidity"),
         1e3
         * absolute_humidity_slope_temperature(
             np.where(np.isfinite(relative_humidity), relative_humidity, 0.5), cabinet_K
         )
-        * inside,
+        * cabinet_sd,
         1e3 * absolute_humidity(1.0, ambient_K) * ambient_sd(record, "ambient_relative_humidity"),
         np.full(len(cabinet_K), 1e3 * sd("cabinet_absolute_humidity")),
         np.full(len(cabinet_K), 1e3 * ambient_sd(record, "ambient_absolute_humidity")),
     ]
-    square = np.sum([part**2 for part in parts], axis=0)
+    vapour_variance = np.sum([deviation**2 for deviation in variance_parts], axis=0)
     return {
-        TEMPERATURE: np.full(len(cabinet_K), math.hypot(inside, outside)),
-        HUMIDITY: np.sqrt(np.where(np.isfinite(vapour), square, np.nan)),
+        TEMPERATURE: np.full(len(cabinet_K), math.hypot(cabinet_sd, ambient_temperature_sd)),
+        HUMIDITY: np.sqrt(np.where(np.isfinite(vapour), vapour_variance, np.nan)),
     }
 
 
@@ -194,7 +200,10 @@ _CABINET_SIBLING = {
 
 
 def ambient_sd(record: Record, name: str) -> float:
-    """Standard deviation of an ambient sensor; without a stated accuracy, that of the cabinet's sensor."""
+    """Return the standard deviation of an ambient sensor's error; 0 without the sensor.
+
+    Without a stated accuracy, that of the cabinet's sensor of the same kind counts.
+    """
     if name not in record:
         return 0.0
     stated = accuracy_of(record[name])
@@ -209,20 +218,20 @@ _SYMBOLS = {"degC": "°C", "deg": "°", "W/m2": "W/m²", "g/m3": "g/m³", "1": "
 
 
 def words(driver: str) -> str:
-    """The name of a driver as words of a sentence."""
+    """Return the name of a driver as words for a sentence."""
     return driver.replace("_", " ").replace("cabinet ", "simulated cabinet ")
 
 
 def displayed(driver: str, value: np.ndarray, difference: bool = False) -> tuple[np.ndarray, str]:
-    """Values of a driver, or differences of values, in the driver's displayed unit, and that unit."""
+    """Return a driver's values (or differences of values) in the unit that reports show, and that unit."""
     if driver == "power":
         return 100.0 * value, "% of the rated power"
     if driver == "ambient_absolute_humidity":
         return value, "g/m³"
-    row = SIGNALS.get(driver)
-    if row is None:
+    signal = SIGNALS.get(driver)
+    if signal is None:
         return value, ""
-    unit = CASE_UNITS[row.display or row.unit]
+    unit = CASE_UNITS[signal.display or signal.unit]
     symbol = _SYMBOLS.get(unit.name, unit.name)
     if difference:
         return value / unit.factor, "K" if unit.name == "degC" else symbol
@@ -233,37 +242,39 @@ def displayed(driver: str, value: np.ndarray, difference: bool = False) -> tuple
 
 
 def binned(residuals: Residuals, least_h: float = 1.0) -> Residuals:
-    """Residuals of the identification period averaged over bins, at the middles of the bins; `preheating`
-    becomes the share of time.
+    """Average the residuals of the identification period over bins of equal length.
 
-    A bin is `least_h` [h] long, or the multiple of it that holds a step of the readings.
+    A bin is `least_h` [h] long, or a multiple of it that holds a step of the readings; times are its middle.
+    `preheating` becomes the share of time.
     """
-    chosen = ~residuals.validation
-    time = residuals.time_s[chosen]
+    in_period = ~residuals.validation
+    time = residuals.time_s[in_period]
     if not len(time):
         raise ValueError("binned: the period has no instants")
-    has_error = np.any([np.isfinite(residuals.error[q][chosen]) for q in QUANTITIES], axis=0)
-    step = float(np.median(np.diff(time[has_error]))) / 3600.0 if has_error.sum() > 1 else 1.0
-    length = least_h * max(1, math.ceil(step / least_h - 0.05))
-    bin_index = np.floor(time / (3600.0 * length)).astype(np.int64)
+    has_error = np.any([np.isfinite(residuals.error[q][in_period]) for q in QUANTITIES], axis=0)
+    step_h = float(np.median(np.diff(time[has_error]))) / 3600.0 if has_error.sum() > 1 else 1.0
+    bin_h = least_h * max(1, math.ceil(step_h / least_h - 0.05))
+    bin_index = np.floor(time / (3600.0 * bin_h)).astype(np.int64)
     first = int(bin_index[0])
     bin_index -= first
     count = int(bin_index[-1]) + 1
 
     def mean(values: np.ndarray) -> np.ndarray:
-        values = np.asarray(values, dtype=float)[chosen]
+        """Return the mean (bins,) of values (T,); NaN for a bin without known values."""
+        values = np.asarray(values, dtype=float)[in_period]
         is_known = np.isfinite(values)
         count_in_bin = np.bincount(bin_index[is_known], minlength=count).astype(float)
-        total = np.bincount(bin_index[is_known], weights=values[is_known], minlength=count)
-        return np.divide(total, count_in_bin, out=np.full(count, np.nan), where=count_in_bin > 0)
+        sum_in_bin = np.bincount(bin_index[is_known], weights=values[is_known], minlength=count)
+        return np.divide(sum_in_bin, count_in_bin, out=np.full(count, np.nan), where=count_in_bin > 0)
 
     def circular(values: np.ndarray) -> np.ndarray:
+        """Return the mean direction (bins,) of angles (T,) [rad]."""
         return np.arctan2(mean(np.sin(values)), mean(np.cos(values))) % (2.0 * math.pi)
 
     return Residuals(
-        time_h=length * np.arange(count),
-        origin_s=(first + 0.5) * 3600.0 * length,
-        step_h=length,
+        time_h=bin_h * np.arange(count),
+        origin_s=(first + 0.5) * 3600.0 * bin_h,
+        step_h=bin_h,
         error={q: mean(residuals.error[q]) for q in QUANTITIES},
         drivers={
             name: circular(value) if name.endswith("_direction") else mean(value)
@@ -277,20 +288,21 @@ def binned(residuals: Residuals, least_h: float = 1.0) -> Residuals:
 
 
 def _carried(values: np.ndarray) -> np.ndarray:
-    """Values with each gap filled by the last known value."""
+    """Return the values with each gap filled by the last known value."""
     is_known = np.isfinite(values)
     last_known = np.maximum.accumulate(np.where(is_known, np.arange(len(values)), 0))
     return values[last_known]
 
 
 def run_lengths(flag: np.ndarray) -> list[tuple[int, int]]:
-    """Stretches [first, end) over which `flag` (n,) is true."""
+    """Return the runs [first, end) in which `flag` (n,) is True."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], np.asarray(flag, dtype=int), [0]])))
     return [(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]
 
 
 def closed(inside: np.ndarray, step_h: float) -> np.ndarray:
-    """The bins (n,) of a condition with pauses of less than `PAUSE_H` filled: its episodes."""
+    """Return the bins (n,) of a condition with pauses shorter than `PAUSE_H` filled, so that runs are
+    episodes."""
     result = inside.copy()
     for first, last in run_lengths(~inside):
         if first > 0 and last < len(inside) and (last - first) * step_h < PAUSE_H:
@@ -299,23 +311,28 @@ def closed(inside: np.ndarray, step_h: float) -> np.ndarray:
 
 
 def duration_h(error: np.ndarray, episodes: Sequence[tuple[int, int]], step_h: float) -> float:
-    """The time [h] for which the mean error over the episodes stays above half of its maximum; NaN if an
-    episode is longer than `LONGEST_DURATION_H`."""
-    longest = max(b - a for a, b in episodes)
+    """Return how long [h] the mean error of the episodes stays above half of its maximum.
+
+    episodes: (first, end) positions in `error` (n,).  NaN if an episode is longer than `LONGEST_DURATION_H`.
+    """
+    longest = max(end - begin for begin, end in episodes)
     if step_h * longest > LONGEST_DURATION_H:
         return math.nan
-    table = np.full((len(episodes), longest), np.nan)
-    for row, (a, b) in enumerate(episodes):
-        table[row, : b - a] = error[a:b]
-    episode_count = np.isfinite(table).sum(axis=0)
-    course = np.divide(
-        np.nansum(table, axis=0), episode_count, out=np.full(longest, -np.inf), where=episode_count > 0
+    errors_of_episodes = np.full((len(episodes), longest), np.nan)
+    for row, (begin, end) in enumerate(episodes):
+        errors_of_episodes[row, : end - begin] = error[begin:end]
+    episode_count = np.isfinite(errors_of_episodes).sum(axis=0)
+    mean_error = np.divide(
+        np.nansum(errors_of_episodes, axis=0),
+        episode_count,
+        out=np.full(longest, -np.inf),
+        where=episode_count > 0,
     )
-    course = course[episode_count >= max(1.0, 0.5 * len(episodes))]
-    if not len(course):
+    mean_error = mean_error[episode_count >= max(1.0, 0.5 * len(episodes))]
+    if not len(mean_error):
         return math.nan
-    peak = int(np.argmax(course))
-    above_half = course >= 0.5 * course[peak]
+    peak = int(np.argmax(mean_error))
+    above_half = mean_error >= 0.5 * mean_error[peak]
     before = int(np.argmin(np.append(above_half[peak::-1], False)))
     after = int(np.argmin(np.append(above_half[peak:], False)))
     return step_h * (before + after - 1)

@@ -68,13 +68,15 @@ SIGNAL_OF = {
 
 @dataclass(frozen=True)
 class SceneReadings:
-    """Readings of a quantity: T instants.
+    """The readings of a quantity at T instants.
 
-    time_s: (T,) [s] instants, or ends of averaging intervals; value: (T,) [K] or [g/m³], NaN if left out;
-    saturated: (T,) factor of the output: saturation vapour [g/m³] for a relative humidity, else 1; begin,
-    end: (T,) positions [cells] of the averaging interval, equal for an instant; identified: (T,) whether the
-    reading belongs to the identification period; added: (T,) added variance of the error at the start and
-    after gaps.
+    time_s: (T,) [s] instants, or ends of the averaging intervals.
+    value: (T,) [K] or [g/m³]; NaN where a reading is left out.
+    saturated: (T,) factor from the sensor's output to `value`: saturation vapour [g/m³] for a relative
+        humidity, else 1.
+    begin, end: (T,) averaging interval, in cells from the start of the scene; equal for instants.
+    identified: (T,) whether the reading belongs to the identification period.
+    added: (T,) extra variance of the error, at the start and after gaps.
     """
 
     time_s: np.ndarray
@@ -87,6 +89,7 @@ class SceneReadings:
 
     @property
     def time_h(self) -> np.ndarray:
+        """(T,) [h] since the first reading."""
         return (self.time_s - self.time_s[0]) / HOUR_S
 
     @property
@@ -95,42 +98,47 @@ class SceneReadings:
         return np.floor(self.time_h / 24.0).astype(int)
 
     def by_day(self, values: np.ndarray) -> np.ndarray:
-        """Daily sums (days, …) of values (T, …)."""
+        """Return the daily sums (days, …) of values (T, …)."""
         sums = np.zeros((self.day.max() + 1, *values.shape[1:]))
         np.add.at(sums, self.day, values)
         return sums
 
-    def sampled(self, shown: np.ndarray) -> np.ndarray:
-        """The readings (T, lanes) of a sensor with outputs (K, lanes) at the ends of the cells."""
+    def sampled(self, output: np.ndarray) -> np.ndarray:
+        """Return the readings (T, lanes) that a sensor would give.
+
+        output: (K, lanes) output of the sensor at the ends of the cells, for several runs side by side.
+        """
         if np.array_equal(self.begin, self.end):
-            return _between(shown, self.end) * self.saturated[:, None]
+            return _between(output, self.end) * self.saturated[:, None]
         # the first cell counts with the output at its end; a shifted interval stays within the cells
-        parts = [np.zeros_like(shown[:1]), shown[:1], 0.5 * (shown[1:] + shown[:-1])]
-        total = np.cumsum(np.concatenate(parts), axis=0)
+        increments = [np.zeros_like(output[:1]), output[:1], 0.5 * (output[1:] + output[:-1])]
+        total = np.cumsum(np.concatenate(increments), axis=0)
         width = self.end - self.begin
-        begin = np.clip(self.begin, 0.0, len(shown) - width) + 1.0
+        begin = np.clip(self.begin, 0.0, len(output) - width) + 1.0
         mean = (_between(total, begin + width) - _between(total, begin)) / width[:, None]
         return mean * self.saturated[:, None]
 
 
-def _between(values: np.ndarray, place: np.ndarray) -> np.ndarray:
-    """Values (K, lanes) at the ends of cells, interpolated at positions (T,) [cells] from the start of the
-    first cell."""
-    position = np.clip(place - 1.0, 0.0, len(values) - 1.0)
+def _between(values: np.ndarray, position_in_cells: np.ndarray) -> np.ndarray:
+    """Interpolate values (K, lanes), given at the ends of cells, at positions (T,) counted in cells from the
+    start."""
+    position = np.clip(position_in_cells - 1.0, 0.0, len(values) - 1.0)
     cell = np.minimum(position.astype(int), len(values) - 2)
-    share = (position - cell)[:, None]
-    if not share.any():
+    fraction = (position - cell)[:, None]
+    if not fraction.any():
         return values[cell]
-    return values[cell] * (1.0 - share) + values[cell + 1] * share
+    return values[cell] * (1.0 - fraction) + values[cell + 1] * fraction
 
 
 @dataclass(frozen=True)
 class Scene:
-    """A record on its cells.
+    """A record divided into cells of equal length, ready for simulation.
 
-    first_s: [s] start of the first cell; cell_h: [h] length of a cell; count: K.  heat, vapour: the base
-    designs, whose rules define the inputs; readings: by quantity; drive: (F,) [K] temperature that drives
-    the vapour.
+    first_s: [s] start of the first cell.  cell_h: [h] length of a cell.  count: number of cells K.
+    heat, vapour: base designs, which define how inputs are made.
+    readings: by quantity ("temperature", "vapour").
+    drive: (F,) [K] the temperature on which the vapour model runs.
+    shifts: corrections of clocks.
     """
 
     record: PreparedRecord
@@ -146,19 +154,20 @@ class Scene:
 
     @cached_property
     def edges_s(self) -> np.ndarray:
-        """(F,) [s] edges of the parts of cells, to a millisecond: a mean counts up to its stamp."""
+        """(F,) [s] edges of the parts of all cells, rounded to a millisecond so that a mean ends exactly at
+        its stamp."""
         edges = np.arange(self.count * PARTS + 1) * (HOUR_S * self.cell_h / PARTS)
         return np.round(self.first_s + edges, 3)
 
     def _base(self) -> tuple[dict[str, np.ndarray], np.ndarray]:
-        """Inputs of the base designs at the edges of parts, and whether any of them is unknown there."""
+        """Return the inputs of the base designs (F,) by name, and (F,) whether any of them is unknown."""
         if "" not in self._cache:
             design = self.vapour or self.heat
-            time, wanted = self.edges_s, {"exchange_factor"}
+            time, derived = self.edges_s, {"exchange_factor"}
             ambient = courses(design, self.record)
             # a gap of the cabinet's temperature matters for the vapour only
             ambient.pop(TEMPERATURE, None)
-            inputs, unknown = ambient_inputs(ambient, time, wanted)
+            inputs, unknown = ambient_inputs(ambient, time, derived)
             power, operating, unknown_power = power_inputs(self.heat, self.record, time)
             inputs |= power
             if "preheating" in self.record:
@@ -170,7 +179,7 @@ class Scene:
         return self._cache[""]
 
     def unknown(self, signal: str) -> np.ndarray:
-        """(F,) whether an input on which a signal depends is unknown."""
+        """Return (F,) whether an input that a signal depends on is unknown."""
         unknown = self._base()[1]
         if signal == TEMPERATURE:
             return unknown
@@ -178,7 +187,7 @@ class Scene:
         return unknown | np.isnan(at_times(path, self.edges_s, bridge_h(path, AMBIENT_BRIDGE_H)))
 
     def at_edges(self, name: str, design: Design) -> np.ndarray:
-        """(F,) an input at the edges of parts; for a series of means, that over the part that ends there."""
+        """Return an input (F,) at the edges of the parts, with clock corrections applied."""
         value = self._unmoved(name, design)
         own_shifts = [shift for shift in self.shifts if shift.source == self.source(name)]
         if not own_shifts:
@@ -187,20 +196,23 @@ class Scene:
         return np.interp(self.edges_s - delay, self.edges_s, value)
 
     def _delay(self, shift: Shift, time_s: np.ndarray) -> np.ndarray:
-        """The delay (n,) [s] of stamps at times (n,) [s] by a clock correction."""
+        """Return by how many seconds (n,) a clock correction delays stamps at times (n,) [s]."""
         if not shift.summer:
             return np.full(len(time_s), shift.seconds)
         return shift.seconds * summer_time(time_s, in_america(self.record))
 
     def source(self, name: str) -> str:
-        """The source whose clock stamps an input; empty for an input without a signal."""
+        """Return the source (file) whose clock stamps an input; "" for an input that no signal provides."""
         signal = SIGNAL_OF.get(name, "active_power" if name.startswith("power_") else name)
         if name == "ambient_absolute_humidity":
-            humid = [one for one in AMBIENT_HUMIDITIES if one in self.record]
-            signal = humid[0] if humid else signal
+            humidity_signals = [
+                name_of_humidity for name_of_humidity in AMBIENT_HUMIDITIES if name_of_humidity in self.record
+            ]
+            signal = humidity_signals[0] if humidity_signals else signal
         return self.record[signal].file if signal in self.record else ""
 
     def _unmoved(self, name: str, design: Design) -> np.ndarray:
+        """Return an input (F,) at the edges of the parts, without clock corrections."""
         if name == TEMPERATURE:
             return self.drive
         if name in self._base()[0]:
@@ -217,67 +229,87 @@ class Scene:
         self._cache[key] = np.asarray(value, dtype=float)
         return self._cache[key]
 
-    def with_inputs(self, given: Sequence[tuple[str, Design, np.ndarray]]) -> Scene:
-        """The scene in which inputs of designs have other values (F,) at the edges of parts."""
-        found, unknown = self._base()
-        base = {**found, **{name: value for name, _, value in given if name in found}}
-        values = {_key(name, design.features.get(name)): value for name, design, value in given}
-        return replace(self, _cache={"": (base, unknown), **values})
+    def with_inputs(self, replacements: Sequence[tuple[str, Design, np.ndarray]]) -> Scene:
+        """Return the scene with some inputs replaced.
+
+        replacements: (name of the input, its design, values (F,) at the edges of the parts).
+        """
+        base_inputs, unknown = self._base()
+        new_base_inputs = {
+            **base_inputs,
+            **{name: value for name, _, value in replacements if name in base_inputs},
+        }
+        values = {_key(name, design.features.get(name)): value for name, design, value in replacements}
+        return replace(self, _cache={"": (new_base_inputs, unknown), **values})
 
     def cells(self, inputs: Sequence[str], designs: Sequence[Design]) -> CellInputs:
-        """The inputs of a model over the cells."""
+        """Return the named inputs of a model as means over the cells and values at their edges."""
         means = np.empty((self.count, len(inputs)))
         edges = np.empty((self.count + 1, len(inputs)))
         for c, name in enumerate(inputs):
-            owner = next((one for one in designs if name in one.model.inputs), designs[0])
+            owner = next((design for design in designs if name in design.model.inputs), designs[0])
             straight = name == TEMPERATURE or owner.model.holds.get(name) == LINEAR
             means[:, c], edges[:, c] = self._over_cells(name, owner, straight)
         return CellInputs(self.cell_h, means, edges)
 
     def _over_cells(self, name: str, design: Design, straight: bool) -> tuple[np.ndarray, np.ndarray]:
+        """Return the means (K,) of an input over the cells and its values (K+1,) at their edges.
+
+        straight: whether the input runs in straight lines between the edges; otherwise it is constant within
+            a part.
+        """
         source = self.source(name)
-        moved = [[one.seconds, one.summer] for one in self.shifts if one.source == source]
-        drive = id(self.drive) if name == TEMPERATURE else 0
-        key = json.dumps([name, design.features.get(name), moved, drive, straight], default=float)
+        shifts_of_source = [[shift.seconds, shift.summer] for shift in self.shifts if shift.source == source]
+        drive_id = id(self.drive) if name == TEMPERATURE else 0
+        key = json.dumps(
+            [name, design.features.get(name), shifts_of_source, drive_id, straight], default=float
+        )
         if key not in self._cache:
             # the temperature is kept with its means, so that its identity stays its own
-            made = over_cells(self.at_edges(name, design), straight)
-            self._cache[key] = (*made, self.drive if drive else None)
+            means_and_edges = over_cells(self.at_edges(name, design), straight)
+            self._cache[key] = (*means_and_edges, self.drive if drive_id else None)
         return self._cache[key][:2]
 
     def column(self, name: str, design: Design) -> np.ndarray:
-        """(K,) means of an input over the cells."""
+        """Return the means (K,) of an input over the cells."""
         return self._over_cells(name, design, design.model.holds.get(name) == LINEAR)[0]
 
     def moved(self, shift: Shift) -> Scene:
-        """The scene with a source's stamps corrected; the readings stay the same ones."""
-        made = replace(self, shifts=(*self.shifts, shift))
+        """Return the scene with the stamps of one source corrected; it keeps the same readings."""
+        scene = replace(self, shifts=(*self.shifts, shift))
         if shift.source != self.record[TEMPERATURE].file:
-            return made
+            return scene
         readings = {}
-        for q, one in self.readings.items():
-            cells = self._delay(shift, one.time_s) / (HOUR_S * self.cell_h)
-            readings[q] = replace(one, begin=one.begin + cells, end=one.end + cells)
-        return replace(made, readings=readings)
+        for q, old in self.readings.items():
+            delay_cells = self._delay(shift, old.time_s) / (HOUR_S * self.cell_h)
+            readings[q] = replace(old, begin=old.begin + delay_cells, end=old.end + delay_cells)
+        return replace(scene, readings=readings)
 
     def place(self, time_s: np.ndarray) -> np.ndarray:
-        """Times [s] in cells from the first one's beginning."""
+        """Convert times [s] to cells since the start of the first cell."""
         return (time_s - self.first_s) / (HOUR_S * self.cell_h)
 
 
 def _key(name: str, settings: Any) -> str:
+    """Return a hashable key for a name and its settings."""
     return json.dumps([name, settings], default=float)
 
 
 def over_cells(value: np.ndarray, straight: bool) -> tuple[np.ndarray, np.ndarray]:
-    """Means (K,) over the cells and values (K+1,) at their edges, of values (F,) at the edges of parts."""
+    """Return means (K,) over the cells and values (K+1,) at their edges.
+
+    value: (F,) at the edges of the parts.  straight: whether it is linear within a part, else constant.
+    """
     parts = 0.5 * (value[1:] + value[:-1]) if straight else value[1:]
     means = parts.reshape(-1, PARTS).mean(axis=1)
     return means, value[::PARTS] if straight else np.append(means[:1], means)
 
 
 def scene_of(record: Record, heat: Design, vapour: Design | None) -> Scene:
-    """The record on cells of half its readings' step, 180 s to 20 min."""
+    """Divide a record into cells of half the shortest reading step, between 180 s and 20 min.
+
+    heat, vapour: base designs; vapour is None for a record without humidity.
+    """
     design, record = vapour or heat, prepare(record)
     first, last = common_span(record, courses(design, record), False)
     step_s = HOUR_S * min(reading_step_h(record[n]) for n in (TEMPERATURE, *HUMIDITIES) if n in record)
@@ -297,57 +329,82 @@ def scene_of(record: Record, heat: Design, vapour: Design | None) -> Scene:
 
 
 def driven(scene: Scene, temperature: np.ndarray) -> Scene:
-    """The scene whose vapour runs on another temperature (F,) [K] at the edges of parts."""
-    made = replace(scene, drive=temperature)
+    """Return the scene with another temperature (F,) [K] for its vapour model; the humidity readings are
+    converted again."""
+    driven_scene = replace(scene, drive=temperature)
     humidity = scene.vapour.humidity if scene.vapour else None
     if humidity is None:
-        return made
-    return replace(made, readings={**scene.readings, "vapour": _vapour(made, scene.record[humidity])})
+        return driven_scene
+    return replace(
+        driven_scene, readings={**scene.readings, "vapour": _vapour(driven_scene, scene.record[humidity])}
+    )
 
 
 def _filled(value: np.ndarray) -> np.ndarray:
-    there = np.isfinite(value)
-    return np.interp(np.arange(len(value)), np.flatnonzero(there), value[there])
+    """Return the values (n,) with NaN replaced by linear interpolation."""
+    is_known = np.isfinite(value)
+    return np.interp(np.arange(len(value)), np.flatnonzero(is_known), value[is_known])
 
 
 def _vapour(scene: Scene, series: Series) -> SceneReadings:
-    """Readings of the humidity as vapour [g/m³] at the temperature on which the vapour runs."""
+    """Return humidity readings as vapour [g/m³] at the temperature that drives the vapour model."""
     if series.signal == "cabinet_absolute_humidity":
         return _readings(scene, series, 1e3 * series.value, np.ones(1))
     middle = series.time - 0.5 * series.interval_s
     saturated = 1e3 * absolute_humidity(1.0, _over_intervals(scene.edges_s, scene.drive, series))
-    ends = (series.value >= SATURATED) | (series.value <= DRY)
-    read = at_times(centred(scene.record[TEMPERATURE]), middle, bridge_h(scene.record[TEMPERATURE], 1.0))
-    value = np.where(ends, np.nan, 1e3 * absolute_humidity(series.value, read))
+    at_sensor_limit = (series.value >= SATURATED) | (series.value <= DRY)
+    cabinet_K = at_times(centred(scene.record[TEMPERATURE]), middle, bridge_h(scene.record[TEMPERATURE], 1.0))
+    value = np.where(at_sensor_limit, np.nan, 1e3 * absolute_humidity(series.value, cabinet_K))
     return _readings(scene, series, value, saturated)
 
 
 def _over_intervals(time: np.ndarray, value: np.ndarray, series: Series) -> np.ndarray:
-    """Means (T,) of a course (F,) at times (F,) [s] over a series' intervals, or its values at instants."""
+    """Return the means (T,) of a function over a series' averaging intervals, or its values at instants.
+
+    time, value: (F,) [s] and the function's values.
+    """
     if not series.interval_s:
         return np.interp(series.time, time, value)
-    total = np.append(0.0, np.cumsum(0.5 * (value[1:] + value[:-1]) * np.diff(time)))
-    ends = np.interp(series.time, time, total), np.interp(series.time - series.interval_s, time, total)
-    return (ends[0] - ends[1]) / series.interval_s
+    integral = np.append(0.0, np.cumsum(0.5 * (value[1:] + value[:-1]) * np.diff(time)))
+    integral_at = (
+        np.interp(series.time, time, integral),
+        np.interp(series.time - series.interval_s, time, integral),
+    )
+    return (integral_at[0] - integral_at[1]) / series.interval_s
 
 
 def _readings(scene: Scene, series: Series, value: np.ndarray, saturated: np.ndarray) -> SceneReadings:
-    """Readings within the cells whose inputs are known."""
+    """Return the readings of a series inside the cells; NaN where an input is unknown during the reading.
+
+    value: (T,) in the quantity's unit.  saturated: factor from the sensor's output to it, (T,) or (1,).
+    """
     end = scene.place(series.time)
     begin = scene.place(series.time - series.interval_s)
-    inside = (begin >= -1e-9) & (end <= scene.count + 1e-9)
-    gone = np.append(0, np.cumsum(scene.unknown(series.signal)))
-    at = [np.clip((PARTS * one).astype(int), 0, len(gone) - 2) for one in (begin, end)]
-    known = gone[at[1] + 1] == gone[at[0]]
-    value = np.where(known, value, np.nan)
+    inside_cells = (begin >= -1e-9) & (end <= scene.count + 1e-9)
+    unknown_count = np.append(0, np.cumsum(scene.unknown(series.signal)))
+    part_index = [
+        np.clip((PARTS * position).astype(int), 0, len(unknown_count) - 2) for position in (begin, end)
+    ]
+    inputs_known = unknown_count[part_index[1] + 1] == unknown_count[part_index[0]]
+    value = np.where(inputs_known, value, np.nan)
     until = math.inf if scene.record.until_s is None else scene.record.until_s
-    spread = np.broadcast_to(saturated, len(value))[inside]
-    value, time = value[inside], series.time[inside]
+    output_factor = np.broadcast_to(saturated, len(value))[inside_cells]
+    value, time = value[inside_cells], series.time[inside_cells]
     # where inputs were unknown since the reading before, the error begins anew
-    there, anew = np.isfinite(value), np.zeros(len(value), bool)
-    since = gone[at[1][inside] + 1][there]
-    anew[there] = np.append(True, since[1:] > since[:-1])[: len(since)]
-    scale = UNKNOWN_K if series.signal == TEMPERATURE else (UNKNOWN_SHARE * float(np.nanmean(value))) ** 2
+    is_read, begins_anew = np.isfinite(value), np.zeros(len(value), bool)
+    unknown_before_reading = unknown_count[part_index[1][inside_cells] + 1][is_read]
+    begins_anew[is_read] = np.append(True, unknown_before_reading[1:] > unknown_before_reading[:-1])[
+        : len(unknown_before_reading)
+    ]
+    unknown_variance = (
+        UNKNOWN_K if series.signal == TEMPERATURE else (UNKNOWN_SHARE * float(np.nanmean(value))) ** 2
+    )
     return SceneReadings(
-        time, value, spread, begin[inside], end[inside], time <= until, np.where(anew, scale, 0.0)
+        time,
+        value,
+        output_factor,
+        begin[inside_cells],
+        end[inside_cells],
+        time <= until,
+        np.where(begins_anew, unknown_variance, 0.0),
     )

@@ -39,8 +39,8 @@ AT_LIMIT = 1e-3
 
 @dataclass(frozen=True)
 class Screened:
-    """A setting of a form that may be worth an estimate, with start values of the form's own parameters and
-    its gain in −2 ln L."""
+    """A setting of a form that is worth fitting, with start values of the form's parameters and its gain in
+    −2 ln L."""
 
     form: Form
     setting: Setting
@@ -50,10 +50,11 @@ class Screened:
 
 @dataclass(frozen=True)
 class Parent:
-    """An estimate, and the errors that its own parameters can imitate.
+    """A fitted model to which causes are added, prepared for screening.
 
-    basis: by quantity, an orthonormal basis (T, d) of the whitened columns times the roots of the readings'
-    weights; error: (T,) whitened errors times the same roots; columns: the Jacobian by parameter.
+    basis: by quantity, orthonormal basis (T, d) of the whitened, weighted columns of its own parameters.
+    error: (T,) whitened, weighted errors by quantity.
+    columns: its Jacobian, by quantity and parameter.
     """
 
     estimate: Calibration
@@ -63,45 +64,56 @@ class Parent:
 
     @cached_property
     def remaining_squares(self) -> dict[str, float]:
-        """By quantity, the sum of squared errors that the parent's own parameters cannot imitate."""
+        """Sum of the squared errors that the parent's own parameters cannot explain, by quantity."""
         return {
             q: float((_orthogonal_part(basis, self.error[q]) ** 2).sum()) for q, basis in self.basis.items()
         }
 
 
 def parent_of(estimate: Calibration, quantities: Sequence[str] | None = None) -> Parent:
-    """An estimate with the columns of its parameters for the quantities (None: all); parameters that the
-    gradient holds at a limit are left out of the basis."""
-    f = frame(estimate.simulator.parameters, set(estimate.simulator.names), estimate.linear)
-    z = f.coordinates(estimate.theta)
-    margin = AT_LIMIT * (f.upper - f.lower)
+    """Prepare an estimate for screening, in the given quantities (None: all).
+
+    Parameters that are held at a limit by the gradient are left out of the basis.
+    """
+    coordinates = frame(estimate.simulator.parameters, set(estimate.simulator.names), estimate.linear)
+    position = coordinates.coordinates(estimate.theta)
+    margin = AT_LIMIT * (coordinates.upper - coordinates.lower)
     basis, error, columns_of = {}, {}, {}
-    for q, columns in slopes(estimate, f, quantities).items():
-        columns_of[q] = {estimate.simulator.names[i]: columns[:, c] for c, i in enumerate(f.place)}
+    for q, columns in slopes(estimate, coordinates, quantities).items():
+        columns_of[q] = {
+            estimate.simulator.names[parameter_index]: columns[:, column]
+            for column, parameter_index in enumerate(coordinates.place)
+        }
         white, error[q] = weighted(estimate, q, columns)
         gradient = white.T @ error[q]
-        held = ((z <= f.lower + margin) & (gradient < 0.0)) | ((z >= f.upper - margin) & (gradient > 0.0))
-        white = white[:, columns.any(axis=0) & ~held]
+        is_held = ((position <= coordinates.lower + margin) & (gradient < 0.0)) | (
+            (position >= coordinates.upper - margin) & (gradient > 0.0)
+        )
+        white = white[:, columns.any(axis=0) & ~is_held]
         scale = np.maximum(np.sqrt((white**2).sum(axis=0)), 1e-300)
         basis[q] = np.linalg.qr(white / scale)[0] if white.shape[1] else white
     return Parent(estimate, basis, error, columns_of)
 
 
 def _orthogonal_part(basis: np.ndarray, columns: np.ndarray) -> np.ndarray:
+    """Return the columns (T, k) without their projections on an orthonormal basis (T, d)."""
     return columns - basis @ (basis.T @ columns)
 
 
 def widened(parent: Calibration, form: Form, setting: Setting, own_inputs: tuple[str, ...] = ()) -> Simulator:
-    """The parent's simulator, extended by a form of a cause; each run has its own columns of `own_inputs`."""
+    """Return the parent's simulator, extended by a form of a cause at a setting.
+
+    own_inputs: inputs that each run has of its own.
+    """
     simulator = parent.simulator
     heat = _wider(simulator.heat, form.heat, setting.features)
     vapour = simulator.vapour
     if vapour is not None:
         if form.altered:
-            altered = (
+            altered_mechanisms = (
                 (name, {**settings, **form.altered.get(name, {})}) for name, settings in vapour.mechanisms
             )
-            vapour = replace(vapour, mechanisms=tuple(altered))
+            vapour = replace(vapour, mechanisms=tuple(altered_mechanisms))
         vapour = _wider(vapour, form.vapour, setting.features)
         if form.freed:
             vapour = replace(vapour, priors={**vapour.priors, form.freed: (0.0, FREE[form.freed], False)})
@@ -112,6 +124,7 @@ def widened(parent: Calibration, form: Form, setting: Setting, own_inputs: tuple
 
 
 def _wider(base: Design, additions: Sequence[MechanismSettings], features: Mapping[str, Settings]) -> Design:
+    """Return a design extended by mechanisms, with the features that the extended model reads."""
     extended_design = extended(base, additions)
     model_inputs = set(extended_design.model.inputs)
     return replace(
@@ -131,46 +144,52 @@ FREE = {
 
 
 def _freed(parent: Parent, form: Form) -> list[Screened]:
-    """The gain of a form that widens the prior of one of the parent's parameters."""
+    """Return the gain of a form that only widens the prior of one of the parent's parameters; empty if it is
+    small."""
     estimate = parent.estimate
     if form.freed not in estimate.simulator.names:
         return []
     index = estimate.simulator.names.index(form.freed)
-    p = estimate.simulator.parameters[index]
-    if p.prior is None or p.prior.sd >= FREE[form.freed]:
+    parameter = estimate.simulator.parameters[index]
+    if parameter.prior is None or parameter.prior.sd >= FREE[form.freed]:
         return []
-    gain = ((estimate.values[form.freed] - p.prior.mean) / p.prior.sd) ** 2
+    gain = ((estimate.values[form.freed] - parameter.prior.mean) / parameter.prior.sd) ** 2
     for q in estimate.simulator.affects(form.freed):
         # the linearised gain beyond the limit that the sensor's accuracy sets
-        column = weighted(estimate, q, parent.columns[q][form.freed][:, None])[0]
-        remainder = _orthogonal_part(parent.basis[q], column)[:, 0]
-        square = float(remainder @ remainder)
+        white_column = weighted(estimate, q, parent.columns[q][form.freed][:, None])[0]
+        remainder = _orthogonal_part(parent.basis[q], white_column)[:, 0]
+        square_of_column = float(remainder @ remainder)
         gain += (
-            float(remainder @ parent.error[q]) ** 2 / square
-            if square > 1e-9 * float(column[:, 0] @ column[:, 0])
+            float(remainder @ parent.error[q]) ** 2 / square_of_column
+            if square_of_column > 1e-9 * float(white_column[:, 0] @ white_column[:, 0])
             else 0.0
         )
     return [Screened(form, form.grid[0], {}, gain)] if gain > LEAST else []
 
 
 def added(parent: Calibration, wider: Simulator) -> tuple[Parameter, ...]:
+    """Return the parameters that a wider simulator has in addition to the parent's."""
     parent_names = set(parent.simulator.names)
     return tuple(p for p in wider.parameters if p.name not in parent_names)
 
 
 def amplitudes(parameters: Sequence[Parameter]) -> tuple[Parameter, ...]:
-    """The parameters that are the size of an effect: those with a null value."""
-    return tuple(p for p in parameters if p.null is not None)
+    """Return the parameters that set the size of an effect: those with a null value."""
+    return tuple(parameter for parameter in parameters if parameter.null is not None)
 
 
-def size_of(p: Parameter) -> float:
-    """A usual size of an effect, in the parameter's unit."""
-    assert p.null is not None
-    return p.start - p.null if p.start != p.null else 0.01 * (p.upper - p.null)
+def size_of(parameter: Parameter) -> float:
+    """Return a typical size of an effect: its parameter's start value minus its null value."""
+    assert parameter.null is not None
+    return (
+        parameter.start - parameter.null
+        if parameter.start != parameter.null
+        else 0.01 * (parameter.upper - parameter.null)
+    )
 
 
 def start_values(parent: Calibration, wider: Simulator, setting: Setting) -> dict[str, float]:
-    """Values of all parameters at a setting, with the amplitudes at their null values."""
+    """Return start values of all parameters at a setting, with the amplitudes at their null values."""
     values = {p.name: p.start for p in added(parent, wider)} | parent.values
     values |= {p.name: p.null for p in amplitudes(added(parent, wider)) if p.null is not None}
     for name, settings in setting.features.items():
@@ -181,7 +200,10 @@ def start_values(parent: Calibration, wider: Simulator, setting: Setting) -> dic
 
 
 def screened(parent: Parent, form: Form) -> list[Screened]:
-    """The settings of a form that gain most, at most `FOLLOWED`, the best first."""
+    """Return the settings of a form with the largest gain in −2 ln L, at most `FOLLOWED`, the best first.
+
+    All settings are ranked by the linearised gain of a small effect; the best are simulated.
+    """
     estimate = parent.estimate
     if form.clock:
         return _clocks(parent, form)
@@ -189,35 +211,40 @@ def screened(parent: Parent, form: Form) -> list[Screened]:
         return _freed(parent, form)
     if form.windows:
         return _windows(parent, form)
-    varied = _varied(form)
-    wider = widened(estimate, form, form.grid[0], varied)
+    varied_features = _varied(form)
+    wider = widened(estimate, form, form.grid[0], varied_features)
     sizes = amplitudes(added(estimate, wider))
     if not sizes:
         return []
-    rows = [start_values(estimate, wider, setting) for setting in form.grid]
-    columns = {name: [wider.column(name, s.features[name]) for s in form.grid] for name in varied}
-    trial = {p.name: SMALL * size_of(p) for p in sizes}
-    theta = np.column_stack([wider.vector({**row, **_sized(sizes, trial)}) for row in rows])
-    gain, amplitude = np.zeros(len(rows)), {p.name: np.zeros(len(rows)) for p in sizes}
+    start_values_of_settings = [start_values(estimate, wider, setting) for setting in form.grid]
+    columns = {name: [wider.column(name, s.features[name]) for s in form.grid] for name in varied_features}
+    small_changes = {p.name: SMALL * size_of(p) for p in sizes}
+    theta = np.column_stack(
+        [wider.vector({**values, **_sized(sizes, small_changes)}) for values in start_values_of_settings]
+    )
+    gain, amplitude = (
+        np.zeros(len(start_values_of_settings)),
+        {p.name: np.zeros(len(start_values_of_settings)) for p in sizes},
+    )
     for p in sizes:
         for q in wider.affects(p.name):
             simulated = wider.simulated(theta, q, columns)
-            white = weighted(estimate, q, simulated - estimate.simulated[q][:, None])[0]
-            remainder = _orthogonal_part(parent.basis[q], white)
-            square = np.maximum((remainder**2).sum(axis=0), 1e-300)
-            share = remainder.T @ parent.error[q] / square
-            share = np.where(np.isfinite(share), share, 0.0)
+            white_columns = weighted(estimate, q, simulated - estimate.simulated[q][:, None])[0]
+            remainder = _orthogonal_part(parent.basis[q], white_columns)
+            square_of_column = np.maximum((remainder**2).sum(axis=0), 1e-300)
+            linear_amplitude = remainder.T @ parent.error[q] / square_of_column
+            linear_amplitude = np.where(np.isfinite(linear_amplitude), linear_amplitude, 0.0)
             if p.lower >= (p.null or 0.0) or p.positive:
-                share = np.maximum(share, 0.0)
-            share = np.where(square > 1e-12, share, 0.0)
-            gain += share**2 * square
-            amplitude[p.name] += share * trial[p.name]
-    order = [i for i in np.argsort(-gain)[:FOLLOWED] if gain[i] >= LEAST]
-    return _run(parent, form, wider, sizes, order, rows, columns, amplitude)
+                linear_amplitude = np.maximum(linear_amplitude, 0.0)
+            linear_amplitude = np.where(square_of_column > 1e-12, linear_amplitude, 0.0)
+            gain += linear_amplitude**2 * square_of_column
+            amplitude[p.name] += linear_amplitude * small_changes[p.name]
+    best_settings = [i for i in np.argsort(-gain)[:FOLLOWED] if gain[i] >= LEAST]
+    return _run(parent, form, wider, sizes, best_settings, start_values_of_settings, columns, amplitude)
 
 
 def _varied(form: Form) -> tuple[str, ...]:
-    """Features whose settings differ within the grid, except those of controllers."""
+    """Return the features whose settings differ within a form's grid; controllers are left out."""
     names = {name for setting in form.grid for name in setting.features if name not in CONTROLLED}
     return tuple(
         sorted(
@@ -229,6 +256,7 @@ def _varied(form: Form) -> tuple[str, ...]:
 
 
 def _sized(sizes: Sequence[Parameter], changes: Mapping[str, float]) -> dict[str, float]:
+    """Return the values of amplitude parameters: their null value plus a change, within their bounds."""
     return {
         p.name: float(np.clip((p.null or 0.0) + changes[p.name], min(p.lower, p.null or 0.0), p.upper))
         for p in sizes
@@ -240,7 +268,12 @@ def _run(
     starts: Sequence[Mapping[str, float]], columns: Mapping[str, Sequence[np.ndarray]],
     amplitude: Mapping[str, np.ndarray],
 ) -> list[Screened]:  # fmt: skip
-    """Simulate the best settings at several sizes, with one linear step of the parent's parameters each."""
+    """Simulate the best settings at several effect sizes and return each with its largest gain, the best
+    first.
+
+    best_settings: indices of settings.  starts: start values of each setting.  columns: means of the varied
+        inputs by setting.  amplitude: linearised amplitudes (n,) by parameter.
+    """
     if not best_settings:
         return []
     estimate, vectors, setting_of_run = parent.estimate, [], []
@@ -250,13 +283,15 @@ def _run(
             vectors.append(wider.vector({**starts[i], **_sized(sizes, size)}))
             setting_of_run.append(i)
     theta = np.column_stack(vectors)
-    run_columns = {name: [part[i] for i in setting_of_run] for name, part in columns.items()}
+    run_columns = {
+        name: [columns_of_setting[i] for i in setting_of_run] for name, columns_of_setting in columns.items()
+    }
     gain = chord_gains(parent, wider, theta, run_columns, {q for p in sizes for q in wider.affects(p.name)})
     index_of = {p.name: wider.names.index(p.name) for p in added(estimate, wider)}
     result = []
-    for block, i in enumerate(best_settings):
-        part = slice(block * len(SIZES), (block + 1) * len(SIZES))
-        best = part.start + int(np.argmax(gain[part]))
+    for number, i in enumerate(best_settings):
+        columns_of_setting = slice(number * len(SIZES), (number + 1) * len(SIZES))
+        best = columns_of_setting.start + int(np.argmax(gain[columns_of_setting]))
         values = {name: float(theta[index, best]) for name, index in index_of.items()}
         result.append(Screened(form, form.grid[i], values, float(gain[best])))
     return sorted(result, key=lambda s: -s.gain)
@@ -266,8 +301,10 @@ def chord_gains(
     parent: Parent, wider: Simulator, theta: np.ndarray, columns: Mapping[str, Sequence[np.ndarray]],
     quantities: set[str],
 ) -> np.ndarray:  # fmt: skip
-    """(n,) gain in −2 ln L of runs with parameters (P, n), after one chord step of the parent's parameters
-    (a linear step with the Jacobian at the parent's estimate)."""
+    """Return the gain (n,) in −2 ln L of runs with parameters (P, n).
+
+    Each run gets one linear step of the parent's parameters, with the Jacobian at the parent's estimate.
+    """
     estimate, gain = parent.estimate, np.zeros(theta.shape[1])
     for q in sorted(quantities):
         simulated = wider.simulated(theta, q, columns)
@@ -281,10 +318,11 @@ def chord_gains(
 
 
 def _clocks(parent: Parent, form: Form) -> list[Screened]:
-    """The clock shifts that gain most, each with the parent's parameters refitted to first order.
+    """Return the clock shifts that gain most, each with the parent's parameters refitted by one linear step.
 
     The Jacobian is that of the shifted inputs: in the parent, an input whose clock is an hour off may have
-    lost its effect."""
+    lost its effect.
+    """
     estimate, shifts = parent.estimate, []
     affected = [q for q in estimate.quantities if form.clock in estimate.simulator.clocks(q)]
     squares_before = sum(parent.remaining_squares[q] for q in affected)
@@ -313,6 +351,8 @@ EXCHANGES = (0.5, 3.0, 15.0)
 
 
 def _windows(parent: Parent, form: Form) -> list[Screened]:
+    """Return the setting of a form of door openings with the best opening times; empty if the gain is
+    small."""
     estimate = parent.estimate
     spans, price = openings(estimate, form, identified=True)
     if not spans:
@@ -325,28 +365,29 @@ def _windows(parent: Parent, form: Form) -> list[Screened]:
 def _move_edges(
     estimate: Calibration, form: Form, spans: list[list[float]]
 ) -> tuple[list[list[float]], dict[str, float], float]:
-    """Windows with the edges of the best simulations, the amplitudes and the gain in −2 ln L.
+    """Improve the start and end times of door openings.
 
-    The matched filter takes an effect for immediate and therefore finds an opening too late.
+    Returns the openings [start, end] [s], the amplitudes and the gain in −2 ln L.  The matched filter assumes
+    an immediate effect and therefore finds openings too late.
     """
     wider = widened(estimate, form, form.grid[0], ("door_open",))
     sizes = amplitudes(added(estimate, wider))
     start = start_values(estimate, wider, form.grid[0])
 
     def gains(trials: list[list[list[float]]]) -> dict[str, np.ndarray]:
-        """Amplitude → gains (sizes, trials) in −2 ln L."""
+        """Return the gains (sizes, trials) in −2 ln L, by amplitude parameter."""
         columns = {"door_open": [wider.column("door_open", {"spans": spans}) for spans in trials]}
         gain_of = {}
-        for p in sizes:
-            gain_of[p.name] = np.zeros((len(EXCHANGES), len(trials)))
+        for parameter in sizes:
+            gain_of[parameter.name] = np.zeros((len(EXCHANGES), len(trials)))
             for i, size in enumerate(EXCHANGES):
-                theta = wider.vector({**start, p.name: size})[:, None].repeat(len(trials), axis=1)
-                for q in wider.affects(p.name):
-                    reference, r = estimate.filtered[q], estimate.simulator.scene.readings[q]
-                    identified = np.where(r.identified, r.value, np.nan)[:, None]
+                theta = wider.vector({**start, parameter.name: size})[:, None].repeat(len(trials), axis=1)
+                for q in wider.affects(parameter.name):
+                    reference, readings = estimate.filtered[q], estimate.simulator.scene.readings[q]
+                    identified = np.where(readings.identified, readings.value, np.nan)[:, None]
                     white = reference.whitened(identified - wider.simulated(theta, q, columns))
                     loss_before = loss(np.nan_to_num(reference.standardised), reference.bound).sum()
-                    gain_of[p.name][i] += loss_before - loss(white, reference.bound).sum(axis=0)
+                    gain_of[parameter.name][i] += loss_before - loss(white, reference.bound).sum(axis=0)
         return gain_of
 
     for edge in (0, 1):
@@ -370,17 +411,19 @@ def _move_edges(
 
 
 def openings(estimate: Calibration, form: Form, identified: bool) -> tuple[list[list[float]], float]:
-    """Windows [start, end] [s] in which a matched filter of the innovations finds more exchange, and the
-    price of a window in −2 ln L; `identified`: in the identification period, else outside of it.
+    """Find times at which a door was probably open, by a matched filter of the innovations.
 
-    The response within a window is that to a lasting effect, cut to the window, since the filter forgets
-    within hours.  Every quantity must gain.
+    identified: whether to search the identification period, or else the rest. Returns windows [start, end]
+        [s] that do not overlap, and the price of a window in −2 ln L.
+
+    The response within a window is that to a permanently open door, cut to the window, since the filter
+    forgets within hours.  Every quantity must gain.
     """
     wider = widened(estimate, form, form.grid[0])
     sizes = amplitudes(added(estimate, wider))
-    given = {p.name: SMALL * size_of(p) for p in sizes}
-    row = start_values(estimate, wider, form.grid[0])
-    theta = wider.vector({**row, **_sized(sizes, given)})[:, None]
+    small_changes = {p.name: SMALL * size_of(p) for p in sizes}
+    values = start_values(estimate, wider, form.grid[0])
+    theta = wider.vector({**values, **_sized(sizes, small_changes)})[:, None]
     scene = estimate.simulator.scene
     count = int(scene.count * scene.cell_h * 3600.0 / EVERY_S) + 2
     products, squares = np.zeros((2, len(estimate.quantities), count))
@@ -392,29 +435,29 @@ def openings(estimate: Calibration, form: Form, identified: bool) -> tuple[list[
             estimate.variances[q],
             np.where(in_period, r.value - estimate.simulated[q], np.nan),
         )
-        x = reference.whitened(wider.simulated(theta, q) - estimate.simulated[q][:, None])[:, 0]
-        e = np.nan_to_num(reference.standardised) * reference.weight
-        place = np.clip(((r.time_s - scene.first_s) / EVERY_S).astype(int), 0, count - 1)
-        np.add.at(products[i], place, e * x)
-        np.add.at(squares[i], place, x * x)
-    sums = [np.cumsum(np.pad(a, ((0, 0), (1, 0))), axis=1) for a in (products, squares)]
-    price = 2.0 * float(np.log(count * len(WINDOWS_H)))
+        white_response = reference.whitened(wider.simulated(theta, q) - estimate.simulated[q][:, None])[:, 0]
+        weighted_innovation = np.nan_to_num(reference.standardised) * reference.weight
+        grid_cell = np.clip(((r.time_s - scene.first_s) / EVERY_S).astype(int), 0, count - 1)
+        np.add.at(products[i], grid_cell, weighted_innovation * white_response)
+        np.add.at(squares[i], grid_cell, white_response * white_response)
+    cumulated = [np.cumsum(np.pad(a, ((0, 0), (1, 0))), axis=1) for a in (products, squares)]
+    price_of_window = 2.0 * float(np.log(count * len(WINDOWS_H)))
     candidates = []
     for hours in WINDOWS_H:
-        width = int(hours * 3600.0 / EVERY_S)
-        product, square = (total[:, width:] - total[:, :-width] for total in sums)
+        window_cells = int(hours * 3600.0 / EVERY_S)
+        product, square = (total[:, window_cells:] - total[:, :-window_cells] for total in cumulated)
         matched = (product > 0) & (square > 1e-12)
         gains = np.where(matched, product * product / np.maximum(square, 1e-12), 0.0)
         gain = np.where((gains > 1.0).all(axis=0), gains.sum(axis=0), 0.0)
-        candidates += [(float(gain[i]), i, width) for i in np.flatnonzero(gain > price)]
-    chosen: list[tuple[int, int]] = []
-    used = np.zeros(count + 1, bool)
-    for _, first, width in sorted(candidates, reverse=True):
-        if len(chosen) < MOST_WINDOWS and not used[first : first + width].any():
-            used[first : first + width] = True
-            chosen.append((int(first), width))
+        candidates += [(float(gain[i]), i, window_cells) for i in np.flatnonzero(gain > price_of_window)]
+    chosen_windows: list[tuple[int, int]] = []
+    is_used = np.zeros(count + 1, bool)
+    for _, first, window_cells in sorted(candidates, reverse=True):
+        if len(chosen_windows) < MOST_WINDOWS and not is_used[first : first + window_cells].any():
+            is_used[first : first + window_cells] = True
+            chosen_windows.append((int(first), window_cells))
     spans = sorted(
-        [scene.first_s + EVERY_S * first, scene.first_s + EVERY_S * (first + width)]
-        for first, width in chosen
+        [scene.first_s + EVERY_S * first, scene.first_s + EVERY_S * (first + window_cells)]
+        for first, window_cells in chosen_windows
     )
-    return spans, price
+    return spans, price_of_window

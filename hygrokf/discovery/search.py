@@ -14,14 +14,14 @@ from hygrokf.discovery.candidates import (
     WATER,
     Candidate,
     acts,
-    alike,
-    brought,
     candidate,
-    estimated,
-    grafted,
-    jumped,
-    lead,
-    water,
+    fit_form,
+    fits_equally_well,
+    improved_by_jumps,
+    is_water_rival,
+    lead_over_others,
+    moved_to_parent,
+    own_parameters,
 )
 from hygrokf.discovery.discovery_results import HeldOutTest
 from hygrokf.discovery.estimate import LIGHT, POLISH, Calibration, Columns, acting, estimate_at, fitted
@@ -48,13 +48,15 @@ is fitted to its maximum."""
 
 
 class Search:
-    """A search through the forms of causes for the effects that a base lacks.
+    """A search through the forms of causes for the effects that a base model lacks.
 
-    A round in which the simulations reach the budget names nothing.
+    A round that reaches the budget of simulations names nothing.
 
-    parent: the base with all accepted causes; left: causes that later causes displaced; beside: candidates of
-    the last round; not_judged: causes that the budget left out of the last round; searched: cause → number of
-    settings that are tried.
+    parent: the base model with all accepted causes.
+    left: causes that were accepted and later dropped.
+    beside: candidates of the last round.
+    not_judged: causes for which the budget did not suffice.
+    searched: number of settings that are tried, by cause.
     """
 
     def __init__(
@@ -64,6 +66,11 @@ class Search:
         say: Callable[[str], None] = lambda text: None,
         budget: float = math.inf,
     ) -> None:
+        """Prepare a search.
+
+        base: the fitted base model.  forms: all forms of all causes.
+        say: called with each step in words.  budget: largest number of simulations.
+        """
         self.base, self.say, self.budget = base, say, budget
         self.forms: dict[str, list[Form]] = {}
         for form in forms:
@@ -84,9 +91,11 @@ class Search:
 
     @property
     def names(self) -> frozenset[str]:
+        """Names of the accepted causes."""
         return frozenset(candidate.cause for candidate in self.accepted)
 
     def run(self) -> Search:
+        """Run rounds until nothing more is found, and return this search."""
         for _ in range(ROUNDS):
             self.visited.add(self.names)
             if not self._round():
@@ -105,26 +114,32 @@ class Search:
 
     @property
     def spent(self) -> bool:
+        """Whether the simulations have reached the budget."""
         return self.base.simulator.work.simulations >= self.budget
 
     def _mark(self, cause: str) -> object:
-        """The state on which the work on a cause depends: its forms, and the versions of the parent in the
-        quantities that they act on."""
+        """Return a key that changes whenever earlier results for a cause become invalid.
+
+        It holds the cause's remaining forms and the parent's version in each quantity that they change.
+        """
         forms, quantities = self.forms[cause], self.parent.quantities
         acted_on = set[str]().union(*(acts(form, quantities) for form in forms))
         return [form.code for form in forms], [self._version[q] for q in quantities if q in acted_on]
 
     def _recalled(self, kind: str, cause: str) -> Any:
-        """The stored result of a cause; None where there is none or the cause's state has changed."""
+        """Return the stored result for a cause; None where there is none or it is out of date."""
         mark, result = self._kept.get((kind, cause), (None, None))
         return result if mark == self._mark(cause) else None
 
     def _keep(self, kind: str, cause: str, result: Any) -> None:
+        """Store a result for a cause; `_recalled` returns it while the cause's state is the same."""
         self._kept[kind, cause] = self._mark(cause), result
 
     def _round(self) -> bool:
-        """Accept the best cause, then the best cause of the other quantity; return whether another round may
-        find more: a cause was accepted, or a form refuted."""
+        """Accept the best cause, then the best cause of the other quantity.
+
+        Returns whether another round may find more: a cause was accepted, or a form was refuted.
+        """
         candidates = self.beside = self.candidates()
         if self.not_judged:
             # the best cause may be among those that were not judged
@@ -135,7 +150,7 @@ class Search:
             if best.acts & named_quantities or not self._earns(best) or self.names | {cause} in self.visited:
                 continue
             if named_quantities:
-                best = replace(best, estimate=grafted(self.parent, best))
+                best = replace(best, estimate=moved_to_parent(self.parent, best))
             best = replace(best, judged=self._judged(scores_before, best))
             if best.judged.reason:
                 # held-out readings may bear out another form of the cause
@@ -143,8 +158,12 @@ class Search:
                 self.forms[cause] = [form for form in self.forms[cause] if form.code != best.form.code]
                 was_refuted = True
                 continue
-            rivals = tuple(c for c in candidates if c.cause != cause and (alike(best, c) or water(best, c)))
-            self.accepted.append(replace(best, rivals=rivals, lead=lead(best, candidates)))
+            rivals = tuple(
+                c
+                for c in candidates
+                if c.cause != cause and (fits_equally_well(best, c) or is_water_rival(best, c))
+            )
+            self.accepted.append(replace(best, rivals=rivals, lead=lead_over_others(best, candidates)))
             self.say(f"{cause}: evidence {best.evidence:.0f}, in days {best.in_days:.0f}")
             self.parent = best.estimate
             named_quantities |= best.acts
@@ -154,12 +173,14 @@ class Search:
         return bool(named_quantities) or was_refuted
 
     def _earns(self, candidate: Candidate) -> bool:
-        others = [a for a in self.accepted if a.cause != candidate.cause]
-        return not candidate.lacking and candidate.strength >= needed(candidate, others)
+        """Whether a candidate has the evidence that it needs beside the other accepted causes."""
+        other_causes = [a for a in self.accepted if a.cause != candidate.cause]
+        return not candidate.lacking and candidate.strength >= required_evidence(candidate, other_causes)
 
     def _judged(self, before: Mapping[str, Scores], candidate: Candidate) -> HeldOutTest:
-        after = scores(levelled(foreseen(self.parent, candidate)))
-        return tested(
+        """Test a candidate on held-out readings; before: scores of the parent by quantity."""
+        after = scores(levelled(with_held_out_openings(self.parent, candidate)))
+        return held_out_test(
             {q: before[q] for q in candidate.acts},
             {q: after[q] for q in candidate.acts},
             candidate,
@@ -167,21 +188,23 @@ class Search:
         )
 
     def _judge_again(self) -> None:
-        """Drop accepted causes whose evidence beside the others is too small under the new error models."""
-        for tried in list(self.accepted):
+        """Drop accepted causes that no longer have enough evidence, given the other causes."""
+        for accepted_cause in list(self.accepted):
             if self.spent:
                 break
-            others = [a for a in self.accepted if a is not tried]
-            without = composed(self.base, others, self.parent, tried.acts)
-            refitted = candidate(without, self.parent, tried.form, tried.setting, tried.searched)
+            others = [a for a in self.accepted if a is not accepted_cause]
+            without = refitted_with(self.base, others, self.parent, accepted_cause.acts)
+            refitted = candidate(
+                without, self.parent, accepted_cause.form, accepted_cause.setting, accepted_cause.searched
+            )
             if self._earns(refitted):
                 continue
             self.left.append(refitted)
-            self.accepted, self.parent = others, update_error_models(without, tried.acts)
-            self._version.update(tried.acts)
+            self.accepted, self.parent = others, update_error_models(without, accepted_cause.acts)
+            self._version.update(accepted_cause.acts)
 
     def candidates(self) -> list[Candidate]:
-        """The causes' best candidates beside the parent, the strongest first."""
+        """Return the best candidate of each promising cause, the strongest first."""
         parent = parent_of(self.parent)
         self._columns = parent.columns
         screened_of: dict[str, list[Screened]] = {}
@@ -217,8 +240,10 @@ class Search:
         return sorted(best.values(), key=lambda c: -c.strength)
 
     def _first(self, screened_of: Mapping[str, Sequence[Screened]]) -> list[str]:
-        """The causes with the largest screened gains, ranked within each quantity, since gains of temperature
-        and vapour differ in size."""
+        """Return the causes with the largest screened gains, at most `CAUSES` for each quantity.
+
+        They are ranked within each quantity, since gains of temperature and vapour differ in size.
+        """
         ranked = sorted(
             (cause for cause in screened_of if screened_of[cause]), key=lambda c: -screened_of[c][0].gain
         )
@@ -229,23 +254,26 @@ class Search:
         # an error of the humidity sensor must not take the place of water
         return [*first, *(c for c in WATER if SENSOR in first and c not in first and screened_of.get(c))]
 
-    def _candidate(self, cause: str, seen: Sequence[Screened]) -> Candidate:
+    def _candidate(self, cause: str, settings: Sequence[Screened]) -> Candidate:
+        """Return the best candidate of a cause among its screened settings, fitted with little effort."""
         result: Candidate | None = self._recalled("candidate", cause)
         if result is None:
-            tried = []
-            for s in _to_estimate(seen):
-                child = estimated(self.parent, s.form, s.setting, s.values, LIGHT, self._columns)
-                tried.append(candidate(self.parent, child, s.form, s.setting, self.searched[cause]))
-            best = max(tried, key=lambda c: c.evidence)
-            near = (c.form.code for c in tried if c.form is not best.form and alike(best, c))
-            result = replace(best, alike=tuple(dict.fromkeys(near)))
+            children = []
+            for s in _to_estimate(settings):
+                child = fit_form(self.parent, s.form, s.setting, s.values, LIGHT, self._columns)
+                children.append(candidate(self.parent, child, s.form, s.setting, self.searched[cause]))
+            best = max(children, key=lambda c: c.evidence)
+            equally_good_forms = (
+                c.form.code for c in children if c.form is not best.form and fits_equally_well(best, c)
+            )
+            result = replace(best, alike=tuple(dict.fromkeys(equally_good_forms)))
             self._keep("candidate", cause, result)
         if set(result.estimate.simulator.names) >= set(self.parent.simulator.names):
             return result
-        return replace(result, estimate=grafted(self.parent, result))
+        return replace(result, estimate=moved_to_parent(self.parent, result))
 
     def _finish(self, finished: Candidate, leads: bool) -> Candidate:
-        """Fit a candidate to its maximum; the leader of a quantity is also improved by jumps."""
+        """Fit a candidate to its maximum; if it leads its quantity, also try jumps."""
         if self._recalled("finished", finished.cause) in (True, leads):
             return finished
         child = fitted(finished.estimate, acting(finished.estimate, finished.acts), POLISH)
@@ -254,26 +282,31 @@ class Search:
             alike=finished.alike,
         )
         if leads and finished.evidence > 0.0:
-            finished = jumped(self.parent, finished)
+            finished = improved_by_jumps(self.parent, finished)
         self._keep("candidate", finished.cause, finished)
         self._keep("finished", finished.cause, leads)
         return finished
 
 
-def _to_estimate(seen: Sequence[Screened]) -> list[Screened]:
-    """The best setting of each form, then the best remaining settings: forms differ more than settings."""
+def _to_estimate(settings: Sequence[Screened]) -> list[Screened]:
+    """Return the screened settings to fit: the best of each form, then the best of the rest.
+
+    Forms come first, because they differ more than settings of one form do.
+    """
     first: dict[str, Screened] = {}
-    for s in seen:
+    for s in settings:
         first.setdefault(s.form.code, s)
-    rest = [s for s in seen if first[s.form.code] is not s]
+    rest = [s for s in settings if first[s.form.code] is not s]
     return [*first.values(), *rest][: max(SETTINGS, min(len(first), FORMS))]
 
 
-def composed(
+def refitted_with(
     base: Calibration, causes: Sequence[Candidate], larger: Calibration, quantities: Collection[str]
 ) -> Calibration:
-    """The base with some of the causes, fitted in the given quantities from the values of a larger model,
-    under the error models of that model."""
+    """Return the base model with the given causes, refitted in the given quantities.
+
+    larger: a model that contains these causes; it gives the start values and the error models.
+    """
     extended = base
     for cause in causes:
         extended = replace(extended, simulator=widened(extended, cause.form, cause.setting))
@@ -282,9 +315,12 @@ def composed(
     return fitted(start, acting(start, quantities))
 
 
-def foreseen(parent: Calibration, candidate: Candidate) -> Calibration:
-    """The candidate's estimate with door openings of the held-out part, which cannot be predicted: those that
-    raise the likelihood of the held-out readings by more than the price of a window."""
+def with_held_out_openings(parent: Calibration, candidate: Candidate) -> Calibration:
+    """Return the candidate's model with door openings added in the held-out part of the record.
+
+    Openings cannot be predicted.  One is added where it raises the held-out likelihood by more than the price
+    of a window.  Models without openings are returned unchanged.
+    """
     if not candidate.form.windows:
         return candidate.estimate
     whole_form = replace(candidate.form, grid=(Setting({"door_open": {"spans": [[-1e18, 1e18]]}}),))
@@ -301,6 +337,7 @@ def foreseen(parent: Calibration, candidate: Candidate) -> Calibration:
 
 
 def _opened(parent: Calibration, candidate: Candidate, spans: Sequence[Sequence[float]]) -> Calibration:
+    """Return the candidate's model with the door open during `spans` [s], at unchanged parameters."""
     wider, estimate = (
         widened(parent, candidate.form, Setting({"door_open": {"spans": spans}})),
         candidate.estimate,
@@ -311,36 +348,46 @@ def _opened(parent: Calibration, candidate: Candidate, spans: Sequence[Sequence[
 
 
 def _held_out_deviance(estimate: Calibration) -> float:
+    """Return −2 ln L of the held-out readings, summed over the quantities."""
     return sum(score.deviance for score in scores(estimate).values())
 
 
-def needed(candidate: Candidate, accepted: Sequence[Candidate]) -> float:
-    """The evidence that a candidate needs: more if a cause is named for a quantity on which it acts, since
-    the remaining errors are then more often the misfit of the named cause than another cause."""
+def required_evidence(candidate: Candidate, accepted: Sequence[Candidate]) -> float:
+    """Return the evidence that a candidate needs: `FURTHER` or `THRESHOLD`.
+
+    More is needed once a cause is named for a quantity that the candidate changes: what remains there is more
+    often a misfit of the named cause than another cause.
+    """
     return FURTHER if any(candidate.acts & a.acts for a in accepted) else THRESHOLD
 
 
-def tested(
+def held_out_test(
     before: Mapping[str, Scores],
     after: Mapping[str, Scores],
     candidate: Candidate,
     accepted: Sequence[Candidate],
 ) -> HeldOutTest:
-    """The test of a candidate on held-out readings, beside the accepted causes."""
+    """Test a candidate on held-out readings.
+
+    before, after: scores without and with the candidate, by quantity.  accepted: the causes accepted so far.
+    """
     return judged(
         before,
         after,
-        candidate.in_days - needed(candidate, accepted),
+        candidate.in_days - required_evidence(candidate, accepted),
         candidate.factor,
         candidate.in_days < FURTHER,
     )
 
 
 def effect_of(form: Form, parent: Calibration, child: Calibration, after: Mapping[str, Scores]) -> float:
-    """The squared `difference` that a cause makes to the readings; infinite for a form without an
-    amplitude."""
+    """Return how much a cause changes the simulated readings: the summed squared whitened `difference`.
+
+    after: scores of the child by quantity.  Infinite for a form without an amplitude that could be set to
+        zero.
+    """
     names = {p.name: p.null for p in amplitudes(added(parent, child.simulator)) if p.null is not None}
-    own_names = brought(form, child.simulator)
+    own_names = own_parameters(form, child.simulator)
     if not own_names & set(names):
         return math.inf
     theta = child.simulator.vector({**child.values, **{n: v for n, v in names.items() if n in own_names}})

@@ -35,8 +35,10 @@ ACCURACY = 2.0
 
 @dataclass
 class SimulationWork:
-    """The number of simulations so far, and the cell models that all simulators of a search share, since
-    tracing a model takes as long as ten runs."""
+    """Number of simulations so far, and traced models shared by all simulators of a search.
+
+    Tracing a model takes as long as ten runs, so models are kept.
+    """
 
     simulations: int = 0
     models: dict[tuple[object, ...], tuple[CellModel, tuple[Model, ...]]] = field(default_factory=dict)
@@ -44,7 +46,10 @@ class SimulationWork:
 
 @dataclass(frozen=True)
 class Simulator:
-    """Models of heat and of vapour on a scene; own: inputs for which each run has a separate column."""
+    """Simulator of the heat and vapour models on a scene.
+
+    own: inputs of which each run has its own values.  limits: further bounds of parameters, by name.
+    """
 
     scene: Scene
     heat: Design
@@ -56,6 +61,7 @@ class Simulator:
 
     @property
     def designs(self) -> tuple[Design, ...]:
+        """Design of heat and, if there is one, of vapour."""
         return (self.heat,) if self.vapour is None else (self.heat, self.vapour)
 
     @cached_property
@@ -69,49 +75,67 @@ class Simulator:
         }
         return (*parameter_of.values(), *(p for name in self.controls for p in self._levels(name)))
 
-    def _limited(self, p: Parameter) -> Parameter:
-        low, high = self.limits.get(p.name, (p.lower, p.upper))
-        if p.prior is not None and not p.prior.logarithmic:
+    def _limited(self, parameter: Parameter) -> Parameter:
+        """Return a parameter with narrower bounds: those of `limits`, and `ACCURACY` standard deviations of
+        its prior."""
+        lowest, highest = self.limits.get(parameter.name, (parameter.lower, parameter.upper))
+        if parameter.prior is not None and not parameter.prior.logarithmic:
             # a likelihood would stretch an offset beyond its accuracy to stand for something else
-            reach = ACCURACY * p.prior.sd
-            low, high = max(low, p.prior.mean - reach), min(high, p.prior.mean + reach)
-        if (low, high) == (p.lower, p.upper):
-            return p
-        return replace(p, lower=low, upper=high, start=min(max(p.start, low), high))
+            largest_deviation = ACCURACY * parameter.prior.sd
+            lowest, highest = (
+                max(lowest, parameter.prior.mean - largest_deviation),
+                min(highest, parameter.prior.mean + largest_deviation),
+            )
+        if (lowest, highest) == (parameter.lower, parameter.upper):
+            return parameter
+        return replace(
+            parameter, lower=lowest, upper=highest, start=min(max(parameter.start, lowest), highest)
+        )
 
     @cached_property
     def names(self) -> tuple[str, ...]:
+        """Names of all parameters, in order."""
         return tuple(p.name for p in self.parameters)
 
     @cached_property
     def controls(self) -> tuple[str, ...]:
+        """Inputs that are switched by a controller."""
         inputs = {name for design in self.designs for name in design.model.inputs}
         return tuple(name for name in CONTROLLED if name in inputs)
 
     def _switch(self, name: str) -> Throttle:
+        """Return the controller of an input."""
         return Throttle(**next(design.features[name] for design in self.designs if name in design.features))
 
     def _levels(self, name: str) -> tuple[Parameter, Parameter]:
+        """Return the two parameters of a controller: the reading at which it begins to act, and that at which
+        it acts fully."""
         switch = self._switch(name)
         is_temperature = switch.reads == TEMPERATURE
-        low, high, unit = (200.0, 400.0, "K") if is_temperature else (-0.5, 1.5, "1")
+        lowest, highest, unit = (200.0, 400.0, "K") if is_temperature else (-0.5, 1.5, "1")
         first, second = (
             Parameter(
-                f"{name}_{word}", unit, level, low, high, meaning=f"reading at which the controller {does}"
+                f"{name}_{suffix}",
+                unit,
+                level,
+                lowest,
+                highest,
+                meaning=f"reading at which the controller {action}",
             )
-            for word, level, does in (
+            for suffix, level, action in (
                 ("first", switch.start, "begins to act"), ("second", switch.full, "acts fully"),
             )
         )  # fmt: skip
         return first, second
 
     def _steering(self, name: str) -> tuple[float, float]:
-        """Whether (1.0 or 0.0) a controller reads the humidity, and whether it acts at standstill only."""
+        """Return whether a controller reads the humidity, and whether it acts at standstill only, each as 1.0
+        or 0.0."""
         switch = self._switch(name)
         return float(switch.reads == HUMIDITY), float(switch.idle)
 
     def affects(self, name: str) -> tuple[str, ...]:
-        """The quantities that a parameter acts on."""
+        """Return the quantities that a parameter acts on."""
         parameters_of = {
             "temperature": [p.name for p in self.heat.model.parameters],
             "vapour": [] if self.vapour is None else [p.name for p in self.vapour.model.parameters],
@@ -127,13 +151,13 @@ class Simulator:
         return tuple(quantities)
 
     def clocks(self, quantity: str) -> set[str]:
-        """The sources of a quantity's inputs and readings; each source has its own clock."""
+        """Return the sources of a quantity's inputs and readings; each source has its own clock."""
         inputs = self.cell_model(quantity).inputs
         return {self.scene.source(name) for name in (TEMPERATURE, *inputs)}
 
     # -- runs ------------------------------------------------------------------------------------------------
     def cell_model(self, quantity: str) -> CellModel:
-        """The traced cell models that a quantity needs."""
+        """Return the compiled model that a quantity needs; models are traced once and kept."""
         reads_humidity = any(self._steering(c)[0] for c in self.controls)
         models = tuple(design.model for design in self.designs)
         key = (quantity, reads_humidity, self.own, *map(id, models))
@@ -143,6 +167,7 @@ class Simulator:
         return self.work.models[key][0]
 
     def _cell_model(self, quantity: str, damp: bool) -> CellModel:
+        """Trace the model for a quantity; damp: whether a controller reads the humidity."""
         heat, vapour = _silent(self.heat), None if self.vapour is None else _silent(self.vapour)
         steered = {c for c in self.controls if c in (vapour.inputs if vapour else ())}
         if quantity == "temperature" and not damp:
@@ -156,6 +181,7 @@ class Simulator:
         )
 
     def cells(self, model: CellModel) -> CellInputs:
+        """Return the inputs of a model over the cells; they are computed once and kept."""
         if model.inputs not in self._cells:
             self._cells[model.inputs] = self.scene.cells(model.inputs, self.designs)
         return self._cells[model.inputs]
@@ -167,10 +193,11 @@ class Simulator:
         columns: Mapping[str, Sequence[np.ndarray]] | None = None,
         driven: bool = True,
     ) -> np.ndarray:
-        """(K, n) output of a quantity's sensor at the ends of cells, for parameters (P, n).
+        """Simulate parameters theta (P, n) and return the output (K, n) of a quantity's sensor at the ends of
+        the cells.
 
-        columns: own input → its (K,) means over the cells for each run.  driven: whether the temperature of
-        the scene drives the vapour; else the simulated temperature does.
+        columns: own input → its means (K,) over the cells for each run.
+        driven: whether the scene's temperature drives the vapour; otherwise the simulated temperature does.
         """
         model = self.cell_model(quantity if driven else "both")
         cells, count = self.cells(model), theta.shape[1]
@@ -178,21 +205,24 @@ class Simulator:
         result = np.empty((len(cells), count))
         output = next(i for i, name in enumerate(model.outputs) if name in OUTPUT[quantity])
         self.work.simulations += count
-        for first in range(0, count, LANES):
-            block = theta[:, first : first + LANES]
-            width = block.shape[1]
+        for first_run in range(0, count, LANES):
+            block_of_runs = theta[:, first_run : first_run + LANES]
+            width = block_of_runs.shape[1]
             lanes = np.zeros((len(model.parameters), LANES))
             for i, name in enumerate(model.parameters):
                 if name in row_of:
-                    lanes[i, :width], lanes[i, width:] = block[row_of[name]], block[row_of[name], -1]
+                    lanes[i, :width], lanes[i, width:] = (
+                        block_of_runs[row_of[name]],
+                        block_of_runs[row_of[name], -1],
+                    )
             for name in model.controls:
-                for word, value in zip(CONTROL[2:], self._steering(name), strict=True):
-                    lanes[model.parameters.index(f"{name}_{word}")] = value
+                for suffix, value in zip(CONTROL[2:], self._steering(name), strict=True):
+                    lanes[model.parameters.index(f"{name}_{suffix}")] = value
             is_simulated = quantity == "temperature" or not driven
             lanes[model.parameters.index(SIMULATED)] = float(is_simulated)
-            own_columns = [_lanes(columns or {}, name, first) for name in model.own]
-            out = run(model, cells, lanes, self._start(model, cells, lanes), own_columns)
-            result[:, first : first + width] = out[:, output, :width]
+            own_columns = [_lanes(columns or {}, name, first_run) for name in model.own]
+            outputs = run(model, cells, lanes, self._start(model, cells, lanes), own_columns)
+            result[:, first_run : first_run + width] = outputs[:, output, :width]
         return result
 
     def simulated(
@@ -201,46 +231,56 @@ class Simulator:
         quantity: str,
         columns: Mapping[str, Sequence[np.ndarray]] | None = None,
     ) -> np.ndarray:
-        """(T, n) readings of a quantity [K] or [g/m³]."""
+        """Return the simulated readings (T, n) [K] or [g/m³] for parameters theta (P, n); `columns` as in
+        `shown`."""
         return self.scene.readings[quantity].sampled(self.shown(theta, quantity, columns))
 
     def _start(self, model: CellModel, cells: CellInputs, theta: np.ndarray) -> np.ndarray:
-        """States (n, LANES) at the beginning."""
+        """Return the states (n, LANES) at the start of the simulation."""
         inputs: dict[str, Any] = {name: cells.edges[0, c] for c, name in enumerate(model.inputs)}
         inputs |= dict.fromkeys((*model.own, *model.controls), 0.0)
         values: dict[str, Any] = {name: theta[i] for i, name in enumerate(model.parameters)}
         values |= {p.name: 0.0 for part_model in model.models for p in part_model.parameters if p.noise}
-        states = [x for part_model in model.models for x in part_model.initial(values, inputs)[0]]
-        return np.stack([np.broadcast_to(np.asarray(x, float), LANES) for x in states])
+        states = [state for part_model in model.models for state in part_model.initial(values, inputs)[0]]
+        return np.stack([np.broadcast_to(np.asarray(state, float), LANES) for state in states])
 
     def vector(self, values: Mapping[str, float]) -> np.ndarray:
-        """The parameter vector (P,) of values by name; a parameter without a value has its null, or else its
-        start value."""
+        """Return the parameter vector (P,) of values by name.
+
+        A parameter without a value gets its null value, or else its start value.
+        """
         return np.array([values.get(p.name, p.start if p.null is None else p.null) for p in self.parameters])
 
     def owner(self, name: str) -> Design:
-        """The design that has this input; the design of heat if none has."""
+        """Return the design that has an input; the design of heat if none has it."""
         return next((design for design in self.designs if name in design.model.inputs), self.heat)
 
     def column(self, name: str, settings: Mapping[str, Any]) -> np.ndarray:
-        """(K,) means over the cells of an own input, computed with these settings of its feature."""
+        """Return the means (K,) over the cells of an own input, computed with the given feature settings."""
         owner = self.owner(name)
         design = replace(owner, features={**owner.features, name: settings})
         return self.scene.column(name, design)
 
 
-def _lanes(columns: Mapping[str, Sequence[np.ndarray]], name: str, first: int) -> np.ndarray:
-    """Columns (K, LANES) of an own input for the runs from `first` on; zeros (1, LANES) without columns."""
-    part = list(columns.get(name, ()))[first : first + LANES]
-    if not part:
+def _lanes(columns: Mapping[str, Sequence[np.ndarray]], name: str, first_run: int) -> np.ndarray:
+    """Return the columns (K, LANES) of an own input for one block of runs; zeros (1, LANES) if it has
+    none."""
+    columns_of_block = list(columns.get(name, ()))[first_run : first_run + LANES]
+    if not columns_of_block:
         return np.zeros((1, LANES))
-    return np.ascontiguousarray(np.stack([*part, *[part[-1]] * (LANES - len(part))], axis=1))
+    return np.ascontiguousarray(
+        np.stack([*columns_of_block, *[columns_of_block[-1]] * (LANES - len(columns_of_block))], axis=1)
+    )
 
 
 def _silent(design: Design) -> Model:
-    """The model without mechanisms that have nothing but noise parameters."""
-    kept = [
-        m for m in design.model.mechanisms
-        if not m.parameters or m.outputs or m.corrections or not all(p.noise for p in m.parameters)
-    ]  # fmt: skip
-    return compose(kept, design.model.holds)
+    """Return the design's model without mechanisms that only add noise."""
+    with_effect = [
+        mechanism
+        for mechanism in design.model.mechanisms
+        if not mechanism.parameters
+        or mechanism.outputs
+        or mechanism.corrections
+        or not all(p.noise for p in mechanism.parameters)
+    ]
+    return compose(with_effect, design.model.holds)

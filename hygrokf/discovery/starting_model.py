@@ -39,30 +39,31 @@ RESPONSE = "cabinet_relative_humidity_response"
 
 
 def base_designs(record: Record, library: Library = LIBRARY) -> tuple[Design, Design | None]:
-    """The designs of heat and of vapour for a record's identification period; without humidity readings the
-    design of vapour is None.
+    """Return the designs of heat and of vapour for a record; the latter is None without humidity readings.
 
-    Besides the base model's parameters, the vapour has errors that the sensors' accuracy allows: a gain of
-    the ambient vapour, an offset of its relative humidity, a scale and a response time of the humidity
-    sensor.
+    The vapour design also has the errors that the sensors' accuracy allows: a gain of the ambient vapour, an
+    offset of its relative humidity, a scale and a response time of the humidity sensor.
     """
-    early = prepare(record.identification())
-    regression = heat_release_regression(early)
-    heat = design(
-        early, kind="thermal", power_order=regression.power_order, heat_start=regression.start(),
+    identification_part = prepare(record.identification())
+    regression = heat_release_regression(identification_part)
+    heat_design = design(
+        identification_part,
+        kind="thermal",
+        power_order=regression.power_order,
+        heat_start=regression.start(),
         library=library,
-    )  # fmt: skip
-    moist = design(early, kind=CASCADE, library=library)
-    if moist.humidity is None:
-        return heat, None
+    )
+    vapour_design = design(identification_part, kind=CASCADE, library=library)
+    if vapour_design.humidity is None:
+        return heat_design, None
     additions: list[MechanismSettings] = [("breathed_air", {"form": "temperature"})]
     priors = {"breathed_gain": (0.0, GAIN_SD, False)}
-    sd = ambient_sd(early, AMBIENT_HUMIDITY)
-    if sd > 0.0:
+    humidity_sd = ambient_sd(identification_part, AMBIENT_HUMIDITY)
+    if humidity_sd > 0.0:
         additions.append(("breathed_air", {"form": "humidity"}))
-        priors["breathed_humidity_offset"] = (0.0, sd, False)
-    mechanisms = moist.mechanisms
-    if moist.humidity == "cabinet_relative_humidity":
+        priors["breathed_humidity_offset"] = (0.0, humidity_sd, False)
+    mechanisms = vapour_design.mechanisms
+    if vapour_design.humidity == "cabinet_relative_humidity":
         additions.append(("humidity_scale", {"flag": None}))
         priors["humidity_scale_error"] = (0.0, SCALE_SD, False)
         mechanisms = tuple(
@@ -71,32 +72,35 @@ def base_designs(record: Record, library: Library = LIBRARY) -> tuple[Design, De
             else (name, settings)
             for name, settings in mechanisms
         )
-    moist = extended(replace(moist, mechanisms=mechanisms), additions)
-    return heat, replace(moist, priors={**moist.priors, **priors})
+    vapour_design = extended(replace(vapour_design, mechanisms=mechanisms), additions)
+    return heat_design, replace(vapour_design, priors={**vapour_design.priors, **priors})
 
 
 def base_estimate(record: Record, library: Library = LIBRARY) -> Calibration:
-    """The base model of a record at its maximum of the likelihood.
+    """Fit the base model of a record by maximum likelihood.
 
-    The search starts at the parameters' start values and at the minimum of the free-run error.  Of the
-    maxima whose free-run error is at most the standard deviation of the readings, the likeliest is chosen.
+    The search starts at the parameters' start values and at the minimum of the free-run error.  Of the maxima
+    found, the likeliest is taken whose free-run error is at most the standard deviation of the readings.
     """
     heat, vapour = base_designs(record, library)
     scene = scene_of(record, heat, vapour)
     limits = {RESPONSE: (SHORTEST_RESPONSE_H, LONGEST_RESPONSE_H)}
     simulator = Simulator(scene, heat, vapour, limits=limits, work=SimulationWork())
     quantities = tuple(scene.readings)
-    guess = simulator.vector({p.name: p.start for p in simulator.parameters})
-    start_errors = errors_of(simulator, guess, quantities)
-    plain = fitted(estimate_at(simulator, start_errors, guess, plain=True), effort=LIGHT)
-    fitted_errors = errors_of(simulator, plain.theta, quantities)
-    fits = [_best(simulator, errors, (plain.theta, guess)) for errors in (fitted_errors, start_errors)]
+    start_theta = simulator.vector({p.name: p.start for p in simulator.parameters})
+    start_errors = errors_of(simulator, start_theta, quantities)
+    least_squares_fit = fitted(estimate_at(simulator, start_errors, start_theta, plain=True), effort=LIGHT)
+    fitted_errors = errors_of(simulator, least_squares_fit.theta, quantities)
+    fits = [
+        _best(simulator, errors, (least_squares_fit.theta, start_theta))
+        for errors in (fitted_errors, start_errors)
+    ]
     best = min(fits, key=lambda fit: fit.deviance)
     return _drive_vapour(update_error_models(best))
 
 
 def _best(simulator: Simulator, errors: Mapping[str, Instants], starts: Sequence[np.ndarray]) -> Calibration:
-    """The maximum that has, for each quantity, the parameters of the best fit over the starts."""
+    """Fit from each start and return one fit that combines the best parameters of each quantity."""
     fits = [fitted(estimate_at(simulator, errors, start)) for start in starts]
     theta = fits[0].theta.copy()
     for q in errors:
@@ -110,7 +114,7 @@ def _best(simulator: Simulator, errors: Mapping[str, Instants], starts: Sequence
 
 
 def free_run_error(estimate: Calibration, quantity: str) -> float:
-    """Root mean square error of a quantity's simulation in the identification period."""
+    """Return the root mean square error of a quantity's simulation in the identification period."""
     return float(np.sqrt(np.nanmean(estimate.residual(quantity) ** 2)))
 
 
@@ -124,39 +128,46 @@ def _drive_vapour(estimate: Calibration) -> Calibration:
 
 
 def update_error_models(estimate: Calibration, quantities: Collection[str] | None = None) -> Calibration:
-    """Refit an estimate, under error models with its own time constants where these are likelier.
+    """Refit an estimate, with error models based on its own time constants where these are likelier.
 
-    quantities: those whose error models may change (None: all).  A time constant that ended at a limit may
-    not be the low pass of the disturbances: the earlier error model stays where it is likelier.
+    quantities: whose error models may change; None: all.  The old error model is kept where it is likelier,
+        since a time constant that ended at a limit may not be the low pass of the disturbances.
     """
-    chosen = [q for q in estimate.quantities if quantities is None or q in quantities]
+    quantities_to_change = [q for q in estimate.quantities if quantities is None or q in quantities]
     new_errors = errors_of(estimate.simulator, estimate.theta, estimate.quantities)
-    free = acting(estimate, chosen)
+    free = acting(estimate, quantities_to_change)
 
     def refit(changed: Mapping[str, Instants], theta: np.ndarray) -> Calibration:
+        """Refit the estimate from parameters theta with some error models changed."""
         errors = {**estimate.errors, **changed}
         start = estimate_at(estimate.simulator, errors, theta, estimate.linear, estimate.variances)
         return fitted(start, free)
 
-    old = refit({}, estimate.theta)
-    new = refit({q: new_errors[q] for q in chosen}, estimate.theta)
-    improved = {q: new.deviances[q] < old.deviances[q] for q in chosen}
+    with_old_errors = refit({}, estimate.theta)
+    with_new_errors = refit({q: new_errors[q] for q in quantities_to_change}, estimate.theta)
+    improved = {q: with_new_errors.deviances[q] < with_old_errors.deviances[q] for q in quantities_to_change}
     if all(improved.values()):
-        return new
+        return with_new_errors
     if not any(improved.values()):
-        return old
-    theta = old.theta.copy()
+        return with_old_errors
+    theta = with_old_errors.theta.copy()
     for i, name in enumerate(estimate.simulator.names):
         if all(improved.get(q, False) for q in estimate.simulator.affects(name)):
-            theta[i] = new.theta[i]
-    return refit({q: new.errors[q] if improved[q] else old.errors[q] for q in chosen}, theta)
+            theta[i] = with_new_errors.theta[i]
+    return refit(
+        {
+            q: with_new_errors.errors[q] if improved[q] else with_old_errors.errors[q]
+            for q in quantities_to_change
+        },
+        theta,
+    )
 
 
 def smoothed_temperature(estimate: Calibration) -> np.ndarray:
-    """(F,) [K] the simulated temperature plus its smoothed error, at the edges of parts of cells.
+    """Return the simulated temperature plus its smoothed error, (F,) [K] at the edges of parts of cells.
 
-    Up to the end of the identification period the smoother uses identification readings only.  The noise of
-    the readings is at most that of the sensor, so that fast variations such as a heater's cycles remain.
+    Up to the end of the identification period only its readings are used.  The noise of the readings is
+    limited to that of the sensor, so that fast variations such as a heater's cycles remain.
     """
     scene: Scene = estimate.simulator.scene
     readings = scene.readings["temperature"]
@@ -164,12 +175,12 @@ def smoothed_temperature(estimate: Calibration) -> np.ndarray:
     sensor_variance = series.resolution**2 / 12.0 + (ACCURACY_SHARE * accuracy_of(series)) ** 2
     variances = estimate.variances["temperature"].copy()
     variances[0] = min(variances[0], sensor_variance) if sensor_variance > 0.0 else variances[0]
-    course = estimate.errors["temperature"]
+    instants = estimate.errors["temperature"]
     error = readings.value - estimate.simulated["temperature"]
-    early_error = filtered(course, variances, np.where(readings.identified, error, np.nan)).smoothed()
-    full_error = filtered(course, variances, error).smoothed()
-    shown = estimate.simulator.shown(estimate.theta[:, None], "temperature")[:, 0]
-    at_edges = np.interp(scene.edges_s, scene.edges_s[::PARTS], np.append(shown[:1], shown))
+    early_error = filtered(instants, variances, np.where(readings.identified, error, np.nan)).smoothed()
+    full_error = filtered(instants, variances, error).smoothed()
+    simulated_K = estimate.simulator.shown(estimate.theta[:, None], "temperature")[:, 0]
+    at_edges = np.interp(scene.edges_s, scene.edges_s[::PARTS], np.append(simulated_K[:1], simulated_K))
     middle_s = 0.5 * (readings.begin + readings.end) * (3600.0 * scene.cell_h) + scene.first_s
     return at_edges + np.interp(
         scene.edges_s, middle_s, np.where(readings.identified, early_error, full_error)

@@ -16,7 +16,7 @@ from hygrokf.discovery.discover import lines
 from hygrokf.discovery.estimate import Calibration
 from hygrokf.discovery.final_set import FinalSet, final_estimator, final_set, fit_of
 from hygrokf.discovery.judgement import LEAST_IMPROVEMENT, Scores, judged, levelled, scores
-from hygrokf.discovery.search import Search, composed
+from hygrokf.discovery.search import Search, refitted_with
 from hygrokf.discovery.starting_model import base_estimate, free_run_error, update_error_models
 from hygrokf.modelling.causes.forms import ground_of
 from hygrokf.modelling.library import LIBRARY
@@ -62,13 +62,13 @@ def test_a_hidden_sun_is_named_first_and_lowers_the_held_out_error(sunny: Run) -
 
 def test_only_the_quantity_that_changed_is_fitted_again(sunny: Run) -> None:
     base, final = sunny[1].base, sunny[1].parent
-    whole = composed(base, [], final, final.quantities)
-    for one in (composed(base, [], final, {"temperature"}), update_error_models(final, {"temperature"})):
+    whole = refitted_with(base, [], final, final.quantities)
+    for one in (refitted_with(base, [], final, {"temperature"}), update_error_models(final, {"temperature"})):
         assert one.variances["vapour"].tobytes() == final.variances["vapour"].tobytes()
         mine = [n for n in one.simulator.names if "vapour" in one.simulator.affects(n)]
         assert mine and all(one.values[n] == final.values[n] for n in mine)
         assert one.errors["vapour"] is final.errors["vapour"]
-    one = composed(base, [], final, {"temperature"})
+    one = refitted_with(base, [], final, {"temperature"})
     assert one.deviances["temperature"] == pytest.approx(whole.deviances["temperature"], abs=0.05)
     assert one.deviances["temperature"] > final.deviances["temperature"] + 50.0
 

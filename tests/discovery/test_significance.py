@@ -133,7 +133,7 @@ def changed(values: np.ndarray) -> tuple[float, int, float]:
     first, flow, tried, _ = white.change()
     step = white.columns((np.arange(len(values)) >= first)[:, None].astype(float), False)
     columns = white.low_passed(step) if flow else step
-    p = min(1.0, tried * math.exp(white.log_p(white.whitened(columns), full=True)))
+    p = min(1.0, tried * math.exp(white.log_p(white.whitened(columns), unbounded=True)))
     effect = white.effect(columns)
     return p, first, float(effect[-1] - effect[0])
 
