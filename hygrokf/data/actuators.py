@@ -24,11 +24,11 @@ Chosen = tuple[Name, Mapping[str, Any]]
 
 @dataclass(frozen=True)
 class Actuator:
-    """A logged actuator.
+    """A logged actuator, such as a heater, a fan or a door.
 
-    `thermal` and `hygric`: mechanisms (name, settings) by which it acts on each network, or None.  `half`:
-    middle of its span [SI unit], above which it counts as on.  `reason`: why a model does not use it, else
-    None.
+    `thermal`, `hygric`: mechanisms (name, settings) by which it acts on heat and on vapour, or None.
+    `half`: middle of its span [SI unit], above which it counts as on.
+    `reason`: why a model does not use it; None if it does.
     """
 
     signal: str
@@ -39,11 +39,12 @@ class Actuator:
 
     @property
     def used(self) -> bool:
+        """Whether a model uses the actuator."""
         return self.reason is None
 
     @property
     def statement(self) -> Statement:
-        """How a model uses the actuator, or why it does not."""
+        """How a model uses the actuator, or why it does not, as a statement."""
         if self.reason is not None:
             return FitCode.ACTUATOR_UNUSED(signal=self.signal, why=self.reason)
         networks = tuple(
@@ -66,11 +67,11 @@ HEATERS = ("preheating", "heater_power", "heater_duty", "dehumidifier_duty")
 
 
 def actuators(record: Record) -> tuple[Actuator, ...]:
-    """All logged actuators of a record, used or not, in the order of `ACTUATORS`.
+    """Return all logged actuators of a record, used or not, in the order of `ACTUATORS`.
 
     An actuator is used if at least `FEWEST_EACH_SIDE` readings lie above the middle of its span and as many
-    below: an actuator that never changes is part of the network's constants.  If both the power and the duty
-    of a heater are logged, the power is used.
+    below: one that never changes cannot be told from the constants of the model.  If both the power and the
+    duty of a heater are logged, the power is used.
     """
     logged = [_actuator(record[signal]) for signal in ACTUATORS if signal in record]
     if any(actuator.signal == "heater_power" and actuator.used for actuator in logged):
@@ -84,26 +85,27 @@ def actuators(record: Record) -> tuple[Actuator, ...]:
 
 
 def _actuator(series: Series) -> Actuator:
+    """Return the actuator behind a logged series."""
     thermal, hygric = ACTUATORS[series.signal]
-    value = series.value[~series.missing]
+    readings = series.value[~series.missing]
     settings = {}
     if thermal == "logged_heater":
-        power = series.signal == "heater_power" and len(value) > 0
+        is_power = series.signal == "heater_power" and len(readings) > 0
         settings = {
             "signal": series.signal,
-            "full": max(float(np.quantile(value, TOP)), 1.0) if power else 1.0,
+            "full": max(float(np.quantile(readings, TOP)), 1.0) if is_power else 1.0,
         }
     return Actuator(
         series.signal,
         None if thermal is None else (thermal, settings),
         None if hygric is None else (hygric, {}),
-        0.5 * float(value.min() + value.max()) if len(value) else 0.5,
-        _unused_reason(value),
+        0.5 * float(readings.min() + readings.max()) if len(readings) else 0.5,
+        _unused_reason(readings),
     )
 
 
 def _unused_reason(value: np.ndarray) -> Statement | None:
-    """Why the readings (n,) of an actuator cannot show its effect; None where they can."""
+    """Return why the readings (n,) of an actuator cannot show its effect; None where they can."""
     if not len(value):
         return FitCode.ACTUATOR_UNREAD()
     if value.min() == value.max():

@@ -34,46 +34,53 @@ FEWEST_FOR_NOISE = 200
 
 
 def reading_noise(series: Series) -> tuple[float, float] | None:
-    """(q, r): variance of the level's increments per second and variance of a reading's noise; None where
-    they cannot be estimated.
+    """Estimate the noise of a series' readings: (q, r).
 
-    Irregular or short series, and means whose intervals are not adjacent, give None: they are not smoothed.
+    q: variance of the level's increments per second.  r: variance of a reading's noise.
+    None for short or irregular series and for means whose intervals are not adjacent; these are not smoothed.
     """
     is_present = ~series.missing
     time, value = series.time[is_present], series.value[is_present]
     if len(time) < FEWEST_FOR_NOISE:
         return None
     step_s = np.diff(time)
-    usual_s = float(np.median(step_s))
-    is_regular = np.abs(step_s - usual_s) < 0.1 * usual_s
+    usual_step_s = float(np.median(step_s))
+    is_regular = np.abs(step_s - usual_step_s) < 0.1 * usual_step_s
     if is_regular.sum() < FEWEST_FOR_NOISE // 2:
         return None
     increment = np.where(is_regular, np.diff(value), np.nan)
     # weather fronts are not noise: increments beyond eight times the usual spread are left out
-    spread = 1.4826 * float(np.nanmedian(np.abs(increment - np.nanmedian(increment))))
-    if not spread > 0:
+    usual_spread = 1.4826 * float(np.nanmedian(np.abs(increment - np.nanmedian(increment))))
+    if not usual_spread > 0:
         return None
-    increment = np.where(np.abs(increment) < 8.0 * spread, increment, np.nan)
+    increment = np.where(np.abs(increment) < 8.0 * usual_spread, increment, np.nan)
     products = [increment[lag:] * increment[: len(increment) - lag] for lag in range(3)]
     if min(np.isfinite(product).sum() for product in products) < FEWEST_FOR_NOISE // 2:
         return None
-    gamma = [float(np.nanmean(product)) for product in products]
+    autocovariances = [float(np.nanmean(product)) for product in products]
     if series.interval_s > 0:
-        if abs(series.interval_s - usual_s) > 0.01 * usual_s:
+        if abs(series.interval_s - usual_step_s) > 0.01 * usual_step_s:
             return None
-        level = gamma[0] + 2.0 * gamma[1] - 3.0 * gamma[2]
-        noise = level / 6.0 - (gamma[1] - gamma[2])
+        level_variance = autocovariances[0] + 2.0 * autocovariances[1] - 3.0 * autocovariances[2]
+        noise_variance = level_variance / 6.0 - (autocovariances[1] - autocovariances[2])
     else:
-        noise = gamma[2] - gamma[1]
-        level = gamma[0] - 2.0 * noise
+        noise_variance = autocovariances[2] - autocovariances[1]
+        level_variance = autocovariances[0] - 2.0 * noise_variance
     # γ₁ and γ₂ each have the standard error γ₀/√T; the noise must exceed three standard errors
-    if noise <= 3.0 * np.sqrt(2.0 / np.isfinite(increment).sum()) * gamma[0] or level <= 0:
+    if (
+        noise_variance <= 3.0 * np.sqrt(2.0 / np.isfinite(increment).sum()) * autocovariances[0]
+        or level_variance <= 0
+    ):
         return None
-    return level / usual_s, noise
+    return level_variance / usual_step_s, noise_variance
 
 
 def smoothed(series: Series, noise: tuple[float, float] | None) -> Series:
-    """The mean of the true course given all readings, at the times of the readings; gaps remain."""
+    """Return the series with its noise (q, r) removed: the expected course given all readings, at their
+    times.
+
+    Gaps remain.  Without noise, or unless the series is linear, it is returned unchanged.
+    """
     if noise is None or series.hold != LINEAR:
         return series
     from scipy.linalg import solveh_banded
@@ -82,8 +89,8 @@ def smoothed(series: Series, noise: tuple[float, float] | None) -> Series:
     time, value = series.time[is_present], series.value[is_present]
     if len(time) < 3:
         return series
-    q, r = noise
-    coupling = r / (q * np.diff(time))
+    level_variance, noise_variance = noise
+    coupling = noise_variance / (level_variance * np.diff(time))
     bands = np.zeros((2, len(time)))
     bands[1] = 1.0
     bands[1, :-1] += coupling
@@ -95,8 +102,11 @@ def smoothed(series: Series, noise: tuple[float, float] | None) -> Series:
 
 
 def absolute_humidity_at(record: Record, place: str) -> Series | None:
-    """Vapour concentration [kg/m³] in the "cabinet" or the "ambient", at the times of its humidity readings;
-    None without such readings."""
+    """Return the vapour concentration [kg/m³] in the "cabinet" or of the "ambient", at the times of its
+    humidity readings.
+
+    None without such readings.
+    """
     name = f"{place}_absolute_humidity"
     if name in record:
         return without_response(record[name])
@@ -106,17 +116,19 @@ def absolute_humidity_at(record: Record, place: str) -> Series | None:
     ):
         if {f"{place}_{kind}", f"{place}_temperature"} <= set(record.signals):
             series = without_response(record[f"{place}_{kind}"])
-            local = centred(without_response(record[f"{place}_temperature"]))
-            temperature = at_times(local, centred(series).time, bridge_h(local, AMBIENT_BRIDGE_H))
-            value = np.minimum(convert(series.value, temperature), MOST_VAPOUR)
+            temperature_series = centred(without_response(record[f"{place}_temperature"]))
+            temperature = at_times(
+                temperature_series, centred(series).time, bridge_h(temperature_series, AMBIENT_BRIDGE_H)
+            )
+            vapour = np.minimum(convert(series.value, temperature), MOST_VAPOUR)
             # properties of the sensor do not apply to the derived quantity
             series = replace(series, resolution=0.0, accuracy=None, response_time_s=None, saturated=0)
-            return replace(series, signal=name, value=value)
+            return replace(series, signal=name, value=vapour)
     return None
 
 
 def bridge_h(series: Series, limit_h: float) -> float:
-    """Longest gap to bridge [h]: `limit_h`, but at least 1.5 times the usual step of the series."""
+    """Return the longest gap [h] of a series to bridge: `limit_h`, but at least 1.5 of its usual steps."""
     steps = series.steps_s
     if not len(steps):
         return limit_h
@@ -124,31 +136,33 @@ def bridge_h(series: Series, limit_h: float) -> float:
 
 
 def middle(ordered: np.ndarray) -> float:
-    """Median of sorted numbers (n,), n ≥ 1; faster than numpy's for short arrays."""
+    """Return the median of sorted numbers (n,), n ≥ 1; faster than numpy's for short arrays."""
     return 0.5 * float(ordered[(len(ordered) - 1) // 2] + ordered[len(ordered) // 2])
 
 
 def at_times(series: Series, time: np.ndarray, bridge_h: float) -> np.ndarray:
-    """A series at other times [s], by its hold; NaN outside the series, in gaps longer than `bridge_h` [h],
-    and where a value that holds from its stamp on is too old."""
-    times, value = series.known
-    if len(times) == 0:
+    """Return the values of a series at other times [s], according to its hold.
+
+    NaN outside the series, in gaps longer than `bridge_h` [h], and where a held value is too old.
+    """
+    stamps, value = series.known
+    if len(stamps) == 0:
         return np.full(len(time), np.nan)
     if series.hold == PREVIOUS:
         return series.held_at(time)
-    linear = series.hold == LINEAR
-    if linear:
-        result = np.interp(time, times, value, left=np.nan, right=np.nan)
+    is_linear = series.hold == LINEAR
+    if is_linear:
+        result = np.interp(time, stamps, value, left=np.nan, right=np.nan)
         if np.all(series.steps_s[-1:] <= bridge_h * 3600.0):  # most series have no gap
             return result
-    following = np.minimum(times.searchsorted(time, side="left"), len(times) - 1)
-    preceding = np.maximum(times.searchsorted(time, side="right") - 1, 0)
-    if linear:
-        in_gap = times[following] - times[preceding] > bridge_h * 3600.0
+    following = np.minimum(stamps.searchsorted(time, side="left"), len(stamps) - 1)
+    preceding = np.maximum(stamps.searchsorted(time, side="right") - 1, 0)
+    if is_linear:
+        in_gap = stamps[following] - stamps[preceding] > bridge_h * 3600.0
         return np.where(in_gap, np.nan, result)
     # a mean holds over (end − interval, end]; the previous value bridges a gap after it
-    in_interval = (time > times[following] - max(series.interval_s, 1e-6)) & (time <= times[following])
+    in_interval = (time > stamps[following] - max(series.interval_s, 1e-6)) & (time <= stamps[following])
     result = np.where(in_interval, value[following], value[preceding])
-    gap_s = np.where(in_interval, 0.0, times[following] - series.interval_s - times[preceding])
-    outside = (time > times[-1] + bridge_h * 3600.0) | (time <= times[0] - max(series.interval_s, 1e-6))
+    gap_s = np.where(in_interval, 0.0, stamps[following] - series.interval_s - stamps[preceding])
+    outside = (time > stamps[-1] + bridge_h * 3600.0) | (time <= stamps[0] - max(series.interval_s, 1e-6))
     return np.where((gap_s > bridge_h * 3600.0) | outside, np.nan, result)

@@ -44,6 +44,7 @@ class TableFault(HygrokfError):
     """A table that cannot be read; `faults` lists every reason."""
 
     def __init__(self, *faults: str) -> None:
+        """Make the message from all faults, one a line."""
         super().__init__("\n".join(faults))
         self.faults = faults
 
@@ -61,7 +62,7 @@ class FileColumns:
     warnings: rows that were left out, and why.
     sha256: of the file.
     header: names of all its columns, also of those that were not read.
-    judged: column name -> what the quality beside it says.
+    judged: column name -> which readings its quality column allows.
     summer_time: whether warnings are about the hours of summer-time changes.
     """
 
@@ -79,8 +80,8 @@ class Places:
     """How messages name the rows of a table.
 
     label: "line" of a text file, "row" counted from 1, "iloc" counted from 0.
-    numbers: rows of the frame, counted from 0 (K,) -> their numbers under that label.
-    here: phrase in remedies for where the user states an option, such as " in this source" of a case file.
+    numbers: converts rows of the frame (K,), counted from 0, to their numbers under that label.
+    here: where the user states an option, as the end of a remedy, such as " in this source".
     """
 
     label: str
@@ -150,20 +151,20 @@ def table_of(
         if name in frame and quality_name in frame
     }
     warnings = [warning for judgement in judged.values() for warning in judgement.warnings]
-    stated = notation.marks
+    user_marks = notation.marks
     for name, meaning in ((column, meaning) for column, meaning in columns.items() if column in frame):
-        numbers, is_text, reasons = _numbers(frame[name], stated or POINT, notation.missing, meaning)
+        numbers, is_text, reasons = _numbers(frame[name], user_marks or POINT, notation.missing, meaning)
         if name in judged:
             is_text = is_text & judged[name].usable
             numbers = np.where(judged[name].usable, numbers, np.nan)
         values[name] = numbers
-        if stated is None and frame[name].dtype.kind == "O":
-            points = evidence(frame[name], ".")
-            if points in ("thousands", "either"):
-                messages = faults if points == "thousands" else warnings
+        if user_marks is None and frame[name].dtype.kind == "O":
+            meaning_of_points = evidence(frame[name], ".")
+            if meaning_of_points in ("thousands", "either"):
+                messages = faults if meaning_of_points == "thousands" else warnings
                 messages.append(_ambiguous_points(name, frame[name], places))
         if is_text.any():
-            faults.append(_text_fault(name, frame[name], is_text, places, reasons, stated))
+            faults.append(_text_fault(name, frame[name], is_text, places, reasons, user_marks))
     time, summer_time = np.full(len(frame), np.nan), False
     if stamps is not None:
         if stamps.dtype == object:  # databases export a time without bounds as a word
@@ -180,9 +181,9 @@ def table_of(
         has_reading = np.isfinite(rows).any(axis=0) | (len(values) == 0)
         without_stamp = has_reading & ~has_stamp
         if count := int(without_stamp.sum()):
-            where = numbered(places.label, places.numbers(np.flatnonzero(without_stamp)[:_SHOWN]), count)
+            where_rows = numbered(places.label, places.numbers(np.flatnonzero(without_stamp)[:_SHOWN]), count)
             row_count = "1 row" if count == 1 else f"{count} rows"
-            warnings.append(f"{row_count} without a stamp left out: {where}")
+            warnings.append(f"{row_count} without a stamp left out: {where_rows}")
     if faults:
         raise TableFault(*faults)
     keep = np.isfinite(time)
@@ -194,7 +195,7 @@ def table_of(
 
 
 def _ambiguous_points(name: str, column: pandas.Series, places: Places) -> str:
-    """The message that the points of a column may divide thousands, with an example."""
+    """Return the message that the points of a column may divide thousands, with an example."""
     example = column.dropna().astype(str).str.extract(PARTED)[0].dropna().iloc[0]
     return (
         f'column "{name}": "{example}" may be {example.replace(".", "")} or {float(example):g}, as texts '
@@ -210,9 +211,10 @@ def _read_times(
     notation: Notation,
     repeated: np.ndarray,
 ) -> tuple[np.ndarray, list[str], list[str], bool]:
-    """Times (N,) [s] of stamps (NaN: unusable), warnings, faults, whether warnings are about summer time.
+    """Read the stamps (N,) of a table.
 
-    Arguments as for `table_of` and `read_stamps`.
+    repeated: (N,) whether a row repeats the readings of the row before.
+    Returns times [s] (NaN where unusable), warnings, faults, and whether the warnings are about summer time.
     """
     time_format, ignore_offset = notation.time_format, notation.ignore_offset
     options: dict[str, Any] = dict(time_format=time_format, ignore_offset=ignore_offset, repeated=repeated)
@@ -220,45 +222,45 @@ def _read_times(
         return np.full(len(stamps), np.nan), [], [f"{stamps_named}: {fault}"], False
     warnings: list[str] = []
     faults: list[str] = []
-    read = read_stamps(stamps, zone, **options)
+    stamps_read = read_stamps(stamps, zone, **options)
     header = zone_in_header(str(stamps.name or ""))
-    if read.naive.any() and header is not None:
+    if stamps_read.naive.any() and header is not None:
         warnings.append(f'{stamps_named}: stamps without an offset are read at "{header}", which it names')
-        read = read_stamps(stamps, zone_named(header), **options)
-    time = read.time
-    if read.unreadable.any():
-        where = _where(np.flatnonzero(read.unreadable), stamps, places)
+        stamps_read = read_stamps(stamps, zone_named(header), **options)
+    time = stamps_read.time
+    if stamps_read.unreadable.any():
+        where_rows = _where(np.flatnonzero(stamps_read.unreadable), stamps, places)
         faults.append(
             f"{stamps_named}: expected ISO 8601 stamps"
             + (f' or "{time_format}"' if time_format else "")
-            + f", found {int(read.unreadable.sum())} of {len(stamps)} rows otherwise: {where}"
-            + _stamp_remedy(stamps, read.unreadable, places.here, time_format)
+            + f", found {int(stamps_read.unreadable.sum())} of {len(stamps)} rows otherwise: {where_rows}"
+            + _stamp_remedy(stamps, stamps_read.unreadable, places.here, time_format)
         )
-    if read.naive.any():
-        rows = np.flatnonzero(read.naive)
+    if stamps_read.naive.any():
+        rows = np.flatnonzero(stamps_read.naive)
         faults.append(
             f"{stamps_named}: {len(rows)} of {len(stamps)} stamps have no offset "
             f"({_where(rows[:1], stamps, places)}); state their zone{places.here}: "
             'timezone = "UTC", a fixed offset such as "+01:00", or a name such as "Europe/Berlin"'
         )
-    elif zone is not None and not ignore_offset and read.aware:
+    elif zone is not None and not ignore_offset and stamps_read.aware:
         warnings.append(f'timezone = "{notation.timezone}" is not used: the stamps carry offsets')
-    warnings += read.warnings
+    warnings += stamps_read.warnings
     out_of_range = np.isfinite(time) & ~((time > EARLIEST_S) & (time < LATEST_S))
     if out_of_range.any():
-        where = _where(np.flatnonzero(out_of_range), stamps, places)
-        description = f"{int(out_of_range.sum())} before 1850 or after 2200: {where}"
+        where_rows = _where(np.flatnonzero(out_of_range), stamps, places)
+        description = f"{int(out_of_range.sum())} before 1850 or after 2200: {where_rows}"
         if out_of_range.sum() < 0.5 * len(time):
             warnings.append(f"rows with an impossible stamp left out: {description}")
             time = np.where(out_of_range, np.nan, time)
         else:
             remedy = "correct or remove these rows"
             faults.append(f"{stamps_named}: expected stamps of our time, found {description}; {remedy}")
-    return time, warnings, faults, bool(read.warnings)
+    return time, warnings, faults, bool(stamps_read.warnings)
 
 
 def column_fault(name: str, names: Sequence[str], holder: str) -> str:
-    """The fault of a missing column, with the existing columns.
+    """Return the fault of a missing column, with the names of the existing columns.
 
     holder: what has these columns, with its verb, such as "the file has".
     """
@@ -267,20 +269,24 @@ def column_fault(name: str, names: Sequence[str], holder: str) -> str:
 
 
 def places_of(columns: Iterable[str], names: Sequence[str], holder: str, faults: list[str]) -> dict[str, int]:
-    """The positions of columns among the names of a table; a column absent or repeated adds a fault."""
-    counts = {name: names.count(name) for name in columns}
-    for name, count in counts.items():
+    """Return the positions of columns among the names of a table; an absent or repeated column adds to
+    `faults`."""
+    count_of = {name: names.count(name) for name in columns}
+    for name, count in count_of.items():
         if count == 0:
             faults.append(column_fault(name, names, holder))
         elif count > 1:
             faults.append(f'column "{name}" occurs {count} times')
-    return {name: names.index(name) for name, count in counts.items() if count == 1}
+    return {name: names.index(name) for name, count in count_of.items() if count == 1}
 
 
 def _numbers(
     column: pandas.Series, marks: Marks, missing: tuple[str, ...], meaning: Meaning
 ) -> tuple[np.ndarray, np.ndarray, list[Unread]]:
-    """Numbers of a column, True where a cell is no number, and the reasons."""
+    """Return a column (N,) as numbers, which cells are no numbers, and the reasons.
+
+    missing: texts that mean "no reading".  meaning: what texts stand for, such as on and off.
+    """
     import pandas as pd
 
     no_text = np.zeros(len(column), dtype=bool)
@@ -290,15 +296,15 @@ def _numbers(
         return np.where(np.isinf(numbers), np.nan, numbers), no_text, []
     if pd.api.types.is_datetime64_any_dtype(column.dtype) or pd.api.types.is_timedelta64_dtype(column.dtype):
         return np.full(len(column), np.nan), column.notna().to_numpy(), []
-    plain = column.astype(object).map(_cell)
-    absent = plain.isna() | plain.isin([*MISSING, *missing])
-    values, refused = values_in(plain.where(~absent, None), marks, meaning)
-    is_text = plain.isin(list(refused)) & ~absent
+    cells = column.astype(object).map(_cell)
+    is_missing = cells.isna() | cells.isin([*MISSING, *missing])
+    values, refused = values_in(cells.where(~is_missing, None), marks, meaning)
+    is_text = cells.isin(list(refused)) & ~is_missing
     return np.where(np.isinf(values), np.nan, values), is_text.to_numpy(), list(refused.values())
 
 
 def _cell(cell: object) -> object:
-    """A cell as a number, None where it is empty, else as text without surrounding blanks."""
+    """Return a cell as a number, as text without surrounding blanks, or None where it is empty."""
     import pandas as pd
 
     if isinstance(cell, str):
@@ -316,40 +322,43 @@ def _text_fault(
     reasons: Sequence[Unread],
     stated: Marks | None,
 ) -> str:
-    """The fault of text in a column of numbers: its places, its content and the likely remedy."""
+    """Return the fault of text in a column of numbers: rows, content and the likely remedy.
+
+    texts: (N,) which cells are text.  stated: marks of numbers that the user stated.
+    """
     rows = np.flatnonzero(texts)
-    kind = {"M": "dates", "m": "durations"}.get(column.dtype.kind, "text")
-    words = [str(cell).strip() for cell in column[texts].iloc[:1000]]
+    kind_found = {"M": "dates", "m": "durations"}.get(column.dtype.kind, "text")
+    contents = [str(cell).strip() for cell in column[texts].iloc[:1000]]
     specific_reason = next((reason for reason in reasons if reason.kind != "no number"), None)
-    commas = evidence(column, ",") if kind == "text" and stated is None else "none"
+    meaning_of_commas = evidence(column, ",") if kind_found == "text" and stated is None else "none"
     mark = "." if stated is not None and stated.decimal != "." else ","
     if specific_reason is not None:
         remedy = str(specific_reason)
-    elif commas != "none":
+    elif meaning_of_commas != "none":
         remedies = {"decimal": 'decimal = ","', "thousands": 'thousands = ","'}
-        remedy = f"state {remedies.get(commas, ' or '.join(remedies.values()))}{places.here}"
-    elif stated is not None and any(re.fullmatch(rf"[+-]?\d*[{mark}]\d*", word) for word in words):
+        remedy = f"state {remedies.get(meaning_of_commas, ' or '.join(remedies.values()))}{places.here}"
+    elif stated is not None and any(re.fullmatch(rf"[+-]?\d*[{mark}]\d*", word) for word in contents):
         remedy = f'"{mark}" cannot divide thousands here: state decimal = "{mark}"{places.here}'
-    elif kind != "text":
+    elif kind_found != "text":
         remedy = "name another column"
-    elif name in words:
+    elif name in contents:
         remedy = "the header is repeated among the rows: remove these lines"
     elif list(rows) == [0]:
         remedy = "if the line under the header holds units, remove it"
     else:
-        listed = ", ".join(f'"{word}"' for word in dict.fromkeys(words[:_SHOWN]))
+        listed_contents = ", ".join(f'"{word}"' for word in dict.fromkeys(contents[:_SHOWN]))
         remedy = (
             "correct them or, if this means that there is no reading, state "
-            f"missing = [{listed}]{places.here}"
+            f"missing = [{listed_contents}]{places.here}"
         )
     return (
-        f'column "{name}": expected numbers, found {kind} in {len(rows)} of {len(column)} rows: '
+        f'column "{name}": expected numbers, found {kind_found} in {len(rows)} of {len(column)} rows: '
         f"{_where(rows, column, places)}; {remedy}"
     )
 
 
 def _where(rows: np.ndarray, column: pandas.Series, places: Places) -> str:
-    """The first few rows with their content, such as: line 7 "error", line 9 "error", …"""
+    """Return the first few rows with their content, such as: line 7 "error", line 9 "error", …"""
     shown = rows[:_SHOWN]
     parts = [
         f'{places.label} {number} "{str(column.iloc[row]).strip()[:40]}"'
@@ -359,25 +368,35 @@ def _where(rows: np.ndarray, column: pandas.Series, places: Places) -> str:
 
 
 def numbered(label: str, numbers: Sequence[int], total: int) -> str:
-    """The first few of `total` rows by number, such as: lines 7, 9, 12, 15, 16 …"""
+    """Return the first few of `total` rows by number, such as: lines 7, 9, 12, 15, 16 …"""
     listed = ", ".join(str(number) for number in numbers[:_SHOWN])
     return f"{label}{'s' if total > 1 and label == 'line' else ''} {listed}" + (
         " …" if total > _SHOWN else ""
     )
 
 
-def _stamp_remedy(column: pandas.Series, unreadable: np.ndarray, here: str, stated: str | None) -> str:
-    words = [str(cell).strip() for cell in column[unreadable].iloc[:200]]
-    if column.name in words:
+def _stamp_remedy(
+    column: pandas.Series, unreadable: np.ndarray, advice_place: str, stated_format: str | None
+) -> str:
+    """Return the end of the message about unreadable stamps: the likely remedy.
+
+    unreadable: (N,) which stamps cannot be read.  stated_format: the time format that the user stated.
+    """
+    contents = [str(cell).strip() for cell in column[unreadable].iloc[:200]]
+    if column.name in contents:
         return "; the header is repeated among the rows: remove these lines"
-    forms = [form for form in fitting_formats(column[unreadable].iloc[:200]) if form not in (None, stated)]
-    if forms:
-        others = f" (or {' or '.join(map(repr, forms[1:3]))})" * (len(forms) > 1)
-        return f'; state time_format = "{forms[0]}"{others}{here}'
-    if all(re.fullmatch(r"\d+(\.\d*)?", word) for word in words):
+    fitting = [
+        form for form in fitting_formats(column[unreadable].iloc[:200]) if form not in (None, stated_format)
+    ]
+    if fitting:
+        others = f" (or {' or '.join(map(repr, fitting[1:3]))})" * (len(fitting) > 1)
+        return f'; state time_format = "{fitting[0]}"{others}{advice_place}'
+    if all(re.fullmatch(r"\d+(\.\d*)?", word) for word in contents):
         return "; bare numbers are not time stamps: export the time as text such as 2020-12-01T00:00Z"
-    if all(word.startswith("#") for word in words):
-        return '; if these are comments, state comment = "#"' + here
+    if all(word.startswith("#") for word in contents):
+        return '; if these are comments, state comment = "#"' + advice_place
     if unreadable.sum() < len(column) / 2:
         return "; correct or remove these lines"
-    return '; state the form of the stamps, such as time_format = "%d.%m.%Y %H:%M"' + (here and f",{here}")
+    return '; state the form of the stamps, such as time_format = "%d.%m.%Y %H:%M"' + (
+        advice_place and f",{advice_place}"
+    )

@@ -50,15 +50,14 @@ def write_bytes_whole(path: str | os.PathLike[str], content: bytes) -> Path:
 
 @contextmanager
 def writing_whole(path: str | os.PathLike[str]) -> Iterator[BinaryIO]:
-    """A file opened for writing bytes, which a reader sees with its old content until the block ends.
+    """Open a file for atomic binary writing: readers see its old content until the block ends.
 
-    path: the file; its directory must exist. A symbolic link is followed, and an existing file
-        keeps its permissions.
+    path: the file; its directory must exist.  A symbolic link is followed, and an existing file keeps its
+        permissions.
 
-    The bytes go to a temporary file in the same directory, are forced to the disk and renamed
-    over the target. If anything fails on the way, the temporary file is removed and the target
-    stays as it was. A pipe or device cannot be replaced: the bytes are streamed to it. Raises OSError from
-    the system.
+    The bytes go to a temporary file in the same directory, are forced to the disk and renamed over the
+    target.  If anything fails on the way, the temporary file is removed and the target stays as it was.  A
+    pipe or device cannot be replaced: the bytes are streamed to it.  Raises OSError from the system.
     """
     if is_stream(path):
         with open(path, "ab") as stream:
@@ -90,8 +89,8 @@ def writing_whole(path: str | os.PathLike[str]) -> Iterator[BinaryIO]:
 
 
 def is_stream(path: str | os.PathLike[str]) -> bool:
-    """Whether a path leads to a pipe, a terminal or another device, such as /dev/stdout, and not to a file of
-    its own."""
+    """Whether a path is a pipe, a terminal or another device, such as /dev/stdout, instead of an ordinary
+    file."""
     if os.path.abspath(path).startswith(("/dev/", "/proc/")):
         return os.path.exists(path)
     with suppress(OSError):

@@ -59,10 +59,10 @@ ACCEPTED, DEPARTED, FROZEN = range(3)
 
 @dataclass(frozen=True)
 class Scale:
-    """Limits of the ordinary behaviour of a signal.
+    """Limits of the ordinary behaviour of a signal, beyond which readings are bad.
 
-    `departure` [SI unit]: largest deviation d_k; `still_s` [s]: longest time for which one value repeats;
-    `step_s` [s]: usual interval of the readings; `top` [SI unit]: highest reading.
+    `departure` [SI unit]: largest ordinary deviation d_k.  `still_s` [s]: longest time for which one value
+    repeats. `step_s` [s]: usual interval of the readings.  `top` [SI unit]: highest reading.
     """
 
     departure: float
@@ -73,33 +73,40 @@ class Scale:
 
 @dataclass(frozen=True)
 class Judgement:
-    """Verdicts (T,) on readings, and the time [s] up to which later readings cannot change them."""
+    """Verdicts (T,) on readings: accepted, departed or frozen.
+
+    `settled_s`: [s] later readings cannot change verdicts up to this time.
+    """
 
     verdict: np.ndarray
     settled_s: float
 
 
 def scale_of(signal: str, time: np.ndarray, value: np.ndarray, resolution: float = 0.0) -> Scale | None:
-    """The scale of a signal from its readings, which may include bad ones; None for too few readings, and for
-    signals that jump between states.
+    """Estimate the ordinary behaviour of a signal from its readings, some of which may be bad.
 
-    time: [s] (T,) increasing; value: [SI unit] (T,), no NaN; resolution: [SI unit] of the readings, or 0.
+    time: [s] (T,) increasing.
+    value: [SI unit] (T,), no NaN.
+    resolution: [SI unit] of the readings, or 0.
+    None for too few readings, and for signals that jump between states.
     """
-    row = signal_named(signal)
-    if len(value) < FEWEST or row.idle == (-math.inf, math.inf):
+    signal_row = signal_named(signal)
+    if len(value) < FEWEST or signal_row.idle == (-math.inf, math.inf):
         return None
     step = float(np.median(np.diff(time)))
     departures = _departures(time, value, _reach_s(step))
     departures = departures[departures > 0.0]
     if len(departures) >= FEWEST // 5:
-        departure = max(float(factor * np.quantile(departures, share)) for share, factor in LEVELS)
+        departure = max(float(factor * np.quantile(departures, quantile)) for quantile, factor in LEVELS)
     else:  # hardly any deviations: the range of all readings and the sensor's error are ordinary
-        departure = max(float(np.ptp(value)), LEVELS[0][1] * (row.default_accuracy or 0.0))
-    ordinary = STEPS * float(np.quantile(np.abs(np.diff(value)), 0.95))
-    departure = max(departure, ordinary, LEVELS[0][1] * resolution)
+        departure = max(float(np.ptp(value)), LEVELS[0][1] * (signal_row.default_accuracy or 0.0))
+    ordinary_step = STEPS * float(np.quantile(np.abs(np.diff(value)), 0.95))
+    departure = max(departure, ordinary_step, LEVELS[0][1] * resolution)
     top = float(value.max())
-    still = longest_still(value, quiet_range(signal, value, resolution), resting(signal, value, top))
-    return Scale(departure, still * step, step, top) if departure > 0.0 else None
+    longest_still_run = longest_still(
+        value, quiet_range(signal, value, resolution), resting(signal, value, top)
+    )
+    return Scale(departure, longest_still_run * step, step, top) if departure > 0.0 else None
 
 
 def judge(
@@ -110,9 +117,11 @@ def judge(
     known_until_s: float = math.inf,
     in_hindsight: bool = False,
 ) -> Judgement:
-    """The verdicts on readings.
+    """Return the verdicts on readings: accepted, departed (outliers) or frozen.
 
-    time: [s] (T,) increasing; value: [SI unit] (T,), no NaN; scale: of the signal.
+    time: [s] (T,) increasing.
+    value: [SI unit] (T,), no NaN.
+    scale: of the signal.
     known_until_s: [s] no further reading with a stamp up to this time will come.
     in_hindsight: whether a frozen run counts from its second reading on, or only from when it is too long.
     """
@@ -120,66 +129,71 @@ def judge(
     settled_s = known_until_s
     if len(value):
         settled_s = _judge_departures(time, value, scale, known_until_s, verdict)
-    still = scale.still_s / scale.step_s + 1e-6
-    if len(value) > still:
+    longest_run = scale.still_s / scale.step_s + 1e-6
+    if len(value) > longest_run:
         # a tracker forgets the readings before a gap
         starts, lengths = runs_of(value, False if in_hindsight else gaps(time, scale.step_s))
         position = np.arange(len(value)) - np.repeat(starts, lengths)
         run_length = np.repeat(lengths, lengths) if in_hindsight else position + 1
-        late = (run_length > still) & (position > 0) & ~resting(signal, value, scale.top)
-        verdict[late & (verdict == ACCEPTED)] = FROZEN
+        is_too_late = (run_length > longest_run) & (position > 0) & ~resting(signal, value, scale.top)
+        verdict[is_too_late & (verdict == ACCEPTED)] = FROZEN
     return Judgement(verdict, settled_s)
 
 
 def _judge_departures(
     time: np.ndarray, value: np.ndarray, scale: Scale, known_until_s: float, verdict: np.ndarray
 ) -> float:
-    """Mark outliers in `verdict`; returns the time up to which later readings cannot change it [s]."""
+    """Mark outliers in `verdict` (T,); returns the time [s] up to which later readings cannot change it."""
     settled_s = known_until_s
     bound = scale.departure
     # a reading after a gap has no recent predecessor: it is compared with all readings that follow
     after_gap = gaps(time, scale.step_s)
     judged_until = 0
-    for jump in (np.flatnonzero(np.abs(np.diff(value)) > bound) + 1).tolist():
-        if jump < judged_until or after_gap[jump]:
+    for jump_index in (np.flatnonzero(np.abs(np.diff(value)) > bound) + 1).tolist():
+        if jump_index < judged_until or after_gap[jump_index]:
             continue
-        if after_gap[jump - 1]:
-            end, needed_s = _after(time, jump - 1, scale.step_s)
-            if needed_s > known_until_s:
-                settled_s = min(settled_s, _before(time[jump - 1]))
-            following = value[jump:end]
-            if np.abs(following - value[jump - 1]).min() > bound + np.ptp(following):
-                verdict[jump - 1] = DEPARTED
+        if after_gap[jump_index - 1]:
+            end_of_window, known_needed_s = _after(time, jump_index - 1, scale.step_s)
+            if known_needed_s > known_until_s:
+                settled_s = min(settled_s, _before(time[jump_index - 1]))
+            following_values = value[jump_index:end_of_window]
+            if np.abs(following_values - value[jump_index - 1]).min() > bound + np.ptp(following_values):
+                verdict[jump_index - 1] = DEPARTED
                 continue
-        k, last_accepted = jump, value[jump - 1]
-        while k < len(value) and abs(value[k] - last_accepted) > bound:
-            end, needed_s = _after(time, k, scale.step_s)
-            if needed_s > known_until_s:
-                settled_s = min(settled_s, _before(time[k]))
-            returns = math.copysign(1.0, value[k] - last_accepted) * (value[k] - value[k + 1 : end])
-            if len(returns) and returns.max() <= bound:
+        index, last_accepted = jump_index, value[jump_index - 1]
+        while index < len(value) and abs(value[index] - last_accepted) > bound:
+            end_of_window, known_needed_s = _after(time, index, scale.step_s)
+            if known_needed_s > known_until_s:
+                settled_s = min(settled_s, _before(time[index]))
+            jumps_back = math.copysign(1.0, value[index] - last_accepted) * (
+                value[index] - value[index + 1 : end_of_window]
+            )
+            if len(jumps_back) and jumps_back.max() <= bound:
                 break  # a jump without return is a step
-            verdict[k] = DEPARTED
-            k += 1
-        judged_until = k + 1
+            verdict[index] = DEPARTED
+            index += 1
+        judged_until = index + 1
     return settled_s
 
 
 def _before(time_s: float) -> float:
+    """Return the largest number below a time."""
     return float(np.nextafter(time_s, -math.inf))
 
 
-def _after(time: np.ndarray, k: int, step_s: float) -> tuple[int, float]:
-    """The end of the readings after k by which reading k is judged, and the time [s] up to which all readings
-    must be known."""
-    until_s = time[k] + _reach_s(step_s)
+def _after(time: np.ndarray, index: int, step_s: float) -> tuple[int, float]:
+    """Return which readings after `index` are used to judge it.
+
+    Returns the end of these readings, and the time [s] up to which all readings must be known.
+    """
+    until_s = time[index] + _reach_s(step_s)
     end = int(np.searchsorted(time, until_s, side="right"))
-    if end > k + 1:
+    if end > index + 1:
         return end, until_s
-    latest_s = max(until_s, time[k] + REACH_STEPS * step_s)
-    if k + 1 < len(time) and time[k + 1] <= latest_s:
-        return k + 2, time[k + 1]
-    return k + 1, latest_s
+    latest_s = max(until_s, time[index] + REACH_STEPS * step_s)
+    if index + 1 < len(time) and time[index + 1] <= latest_s:
+        return index + 2, time[index + 1]
+    return index + 1, latest_s
 
 
 def _reach_s(step_s: float) -> float:
@@ -188,58 +202,64 @@ def _reach_s(step_s: float) -> float:
 
 
 def _departures(time: np.ndarray, value: np.ndarray, reach_s: float) -> np.ndarray:
-    """d_k (T,) of every reading, with the previous reading as the last accepted one; 0 at both ends."""
+    """Return the deviation d_k (T,) of every reading, taking the previous reading as accepted; 0 at both
+    ends."""
     count = len(value)
     start = np.arange(count) + 1
     end = np.searchsorted(time, time + reach_s, side="right")
-    low, high = _extremes(value, start, np.minimum(np.maximum(end, start + 1), count))
+    lowest, highest = _extremes(value, start, np.minimum(np.maximum(end, start + 1), count))
     rise = np.diff(value, prepend=value[:1])
-    fall_back = np.where(rise > 0.0, value - low, high - value)
+    fall_back = np.where(rise > 0.0, value - lowest, highest - value)
     return np.nan_to_num(np.maximum(np.minimum(np.abs(rise), fall_back), 0.0))
 
 
 def _extremes(value: np.ndarray, start: np.ndarray, end: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Least and largest values (N,) of windows from `start` to before `end` (N,); NaN for empty ones."""
+    """Return the least and largest values (N,) in windows from `start` to before `end` (N,); NaN for empty
+    ones."""
     length = end - start
-    low, high = np.full(len(start), np.nan), np.full(len(start), np.nan)
+    lowest, highest = np.full(len(start), np.nan), np.full(len(start), np.nan)
     window_minima = window_maxima = value
     width = 1
     while width <= length.max(initial=0):  # extremes of windows from those of two halves that may overlap
-        fits = (length >= width) & (length < 2 * width)
-        first, second = start[fits], end[fits] - width
-        low[fits] = np.minimum(window_minima[first], window_minima[second])
-        high[fits] = np.maximum(window_maxima[first], window_maxima[second])
+        has_width = (length >= width) & (length < 2 * width)
+        first_half, second_half = start[has_width], end[has_width] - width
+        lowest[has_width] = np.minimum(window_minima[first_half], window_minima[second_half])
+        highest[has_width] = np.maximum(window_maxima[first_half], window_maxima[second_half])
         if 2 * width > len(value):
             break
         window_minima = np.minimum(window_minima[:-width], window_minima[width:])
         window_maxima = np.maximum(window_maxima[:-width], window_maxima[width:])
         width *= 2
-    return low, high
+    return lowest, highest
 
 
 # -- frozen readings -----------------------------------------------------------------------------------------
 def gaps(time: np.ndarray, step_s: float) -> np.ndarray:
-    """True (T,) for readings after a gap and for the first reading."""
+    """Return (T,) True for readings after a gap and for the first reading."""
     return np.append(True, np.diff(time) > max(REACH_S, REACH_STEPS * step_s))
 
 
 def runs_of(value: np.ndarray, begins: np.ndarray | bool = False) -> tuple[np.ndarray, np.ndarray]:
-    """Starts and lengths of the runs of identical readings; `begins` (T,) True where a run must begin."""
+    """Return the starts and lengths of the runs of identical readings.
+
+    begins: (T,) True where a new run must begin.
+    """
     starts = np.flatnonzero(begins | np.append(True, np.diff(value) != 0.0))
     return starts, np.diff(np.append(starts, len(value)))
 
 
 def resting(signal: str, value: np.ndarray, top: float) -> np.ndarray:
-    """True (T,) for readings in the range in which the signal rests; power also rests at `top`."""
+    """Return (T,) True for readings in the range in which unchanged values are ordinary; for power also near
+    `top`."""
     idle = signal_named(signal).idle
     is_resting = np.zeros(len(value), bool) if idle is None else (value >= idle[0]) & (value <= idle[1])
     return is_resting | (value >= AT_TOP * top) if signal_named(signal).dimension == "power" else is_resting
 
 
 def quiet_range(signal: str, value: np.ndarray, resolution: float) -> float:
-    """Range within which readings count as still [SI unit].
+    """Return the range [SI unit] within which readings count as still.
 
-    The range has a minimum, because means of readings on a coarse grid lie on a finer grid.
+    It has a minimum, because means of readings on a coarse grid lie on a finer grid.
     """
     low, high = np.quantile(value, (0.005, 0.995))
     least = QUIET_LEAST.get(signal_named(signal).dimension, QUIET_SHARE * float(high - low))
@@ -247,7 +267,10 @@ def quiet_range(signal: str, value: np.ndarray, resolution: float) -> float:
 
 
 def longest_still(value: np.ndarray, quiet: float, resting: np.ndarray) -> int:
-    """Longest ordinary run of identical readings of the signal, in readings.
+    """Return the length, in readings, of the longest run of identical readings that is ordinary for the
+    signal.
+
+    quiet: range of still readings.  resting: (T,) whether unchanged values are ordinary.
 
     A run is not ordinary if it is more than twice as long as the 99th percentile of the runs, and longer than
     every other stretch whose readings stay within `quiet` without being all equal.  Runs of a coarse sensor
@@ -275,7 +298,8 @@ def longest_still(value: np.ndarray, quiet: float, resting: np.ndarray) -> int:
 
 
 def _quiet_stretch(value: np.ndarray, length: int, quiet: float, cut: np.ndarray) -> bool:
-    """Whether some window of `length` readings stays within `quiet` without being constant or cut."""
+    """Whether some window of `length` readings stays within `quiet`, without being constant or containing a
+    cut (T,)."""
     count = len(value) - length + 1
     if count <= 0:
         return False

@@ -42,9 +42,10 @@ SLOPE_REACH_S = 6 * 3600.0
 
 
 def on_change(time: np.ndarray, value: np.ndarray, resolution: float = 0.0) -> bool:
-    """Whether readings (N,) come only when the value changes: at irregular times [s], no two in a row equal.
+    """Whether readings (N,) are logged only when the value changes: at irregular times [s], no two in a row
+    equal.
 
-    resolution: the values' grid; 0 for a switched signal, whose regular readings nearly always repeat.  A
+    resolution: grid of the values; 0 for a switched signal, whose regular readings nearly always repeat.  A
         measured value repeats at least as often as it moves one step up, or one step down.  The probability
         that m such readings never repeat is at most (2/3)^m, and must be below 0.001.
     """
@@ -56,12 +57,14 @@ def on_change(time: np.ndarray, value: np.ndarray, resolution: float = 0.0) -> b
 
 
 def input_path(series: Series, noise: tuple[float, float] | None = None) -> Series:
-    """The most likely path given the readings, as a series of straight pieces.
+    """Return the most likely path given the readings, as a series of straight pieces.
 
-    `noise` (q [unit²/s], r [unit²]) is that of means to be smoothed; noisy instants are smoothed beforehand
-    (`ambient.smoothed`).  Missing readings end a stretch of adjacent means.  A mean without neighbours is
-    placed in the middle of its interval, and so are means whose intervals overlap.  A value that holds from
-    its stamp on replaces the previous value within `JOINED_S` after the stamp.
+    noise: (q [unit²/s], r [unit²]) of means to be smoothed; noisy instants are smoothed beforehand
+        (`ambient.smoothed`).
+
+    Missing readings end a stretch of adjacent means.  A mean without neighbours is placed in the middle of
+    its interval, and so are means whose intervals overlap.  A held value replaces the previous one within
+    `JOINED_S` after its stamp.
     """
     if series.hold == LINEAR:
         return series
@@ -69,69 +72,75 @@ def input_path(series: Series, noise: tuple[float, float] | None = None) -> Seri
 
 
 def without_response(series: Series) -> Series:
-    """The readings y corrected for the sensor's stated response time θ: y + θ dy/dt, where the derivative is
-    the difference quotient of the two neighbours.
+    """Return the readings y corrected for the sensor's stated response time θ: y + θ dy/dt.
 
-    A series without a stated response time, or with one of 0, is returned unchanged.
+    The derivative is the difference quotient of the two neighbours.  A series without a stated response time,
+    or with one of 0, is returned unchanged.
     """
-    response = series.response_time_s or 0.0
+    response_s = series.response_time_s or 0.0
     time, value = series.known
-    if response <= 0 or len(time) < 2:
+    if response_s <= 0 or len(time) < 2:
         return series
     index = np.arange(len(time))
-    before, after = np.maximum(index - 1, 0), np.minimum(index + 1, len(time) - 1)
-    before = np.where(time - time[before] > SLOPE_REACH_S, index, before)
-    after = np.where(time[after] - time > SLOPE_REACH_S, index, after)
-    span = time[after] - time[before]
-    slope = (value[after] - value[before]) / np.where(span > 0, span, np.inf)
+    previous_index, next_index = np.maximum(index - 1, 0), np.minimum(index + 1, len(time) - 1)
+    previous_index = np.where(time - time[previous_index] > SLOPE_REACH_S, index, previous_index)
+    next_index = np.where(time[next_index] - time > SLOPE_REACH_S, index, next_index)
+    time_difference = time[next_index] - time[previous_index]
+    slope = (value[next_index] - value[previous_index]) / np.where(
+        time_difference > 0, time_difference, np.inf
+    )
     result = series.value.copy()
-    result[~series.missing] = value + response * slope
+    result[~series.missing] = value + response_s * slope
     return replace(series, value=result, response_time_s=0.0)
 
 
 def centred(series: Series) -> Series:
-    """Readings with interval means moved to the middle of their interval."""
+    """Return the series with interval means moved to the middle of their interval; others are unchanged."""
     if series.hold != MEAN:
         return series
     return replace(series, time=series.time - 0.5 * series.interval_s, hold=LINEAR, interval_s=0.0)
 
 
 def thinned(series: Series) -> Series:
-    """The series with half as many readings: every second instant, or means over pairs of adjacent
+    """Return the series with half as many readings: every second instant, or means over pairs of adjacent
     intervals."""
     if series.interval_s <= 0:
         return replace(series, time=series.time[::2], value=series.value[::2])
     count = len(series) // 2
-    first, second = series.time[: 2 * count : 2], series.time[1 : 2 * count : 2]
-    adjacent = np.abs(second - first - series.interval_s) <= JOINED_S
+    first_time, second_time = series.time[: 2 * count : 2], series.time[1 : 2 * count : 2]
+    adjacent = np.abs(second_time - first_time - series.interval_s) <= JOINED_S
     mean = 0.5 * (series.value[: 2 * count : 2] + series.value[1 : 2 * count : 2])
-    return replace(series, time=second[adjacent], value=mean[adjacent], interval_s=2.0 * series.interval_s)
+    return replace(
+        series, time=second_time[adjacent], value=mean[adjacent], interval_s=2.0 * series.interval_s
+    )
 
 
 def readings_ahead(interval_s: float, response_time_s: float) -> int:
-    """Number of readings, after the next one, on which the path at a time depends."""
+    """Return how many readings, after the next one, the path at a time depends on."""
     return (AROUND if interval_s > 0 else 0) + (1 if response_time_s > 0 else 0)
 
 
 @cache
 def edge_weights(before: int, after: int, noise_share: float = 0.0) -> np.ndarray:
-    """Weights (before+after,) of adjacent interval means in the path's value at the edge between them.
+    """Return the weights (before+after,) of adjacent interval means in the path's value at the edge between
+    them.
 
-    `noise_share` r/(q Δ).  With two means on each side and no noise −1/8, 5/8, 5/8, −1/8.
+    noise_share: r/(q Δ).  With two means on each side and no noise −1/8, 5/8, 5/8, −1/8.
     """
     return _weights(before + after, float(before), None, noise_share)
 
 
 @cache
 def mean_weights(before: int, after: int, noise_share: float) -> np.ndarray:
-    """Weights (before+1+after,) of adjacent means in the noise-free mean of one interval."""
+    """Return the weights (before+1+after,) of adjacent means in the noise-free mean of one interval."""
     return _weights(before + 1 + after, 0.0, before, noise_share)
 
 
 def _weights(count: int, edge: float, block: int | None, noise_share: float) -> np.ndarray:
-    """Weights of means over adjacent unit intervals in the value at an edge, or in one interval's own mean.
+    """Return the weights of means over adjacent unit intervals in one value of the path.
 
-    The start of the path is unknown, so the weights sum to 1 (ordinary kriging).
+    edge: position of the value.  block: number of the interval whose mean is wanted instead, or None. The
+        start of the path is unknown, so the weights sum to 1 (ordinary kriging).
     """
     index = np.arange(count)
     # covariance (n, n) of the means of a Brownian path that starts at 0 with q = 1
@@ -145,70 +154,82 @@ def _weights(count: int, edge: float, block: int | None, noise_share: float) -> 
 
 
 def _path_of_held_values(series: Series) -> Series:
-    """The path of values that hold from their stamps on: constant, with steep pieces after the changes."""
+    """Return the path of values that hold from their stamps on: constant, with steep pieces after the
+    changes."""
     time, value, longest_s = series.held
     if not len(time):
         return series
-    gap = np.append(np.diff(time), np.inf)
+    time_to_next = np.append(np.diff(time), np.inf)
     longest_s = np.minimum(longest_s, 30 * DAY_S)  # a path has an end
-    ends = gap > longest_s
-    changes = np.append(False, (value[1:] != value[:-1]) & ~ends[:-1])
-    steep = np.minimum(JOINED_S, 0.5 * np.minimum(gap, longest_s))
-    times = np.concatenate([time[changes], time + np.where(changes, steep, 0.0), (time + longest_s)[ends]])
-    order = np.argsort(times, kind="stable")
-    values = np.concatenate([value[np.flatnonzero(changes) - 1], value, value[ends]])
-    return replace(series, time=times[order], value=values[order], hold=LINEAR, longest_hold_s=None, lost=())
+    ends_hold = time_to_next > longest_s
+    is_change = np.append(False, (value[1:] != value[:-1]) & ~ends_hold[:-1])
+    change_time_s = np.minimum(JOINED_S, 0.5 * np.minimum(time_to_next, longest_s))
+    times = np.concatenate(
+        [time[is_change], time + np.where(is_change, change_time_s, 0.0), (time + longest_s)[ends_hold]]
+    )
+    time_order = np.argsort(times, kind="stable")
+    values = np.concatenate([value[np.flatnonzero(is_change) - 1], value, value[ends_hold]])
+    return replace(
+        series, time=times[time_order], value=values[time_order], hold=LINEAR, longest_hold_s=None, lost=()
+    )
 
 
 def _path_through_means(series: Series, noise: tuple[float, float] | None) -> Series:
+    """Return the path through interval means, with the noise (q, r) of the means removed."""
     time, value = series.known
-    width = series.interval_s
+    interval_s = series.interval_s
     if len(time) < 2:
         return centred(series)
-    gap_s = np.diff(time) - width
-    share = 0.0 if noise is None else noise[1] / (noise[0] * width)
+    gap_s = np.diff(time) - interval_s
+    noise_share = 0.0 if noise is None else noise[1] / (noise[0] * interval_s)
     if np.any(gap_s < -JOINED_S):  # running means overlap and have no edges
-        return replace(centred(series), time=time - 0.5 * width, value=value)
-    times, values = [], []
-    for stretch in np.split(np.arange(len(time)), np.flatnonzero(gap_s > JOINED_S) + 1):
-        ends, nodes = _nodes_of_stretch(time[stretch], value[stretch], width, share)
-        times.append(ends)
-        values.append(nodes)
-    path_time, path_value = np.concatenate(times), np.concatenate(values)
+        return replace(centred(series), time=time - 0.5 * interval_s, value=value)
+    times_of_stretches, values_of_stretches = [], []
+    for adjacent in np.split(np.arange(len(time)), np.flatnonzero(gap_s > JOINED_S) + 1):
+        stretch_times, stretch_values = _nodes_of_stretch(
+            time[adjacent], value[adjacent], interval_s, noise_share
+        )
+        times_of_stretches.append(stretch_times)
+        values_of_stretches.append(stretch_values)
+    path_time, path_value = np.concatenate(times_of_stretches), np.concatenate(values_of_stretches)
     is_new = np.append(True, np.diff(path_time) > JOINED_S)
     return replace(series, time=path_time[is_new], value=path_value[is_new], hold=LINEAR, interval_s=0.0)
 
 
 def _nodes_of_stretch(
-    time: np.ndarray, mean: np.ndarray, width: float, share: float
+    time: np.ndarray, mean: np.ndarray, interval_s: float, noise_share: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Times [s] and values of the path's nodes: the edges of adjacent means (n,) and nodes in between."""
+    """Return times [s] and values of the path's nodes through adjacent interval means (n,).
+
+    time: [s] (n,) ends of the intervals.  noise_share: r/(q Δ).
+    """
     count = len(mean)
     if count == 1:
-        return time - 0.5 * width, mean
+        return time - 0.5 * interval_s, mean
     edges = np.empty(count + 1)
     for k in {*range(min(AROUND, count + 1)), *range(max(count + 1 - AROUND, 0), count + 1)}:
         before, after = min(k, AROUND), min(count - k, AROUND)
-        edges[k] = edge_weights(before, after, share) @ mean[k - before : k + after]
+        edges[k] = edge_weights(before, after, noise_share) @ mean[k - before : k + after]
     inner_edges = np.arange(AROUND, count + 1 - AROUND)
     edges[inner_edges] = sum(
-        w * mean[inner_edges - AROUND + i] for i, w in enumerate(edge_weights(AROUND, AROUND, share))
+        w * mean[inner_edges - AROUND + i] for i, w in enumerate(edge_weights(AROUND, AROUND, noise_share))
     )
-    interval_mean = mean if share == 0.0 else _denoise_means(mean, share)
+    interval_mean = mean if noise_share == 0.0 else _denoise_means(mean, noise_share)
     # n straight pieces between points of the quadratic would lose 1/n² of the area above its chord
-    pieces = max(2, math.ceil(width / PIECE_S))
-    fraction = np.arange(pieces) / pieces
-    peak = 1.5 * (interval_mean - 0.5 * (edges[1:] + edges[:-1])) / (1.0 - pieces**-2.0)
-    nodes = edges[:-1, None] * (1.0 - fraction) + edges[1:, None] * fraction
-    nodes += peak[:, None] * (4.0 * fraction * (1.0 - fraction))
-    times = (time - width)[:, None] + width * fraction
+    piece_count = max(2, math.ceil(interval_s / PIECE_S))
+    fractions = np.arange(piece_count) / piece_count
+    peak = 1.5 * (interval_mean - 0.5 * (edges[1:] + edges[:-1])) / (1.0 - piece_count**-2.0)
+    nodes = edges[:-1, None] * (1.0 - fractions) + edges[1:, None] * fractions
+    nodes += peak[:, None] * (4.0 * fractions * (1.0 - fractions))
+    times = (time - interval_s)[:, None] + interval_s * fractions
     return np.append(times.ravel(), time[-1]), np.append(nodes.ravel(), edges[-1])
 
 
-def _denoise_means(mean: np.ndarray, share: float) -> np.ndarray:
+def _denoise_means(mean: np.ndarray, noise_share: float) -> np.ndarray:
+    """Return the interval means (n,) without their noise."""
     count = len(mean)
     result = np.empty(count)
     for k in range(count):
         before, after = min(k, AROUND), min(count - 1 - k, AROUND)
-        result[k] = mean_weights(before, after, share) @ mean[k - before : k + after + 1]
+        result[k] = mean_weights(before, after, noise_share) @ mean[k - before : k + after + 1]
     return result

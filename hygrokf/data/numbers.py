@@ -25,14 +25,17 @@ _BARE = rf"^\s*([+-]?(?:\d+(?:[.,]\d*)?|[.,]\d+|{_GROUPS}))\s*(?:[^\d.,\s].*)?$"
 
 
 class Marks(NamedTuple):
-    """The decimal mark, and the mark that divides groups of three digits ("": none does)."""
+    """Marks in numbers: the decimal mark, and the mark between groups of three digits ("": none)."""
 
     decimal: str = "."
     thousands: str = ""
 
 
 class Meaning(NamedTuple):
-    """What texts stand for: a signal, its unit ("": unknown), and the text of `POLES` that is 1, or ""."""
+    """What the texts of a column stand for.
+
+    signal: "" if unknown.  unit: "" if unknown.  one: which of `POLES` means 1, or "".
+    """
 
     signal: str = ""
     unit: str = ""
@@ -43,17 +46,18 @@ POINT, UNKNOWN = Marks(), Meaning()
 
 
 class Unread(Exception):
-    """A value that is not used, with the reason; `kind` is the name under which it is counted."""
+    """A value that cannot be used, with the reason; `kind` is the name under which it is counted."""
 
     def __init__(self, kind: str, words: str) -> None:
+        """Make the exception; words: the reason for the user."""
         super().__init__(words)
         self.kind = kind
 
 
 def stated_marks(decimal: str | None, thousands: str | None = None) -> Marks | None:
-    """The marks that a user states; None if none is stated.
+    """Return the marks that a user states; None if none is stated.
 
-    A mark that is not stated is the counterpart of the stated mark: point and comma imply each other.
+    A mark that is not stated is the counterpart of the stated one: point and comma imply each other.
     """
     if not decimal and not thousands:
         return None
@@ -62,7 +66,7 @@ def stated_marks(decimal: str | None, thousands: str | None = None) -> Marks | N
 
 
 def number_in(text: str, marks: Marks = POINT) -> float | None:
-    """A finite number in decimal digits; None for any other text, also for misplaced marks."""
+    """Return the finite number in a text; None for any other text, also for misplaced marks."""
     integer_part, decimal_mark, decimals = text.strip().partition(marks.decimal)
     if marks.thousands and marks.thousands in integer_part:
         if not re.fullmatch(
@@ -78,42 +82,49 @@ def number_in(text: str, marks: Marks = POINT) -> float | None:
 
 
 def value_in(text: str, marks: Marks = POINT, meaning: Meaning = UNKNOWN) -> float:
-    """The value of a text in the unit of its meaning: a number, a number with its unit, or a flag.
+    """Return the value of a text in its stated unit: a number, a number with its unit, or a flag.
 
     A unit with the same zero is converted (MW to kW).  Raises Unread.
     """
-    number, word, shown = number_in(text, marks), text.strip().lower(), repr(text[:40])
+    number, lower_text, quoted = number_in(text, marks), text.strip().lower(), repr(text[:40])
     if number is None and meaning.unit in ("", "1"):
-        number = FLAGS.get(word)
+        number = FLAGS.get(lower_text)
     if number is not None:
         return number
-    if meaning.unit in ("", "1") and word in POLES:
+    if meaning.unit in ("", "1") and lower_text in POLES:
         true_word = meaning.one or ("open" if meaning.signal == "door_open" else "")
         if true_word:
-            return float(word == true_word)
-        raise Unread("unknown polarity", f'{shown} may be 1 or 0: state one = "open" or "closed"')
-    measure = _MEASURE.fullmatch(text.strip())
-    unit = unit_named(measure[2]) if measure is not None else None
-    number = number_in(measure[1], marks) if measure is not None and unit is not None else None
+            return float(lower_text == true_word)
+        raise Unread("unknown polarity", f'{quoted} may be 1 or 0: state one = "open" or "closed"')
+    number_and_unit = _MEASURE.fullmatch(text.strip())
+    unit = unit_named(number_and_unit[2]) if number_and_unit is not None else None
+    number = (
+        number_in(number_and_unit[1], marks) if number_and_unit is not None and unit is not None else None
+    )
     if number is None or unit is None or not meaning.unit:
-        raise Unread("no number", f"{shown} is no number")
-    given, stated = UNITS[unit], UNITS[meaning.unit]
-    if (given.dimension, given.offset) != (stated.dimension, stated.offset):
-        raise Unread("other unit", f"{shown} is in {unit}, not in {meaning.unit} as stated")
-    return number if unit == meaning.unit else number * given.factor / stated.factor
+        raise Unread("no number", f"{quoted} is no number")
+    unit_of_text, stated_unit = UNITS[unit], UNITS[meaning.unit]
+    if (unit_of_text.dimension, unit_of_text.offset) != (stated_unit.dimension, stated_unit.offset):
+        raise Unread("other unit", f"{quoted} is in {unit}, not in {meaning.unit} as stated")
+    return number if unit == meaning.unit else number * unit_of_text.factor / stated_unit.factor
 
 
 def values_in(
     texts: pandas.Series, marks: Marks = POINT, meaning: Meaning = UNKNOWN
 ) -> tuple[np.ndarray, dict[str, Unread]]:
-    """Values (N,) of texts and numbers, NaN where a text has no value; the texts without value and why."""
+    """Return the values (N,) of texts and numbers, and the texts without a value with the reasons.
+
+    A text without a value gives NaN.
+    """
     import pandas as pd
 
-    plain = texts
+    with_points = texts
     if marks.decimal != ".":
-        no_point = texts.where([not (isinstance(text, str) and "." in text) for text in texts])
-        plain = no_point.map(lambda text: text.replace(",", ".") if isinstance(text, str) else text)
-    values = pd.to_numeric(plain, errors="coerce").astype(float)
+        without_points = texts.where([not (isinstance(text, str) and "." in text) for text in texts])
+        with_points = without_points.map(
+            lambda text: text.replace(",", ".") if isinstance(text, str) else text
+        )
+    values = pd.to_numeric(with_points, errors="coerce").astype(float)
     value_of: dict[object, float] = {}
     refused: dict[str, Unread] = {}
     for text in texts[values.isna() & texts.notna()].unique():
@@ -125,37 +136,40 @@ def values_in(
 
 
 def evidence(texts: pandas.Series, mark: str) -> Literal["none", "decimal", "thousands", "either"]:
-    """Whether a mark ("." or ",") is decimal or divides thousands in the texts (N,) of a column.
+    """Decide whether a mark ("." or ",") is decimal or divides thousands in the texts (N,) of a column.
 
     The mark is decimal if a number does not have one to three digits before it and three after it, if a text
-    without the mark reaches 1000, or if every text has the mark.  Otherwise the interpretation counts under
-    which the logarithms of the values jump less than half as far, where texts with and without the mark
-    follow each other; "either" if no interpretation does.
+    without the mark reaches 1000, or if every text has the mark.  Otherwise both interpretations are tried:
+    the right one makes the values jump less than half as far (in logarithms) where texts with and without the
+    mark follow each other; "either" if none does.
     """
     import pandas as pd
 
-    other, escaped = "," if mark == "." else ".", re.escape(mark)
-    grouped = rf"[+-]?[1-9]\d{{0,2}}(?:{escaped}\d{{3}})+(?:[{other}]\d*)?"
-    present = texts.dropna().astype(str)
-    if not present.str.contains(mark, regex=False).any():
+    other_mark, escaped_mark = "," if mark == "." else ".", re.escape(mark)
+    grouped = rf"[+-]?[1-9]\d{{0,2}}(?:{escaped_mark}\d{{3}})+(?:[{other_mark}]\d*)?"
+    present_texts = texts.dropna().astype(str)
+    if not present_texts.str.contains(mark, regex=False).any():
         return "none"
-    for sample in (present.iloc[:500], present):  # in most columns the first 500 suffice
-        bare = sample.str.extract(_BARE)[0].dropna()
-        marked = bare.str.contains(mark, regex=False)
-        if not bare[marked].str.fullmatch(grouped).all():
+    for sample in (present_texts.iloc[:500], present_texts):  # in most columns the first 500 suffice
+        number_texts = sample.str.extract(_BARE)[0].dropna()
+        marked = number_texts.str.contains(mark, regex=False)
+        if not number_texts[marked].str.fullmatch(grouped).all():
             return "decimal"
     if not marked.any():
         return "none"
-    if bare.str.contains(other, regex=False).any() or (bare[marked].str.count(escaped) > 1).any():
+    if (
+        number_texts.str.contains(other_mark, regex=False).any()
+        or (number_texts[marked].str.count(escaped_mark) > 1).any()
+    ):
         return "thousands"
-    thousands = pd.to_numeric(bare.str.replace(mark, "")).abs().to_numpy(float)
-    is_positive, without = thousands > 0.0, thousands[~marked]
-    if not np.any(without > 0.0) or np.any(without >= 1e3):
+    thousands = pd.to_numeric(number_texts.str.replace(mark, "")).abs().to_numpy(float)
+    is_positive, values_without_mark = thousands > 0.0, thousands[~marked]
+    if not np.any(values_without_mark > 0.0) or np.any(values_without_mark >= 1e3):
         return "decimal"
     mark_changes = np.diff(marked.to_numpy()[is_positive])
-    readings = (thousands, thousands / np.where(marked, 1e3, 1.0))
+    both_meanings = (thousands, thousands / np.where(marked, 1e3, 1.0))
     variation_as_thousands, variation_as_decimal = (
-        np.sum(np.abs(np.diff(np.log(reading[is_positive])))[mark_changes]) for reading in readings
+        np.sum(np.abs(np.diff(np.log(values[is_positive])))[mark_changes]) for values in both_meanings
     )
     if variation_as_thousands < 0.5 * variation_as_decimal:
         return "thousands"
@@ -163,15 +177,16 @@ def evidence(texts: pandas.Series, mark: str) -> Literal["none", "decimal", "tho
 
 
 def unit_among(texts: pandas.Series) -> str:
-    """The unit after the number in most texts of a column, as `UNITS` names it; "" if there is none."""
+    """Return the unit after the number in most texts of a column, as `UNITS` names it; "" if there is
+    none."""
     matches = [_MEASURE.fullmatch(text) for text in texts.dropna().iloc[:500].astype(str).str.strip()]
     units = [unit for match in matches if match and (unit := unit_named(match[2])) is not None]
     return max(set(units), key=units.count) if len(units) > 0.5 * len(matches) else ""
 
 
 def flag_word(texts: pandas.Series) -> str:
-    """The text that means 1 in a column of flags, "open" or "on"; "" for other columns."""
-    words = {str(text).strip().lower() for text in texts.dropna().unique()[:9]}
-    if not words or words - {*FLAGS, *POLES}:
+    """Return the text that means 1 in a column of flags, "open" or "on"; "" for other columns."""
+    distinct_words = {str(text).strip().lower() for text in texts.dropna().unique()[:9]}
+    if not distinct_words or distinct_words - {*FLAGS, *POLES}:
         return ""
-    return "open" if words & {*POLES} else "on"
+    return "open" if distinct_words & {*POLES} else "on"

@@ -23,17 +23,20 @@ Noise = tuple[float, float]
 
 @dataclass(frozen=True, repr=False)
 class PreparedRecord(Record):
-    """A record whose derived series are computed when they are first read, and kept.
+    """A record that computes its derived series when they are first read, and keeps them.
 
-    A record made from it (`replace_series`, `window`) computes its derived series anew.
+    A record made from it (`replace_series`, `window`) computes them anew.
     """
 
     _paths: dict[tuple[object, ...], Series] = field(default_factory=dict, init=False, compare=False)
 
     @cached_property
     def ambient_vapour(self) -> Series | None:
-        """Vapour concentration outside [kg/m³] at the times of its humidity readings, without the sensor's
-        response; None without such readings."""
+        """Vapour concentration outside [kg/m³] at the times of its humidity readings; None without such
+        readings.
+
+        The sensor's response is removed.
+        """
         return absolute_humidity_at(self, "ambient")
 
     @cached_property
@@ -43,8 +46,8 @@ class PreparedRecord(Record):
 
     @cached_property
     def noise(self) -> Mapping[str, Noise]:
-        """Noise of the ambient inputs of a model, by input; for humidity, the noise of the vapour computed
-        from the readings."""
+        """Noise (q, r) of the ambient inputs, by input; for humidity that of the vapour computed from the
+        readings."""
         series = {"ambient_temperature": self["ambient_temperature"], VAPOUR: self.ambient_vapour}
         estimated = {name: reading_noise(item) for name, item in series.items() if item is not None}
         return {name: noise for name, noise in estimated.items() if noise is not None}
@@ -56,26 +59,31 @@ class PreparedRecord(Record):
         return {signal: astuple(scale) for signal, scale in scales.items() if scale is not None}
 
     def path(self, name: str) -> Series:
-        """The path of a signal's readings, or of the ambient's vapour, without any correction."""
+        """Return the path between a signal's readings, without correction; `VAPOUR` stands for the ambient
+        vapour."""
         if (name,) not in self._paths:
             self._paths[name,] = input_path(self._vapour_or(name))
         return self._paths[name,]
 
     def course(self, name: str, noise: Noise | None = None) -> Series:
-        """The path of a signal, or of the ambient's vapour, that drives a model: corrected for the sensor's
-        response and, if a design states the `noise` of the readings, smoothed."""
+        """Return the path of a signal as a model's input: corrected for the sensor's response and smoothed.
+
+        noise: (q, r) of the readings that a design states; None: not smoothed.
+        """
         if (name, noise) not in self._paths:
             series = smoothed(without_response(self._vapour_or(name)), noise)
             self._paths[name, noise] = input_path(series, noise)
         return self._paths[name, noise]
 
     def _vapour_or(self, name: str) -> Series:
+        """Return the ambient vapour for `VAPOUR` if the record has humidity, else the series of the
+        signal."""
         vapour = self.ambient_vapour if name == VAPOUR else None
         return self[name] if vapour is None else vapour
 
 
 def prepare(record: Record) -> PreparedRecord:
-    """The record as a `PreparedRecord`; unchanged if it is one already."""
+    """Return the record as a `PreparedRecord`; unchanged if it is one already."""
     if isinstance(record, PreparedRecord):
         return record
     return PreparedRecord(**{item.name: getattr(record, item.name) for item in fields(Record)})

@@ -31,8 +31,8 @@ _UNITS = r"deg( ?[cf])?|degrees?|celsius|fahrenheit|c|f|k|pct|percent"
 
 
 def probe_of(name: str) -> tuple[str, str]:
-    """The words that distinguish a column's probe from others of its file, and the column's quantity, "" if
-    it is none of `QUANTITIES`."""
+    """Return the words of a column's name that identify its probe, and the column's quantity ("" if
+    unknown)."""
     words = re.sub(r"([a-z])([A-Z])", r"\1 \2", re.sub(r"[(\[{][^)\]}]*[)\]}]", " ", name)).lower()
     words = re.sub(r"(?<=[a-z])(?=\d)|(?<=\d)(?=[a-z])", " ", words)
     words = f" {re.sub(r'[^0-9a-zäöü]+', ' ', words).strip()} "
@@ -45,13 +45,13 @@ def probe_of(name: str) -> tuple[str, str]:
 
 
 def temperatures_of(probe: str, columns: Iterable[str]) -> list[str]:
-    """Columns that hold the temperature of the same probe as the column `probe`."""
+    """Return the columns that hold the temperature of the same probe as the column `probe`."""
     return [column for column in columns if probe_of(column) == (probe_of(probe)[0], "temperature")]
 
 
 def copies(series: Sequence[Series]) -> Iterator[Statement]:
-    """Doubts about ambient series that copy the cabinet's series or follow from them."""
-    by_signal = {item.signal: item for item in series}
+    """Yield doubts about ambient series that copy the cabinet's series or are computed from them."""
+    by_signal = {series_of_signal.signal: series_of_signal for series_of_signal in series}
     for kind in ("temperature", *HUMIDITIES):
         inside, outside = by_signal.get(f"cabinet_{kind}"), by_signal.get(f"ambient_{kind}")
         if inside is not None and outside is not None and _same_readings(inside, outside):
@@ -72,18 +72,23 @@ def copies(series: Sequence[Series]) -> Iterator[Statement]:
 
 
 def _same_readings(inside: Series, outside: Series) -> bool:
-    """Whether two varying series agree to rounding at nearly all their common times."""
-    _, i, j = np.intersect1d(inside.time, outside.time, return_indices=True)
-    is_present = ~(inside.missing[i] | outside.missing[j])
-    inside_values, outside_values = inside.value[i][is_present], outside.value[j][is_present]
+    """Whether two varying series agree, apart from rounding, at nearly all their common times."""
+    _, inside_index, outside_index = np.intersect1d(inside.time, outside.time, return_indices=True)
+    is_present = ~(inside.missing[inside_index] | outside.missing[outside_index])
+    inside_values, outside_values = (
+        inside.value[inside_index][is_present],
+        outside.value[outside_index][is_present],
+    )
     if len(inside_values) < FEWEST_IN_COMMON or not np.ptp(inside_values) > 0.0:
         return False
     return bool(np.mean(np.isclose(inside_values, outside_values, rtol=1e-9, atol=0.0)) > 0.99)
 
 
 def _follows(vapour: Series, temperature: Series, humidity: Series) -> bool:
-    """Whether a dew point or an absolute humidity follows from a temperature and a relative humidity at
-    nearly all their common times, although it varies by much more than rounding."""
+    """Whether a dew point or absolute humidity is computed from a temperature and a relative humidity.
+
+    It must agree with them at nearly all common times, and vary by much more than rounding.
+    """
     time = np.intersect1d(np.intersect1d(temperature.time, humidity.time), vapour.time)
     temperature_K, relative, derived = (
         series.value[np.searchsorted(series.time, time)] for series in (temperature, humidity, vapour)

@@ -15,7 +15,7 @@ Progress: TypeAlias = Callable[[str], None]
 
 @contextmanager
 def reporting(progress: Progress | bool | None, name: str) -> Iterator[Progress]:
-    """A context with a function that reports the steps of the computation `name`.
+    """Open a context with a function that reports the steps of the computation `name`.
 
     progress: a function: it receives the steps.  True: one line with the current step and the elapsed time,
         in a notebook by IPython's display, else on standard error.  None, False: nothing is reported.
@@ -23,16 +23,17 @@ def reporting(progress: Progress | bool | None, name: str) -> Iterator[Progress]
     if callable(progress) or not progress:
         yield progress if callable(progress) else lambda text: None
         return
-    show, begin = _notebook() or _on_stderr, time.monotonic()
+    show, start_s = _notebook() or _on_stderr, time.monotonic()
 
     def say(text: str, last: bool = False) -> None:
-        show(f"{name}: {text} ({time.monotonic() - begin:.0f} s)", last)
+        """Show a step with the elapsed time."""
+        show(f"{name}: {text} ({time.monotonic() - start_s:.0f} s)", last)
 
     say("begins")
     try:
         yield say
-    except BaseException as stop:
-        say(f"stopped by {type(stop).__name__}", last=True)
+    except BaseException as error:
+        say(f"stopped by {type(error).__name__}", last=True)
         raise
     say("done", last=True)
 
@@ -42,7 +43,7 @@ Line: TypeAlias = Callable[[str, bool], None]
 
 
 def _notebook() -> Line | None:
-    """A line in the output of a notebook's cell; None outside of a notebook."""
+    """Return a function that shows a line in the output of a notebook's cell; None outside of a notebook."""
     ipython = sys.modules.get("IPython")  # a notebook has loaded it; nothing else needs it
     shell = None if ipython is None else ipython.get_ipython()
     if shell is None or not hasattr(shell, "kernel"):
@@ -52,7 +53,7 @@ def _notebook() -> Line | None:
 
 
 def _on_stderr(text: str, last: bool) -> None:
-    """A line on standard error: overwritten on a terminal, else a line for each step."""
+    """Print a line on standard error; on a terminal it overwrites the previous one."""
     if sys.stderr is None:
         return
     if sys.stderr.isatty():

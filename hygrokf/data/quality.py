@@ -31,7 +31,7 @@ _FURTHER_NAMES = ("status", "flag", "valid", "ok", "q")
 
 
 def _key(mark: object) -> int | str | None:
-    """A mark as a whole number or a text in lower case; None for an empty mark."""
+    """Return a mark of quality as a whole number or a text in lower case; None for an empty mark."""
     text = str(mark).strip().lower()
     try:
         number = float(int(text, 16)) if text.startswith("0x") else float(text)
@@ -43,27 +43,29 @@ def _key(mark: object) -> int | str | None:
 
 
 def _of_opc_da(number: int) -> bool:
-    """Whether OPC Data Access 3.0, 6.8, defines quality and substatus of a number."""
+    """Whether OPC Data Access 3.0, 6.8, defines the quality and substatus of a number."""
     return 0 <= number <= 0xFFFF and number & 0xFC in _SUBSTATUS
 
 
 def _of_opc_ua(number: int) -> bool:
-    """Whether a signed or unsigned number has the form of a StatusCode of OPC UA, part 4, 7.39."""
+    """Whether a signed or unsigned number has the form of an OPC UA StatusCode (part 4, 7.39)."""
     code = number % 2**32
-    form = code < 0xC0000000 and not code & 0x30000000 and (not code & 0xFFFF or code & 0x0C00 == 0x0400)
-    return form and -(2**31) <= number < 2**32
+    has_form = code < 0xC0000000 and not code & 0x30000000 and (not code & 0xFFFF or code & 0x0C00 == 0x0400)
+    return has_form and -(2**31) <= number < 2**32
 
 
 def _is_flag(number: int) -> bool:
+    """Whether a number is 0 or 1."""
     return number in (0, 1)
 
 
 @dataclass(frozen=True)
 class QualityVocabulary:
-    """Which marks mean good, uncertain or bad.
+    """What the marks of a quality column mean: good, uncertain or bad.
 
-    outcomes: outcome of each number, after `mask`, or text. defines: whether the standard defines a number; a
-    stated vocabulary judges undefined numbers too, but they raise a doubt. rest: outcome of all other marks.
+    outcomes: meaning of each number (after `mask`) or text.
+    defines: whether the standard defines a number; undefined numbers are judged too, but raise a doubt.
+    rest: meaning of all other marks.
     """
 
     name: str
@@ -73,7 +75,7 @@ class QualityVocabulary:
     rest: str = AMBIGUOUS
 
     def judge(self, mark: object) -> str:
-        """The outcome of a mark; an empty mark is good."""
+        """Return the meaning of a mark; an empty mark is good."""
         key = _key(mark)
         if key is None:
             return GOOD
@@ -103,39 +105,39 @@ UNSTATED = QualityVocabulary("", {})
 
 
 def stated_vocabulary(value: object) -> QualityVocabulary:
-    """A vocabulary by its name, or from a list of good marks.  Raises ValueError."""
+    """Return the vocabulary that a case states by its name or as a list of good marks.  Raises ValueError."""
     if isinstance(value, str) and value in VOCABULARIES:
         return VOCABULARIES[value]
     if isinstance(value, list | tuple) and value:
         return QualityVocabulary(
             "its list", {key: GOOD for mark in value if (key := _key(mark)) is not None}, rest=BAD
         )
-    names = ", ".join(f'"{name}"' for name in VOCABULARIES)
-    raise ValueError(f"expected one of {names} or a list of good marks such as [1], found {value!r}")
+    listed = ", ".join(f'"{name}"' for name in VOCABULARIES)
+    raise ValueError(f"expected one of {listed} or a list of good marks such as [1], found {value!r}")
 
 
 def fitting(marks: Iterable[object]) -> tuple[str, ...]:
-    """Names of the vocabularies that define all numbers among the marks and find a good one."""
+    """Return the names of the vocabularies that define all numbers among the marks and find a good one."""
     numbers = {key for key in map(_key, marks) if isinstance(key, int)}
-    candidates = {
+    defining = {
         name: vocabulary for name, vocabulary in VOCABULARIES.items() if all(map(vocabulary.defines, numbers))
     }
-    return tuple(name for name, vocabulary in candidates.items() if GOOD in map(vocabulary.judge, numbers))
+    return tuple(name for name, vocabulary in defining.items() if GOOD in map(vocabulary.judge, numbers))
 
 
 def advice(marks: Iterable[object]) -> Statement:
-    """What to state for a column of marks."""
+    """Return the statement of what to write in a case for a column of marks."""
     # numbers before texts
     keys = sorted({_key(mark) for mark in marks} - {None}, key=lambda key: (isinstance(key, str), key))
     shown = tuple(map(str, keys[:8]))
-    more = (RecordCode.AND_MORE(),) if len(keys) > 8 else ()
+    and_more = (RecordCode.AND_MORE(),) if len(keys) > 8 else ()
     if fits := tuple(f'"{name}"' for name in fitting(keys)):
-        return RecordCode.VOCABULARY_FITS(fits=fits, marks=shown, more=more)
-    return RecordCode.NO_VOCABULARY_FITS(marks=shown, more=more)
+        return RecordCode.VOCABULARY_FITS(fits=fits, marks=shown, more=and_more)
+    return RecordCode.NO_VOCABULARY_FITS(marks=shown, more=and_more)
 
 
 def misfit(stated: QualityVocabulary, marks: Sequence[object]) -> Statement | None:
-    """The doubt about a vocabulary that does not define all marks of a column; None if it does."""
+    """Return the doubt about a vocabulary that does not define all marks of a column; None if it does."""
     fits = fitting(marks)
     contradicts_stated = bool(fits) and stated.name in VOCABULARIES and stated.name not in fits
     if not contradicts_stated and AMBIGUOUS not in map(stated.judge, marks):
@@ -145,12 +147,12 @@ def misfit(stated: QualityVocabulary, marks: Sequence[object]) -> Statement | No
 
 # -- columns -------------------------------------------------------------------------------------------------
 def _bare(name: str) -> str:
-    """Letters and digits of a column's name, without a unit in brackets."""
+    """Return the letters and digits of a column's name, without a unit in brackets."""
     return re.sub(r"\[[^\]]*\]|\([^)]*\)|code|[\W_]", "", name.lower())
 
 
 def quality_columns(names: Sequence[str], columns: Iterable[str]) -> dict[str, str]:
-    """Column of readings -> the column among `names` that, by its name, holds their quality.
+    """Return column of readings -> column among `names` that, by its name, holds their quality.
 
     The quality column is named after the column of readings ("Cabinet Temp Quality", "q_Tcab").  Otherwise it
     is the only column called quality or, of several, the one directly to the right of the readings.
@@ -160,15 +162,17 @@ def quality_columns(names: Sequence[str], columns: Iterable[str]) -> dict[str, s
     next_column = dict(itertools.pairwise(names))
     quality_of: dict[str, str | None] = {}
     for column in columns:
-        stem, words = _bare(column), (*_NAMES, *_FURTHER_NAMES)
+        letters, quality_words = _bare(column), (*_NAMES, *_FURTHER_NAMES)
         named_after = (
             name_by_letters[candidate]
-            for word in words
-            for candidate in (stem + word, word + stem)
+            for word in quality_words
+            for candidate in (letters + word, word + letters)
             if candidate in name_by_letters
         )
-        beside = called_quality[0] if len(called_quality) == 1 else next_column.get(column)
-        quality_of[column] = next(named_after, beside if beside in called_quality else None)
+        candidate_beside = called_quality[0] if len(called_quality) == 1 else next_column.get(column)
+        quality_of[column] = next(
+            named_after, candidate_beside if candidate_beside in called_quality else None
+        )
     return {column: name for column, name in quality_of.items() if name is not None and name != column}
 
 
@@ -179,7 +183,8 @@ def seems_quality(name: str, marks: Sequence[object]) -> bool:
 
 
 def unstated(column: str, name: str, marks: Sequence[object]) -> Statement | None:
-    """The doubt about a quality column that is not stated; None if all its marks are good."""
+    """Return the doubt about a quality column that the case does not state; None if all its marks are
+    good."""
     outcomes = set(map(UNSTATED.judge, marks))
     if outcomes == {GOOD} or not seems_quality(name, marks):
         return None
@@ -190,29 +195,35 @@ def unstated(column: str, name: str, marks: Sequence[object]) -> Statement | Non
 def drafted(
     marks: Mapping[str, Sequence[object]], columns: Iterable[str]
 ) -> tuple[dict[str, str], QualityVocabulary, tuple[Statement, ...]]:
-    """Column of readings -> column of its quality, by names and marks; the vocabulary that fits; doubts.
+    """Find the quality columns of a table for a draft.
 
-    marks: the distinct cells of every column of a table.
+    marks: the distinct cells of every column.  columns: those with readings.
+    Returns column of readings -> column of its quality, the vocabulary that fits, and doubts.
     """
     quality_of = quality_columns(list(marks), columns)
     quality_of = {column: name for column, name in quality_of.items() if column not in quality_of.values()}
-    certain = {
+    certain_quality = {
         column: name
         for column, name in quality_of.items()
         if seems_quality(name, marks[name]) and (fitting(marks[name]) or not misfit(UNSTATED, marks[name]))
     }
     doubts = [
-        unstated(column, name, marks[name]) for column, name in quality_of.items() if column not in certain
+        unstated(column, name, marks[name])
+        for column, name in quality_of.items()
+        if column not in certain_quality
     ]
-    certain_marks = [mark for name in dict.fromkeys(certain.values()) for mark in marks[name]]
+    certain_marks = [mark for name in dict.fromkeys(certain_quality.values()) for mark in marks[name]]
     fits = fitting(certain_marks)
     if len(fits) > 1 or (fits and {*map(UNSTATED.judge, certain_marks)} == {AMBIGUOUS}):
         doubts.append(RecordCode.QUALITY_MEANING(advice=advice(certain_marks)))
-    return certain, VOCABULARIES[fits[0]] if fits else UNSTATED, tuple(filter(None, doubts))
+    return certain_quality, VOCABULARIES[fits[0]] if fits else UNSTATED, tuple(filter(None, doubts))
 
 
 class MarkedReadings(NamedTuple):
-    """Readings by their quality: usable (N,), warnings with counts, and a doubt or None."""
+    """Which readings of a column may be used.
+
+    usable: (N,).  warnings: with counts.  doubt: about the marks, or None.
+    """
 
     usable: np.ndarray
     warnings: tuple[str, ...]
@@ -221,9 +232,9 @@ class MarkedReadings(NamedTuple):
 
 @dataclass(frozen=True)
 class StatedQuality:
-    """What a source states of the quality of its readings.
+    """What a source states about the quality of its readings.
 
-    columns: column of readings -> column of its quality, "" if it has none, None if nothing is stated.
+    columns: column of readings -> column of its quality; "" if it has none, None if nothing is stated.
     """
 
     columns: Mapping[str, str | None] = field(default_factory=dict)
@@ -231,35 +242,36 @@ class StatedQuality:
     use_uncertain: bool = True
 
     def beside(self, names: Sequence[str], columns: Sequence[str]) -> dict[str, str]:
-        """Column of readings -> column of its quality: the stated one, else one of `names` by its name."""
+        """Return column of readings -> column of its quality: the stated one, else one of `names` by its
+        name."""
         by_name = quality_columns(names, columns)
         quality_of = {column: name for column, name in by_name.items() if names.count(name) == 1}
         quality_of |= {column: name for column, name in self.columns.items() if name is not None}
         return {column: quality_of[column] for column in columns if quality_of.get(column)}
 
     def judged(self, column: str, name: str, marks: pandas.Series) -> MarkedReadings:
-        """What the quality in a column says of a column of readings.
+        """Judge the readings of a column by the marks (N,) in the quality column `name`.
 
-        marks: (N,).  A quality that is not stated excludes no reading and raises a doubt.
+        A quality column that is not stated excludes no reading, but raises a doubt.
         """
         import pandas as pd
 
         codes, distinct = pd.factorize(marks)
         if self.columns.get(column) is None:
             return MarkedReadings(np.ones(len(marks), dtype=bool), (), unstated(column, name, list(distinct)))
-        outcome = np.array([*map(self.vocabulary.judge, distinct), GOOD])[codes]
-        counts = Counter(outcome.tolist())
+        outcomes = np.array([*map(self.vocabulary.judge, distinct), GOOD])[codes]
+        counts = Counter(outcomes.tolist())
         used_outcomes = (GOOD, UNCERTAIN) if self.use_uncertain else (GOOD,)
         counted = [
-            f"{counts[kind]} {kind} {'used' if kind in used_outcomes else 'left out'}"
-            for kind in (BAD, UNCERTAIN, AMBIGUOUS)
-            if counts[kind]
+            f"{counts[outcome_name]} {outcome_name} {'used' if outcome_name in used_outcomes else 'left out'}"
+            for outcome_name in (BAD, UNCERTAIN, AMBIGUOUS)
+            if counts[outcome_name]
         ]
         warnings = (f'column "{column}": by "{name}" {", ".join(counted)}',) if counted else ()
         doubt = misfit(self.vocabulary, list(distinct))
         if doubt is not None:
             doubt = RecordCode.QUALITY_OF_COLUMN(column=column, name=name, doubt=doubt)
-        return MarkedReadings(np.isin(outcome, used_outcomes), warnings, doubt)
+        return MarkedReadings(np.isin(outcomes, used_outcomes), warnings, doubt)
 
 
 NOTHING_STATED = StatedQuality()

@@ -76,36 +76,43 @@ class Series:
     saturated: int = 0
 
     def __post_init__(self) -> None:
+        """Check all fields and make the arrays read-only; raises ValueError that lists every fault."""
         faults: list[str] = []
-        row = SIGNALS.get(self.signal)
-        if row is None:
+        signal_row = SIGNALS.get(self.signal)
+        if signal_row is None:
             faults.append(f'unknown signal "{self.signal}"{suggestion(self.signal, SIGNALS)}')
         time = _float_array("time", self.time, _SECONDS, faults)
         value = _float_array(
-            "value", self.value, "numbers" if row is None else f"numbers in {row.unit}", faults
+            "value", self.value, "numbers" if signal_row is None else f"numbers in {signal_row.unit}", faults
         )
         if time is not None and value is not None:
-            faults += _reading_faults(time, value, row)
+            faults += _reading_faults(time, value, signal_row)
         if self.hold == BY_SIGNAL:
-            hold = MEAN if self.interval_s > 0.0 else LINEAR if row is None else row.hold_of_instants
+            hold = (
+                MEAN
+                if self.interval_s > 0.0
+                else LINEAR
+                if signal_row is None
+                else signal_row.hold_of_instants
+            )
             object.__setattr__(self, "hold", hold)
         try:
             object.__setattr__(self, "hold", hold_named(self.hold))
             if (self.hold == MEAN) != (self.interval_s > 0.0):
-                found = f"found hold {self.hold} and {self.interval_s} s"
-                faults.append(f"a mean has hold mean and its interval_s, {found}")
+                found_text = f"found hold {self.hold} and {self.interval_s} s"
+                faults.append(f"a mean has hold mean and its interval_s, {found_text}")
         except ValueError as fault:
             faults.append(str(fault))
         if self.longest_hold_s is not None and not self.longest_hold_s > 0.0:
             faults.append(f"longest_hold_s must be a number > 0 or None, found {self.longest_hold_s}")
-        edges = [edge for span in self.lost for edge in span]
-        if any(not before < after for before, after in pairwise(edges)):
+        span_edges = [edge for span in self.lost for edge in span]
+        if any(not before < after for before, after in pairwise(span_edges)):
             faults.append(f"lost must be spans (start, end) in order, found {self.lost}")
         for name in ("interval_s", "resolution", "accuracy", "clock_uncertainty_s", "response_time_s"):
             number = getattr(self, name)
-            optional = " or None" if name not in ("interval_s", "resolution") else ""
-            if not (number is None and optional) and not (math.isfinite(number) and number >= 0.0):
-                faults.append(f"{name} must be a finite number ≥ 0{optional}, found {number}")
+            or_none = " or None" if name not in ("interval_s", "resolution") else ""
+            if not (number is None and or_none) and not (math.isfinite(number) and number >= 0.0):
+                faults.append(f"{name} must be a finite number ≥ 0{or_none}, found {number}")
         if self.height_m is not None and not (math.isfinite(self.height_m) and self.height_m > 0):
             faults.append(f"height_m must be a finite number > 0 or None, found {self.height_m}")
         if faults:
@@ -116,9 +123,11 @@ class Series:
             object.__setattr__(self, name, array)
 
     def __len__(self) -> int:
+        """Return the number of stamps, T."""
         return len(self.time)
 
     def __eq__(self, other: object) -> bool:
+        """Compare all fields; NaN equals NaN."""
         # the generated comparison would fail on the truth value of an array
         if not isinstance(other, Series):
             return NotImplemented
@@ -134,7 +143,7 @@ class Series:
 
     @property
     def file(self) -> str:
-        """The file of `source`, or the signal where there is no source."""
+        """The file of `source`, or the name of the signal where there is no source."""
         return self.source.split(", ")[0] or self.signal
 
     @property
@@ -152,7 +161,7 @@ class Series:
 
     @cached_property
     def held_s(self) -> np.ndarray:
-        """The longest time [s] for which each reading that is not missing holds, from its stamp on."""
+        """Longest time [s] for which each known reading holds, from its stamp on."""
         time, _ = self.known
         longest_s = np.full(len(time), math.inf if self.longest_hold_s is None else self.longest_hold_s)
         if self.longest_hold_s is None and len(time) > 1:
@@ -165,47 +174,60 @@ class Series:
     def held(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Times [s] from which a value holds, the values, and how long [s] each holds at most.
 
-        These are the readings that are not missing.  Where the connection is lost, the last
-        value ends; it holds again once the connection is regained, if it is not too old by then.
+        They are those of the known readings.  A loss of the connection ends the last value; it holds again
+        once the connection is regained, if it is not too old by then.
         """
         (time, value), longest_s = self.known, self.held_s
-        for lost, regained in self.lost:
-            last = int(np.searchsorted(time, lost)) - 1
-            if last < 0:
+        for lost_s, regained_s in self.lost:
+            last_before = int(np.searchsorted(time, lost_s)) - 1
+            if last_before < 0:
                 continue
-            continues = regained < min([time[last] + longest_s[last], *time[last + 1 : last + 2]])
-            remaining_s = longest_s[last] - (regained - time[last]) if continues else 0.0
+            continues = regained_s < min(
+                [time[last_before] + longest_s[last_before], *time[last_before + 1 : last_before + 2]]
+            )
+            remaining_s = longest_s[last_before] - (regained_s - time[last_before]) if continues else 0.0
             longest_s = np.append(
-                longest_s[:last], [min(longest_s[last], lost - time[last]), *longest_s[last + 1 :]]
+                longest_s[:last_before],
+                [min(longest_s[last_before], lost_s - time[last_before]), *longest_s[last_before + 1 :]],
             )
             if continues:
                 time, value, longest_s = (
-                    np.insert(array, last + 1, inserted)
-                    for array, inserted in ((time, regained), (value, value[last]), (longest_s, remaining_s))
+                    np.insert(array, last_before + 1, inserted)
+                    for array, inserted in (
+                        (time, regained_s),
+                        (value, value[last_before]),
+                        (longest_s, remaining_s),
+                    )
                 )
         return time, value, longest_s
 
     def held_at(self, time: np.ndarray) -> np.ndarray:
-        """The held values at other times [s]: NaN before the first reading, where the latest is too old, and
-        while the connection is lost."""
-        times, value, longest_s = self.held
-        last = np.searchsorted(times, time, side="right") - 1
-        return np.where((last >= 0) & (time - times[last] <= longest_s[last]), value[last], np.nan)
+        """Return the held values at other times [s].
+
+        NaN before the first reading, where the latest one is too old, and while the connection is lost.
+        """
+        start_times, value, longest_s = self.held
+        latest = np.searchsorted(start_times, time, side="right") - 1
+        return np.where(
+            (latest >= 0) & (time - start_times[latest] <= longest_s[latest]), value[latest], np.nan
+        )
 
     def window(self, start_s: float, end_s: float) -> Series | None:
-        """The readings with start_s ≤ time ≤ end_s [s], preceded by the value held at start_s; None where the
-        window has neither."""
-        first = np.searchsorted(self.time, start_s, side="left")
-        last = np.searchsorted(self.time, end_s, side="right")
-        time, value = self.time[first:last], self.value[first:last]
+        """Return the readings with start_s ≤ time ≤ end_s [s], preceded by the value held at start_s.
+
+        None where the window has neither.
+        """
+        first_index = np.searchsorted(self.time, start_s, side="left")
+        end_index = np.searchsorted(self.time, end_s, side="right")
+        time, value = self.time[first_index:end_index], self.value[first_index:end_index]
         if self.hold == PREVIOUS and len(self.known[0]) and start_s not in time[:1] and start_s < end_s:
-            held = self.held_at(np.array([start_s]))
-            if np.isfinite(held[0]):
-                time, value = np.append(start_s, time), np.append(held, value)
+            held_value = self.held_at(np.array([start_s]))
+            if np.isfinite(held_value[0]):
+                time, value = np.append(start_s, time), np.append(held_value, value)
         return dataclasses.replace(self, time=time, value=value) if len(time) else None
 
     def to_frame(self) -> DataFrame:
-        """The readings as a pandas frame over time in UTC, in a column named after the signal.
+        """Return the readings as a pandas frame over time in UTC, in a column named after the signal.
 
         `attrs["units"]` is what `read_frames` takes as `units`; `attrs["interval_s"]` [s] that of means,
         which stand at the end of their interval.
@@ -229,8 +251,8 @@ class Series:
 _SECONDS = "seconds since 1970-01-01T00:00Z as numbers"
 
 
-def _reading_faults(time: np.ndarray, value: np.ndarray, row: Signal | None) -> list[str]:
-    """Faults of a signal's times [s] and readings."""
+def _reading_faults(time: np.ndarray, value: np.ndarray, signal_row: Signal | None) -> list[str]:
+    """Return the faults of times (T,) [s] and readings (T,); signal_row: of the signal table, or None."""
     faults = []
     if time.ndim != 1 or time.shape != value.shape:
         faults.append(
@@ -242,39 +264,39 @@ def _reading_faults(time: np.ndarray, value: np.ndarray, row: Signal | None) -> 
         if not np.isfinite(time).all():
             faults.append("every time must be a finite number of seconds")
         else:
-            first = int(np.argmax(time[1:] <= time[:-1])) + 1
-            faults.append(f"time must increase strictly; reading {first} does not")
+            first_wrong = int(np.argmax(time[1:] <= time[:-1])) + 1
+            faults.append(f"time must increase strictly; reading {first_wrong} does not")
     elif len(time) and not (EARLIEST_S < time[0] and time[-1] < LATEST_S):
         faults.append(_seconds_fault(time))
     if np.isinf(value).any():
         faults.append("value must be finite, or NaN where a reading is missing")
-    elif row is not None and (other := _unit_fault(value, row)):
-        faults.append(other)
+    elif signal_row is not None and (unit_fault := _unit_fault(value, signal_row)):
+        faults.append(unit_fault)
     return faults
 
 
 def _float_array(name: str, given: object, expected: str, faults: list[str]) -> np.ndarray | None:
-    """A copy as floating-point numbers, or None with a fault added.
+    """Return a copy of an array as floating-point numbers; otherwise add a fault and return None.
 
     Dates are refused: as plain numbers they would count nanoseconds or microseconds without a zone.
     """
     if isinstance(given, np.ma.MaskedArray):
         given = np.ma.filled(given.astype(float), np.nan)
     try:
-        raw = np.asarray(given)
-        if raw.dtype.kind not in "mM":
-            return raw.astype(float)
-        kind = raw.dtype.name
+        array = np.asarray(given)
+        if array.dtype.kind not in "mM":
+            return array.astype(float)
+        type_found = array.dtype.name
     except (TypeError, ValueError):
         not_numbers = (
             (item for item in given if not isinstance(item, Real))
             if isinstance(given, Iterable)
             else (given,)
         )
-        kind = type(next(iter(not_numbers), given)).__name__
+        type_found = type(next(iter(not_numbers), given)).__name__
     remedy = _REMEDIES[name]
     faults.append(
-        f"{name}: expected {expected}, found {kind}; convert, such as {remedy}, or pass a frame to "
+        f"{name}: expected {expected}, found {type_found}; convert, such as {remedy}, or pass a frame to "
         "hygrokf.read_frames"
     )
     return None
@@ -287,7 +309,7 @@ _REMEDIES = {
 
 
 def _seconds_fault(time: np.ndarray) -> str:
-    """The fault of times (T,) beyond the accepted range, with the unit that they seem to be in."""
+    """Return the fault of times (T,) beyond the accepted range, with the unit that they seem to be in."""
     for factor, unit in ((1e3, "milliseconds"), (1e6, "microseconds"), (1e9, "nanoseconds")):
         if 0.0 < time[0] / factor and time[-1] / factor < LATEST_S:
             remedy = f"they would fit as {unit}: divide them by {factor:g}"
@@ -297,29 +319,33 @@ def _seconds_fault(time: np.ndarray) -> str:
     return f"time: expected seconds since 1970-01-01T00:00Z, found {time[0]:.6g} … {time[-1]:.6g}; {remedy}"
 
 
-def _unit_fault(value: np.ndarray, row: Signal) -> str | None:
-    """The fault of readings whose unit is certainly not the signal's, or None.
+def _unit_fault(value: np.ndarray, signal_row: Signal) -> str | None:
+    """Return the fault of readings (T,) that are certainly in another unit than the signal's, or None.
 
-    value: [SI unit] (T,).  Most readings lie outside the physical range, and would lie within it in the other
-    unit.  Equal readings throughout are not judged, since a dead sensor may show them.
+    That is: most readings lie outside the physical range, and would lie within it in the other unit.
+    Constant readings are not judged, since a dead sensor may show them.
     """
-    in_range = (value >= row.low) & (value <= row.high)
+    in_range = (value >= signal_row.low) & (value <= signal_row.high)
     if not len(value) or 2 * np.count_nonzero(in_range) >= len(value):
         return None
-    finite = value[np.isfinite(value)]
-    if not len(finite) or 2 * np.count_nonzero(in_range) >= len(finite) or np.ptp(finite) == 0.0:
+    finite_values = value[np.isfinite(value)]
+    if (
+        not len(finite_values)
+        or 2 * np.count_nonzero(in_range) >= len(finite_values)
+        or np.ptp(finite_values) == 0.0
+    ):
         return None
-    if row.unit == "1" and np.median(finite) <= LARGEST_FRACTION:
+    if signal_row.unit == "1" and np.median(finite_values) <= LARGEST_FRACTION:
         return None
-    better = better_units(finite, row.unit, row)
-    if not better:
+    fitting = better_units(finite_values, signal_row.unit, signal_row)
+    if not fitting:
         return None
-    unit = "fractions (unit 1)" if row.unit == "1" else row.unit
+    expected_unit = "fractions (unit 1)" if signal_row.unit == "1" else signal_row.unit
     return (
-        f"value: expected {unit}, found readings of about {np.median(finite):.4g}, which would fit as "
-        f'{" or ".join(better)}; convert them, such as hygrokf.data.signals.to_si(value, "{better[0]}", '
-        f'"{row.name}"), or state '
-        "the unit to hygrokf.read_frames"
+        f"value: expected {expected_unit}, found readings of about {np.median(finite_values):.4g}, which "
+        f"would fit as {' or '.join(fitting)}; convert them, such as "
+        f'hygrokf.data.signals.to_si(value, "{fitting[0]}", "{signal_row.name}"), '
+        "or state the unit to hygrokf.read_frames"
     )
 
 
@@ -332,6 +358,7 @@ class Site:
     altitude_m: float | None = setting(None, "above sea level")
 
     def __post_init__(self) -> None:
+        """Check the ranges; raises ValueError that lists every fault."""
         limits = (
             ("latitude_deg", self.latitude_deg, -90.0, 90.0),
             ("longitude_deg", self.longitude_deg, -180.0, 360.0),
@@ -347,10 +374,10 @@ class Site:
 
 
 class Provenance(StrEnum):
-    """How the readings came about; results carry it.
+    """How the readings came about; every result states it.
 
     Simulated: a model computed the readings in the cabinet from measured weather or operation.  Synthetic: a
-    computer made all readings.
+        computer made all readings.
     """
 
     MEASURED = "measured"
@@ -359,11 +386,12 @@ class Provenance(StrEnum):
 
     @classmethod
     def _missing_(cls, value: object) -> Provenance:
+        """Raise ValueError that lists the provenances."""
         raise ValueError(f"provenance must be one of {', '.join(cls)}, found {value!r}")
 
 
 def least_measured(provenances: Iterable[Provenance]) -> Provenance:
-    """The provenance of a result of several records: measured only where all records are measured."""
+    """Return the provenance of a result of several records: measured only if all of them are measured."""
     return max(provenances, key=list(Provenance).index, default=Provenance.MEASURED)
 
 
@@ -399,6 +427,7 @@ class Record:
     provenance: Provenance = Provenance.MEASURED
 
     def __post_init__(self) -> None:
+        """Check all fields; raises ValueError."""
         for name in ("series", "compared", "warnings", "files", "doubts"):
             object.__setattr__(self, name, tuple(getattr(self, name)))
         object.__setattr__(self, "provenance", Provenance(self.provenance))
@@ -426,20 +455,22 @@ class Record:
         return tuple(series.signal for series in self.series)
 
     def __repr__(self) -> str:
-        """Name, span and signals, a line each."""
-        rows = []
+        """Return name, span and signals, a line each."""
+        lines = []
         for series in self.series:
-            step = duration_text(float(np.median(series.steps_s))) if len(series.steps_s) else "–"
+            step_text = duration_text(float(np.median(series.steps_s))) if len(series.steps_s) else "–"
             unit, count = SIGNALS[series.signal].unit, len(series.known[0])
-            rows.append(f"  {series.signal} [{unit}]: {count} readings, every {step}")
+            lines.append(f"  {series.signal} [{unit}]: {count} readings, every {step_text}")
         until = "" if self.until_s is None else f", identification until {stamp_text(self.until_s)}"
-        span = f"{stamp_text(self.start_s)} … {stamp_text(self.end_s)}{until}" if rows else "no series"
-        return "\n".join([f"Record {self.name}: {span}", *shortened(rows)])
+        span = f"{stamp_text(self.start_s)} … {stamp_text(self.end_s)}{until}" if lines else "no series"
+        return "\n".join([f"Record {self.name}: {span}", *shortened(lines)])
 
     def __contains__(self, signal: object) -> bool:
+        """Whether the record has a signal."""
         return signal in self.signals
 
     def __getitem__(self, signal: str) -> Series:
+        """Return the series of a signal.  Raises KeyError with the names of the existing ones."""
         for series in self.series:
             if series.signal == signal:
                 return series
@@ -449,7 +480,7 @@ class Record:
 
     @property
     def start_s(self) -> float:
-        """Start of the earliest reading (of its interval, for means) [s]; NaN if empty."""
+        """Start of the earliest reading [s], for means the start of its interval; NaN if empty."""
         starts = [series.time[0] - series.interval_s for series in self.series if len(series)]
         return float(min(starts)) if starts else math.nan
 
@@ -460,15 +491,19 @@ class Record:
         return float(max(ends)) if ends else math.nan
 
     def window(self, start_s: float, end_s: float) -> Self:
-        """The readings with start_s ≤ time ≤ end_s [s].
+        """Return the record with the readings in start_s ≤ time ≤ end_s [s].
 
-        A mean belongs to the window that contains the end of its interval. Series without a reading
-        in the window are left out. `until_s` is kept where it lies inside the window.
+        A mean belongs to the window that contains the end of its interval.  Series without a reading in the
+        window are left out.  `until_s` is kept where it lies inside the window.
         """
         if not start_s <= end_s:
             raise ValueError(f"window: start {start_s} must not be after end {end_s}")
         series, compared = (
-            tuple(part for series in group if (part := series.window(start_s, end_s)) is not None)
+            tuple(
+                series_in_window
+                for series in group
+                if (series_in_window := series.window(start_s, end_s)) is not None
+            )
             for group in (self.series, self.compared)
         )
         inside = self.until_s is not None and start_s < self.until_s < end_s
@@ -476,26 +511,25 @@ class Record:
         return dataclasses.replace(self, series=series, compared=compared, until_s=until_s)
 
     def to_frames(self) -> dict[str, DataFrame]:
-        """Every series as a pandas frame of its own, by signal, as `read_frames` takes them
-        (`Series.to_frame`)."""
+        """Return every series as a pandas frame of its own, by signal, as `read_frames` takes them."""
         return {series.signal: series.to_frame() for series in self.series}
 
     def identification(self) -> Self:
-        """The identification period: readings up to and including `until_s`."""
+        """Return the identification period: readings up to and including `until_s`."""
         if self.until_s is None:
             return self
         return self.window(-math.inf, self.until_s)
 
     def validation(self) -> Self:
-        """The validation period: readings after `until_s`; no series if there is no such period."""
+        """Return the validation period: readings after `until_s`; no series if there is no such period."""
         if self.until_s is None:
             return dataclasses.replace(self, series=())
         return self.window(float(np.nextafter(self.until_s, math.inf)), math.inf)
 
     def replace_series(self, *changed: Series, warnings: tuple[str, ...] = ()) -> Self:
-        """The record with some series replaced by others of the same signals.
+        """Return the record with some series replaced by others of the same signals.
 
-        changed: the new series. warnings: sentences to add to the record's own.
+        changed: the new series.  warnings: sentences to add to the record's own.
         Raises KeyError for a signal that the record does not have.
         """
         by_signal = {series.signal: series for series in changed}
@@ -513,25 +547,26 @@ LINES = 10
 
 
 def shortened(lines: Sequence[str]) -> list[str]:
-    """The lines, or the first `LINES` − 1 of them and a line that says how many were left out."""
-    rest = len(lines) - LINES + 1
-    return list(lines) if rest < 2 else [*lines[: LINES - 1], f"  … and {rest} more"]
+    """Return the lines, or the first `LINES` − 1 of them and a line that says how many were left out."""
+    left_out_count = len(lines) - LINES + 1
+    return list(lines) if left_out_count < 2 else [*lines[: LINES - 1], f"  … and {left_out_count} more"]
 
 
 def kind_of(given: object) -> str:
-    """The kind of an object in words for a message."""
+    """Return what an object is, in words for a message, such as "a pandas frame"."""
     if isinstance(given, (str, os.PathLike)):
         return f"the path {os.fspath(given)!r}"
     if _is_frame(given):
         return "a pandas frame"
     if isinstance(given, Mapping) and any(map(_is_frame, given.values())):
         return "pandas frames"
-    name = type(given).__name__
-    return "nothing" if given is None else f"{'an' if name[0] in 'AEIOUaeiou' else 'a'} {name}"
+    type_name = type(given).__name__
+    return "nothing" if given is None else f"{'an' if type_name[0] in 'AEIOUaeiou' else 'a'} {type_name}"
 
 
 def maker_of(given: object, fit: bool = False) -> str:
-    """The call that makes a Record, or a `fit`, of a path or of frames; empty for anything else."""
+    """Return the call that makes a Record (or, with `fit`, a Fit) from a path or from frames; "" for anything
+    else."""
     if isinstance(given, (str, os.PathLike)):
         path = f"({os.fspath(given)!r})"
         return f"read_fit{path} reads a Fit" if fit else f"read_case{path} makes a Record of a case file"
@@ -541,7 +576,10 @@ def maker_of(given: object, fit: bool = False) -> str:
 
 
 def expect_record(given: object, verb: str) -> Record:
-    """The record given to a verb.  Raises ValueError that names the call which makes one."""
+    """Return `given` if it is a Record.  Raises ValueError that names the call which makes one.
+
+    verb: name of the calling function.
+    """
     if isinstance(given, Record):
         return given
     maker = maker_of(given) or "read_case makes one of a case file, read_frames one of pandas frames"
@@ -549,4 +587,5 @@ def expect_record(given: object, verb: str) -> Record:
 
 
 def _is_frame(given: object) -> bool:
+    """Whether an object looks like a pandas frame."""
     return hasattr(given, "columns") and hasattr(given, "index")

@@ -37,8 +37,10 @@ ENDINGS = {
 
 # -- frames and pictures -------------------------------------------------------------------------------------
 def with_units(frame: DataFrame, units: Mapping[str, str], stamps: Sequence[str] = ()) -> DataFrame:
-    """The frame with the units of its columns, and with the columns `stamps` (text in ISO 8601) as times in
-    UTC."""
+    """Return the frame with the units of its columns in `attrs["units"]`.
+
+    stamps: columns of ISO 8601 text, which become times in UTC.
+    """
     import pandas as pd
 
     for name in stamps:
@@ -48,7 +50,7 @@ def with_units(frame: DataFrame, units: Mapping[str, str], stamps: Sequence[str]
 
 
 def units_by_name(columns: Sequence[str]) -> dict[str, str]:
-    """The units of columns by the endings of their names; bounds have the unit of their value."""
+    """Return the units of columns by the endings of their names; bounds have the unit of their value."""
     units = {}
     for name in columns:
         bare = name.removesuffix("_lower").removesuffix("_upper")
@@ -59,7 +61,7 @@ def units_by_name(columns: Sequence[str]) -> dict[str, str]:
 
 
 def utc_index(time_s: np.ndarray) -> DatetimeIndex:
-    """Times [s] since 1970-01-01T00:00Z as an index in UTC, to the microsecond."""
+    """Return times [s] since 1970-01-01T00:00Z as a pandas index in UTC, to the microsecond."""
     import pandas as pd
 
     stamps = np.round(1e6 * np.asarray(time_s, dtype=float)).astype("int64").astype("datetime64[us]")
@@ -70,7 +72,10 @@ PLOTS = "hygrokf.report.plots"
 
 
 def drawn(result: object, axes: Axes | Sequence[Axes] | None) -> tuple[Axes, ...]:
-    """Draw a result on axes by `hygrokf.report.plots`; returns the axes."""
+    """Draw a result by `hygrokf.report.plots`; returns the axes.
+
+    axes: matplotlib's; None: new ones.
+    """
     axes_drawn: tuple[Axes, ...] = import_module(PLOTS).plotted(result, axes)
     return axes_drawn
 
@@ -86,12 +91,12 @@ class ResultFault(HygrokfError):
 
 
 def result_text(result: object) -> str:
-    """The JSON text of a result; numbers that JSON cannot hold (NaN, ±∞) become null."""
+    """Return the JSON text of a result; numbers that JSON cannot hold (NaN, ±∞) become null."""
     return json.dumps(plain(result), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
 
 
 def read_json(path: Path, command: str) -> Any:
-    """The data of a JSON file that `command` wrote.  Raises ResultFault."""
+    """Return the data of a JSON file that `command` wrote.  Raises ResultFault."""
     try:
         return json.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
@@ -104,7 +109,7 @@ def read_json(path: Path, command: str) -> Any:
 
 
 def read_result(kind: type[T], path: Path, command: str) -> T:
-    """The result of a class in a file that `command` wrote.  Raises ResultFault."""
+    """Return the result of class `kind` from a file that `command` wrote.  Raises ResultFault."""
     data = read_json(path, command)
     try:
         return structured(kind, data)
@@ -117,7 +122,8 @@ def read_result(kind: type[T], path: Path, command: str) -> T:
 
 
 def read_arrays(path: Path, command: str) -> dict[str, np.ndarray]:
-    """The arrays of an .npz file that `command` wrote.  Raises ResultFault with the reason and the remedy."""
+    """Return the arrays of an .npz file that `command` wrote.  Raises ResultFault with the reason and the
+    remedy."""
     remedy = f"run `{command}` with --out {path.parent} first"
     try:
         with open(path, "rb") as stream, np.load(stream, allow_pickle=False) as file:
@@ -130,7 +136,7 @@ def read_arrays(path: Path, command: str) -> dict[str, np.ndarray]:
 
 
 def instants(series: Mapping[str, np.ndarray]) -> np.ndarray:
-    """The instants (T,) [s] of series.npz; empty where they are missing, not finite, not increasing or out of
+    """Return the instants (T,) [s] of series.npz; empty if they are missing, not increasing or out of
     range."""
     time = np.atleast_1d(np.asarray(series.get("time_s", np.empty(0)), dtype=float))
     is_valid = time.ndim == 1 and bool(
@@ -140,8 +146,7 @@ def instants(series: Mapping[str, np.ndarray]) -> np.ndarray:
 
 
 def array(series: Mapping[str, np.ndarray], name: str) -> np.ndarray:
-    """A series (T,) as floats with NaN for infinities; NaN throughout where it is missing or has another
-    length."""
+    """Return a series (T,) of series.npz; NaN throughout if it is missing or has another length."""
     length = len(instants(series))
     value = np.atleast_1d(np.asarray(series.get(name, np.empty(0)), dtype=float))
     return (
@@ -150,6 +155,6 @@ def array(series: Mapping[str, np.ndarray], name: str) -> np.ndarray:
 
 
 def scalar(series: Mapping[str, np.ndarray], name: str) -> float:
-    """A single number of series.npz; NaN where it is missing."""
+    """Return a single number of series.npz; NaN if it is missing."""
     value = np.asarray(series.get(name, math.nan), dtype=float).ravel()
     return float(value[0]) if len(value) == 1 else math.nan

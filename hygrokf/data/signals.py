@@ -17,7 +17,7 @@ from hygrokf.texts.statement import Statement
 
 @dataclass(frozen=True)
 class Unit:
-    """A unit of a case file: SI value = factor * value + offset.
+    """A unit that case files may use: SI value = factor * value + offset.
 
     name: as written in a case file.
     dimension: what the unit measures; a signal takes every unit of its own dimension.
@@ -96,12 +96,12 @@ class Signal:
     meaning: what the value stands for, whatever its hold.
     default_accuracy: [SI unit] 95 % accuracy assumed where the case file states none; None: none.
     display: unit used in messages and tables.
-    idle: [SI unit] range in which unchanged readings are ordinary (calm, night, standstill,
-        saturated air), so that the frozen-sensor check leaves them alone; None: nowhere.
+    idle: [SI unit] range in which unchanged readings are ordinary (calm, night, standstill, saturated air),
+        so that the frozen-sensor check leaves them alone; None: nowhere.
     also: units of another dimension whose numbers are taken as they stand.
-    hold: how the quantity itself goes on between two instants in a live source, where the next one is still
-        to come: "linear", or "previous" for what jumps (power, speeds of machines, duties, flags), for rain
-        and cloud cover, and for a direction, whose straight line may pass through all other directions.
+    hold: how a live source continues after its latest instant: "linear", or "previous" for what jumps (power,
+        speeds of machines, duties, flags), for rain and cloud cover, and for a direction, whose straight line
+        may pass through all other directions.
     """
 
     name: str
@@ -117,7 +117,7 @@ class Signal:
 
     @property
     def hold_of_instants(self) -> str:
-        """How instants of a table or of a `Series` continue unless that is stated."""
+        """How instants of a table or of a `Series` continue unless a hold is stated."""
         return PREVIOUS if self.name in SWITCHED or self.dimension == "angle" else LINEAR
 
     @property
@@ -130,37 +130,42 @@ _ALWAYS = (-math.inf, math.inf)
 _WATER = "over liquid water, also below 0 °C"
 
 
-def _temperature(name: str, low: float, high: float, meaning: str, accuracy: float | None = None) -> Signal:
-    """Signal in kelvin from a range in degrees Celsius."""
-    low, high = low + ZERO_CELSIUS_K, high + ZERO_CELSIUS_K
-    return Signal(name, "K", low, high, meaning, accuracy, display="degC")
+def _temperature(
+    name: str, lowest: float, highest: float, meaning: str, accuracy: float | None = None
+) -> Signal:
+    """Return the row of a temperature, with its range in degrees Celsius."""
+    lowest, highest = lowest + ZERO_CELSIUS_K, highest + ZERO_CELSIUS_K
+    return Signal(name, "K", lowest, highest, meaning, accuracy, display="degC")
 
 
 def _relative_humidity(name: str, meaning: str, accuracy: float | None = None) -> Signal:
-    """Relative humidity: exactly 0 is a dead sensor, up to 105 % is a saturated one."""
+    """Return the row of a relative humidity; exactly 0 is a dead sensor, up to 1.05 a saturated one."""
     meaning = f"{meaning}, {_WATER}"
     return Signal(name, "1", 0.005, 1.05, meaning, accuracy, display="%", idle=(0.97, 1.05))
 
 
 def _vapour_density(name: str, meaning: str) -> Signal:
+    """Return the row of a vapour concentration."""
     return Signal(name, "kg/m3", 0.0, 0.3, meaning, display="g/m3")
 
 
 def _irradiance(name: str, meaning: str) -> Signal:
-    """Irradiance: pyranometers show a few W/m2 below zero at night."""
+    """Return the row of an irradiance; pyranometers show a few W/m2 below zero at night."""
     return Signal(name, "W/m2", -20.0, 1600.0, meaning, display="W/m2", idle=(-20.0, 5.0))
 
 
 def _duty(name: str, meaning: str) -> Signal:
+    """Return the row of a duty, a share or a flag between 0 and 1."""
     return Signal(name, "1", 0.0, 1.0, meaning, display="1", idle=_ALWAYS, hold=PREVIOUS)
 
 
 def _power(name: str, low: float, high: float, idle_high: float, meaning: str) -> Signal:
+    """Return the row of a power; unchanged readings are ordinary up to `idle_high`."""
     return Signal(name, "W", low, high, meaning, display="kW", idle=(-math.inf, idle_high), hold=PREVIOUS)
 
 
 def _speed(name: str, low: float, high: float, idle_high: float) -> Signal:
-    """Speed of a machine; its name is its meaning."""
+    """Return the row of the speed of a machine."""
     part = name.removesuffix("_speed")
     return Signal(name, "rad/s", low, high, part, display="rpm", idle=(low, idle_high), hold=PREVIOUS)
 
@@ -214,9 +219,9 @@ SIGNALS: dict[str, Signal] = {row.name: row for row in _ROWS}
 
 
 def signal_named(name: str | Signal) -> Signal:
-    """Row of the signal table.
+    """Return the row of a signal in the signal table.
 
-    name: a signal, or already its row. Raises KeyError, with near names, where the table has no such signal.
+    name: of the signal, or already its row.  Raises KeyError, with similar names, for an unknown one.
     """
     if isinstance(name, Signal):
         return name
@@ -226,33 +231,34 @@ def signal_named(name: str | Signal) -> Signal:
 
 
 def fitting_units(signal: str | Signal) -> tuple[str, ...]:
-    """Names of the units that a case file may give for a signal."""
-    row = signal_named(signal)
-    of_dimension = tuple(unit.name for unit in UNITS.values() if unit.dimension == row.dimension)
-    return of_dimension + row.also
+    """Return the names of the units that a case file may give for a signal."""
+    signal_row = signal_named(signal)
+    of_dimension = tuple(unit.name for unit in UNITS.values() if unit.dimension == signal_row.dimension)
+    return of_dimension + signal_row.also
 
 
 def unit_fault(unit: str, signal: str | Signal) -> str | None:
-    """The fault of a unit for a signal in one sentence, or None if the unit fits.
+    """Return the fault of a unit for a signal in one sentence; None if the unit fits.
 
-    unit: as written in the case file. signal: a signal of the table, or its name.
+    unit: as written in the case file.  signal: of the signal table, or its name.
     """
-    row = signal_named(signal)
-    choices = fitting_units(row)
-    if unit in choices:
+    signal_row = signal_named(signal)
+    units = fitting_units(signal_row)
+    if unit in units:
         return None
-    choice = ", ".join(choices)
+    listed_units = ", ".join(units)
     if unit not in UNITS:
         unit_known = unit_named(unit)
-        hint = f'; did you mean "{unit_known}"?' if unit_known in choices else suggestion(unit, choices)
-        return f'unknown unit "{unit}" for {row.name}; units that fit: {choice}{hint}'
+        hint = f'; did you mean "{unit_known}"?' if unit_known in units else suggestion(unit, units)
+        return f'unknown unit "{unit}" for {signal_row.name}; units that fit: {listed_units}{hint}'
     return (
-        f'unit "{unit}" is one of {UNITS[unit].dimension}, but {row.name} is '
-        f"a {row.dimension}; units that fit: {choice}"
+        f'unit "{unit}" is one of {UNITS[unit].dimension}, but {signal_row.name} is '
+        f"a {signal_row.dimension}; units that fit: {listed_units}"
     )
 
 
 def _fitting(unit: str, signal: str | Signal) -> Unit:
+    """Return a unit that fits a signal.  Raises ValueError for any other."""
     fault = unit_fault(unit, signal)
     if fault is not None:
         raise ValueError(fault)
@@ -260,106 +266,110 @@ def _fitting(unit: str, signal: str | Signal) -> Unit:
 
 
 def to_si(values: np.ndarray, unit: str, signal: str | Signal) -> np.ndarray:
-    """Values in the SI unit of the signal.
+    """Convert values to the SI unit of a signal: factor * value + offset.
 
     values: [unit] any shape; NaN stays NaN.
-    unit: one of `fitting_units(signal)`.
-    signal: a signal of the table, or its name.
-
-    SI = factor * values + offset (rain in mm is taken as a plain number).
+    unit: one of `fitting_units(signal)`; rain in mm is taken as a plain number.
+    signal: of the signal table, or its name.
     Raises ValueError, with the units that fit, for an unknown unit or one of another dimension.
     """
-    row = _fitting(unit, signal)
-    return row.factor * np.asarray(values, dtype=float) + row.offset
+    unit_row = _fitting(unit, signal)
+    return unit_row.factor * np.asarray(values, dtype=float) + unit_row.offset
 
 
 def unit_named(text: str) -> str | None:
-    """The name in `UNITS` of a unit as it is written in exports ("°C", "% RH", "W/m²"); None if unknown."""
+    """Return the name in `UNITS` of a unit as exports write it ("°C", "% RH", "W/m²"); None if unknown."""
     name = text.strip()
     return name if name in UNITS else _OTHER_SPELLINGS.get(re.sub(r"[\s_.]", "", name.lower()))
 
 
 def from_si(values: np.ndarray | float, unit: str, signal: str | Signal) -> np.ndarray:
-    """Values in a unit, from the SI unit of the signal: the inverse of `to_si`.
+    """Convert values from the SI unit of a signal to another unit: the inverse of `to_si`.
 
-    values: [SI unit] any shape. unit, signal: as for `to_si`, and the same errors.
+    values: [SI unit] any shape.  unit, signal: as for `to_si`, and the same errors.
     """
-    row = _fitting(unit, signal)
-    return (np.asarray(values, dtype=float) - row.offset) / row.factor
+    unit_row = _fitting(unit, signal)
+    return (np.asarray(values, dtype=float) - unit_row.offset) / unit_row.factor
 
 
 def difference_to_si(difference: float, unit: str, signal: str | Signal) -> float:
-    """Difference (accuracy, resolution) in the SI unit of the signal: scaled, not shifted.
+    """Convert a difference (accuracy, resolution) to the SI unit of a signal: scaled, not shifted.
 
-    difference: [unit]. unit, signal: as for `to_si`, and the same errors.
+    difference: [unit].  unit, signal: as for `to_si`, and the same errors.
     """
     return _fitting(unit, signal).factor * float(difference)
 
 
 def difference_from_si(difference: float, unit: str, signal: str | Signal) -> float:
-    """Difference in a unit, from the SI unit of the signal: the inverse of `difference_to_si`."""
+    """Convert a difference from the SI unit of a signal to another unit: the inverse of
+    `difference_to_si`."""
     return float(difference) / _fitting(unit, signal).factor
 
 
 def share_in_range(values: np.ndarray, unit: str, signal: str | Signal) -> float:
-    """Share of readings within the signal's physical range if their unit is `unit` [-].
+    """Return the share [1] of readings that lie in the signal's physical range if their unit is `unit`.
 
-    values: [unit] (N,) finite, N > 0. unit, signal: as for `to_si`, and the same errors.
+    values: [unit] (N,) finite, N > 0.  unit, signal: as for `to_si`, and the same errors.
     """
-    row = signal_named(signal)
-    converted = to_si(values, unit, row)
-    return float(np.mean((converted >= row.low) & (converted <= row.high)))
+    signal_row = signal_named(signal)
+    converted = to_si(values, unit, signal_row)
+    return float(np.mean((converted >= signal_row.low) & (converted <= signal_row.high)))
 
 
 def better_units(values: np.ndarray, unit: str, signal: str | Signal) -> list[str]:
-    """Other units in which more than half of the readings would lie in the signal's physical range.
+    """Return the other units in which more than half of the readings would lie in the signal's physical
+    range.
 
-    values: [unit] (N,) finite, N > 0. unit, signal: as for `to_si`, and the same errors.
+    values: [unit] (N,) finite, N > 0.  unit, signal: as for `to_si`, and the same errors.
     """
-    row = signal_named(signal)
-    others = [other for other in fitting_units(row) if other != unit]
-    return [other for other in others if share_in_range(values, other, row) > 0.5]
+    signal_row = signal_named(signal)
+    other_units = [other for other in fitting_units(signal_row) if other != unit]
+    return [other for other in other_units if share_in_range(values, other, signal_row) > 0.5]
 
 
 def unit_mistaken(values: np.ndarray, unit: str, signal: str | Signal) -> Statement | None:
-    """The reason why readings cannot be in the stated unit; None if they can.
+    """Return the reason why readings cannot be in the stated unit; None if they can.
 
-    values: [unit] (N,); NaN = missing. unit, signal: as for `to_si`, and the same errors.
+    values: [unit] (N,); NaN = missing.  unit, signal: as for `to_si`, and the same errors.
 
     Fractions labelled as per cent, and the reverse, are recognised by the largest readings; otherwise most
     readings must lie in the signal's physical range.
     """
-    row = signal_named(signal)
-    finite = values[np.isfinite(values)]
-    if not len(finite):
+    signal_row = signal_named(signal)
+    finite_values = values[np.isfinite(values)]
+    if not len(finite_values):
         return None
-    if row.dimension == "fraction" and not row.also:
-        plausible = finite[(finite >= 0.0) & (finite <= 110.0)]
-        high = float(np.quantile(plausible, 0.995)) if len(plausible) else math.nan
-        if unit == "%" and 0.0 < high <= LARGEST_FRACTION:
-            return DoubtCode.CALLED_PER_CENT(signal=row.name, high=high)
-        if unit == "1" and high > LARGEST_FRACTION:
-            return DoubtCode.CALLED_FRACTION(signal=row.name, high=high)
-    share = share_in_range(finite, unit, row)
-    median = float(np.median(finite))
-    if row.name == "ambient_temperature" and unit == "degC" and share > 0.5 and median > 45.0:
-        return DoubtCode.HOTTER_THAN_CLIMATES(signal=row.name, median=median)
-    if share >= 0.5:
+    if signal_row.dimension == "fraction" and not signal_row.also:
+        plausible = finite_values[(finite_values >= 0.0) & (finite_values <= 110.0)]
+        highest = float(np.quantile(plausible, 0.995)) if len(plausible) else math.nan
+        if unit == "%" and 0.0 < highest <= LARGEST_FRACTION:
+            return DoubtCode.CALLED_PER_CENT(signal=signal_row.name, high=highest)
+        if unit == "1" and highest > LARGEST_FRACTION:
+            return DoubtCode.CALLED_FRACTION(signal=signal_row.name, high=highest)
+    share_inside = share_in_range(finite_values, unit, signal_row)
+    median = float(np.median(finite_values))
+    if signal_row.name == "ambient_temperature" and unit == "degC" and share_inside > 0.5 and median > 45.0:
+        return DoubtCode.HOTTER_THAN_CLIMATES(signal=signal_row.name, median=median)
+    if share_inside >= 0.5:
         return None
-    better = better_units(finite, unit, row)
-    if share > 0.0 and not better:
+    better_fitting = better_units(finite_values, unit, signal_row)
+    if share_inside > 0.0 and not better_fitting:
         return None
     return DoubtCode.WRONG_UNIT(
-        signal=row.name, unit=unit, median=median, low=in_words(row.low, row), high=in_words(row.high, row),
-        hint=(RecordCode.WOULD_FIT(units=tuple(better)),) if better else (),
-    )  # fmt: skip
+        signal=signal_row.name,
+        unit=unit,
+        median=median,
+        low=in_words(signal_row.low, signal_row),
+        high=in_words(signal_row.high, signal_row),
+        hint=(RecordCode.WOULD_FIT(units=tuple(better_fitting)),) if better_fitting else (),
+    )
 
 
 def in_words(value: float, signal: str | Signal) -> str:
-    """A value with the unit that messages show, such as "-273.0 degC".
+    """Return a value with the unit that messages show, such as "-273.0 degC".
 
-    value: [SI unit]. signal: a signal of the table, or its name.
+    value: [SI unit].  signal: of the signal table, or its name.
     """
-    row = signal_named(signal)
-    shown = float(from_si(value, row.display, row))
-    return f"{shown:.4g}" if row.display == "1" else f"{shown:.4g} {row.display}"
+    signal_row = signal_named(signal)
+    shown = float(from_si(value, signal_row.display, signal_row))
+    return f"{shown:.4g}" if signal_row.display == "1" else f"{shown:.4g} {signal_row.display}"

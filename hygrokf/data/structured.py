@@ -37,22 +37,26 @@ class StructureFault(HygrokfError):
     """Data from which no result can be made; `faults` lists every fault with its place in the data."""
 
     def __init__(self, faults: list[str]) -> None:
+        """Make the message from all faults."""
         super().__init__("; ".join(faults))
         self.faults = tuple(faults)
 
 
 def optional(default: Any = None) -> Any:
-    """A field whose key is left out of a file where the field holds its default, which may be NaN."""
+    """Return a dataclass field whose key is left out of a file if it has its default value, which may be
+    NaN."""
     return dataclasses.field(default=default, metadata={OPTIONAL: True})
 
 
 def plain(value: object) -> Any:
-    """JSON data of a result; numbers that are not finite become null.  Keys are the names of the fields."""
+    """Return a result as JSON data; keys are the names of the fields, and numbers that are not finite become
+    null."""
     return _converter().unstructure(value)
 
 
 def structured(kind: type[T], data: object) -> T:
-    """A result of a class from the data of `plain`.  Raises StructureFault with every fault and its place."""
+    """Return a result of class `kind` from the data of `plain`.  Raises StructureFault with every fault and
+    its place."""
     from cattrs import BaseValidationError
 
     try:
@@ -64,7 +68,10 @@ def structured(kind: type[T], data: object) -> T:
 
 
 def _faults(fault: BaseException, place: str) -> list[str]:
-    """The faults of a tree of exceptions, each as "time_constants.thermal.value_h: expected …"."""
+    """Return the faults in a tree of exceptions, each as "time_constants.thermal.value_h: expected …".
+
+    place: of the exception in the data.
+    """
     from cattrs import AttributeValidationNote, BaseValidationError, IterableValidationNote
 
     if not isinstance(fault, BaseValidationError):
@@ -75,24 +82,24 @@ def _faults(fault: BaseException, place: str) -> list[str]:
         name = next((str(n.name) for n in notes if isinstance(n, AttributeValidationNote)), None)
         index = next((n.index for n in notes if isinstance(n, IterableValidationNote)), None)
         if isinstance(index, int):
-            inner = f"{place}[{index}]"
+            inner_place = f"{place}[{index}]"
         else:
-            step = name if index is None else str(index)
-            inner = ".".join(filter(None, (place, step)))
-        messages += _faults(inner_fault, inner)
+            name_of_step = name if index is None else str(index)
+            inner_place = ".".join(filter(None, (place, name_of_step)))
+        messages += _faults(inner_fault, inner_place)
     return messages
 
 
 def _message(fault: BaseException) -> str:
-    """The message of a fault; messages of cattrs are rewritten in the package's form."""
+    """Return the message of an exception in the package's form."""
     if isinstance(fault, KeyError):
         return "expected, and missing"
-    text = str(fault)
-    if match := re.fullmatch(r"(.*) not in literal typing\.Literal\[(.*)\]", text):
+    message = str(fault)
+    if match := re.fullmatch(r"(.*) not in literal typing\.Literal\[(.*)\]", message):
         return f"expected one of {match[2]}, found {match[1]!r}"
-    if match := re.match(r"(?:Not enough|Too many) values in (.*) to structure as tuple\[(.*)\]", text):
+    if match := re.match(r"(?:Not enough|Too many) values in (.*) to structure as tuple\[(.*)\]", message):
         return f"expected {len(match[2].split(', '))} values, found {match[1]}"
-    return text
+    return message
 
 
 # --- the converter ---------------------------------------------------------------------------
@@ -108,16 +115,23 @@ _PLAIN: Mapping[type, tuple[tuple[type, ...], str]] = {
 
 
 def _plain(value: Any, kind: Any) -> Any:
+    """Return a JSON value as a number, text or flag of the type `kind`.  Raises ValueError for another
+    type."""
     if kind is float and value is None:
         return math.nan
-    types, words = _PLAIN[kind]
+    accepted_types, expected = _PLAIN[kind]
     has_fraction = kind is int and isinstance(value, float) and not value.is_integer()
-    if not isinstance(value, types) or has_fraction or (isinstance(value, bool) and kind is not bool):
-        raise ValueError(f"expected {words}, found {shown(value, 60)}")
+    if (
+        not isinstance(value, accepted_types)
+        or has_fraction
+        or (isinstance(value, bool) and kind is not bool)
+    ):
+        raise ValueError(f"expected {expected}, found {shown(value, 60)}")
     return kind(value)
 
 
 def _array(value: object, _: object = None) -> np.ndarray:
+    """Return a list of numbers, or of lists of them, as an array; null becomes NaN.  Raises ValueError."""
     if not isinstance(value, (list, tuple, np.ndarray)):
         raise ValueError(f"expected a list of numbers, found {shown(value, 60)}")
     rows = [_array(v) if isinstance(v, (list, tuple)) else _plain(v, float) for v in value]
@@ -128,13 +142,13 @@ def _array(value: object, _: object = None) -> np.ndarray:
 
 
 def shown(value: object, most: int = 200) -> str:
-    """A value in a message, cut to a number of characters."""
+    """Return a value as text for a message, cut to `most` characters."""
     text = repr(value)
     return text if len(text) <= most else f"{text[: most - 3]}…"
 
 
 def _listed(value: np.ndarray) -> Any:
-    """An array as lists, null where a number is not finite."""
+    """Return an array as lists, with null where a number is not finite."""
     if value.dtype.kind != "f":
         return value.tolist()
     values = value.astype(object)
@@ -143,16 +157,19 @@ def _listed(value: np.ndarray) -> Any:
 
 
 def _finite(value: float) -> float | None:
+    """Return the number, or None if it is not finite."""
     return float(value) if math.isfinite(value) else None
 
 
 def _read(kind: type, converter: Converter) -> Callable[[Any, Any], Any]:
+    """Return the function that makes a dataclass from JSON data."""
     from cattrs.gen import make_dict_structure_fn
 
     structure: Callable[[Any, Any], Any] = make_dict_structure_fn(kind, converter)
     name = kind.__name__
 
     def read(data: Any, _: Any) -> Any:
+        """Return the object; data that is one already is returned as it is."""
         if isinstance(data, kind):
             return data
         if not isinstance(data, dict):
@@ -163,6 +180,8 @@ def _read(kind: type, converter: Converter) -> Callable[[Any, Any], Any]:
 
 
 def _write(kind: type, converter: Converter) -> Callable[[Any], Any]:
+    """Return the function that turns a dataclass into JSON data, without optional fields that have their
+    default."""
     from cattrs.gen import make_dict_unstructure_fn, override
 
     optional_fields = [f for f in dataclasses.fields(kind) if f.metadata.get(OPTIONAL)]
@@ -174,13 +193,17 @@ def _write(kind: type, converter: Converter) -> Callable[[Any], Any]:
         return unstructure
 
     def write(value: Any) -> Any:
+        """Return the JSON data without optional numbers that are NaN by default."""
         data = unstructure(value)
-        return {key: v for key, v in data.items() if v is not None or key not in default_nan}
+        return {
+            key: written for key, written in data.items() if written is not None or key not in default_nan
+        }
 
     return write
 
 
 def _cell(data: Any, kind: Any) -> Cell:
+    """Return the cell of a table from JSON data: a number, a text, a statement or a tuple of these."""
     if data is None or isinstance(data, bool | int | float | str | Statement):
         return data
     if isinstance(data, Mapping):
@@ -191,12 +214,13 @@ def _cell(data: Any, kind: Any) -> Cell:
 
 
 def _has_own_form(kind: Any) -> bool:
+    """Whether a class converts itself to and from JSON."""
     return hasattr(kind, "from_json") and hasattr(kind, "to_json")
 
 
 @cache
 def _converter() -> Converter:
-    """The converter of all results; it uses `to_json` and `from_json` of classes that have these methods."""
+    """Return the converter of all results; classes with `to_json` and `from_json` convert themselves."""
     from cattrs import Converter
 
     converter = Converter(detailed_validation=True, unstruct_collection_overrides={tuple: list})

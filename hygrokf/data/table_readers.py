@@ -45,14 +45,14 @@ def read_table(
     notation: Notation,
     quality: StatedQuality = NOTHING_STATED,
 ) -> FileColumns:
-    """Columns of numbers and their stamps from a file, stamps in UTC [s].
+    """Read columns of numbers and their stamps from a file; stamps in UTC [s].
 
     path: text (.csv, .csv.gz, .txt, .tsv) or .parquet (extra `parquet`).
     columns: names of the columns of numbers, and what their texts stand for.
-    time_column: name of the column of stamps. Lines above the one that holds this name are skipped.
-    notation: of stamps and numbers. quality: what is stated about the quality of the readings.
+    time_column: name of the column of stamps.  Lines above the one that holds this name are skipped.
+    notation: of stamps and numbers.  quality: what is stated about the quality of the readings.
 
-    Rows without a stamp are left out, with a warning. Raises TableFault with every fault found.
+    Rows without a stamp are left out, with a warning.  Raises TableFault with every fault found.
     """
     file = Path(path)
     if not file.name.lower().endswith(SUFFIXES) and not file.is_dir():
@@ -68,14 +68,17 @@ def table_in(
     notation: Notation,
     quality: StatedQuality = NOTHING_STATED,
 ) -> FileColumns:
-    """Columns of numbers and their stamps from the bytes of a file with this name; as `read_table`."""
+    """Read columns of numbers and their stamps from the bytes of a file called `name`; otherwise as
+    `read_table`."""
     faults: list[str] = []
-    wanted = list(columns)
+    names_of_numbers = list(columns)
     if name.lower().endswith(".parquet"):
-        frame, quality_of = _parquet_source(content, wanted, time_column, quality, faults)
+        frame, quality_of = _parquet_source(content, names_of_numbers, time_column, quality, faults)
         places = Places("row", lambda rows: [int(row) + 1 for row in rows])
     else:
-        frame, quality_of, lines = _csv_source(content, wanted, time_column, notation, quality, faults)
+        frame, quality_of, lines = _csv_source(
+            content, names_of_numbers, time_column, notation, quality, faults
+        )
         places = Places("line", lambda rows: [lines[int(row)] for row in rows])
     if len(frame) == 0 and not faults:
         raise TableFault("expected readings, found no row below the header")
@@ -88,14 +91,15 @@ def table_in(
 
 
 def file_bytes(file: Path) -> bytes:
-    """All bytes of a file.  Raises TableFault for a file that is absent, empty, unreadable or a directory."""
+    """Return all bytes of a file.  Raises TableFault for a file that is absent, empty, unreadable or a
+    directory."""
     if file.is_dir():
         raise TableFault("is a directory, not a file")
     try:
         content = file.read_bytes()
     except FileNotFoundError:
-        near = [entry.name for entry in file.parent.iterdir()] if file.parent.is_dir() else []
-        raise TableFault(f"no such file: {file}{suggestion(file.name, near)}") from None
+        other_names = [entry.name for entry in file.parent.iterdir()] if file.parent.is_dir() else []
+        raise TableFault(f"no such file: {file}{suggestion(file.name, other_names)}") from None
     except OSError as refused:
         raise TableFault(f"cannot be read: {refused.strerror or refused}") from None
     if not content:
@@ -104,7 +108,8 @@ def file_bytes(file: Path) -> bytes:
 
 
 def unpacked(content: bytes) -> bytes:
-    """The bytes of a file, decompressed if it is gzip.  Raises TableFault."""
+    """Return the bytes of a file, decompressed if it is gzip.  Raises TableFault if it is damaged or
+    empty."""
     if content[:2] == b"\x1f\x8b":
         try:
             content = gzip.decompress(content)
@@ -126,7 +131,8 @@ _OTHER_KINDS = (
 
 
 def text_of(content: bytes) -> tuple[bytes, str]:
-    """The bytes of a table of text and their encoding (see `decodable`).  Raises TableFault for others."""
+    """Return the bytes of a text table and their encoding (see `decodable`).  Raises TableFault for other
+    files."""
     content = unpacked(content)
     for mark, kind in _OTHER_KINDS:
         if content.lstrip()[: len(mark)] == mark:
@@ -137,34 +143,34 @@ def text_of(content: bytes) -> tuple[bytes, str]:
 
 
 def csv_rows(content: bytes, encoding: str, separator: str = ",") -> Iterator[tuple[int, list[str]]]:
-    """Number of the last line, and cells, of every row of a text.  Raises TableFault."""
+    """Yield every row of a text: the number of its last line, and its cells.  Raises TableFault."""
     text = io.TextIOWrapper(io.BytesIO(content), encoding, errors="replace", newline="")
     reader = csv.reader(text, delimiter=separator)
-    begin, cells = 1, list[str]()
+    first_line, cells = 1, list[str]()
     open_quote = "a quotation mark is opened and never closed"
     try:
         for cells in reader:
             yield reader.line_num, cells
-            begin, last = reader.line_num + 1, begin
-    except csv.Error as broken:
-        reason = open_quote if reader.line_num > begin else str(broken)
-        raise TableFault(f"line {begin}: {reason}") from None
+            first_line, previous_line = reader.line_num + 1, first_line
+    except csv.Error as error:
+        reason = open_quote if reader.line_num > first_line else str(error)
+        raise TableFault(f"line {first_line}: {reason}") from None
     if any("\n" in cell for cell in cells) and content.count(b'"') % 2:
-        raise TableFault(f"line {last}: {open_quote}")
+        raise TableFault(f"line {previous_line}: {open_quote}")
 
 
 def too_wide(rows: Iterable[tuple[int, list[str]]], width: int, separator: str, header: str) -> list[str]:
-    """The fault of rows with more cells than the header, whose values might belong to other columns.
+    """Return the fault of rows with more cells than the header, whose values might belong to other columns.
 
-    rows: number and cells. header: its place, such as "line 1".
+    rows: line number and cells.  width: number of cells of the header.  header: its place, such as "line 1".
     """
-    wide = [(number, cells) for number, cells in rows if any(cell.strip() for cell in cells[width:])]
-    if not wide:
+    wide_rows = [(number, cells) for number, cells in rows if any(cell.strip() for cell in cells[width:])]
+    if not wide_rows:
         return []
-    example, remedy = separator.join(wide[0][1]), ""
+    example, remedy = separator.join(wide_rows[0][1]), ""
     if separator == "," and re.search(r"\d,\d+(,|$)", example):
         remedy = "; numbers with a decimal comma need another separator or quotes: export again"
-    where = numbered("line", [number for number, _ in wide], len(wide))
+    where = numbered("line", [number for number, _ in wide_rows], len(wide_rows))
     expected = f"expected {width} cells as in the header ({header})"
     return [f'{where}: {expected}, found more: "{example[:80]}"{remedy}']
 
@@ -172,25 +178,27 @@ def too_wide(rows: Iterable[tuple[int, list[str]]], width: int, separator: str, 
 def _csv_header(
     content: bytes, encoding: str, separator: str, comment: str | None, time_column: str
 ) -> tuple[int, tuple[str, ...]] | None:
-    """Line and names of the header: the first line that names the time column, else the first one that is
-    neither blank nor a comment."""
-    first: tuple[int, tuple[str, ...]] | None = None
-    mark = comment or "#"
+    """Return line number and names of the header; None if there is no such line.
+
+    It is the first line that names the time column, else the first that is neither blank nor a comment.
+    """
+    first_candidate: tuple[int, tuple[str, ...]] | None = None
+    comment_mark = comment or "#"
     for number, cells in csv_rows(content, encoding, separator):
         if number > _HEADER_WITHIN:
             break
         names = [cell.strip() for cell in cells]
-        bare = [names[0].removeprefix(mark).strip(), *names[1:]] if names else []
-        for candidate in (names, bare):
+        without_mark = [names[0].removeprefix(comment_mark).strip(), *names[1:]] if names else []
+        for candidate in (names, without_mark):
             if time_column in candidate:
                 return number, tuple(candidate)
-        if first is None and any(names) and not names[0].startswith(mark):
-            first = number, tuple(names)
-    return first
+        if first_candidate is None and any(names) and not names[0].startswith(comment_mark):
+            first_candidate = number, tuple(names)
+    return first_candidate
 
 
 def _other_separator(content: bytes, encoding: str, notation: Notation, time_column: str) -> str | None:
-    """The fault of the stated separator, if the header has the time column with another separator."""
+    """Return the fault of a wrong separator: the header has the time column with another one."""
     for candidate in SEPARATORS:
         with suppress(TableFault):
             header = _csv_header(content, encoding, candidate, notation.comment, time_column)
@@ -198,11 +206,14 @@ def _other_separator(content: bytes, encoding: str, notation: Notation, time_col
                 continue
             line, names = header
             if len(names) > 1 and time_column in names:
-                shown = "\\t" if candidate == "\t" else candidate
-                comma = ' and, if numbers are written as 1,5, decimal = ","' if candidate != "," else ""
+                separator_text = "\\t" if candidate == "\t" else candidate
+                decimal_advice = (
+                    ' and, if numbers are written as 1,5, decimal = ","' if candidate != "," else ""
+                )
                 return (
-                    f'line {line}: the columns are separated by "{shown}", not by '
-                    f'"{notation.separator}": state separator = "{shown}"{comma} in this source'
+                    f'line {line}: the columns are separated by "{separator_text}", not by '
+                    f'"{notation.separator}": state separator = "{separator_text}"{decimal_advice} '
+                    "in this source"
                 )
     return None
 
@@ -215,7 +226,7 @@ def _csv_source(
     quality: StatedQuality,
     faults: list[str],
 ) -> tuple[pandas.DataFrame, dict[str, str], list[int]]:
-    """The wanted columns as texts, column -> column of its quality, and the line of each row.
+    """Return the wanted columns as texts, column -> column of its quality, and the line number of each row.
 
     Missing columns are added to `faults`.
     """
@@ -227,31 +238,35 @@ def _csv_source(
     if header is None:
         faults.append("expected a header line, found only blank lines or comments")
         return pd.DataFrame(), {}, []
-    line, names = header
+    header_line, names = header
     if time_column not in names:
         separator_fault = _other_separator(content, encoding, notation, time_column)
-        faults.append(separator_fault or column_fault(time_column, names, f"line {line} has"))
+        faults.append(separator_fault or column_fault(time_column, names, f"line {header_line} has"))
         if separator_fault is not None:
             return pd.DataFrame(), {}, []
     quality_of = quality.beside(names, wanted)
     quality_names = dict.fromkeys(quality_of.values())
-    used = [name for name in (time_column, *wanted, *quality_names) if name != time_column or name in names]
-    positions = places_of(used, names, f"line {line} has", faults)
-    lines, rows, wide, width = list[int](), list[list[str]](), list[tuple[int, list[str]]](), len(names)
+    used_names = [
+        name for name in (time_column, *wanted, *quality_names) if name != time_column or name in names
+    ]
+    positions = places_of(used_names, names, f"line {header_line} has", faults)
+    lines, rows, wide_rows, width = list[int](), list[list[str]](), list[tuple[int, list[str]]](), len(names)
     for number, cells in csv_rows(content, encoding, separator):
-        blank = len(cells) <= 1 and not any(cell.strip() for cell in cells)
-        if number <= line or blank or (comment and cells[0].lstrip().startswith(comment)):
+        is_blank = len(cells) <= 1 and not any(cell.strip() for cell in cells)
+        if number <= header_line or is_blank or (comment and cells[0].lstrip().startswith(comment)):
             continue
         if any(cells[width:]):
-            wide.append((number, cells))
+            wide_rows.append((number, cells))
         cells += [""] * (width - len(cells))
         lines.append(number)
         rows.append([cells[place].strip() for place in positions.values()])
-    faults += too_wide(wide, width, separator, f"line {line}")
+    faults += too_wide(wide_rows, width, separator, f"line {header_line}")
     # a text for a missing reading may be a mark in a column of quality
-    absent = {name: {""} if name in quality_names else {*MISSING, *notation.missing} for name in positions}
+    missing_texts = {
+        name: {""} if name in quality_names else {*MISSING, *notation.missing} for name in positions
+    }
     columns = {
-        name: [None if row[place] in absent[name] else row[place] for row in rows]
+        name: [None if row[place] in missing_texts[name] else row[place] for row in rows]
         for place, name in enumerate(positions)
     }
     frame = pd.DataFrame(columns, dtype=object)
@@ -260,7 +275,8 @@ def _csv_source(
 
 
 def decodable(content: bytes) -> tuple[bytes, str]:
-    """The bytes in an encoding that pandas reads, without byte-order mark, and the name of the encoding."""
+    """Return the bytes in an encoding that pandas reads, without byte-order mark, and the name of the
+    encoding."""
     if content[:2] in (b"\xff\xfe", b"\xfe\xff"):
         try:
             return content.decode("utf-16").encode(), "utf-8"
@@ -280,7 +296,8 @@ def decodable(content: bytes) -> tuple[bytes, str]:
 
 
 def parquet_frame(content: bytes, select: Callable[[list[str]], list[str]] | None = None) -> pandas.DataFrame:
-    """A frame of columns of a Parquet file, with the names of all its columns.  Raises TableFault.
+    """Return columns of a Parquet file as a frame, with the names of all its columns in `attrs`.  Raises
+    TableFault.
 
     select: chooses the columns to read from the names of all columns; None: all.
     """
@@ -306,10 +323,12 @@ def parquet_frame(content: bytes, select: Callable[[list[str]], list[str]] | Non
 def _parquet_source(
     content: bytes, wanted: list[str], time_column: str, quality: StatedQuality, faults: list[str]
 ) -> tuple[pandas.DataFrame, dict[str, str]]:
-    """The wanted columns, and column -> column of its quality; missing columns are added to `faults`."""
+    """Return the wanted columns, and column -> column of its quality; missing columns are added to
+    `faults`."""
     quality_of: dict[str, str] = {}
 
     def select(names: list[str]) -> list[str]:
+        """Return the columns to read: stamps, numbers and their quality."""
         quality_of.update(quality.beside(names, wanted))
         return [*places_of([time_column, *wanted, *quality_of.values()], names, "the file has", faults)]
 

@@ -57,45 +57,48 @@ _CAUSES = (
 
 
 def duration(text: str) -> float:
-    """Seconds of a duration such as "500ms", "30s", "10min", "1h", "2d" [s].
+    """Return the seconds of a duration such as "500ms", "30s", "10min", "1h", "2d".
 
-    text: a number and one of ms, s, min, h, d. Raises ValueError for anything else.
+    text: a number and one of ms, s, min, h, d.  Raises ValueError for anything else.
     """
-    match = _DURATION.match(text) if isinstance(text, str) else None
-    if match is None:
+    number_and_unit = _DURATION.match(text) if isinstance(text, str) else None
+    if number_and_unit is None:
         raise ValueError(f'expected a duration such as "30s", "10min" or "1h", found {text!r}')
-    return float(match[1]) * _SECONDS[match[2]]
+    return float(number_and_unit[1]) * _SECONDS[number_and_unit[2]]
 
 
 def whole_microseconds(seconds: float) -> float:
-    """A time rounded to microseconds [s since 1970]: a database's timestamp gives back every bit of it."""
+    """Return a time [s since 1970] rounded to microseconds, so that a database's timestamp returns it
+    exactly."""
     return round(seconds * 1e6) / 1e6
 
 
 def signed_duration(text: str) -> float:
-    """Seconds of a duration with an optional sign, such as "-49min" or "+1h" [s]; raises ValueError as
-    `duration` does."""
+    """Return the seconds of a duration with an optional sign, such as "-49min" or "+1h".
+
+    Raises ValueError as `duration` does.
+    """
     if isinstance(text, str) and text[:1] in ("-", "+"):
         return (-1.0 if text[0] == "-" else 1.0) * duration(text[1:])
     return duration(text)
 
 
 def zone_named(text: str) -> tzinfo:
-    """Time zone of a case file: a fixed offset ("+02:00"), "UTC", or an IANA name.
+    """Return the time zone that a case file names: a fixed offset ("+02:00"), "UTC", or an IANA name.
 
-    text: as written in the case file. Raises ValueError with the reason and the accepted forms.
+    Raises ValueError with the reason and the accepted forms.
     """
     if not isinstance(text, str) or not text.strip():
         raise ValueError(f'timezone must be text such as "+01:00" or "Europe/Berlin", not {text!r}')
     name = text.strip()
     if name.upper() in ("UTC", "Z", "GMT"):
         return UTC
-    fixed = _FIXED_OFFSET.match(name)
-    if fixed is not None:
-        size = timedelta(hours=int(fixed[2]), minutes=int(fixed[3]))
-        if size > timedelta(hours=14):
+    fixed_offset = _FIXED_OFFSET.match(name)
+    if fixed_offset is not None:
+        offset = timedelta(hours=int(fixed_offset[2]), minutes=int(fixed_offset[3]))
+        if offset > timedelta(hours=14):
             raise ValueError(f'timezone "{name}" is beyond 14 hours')
-        return timezone(size if fixed[1] == "+" else -size)
+        return timezone(offset if fixed_offset[1] == "+" else -offset)
     try:
         return ZoneInfo(name)
     except (ZoneInfoNotFoundError, ValueError, OSError):
@@ -106,7 +109,8 @@ def zone_named(text: str) -> tzinfo:
 
 
 def zone_in_header(text: str) -> str | None:
-    """The zone named in the header of a column of stamps, "+02:00" for "Time (CEST)"; None without one."""
+    """Return the zone named in the header of a column of stamps: "+02:00" for "Time (CEST)"; None without
+    one."""
     match = _HEADER_ZONE.search(text.replace("_", " "))
     if match is None:
         return None
@@ -115,7 +119,8 @@ def zone_in_header(text: str) -> str | None:
 
 
 def time_format_fault(form: str) -> str | None:
-    """The fault of a strptime format that reads the wrong hour, with the remedy; None for other formats."""
+    """Return the fault of a strptime format that would read the wrong hour, with the remedy; None for
+    others."""
     if "%H" in form and "%p" in form:
         return f'time_format = "{form}": %p (AM, PM) is ignored beside %H: write %I for %H'
     if "%I" in form and "%p" not in form:
@@ -124,39 +129,43 @@ def time_format_fault(form: str) -> str | None:
 
 
 def midnight_of(text: str, form: str | None = None) -> str | None:
-    """A stamp at 24:00 rewritten as 00:00 of the same day, a day too early; None for any other stamp.
+    """Return a stamp at 24:00 rewritten as 00:00 of the same day, one day too early; None for any other
+    stamp.
 
-    form: its strptime format, None or "" for ISO 8601.
+    form: its strptime format; None or "" for ISO 8601.
     """
     pattern = r"(.*\d[T ]+)24((?::?00(?::?00(?:\.0+)?)?)?(?:$|[Z+\- ].*))"
     if form:
-        parts = [part for part in re.split(r"(%.)", form) if part]
+        format_parts = [format_part for format_part in re.split(r"(%.)", form) if format_part]
         digits_of = {"%Y": r"\d{4}", "%H": ")24(", "%M": "00?", "%S": "00?", "%f": "0+"}
-        pattern = "".join(digits_of.get(part, ".+?" if part[0] == "%" else re.escape(part)) for part in parts)
+        pattern = "".join(
+            digits_of.get(format_part, ".+?" if format_part[0] == "%" else re.escape(format_part))
+            for format_part in format_parts
+        )
         pattern = f"({pattern})" if "%H" in form else r"(?!)"
     match = re.fullmatch(pattern, text.strip())
     return None if match is None else f"{match[1]}00{match[2]}"
 
 
 def moment(value: Any) -> float:
-    """Time of a stamp in the case file [s since 1970-01-01T00:00Z].
+    """Return the time [s since 1970-01-01T00:00Z] of a stamp in a case file.
 
     value: ISO 8601 text with an offset, or the datetime that TOML makes of such a stamp.
     Raises ValueError for other text and for a stamp without offset.
     """
     example = '"2020-12-01T00:00:00Z"'
-    stamp = value
+    parsed = value
     if isinstance(value, str):
         try:
-            stamp = datetime.fromisoformat(value.strip())
+            parsed = datetime.fromisoformat(value.strip())
         except ValueError:
-            stamp = None
-    if not isinstance(stamp, datetime):
+            parsed = None
+    if not isinstance(parsed, datetime):
         # always a ValueError: the fault is in the text of a case file, not in the type that a caller passed
         raise ValueError(f'expected an ISO 8601 stamp such as {example}, found "{value}"')
-    if stamp.tzinfo is None:
+    if parsed.tzinfo is None:
         raise ValueError(f'stamp "{value!s}" has no offset: add Z for UTC, or such as +01:00')
-    return stamp.timestamp()
+    return parsed.timestamp()
 
 
 @dataclass(frozen=True)
@@ -185,7 +194,7 @@ def read_stamps(
     ignore_offset: bool = False,
     repeated: np.ndarray | None = None,
 ) -> Stamps:
-    """Seconds of UTC from a column of stamps [s].
+    """Convert a column of stamps to seconds of UTC.
 
     column: (N,) text or datetimes, in the order of the file.
     zone: of stamps without an offset; None: every stamp must have one.
@@ -194,9 +203,10 @@ def read_stamps(
     repeated: (N,) True for a row with the readings of the row before; None: for none.
 
     At the end of summer time an hour occurs twice.  If the file has both passes, the order of the stamps
-    distinguishes them: the second pass begins where the stamps step back, and a 03:00 before that ends the
-    first pass.  Ambiguous stamps of this hour, and stamps of the hour that does not exist in spring, are left
-    out (NaN) with a warning.
+    distinguishes
+    them: the second pass begins where the stamps step back, and a 03:00 before that ends the first pass.
+        Ambiguous stamps of this hour, and stamps of the hour that does not exist in spring, are left out
+        (NaN) with a warning.
     """
     import pandas as pd
 
@@ -215,49 +225,53 @@ def read_stamps(
                 na_action="ignore",
             )
         parsed, naive = _parse(text, time_format)
-    empty = parsed.isna().to_numpy()
-    unreadable = empty & ~missing
-    naive = naive & ~empty
-    aware = not naive.any() and not empty.all()
+    is_empty = parsed.isna().to_numpy()
+    unreadable = is_empty & ~missing
+    naive = naive & ~is_empty
+    aware = not naive.any() and not is_empty.all()
     if parsed.dt.tz is not None:
         seconds = _seconds(parsed.dt.tz_convert("UTC").dt.tz_localize(None))
     else:
         seconds = _seconds(parsed)
-    all_false = np.zeros(len(column), dtype=bool)
+    none = np.zeros(len(column), dtype=bool)
     if not naive.any():
-        return Stamps(seconds, unreadable, all_false, aware=aware)
+        return Stamps(seconds, unreadable, none, aware=aware)
     if zone is None:
         return Stamps(seconds, unreadable, naive)
     local = np.where(naive, seconds, np.nan)
-    utc, warnings = _from_local(local, zone, all_false if repeated is None else repeated)
-    return Stamps(np.where(naive, utc, seconds), unreadable, all_false, warnings)
+    utc, warnings = _from_local(local, zone, none if repeated is None else repeated)
+    return Stamps(np.where(naive, utc, seconds), unreadable, none, warnings)
 
 
 def fitting_formats(texts: pandas.Series) -> Iterator[str | None]:
-    """Formats that read all of these stamps (N,) as times of 1850 to 2200, ISO 8601 (None) first."""
-    for form in (None, *FORMATS):
-        read = read_stamps(texts, UTC, time_format=form)
-        seconds = read.time[np.isfinite(read.time)]
-        if not read.unreadable.any() and not np.any((seconds < EARLIEST_S) | (seconds > LATEST_S)):
-            yield form
+    """Yield the formats that read all of these stamps (N,) as times of 1850 to 2200, ISO 8601 (None)
+    first."""
+    for candidate in (None, *FORMATS):
+        stamps = read_stamps(texts, UTC, time_format=candidate)
+        seconds = stamps.time[np.isfinite(stamps.time)]
+        if not stamps.unreadable.any() and not np.any((seconds < EARLIEST_S) | (seconds > LATEST_S)):
+            yield candidate
 
 
 def _parse(text: pandas.Series, form: str | None) -> tuple[pandas.Series, np.ndarray]:
-    """Datetimes (NaT where unreadable), and True for those without an offset."""
+    """Return datetimes (NaT where unreadable), and True for those without an offset.
+
+    form: strptime format; None: ISO 8601.  Stamps at 24:00 and a trailing "UTC" are accepted too.
+    """
     import pandas as pd
 
     parsed, naive = _parse_as(text, form)
     failed = (parsed.isna() & text.notna()).to_numpy()
     if failed.any():
         # 24:00 and a trailing "UTC" are common in exports and unambiguous
-        unread = text[failed].astype(str).str.strip()
-        rewritten = unread.map(lambda stamp: midnight_of(stamp, form) or stamp)
-        midnight = rewritten != unread
+        unread_texts = text[failed].astype(str).str.strip()
+        rewritten = unread_texts.map(lambda stamp: midnight_of(stamp, form) or stamp)
+        is_midnight = rewritten != unread_texts
         if form is None:
             rewritten = rewritten.str.replace(r"\s*(?:UTC|GMT)$", "Z", regex=True)
         repaired, repaired_naive = _parse_as(rewritten, form)
         if repaired.notna().any():
-            repaired = repaired + pd.to_timedelta(midnight.to_numpy().astype(int), unit="D")
+            repaired = repaired + pd.to_timedelta(is_midnight.to_numpy().astype(int), unit="D")
             if (parsed.dt.tz is None) != (repaired.dt.tz is None) or parsed.dt.tz is not None:
                 parsed, repaired = (pd.to_datetime(datetimes, utc=True) for datetimes in (parsed, repaired))
             parsed = parsed.astype(repaired.dtype)
@@ -267,6 +281,7 @@ def _parse(text: pandas.Series, form: str | None) -> tuple[pandas.Series, np.nda
 
 
 def _parse_as(text: pandas.Series, form: str | None) -> tuple[pandas.Series, np.ndarray]:
+    """Return datetimes by one format (NaT where it does not fit), and True for those without an offset."""
     import pandas as pd
 
     if form is None:
@@ -280,6 +295,7 @@ def _parse_as(text: pandas.Series, form: str | None) -> tuple[pandas.Series, np.
 
 
 def _parse_iso(text: pandas.Series) -> tuple[pandas.Series, np.ndarray]:
+    """Return datetimes of ISO 8601 stamps (NaT for others), and True for those without an offset."""
     import pandas as pd
 
     numbers = text.astype(str).str.fullmatch(r"\s*\d{1,4}\s*|\s*\d{9,}\s*|\s*\d+\.\d*\s*")
@@ -299,11 +315,12 @@ def _parse_iso(text: pandas.Series) -> tuple[pandas.Series, np.ndarray]:
 
 
 def _has_offset(text: str) -> bool:
+    """Whether a stamp ends in an offset from UTC."""
     return _DATE_ALONE.match(text.strip()) is None and _ENDS_IN_OFFSET.search(text) is not None
 
 
 def _seconds(naive: pandas.Series) -> np.ndarray:
-    """Seconds since 1970-01-01T00:00 of datetimes without zone [s]; NaN for NaT."""
+    """Return the seconds since 1970-01-01T00:00 of datetimes without zone; NaN for NaT."""
     microseconds = naive.to_numpy(dtype="datetime64[us]")
     seconds = microseconds.astype(np.int64) / 1e6
     seconds[np.isnat(microseconds)] = np.nan
@@ -311,7 +328,10 @@ def _seconds(naive: pandas.Series) -> np.ndarray:
 
 
 def _from_local(local: np.ndarray, zone: tzinfo, repeated: np.ndarray) -> tuple[np.ndarray, tuple[str, ...]]:
-    """UTC seconds of local wall-clock seconds, and warnings [s]."""
+    """Convert local wall-clock seconds (N,) to seconds of UTC (N,); also returns warnings.
+
+    repeated: (N,) True for a row with the readings of the row before.
+    """
     if not isinstance(zone, ZoneInfo):
         offset = zone.utcoffset(None)
         assert offset is not None  # such a zone has one fixed offset
@@ -319,41 +339,41 @@ def _from_local(local: np.ndarray, zone: tzinfo, repeated: np.ndarray) -> tuple[
     # within a doubled hour, summer time is the earlier moment
     first_s, second_s = (_localised(local, zone, summer) for summer in (True, False))
     # 03:00 may also be the end of an interval in the first pass: the instant just before 03:00 locates it
-    as_end = np.round(_localised(local - 1e-6, zone, True) + 1e-6, 6)
-    ends = (first_s == second_s) & np.isfinite(as_end) & (as_end < first_s)
+    as_end_s = np.round(_localised(local - 1e-6, zone, True) + 1e-6, 6)
+    is_end_of_first_pass = (first_s == second_s) & np.isfinite(as_end_s) & (as_end_s < first_s)
     warnings = []
-    in_hole = np.isnan(first_s) & np.isfinite(local)
-    if in_hole.any():
-        moments = local[in_hole]
+    in_skipped_hour = np.isnan(first_s) & np.isfinite(local)
+    if in_skipped_hour.any():
+        moments = local[in_skipped_hour]
         days = sorted({stamp_text(moment)[:10] for moment in moments})
         warnings.append(
-            f"summer-time hole: {in_hole.sum()} stamps left out, because their hour does not exist "
+            f"summer-time hole: {in_skipped_hour.sum()} stamps left out, because their hour does not exist "
             f"in {zone} ({', '.join(days[:4])}{' …' if len(days) > 4 else ''}); if the clock does "
             f'not follow summer time, state its fixed offset, such as timezone = "+01:00"'
         )
-    earlier = np.where(ends, as_end, first_s)
+    first_pass_s = np.where(is_end_of_first_pass, as_end_s, first_s)
     utc = second_s.copy()
-    resolved, left_out = [], []
-    doubtful = np.flatnonzero(np.isfinite(first_s) & (earlier != second_s))
-    dates = np.flatnonzero(np.abs(np.diff(local[doubtful])) > DAY_S) + 1
-    for group in np.split(doubtful, dates) if len(doubtful) else []:
-        second, ambiguous = _passes(local, group, repeated), group[~ends[group]]
-        if second is not None:
-            utc[group[~second]] = earlier[group[~second]]
-            resolved.append(ambiguous)
+    resolved_groups, left_out_groups = [], []
+    doubled = np.flatnonzero(np.isfinite(first_s) & (first_pass_s != second_s))
+    first_of_dates = np.flatnonzero(np.abs(np.diff(local[doubled])) > DAY_S) + 1
+    for group in np.split(doubled, first_of_dates) if len(doubled) else []:
+        in_second_pass, ambiguous = _passes(local, group, repeated), group[~is_end_of_first_pass[group]]
+        if in_second_pass is not None:
+            utc[group[~in_second_pass]] = first_pass_s[group[~in_second_pass]]
+            resolved_groups.append(ambiguous)
         elif len(ambiguous):
             utc[ambiguous] = np.nan
-            left_out.append(ambiguous)
-    if resolved:
-        days = sorted({stamp_text(local[group[0]])[:10] for group in resolved})
+            left_out_groups.append(ambiguous)
+    if resolved_groups:
+        days = sorted({stamp_text(local[group[0]])[:10] for group in resolved_groups})
         warnings.append(
-            f"summer-time hole: {sum(map(len, resolved))} stamps of the repeated hour resolved by their "
-            f"order ({', '.join(days)})"
+            f"summer-time hole: {sum(map(len, resolved_groups))} stamps of the repeated hour resolved by "
+            f"their order ({', '.join(days)})"
         )
-    if left_out:
-        days = sorted({stamp_text(local[group[0]])[:10] for group in left_out})
+    if left_out_groups:
+        days = sorted({stamp_text(local[group[0]])[:10] for group in left_out_groups})
         warnings.append(
-            f"summer-time hole: {sum(map(len, left_out))} stamps left out, because their hour occurs "
+            f"summer-time hole: {sum(map(len, left_out_groups))} stamps left out, because their hour occurs "
             f"twice in {zone} and the order of the file does not resolve it "
             f"({', '.join(days)}); stamps with an offset would resolve it"
         )
@@ -361,7 +381,7 @@ def _from_local(local: np.ndarray, zone: tzinfo, repeated: np.ndarray) -> tuple[
 
 
 def _localised(local: np.ndarray, zone: ZoneInfo, summer: bool) -> np.ndarray:
-    """UTC seconds of local seconds [s]; NaN for an hour that does not exist.
+    """Return the seconds of UTC of local seconds; NaN for an hour that does not exist.
 
     summer: whether stamps of the doubled hour are read in summer time.
     """
@@ -373,33 +393,36 @@ def _localised(local: np.ndarray, zone: ZoneInfo, summer: bool) -> np.ndarray:
 
 
 def _passes(local: np.ndarray, group: np.ndarray, repeated: np.ndarray) -> np.ndarray | None:
-    """True for the stamps in the second pass of a doubled hour; None if the order does not determine them.
+    """Return which stamps lie in the second pass of a doubled hour; None if their order does not tell.
 
-    An equal stamp is a repetition, unless the stamps are hourly (one for each pass) and its readings are new.
+    group: rows of the stamps in that hour.  An equal stamp is a repetition, unless the stamps are hourly (one
+        for each pass) and its readings are new.
     """
     steps = np.diff(local[np.isfinite(local)])
     newest_first = len(steps) > 0 and np.median(steps) < 0.0
-    rows = group[::-1] if newest_first else group
-    steps = np.diff(local[rows])
-    is_repetition = repeated[np.maximum(rows[1:], rows[:-1])] | bool(np.any((steps > 0.0) & (steps < HOUR_S)))
-    back = np.flatnonzero((steps < 0.0) | ((steps == 0.0) & ~is_repetition))
-    if len(back) != 1:
+    rows_in_time = group[::-1] if newest_first else group
+    steps = np.diff(local[rows_in_time])
+    is_repetition = repeated[np.maximum(rows_in_time[1:], rows_in_time[:-1])] | bool(
+        np.any((steps > 0.0) & (steps < HOUR_S))
+    )
+    backward_steps = np.flatnonzero((steps < 0.0) | ((steps == 0.0) & ~is_repetition))
+    if len(backward_steps) != 1:
         return None
-    second = np.arange(len(group)) > back[0]
-    return second[::-1] if newest_first else second
+    in_second_pass = np.arange(len(group)) > backward_steps[0]
+    return in_second_pass[::-1] if newest_first else in_second_pass
 
 
 def modal_step(time: np.ndarray) -> tuple[float, float]:
-    """Most frequent step of increasing stamps [s] and the share of steps equal to it [-].
+    """Return the most frequent step of increasing stamps [s], and the share of steps equal to it [1].
 
-    time: [s] (T,). The share counts steps within 1 % of the modal one; (NaN, 0) below two stamps.
+    time: [s] (T,).  The share counts steps within 1 % of it; (NaN, 0) for fewer than two stamps.
     """
     steps = np.diff(time)
     steps = np.round(steps[steps > 0.0], 3)
     if not len(steps):
         return math.nan, 0.0
-    sizes, counts = np.unique(steps, return_counts=True)
-    step = float(sizes[np.argmax(counts)])
+    distinct_steps, counts = np.unique(steps, return_counts=True)
+    step = float(distinct_steps[np.argmax(counts)])
     if counts.max() < 0.1 * len(steps):
         # a jittering clock has no repeated step; the median is its nominal one
         step = float(np.median(steps))
@@ -411,9 +434,10 @@ BY_CHANCE = 0.1
 
 
 def summer_time_holes(time: np.ndarray) -> tuple[str, ...]:
-    """Warnings about an hour that is missing or doubled on a date of summer-time change.
+    """Return warnings about an hour that is missing or doubled on a date of summer-time change.
 
     time: [s] (T,) stamps in UTC, sorted, duplicates included.
+
     The dates are those of Europe and of North America.  Where a record loses single hours just as often on
     other days, an hour lost on such a date gives no warning.
     """
@@ -424,16 +448,18 @@ def summer_time_holes(time: np.ndarray) -> tuple[str, ...]:
     gaps = np.flatnonzero(np.abs(steps - (HOUR_S + step)) < 0.01 * step)
     gap_dates = [change_date(time[index] + step) for index in gaps]
     gaps_elsewhere = sum(not season for _, season in gap_dates)
-    dates = np.arange(time[0], time[-1], DAY_S)
-    if gaps_elsewhere * sum(bool(change_date(moment)[1]) for moment in dates) > BY_CHANCE * len(dates):
+    days_of_record = np.arange(time[0], time[-1], DAY_S)
+    if gaps_elsewhere * sum(bool(change_date(moment)[1]) for moment in days_of_record) > BY_CHANCE * len(
+        days_of_record
+    ):
         gap_dates = []
     gap_days = {name: [day for day, season in gap_dates if season == name] for name in ("spring", "autumn")}
     double_days: dict[str, list[date]] = {"spring": [], "autumn": []}
-    doubles = time[1:][steps == 0.0]
-    for number in np.unique(np.floor(doubles / DAY_S)):
-        of_day = doubles[np.floor(doubles / DAY_S) == number]
-        day, season = change_date(of_day[0])
-        if season and abs(len(of_day) - HOUR_S / step) < 1.5 and np.ptp(of_day) < HOUR_S:
+    doubled_stamps = time[1:][steps == 0.0]
+    for day_number in np.unique(np.floor(doubled_stamps / DAY_S)):
+        doubled_on_day = doubled_stamps[np.floor(doubled_stamps / DAY_S) == day_number]
+        day, season = change_date(doubled_on_day[0])
+        if season and abs(len(doubled_on_day) - HOUR_S / step) < 1.5 and np.ptp(doubled_on_day) < HOUR_S:
             double_days[season].append(day)
     warnings = []
     shifted_days = sorted(set(gap_days["spring"]) & set(double_days["spring"]))
@@ -444,23 +470,24 @@ def summer_time_holes(time: np.ndarray) -> tuple[str, ...]:
         )
     for days in (gap_days["spring"], double_days["spring"]):
         days[:] = [day for day in days if day not in shifted_days]
-    for gap, double, reason in _CAUSES:
+    for missing_season, doubled_season, cause in _CAUSES:
         facts = []
-        if gap_days[gap]:
-            facts.append(f"one hour is missing on {_days(gap_days[gap])}")
-        if double_days[double]:
-            facts.append(f"one hour occurs twice on {_days(double_days[double])}")
+        if gap_days[missing_season]:
+            facts.append(f"one hour is missing on {_days(gap_days[missing_season])}")
+        if double_days[doubled_season]:
+            facts.append(f"one hour occurs twice on {_days(double_days[doubled_season])}")
         if facts:
-            warnings.append(f"summer-time hole: {' and '.join(facts)}; perhaps {reason}")
+            warnings.append(f"summer-time hole: {' and '.join(facts)}; perhaps {cause}")
     return tuple(warnings)
 
 
 def _days(days: list[date]) -> str:
+    """Return dates as text, separated by commas."""
     return ", ".join(day.isoformat() for day in days)
 
 
 def change_date(seconds: float) -> tuple[date, str]:
-    """Date of a moment and "spring" or "autumn" if clocks change on it, else ""."""
+    """Return the date of a time [s], and "spring" or "autumn" if clocks change on it, else ""."""
     day = (datetime(1970, 1, 1, tzinfo=UTC) + timedelta(seconds=float(seconds))).date()
     if day.weekday() != 6:
         return day, ""
@@ -472,22 +499,22 @@ def change_date(seconds: float) -> tuple[date, str]:
 
 
 def summer_time(time: np.ndarray, america: bool = False) -> np.ndarray:
-    """Whether summer time is in force (T,) at instants [s] of UTC.
+    """Return (T,) whether summer time is in force at instants [s] of UTC.
 
     Europe: from 01:00 UTC of March's last Sunday to that of October's.  North America: from 08:00 UTC of
-    March's second Sunday to 07:00 UTC of November's first, the hours of its central zone.
+        March's second Sunday to 07:00 UTC of November's first, the hours of its central zone.
     """
     years = np.asarray(time).astype("datetime64[s]").astype("datetime64[Y]").astype(int) + 1970
     summer = np.zeros(len(time), dtype=bool)
     for year in np.unique(years):
-        begin, end = _turns(int(year), america)
-        summer |= (time >= begin) & (time < end)
+        start_s, end_s = _turns(int(year), america)
+        summer |= (time >= start_s) & (time < end_s)
     return summer
 
 
 @lru_cache(maxsize=64)
 def _turns(year: int, america: bool) -> tuple[float, float]:
-    """Beginning and end of summer time in a year [s]."""
+    """Return when summer time begins and ends in a year [s]."""
     sundays = ((3, 1, 8.0), (11, 0, 7.0)) if america else ((4, -1, 1.0), (11, -1, 1.0))
     # (month, offset, hour): offset 0 is the month's first Sunday, −1 the last Sunday of the previous month
     begin, end = (

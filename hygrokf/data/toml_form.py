@@ -48,12 +48,14 @@ class FormFault(HygrokfError):
     """A file that cannot be used; `faults` lists every reason, the message contains all of them."""
 
     def __init__(self, file: str | os.PathLike[str], faults: Iterable[str]) -> None:
+        """Make the message: the file, the number of faults, and all faults numbered."""
         self.file, self.faults = str(file), tuple(faults)
         count = f"{len(self.faults)} fault{'s' if len(self.faults) != 1 else ''}"
         listed = (f"  {number}. {fault}" for number, fault in enumerate(self.faults, 1))
         super().__init__("\n".join([f"{file}: {count}", *listed]))
 
     def __reduce__(self) -> tuple[type[FormFault], tuple[str, tuple[str, ...]]]:
+        """Return how to pickle the fault, so that a worker process can return it."""
         return type(self), (self.file, self.faults)  # a worker process can return the fault
 
 
@@ -86,7 +88,7 @@ class Key:
 
     @property
     def limits(self) -> str:
-        """The limits of a number in words, such as " within 0 … 1"."""
+        """The limits of a number in words, such as " within 0 … 1"; "" without limits."""
         if self.least is not None and self.most is not None:
             return f" within {self.least:g} … {self.most:g}"
         low = f" above {self.above:g}" if self.above is not None else ""
@@ -103,7 +105,10 @@ class Key:
 
 
 def setting(default: Any = MISSING, help: str = "", **stated: Any) -> Any:
-    """A field of a form: default (a key without one is required), meaning, further fields of its `Key`."""
+    """Declare a field of a form.
+
+    default: a key without one is required.  help: what the key means.  stated: further fields of its `Key`.
+    """
     metadata = {STATED: Key(help, **{"empty": isinstance(default, str) and not default, **stated})}
     if isinstance(default, type):
         return dataclasses.field(default_factory=default, metadata=metadata)
@@ -111,7 +116,10 @@ def setting(default: Any = MISSING, help: str = "", **stated: Any) -> Any:
 
 
 def entry_name(read: Callable[[str], Any] = str) -> Any:
-    """The field of a form that holds the name of its named table; `read` converts it, raises ValueError."""
+    """Declare the field of a form that holds the name of its named table.
+
+    read: converts the name; raises ValueError.
+    """
     return dataclasses.field(metadata={OF_ENTRY: True, STATED: Key(read=read)})
 
 
@@ -122,17 +130,19 @@ class FolderKeys:
     folder: Path = field(default=Path(), metadata={OF_ENTRY: True})
 
     def path(self, key: str) -> Path | None:
-        """The path of the file that a key names; None where the key is empty."""
+        """Return the path of the file that a key names; None where the key is empty."""
         return self.folder / getattr(self, key) if getattr(self, key) else None
 
 
 def across(*keys: str) -> Callable[[Check], Check]:
-    """Mark a method of a form as a check of these keys; it runs if none of them is missing or at fault.
+    """Mark a method of a form as a check of several keys.
 
-    Its faults are reported at the first of these keys that the table has.
+    It runs if none of these keys is missing or at fault.  Its faults are reported at the first of them that
+    the table has.
     """
 
     def mark(check: Check) -> Check:
+        """Store the keys at the method."""
         setattr(check, "keys", keys)  # noqa: B010
         return check
 
@@ -141,25 +151,25 @@ def across(*keys: str) -> Callable[[Check], Check]:
 
 @cache
 def keys_of(form: Any) -> Mapping[str, tuple[dataclasses.Field[Any], Key, Any]]:
-    """The keys of a form by their names in the file: field, declaration, type without None.
+    """Return the keys of a form by their names in the file: field, declaration, type without None.
 
-    The text of a value with its own reader states the unit ("10min"), so its key has no "_s" for seconds.
+    A value with its own reader states its unit in the text ("10min"), so its key has no "_s" for seconds.
     """
     keys, hints = {}, get_type_hints(form)
     # keyword-only fields are those of a base: they come last
     for declared in sorted(dataclasses.fields(form), key=lambda declared: declared.kw_only is True):
-        stated = declared.metadata.get(STATED, Key())
+        key = declared.metadata.get(STATED, Key())
         if not declared.metadata.get(OF_ENTRY):
-            kinds = [kind for kind in get_args(hints[declared.name]) if kind is not type(None)]
-            optional = len(kinds) == 1 and type(None) in get_args(hints[declared.name])
-            name = declared.name if stated.read is None else declared.name.removesuffix("_s")
-            keys[name] = (declared, stated, kinds[0] if optional else hints[declared.name])
+            types_without_none = [kind for kind in get_args(hints[declared.name]) if kind is not type(None)]
+            is_optional = len(types_without_none) == 1 and type(None) in get_args(hints[declared.name])
+            name = declared.name if key.read is None else declared.name.removesuffix("_s")
+            keys[name] = (declared, key, types_without_none[0] if is_optional else hints[declared.name])
     return keys
 
 
 @cache
 def _checks(form: Any) -> list[tuple[tuple[str, ...], Check]]:
-    """The checks across keys of a form, those that it inherits first."""
+    """Return the checks of several keys that a form declares, those of its bases first."""
     members = [
         member for kind in reversed(form.__mro__) for member in vars(kind).values() if callable(member)
     ]
@@ -170,28 +180,32 @@ def _checks(form: Any) -> list[tuple[tuple[str, ...], Check]]:
 
 
 def lines_of(text: str) -> dict[TablePath, int]:
-    """The line of each table and key of a TOML text, counted from 1; keys of inline tables are left out."""
+    """Return the line number of each table and key of a TOML text; keys of inline tables are left out."""
     lines: dict[TablePath, int] = {}
     counts: dict[TablePath, int] = {}
-    table: TablePath = ()
+    table_path: TablePath = ()
     for number, line in enumerate(text.splitlines(), 1):
-        head, key = _HEAD.match(line), _KEY.match(line)
-        if head is not None:
-            table = _table_path(_split(head[2]), counts, head[1] == "[[")
-            lines.setdefault(table, number)
-        elif key is not None:
-            names = _split(key[1])
+        table_head, key_head = _HEAD.match(line), _KEY.match(line)
+        if table_head is not None:
+            table_path = _table_path(_split(table_head[2]), counts, table_head[1] == "[[")
+            lines.setdefault(table_path, number)
+        elif key_head is not None:
+            names = _split(key_head[1])
             for length in range(len(names)):
-                lines.setdefault((*table, *names[: length + 1]), number)
+                lines.setdefault((*table_path, *names[: length + 1]), number)
     return lines
 
 
 def _split(names: str) -> list[str]:
+    """Return the parts of a dotted TOML name without quotes."""
     return [name.strip("\"'") for name in re.findall(_NAME, names)]
 
 
 def _table_path(names: list[str], counts: dict[TablePath, int], begins: bool) -> TablePath:
-    """The path of a table's head; [[name]] counts as the newest of its name, with `begins` as a new one."""
+    """Return the path of a table's head.
+
+    [[name]] counts as the newest table of that name; with `begins` it begins a new one.
+    """
     path: TablePath = ()
     for place, name in enumerate(names, 1):
         path = (*path, name)
@@ -204,11 +218,14 @@ def _table_path(names: list[str], counts: dict[TablePath, int], begins: bool) ->
 
 @dataclass(frozen=True)
 class Place:
-    """How messages name a table, such as "[test]" or "line 7, [[turbine]] 2", and the faults so far.
+    """How messages name a table of a TOML file, such as "[test]" or "line 7, [[turbine]] 2", with the faults
+    so far.
 
-    name: of the table; empty for the file itself. of: the table as the end of "unknown key …". faults: of the
-    whole file. lines: line numbers of tables and keys, if messages give them. path: of the table. file: name
-    of the file, if messages begin with it.
+    name: of the table; empty for the file itself.
+    of: the table as the end of "unknown key …".
+    faults: of the whole file.
+    lines: line numbers of tables and keys, if messages give them.
+    path: of the table.  file: name of the file, if messages begin with it.
     """
 
     name: str = ""
@@ -219,7 +236,7 @@ class Place:
     file: str = ""
 
     def at(self, *keys: str) -> str:
-        """The place of the first of these keys whose line is known, else of the table."""
+        """Return the place of the first of these keys whose line is known, else of the table."""
         around = (self.path[:length] for length in range(len(self.path), 0, -1))
         # a key of an inline table stands on the line of that table
         places = (*((*self.path, key) for key in keys), *around)
@@ -232,18 +249,20 @@ class Place:
         self.faults.append(f"{where}: {text}" if where else text)
 
     def table(self, key: str) -> str:
-        """The head of the table under a key, such as " [site]"; empty inside another table."""
+        """Return the head of the table under a key, such as " [site]"; empty inside another table."""
         return "" if self.name else f" [{key}]"
 
     def needs(self, key: str, stated: Key) -> str:
-        """The fault of a key that is missing."""
+        """Return the fault of a key that is missing."""
         meaning = f"one of {', '.join(stated.choices)}" if stated.choices else stated.help
         meaning = meaning if stated.lacking is None else stated.lacking(self)
         return f"needs {key}, {meaning}" if meaning else f"needs {key}"
 
     def inside(self, key: str, number: int | None = None, entry: str | None = None) -> Place:
-        """The place of the table under a key; `number` counts the tables [[key]] from 0, `entry` names a
-        table inside."""
+        """Return the place of the table under a key.
+
+        number: counts the tables [[key]] from 0.  entry: name of a table inside.
+        """
         name = f"{self.name} {key}" if self.name else f"[{key}]"
         if number is not None:
             name = f"[[{key}]] {number + 1}"
@@ -259,7 +278,10 @@ class Place:
 def read_toml(
     path: str | os.PathLike[str], fault_class: type[FormFault] = FormFault
 ) -> tuple[str, dict[str, Any]]:
-    """Text and content of a TOML file.  Raises FormFault, which names the line of a mistake."""
+    """Return text and content of a TOML file.  Raises FormFault, which names the line of a mistake.
+
+    fault_class: class of the fault.
+    """
     file = Path(path)
     try:
         text = file.read_bytes().decode("utf-8-sig")
@@ -282,11 +304,11 @@ def read_toml(
 
 
 def syntax_fault(reason: str, text: str) -> str:
-    """The fault of invalid TOML, with its line."""
+    """Return the fault of invalid TOML with its line; reason: message of the parser."""
     position = re.search(r"\(at line (\d+), column (\d+)\)", reason)
     reason = re.sub(r"\s*\(at [^)]*\)$", "", reason)
-    if twice := re.search(r"\('(\w+)',\)", reason):
-        reason += f"; write [[{twice[1]}]] with two brackets, once for each"
+    if repeated_table := re.search(r"\('(\w+)',\)", reason):
+        reason += f"; write [[{repeated_table[1]}]] with two brackets, once for each"
     if position is not None:
         number, where = int(position[1]), f"line {position[1]}, column {position[2]}"
     else:
@@ -294,12 +316,12 @@ def syntax_fault(reason: str, text: str) -> str:
         number = len(text.rstrip().splitlines())
         where = f"line {number}, at the end"
     line = text.splitlines()[number - 1 : number]
-    shown = f", in: {line[0].strip()[:80]}" if line else ""
-    return f"{where}: not valid TOML: {reason}{shown}"
+    quoted_line = f", in: {line[0].strip()[:80]}" if line else ""
+    return f"{where}: not valid TOML: {reason}{quoted_line}"
 
 
 def read_toml_form(form: type[T], path: str | os.PathLike[str]) -> T:
-    """The form of a file.  Raises FormFault with every fault."""
+    """Return the form of a TOML file.  Raises FormFault with every fault."""
     place = Place()
     result = read_form(form, read_toml(path)[1], place)
     if place.faults:
@@ -308,148 +330,162 @@ def read_toml_form(form: type[T], path: str | os.PathLike[str]) -> T:
 
 
 def read_form(form: type[T], table: Mapping[str, object], place: Place, **named: object) -> T:
-    """The form of a table; every fault is added to those of `place`.
+    """Return the form (dataclass) of a TOML table; every fault is added to those of `place`.
 
-    place: of the table in messages. named: fields that are not in the table.
+    place: of the table in messages.  named: values of fields that are not in the table.
     """
     keys = keys_of(cast(Any, form))
-    refused: Mapping[str, str] = getattr(form, "REFUSED", {})
+    refused_keys: Mapping[str, str] = getattr(form, "REFUSED", {})
     for name in table:
         if name not in keys:
-            of, near = getattr(form, "OF", place.of), suggestion(str(name), keys)
-            unknown = f'unknown key "{name}"{of}; expected {", ".join(keys)}{near}'
-            place.fault(refused.get(name, unknown), name)
-    faulty: set[str] = set()
+            where_unknown, suggestion_text = getattr(form, "OF", place.of), suggestion(str(name), keys)
+            unknown = f'unknown key "{name}"{where_unknown}; expected {", ".join(keys)}{suggestion_text}'
+            place.fault(refused_keys.get(name, unknown), name)
+    faulty_keys: set[str] = set()
     values = dict(named)
-    for name, (declared, stated, kind) in keys.items():
-        before = len(place.faults)
-        needed = declared.default is MISSING and declared.default_factory is MISSING
+    for name, (declared, key, kind) in keys.items():
+        fault_count = len(place.faults)
+        is_required = declared.default is MISSING and declared.default_factory is MISSING
         try:
             if name in table:
-                values[declared.name] = _value(name, table[name], kind, stated, place)
-            elif needed:
-                place.fault(place.needs(name, stated))
+                values[declared.name] = _value(name, table[name], kind, key, place)
+            elif is_required:
+                place.fault(place.needs(name, key))
             elif _is_form(declared.default_factory):  # a table that is left out is an empty one
                 values[declared.name] = read_form(kind, {}, place.inside(name))
         except ValueError as fault:
             place.fault(str(fault), name)
-        if len(place.faults) > before:
-            faulty.add(name)
-            if needed:
+        if len(place.faults) > fault_count:
+            faulty_keys.add(name)
+            if is_required:
                 values.setdefault(declared.name, BLANKS.get(kind))
     try:
-        result = form(**values)
+        form_object = form(**values)
     except ValueError as fault:
-        if not faulty:
+        if not faulty_keys:
             place.fault(str(fault), *keys)
         return cast(T, None)
-    for checked, check in _checks(cast(Any, form)):
-        if faulty.isdisjoint(checked):
-            messages = check(result) or ()
+    for checked_keys, check in _checks(cast(Any, form)):
+        if faulty_keys.isdisjoint(checked_keys):
+            messages = check(form_object) or ()
             for text in [messages] if isinstance(messages, str) else messages:
-                place.fault(text, *(name for name in checked if name in table))
-    return result
+                place.fault(text, *(name for name in checked_keys if name in table))
+    return form_object
 
 
-def _value(name: str, value: Any, kind: Any, stated: Key, place: Place) -> Any:
-    """The value of a key; faults inside of its tables go to `place`.  Raises ValueError."""
-    inner = get_args(kind)
-    if _is_form(kind) and stated.read is None:
+def _value(name: str, value: Any, kind: Any, key: Key, place: Place) -> Any:
+    """Return the value of a key; faults inside of its tables go to `place`.  Raises ValueError for its own
+    faults.
+
+    kind: type of the field.  key: its declaration.
+    """
+    type_arguments = get_args(kind)
+    if _is_form(kind) and key.read is None:
         if isinstance(value, Mapping):
             return read_form(kind, value, place.inside(name))
         raise ValueError(f"{name} must be a table{place.table(name)}, found {value!r}")
-    if get_origin(kind) is Mapping and inner[1] is not Any:
-        return _read_named_tables(name, value, inner[1], place)
-    if inner and (_is_form(inner[0]) or get_origin(inner[0]) is Mapping):
-        return _read_tables(name, value, inner[0], place)
+    if get_origin(kind) is Mapping and type_arguments[1] is not Any:
+        return _read_named_tables(name, value, type_arguments[1], place)
+    if type_arguments and (_is_form(type_arguments[0]) or get_origin(type_arguments[0]) is Mapping):
+        return _read_tables(name, value, type_arguments[0], place)
     try:
-        converted = stated.read(value) if stated.read is not None else _plain(value, kind, stated)
-        if (stated.fits is None or stated.fits(converted)) and (
-            stated.read is None or stated.within(converted)
+        converted_value = key.read(value) if key.read is not None else _plain(value, kind, key)
+        if (key.fits is None or key.fits(converted_value)) and (
+            key.read is None or key.within(converted_value)
         ):
-            return converted
+            return converted_value
     except ValueError as fault:
         raise ValueError(f"{name}: {fault}") from None
     except (TypeError, OverflowError):
         pass
-    near = suggestion(value, stated.choices) if isinstance(value, str) else ""
-    value_text = f'"{value}"' if stated.choices and isinstance(value, str) else shown(value)
-    remedy = f"; {stated.remedy}" if stated.remedy else ""
-    raise ValueError(f"{name} must be {_expected_value(kind, stated)}, found {value_text}{near}{remedy}")
+    suggestion_text = suggestion(value, key.choices) if isinstance(value, str) else ""
+    value_text = f'"{value}"' if key.choices and isinstance(value, str) else shown(value)
+    remedy = f"; {key.remedy}" if key.remedy else ""
+    raise ValueError(
+        f"{name} must be {_expected_value(kind, key)}, found {value_text}{suggestion_text}{remedy}"
+    )
 
 
 def _read_tables(name: str, value: Any, form: Any, place: Place) -> tuple[Any, ...]:
-    """The tables [[name]], as mappings or as forms; a single table [name] is a fault, but is read too."""
-    rows = [value] if isinstance(value, Mapping) else value
-    is_list_of_tables = isinstance(rows, list) and all(isinstance(row, Mapping) for row in rows)
-    if not is_list_of_tables or rows is not value:
+    """Return the tables [[name]], as mappings or as forms; a single table [name] is a fault, but is read
+    too."""
+    tables = [value] if isinstance(value, Mapping) else value
+    is_list_of_tables = isinstance(tables, list) and all(isinstance(table, Mapping) for table in tables)
+    if not is_list_of_tables or tables is not value:
         place.fault(f"{name}: write [[{name}]] with two brackets, once for each", name)
     if not is_list_of_tables or not _is_form(form):
-        return tuple(rows) if is_list_of_tables else ()
-    return tuple(read_form(form, row, place.inside(name, number)) for number, row in enumerate(rows))
+        return tuple(tables) if is_list_of_tables else ()
+    return tuple(read_form(form, table, place.inside(name, number)) for number, table in enumerate(tables))
 
 
 def _is_form(kind: object) -> bool:
+    """Whether a type is a form, that is, a dataclass."""
     return isinstance(kind, type) and dataclasses.is_dataclass(kind)
 
 
 def _read_named_tables(name: str, value: Any, form: Any, place: Place) -> Mapping[str, Any]:
-    """The named tables under a key, without those whose name is at fault."""
+    """Return the named tables under a key as forms, without those whose name is at fault."""
     if not isinstance(value, Mapping):
         raise ValueError(f"{name} must be a table{place.table(name)}, found {value!r}")
-    title = next(declared for declared in dataclasses.fields(form) if declared.metadata.get(OF_ENTRY))
-    needed = (f"{key} = …" for key, (stated, *_) in keys_of(form).items() if stated.default is MISSING)
-    shape = f"expected {{ {', '.join(needed)} }}"
+    name_field = next(declared for declared in dataclasses.fields(form) if declared.metadata.get(OF_ENTRY))
+    required_keys = (
+        f"{key} = …"
+        for key, (declared_field, *_) in keys_of(form).items()
+        if declared_field.default is MISSING
+    )
+    expected_shape = f"expected {{ {', '.join(required_keys)} }}"
     entries: dict[str, Any] = {}
     for entry, table in value.items():
-        inside = place.inside(name, entry=entry)
+        place_of_entry = place.inside(name, entry=entry)
         try:
-            named = {title.name: title.metadata[STATED].read(entry)}
+            name_argument = {name_field.name: name_field.metadata[STATED].read(entry)}
         except ValueError as fault:
-            inside.fault(str(fault))
+            place_of_entry.fault(str(fault))
             continue
         if isinstance(table, Mapping):
-            entries[entry] = read_form(form, table, inside, **named)
+            entries[entry] = read_form(form, table, place_of_entry, **name_argument)
         else:
-            inside.fault(f"{shape}, found {shown(table)}")
+            place_of_entry.fault(f"{expected_shape}, found {shown(table)}")
     return entries
 
 
-def _plain(value: Any, kind: Any, stated: Key) -> Any:
-    """A value of a plain type.  Raises TypeError for another type."""
+def _plain(value: Any, kind: Any, key: Key) -> Any:
+    """Return a value of a plain type (text, number, flag, list).  Raises TypeError for another type."""
     if kind is Any or get_origin(kind) is Mapping:
         is_valid = kind is Any or isinstance(value, Mapping)
-    elif stated.choices and kind is str:
-        is_valid = isinstance(value, str) and value in stated.choices
+    elif key.choices and kind is str:
+        is_valid = isinstance(value, str) and value in key.choices
     elif isinstance(kind, type) and issubclass(kind, StrEnum):
         is_valid = value in list(kind)
         value = kind(value) if is_valid else value
     elif kind in (float, int):
-        number = isinstance(value, numbers.Integral if kind is int else numbers.Real)
-        is_valid = number and not isinstance(value, bool) and math.isfinite(value) and stated.within(value)
+        is_number = isinstance(value, numbers.Integral if kind is int else numbers.Real)
+        is_valid = is_number and not isinstance(value, bool) and math.isfinite(value) and key.within(value)
         value = kind(value) if is_valid else value
     elif kind in (str, bool):
-        is_valid = isinstance(value, kind) and (value != "" or stated.empty)
+        is_valid = isinstance(value, kind) and (value != "" or key.empty)
     else:
-        inner = get_args(kind)
-        is_valid = isinstance(value, (list, tuple)) and (inner[1] is ... or len(value) == len(inner))
-        value = tuple(_plain(item, inner[0], stated) for item in value) if is_valid else value
-        is_valid = is_valid and (inner[1] is ... or value[0] < value[1])
+        type_arguments = get_args(kind)
+        is_valid = isinstance(value, (list, tuple)) and (
+            type_arguments[1] is ... or len(value) == len(type_arguments)
+        )
+        value = tuple(_plain(item, type_arguments[0], key) for item in value) if is_valid else value
+        is_valid = is_valid and (type_arguments[1] is ... or value[0] < value[1])
     if not is_valid:
         raise TypeError
     return value
 
 
-def _expected_value(kind: Any, stated: Key) -> str:
-    """Description of a valid value."""
-    inner = get_args(kind)
-    if stated.expected or stated.choices:
-        return stated.expected or f"{'a list' if inner else 'one'} of {', '.join(stated.choices)}"
+def _expected_value(kind: Any, key: Key) -> str:
+    """Describe a valid value of a key for a message."""
+    type_arguments = get_args(kind)
+    if key.expected or key.choices:
+        return key.expected or f"{'a list' if type_arguments else 'one'} of {', '.join(key.choices)}"
     if get_origin(kind) is Mapping:
         return "a table"
-    if inner:
-        several = {str: "texts", float: "numbers"}[inner[0]] + stated.limits
-        return f"a list of {several}" if inner[1] is ... else f"two rising {several}"
+    if type_arguments:
+        plural = {str: "texts", float: "numbers"}[type_arguments[0]] + key.limits
+        return f"a list of {plural}" if type_arguments[1] is ... else f"two rising {plural}"
     return {str: "text in quotes", bool: "true or false"}.get(kind) or (
-        f"a {'whole ' * (kind is int)}number{stated.limits}"
+        f"a {'whole ' * (kind is int)}number{key.limits}"
     )

@@ -200,8 +200,8 @@ def fitted(
     """Return the estimate with its free parameters and error variances at their maximum likelihood.
 
     free: names of the parameters to fit; None: all.  effort: largest number of rounds, and the gain in −2 ln
-        L at which they end.  kept: Jacobian columns of a nearby point, used in all steps. Quantities that
-        share no free parameter are fitted separately.
+        L at which they end.  kept: Jacobian columns of a nearby point, used in all steps.
+    Quantities that share no free parameter are fitted separately.
     """
     names = set(estimate.simulator.names) if free is None else set(free)
     for block in _blocks(estimate, names):

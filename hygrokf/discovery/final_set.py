@@ -220,8 +220,8 @@ def fit_of(
 ) -> Fit:
     """Return a final set as a `Fit` of the record, with the record's clocks corrected as the set states.
 
-    against: reasons against the hygric constant, beside the fit's own. Raises ValueError if the dynamics of
-        the set are too fast for a filter of the readings.
+    against: reasons against the hygric constant, beside the fit's own.
+    Raises ValueError if the dynamics of the set are too fast for a filter of the readings.
     """
     record = shifted(record, *final.estimate.simulator.scene.shifts)
     early = prepare(record.identification())

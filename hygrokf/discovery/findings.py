@@ -251,7 +251,9 @@ def _clipped(e: np.ndarray) -> np.ndarray:
 
 def _root(white: np.ndarray) -> np.ndarray | None:
     """Return the matrix R (k, r) for which `white` (n, k) times R has orthonormal columns; None if all
-    columns are 0."""
+    columns are 0.
+
+    """
     products = white.T @ white
     scale = np.sqrt(np.diag(products))
     is_used = scale > 1e-9 * max(float(scale.max(initial=0.0)), 1e-9)
@@ -278,10 +280,10 @@ def benjamini_hochberg(p: np.ndarray, weights: np.ndarray | None = None) -> np.n
     significant.
 
     p: (J,) of the tests.
-    weights: (J,) chosen beforehand; p is divided by them, after they are scaled to mean 1. Valid for
-        independent and for positively dependent tests.  Overlapping conditions share hours, so their
-        statistics are positively dependent and need no factor Σ 1/j (Benjamini & Yekutieli 2001,
-        doi:10.1214/aos/1013699998).
+    weights: (J,) chosen beforehand; p is divided by them, after they are scaled to mean 1.
+    Valid for independent and for positively dependent tests.  Overlapping conditions share hours, so their
+    statistics are positively dependent and need no factor Σ 1/j (Benjamini & Yekutieli 2001,
+    doi:10.1214/aos/1013699998).
 
     Source: Genovese, Roeder & Wasserman 2006, doi:10.1093/biomet/93.3.509 (weights).
     """

@@ -95,8 +95,8 @@ def root_mean_square(values: np.ndarray) -> float:
 def residuals(fit: Fit, record: Record) -> Residuals:
     """Return the free run's errors of a fit, with all drivers on which they may depend.
 
-    record: the one that was fitted; its drivers and the accuracy of its sensors are read. Raises ValueError
-        for a fit without series, such as one read from fit.json.
+    record: the one that was fitted; its drivers and the accuracy of its sensors are read.
+    Raises ValueError for a fit without series, such as one read from fit.json.
     """
     series = fit.series
     if "time_s" not in series:

@@ -413,8 +413,8 @@ def _move_edges(
 def openings(estimate: Calibration, form: Form, identified: bool) -> tuple[list[list[float]], float]:
     """Find times at which a door was probably open, by a matched filter of the innovations.
 
-    identified: whether to search the identification period, or else the rest. Returns windows [start, end]
-        [s] that do not overlap, and the price of a window in −2 ln L.
+    identified: whether to search the identification period, or else the rest.
+    Returns windows [start, end] [s] that do not overlap, and the price of a window in −2 ln L.
 
     The response within a window is that to a permanently open door, cut to the window, since the filter
     forgets within hours.  Every quantity must gain.

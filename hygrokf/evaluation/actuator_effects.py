@@ -24,7 +24,8 @@ LEVEL = 0.95
 
 @dataclass(frozen=True)
 class EstimatedChange:
-    """The change of a quantity [its unit] with 95 % bounds, NaN where a parameter has no standard error."""
+    """The change of a quantity [its unit] with 95 % bounds; they are NaN if a parameter has no standard
+    error."""
 
     value: float = math.nan
     lower: float = math.nan
@@ -33,10 +34,10 @@ class EstimatedChange:
 
 @dataclass(frozen=True)
 class ActuatorEffect:
-    """The change that a logged actuator causes in the cabinet while it is on.
+    """What a logged actuator changes in the cabinet while it is on.
 
-    `used`: whether the model has the actuator; `statement`: how it acts, or why the model leaves it out;
-    `on_share`: share of the time during which it is on [1]; `changes`: by quantity, None if it is not used.
+    `used`: whether the model has the actuator.  `statement`: how it acts, or why the model leaves it out.
+    `on_share`: share of the time [1] during which it is on.  `changes`: by quantity; None if it is not used.
     """
 
     signal: Name
@@ -49,20 +50,31 @@ class ActuatorEffect:
 def actuator_effects(
     design: Design, values: Mapping[str, float], errors: Mapping[str, float], run: Run
 ) -> tuple[ActuatorEffect, ...]:
-    """The effect of each logged actuator [K, 1, g/m³], from free runs with and without it.
+    """Return the effect of each logged actuator on temperature and humidity [K, 1, g/m³].
 
-    The bounds come from free runs at the bounds of its parameters.
+    values, errors: the model's parameters and their standard errors.  The effect is the difference between
+        free runs with and without the actuator; its bounds come from free runs at the bounds of the
+        actuator's parameters.
     """
     mechanisms = {mechanism.name: mechanism for mechanism in design.model.mechanisms}
     effects = []
     for actuator in actuators(run.record):
-        names = [chosen[0] for chosen in (actuator.thermal, actuator.hygric) if chosen is not None]
-        acting = [mechanisms[name] for name in names if name in mechanisms]
-        parameters = [p for part in acting if actuator.signal in part.inputs for p in part.parameters]
+        names = [
+            mechanism_and_settings[0]
+            for mechanism_and_settings in (actuator.thermal, actuator.hygric)
+            if mechanism_and_settings is not None
+        ]
+        used_mechanisms = [mechanisms[name] for name in names if name in mechanisms]
+        parameters = [
+            parameter
+            for mechanism_used in used_mechanisms
+            if actuator.signal in mechanism_used.inputs
+            for parameter in mechanism_used.parameters
+        ]
         effect = ActuatorEffect(actuator.signal, bool(parameters), actuator.statement)
         if parameters:
-            share, changes = _effects(design, values, errors, run, actuator, parameters)
-            effect = replace(effect, on_share=share, changes=changes)
+            on_share, changes = _effects(design, values, errors, run, actuator, parameters)
+            effect = replace(effect, on_share=on_share, changes=changes)
         effects.append(effect)
     return tuple(effects)
 
@@ -75,38 +87,50 @@ def _effects(
     actuator: Actuator,
     parameters: Sequence[Parameter],
 ) -> tuple[float, dict[str, EstimatedChange]]:
-    """Share of time [1] during which an actuator is on, and the changes that its parameters cause then."""
+    """Return the share of time [1] during which an actuator is on, and the mean changes by quantity while it
+    is on.
+
+    parameters: those of the actuator's mechanisms; with all of them at 0 it has no effect.
+    """
     step = np.diff(run.timeline.time, prepend=run.timeline.time[0])
     weight = np.where(run.timeline.input(actuator.signal) > actuator.half, step, 0.0)
-    share = float(weight.sum() / max(step.sum(), 1e-9))
-    if share == 0.0:
+    on_share = float(weight.sum() / max(step.sum(), 1e-9))
+    if on_share == 0.0:
         return 0.0, {}
 
     def means(changed: Mapping[str, float]) -> dict[str, float]:
-        """Mean of each quantity while the actuator is on."""
+        """Simulate with some parameters changed; return the mean of each quantity while the actuator is
+        on."""
         prediction = free_run(design, {**values, **changed}, run)
-        pairs = {name: prediction.of(name) for name in QUANTITIES}
+        predicted = {name: prediction.of(name) for name in QUANTITIES}
         return {
-            name: float(np.average(pair[0], weights=weight))
-            for name, pair in pairs.items()
-            if pair is not None
+            name: float(np.average(value_and_sd[0], weights=weight))
+            for name, value_and_sd in predicted.items()
+            if value_and_sd is not None
         }
 
     def at_bound(sign: float) -> dict[str, float]:
+        """Return the actuator's parameters at their lower (sign −1) or upper (sign 1) bound."""
         return {
-            p.name: min(
-                max(values[p.name] + sign * normal_quantile(LEVEL) * errors[p.name], p.lower), p.upper
+            parameter.name: min(
+                max(
+                    values[parameter.name] + sign * normal_quantile(LEVEL) * errors[parameter.name],
+                    parameter.lower,
+                ),
+                parameter.upper,
             )
-            for p in parameters
+            for parameter in parameters
         }
 
-    without, actual = means(dict.fromkeys((p.name for p in parameters), 0.0)), means({})
+    means_without, means_with = means(dict.fromkeys((p.name for p in parameters), 0.0)), means({})
     has_errors = all(math.isfinite(errors.get(p.name, math.nan)) for p in parameters)
     means_at_bounds = [means(at_bound(sign)) for sign in (-1.0, 1.0)] if has_errors else []
     changes = {}
-    for name in actual:
+    for name in means_with:
         # two parameters together need not act monotonically
-        differences = [with_actuator[name] - without[name] for with_actuator in (actual, *means_at_bounds)]
+        differences = [
+            with_actuator[name] - means_without[name] for with_actuator in (means_with, *means_at_bounds)
+        ]
         bounds = (min(differences), max(differences)) if means_at_bounds else (math.nan, math.nan)
         changes[name] = EstimatedChange(differences[0], *bounds)
-    return share, changes
+    return on_share, changes

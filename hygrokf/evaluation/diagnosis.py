@@ -31,8 +31,10 @@ class Autocorrelation:
 
 @dataclass(frozen=True)
 class CrossCorrelation(Autocorrelation):
-    """Correlation of innovations with one whitened input; at a positive lag the innovation is later than the
-    input.  `p` [1]: probability under independence."""
+    """Correlation of innovations with one whitened input, by lag.
+
+    At a positive lag the innovation is later than the input.  `p` [1]: probability under independence.
+    """
 
     p: float = math.nan
 
@@ -116,7 +118,7 @@ class Diagnosis:
 
     @property
     def statements(self) -> tuple[Statement, ...]:
-        """The findings for each output; of several rejections of whiteness only the first is included."""
+        """The findings for each output; of several rejections of whiteness only the first is stated."""
         statements: list[Statement] = []
         for name, output in self.outputs.items():
             tests = [test for test in self.tests if test.output == name]
@@ -125,6 +127,6 @@ class Diagnosis:
                 if test.rejected and test.statement is not None:
                     kind = "whiteness" if test.test in WHITENESS else test.test
                     rejections.setdefault((kind, test.input), test.statement)
-            white = [FitCode.WHITE(output=name, tests=len(tests))] if tests else []
-            statements += [output.remark] if output.remark else rejections.values() or white
+            whiteness_statement = [FitCode.WHITE(output=name, tests=len(tests))] if tests else []
+            statements += [output.remark] if output.remark else rejections.values() or whiteness_statement
         return tuple(statements)

@@ -61,7 +61,8 @@ def diagnose(
     *,
     longest_h: float = 24.0,
 ) -> Diagnosis:
-    """Whiteness of standardised innovations [1] and their correlation with every input.
+    """Test standardised innovations for whiteness, for their distribution, and for correlation with every
+    input.
 
     time_h: [h] (T,) instants, increasing.
     standardised: output -> (T,) e/√S [1]; NaN where there is no reading.
@@ -72,7 +73,7 @@ def diagnose(
     Raises ValueError for another longest lag.
 
     Source: Ljung & Box 1978, doi:10.1093/biomet/65.2.297; Bartlett 1955 (cumulative periodogram,
-    Kolmogorov–Smirnov); Haugh 1976, doi:10.1080/01621459.1976.10480354; Holm 1979.
+        Kolmogorov–Smirnov); Haugh 1976, doi:10.1080/01621459.1976.10480354; Holm 1979.
     """
     time = np.asarray(time_h, dtype=float)
     if not 0.0 < longest_h < math.inf:
@@ -96,120 +97,145 @@ def diagnose(
 def _output(
     name: str, time: np.ndarray, e: np.ndarray, inputs: Mapping[str, np.ndarray], longest_h: float
 ) -> tuple[OutputDiagnosis, list[InnovationTest]]:
-    n = len(e)
-    if n < FEWEST_READINGS:
-        remark = FitCode.TOO_FEW_INNOVATIONS(output=name, n=n, fewest=FEWEST_READINGS)
-        return OutputDiagnosis(n, remark=remark), []
+    """Run all tests on one output's innovations e (n,) at times (n,) [h]; returns the diagnosis and its
+    tests."""
+    count = len(e)
+    if count < FEWEST_READINGS:
+        remark = FitCode.TOO_FEW_INNOVATIONS(output=name, n=count, fewest=FEWEST_READINGS)
+        return OutputDiagnosis(count, remark=remark), []
     if float(np.ptp(e)) <= 1e-12 * max(1.0, float(np.max(np.abs(e)))):
-        return OutputDiagnosis(n, remark=FitCode.CONSTANT_INNOVATIONS(output=name)), []
-    step = float(np.median(np.diff(time)))
-    lags = int(min(max(round(longest_h / step), 1), n // 10))
+        return OutputDiagnosis(count, remark=FitCode.CONSTANT_INNOVATIONS(output=name)), []
+    step_h = float(np.median(np.diff(time)))
+    lags = int(min(max(round(longest_h / step_h), 1), count // 10))
     moments, tests = _moments(name, e)
-    autocorrelation, whiteness_tests = _autocorrelation(name, e, step, lags)
-    cumulative, periodogram, spectral = _spectrum(name, e, step)
+    autocorrelation, whiteness_tests = _autocorrelation(name, e, step_h, lags)
+    cumulative, periodogram, spectral = _spectrum(name, e, step_h)
     tests += [*whiteness_tests, spectral, *_daily_cycle(name, time, e)]
     cross_correlations = {}
     for source, values in inputs.items():
-        if (pair := _cross_correlation(name, source, e, values, step, lags)) is not None:
-            cross_correlations[source], test = pair
+        if (correlation_and_test := _cross_correlation(name, source, e, values, step_h, lags)) is not None:
+            cross_correlations[source], test = correlation_and_test
             tests.append(test)
-    courses = (autocorrelation, cumulative, periodogram, cross_correlations)
-    return OutputDiagnosis(n, step, lags, *moments, *courses), tests
+    results_by_lag = (autocorrelation, cumulative, periodogram, cross_correlations)
+    return OutputDiagnosis(count, step_h, lags, *moments, *results_by_lag), tests
 
 
 # --- one series ------------------------------------------------------------------------------
 
 
 def _moments(name: str, e: np.ndarray) -> tuple[tuple[float, float, float, float], list[InnovationTest]]:
-    """Mean, variance, excess kurtosis (0 for a normal distribution), share beyond ±3."""
+    """Return mean, variance, excess kurtosis (0 for a normal distribution) and share beyond ±3, with their
+    tests."""
     from scipy.stats import jarque_bera
 
-    n = len(e)
+    count = len(e)
     mean, variance = float(e.mean()), float(e.var())
-    z = (e - mean) / math.sqrt(variance)
-    skewness, kurtosis = float(np.mean(z**3)), float(np.mean(z**4) - 3.0)
+    normalised = (e - mean) / math.sqrt(variance)
+    skewness, kurtosis = float(np.mean(normalised**3)), float(np.mean(normalised**4) - 3.0)
     outlier_share = float(np.mean(np.abs(e) > BEYOND))
     # the sample kurtosis enters the variance of the sample variance: heavy tails alone cause no rejection
-    spread = math.sqrt(max(kurtosis + 2.0, 1e-12) / n) * variance
+    standard_error = math.sqrt(max(kurtosis + 2.0, 1e-12) / count) * variance
     mean_code = FitCode.MEAN_SMALL if abs(mean) < SMALL else FitCode.MEAN_BIASED
     variance_code = FitCode.WIDER_THAN_PREDICTED if variance > 1 else FitCode.NARROWER_THAN_PREDICTED
-    tails = FitCode.TAILS_HEAVY if kurtosis > 0 else FitCode.TAILS_LIGHT
-    shape = tails() if abs(kurtosis) >= abs(skewness) else FitCode.SKEWED()
-    rows: tuple[tuple[TestName, float, Statement], ...] = (
-        ("mean", _two_sided(mean * math.sqrt(n / variance)), mean_code(output=name, mean=mean)),
+    tails_code = FitCode.TAILS_HEAVY if kurtosis > 0 else FitCode.TAILS_LIGHT
+    shape_statement = tails_code() if abs(kurtosis) >= abs(skewness) else FitCode.SKEWED()
+    tests: tuple[tuple[TestName, float, Statement], ...] = (
+        ("mean", _two_sided(mean * math.sqrt(count / variance)), mean_code(output=name, mean=mean)),
         (
             "variance",
-            _two_sided((variance - 1.0) / spread),
+            _two_sided((variance - 1.0) / standard_error),
             variance_code(output=name, excess=abs(math.sqrt(variance) - 1.0), variance=variance),
         ),
         (
             "normality",
             float(jarque_bera(e).pvalue),
             FitCode.NOT_NORMAL(
-                output=name, shape=shape, kurtosis=kurtosis, skewness=skewness, beyond=outlier_share,
+                output=name,
+                shape=shape_statement,
+                kurtosis=kurtosis,
+                skewness=skewness,
+                beyond=outlier_share,
                 expected=_two_sided(BEYOND),
             ),
         ),
-    )  # fmt: skip
+    )
     return (mean, variance, kurtosis, outlier_share), [
-        InnovationTest(name, test, p=p, statement=statement) for test, p, statement in rows
+        InnovationTest(name, test, p=p, statement=statement) for test, p, statement in tests
     ]
 
 
 def _autocorrelation(
-    name: str, e: np.ndarray, step: float, lags: int
+    name: str, e: np.ndarray, step_h: float, lags: int
 ) -> tuple[Autocorrelation, list[InnovationTest]]:
+    """Return the autocorrelation up to `lags` readings, with Ljung–Box tests over all lags and over one hour.
+
+    step_h: [h] between readings.
+    """
     from statsmodels.tsa.stattools import acf, q_stat
 
-    n = len(e)
+    count = len(e)
     values = np.asarray(acf(e, nlags=lags, fft=True))[1:]
-    _, p = q_stat(values, n)
-    hour = int(min(max(round(1.0 / step), 1), lags))
-    limit_all = _simultaneous(lags) / math.sqrt(n)
-    shown = _extremes(values)
-    limit = normal_quantile(1.0 - LEVEL) / math.sqrt(n)
-    autocorrelation = Autocorrelation(_rounded((shown + 1) * step), _rounded(values[shown]), limit, limit_all)
+    _, p = q_stat(values, count)
+    lags_per_hour = int(min(max(round(1.0 / step_h), 1), lags))
+    limit_all = _simultaneous(lags) / math.sqrt(count)
+    shown_indices = _extremes(values)
+    limit = normal_quantile(1.0 - LEVEL) / math.sqrt(count)
+    autocorrelation = Autocorrelation(
+        _rounded((shown_indices + 1) * step_h), _rounded(values[shown_indices]), limit, limit_all
+    )
     tests = []
-    for k in dict.fromkeys((lags, hour)):
-        worst = int(np.argmax(np.abs(values[:k])))
-        p_value, value = float(p[k - 1]), float(values[worst])
+    for lag_count in dict.fromkeys((lags, lags_per_hour)):
+        worst = int(np.argmax(np.abs(values[:lag_count])))
+        p_value, value = float(p[lag_count - 1]), float(values[worst])
         statement = FitCode.AUTOCORRELATED(
-            output=name, longest_h=k * step, p=p_value, lag_h=(worst + 1) * step,
+            output=name, longest_h=lag_count * step_h, p=p_value, lag_h=(worst + 1) * step_h,
             size=_correlation_and_limit(value, limit_all), remarks=_remark_on_size(value),
         )  # fmt: skip
-        tests.append(InnovationTest(name, "autocorrelation", lag_h=k * step, p=p_value, statement=statement))
+        tests.append(
+            InnovationTest(name, "autocorrelation", lag_h=lag_count * step_h, p=p_value, statement=statement)
+        )
     return autocorrelation, tests
 
 
 def _spectrum(
     name: str, e: np.ndarray, step: float
 ) -> tuple[CumulativePeriodogram, Periodogram, InnovationTest]:
-    """Periodogram over the sequence of readings and its cumulative form with the Kolmogorov–Smirnov test."""
+    """Return the cumulative periodogram with its Kolmogorov–Smirnov test, and the periodogram in bands.
+
+    The spectrum is that of the sequence of readings; step_h: [h] between them.
+    """
     from scipy.stats import chi2, kstest, kstwo
 
-    n = len(e)
-    power = np.abs(np.fft.rfft(e - e.mean())[1 : (n + 1) // 2]) ** 2
+    count = len(e)
+    power = np.abs(np.fft.rfft(e - e.mean())[1 : (count + 1) // 2]) ** 2
     power = power / power.mean()
-    m = len(power)
-    frequency = np.arange(1, m + 1) / (n * step)
-    cumulative = np.cumsum(power) / m
+    frequency_count = len(power)
+    frequency = np.arange(1, frequency_count + 1) / (count * step)
+    cumulative = np.cumsum(power) / frequency_count
     # for white noise the first m−1 values are distributed as the order statistics of m−1 uniform numbers
     kolmogorov = kstest(cumulative[:-1], "uniform")
     distance, p = float(kolmogorov.statistic), float(kolmogorov.pvalue)
-    limit = float(kstwo.isf(LEVEL, m - 1))
-    offset = cumulative - np.arange(1, m + 1) / m
+    limit = float(kstwo.isf(LEVEL, frequency_count - 1))
+    offset = cumulative - np.arange(1, frequency_count + 1) / frequency_count
     worst = int(np.argmax(np.abs(offset)))
-    shown = np.unique(np.linspace(0, m - 1, min(m, POINTS)).astype(int))
+    shown_indices = np.unique(np.linspace(0, frequency_count - 1, min(frequency_count, POINTS)).astype(int))
     cumulative_periodogram = CumulativePeriodogram(
-        _rounded(frequency[shown]), _rounded(cumulative[shown]), distance, limit, p
+        _rounded(frequency[shown_indices]), _rounded(cumulative[shown_indices]), distance, limit, p
     )
-    edges = np.unique(np.round(np.geomspace(1, m + 1, min(SPECTRUM_POINTS, m) + 1)).astype(int)) - 1
-    count = np.diff(edges)
+    edges = (
+        np.unique(
+            np.round(np.geomspace(1, frequency_count + 1, min(SPECTRUM_POINTS, frequency_count) + 1)).astype(
+                int
+            )
+        )
+        - 1
+    )
+    frequencies_in_band = np.diff(edges)
     periodogram = Periodogram(
-        _rounded(np.add.reduceat(frequency, edges[:-1]) / count),
-        _rounded(np.add.reduceat(power, edges[:-1]) / count),
-        _rounded(chi2.ppf(LEVEL / 2.0, 2 * count) / (2 * count)),
-        _rounded(chi2.isf(LEVEL / 2.0, 2 * count) / (2 * count)),
+        _rounded(np.add.reduceat(frequency, edges[:-1]) / frequencies_in_band),
+        _rounded(np.add.reduceat(power, edges[:-1]) / frequencies_in_band),
+        _rounded(chi2.ppf(LEVEL / 2.0, 2 * frequencies_in_band) / (2 * frequencies_in_band)),
+        _rounded(chi2.isf(LEVEL / 2.0, 2 * frequencies_in_band) / (2 * frequencies_in_band)),
     )
     code = FitCode.SPECTRUM_TOO_HIGH if offset[worst] > 0 else FitCode.SPECTRUM_TOO_LOW
     statement = code(output=name, distance=distance, limit=limit, period_h=float(1.0 / frequency[worst]))
@@ -218,19 +244,19 @@ def _spectrum(
 
 
 def _daily_cycle(name: str, time: np.ndarray, e: np.ndarray) -> list[InnovationTest]:
-    """Test of a 24 h sine fitted by least squares; none if the record is too short to separate the sine from
-    the mean."""
-    n = len(e)
+    """Test a 24 h sine fitted by least squares; no test if the record is too short to separate it from the
+    mean."""
+    count = len(e)
     angle = 2.0 * math.pi * time / 24.0
-    table = np.column_stack([np.ones(n), np.cos(angle), np.sin(angle)])
-    if time[-1] - time[0] < 48.0 or np.linalg.matrix_rank(table) < 3:
+    regressors = np.column_stack([np.ones(count), np.cos(angle), np.sin(angle)])
+    if time[-1] - time[0] < 48.0 or np.linalg.matrix_rank(regressors) < 3:
         return []
-    coefficients, *_ = np.linalg.lstsq(table, e, rcond=None)
-    residual_square = float(np.sum((e - table @ coefficients) ** 2))
+    coefficients, *_ = np.linalg.lstsq(regressors, e, rcond=None)
+    residual_square = float(np.sum((e - regressors @ coefficients) ** 2))
     explained = 1.0 - residual_square / float(np.sum((e - e.mean()) ** 2))
     amplitude = float(math.hypot(coefficients[1], coefficients[2]))
     # the survival function of F with (2, n−3) degrees of freedom is a power of the unexplained share
-    p = float((1.0 - min(max(explained, 0.0), 1.0)) ** ((n - 3) / 2.0))
+    p = float((1.0 - min(max(explained, 0.0), 1.0)) ** ((count - 3) / 2.0))
     statement = FitCode.DAILY_CYCLE(output=name, amplitude=amplitude, p=p, explained=explained)
     return [InnovationTest(name, "daily cycle", p=p, statement=statement)]
 
@@ -239,21 +265,23 @@ def _daily_cycle(name: str, time: np.ndarray, e: np.ndarray) -> list[InnovationT
 
 
 def whitened(values: np.ndarray) -> tuple[np.ndarray, int]:
-    """The prediction errors (n,) of an input (n,) [any unit] by its own autoregression, and its order.
+    """Return the errors (n,) with which an autoregression predicts an input (n,), and its order.
 
-    AIC selects the order, at most `LARGEST_ORDER`, from the Levinson–Durbin recursion.  The errors are NaN at
-    missing values, at values predicted from missing ones, and at the first values, as many as the order.
+    AIC selects the order, at most `LARGEST_ORDER`.  The errors are NaN at missing values, at values predicted
+    from missing ones, and at the first values, as many as the order.
     """
     from statsmodels.tsa.stattools import acovf, levinson_durbin
 
     is_known = np.isfinite(values)
     centred = np.where(is_known, values - float(np.mean(values[is_known])), 0.0)
-    n = len(values)
-    largest = int(min(LARGEST_ORDER, max(n // 10, 1)))
-    covariance = np.asarray(acovf(centred, fft=True, nlag=largest))
-    _, _, _, error_variance, phi = levinson_durbin(covariance, nlags=largest, isacov=True)
+    count = len(values)
+    largest_order = int(min(LARGEST_ORDER, max(count // 10, 1)))
+    covariance = np.asarray(acovf(centred, fft=True, nlag=largest_order))
+    _, _, _, error_variance, phi = levinson_durbin(covariance, nlags=largest_order, isacov=True)
     error_variance = np.concatenate([[covariance[0]], error_variance[1:]])
-    criterion = n * np.log(np.maximum(error_variance, 1e-12 * covariance[0])) + 2.0 * np.arange(largest + 1)
+    criterion = count * np.log(np.maximum(error_variance, 1e-12 * covariance[0])) + 2.0 * np.arange(
+        largest_order + 1
+    )
     order = int(np.argmin(criterion))
     return prediction_error(centred, is_known, phi[1 : order + 1, order]), order
 
@@ -261,43 +289,47 @@ def whitened(values: np.ndarray) -> tuple[np.ndarray, int]:
 def _cross_correlation(
     name: str, source: str, e: np.ndarray, values: np.ndarray, step: float, lags: int
 ) -> tuple[CrossCorrelation, InnovationTest] | None:
-    """The correlation with one input; None where the input hardly varies, or where its past predicts it
-    without error."""
+    """Return the correlation of innovations with one input by lag, and its test.
+
+    None where the input hardly varies, or where its own past predicts it without error.
+    """
     known_values = values[np.isfinite(values)]
     if len(known_values) < FEWEST_READINGS:
         return None
     if float(np.ptp(known_values)) <= 1e-9 * max(1.0, float(np.max(np.abs(known_values)))):
         return None
-    u, _ = whitened(values)
-    is_known = np.isfinite(u)
-    n = int(is_known.sum())
-    total = float(np.sum(u[is_known] ** 2))
-    if n < FEWEST_READINGS or total <= 0.0:
+    whitened_input, _ = whitened(values)
+    is_known = np.isfinite(whitened_input)
+    known_count = int(is_known.sum())
+    input_square = float(np.sum(whitened_input[is_known] ** 2))
+    if known_count < FEWEST_READINGS or input_square <= 0.0:
         return None
-    u = np.where(is_known, u - float(u[is_known].mean()), 0.0)
+    whitened_input = np.where(is_known, whitened_input - float(whitened_input[is_known].mean()), 0.0)
     centred = e - e.mean()
-    product = _lagged_products(centred, u, lags)
-    r = product / math.sqrt(float(centred @ centred) * float(u @ u))
+    products = _lagged_products(centred, whitened_input, lags)
+    correlations = products / math.sqrt(float(centred @ centred) * float(whitened_input @ whitened_input))
     # under unequal variance (a few large jumps of an input) the scatter of the products scales the test
-    scatter = np.sqrt(np.maximum(_lagged_products(centred**2, u**2, lags), 1e-300))
-    z = np.minimum(np.abs(r) * math.sqrt(n), np.abs(product) / scatter)
-    lag = np.arange(-lags, lags + 1)
-    worst = int(np.argmax(z))
-    single = _two_sided(float(z[worst]))
-    p = float(-math.expm1(len(lag) * math.log1p(-single))) if single < 1.0 else 1.0
-    limit_all = _simultaneous(len(lag)) / math.sqrt(n)
-    shown = _extremes(r)
-    worst_lag_h = float(lag[worst] * step)
-    value = float(r[worst])
-    lead = (FitCode.READINGS_LEAD(input=source),) if worst_lag_h < 0 else ()
+    product_scatter = np.sqrt(np.maximum(_lagged_products(centred**2, whitened_input**2, lags), 1e-300))
+    standardised_sizes = np.minimum(
+        np.abs(correlations) * math.sqrt(known_count), np.abs(products) / product_scatter
+    )
+    lag_numbers = np.arange(-lags, lags + 1)
+    worst_index = int(np.argmax(standardised_sizes))
+    p_of_one_lag = _two_sided(float(standardised_sizes[worst_index]))
+    p = float(-math.expm1(len(lag_numbers) * math.log1p(-p_of_one_lag))) if p_of_one_lag < 1.0 else 1.0
+    limit_all = _simultaneous(len(lag_numbers)) / math.sqrt(known_count)
+    shown_indices = _extremes(correlations)
+    worst_lag_h = float(lag_numbers[worst_index] * step)
+    value = float(correlations[worst_index])
+    readings_lead_remark = (FitCode.READINGS_LEAD(input=source),) if worst_lag_h < 0 else ()
     statement = FitCode.CORRELATED_WITH_INPUT(
         output=name, input=source, lag_h=worst_lag_h,
-        size=_correlation_and_limit(value, limit_all), remarks=_remark_on_size(value) or lead,
+        size=_correlation_and_limit(value, limit_all), remarks=_remark_on_size(value) or readings_lead_remark,
     )  # fmt: skip
     correlation = CrossCorrelation(
-        _rounded(lag[shown] * step),
-        _rounded(r[shown]),
-        normal_quantile(1.0 - LEVEL) / math.sqrt(n),
+        _rounded(lag_numbers[shown_indices] * step),
+        _rounded(correlations[shown_indices]),
+        normal_quantile(1.0 - LEVEL) / math.sqrt(known_count),
         limit_all,
         p,
     )
@@ -305,7 +337,7 @@ def _cross_correlation(
 
 
 def _lagged_products(a: np.ndarray, b: np.ndarray, lags: int) -> np.ndarray:
-    """Σ_t a[t] b[t−k] for k = −lags … lags."""
+    """Return Σ_t a[t] b[t−k] for the lags k = −lags … lags."""
     from scipy.signal import correlate
 
     n = len(a)
@@ -316,45 +348,47 @@ def _lagged_products(a: np.ndarray, b: np.ndarray, lags: int) -> np.ndarray:
 
 
 def _holm(p: list[float]) -> list[float]:
-    """p values adjusted so that the chance of any false rejection is the level (Holm's step-down)."""
+    """Return p values adjusted by Holm's method, so that the chance of any false rejection is the level."""
     # statsmodels' multipletests collects all garbage at each call, which takes longer than all the tests
-    adjusted, running = [0.0] * len(p), 0.0
+    adjusted, largest_so_far = [0.0] * len(p), 0.0
     for rank, i in enumerate(np.argsort(p)):
-        running = max(running, (len(p) - rank) * p[i])
-        adjusted[i] = min(running, 1.0)
+        largest_so_far = max(largest_so_far, (len(p) - rank) * p[i])
+        adjusted[i] = min(largest_so_far, 1.0)
     return adjusted
 
 
 def _two_sided(z: float) -> float:
+    """Return the probability that a standard normal number is farther from 0 than z."""
     return math.erfc(abs(z) / math.sqrt(2.0))
 
 
 def _simultaneous(count: int) -> float:
-    """Quantile below which `count` independent normal numbers all stay with probability 1 − LEVEL (Šidák)."""
+    """Return the bound within which `count` independent normal numbers all lie with probability 1 − LEVEL
+    (Šidák)."""
     return normal_quantile((1.0 - LEVEL) ** (1.0 / count))
 
 
 def _extremes(values: np.ndarray) -> np.ndarray:
-    """Indices of at most `POINTS` values: the value farthest from zero in each stretch of equal length."""
+    """Return the indices of at most `POINTS` values to plot: the value farthest from zero in each stretch."""
     width = math.ceil(len(values) / POINTS)
     if width == 1:
         return np.arange(len(values))
-    padded = np.full(math.ceil(len(values) / width) * width, -1.0)
-    padded[: len(values)] = np.abs(values)
-    return padded.reshape(-1, width).argmax(axis=1) + width * np.arange(len(padded) // width)
+    sizes = np.full(math.ceil(len(values) / width) * width, -1.0)
+    sizes[: len(values)] = np.abs(values)
+    return sizes.reshape(-1, width).argmax(axis=1) + width * np.arange(len(sizes) // width)
 
 
 def _rounded(values: np.ndarray) -> tuple[float, ...]:
-    """Six significant digits of each value, enough for a figure."""
+    """Return the values with six significant digits, enough for a figure."""
     return tuple(float(f"{value:.6g}") for value in np.asarray(values, dtype=float))
 
 
 def _correlation_and_limit(r: float, limit: float) -> Statement:
-    """A correlation and its limit, with enough digits to distinguish them."""
+    """Return the statement of a correlation and its limit, with enough digits to tell them apart."""
     near = round(abs(r), 2) == round(limit, 2)
     return (FitCode.CORRELATION_NEAR_LIMIT if near else FitCode.CORRELATION)(r=r, limit=limit)
 
 
 def _remark_on_size(r: float) -> tuple[Statement, ...]:
-    """The remark on a correlation that explains little."""
+    """Return the remark that a correlation explains little; empty for a larger one."""
     return (FitCode.SMALL_SHARE(share=r * r),) if abs(r) < SMALL else ()

@@ -37,12 +37,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Course:
-    """Expected values and standard deviations of named quantities.
+    """Expected values and standard deviations of named quantities over time.
 
-    `time_h` (T,) [h] from `origin_s` [s since 1970, UTC; 0 where a timeline states none]; `value`, `sd` by
-    name (T,) in the quantities' own units, which `units` has as far as they are known; `reading` by name
-    (T,), NaN where there is none, empty for quantities that are not read; `lead_h` (T,) [h] since the last
-    reading that a forecast used, empty for other courses.
+    `time_h`: (T,) [h] from `origin_s` [s since 1970, UTC; 0 where the data have no date].
+    `value`, `sd`: (T,) by name, in the quantities' own units; `units`: these units, as far as they are known.
+    `reading`: (T,) by name, NaN where there is none; without the quantities that are not read.
+    `lead_h`: (T,) [h] since the last reading that a forecast used; empty unless this is a forecast.
 
     `course[name]` is the pair (value, standard deviation).
     """
@@ -56,20 +56,24 @@ class Course:
     units: Mapping[str, str] = field(default_factory=dict)
 
     def __getitem__(self, name: str) -> tuple[np.ndarray, np.ndarray]:
+        """Return value and standard deviation (T,) of a quantity.  Raises KeyError with the names that
+        exist."""
         if name not in self.value:
             raise KeyError(f"expected one of {', '.join(self.value)}, found {name}")
         return self.value[name], self.sd[name]
 
     def bounds(self, name: str, level: float = 0.95) -> tuple[np.ndarray, np.ndarray]:
-        """Lower and upper bound (T,) of the central interval with probability `level` [1]."""
+        """Return the lower and upper bound (T,) of the central interval with probability `level` [1]."""
         value, sd = self[name]
         half_width = normal_quantile(level) * sd
         return value - half_width, value + half_width
 
     def to_frame(self, level: float = 0.95) -> DataFrame:
-        """A pandas frame over time (UTC, or hours where there is no date) with the columns `name`, `name_sd`,
-        `name_lower`, `name_upper` and, where it is read, `name_reading`, of every quantity; a forecast has
-        `lead_h` too."""
+        """Return a pandas frame over time: UTC, or hours where the data have no date.
+
+        Every quantity has the columns `name`, `name_sd`, `name_lower`, `name_upper` and, where it is read,
+        `name_reading`; a forecast has `lead_h` too.
+        """
         from pandas import DataFrame
 
         columns: dict[str, np.ndarray] = {"lead_h": self.lead_h} if len(self.lead_h) else {}
@@ -80,10 +84,11 @@ class Course:
             if name in self.reading:
                 columns[f"{name}_reading"] = self.reading[name]
         frame = DataFrame(columns, index=time_index(self.time_h, self.origin_s))
-        units = {f"{name}{end}": unit for name, unit in self.units.items() for end in ENDS}
+        units = {f"{name}{suffix}": unit for name, unit in self.units.items() for suffix in ENDS}
         return with_units(frame, units | {"lead_h": "h"})
 
     def __repr__(self) -> str:
+        """Return the number of instants, the span, and the range of every quantity."""
         lines = [f"{type(self).__name__} of {len(self.time_h)} instants"]
         if len(self.time_h):
             index = time_index(self.time_h[[0, -1]], self.origin_s)
@@ -98,7 +103,7 @@ ENDS = ("", "_sd", "_lower", "_upper", "_reading")
 
 
 def time_index(time_h: np.ndarray, origin_s: float) -> Index:
-    """Times (T,) [h] as an index: in UTC where their origin is a date, else in hours."""
+    """Return times (T,) [h] as an index: in UTC where their origin is a date, else in hours."""
     from pandas import Index
 
     return utc_index(origin_s + 3600.0 * time_h) if origin_s else Index(time_h, name="time_h")
@@ -125,19 +130,20 @@ def simulate(source: Source, given: Given | None = None) -> Course:
         design, run = run_on(resolved.fit.design, resolved.values, given)
         free_prediction = free_run(design, resolved.values, run, resolved.fit.covariance)
         return _course(run.timeline, _by_output(free_prediction), _readings_of(run))
-    likelihood, t = resolved.likelihood, resolved.likelihood.timeline
+    likelihood, timeline = resolved.likelihood, resolved.likelihood.timeline
     if likelihood.initial == "diffuse":
         raise ValueError(
             "simulate: expected a known first state, found a diffuse one; give the likelihood `initial`, "
             "such as Gaussian(smoothed.mean[0], smoothed.covariance[0]) of `smooth`"
         )
-    blind = replace(likelihood, timeline=t.with_readings(np.full_like(t.y, np.nan)))
+    without_readings = replace(likelihood, timeline=timeline.with_readings(np.full_like(timeline.y, np.nan)))
 
     def predicted_with(values: Mapping[str, float]) -> Pairs:
-        return expected_readings(blind.model, t, values, blind.trace(values))
+        """Return the expected readings at some parameter values."""
+        return expected_readings(without_readings.model, timeline, values, without_readings.trace(values))
 
-    pairs = _with_parameters(predicted_with(resolved.values), resolved.spread, predicted_with)
-    return _course(t, pairs, _readings_in(t))
+    predicted = _with_parameters(predicted_with(resolved.values), resolved.spread, predicted_with)
+    return _course(timeline, predicted, _readings_in(timeline))
 
 
 def forecast(
@@ -176,52 +182,66 @@ def forecast(
         usable = run.scored
     else:
         likelihood, usable = resolved.likelihood, np.ones(len(resolved.likelihood.timeline), dtype=bool)
-    t = likelihood.timeline
-    is_read = np.isfinite(t.y).any(axis=1) & usable
-    starts, ends = _origins(t, np.flatnonzero(is_read), leads_h, start_h, count)
+    timeline = likelihood.timeline
+    has_reading = np.isfinite(timeline.y).any(axis=1) & usable
+    starts, ends = _origins(timeline, np.flatnonzero(has_reading), leads_h, start_h, count)
 
     def pieces(values: Mapping[str, float]) -> Iterator[Pairs]:
+        """Yield the expected readings after each start, at some parameter values."""
         trace = likelihood.trace(values)
         if likelihood is resolved.likelihood:
             return _windows(likelihood, values, trace, starts, ends)
         predictions = ahead(likelihood, values, run, design, trace, starts, ends)
         return (_by_output(prediction) for _, prediction in predictions)
 
-    readings = _readings_in(t) if likelihood is resolved.likelihood else _readings_of(run)
+    readings = _readings_in(timeline) if likelihood is resolved.likelihood else _readings_of(run)
     pairs_by_start = list(pieces(resolved.values))
     if leads_h is None:
         pairs_by_start = [
             _with_parameters(pairs_by_start[0], resolved.spread, lambda values: next(pieces(values)))
         ]
-    last = int(np.flatnonzero(is_read)[-1])
-    rows, parts = [], []
+    time, last_reading = timeline.time, int(np.flatnonzero(has_reading)[-1])
+    forecasts: list[tuple[int, np.ndarray, Pairs]] = []
     for start, end, pairs in zip(starts, ends, pairs_by_start, strict=True):
         instants = np.arange(start + 1, end)
         if leads_h is not None:
-            observable = instants[is_read[instants] | (instants > last)]
-            instants = _nearest(t.time, observable, t.time[start] + np.asarray(leads_h, dtype=float))
-        rows.append((np.full(len(instants), start), instants))
-        place = instants - start - 1
-        parts.append({name: (value[place], sd[place]) for name, (value, sd) in pairs.items()})
-    start_of, instant = (np.concatenate(column) for column in zip(*rows, strict=True))
+            observable = instants[has_reading[instants] | (instants > last_reading)]
+            instants = _nearest(time, observable, time[start] + np.asarray(leads_h, dtype=float))
+        forecasts.append((start, instants, pairs))
+    return _joined(forecasts, timeline, readings)
+
+
+def _joined(
+    forecasts: Sequence[tuple[int, np.ndarray, Pairs]], timeline: Timeline, readings: Mapping[str, np.ndarray]
+) -> Course:
+    """Return forecasts as one course.
+
+    forecasts: start, instants to keep, and expected readings at all instants after the start.
+    """
+    starts = np.concatenate([np.full(len(kept), start) for start, kept, _ in forecasts])
+    instants = np.concatenate([kept for _, kept, _ in forecasts])
+    names = list(forecasts[0][2])
     value, sd = (
-        {name: np.concatenate([part[name][i] for part in parts]) for name in parts[0]} for i in (0, 1)
+        {
+            name: np.concatenate([pairs[name][i][kept - start - 1] for start, kept, pairs in forecasts])
+            for name in names
+        }
+        for i in (0, 1)
     )
-    reading = {name: readings[name][instant] for name in value if name in readings}
-    return Course(
-        t.time[instant], t.origin_s, value, sd, reading, t.time[instant] - t.time[start_of], _units(value)
-    )
+    reading = {name: readings[name][instants] for name in names if name in readings}
+    lead_h = timeline.time[instants] - timeline.time[starts]
+    return Course(timeline.time[instants], timeline.origin_s, value, sd, reading, lead_h, _units(names))
 
 
 @dataclass(frozen=True, repr=False)
 class Smoothed(Course):
-    """Smoothed states: `value`, `sd` by state, and the `covariance` (T, n, n) of all states."""
+    """Smoothed states: `value`, `sd` by state, and the `covariance` (T, n, n) between all states."""
 
     covariance: np.ndarray = field(default_factory=lambda: np.empty((0, 0, 0)))
 
     @property
     def mean(self) -> np.ndarray:
-        """The states (T, n) in the model's order."""
+        """All states (T, n), in the model's order."""
         return np.column_stack(list(self.value.values()))
 
 
@@ -236,22 +256,27 @@ def smooth(source: Source, given: Given | None = None) -> Smoothed:
     Source: Bierman 1973, doi:10.1016/0005-1098(73)90051-4.
     """
     resolved = subject("smooth", source, given)
-    likelihood, t = resolved.likelihood, resolved.likelihood.timeline
+    likelihood, timeline = resolved.likelihood, resolved.likelihood.timeline
     mean, covariance = smoothed_states(likelihood, resolved.values)
     sd = np.sqrt(np.maximum(np.diagonal(covariance, axis1=1, axis2=2), 0.0))
     names = likelihood.model.states
     return Smoothed(
-        t.time, t.origin_s, dict(zip(names, mean.T, strict=True)), dict(zip(names, sd.T, strict=True)),
+        timeline.time,
+        timeline.origin_s,
+        dict(zip(names, mean.T, strict=True)),
+        dict(zip(names, sd.T, strict=True)),
         covariance=covariance,
-    )  # fmt: skip
+    )
 
 
 @dataclass(frozen=True)
 class Innovations:
-    """One-step prediction errors: `error`, `sd` (T,) by output, NaN without reading; `inputs` (T,) by name.
+    """One-step prediction errors and their standard deviations, by output.
 
-    `sd` is infinite, and `standardised` NaN, at the readings that determine the state of a diffuse start.
-    `time_h` (T,) [h] from `origin_s` [s since 1970, UTC; 0 where a timeline states none].
+    `error`, `sd`: (T,) by output, NaN without a reading.  `sd` is infinite, and `standardised` NaN, at the
+        readings that determine the state of a diffuse start.
+    `inputs`: (T,) by name.  `time_h`: (T,) [h] from `origin_s` [s since 1970, UTC; 0 where the data have no
+        date].
     """
 
     time_h: np.ndarray
@@ -263,10 +288,13 @@ class Innovations:
     @property
     def standardised(self) -> dict[str, np.ndarray]:
         """Innovations [1] divided by their standard deviations, (T,) by output."""
-        return {n: np.where(np.isinf(self.sd[n]), np.nan, e / self.sd[n]) for n, e in self.error.items()}
+        return {
+            name: np.where(np.isinf(self.sd[name]), np.nan, error / self.sd[name])
+            for name, error in self.error.items()
+        }
 
     def to_frame(self) -> DataFrame:
-        """A pandas frame over time with `name`, `name_sd` and `name_standardised` of every output."""
+        """Return a pandas frame over time with `name`, `name_sd` and `name_standardised` of every output."""
         from pandas import DataFrame
 
         columns: dict[str, np.ndarray] = {}
@@ -276,7 +304,8 @@ class Innovations:
         return with_units(frame, {f"{name}_standardised": "1" for name in self.error})
 
     def tests(self, longest_h: float = 24.0) -> Diagnosis:
-        """Whiteness, distribution and correlation with every input (`evaluation.innovation_tests.diagnose`).
+        """Test whiteness, distribution and correlation with every input
+        (`evaluation.innovation_tests.diagnose`).
 
         longest_h: [h] longest lag.
         """
@@ -285,6 +314,8 @@ class Innovations:
         return diagnose(self.time_h, self.standardised, self.inputs, longest_h=longest_h)
 
     def __repr__(self) -> str:
+        """Return the number of instants, and count and root mean square of the innovations of every
+        output."""
         lines = [f"Innovations at {len(self.time_h)} instants"]
         for name, standard in self.standardised.items():
             count, spread = int(np.isfinite(standard).sum()), math.sqrt(float(np.nanmean(standard**2)))
@@ -303,20 +334,21 @@ def innovations(source: Source, given: Given | None = None) -> Innovations:
     Raises ValueError for anything else, with the call that makes what is missing.
     """
     resolved = subject("innovations", source, given)
-    linear = replace(resolved.likelihood, model=replace(resolved.likelihood.model, bound=math.inf))
-    t, trace = linear.timeline, linear.trace(resolved.values)
-    is_read = np.isfinite(t.y)
-    error = np.where(is_read, t.y - trace.prediction, np.nan)
+    linear_likelihood = replace(resolved.likelihood, model=replace(resolved.likelihood.model, bound=math.inf))
+    timeline, trace = linear_likelihood.timeline, linear_likelihood.trace(resolved.values)
+    is_read = np.isfinite(timeline.y)
+    error = np.where(is_read, timeline.y - trace.prediction, np.nan)
     sd = np.where(is_read, np.sqrt(trace.variance), np.nan)
-    errors, deviations = (dict(zip(t.outputs, array.T, strict=True)) for array in (error, sd))
-    inputs = {name: t.input(name) for name in linear.model.inputs}
-    return Innovations(t.time, t.origin_s, errors, deviations, inputs)
+    errors, deviations = (dict(zip(timeline.outputs, array.T, strict=True)) for array in (error, sd))
+    inputs = {name: timeline.input(name) for name in linear_likelihood.model.inputs}
+    return Innovations(timeline.time, timeline.origin_s, errors, deviations, inputs)
 
 
-def _course(t: Timeline, pairs: Pairs, readings: Mapping[str, np.ndarray]) -> Course:
-    value, sd = ({name: pair[i] for name, pair in pairs.items()} for i in (0, 1))
+def _course(timeline: Timeline, pairs: Pairs, readings: Mapping[str, np.ndarray]) -> Course:
+    """Return expected readings by output as a `Course`, with the observed readings."""
+    value, sd = ({name: value_and_sd[i] for name, value_and_sd in pairs.items()} for i in (0, 1))
     reading = {name: readings[name] for name in pairs if name in readings}
-    return Course(t.time, t.origin_s, value, sd, reading, units=_units(pairs))
+    return Course(timeline.time, timeline.origin_s, value, sd, reading, units=_units(pairs))
 
 
 CABINET = {
@@ -326,35 +358,52 @@ CABINET = {
 
 
 def _units(names: Iterable[str]) -> dict[str, str]:
-    """The units of a cabinet's readings among some names."""
+    """Return the units of those names that are readings of a cabinet."""
     unit_of = {name: UNITS[quantity] for quantity, name in CABINET.items()}
     return {name: unit_of[name] for name in names if name in unit_of}
 
 
 def _by_output(predicted: Prediction) -> Pairs:
-    return {name: pair for quantity, name in CABINET.items() if (pair := predicted.of(quantity)) is not None}
+    """Return a prediction as (value, standard deviation) by the name of the reading."""
+    return {
+        name: value_and_sd
+        for quantity, name in CABINET.items()
+        if (value_and_sd := predicted.of(quantity)) is not None
+    }
 
 
 def _readings_of(run: Run) -> dict[str, np.ndarray]:
+    """Return the observed readings (T,) of a cabinet's run by name."""
     return {CABINET[quantity]: value for quantity, value in measured(run).items()}
 
 
-def _readings_in(t: Timeline) -> dict[str, np.ndarray]:
-    return {name: t.reading(name) for name in t.outputs}
+def _readings_in(timeline: Timeline) -> dict[str, np.ndarray]:
+    """Return the observed readings (T,) of a timeline by output."""
+    return {name: timeline.reading(name) for name in timeline.outputs}
 
 
 def _origins(
-    t: Timeline, with_reading: np.ndarray, leads_h: Sequence[float] | None, start_h: float | None, count: int
+    timeline: Timeline,
+    with_reading: np.ndarray,
+    leads_h: Sequence[float] | None,
+    start_h: float | None,
+    count: int,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Instants from which forecasts start, and the instants before which their predictions end."""
+    """Return the instants at which forecasts start, and those before which their predictions end.
+
+    with_reading: instants with a reading.  leads_h, start_h, count: as for `forecast`.  Raises ValueError if
+        no reading has an instant after it.
+    """
     if leads_h is None:
-        starts = with_reading[t.time[with_reading] <= (math.inf if start_h is None else start_h)][-1:]
-        ends = np.full(len(starts), len(t))
+        starts = with_reading[timeline.time[with_reading] <= (math.inf if start_h is None else start_h)][-1:]
+        ends = np.full(len(starts), len(timeline))
     else:
-        later = with_reading[t.time[with_reading] >= (-math.inf if start_h is None else start_h)]
-        positions = np.linspace(0, len(later) - 1, min(count, len(later)))
-        starts = later[np.unique(positions.astype(int))] if len(later) else later
-        ends = np.searchsorted(t.time, t.time[starts] + 1.5 * max(leads_h), side="right")
+        later_readings = with_reading[
+            timeline.time[with_reading] >= (-math.inf if start_h is None else start_h)
+        ]
+        positions = np.linspace(0, len(later_readings) - 1, min(count, len(later_readings)))
+        starts = later_readings[np.unique(positions.astype(int))] if len(later_readings) else later_readings
+        ends = np.searchsorted(timeline.time, timeline.time[starts] + 1.5 * max(leads_h), side="right")
     has_target = ends > starts + 1
     if not has_target.any():
         raise ValueError(
@@ -367,14 +416,14 @@ def _origins(
 def _windows(
     likelihood: Likelihood, values: Mapping[str, float], trace: Trace, starts: np.ndarray, ends: np.ndarray
 ) -> Iterator[Pairs]:
-    """The expected readings after each start, from its filtered state."""
-    t = likelihood.timeline
+    """Yield the expected readings after each start, computed from the filtered state at the start."""
+    timeline = likelihood.timeline
     for start, end in zip(starts, ends, strict=True):
-        part = t.window(start + 1, end)
-        part = part.with_readings(np.full_like(part.y, np.nan))
-        state = Gaussian(trace.mean[start], trace.covariance[start], float(t.time[start]))
-        from_state = replace(likelihood, timeline=part, initial=state, diffuse_states=())
-        yield expected_readings(from_state.model, part, values, from_state.trace(values))
+        piece = timeline.window(start + 1, end)
+        piece = piece.with_readings(np.full_like(piece.y, np.nan))
+        state = Gaussian(trace.mean[start], trace.covariance[start], float(timeline.time[start]))
+        from_state = replace(likelihood, timeline=piece, initial=state, diffuse_states=())
+        yield expected_readings(from_state.model, piece, values, from_state.trace(values))
 
 
 SHIFT = 0.1
@@ -385,22 +434,30 @@ errors of the filter's sub-steps are divided by it."""
 def _with_parameters(
     pairs: Pairs, spread: Spread, predict: Callable[[Mapping[str, float]], Pairs]
 ) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-    """A prediction whose variance includes that of the parameters, by central differences along the axes of
-    the parameters' covariance."""
+    """Return a prediction whose variance includes that of the parameters.
+
+    pairs: prediction at the estimated parameters.  predict: computes it at other ones.  The derivatives are
+        central differences along the axes of the parameters' covariance.
+    """
     variance: dict[str, np.ndarray | float] = dict.fromkeys(pairs, 0.0)
     for axis in SHIFT * np.eye(len(spread.names)):
-        up, down = (
-            predict({name: float(np.squeeze(value)) for name, value in spread.drawn(move[None, :]).items()})
-            for move in (axis, -axis)
+        predicted_above, predicted_below = (
+            predict({name: float(np.squeeze(value)) for name, value in spread.drawn(step[None, :]).items()})
+            for step in (axis, -axis)
         )
-        variance = {n: v + ((up[n][0] - down[n][0]) / (2.0 * SHIFT)) ** 2 for n, v in variance.items()}
+        variance = {
+            name: variance_before
+            + ((predicted_above[name][0] - predicted_below[name][0]) / (2.0 * SHIFT)) ** 2
+            for name, variance_before in variance.items()
+        }
     return {name: (value, np.sqrt(sd**2 + variance[name])) for name, (value, sd) in pairs.items()}
 
 
 def _nearest(time: np.ndarray, instants: np.ndarray, wanted: np.ndarray) -> np.ndarray:
-    """The instants nearest to the wanted times [h], without those farther away than half a step."""
+    """Return the instants nearest to the wanted times [h]; instants farther away than half a step are left
+    out."""
     if not len(instants):
         return instants
     nearest = instants[np.abs(time[instants][:, None] - wanted).argmin(axis=0)]
-    step = float(np.median(np.diff(time[instants]))) if len(instants) > 1 else math.inf
-    return nearest[np.abs(time[nearest] - wanted) <= 0.5 * step]
+    median_step_h = float(np.median(np.diff(time[instants]))) if len(instants) > 1 else math.inf
+    return nearest[np.abs(time[nearest] - wanted) <= 0.5 * median_step_h]

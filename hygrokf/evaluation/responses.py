@@ -38,9 +38,9 @@ Answer = tuple[np.ndarray, np.ndarray, np.ndarray]
 
 @dataclass(frozen=True)
 class Response:
-    """Responses of the outputs to the inputs, by pair (output, input).
+    """Responses of all outputs to all inputs of a linear system.
 
-    `level` [1] of the bands; `system`: the linear system at the parameters' values.
+    `level` [1]: probability of the bands.  `system`: the linear system at the parameters' values.
     """
 
     level: float
@@ -52,6 +52,7 @@ class Response:
         return [(output, name) for output in self.system.outputs for name in self.system.inputs]
 
     def __repr__(self) -> str:
+        """Return the outputs, the inputs and the level of the bands."""
         outputs, inputs = ", ".join(self.system.outputs), ", ".join(self.system.inputs)
         return f"{type(self).__name__}\n  of {outputs}\n  to {inputs}\n  {100 * self.level:g} % bands"
 
@@ -143,23 +144,25 @@ def bode(
         raise ValueError(f"omega: expected frequencies above 0 rad/h, found {np.min(omega)}")
     system_of, spread = _linear("bode", source, given, state, inputs)
     system = system_of(spread.values)
-    rates = np.abs(_modes(system))
+    mode_rates = np.abs(_modes(system))
     if omega is None:
-        low, high = (rates.min() / 10.0, rates.max() * 10.0) if len(rates) else (0.01, 100.0)
-        omega = np.geomspace(low, high, POINTS)
+        lowest, highest = (
+            (mode_rates.min() / 10.0, mode_rates.max() * 10.0) if len(mode_rates) else (0.01, 100.0)
+        )
+        omega = np.geomspace(lowest, highest, POINTS)
     grid = np.asarray(omega, dtype=float)
-    exact, of_draws = _frequency(system, grid), None
+    exact_response, drawn_responses = _frequency(system, grid), None
     if len(spread.names):
-        of_draws = _frequency(system_of(spread.drawn(_normal(len(spread.names)))), grid)
+        drawn_responses = _frequency(system_of(spread.drawn(_normal(len(spread.names)))), grid)
     magnitude, phase = {}, {}
-    unwrapped = np.degrees(np.unwrap(np.angle(exact), axis=0))
-    for pair, index in _places(system).items():
-        gain, phase_value = np.abs(exact[index]), unwrapped[index]
+    unwrapped = np.degrees(np.unwrap(np.angle(exact_response), axis=0))
+    for pair, place in _places(system).items():
+        gain, phase_value = np.abs(exact_response[place]), unwrapped[place]
         drawn_gains = drawn_phases = None
-        if of_draws is not None:
-            drawn_gains = np.abs(of_draws[(slice(None), *index)])
+        if drawn_responses is not None:
+            drawn_gains = np.abs(drawn_responses[(slice(None), *place)])
             with np.errstate(divide="ignore", invalid="ignore"):
-                ratio = of_draws[(slice(None), *index)] / exact[index]
+                ratio = drawn_responses[(slice(None), *place)] / exact_response[place]
                 drawn_phases = phase_value + np.degrees(np.angle(ratio))
         magnitude[pair] = _with_bounds(gain, drawn_gains, level)
         phase[pair] = _with_bounds(phase_value, drawn_phases, level)
@@ -196,12 +199,16 @@ def step_response(
     steps = np.diff(grid)
     if grid[0] != 0.0 or len(grid) < 2 or not np.allclose(steps, steps[0], rtol=1e-6) or steps[0] <= 0.0:
         raise ValueError("time_h: expected evenly spaced times [h] from 0 on, found others; use np.linspace")
-    exact, of_draws = _steps(system, grid), None
+    exact_response, drawn_responses = _steps(system, grid), None
     if len(spread.names):
-        of_draws = _steps(system_of(spread.drawn(_normal(len(spread.names)))), grid)
+        drawn_responses = _steps(system_of(spread.drawn(_normal(len(spread.names)))), grid)
     value = {
-        pair: _with_bounds(exact[index], None if of_draws is None else of_draws[(slice(None), *index)], level)
-        for pair, index in _places(system).items()
+        pair: _with_bounds(
+            exact_response[place],
+            None if drawn_responses is None else drawn_responses[(slice(None), *place)],
+            level,
+        )
+        for pair, place in _places(system).items()
     }
     return StepResponse(level, system, grid, value)
 
@@ -216,7 +223,10 @@ def _linear(
     state: Mapping[str, float] | None,
     inputs: Mapping[str, float] | None,
 ) -> tuple[Callable[[Mapping[str, Any]], LinearSystem], Spread]:
-    """The linear system as a function of the parameters, and their values with their uncertainty."""
+    """Return the linear system as a function of the parameters, and their values with their uncertainty.
+
+    verb: name of the calling function, for messages.  state, inputs: point of linearisation.
+    """
     if is_fit(source) and (given is None or isinstance(given, Record)):
         if state or inputs:
             raise ValueError(
@@ -234,14 +244,15 @@ def _linear(
 
 
 def _modes(system: LinearSystem) -> np.ndarray:
-    """Eigenvalues [1/h] of the modes that transmit an input to an output."""
-    values, vectors = np.linalg.eig(system.A)
-    driven = np.abs(np.linalg.pinv(vectors) @ system.B).max(axis=1, initial=0.0)
-    residues = np.abs(system.C @ vectors).max(axis=0) * driven
-    return values[(residues > REACHED * residues.max(initial=0.0)) & (np.abs(values) > 0.0)]
+    """Return the eigenvalues [1/h] of the modes through which an input acts on an output."""
+    eigenvalues, eigenvectors = np.linalg.eig(system.A)
+    input_coupling = np.abs(np.linalg.pinv(eigenvectors) @ system.B).max(axis=1, initial=0.0)
+    residues = np.abs(system.C @ eigenvectors).max(axis=0) * input_coupling
+    return eigenvalues[(residues > REACHED * residues.max(initial=0.0)) & (np.abs(eigenvalues) > 0.0)]
 
 
 def _places(system: LinearSystem) -> dict[tuple[str, str], tuple[Any, int, int]]:
+    """Return for each pair (output, input) its index in an array (F or T, k, m)."""
     return {
         (output, name): (slice(None), i, j)
         for i, output in enumerate(system.outputs)
@@ -250,7 +261,7 @@ def _places(system: LinearSystem) -> dict[tuple[str, str], tuple[Any, int, int]]
 
 
 def _frequency(system: LinearSystem, omega: np.ndarray) -> np.ndarray:
-    """G(iω) (…, F, k, m)."""
+    """Return G(iω) (…, F, k, m) at frequencies omega (F,) [rad/h]."""
     n = len(system.states)
     gain = np.empty((*system.A.shape[:-2], len(omega), *system.D.shape[-2:]), dtype=complex)
     for row, frequency in enumerate(omega):  # a frequency at a time: all together would fill the memory
@@ -259,7 +270,10 @@ def _frequency(system: LinearSystem, omega: np.ndarray) -> np.ndarray:
 
 
 def _steps(system: LinearSystem, time_h: np.ndarray) -> np.ndarray:
-    """Step responses (…, T, k, m), from the matrix exponential of [[A, B], [0, 0]]."""
+    """Return the step responses (…, T, k, m) at evenly spaced times (T,) [h].
+
+    They follow from the matrix exponential of [[A, B], [0, 0]].
+    """
     from scipy.linalg import expm
 
     n, m = system.B.shape[-2:]
@@ -269,22 +283,22 @@ def _steps(system: LinearSystem, time_h: np.ndarray) -> np.ndarray:
     state_matrix, input_matrix = transition[..., :n, :n], transition[..., :n, n:]
     state = np.zeros_like(system.B)
     responses = np.empty((*system.A.shape[:-2], len(time_h), *system.D.shape[-2:]))
-    for row in range(len(time_h)):
-        responses[..., row, :, :] = system.C @ state + system.D
+    for time_index in range(len(time_h)):
+        responses[..., time_index, :, :] = system.C @ state + system.D
         state = state_matrix @ state + input_matrix
     return responses
 
 
 @cache
 def _normal(count: int) -> np.ndarray:
-    """Standard normal quasi-random points (DRAWS, count) with a fixed seed."""
+    """Return standard normal quasi-random points (DRAWS, count); the seed is fixed."""
     from scipy.stats import qmc
 
     return np.asarray(qmc.MultivariateNormalQMC(np.zeros(count), seed=1).random(DRAWS))
 
 
 def _with_bounds(value: np.ndarray, draws: np.ndarray | None, level: float) -> Answer:
-    """A value (T,) with the percentiles of its draws (N, T)."""
+    """Return a value (T,) with percentiles of its draws (N, T) as bounds; NaN bounds without draws."""
     if draws is None:
         unknown = np.full(len(value), np.nan)
         return value, unknown, unknown

@@ -35,7 +35,7 @@ not remember earlier switching."""
 
 
 def switches_of(design: Design) -> dict[str, Throttle]:
-    """The switches of a design, by input, that follow a reading which the model predicts."""
+    """Return the switches of a design, by input, whose controlling reading the model predicts."""
     return {
         name: switch
         for name, settings in design.features.items()
@@ -44,22 +44,25 @@ def switches_of(design: Design) -> dict[str, Throttle]:
 
 
 def cut(hours: float) -> tuple[np.ndarray, np.ndarray]:
-    """Lengths [h] of the sub-steps at whose ends switches decide, and their ends as shares of the step.
+    """Divide a step of `hours` into sub-steps at whose ends switches decide.
 
-    In a step longer than `DECIDED_H` the first sub-step is everything before the last `DECIDED_H`.
+    Returns the lengths [h] of the sub-steps, and their ends as shares of the step.  In a step longer than
+    `DECIDED_H` the first sub-step is everything before the last `DECIDED_H`.
     """
-    parts = max(math.ceil(min(hours, DECIDED_H) / DECIDE_H - 1e-9), 1)
+    sub_step_count = max(math.ceil(min(hours, DECIDED_H) / DECIDE_H - 1e-9), 1)
     if hours <= DECIDED_H:
-        return np.full(parts, hours / parts), np.arange(1, parts + 1) / parts
-    shares = 1.0 - DECIDED_H / hours * (1.0 - np.arange(parts + 1) / parts)
-    return np.append(hours - DECIDED_H, np.full(parts, DECIDED_H / parts)), shares
+        return np.full(sub_step_count, hours / sub_step_count), np.arange(
+            1, sub_step_count + 1
+        ) / sub_step_count
+    shares = 1.0 - DECIDED_H / hours * (1.0 - np.arange(sub_step_count + 1) / sub_step_count)
+    return np.append(hours - DECIDED_H, np.full(sub_step_count, DECIDED_H / sub_step_count)), shares
 
 
 @dataclass
 class Switchboard:
-    """Switches of N simulations of one model.
+    """The switches of N simulations of one model, and whether they are on.
 
-    `values` of the parameters, numbers or (N,) each.  `flags`: input → (N,) or a number, 1 for switched on.
+    `values`: of the parameters, numbers or (N,) each.  `flags`: input → 1 for on, else 0, a number or (N,).
     """
 
     model: Model
@@ -70,7 +73,10 @@ class Switchboard:
     def decide(
         self, mean: np.ndarray, inputs: Mapping[str, np.ndarray | float], idle: np.ndarray | bool
     ) -> None:
-        """Evaluate the logger readings at states (N, n) under inputs, and switch accordingly."""
+        """Switch on and off according to the logger readings at states (N, n) and inputs.
+
+        idle: whether the turbine stands still.
+        """
         # for a single simulation use plain numbers: arrays of one element take three times as long
         columns = mean[0].tolist() if len(mean) == 1 else list(mean.T)
         evaluated = self.model.evaluate(columns, {**inputs, **self.flags}, self.values)
@@ -87,9 +93,9 @@ class Switchboard:
 def self_switched(
     design: Design, values: Mapping[str, float], runs: Sequence[Run], starts: Sequence[Gaussian] | None = None
 ) -> list[Run]:
-    """Runs whose switches follow a simulation instead of the readings; unchanged if the model has no switch.
+    """Return the runs with switches that follow the simulation instead of the readings.
 
-    `starts`: initial states of the runs; by default that of the model.
+    starts: initial states of the runs; None: those of the model.  Without switches the runs are unchanged.
     """
     switches = switches_of(design)
     if not switches:
@@ -102,20 +108,23 @@ def self_switched(
     switched = []
     initial_states: Sequence[Gaussian | None] = starts or [None] * len(runs)
     for run, start in zip(runs, initial_states, strict=True):
-        t, pieces = run.timeline, _pieces(model, run)
-        first = start or Likelihood(model, t).first_gaussian(values)
-        positions = Likelihood(model, pieces.timeline, initial=first).controlled(
+        timeline, pieces = run.timeline, _pieces(model, run)
+        first_state = start or Likelihood(model, timeline).first_gaussian(values)
+        positions = Likelihood(model, pieces.timeline, initial=first_state).controlled(
             values, controls, pieces.idle
         )
         shares = {control.input: pieces.over(positions[:, i]) for i, control in enumerate(controls)}
-        switched.append(replace(run, timeline=t.with_inputs(shares)))
+        switched.append(replace(run, timeline=timeline.with_inputs(shares)))
     return switched
 
 
 @dataclass(frozen=True)
 class _Pieces:
-    """A run cut into S sub-steps: their `timeline` and lengths `hours` (S,), the step to which each belongs
-    (`owner`, of `count` steps), and whether the turbine is `idle` (S,)."""
+    """A run divided into S sub-steps.
+
+    `hours`: (S,) lengths.  `owner`: (S,) step to which each belongs, of `count` steps.  `idle`: (S,) whether
+        the turbine stands still.
+    """
 
     timeline: Timeline
     hours: np.ndarray
@@ -124,7 +133,10 @@ class _Pieces:
     count: int
 
     def over(self, is_on: np.ndarray) -> np.ndarray:
-        """The share (T,) of each step during which a switch that is on in sub-steps (S,) is on."""
+        """Return the share (T,) of each step during which a switch is on.
+
+        is_on: (S,) whether it is on in each sub-step.
+        """
         total = np.bincount(self.owner, self.hours, self.count)
         time_on = np.bincount(self.owner, self.hours * is_on, self.count)
         share = np.zeros(self.count)
@@ -133,26 +145,38 @@ class _Pieces:
 
 
 def _pieces(model: Model, run: Run) -> _Pieces:
-    t = run.timeline
-    cuts = [cut(length) for length in t.steps[:, 0].tolist()]
-    count = np.array([len(hours) for hours, _ in cuts])
-    owner = np.repeat(np.arange(len(t)), count[t.key])
-    kind = t.key[owner]
-    inner = np.arange(len(owner)) - np.repeat(np.cumsum(count[t.key]) - count[t.key], count[t.key])
-    begin = np.cumsum(count) - count
-    hours, share = (np.concatenate([pair[i] for pair in cuts])[begin[kind] + inner] for i in (0, 1))
-    before, after = t.u[:-1][owner], t.u[1:][owner]
-    u = after.copy()
-    for c, name in enumerate(t.varying):
-        u[:, c] = between(model.holds[name], before[:, c], after[:, c], share)
-    steps, key = np.unique(np.column_stack([hours, t.steps[kind, 1:]]), axis=0, return_inverse=True)
-    timeline = replace(
-        t,
-        time=np.interp(np.arange(len(owner)) + 1.0, np.cumsum(count[t.key]), t.time),
-        key=key.reshape(-1).astype(t.key.dtype),
-        steps=np.ascontiguousarray(steps),
-        u=np.ascontiguousarray(np.vstack([t.u[:1], u])),
-        y=np.full((len(owner), t.y.shape[1]), np.nan),
-        reset=np.zeros(len(owner), dtype=t.reset.dtype),
+    """Divide a run into sub-steps at whose ends switches decide, with interpolated inputs."""
+    timeline = run.timeline
+    cuts_of_steps = [cut(length) for length in timeline.steps[:, 0].tolist()]
+    pieces_of_step = np.array([len(hours) for hours, _ in cuts_of_steps])
+    owner = np.repeat(np.arange(len(timeline)), pieces_of_step[timeline.key])
+    step_of_piece = timeline.key[owner]
+    index_in_step = np.arange(len(owner)) - np.repeat(
+        np.cumsum(pieces_of_step[timeline.key]) - pieces_of_step[timeline.key], pieces_of_step[timeline.key]
     )
-    return _Pieces(timeline, hours, owner, ~run.operating[owner], len(t))
+    first_of_step = np.cumsum(pieces_of_step) - pieces_of_step
+    hours, shares = (
+        np.concatenate([cut_of_step[i] for cut_of_step in cuts_of_steps])[
+            first_of_step[step_of_piece] + index_in_step
+        ]
+        for i in (0, 1)
+    )
+    inputs_before, inputs_after = timeline.u[:-1][owner], timeline.u[1:][owner]
+    inputs = inputs_after.copy()
+    for column, name in enumerate(timeline.varying):
+        inputs[:, column] = between(
+            model.holds[name], inputs_before[:, column], inputs_after[:, column], shares
+        )
+    steps, key = np.unique(
+        np.column_stack([hours, timeline.steps[step_of_piece, 1:]]), axis=0, return_inverse=True
+    )
+    cut_timeline = replace(
+        timeline,
+        time=np.interp(np.arange(len(owner)) + 1.0, np.cumsum(pieces_of_step[timeline.key]), timeline.time),
+        key=key.reshape(-1).astype(timeline.key.dtype),
+        steps=np.ascontiguousarray(steps),
+        u=np.ascontiguousarray(np.vstack([timeline.u[:1], inputs])),
+        y=np.full((len(owner), timeline.y.shape[1]), np.nan),
+        reset=np.zeros(len(owner), dtype=timeline.reset.dtype),
+    )
+    return _Pieces(cut_timeline, hours, owner, ~run.operating[owner], len(timeline))

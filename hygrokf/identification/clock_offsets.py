@@ -50,10 +50,10 @@ DRIVERS = (
 
 @dataclass(frozen=True)
 class ClockOffset:
-    """The offset of one source's clock from the cabinet's.
+    """The offset of one source's clock from the cabinet's clock.
 
-    `prior_s` [s] is the prior standard deviation; `offset_s` ± `sd_s` [s] is the delay of the source's stamps
-    given the readings and the prior.
+    `prior_s` [s] is its prior standard deviation; `offset_s` ± `sd_s` [s] is the estimated delay of the
+    source's stamps.
     """
 
     source: Source
@@ -64,10 +64,10 @@ class ClockOffset:
 
 @dataclass(frozen=True)
 class ClockOffsets:
-    """The offsets of all sources.
+    """The clock offsets of all sources and what they do to the parameters.
 
-    `shift` is the change of the parameters' coordinates with the most likely offsets, `variance` the addition
-    to the coordinates' variances from the offsets' uncertainty.
+    `shift`: by parameter, change of its coordinate under the most likely offsets.
+    `variance`: by parameter, variance of its coordinate that the offsets' uncertainty adds.
     """
 
     sources: tuple[ClockOffset, ...] = ()
@@ -79,49 +79,62 @@ NO_OFFSETS = ClockOffsets()
 
 
 def prior_s(series: Series, reference: Series) -> float:
-    """Prior standard uncertainty [s] of the offset between two series."""
-    stated = [s.clock_uncertainty_s for s in (series, reference) if s.clock_uncertainty_s is not None]
-    if stated:
-        return float(np.hypot.reduce(stated))
+    """Return the prior standard deviation [s] of the clock offset between two series."""
+    stated_uncertainties = [
+        one_series.clock_uncertainty_s
+        for one_series in (series, reference)
+        if one_series.clock_uncertainty_s is not None
+    ]
+    if stated_uncertainties:
+        return float(np.hypot.reduce(stated_uncertainties))
     return ONE_SYSTEM_S if _system(series) == _system(reference) else TWO_SYSTEMS_S
 
 
 def _system(series: Series) -> str:
+    """Return the name of a series' source, without its column."""
     return series.source.split(",")[0]
 
 
 def clock_offsets(base: Design, run: Run, estimate: Estimate, uncertainty: Uncertainty) -> ClockOffsets:
-    """Offsets of the sources that drive a run, linearised at the estimate; sources without clock uncertainty
-    are left out."""
+    """Estimate the clock offsets of the sources that drive a run, by linearisation at the estimate.
+
+    Sources without clock uncertainty are left out.
+    """
     record = run.record
     reference = next((record[name] for name in (TEMPERATURE, *HUMIDITIES) if name in record), None)
     if reference is None:
         return NO_OFFSETS
-    groups: dict[str, list[Series]] = {}
+    series_by_source: dict[str, list[Series]] = {}
     for series in record.series:
         if series.signal in DRIVERS and prior_s(series, reference) > 0:
-            groups.setdefault(_system(series), []).append(series)
+            series_by_source.setdefault(_system(series), []).append(series)
     likelihood = Likelihood(base.model, run.timeline)
     weights, errors, slopes = _innovations(likelihood, estimate, uncertainty)
     information = Objective(likelihood, estimate.coordinates).information(estimate.z)
-    places = [estimate.coordinates.names.index(name) for name in uncertainty.names]
-    covariance = positive_inverse(information.information[np.ix_(places, places)], uncertainty.open)
+    indices = [estimate.coordinates.names.index(name) for name in uncertainty.names]
+    covariance = positive_inverse(information.information[np.ix_(indices, indices)], uncertainty.open)
     derivatives, names = [], []
-    for name, group in groups.items():
-        shifted = record.replace_series(*(replace(s, time=s.time - STEP_S) for s in group))
+    for name, group in series_by_source.items():
+        shifted = record.replace_series(
+            *(replace(one_series, time=one_series.time - STEP_S) for one_series in group)
+        )
         shifted_run = model_inputs(base, shifted)
-        rows = _matched(run, shifted_run)
-        if rows is None:
+        matching_rows = _matched(run, shifted_run)
+        if matching_rows is None:
             continue
-        trace = Likelihood(base.model, shifted_run.timeline).trace(estimate.values)
-        change = (shifted_run.timeline.y - trace.prediction)[rows[1]] - errors[rows[0]]
-        column = np.zeros_like(errors)
-        column[rows[0]] = np.nan_to_num(change) / STEP_S
-        derivatives.append(column)
+        shifted_trace = Likelihood(base.model, shifted_run.timeline).trace(estimate.values)
+        change = (shifted_run.timeline.y - shifted_trace.prediction)[matching_rows[1]] - errors[
+            matching_rows[0]
+        ]
+        derivative = np.zeros_like(errors)
+        derivative[matching_rows[0]] = np.nan_to_num(change) / STEP_S
+        derivatives.append(derivative)
         names.append(name)
     if not derivatives:
         return NO_OFFSETS
-    prior = np.array([max(prior_s(s, reference) for s in groups[name]) for name in names])
+    prior = np.array(
+        [max(prior_s(one_series, reference) for one_series in series_by_source[name]) for name in names]
+    )
     return _solved(
         uncertainty.names, covariance, names, prior, weights, errors, slopes, np.stack(derivatives, axis=-1)
     )
@@ -130,8 +143,10 @@ def clock_offsets(base: Design, run: Run, estimate: Estimate, uncertainty: Uncer
 def _innovations(
     likelihood: Likelihood, estimate: Estimate, uncertainty: Uncertainty
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """1/S and innovations (T, k), 0 without a reading, and the Jacobian (T, k, f) of the innovations with
-    respect to the coordinates."""
+    """Return the weights 1/S (T, k), the innovations (T, k) and their Jacobian (T, k, f) in the coordinates.
+
+    All are 0 where there is no reading.
+    """
     coordinates = estimate.coordinates
     trace = likelihood.trace(estimate.values)
     is_present = np.isfinite(likelihood.timeline.y)
@@ -146,16 +161,16 @@ def _innovations(
 
 
 def _matched(run: Run, other: Run) -> tuple[np.ndarray, np.ndarray] | None:
-    """Rows of the same readings in two runs that differ only in the times of their inputs; None without
-    common readings."""
-    reference, shifted = run.timeline, other.timeline
-    reference_ms = np.round(reference.seconds * 1e3)
-    shifted_ms = np.round(shifted.seconds * 1e3)
-    has_reading = np.isfinite(reference.y).any(axis=1)
-    _, left, right = np.intersect1d(
+    """Return the rows of common readings in two runs that differ only in the times of their inputs; None
+    without any."""
+    timeline, other_timeline = run.timeline, other.timeline
+    reference_ms = np.round(timeline.seconds * 1e3)
+    shifted_ms = np.round(other_timeline.seconds * 1e3)
+    has_reading = np.isfinite(timeline.y).any(axis=1)
+    _, common, common_in_other = np.intersect1d(
         reference_ms[has_reading], shifted_ms, assume_unique=True, return_indices=True
     )
-    return (np.flatnonzero(has_reading)[left], right) if len(left) else None
+    return (np.flatnonzero(has_reading)[common], common_in_other) if len(common) else None
 
 
 def _solved(
@@ -168,15 +183,18 @@ def _solved(
     jacobian: np.ndarray,
     derivatives: np.ndarray,
 ) -> ClockOffsets:
-    """Solve the equations of the module's docstring; `parameter_covariance` (f, f) is I_θθ⁻¹, `derivatives`
-    (T, k, m) are those of the innovations by the offsets."""
-    flat = derivatives.reshape(-1, len(names))
-    weighted = flat * weights.reshape(-1, 1)
+    """Solve the equations of the module's docstring for the clock offsets.
+
+    parameter_covariance: (f, f) I_θθ⁻¹.  prior: (m,) standard deviations [s].  weights, errors: (T, k).
+    jacobian: (T, k, f) of the innovations by the parameters; derivatives: (T, k, m) by the offsets.
+    """
+    derivative_rows = derivatives.reshape(-1, len(names))
+    weighted = derivative_rows * weights.reshape(-1, 1)
     # the Jacobian has no columns if all parameters are open
-    cross = jacobian.reshape(len(flat), jacobian.shape[-1]).T @ weighted
+    cross = jacobian.reshape(len(derivative_rows), jacobian.shape[-1]).T @ weighted
     gain = parameter_covariance @ cross
     # in units of the prior's standard deviations
-    values, vectors = np.linalg.eigh((flat.T @ weighted - cross.T @ gain) * np.outer(prior, prior))
+    values, vectors = np.linalg.eigh((derivative_rows.T @ weighted - cross.T @ gain) * np.outer(prior, prior))
     vectors = prior[:, None] * vectors
     covariance = (vectors / (1.0 + np.maximum(values, 0.0))) @ vectors.T
     offsets = -covariance @ (errors.reshape(-1) @ weighted)
@@ -185,8 +203,8 @@ def _solved(
     deviations = np.sqrt(np.diag(covariance))
     return ClockOffsets(
         tuple(
-            ClockOffset(name, float(before), float(offset), float(sd))
-            for name, before, offset, sd in zip(names, prior, offsets, deviations, strict=True)
+            ClockOffset(name, float(prior_sd), float(offset), float(sd))
+            for name, prior_sd, offset, sd in zip(names, prior, offsets, deviations, strict=True)
         ),
         dict(zip(parameters, step.tolist(), strict=True)),
         dict(zip(parameters, variance.tolist(), strict=True)),

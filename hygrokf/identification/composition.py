@@ -31,7 +31,7 @@ from hygrokf.texts.terms import Name
 
 @dataclass(frozen=True)
 class AlternativeEstimate:
-    """An estimate of the logarithm of a time constant from another form, part or method."""
+    """Another estimate of ln(time constant), from another form of the model, part of the record or method."""
 
     log_value: float
     variance: float
@@ -40,10 +40,10 @@ class AlternativeEstimate:
 
 @dataclass(frozen=True)
 class CompositionStep:
-    """The interval [h] after one source of uncertainty, which adds `sd_ln` [1] to the logarithm.
+    """The interval [h] of a time constant after one source of uncertainty was added.
 
-    The first step is the interval of the profile likelihood, which adds nothing.  `upper_h` of an open
-    interval is NaN.
+    The first step is the interval of the profile likelihood.  `sd_ln` [1]: standard deviation that the source
+    adds to the logarithm.  `upper_h` of an open interval is NaN.
     """
 
     source: Name
@@ -53,7 +53,7 @@ class CompositionStep:
 
 
 def nan_if_open(bound: float) -> float:
-    """A bound as in the results: NaN if it is infinite."""
+    """Return the bound, or NaN if it is infinite."""
     return bound if math.isfinite(bound) else math.nan
 
 
@@ -66,12 +66,15 @@ class Resolved:
     longest_h: float = 1e300
 
     def bounds(self, lower_h: float, upper_h: float) -> tuple[float, float]:
-        """Bounds as in the results: beyond the range they are open, 0 below and NaN above."""
-        low, high = min(lower_h, self.longest_h), max(upper_h, self.shortest_h)
-        return (low if low >= self.shortest_h else 0.0), (high if high <= self.longest_h else math.nan)
+        """Return bounds [h] as results state them: 0 for a lower and NaN for an upper bound beyond the
+        range."""
+        lowest_upper, highest = min(lower_h, self.longest_h), max(upper_h, self.shortest_h)
+        return (lowest_upper if lowest_upper >= self.shortest_h else 0.0), (
+            highest if highest <= self.longest_h else math.nan
+        )
 
     def around(self, value_h: float, distance: float) -> tuple[float, float]:
-        """Bounds at a distance [1] on either side of the logarithm of a value."""
+        """Return the bounds [h] at a distance [1] on either side of ln(value)."""
         factor = math.exp(min(distance, LARGEST))
         return self.bounds(value_h / factor, value_h * factor)
 
@@ -82,20 +85,24 @@ LARGEST = 600.0
 
 
 def of_parts(scale: float, variance: float) -> float:
-    """The variance that scattering parts add: `scale` is Birge's ratio, `variance` the variance of the
-    logarithm according to the bounds."""
+    """Return the variance that scatter between parts of the record adds.
+
+    scale: Birge's ratio.  variance: of the logarithm, according to the bounds.
+    """
     return max(scale - 1.0, 0.0) * variance
 
 
 def of_forms(log_value: float, variance: float, forms: Sequence[AlternativeEstimate]) -> float:
-    """The variance that other forms add about the value."""
+    """Return the variance that other forms of the model add to ln(time constant)."""
     total = sum(form.weight * (form.variance + (form.log_value - log_value) ** 2) for form in forms)
     return max(total - variance, 0.0)
 
 
 def of_free_run(log_value: float, variance: float, free: AlternativeEstimate) -> float:
-    """The variance that the estimate from the free run adds; 0 unless the two estimates contradict each other
-    at the 95 % level."""
+    """Return the variance that the free run's own estimate adds.
+
+    It is 0 unless the two estimates contradict each other at the 95 % level.
+    """
     difference, total_variance = free.log_value - log_value, variance + free.variance
     return (
         0.5 * (difference**2 - total_variance)
@@ -111,22 +118,29 @@ def compose_interval(
     sources: Mapping[str, float],
     within: Resolved = ANY,
 ) -> tuple[CompositionStep, ...]:
-    """The interval of the profile likelihood [h], and the interval after each source; the last interval is
-    the headline interval.
+    """Return the interval of a time constant after each source of uncertainty; the last one is reported.
 
-    bounds: [h] of the profile likelihood.  sources: name → variance [1] that the source adds to the
-    logarithm.  An open side stays open, and a bound beyond `within` is open.
+    value, bounds: [h] of the profile likelihood.  level: probability of the bounds.
+    sources: name → variance [1] that it adds to the logarithm.
+    within: range of values that the record resolves; a bound beyond it is open.
     """
-    z, total = normal_quantile(level), 0.0
+    quantile, total_variance = normal_quantile(level), 0.0
     steps = [CompositionStep("profile", *within.bounds(*bounds))]
     for name, variance in sources.items():
-        total += variance
-        ends = (_widened(value, bound, side, total) for bound, side in zip(bounds, (-z, z), strict=True))
-        steps.append(CompositionStep(name, *within.bounds(*ends), math.sqrt(variance)))
+        total_variance += variance
+        bounds_with_source = (
+            _widened(value, bound, side, total_variance)
+            for bound, side in zip(bounds, (-quantile, quantile), strict=True)
+        )
+        steps.append(CompositionStep(name, *within.bounds(*bounds_with_source), math.sqrt(variance)))
     return tuple(steps)
 
 
 def _widened(value: float, bound: float, z: float, variance: float) -> float:
+    """Return a bound moved outward by a variance of the logarithm.
+
+    z: quantile of the level, negative for a lower bound.  An open bound stays open.
+    """
     if bound <= 0 or math.isinf(bound):
         return bound
     distance = math.hypot(math.log(bound / value), z * math.sqrt(variance))

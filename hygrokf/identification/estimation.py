@@ -48,7 +48,7 @@ SEARCH_DAYS = 30.0
 
 @dataclass(frozen=True)
 class DesignEstimate:
-    """A design on a record with its maximum of the likelihood, before the uncertainty is computed."""
+    """A model design on a record with its maximum of the likelihood."""
 
     base: Design
     run: Run
@@ -56,18 +56,20 @@ class DesignEstimate:
 
     @property
     def likelihood(self) -> Likelihood:
+        """The likelihood of the design on the record."""
         return Likelihood(self.base.model, self.run.timeline)
 
 
 @dataclass(frozen=True)
 class Stage(DesignEstimate):
-    """A maximum of a likelihood with its uncertainty.
+    """A maximum of the likelihood with its uncertainty.
 
-    `bounds`: of the time constants, by the profile likelihood; `clock`: effect of the other sources' clocks
-    on the time constants; `sampling`: change of their logarithms with half as many ambient readings; `forms`:
-    all competing forms, including the chosen form; `response_stated`: whether the response time of the
-    humidity sensor is stated; `without`: the best model in which the input of each time constant does not
-    act.
+    bounds: of the time constants, by the profile likelihood.
+    clock: effect of the other sources' clocks on the time constants.
+    sampling: change of their logarithms with half as many ambient readings.
+    forms: all competing forms of the model, including the chosen one.
+    response_stated: whether the response time of the humidity sensor is stated.
+    without: for each time constant, the best model in which its input does not act.
     """
 
     uncertainty: Uncertainty
@@ -80,14 +82,13 @@ class Stage(DesignEstimate):
 
 
 def identify_stage(early: Record, base: Design, starts: int, profiles: bool, say: Progress) -> Stage:
-    """Estimate a design on the identification period `early`, in the form that the record supports, with its
-    uncertainty."""
+    """Estimate a design on the identification period `early`, choose its form, and assess the uncertainty."""
     initial, forms = select_form(estimate_design(early, base, starts, say), say)
     return assess_stage(initial, profiles, say, forms)
 
 
 def select_form(initial: DesignEstimate, say: Progress) -> tuple[DesignEstimate, tuple[FittedForm, ...]]:
-    """The form that the evidence of a record selects, and all forms with their weights.
+    """Choose the form of the model by its evidence; returns its estimate, and all forms with their weights.
 
     A form with more than `ADOPTED` of the evidence becomes the base, and its share is divided among the forms
     that extend it, until no further form is adopted.  A form is not adopted if one of its further parameters
@@ -102,18 +103,24 @@ def select_form(initial: DesignEstimate, say: Progress) -> tuple[DesignEstimate,
         return initial, forms
     likelihood = Likelihood(chosen.design.model, initial.run.timeline)
     estimate = fit_mle(likelihood, chosen.estimate.values, count=1)
-    limit = least_objective(estimate.coordinates, (initial.estimate,))
-    adopted = DesignEstimate(chosen.design, initial.run, reject_below(limit, estimate))
-    last, further = select_form(adopted, say)
-    if ended_at_limits(last.estimate, initial.estimate):
+    least = least_objective(estimate.coordinates, (initial.estimate,))
+    adopted = DesignEstimate(chosen.design, initial.run, reject_below(least, estimate))
+    final_estimate, forms_of_adopted = select_form(adopted, say)
+    if ended_at_limits(final_estimate.estimate, initial.estimate):
         return initial, forms
-    return last, (*(form for form in forms if form is not chosen), *(form.within(chosen) for form in further))
+    return final_estimate, (
+        *(form for form in forms if form is not chosen),
+        *(form.within(chosen) for form in forms_of_adopted),
+    )
 
 
 def estimate_design(
     early: Record, base: Design, starts: int, say: Progress, values: Mapping[str, float] | None = None
 ) -> DesignEstimate:
-    """Maximum likelihood of a design; `values`: parameters of the first start."""
+    """Fit a design by maximum likelihood.
+
+    early: the identification period.  starts: number of start points.  values: parameters of the first one.
+    """
     run = model_inputs(base, early)
     likelihood = Likelihood(base.model, run.timeline)
     begin = within_limits(base.model.parameters, values or {})
@@ -124,7 +131,7 @@ def estimate_design(
 def assess_stage(
     initial: DesignEstimate, profiles: bool, say: Progress, forms: tuple[FittedForm, ...] = ()
 ) -> Stage:
-    """Uncertainty, bounds of the time constants, and their sensitivity to clocks and sampling.
+    """Compute the uncertainty of an estimate, the bounds of its time constants, and their sensitivities.
 
     If a profile meets a higher likelihood than that of the estimate, the estimate is refitted from there.
     """
@@ -140,14 +147,17 @@ def assess_stage(
     humidity = (
         run.record[base.humidity] if base.humidity is not None and base.humidity in run.record else None
     )
-    stated = humidity is not None and humidity.response_time_s is not None
+    response_stated = humidity is not None and humidity.response_time_s is not None
     say("models without the input")
     without = {name: without_input(name, base.model, run, estimate) for name in bounds}
-    return Stage(base, run, estimate, covariance, bounds, clock, sampling, forms, stated, without)
+    return Stage(base, run, estimate, covariance, bounds, clock, sampling, forms, response_stated, without)
 
 
 def _bounded(initial: DesignEstimate, profiles: bool, say: Progress) -> tuple[Uncertainty, dict[str, Bounds]]:
-    """Uncertainty of an estimate, and bounds of its time constants."""
+    """Return the uncertainty of an estimate, and the bounds of its time constants.
+
+    profiles: whether to compute profile bounds; otherwise Wald bounds.
+    """
     estimate = initial.estimate
     objective = Objective(initial.likelihood, estimate.coordinates)
     say("observed information")
@@ -162,73 +172,91 @@ def _bounded(initial: DesignEstimate, profiles: bool, say: Progress) -> tuple[Un
 
 
 def _search(likelihood: Likelihood) -> Likelihood | None:
-    """The likelihood of a shorter stretch for trying starts and forms; None where the record is short."""
-    t = likelihood.timeline
-    if t.time[-1] <= 2.0 * 24.0 * SEARCH_DAYS:
+    """Return the likelihood of the first `SEARCH_DAYS`, on which starts and forms are tried; None for a short
+    record."""
+    timeline = likelihood.timeline
+    if timeline.time[-1] <= 2.0 * 24.0 * SEARCH_DAYS:
         return None
-    return Likelihood(likelihood.model, t.window(0, int(np.searchsorted(t.time, 24.0 * SEARCH_DAYS))))
+    return Likelihood(
+        likelihood.model, timeline.window(0, int(np.searchsorted(timeline.time, 24.0 * SEARCH_DAYS)))
+    )
 
 
 def _sampling(initial: DesignEstimate, names: tuple[str, ...], say: Progress) -> dict[str, float] | None:
-    """Change of the log time constants with half as many ambient readings.
+    """Return by how much ln(time constant) changes with half as many ambient readings.
 
-    The ambient between its readings is interpolated; the change shows the effect of interpolation errors.
+    The ambient is interpolated between its readings; the change shows the effect of interpolation errors.
     """
     record = initial.run.record
-    sparse = [thinned(series) for series in record.series if series.signal.startswith("ambient_")]
-    if not sparse or not all(len(series) > 2 for series in sparse):
+    thinned_series = [thinned(series) for series in record.series if series.signal.startswith("ambient_")]
+    if not thinned_series or not all(len(series) > 2 for series in thinned_series):
         return None
     say("ambient sampling")
-    estimate, run = initial.estimate, model_inputs(initial.base, record.replace_series(*sparse))
+    estimate, run = initial.estimate, model_inputs(initial.base, record.replace_series(*thinned_series))
     likelihood = Likelihood(initial.base.model, run.timeline)
     optimum = climb(Objective(likelihood, estimate.coordinates), estimate.z, passes=8, tolerance=0.05)
     values = estimate.coordinates.values(optimum.z)
     shifts = {name: math.log(values[name] / estimate.values[name]) for name in names}
-    return {"step_h": reading_step_h(sparse[0]) / 2.0, **shifts}
+    return {"step_h": reading_step_h(thinned_series[0]) / 2.0, **shifts}
 
 
 def smoothed_temperature(base: Design, run: Run, values: Mapping[str, float], humidity: str) -> Series:
-    """The cabinet air temperature [K] given all temperature readings, at the run's instants and at the times
-    of the humidity readings.
+    """Return the cabinet air temperature [K] given all its readings, at the run's instants and the humidity
+    readings.
 
-    `base` is a thermal design, `run` and `values` its run and parameters; `humidity` is the signal of the
-    cabinet's humidity.
+    base, run, values: thermal design, its run and its parameters.  humidity: signal of the cabinet's
+        humidity.
 
     The hygric model divides by e_s(T).  The noise of raw readings would attenuate that dependence, as errors
     in a regressor do, and bias the humidity sensor's estimate; the smoothed temperature avoids this.  A slow
     humidity sensor also responds to the temperature between the readings, which ambient and power determine
     better than a straight line.
     """
-    t = run.timeline
-    mean, _ = smoothed_states(Likelihood(base.model, t), values, covariance=False)
-    air, _ = project(base.model, t, values, mean, None, "cabinet_air_temperature")
-    seconds = t.seconds
-    raw, humidity_series = run.record["cabinet_temperature"], run.record[humidity]
+    timeline = run.timeline
+    mean, _ = smoothed_states(Likelihood(base.model, timeline), values, covariance=False)
+    air_K, _ = project(base.model, timeline, values, mean, None, "cabinet_air_temperature")
+    seconds = timeline.seconds
+    readings, humidity_series = run.record["cabinet_temperature"], run.record[humidity]
     time = np.union1d(seconds, humidity_series.time[~humidity_series.missing])
     time = time[(time >= seconds[0]) & (time <= seconds[-1])]
-    return replace(raw, time=time, value=np.interp(time, seconds, air), hold=LINEAR, interval_s=0.0)
+    return replace(readings, time=time, value=np.interp(time, seconds, air_K), hold=LINEAR, interval_s=0.0)
 
 
 def output_errors(early: Record, base: Design, values: Mapping[str, float]) -> dict[str, OutputError]:
-    """Output-error estimates by time constant: of the thermal model on the temperature readings, of the
-    hygric model on the humidity readings with the measured temperature as input."""
+    """Return the output-error estimate (best free run) behind each time constant.
+
+    The thermal model is fitted to the temperature readings, the hygric model to the humidity readings with
+    the measured temperature as input.
+    """
     designs: dict[str, Design] = {}
     if "thermal_network" in [name for name, _ in base.mechanisms]:
         designs["thermal_time_constant"] = replace(
             base,
-            mechanisms=tuple(m for m in base.mechanisms if m[0] in _THERMAL_PLAIN),
+            mechanisms=tuple(mechanism for mechanism in base.mechanisms if mechanism[0] in _THERMAL_PLAIN),
             humidity=None,
-            averaged={k: v for k, v in base.averaged.items() if k == "cabinet_temperature"},
+            averaged={
+                signal: interval
+                for signal, interval in base.averaged.items()
+                if signal == "cabinet_temperature"
+            },
             priors={},  # the output error does not use priors from other turbines
         )
     if base.humidity is not None and "cabinet_temperature" in early:
-        plain = design(early, kind=CASCADE, coloured=False)
-        sensors = {name: settings for name, settings in base.mechanisms if name.endswith("humidity_sensor")}
-        mechanisms = tuple((name, sensors.get(name, settings)) for name, settings in plain.mechanisms)
-        designs["hygric_k"] = replace(plain, mechanisms=mechanisms)
+        hygric_design = design(early, kind=CASCADE, coloured=False)
+        stated_sensors = {
+            name: settings for name, settings in base.mechanisms if name.endswith("humidity_sensor")
+        }
+        mechanisms = tuple(
+            (name, stated_sensors.get(name, settings)) for name, settings in hygric_design.mechanisms
+        )
+        designs["hygric_k"] = replace(hygric_design, mechanisms=mechanisms)
 
     def free_run(plain_design: Design) -> OutputError:
-        start = {p.name: values.get(p.name, p.start) for p in plain_design.model.parameters}
+        """Fit a design by the error of its free run."""
+        start = {
+            parameter.name: values.get(parameter.name, parameter.start)
+            for parameter in plain_design.model.parameters
+        }
         run = settled(plain_design, start, model_inputs(plain_design, early))
         scored = run.timeline.with_readings(np.where(run.scored[:, None], run.timeline.y, np.nan))
         return fit_output_error(Likelihood(plain_design.model, scored), start)

@@ -61,8 +61,9 @@ class Fit:
 
     name: of the record.
     design, values: the model, and its parameters in their units.
-    results: what `fit.json` says; time constants [h] with bounds in `results.time_constants`, errors and
-        verdicts beside them.
+    results: the content of `fit.json`: time constants [h] with bounds in `results.time_constants`, errors and
+        verdicts
+        beside them.
     series: arrays (T,) for figures, in the units of their signals.
 
     A fit can be pickled; `write_fit` and `read_fit` keep it in files.
@@ -76,10 +77,10 @@ class Fit:
 
     @property
     def covariance(self) -> tuple[tuple[str, ...], np.ndarray]:
-        """Names and covariance (r, r) of the parameters that have one, in their own units."""
-        found = self.results.covariance
-        count = len(found.names)
-        return found.names, found.matrix.reshape(count, -1) if count else np.empty((0, 0))
+        """Names and covariance matrix (r, r) of the estimated parameters, in their own units."""
+        covariance = self.results.covariance
+        count = len(covariance.names)
+        return covariance.names, covariance.matrix.reshape(count, -1) if count else np.empty((0, 0))
 
     @property
     def fixed(self) -> dict[str, float]:
@@ -102,13 +103,13 @@ class Fit:
         return likelihood_on(self.design, whole if part == WHOLE else whole.identification(), part)
 
     def to_json(self) -> JsonObject:
-        """The data of `fit.json`."""
+        """Return the content of `fit.json`."""
         data: dict[str, Any] = plain(self.results)
         return data
 
     @classmethod
     def from_json(cls, data: JsonObject, library: Library = LIBRARY) -> Fit:
-        """A fit from the data of `to_json`; verdicts that the data lack are decided from the data.
+        """Return a fit from the data of `to_json`; verdicts that the data lack are decided.
 
         library: with the mechanisms of its model.
 
@@ -126,8 +127,8 @@ class Fit:
         from pandas import DataFrame
 
         rows = {
-            part: (one.value_h, one.lower_h, one.upper_h, one.words)
-            for part, one in inherited(self.results).items()
+            part: (constant.value_h, constant.lower_h, constant.upper_h, constant.words)
+            for part, constant in inherited(self.results).items()
         }
         columns = ["value [h]", "lower bound [h]", "upper bound [h]", "verdict"]
         frame = DataFrame.from_dict(rows, orient="index", columns=columns)
@@ -146,12 +147,12 @@ class Fit:
 
     def __str__(self) -> str:
         """The name with its time constants and their verdicts, and what they were identified on."""
-        found = self.results
-        lines = [self.name, *verdict_lines(inherited(found))]
-        if math.isfinite(found.loglik):
-            ends = (found.period.start, found.period.until or found.period.end)
-            span = " … ".join(f"{one[:16]}Z" for one in ends if one)
-            lines.append(f"ln L {found.loglik:.2f} of {found.n_obs} readings, identification part {span}")
+        results = self.results
+        lines = [self.name, *verdict_lines(inherited(results))]
+        if math.isfinite(results.loglik):
+            period_ends = (results.period.start, results.period.until or results.period.end)
+            span = " … ".join(f"{stamp[:16]}Z" for stamp in period_ends if stamp)
+            lines.append(f"ln L {results.loglik:.2f} of {results.n_obs} readings, identification part {span}")
         return "\n".join(lines)
 
     __repr__ = __str__
@@ -162,9 +163,12 @@ class Fit:
 
 
 def likelihood_on(design: Design, record: Record, part: str) -> Likelihood:
-    """The likelihood of a design on a record that is this part of another one."""
-    own = read_as(design, record)
-    return Likelihood(own.model, replace(model_inputs(own, record).timeline, part=part))
+    """Return the likelihood of a design on a record; `part` names the part of the whole record that this
+    is."""
+    design_of_record = read_as(design, record)
+    return Likelihood(
+        design_of_record.model, replace(model_inputs(design_of_record, record).timeline, part=part)
+    )
 
 
 # --- files -----------------------------------------------------------------------------------
@@ -246,9 +250,9 @@ def read_series(directory: str | os.PathLike[str]) -> dict[str, np.ndarray]:
     path = Path(directory) / SERIES
     again = f"run `hygrokf fit` with --out {path.parent} first"
     series = read_arrays(path, "hygrokf fit")
-    if text := [name for name, value in series.items() if value.dtype.kind not in "fiub"]:
-        found = ", ".join(sorted(text))
-        raise ResultFault(f"{path}: expected numbers, found text or objects in {found}; {again}")
+    if without_numbers := [name for name, value in series.items() if value.dtype.kind not in "fiub"]:
+        listed = ", ".join(sorted(without_numbers))
+        raise ResultFault(f"{path}: expected numbers, found text or objects in {listed}; {again}")
     return series
 
 
@@ -261,22 +265,29 @@ def _is_case(file: Path) -> bool:
 
 
 def _release(version: Any) -> tuple[int, ...]:
-    """Major and minor number of a version; (0, 0) for anything that is not a version."""
-    found = re.match(r"(\d+)\.(\d+)", version) if isinstance(version, str) else None
-    return (int(found[1]), int(found[2])) if found else (0, 0)
+    """Return the major and minor number of a version; (0, 0) for anything else."""
+    match = re.match(r"(\d+)\.(\d+)", version) if isinstance(version, str) else None
+    return (int(match[1]), int(match[2])) if match else (0, 0)
 
 
 def _faults(fit: Fit) -> list[str]:
-    """Faults that prevent the use of a fit: values and covariance must belong to its model."""
+    """Return the faults that prevent the use of a fit: values or covariance do not belong to its model."""
     faults = []
-    for p in fit.design.model.parameters:
-        value = fit.values.get(p.name)
+    for parameter in fit.design.model.parameters:
+        value = fit.values.get(parameter.name)
         if not is_number(value):
-            faults.append(f"parameter {p.name}: expected a number, found {value!r}")
-        elif not p.lower * (1 - 1e-9 * math.copysign(1, p.lower)) <= value <= p.upper * (1 + 1e-9):
-            faults.append(f"parameter {p.name}: expected {p.lower:g} … {p.upper:g} {p.unit}, found {value:g}")
+            faults.append(f"parameter {parameter.name}: expected a number, found {value!r}")
+        elif (
+            not parameter.lower * (1 - 1e-9 * math.copysign(1, parameter.lower))
+            <= value
+            <= parameter.upper * (1 + 1e-9)
+        ):
+            faults.append(
+                f"parameter {parameter.name}: expected {parameter.lower:g} … {parameter.upper:g} "
+                f"{parameter.unit}, found {value:g}"
+            )
     names, matrix = fit.covariance
-    unknown = sorted(set(names) - {p.name for p in fit.design.model.parameters})
+    unknown = sorted(set(names) - {parameter.name for parameter in fit.design.model.parameters})
     if unknown:
         faults.append(f"covariance of unknown parameters {', '.join(unknown)}")
     if matrix.shape != (len(names), len(names)) or not np.all(np.isfinite(matrix)):
@@ -288,7 +299,7 @@ def _faults(fit: Fit) -> list[str]:
 
 
 def _design_faults(design: Design) -> list[str]:
-    """Faults of the constants with which a design makes inputs from a record."""
+    """Return the faults of the constants with which a design computes inputs from a record."""
     faults = []
     scale, order, mean = design.power_scale_W, design.power_order, design.power_mean
     if scale is not None and not (is_number(scale) and scale > 0):
@@ -298,16 +309,16 @@ def _design_faults(design: Design) -> list[str]:
     elif not all(map(is_number, mean)) or len(mean) not in (0, order + 1):
         faults.append(f"design.power_mean: expected {order + 1} numbers or none, found {list(mean)!r}")
     for kind, count in (("averaged", 1), ("ambient_noise", 2), ("scales", 4)):
-        for name, found in getattr(design, kind).items():
-            numbers = (found,) if count == 1 else found
+        for name, value in getattr(design, kind).items():
+            numbers = (value,) if count == 1 else value
             positive = numbers[:3]  # the top of a scale may be 0
             if len(numbers) != count or not all(map(is_number, numbers)) or min(positive) <= 0:
-                words = f"{count} number{'s' if count > 1 else ''}"
-                faults.append(f"design.{kind}.{name}: expected {words} above 0, found {found!r}")
-    for name, found in design.actuator_means.items():
-        if name not in ACTUATORS or not is_number(found):
+                expected = f"{count} number{'s' if count > 1 else ''}"
+                faults.append(f"design.{kind}.{name}: expected {expected} above 0, found {value!r}")
+    for name, value in design.actuator_means.items():
+        if name not in ACTUATORS or not is_number(value):
             faults.append(
-                f"design.actuator_means: expected numbers of {', '.join(ACTUATORS)}, found {name} = {found!r}"
+                f"design.actuator_means: expected numbers of {', '.join(ACTUATORS)}, found {name} = {value!r}"
             )
     known = design.library.features
     faults += [f"design.features.{fault}" for fault in feature_faults(design.features, known)]

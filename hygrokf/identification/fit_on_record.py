@@ -64,25 +64,29 @@ class Evaluation(Scored):
 
 
 def simulate_fit(fit: Fit, record: Record) -> tuple[Design, Run, Prediction]:
-    """The fitted model driven by a record's inputs alone; the averaging intervals are those of the record's
-    loggers."""
+    """Simulate a fitted model with a record's inputs alone.
+
+    Returns the design (averaging intervals as in the record), the run and the prediction.
+    """
     base, run = run_on(fit.design, fit.values, expect_record(record, "evaluate"))
     return base, run, free_run(base, fit.values, run, fit.covariance)
 
 
 def simulation_csv(run: Run, predicted: Prediction) -> str:
-    """A free run of `simulate_fit` as CSV text: time (UTC), three quantities with their standard deviations,
-    and whether all inputs are known."""
-    t = run.timeline
-    milliseconds = np.round(1e3 * t.seconds).astype("int64")
+    """Return a free run of `simulate_fit` as CSV text.
+
+    Columns: time (UTC), three quantities with standard deviations, and whether all inputs are known.
+    """
+    timeline = run.timeline
+    milliseconds = np.round(1e3 * timeline.seconds).astype("int64")
     unit: Literal["s", "ms"] = "s" if np.all(milliseconds % 1000 == 0) else "ms"
     stamps = np.datetime_as_string(milliseconds.astype("datetime64[ms]"), unit=unit)
     columns, names = [], []
     for name, quantity in COLUMNS.items():
-        pair = predicted.of(quantity)
-        if pair is None:
+        value_and_sd = predicted.of(quantity)
+        if value_and_sd is None:
             continue
-        value, sd = pair
+        value, sd = value_and_sd
         if quantity == "temperature_K":
             value = value - ZERO_CELSIUS_K
         elif quantity == "relative_humidity":
@@ -90,26 +94,26 @@ def simulation_csv(run: Run, predicted: Prediction) -> str:
         columns += [value, sd]
         names += [name, f"{name}_sd"]
     lines = [",".join(["time", *names, "inputs_known"])]
-    for stamp, row, known in zip(stamps, np.column_stack(columns), run.scored, strict=True):
-        numbers = ",".join("" if not np.isfinite(v) else f"{v:.4f}" for v in row)
-        lines.append(f"{stamp}Z,{numbers},{int(known)}")
+    for stamp, numbers_of_row, inputs_known in zip(stamps, np.column_stack(columns), run.scored, strict=True):
+        numbers = ",".join("" if not np.isfinite(number) else f"{number:.4f}" for number in numbers_of_row)
+        lines.append(f"{stamp}Z,{numbers},{int(inputs_known)}")
     return "\n".join(lines) + "\n"
 
 
 def simulation_summary(fit: Fit, run: Run, predicted: Prediction) -> SimulationSummary:
-    """Span and means of a free run of `simulate_fit`."""
-    t, record = run.timeline, run.record
+    """Return span and means of a free run of `simulate_fit`."""
+    timeline, record = run.timeline, run.record
     means = {
-        quantity: float(np.mean(pair[0]))
+        quantity: float(np.mean(value_and_sd[0]))
         for quantity in COLUMNS.values()
-        if (pair := predicted.of(quantity)) is not None
+        if (value_and_sd := predicted.of(quantity)) is not None
     }
     return SimulationSummary(
         fit.name,
         record.name,
-        iso_time(t.seconds[0]),
-        iso_time(t.seconds[-1]),
-        len(t),
+        iso_time(timeline.seconds[0]),
+        iso_time(timeline.seconds[-1]),
+        len(timeline),
         float(run.scored.mean()),
         means,
         inherited(fit.results),
@@ -118,13 +122,13 @@ def simulation_summary(fit: Fit, run: Run, predicted: Prediction) -> SimulationS
 
 
 def _unknown_throughout(fit: Fit, run: Run) -> list[Statement]:
-    """A statement of the missing input where all inputs are known at no instant of a run."""
+    """Return a statement if at least one input is unknown at every instant of a run."""
     if run.scored.any():
         return []
     inputs = fit.design.model.inputs
-    powered = "operating" in inputs or any(name.startswith("power_") for name in inputs)
-    unpowered = powered and "active_power" not in run.record
-    return [(FitCode.POWER_UNKNOWN_THROUGHOUT if unpowered else FitCode.INPUT_UNKNOWN_THROUGHOUT)()]
+    uses_power = "operating" in inputs or any(name.startswith("power_") for name in inputs)
+    lacks_power = uses_power and "active_power" not in run.record
+    return [(FitCode.POWER_UNKNOWN_THROUGHOUT if lacks_power else FitCode.INPUT_UNKNOWN_THROUGHOUT)()]
 
 
 def evaluate(fit: Fit, record: Record) -> Evaluation:
@@ -152,7 +156,7 @@ def evaluate(fit: Fit, record: Record) -> Evaluation:
 
 
 def rated_power_mismatch(design: Design, record: Record) -> list[Statement]:
-    """A statement where the rated power of a record differs from the power scale of a design."""
+    """Return a statement if a record's rated power differs from the design's power scale by more than 2 %."""
     scale = design.power_scale_W
     ratio = record.rated_power_W / scale if record.rated_power_W and scale else 1.0
     if abs(ratio - 1.0) <= 0.02:
@@ -161,18 +165,21 @@ def rated_power_mismatch(design: Design, record: Record) -> list[Statement]:
 
 
 def mismatches(fit: Fit, record: Record) -> list[Statement]:
-    """Statements about another rated power, and signals that only the fitted model or only the record has."""
-    found = rated_power_mismatch(fit.design, record)
+    """Return statements about differences between a fitted model and a record.
+
+    They concern the rated power, and signals that only one of the two has.
+    """
+    statements = rated_power_mismatch(fit.design, record)
     inputs, outputs = fit.design.model.inputs, fit.design.model.outputs
     if "preheating" in inputs and "preheating" not in record:
-        found.append(FitCode.PREHEATING_NOT_LOGGED())
+        statements.append(FitCode.PREHEATING_NOT_LOGGED())
     if "preheating" not in inputs and "preheating" in record and np.nanmax(record["preheating"].value) > 0:
-        found.append(FitCode.PREHEATING_NOT_MODELLED())
-    predicted = [name for name in HUMIDITIES if name in outputs]
-    if predicted and not any(name in record for name in predicted):
-        found += [
-            FitCode.OTHER_HUMIDITY(predicted=predicted[0], recorded=name)
+        statements.append(FitCode.PREHEATING_NOT_MODELLED())
+    modelled_humidities = [name for name in HUMIDITIES if name in outputs]
+    if modelled_humidities and not any(name in record for name in modelled_humidities):
+        statements += [
+            FitCode.OTHER_HUMIDITY(predicted=modelled_humidities[0], recorded=name)
             for name in HUMIDITIES
             if name in record
         ]
-    return found
+    return statements

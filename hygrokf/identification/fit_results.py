@@ -36,7 +36,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class FormEstimate(Interval):
-    """The time constant by one form of the model: `weight`, its share of the evidence, and `gain` in ln L."""
+    """The time constant by one form of the model.
+
+    `weight`: the form's share of the evidence.  `gain`: in ln L over the base form.
+    """
 
     form: Name = ""
     weight: float = math.nan
@@ -45,8 +48,10 @@ class FormEstimate(Interval):
 
 @dataclass(frozen=True)
 class Sampling:
-    """Change of ln(constant) when every second ambient reading is left out; `ambient_step_h` [h] between
-    these."""
+    """Change of ln(time constant) when every second ambient reading is left out.
+
+    `ambient_step_h` [h]: step between the remaining readings.
+    """
 
     ambient_step_h: float = math.nan
     shift_ln_when_halved: float = math.nan
@@ -54,7 +59,10 @@ class Sampling:
 
 @dataclass(frozen=True)
 class SensorResponse:
-    """The response time of the humidity sensor [min]: stated, included in the constant, or estimated."""
+    """Response time of the humidity sensor [min].
+
+    `kind`: stated in the case, included in the hygric constant, or estimated.
+    """
 
     kind: Literal["stated", "included", "estimated"]
     minutes: float = math.nan
@@ -72,19 +80,24 @@ class MeanTemperatures:
 
 @dataclass(frozen=True)
 class TimeConstant(Interval):
-    """A time constant as reported, with what was found about it.
+    """A time constant as reported, with all that is known about it.
 
-    `level` of the interval and the `method` of its bounds; `composition`: the interval by the profile
-    likelihood of the chosen form, then widened source by source; `forms` of the model that competed;
-    `parts_scatter`: scatter of the estimates from quarters of the record against their bounds; `limited_by`:
-    other parameters that met a limit at an end of the profile; `factor`: variance of the score against the
-    model's; `curve` (P, 2): constant [h] and twice the drop of the profile log-likelihood, with its
-    `threshold`; `simulation`: the free run's own estimate, and `likelihood` that of the one-step predictions
-    where the free run is the criterion; `criteria_disagree`: whether the two contradict each other;
-    `range_h`: the constant over the record's temperatures, for the thermal one at the differences to the
-    ambient `difference_K` of 10, 50 and 90 % of the readings; `resistance_capacity`: (R_AT+R_IC) C at the
-    median difference; `modes` [h]: time constants of all states; `without_input`: the best model in which its
-    input does not act.
+    `level`: probability of the interval; `method` by which its bounds were found.
+    `composition`: interval of the profile likelihood, then after each further source of uncertainty.
+    `forms`: estimates by other forms of the model.
+    `parts_scatter`: scatter of the estimates from quarters of the record, relative to their bounds.
+    `limited_by`: other parameters that met a limit at an end of the profile.
+    `factor`: variance of the score relative to that which the model predicts.
+    `curve` (P, 2): time constant [h] and twice the drop of the profile log-likelihood; `threshold` of that
+    drop.
+    `simulation`: the free run's own estimate; `likelihood`: the one-step estimate where the free run is
+        reported.
+    `criteria_disagree`: whether these two contradict each other.
+    `range_h`: the constant over the record's temperatures; of the thermal one at the differences to the
+        ambient `difference_K` of 10, 50 and 90 % of the readings.
+    `resistance_capacity`: (R_AT+R_IC) C at the median difference.
+    `modes` [h]: time constants of all states.
+    `without_input`: the best model in which the input of this constant does not act.
     """
 
     level: float = math.nan
@@ -115,9 +128,10 @@ class TimeConstant(Interval):
     def profile(self) -> Interval | None:
         """The interval by the profile likelihood of the chosen form alone."""
         value_h = (self.likelihood or self).value_h
-        return next((Interval(value_h, one.lower_h, one.upper_h) for one in self.composition[:1]), None)
+        return next((Interval(value_h, step.lower_h, step.upper_h) for step in self.composition[:1]), None)
 
     def __post_init__(self) -> None:
+        """Check the shape of `curve`; raises ValueError."""
         if self.curve.size == 0:  # JSON does not keep the shape of what is empty
             object.__setattr__(self, "curve", np.empty((0, 2)))
         elif self.curve.shape != (len(self.curve), 2):
@@ -134,10 +148,10 @@ class PriorTerms:
 
 @dataclass(frozen=True)
 class ParameterRow:
-    """An estimated parameter in its `unit`: value, standard error, 95 % bounds (NaN where open or unknown).
+    """A parameter of the model in its `unit`: value, standard error, 95 % bounds (NaN where open or unknown).
 
-    `at_guard`: at a limit of the search that is not physical; `parts`: the time constants estimated together
-    with it.
+    `fixed`: not estimated.  `at_bound`: at a limit of its range; `at_guard`: at a limit that is not physical.
+    `parts`: time constants that were estimated together with it.
     """
 
     value: float = math.nan
@@ -163,7 +177,8 @@ class Covariance:
 
 @dataclass(frozen=True)
 class Period:
-    """Start, end of the identification (`until`) and end of a record (ISO 8601), and what of it is used."""
+    """The period of a record: start, end of the identification (`until`) and end (ISO 8601), and the number
+    of readings used."""
 
     start: Instant | None = None
     until: Instant | None = None
@@ -182,15 +197,17 @@ class LocalOptimum:
 
 @dataclass(frozen=True)
 class FitResults(Scored):
-    """All that `fit.json` says.
+    """The content of `fit.json`.
 
-    `criterion`: "likelihood" or "simulation"; `kind`: "joint" or "cascade"; `doubts` about the record;
-    `files` read, with their digests; `converged`: None where not stated, and how each search ended in
-    `messages`; `loglik` of the whole model at the reported values on the identification period, and
-    `aic`, `bic` of it; `flat`: parameters that the record does not determine; `trade_offs`: pairs of
-    parameters with their correlation; `readings_sd`: standard deviation of the readings by period and
-    quantity; `identified_on`: 0.1 and 99.9 % quantiles of the inputs; `discretisation_error`: change of ln L
-    with sub-steps of half the length.
+    `criterion`: "likelihood" or "simulation".  `kind`: "joint" or "cascade".
+    `doubts`: about the record.  `files`: that were read, with their SHA-256.
+    `loglik`: of the whole model at the reported values on the identification period, with `aic` and `bic`.
+    `converged`: None where not stated; `messages`: how each search ended.
+    `flat`: parameters that the record does not determine.  `trade_offs`: pairs of parameters with their
+        correlation.
+    `readings_sd`: standard deviation of the readings by period and quantity.
+    `identified_on`: 0.1 and 99.9 % quantiles of the inputs.
+    `discretisation_error`: change of ln L with sub-steps of half the length.
     """
 
     name: Name = ""
@@ -228,11 +245,11 @@ class FitResults(Scored):
     discretisation_error: float = 0.0
 
     def doubts_about(self, part: str) -> tuple[Statement, ...]:
-        """The doubts about the record that concern a time constant."""
-        return tuple(one for one in self.doubts if part in touched(one))
+        """Return the doubts about the record that concern a time constant ("thermal" or "hygric")."""
+        return tuple(doubt for doubt in self.doubts if part in touched(doubt))
 
     def to_frame(self) -> DataFrame:
-        """The table of parameters, one row each, as a pandas data frame."""
+        """Return the table of parameters, one row each, as a pandas data frame."""
         from pandas import DataFrame
 
         columns = ("value", "unit", "se", "lower", "upper", "meaning", "fixed", "at_bound")

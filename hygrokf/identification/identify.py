@@ -118,22 +118,25 @@ def identify(
         raise ValueError(f"criterion: expected one of {CRITERIA}, found {criterion!r}")
     # nothing to mask in a record of `read_case` and `read_frames`
     record = prepare(mask(expect_record(record, "identify")))
-    early = record.identification()
+    identification_part = record.identification()
     if model is not None:
-        _expect_model(model, criterion, prior, early)
+        _expect_model(model, criterion, prior, identification_part)
     with reporting(progress, "identify") as say:
         if model is not None:
-            return assemble_fit(record, _identify_model(early, model, starts, profiles, say), {}, say=say)
-        basis = identify_stages(early, kind, starts, profiles, say, prior)
+            return assemble_fit(
+                record, _identify_model(identification_part, model, starts, profiles, say), {}, say=say
+            )
+        stages_and_regression = identify_stages(identification_part, kind, starts, profiles, say, prior)
         say("output-error fit")
-        simulated = output_errors(early, basis.whole, basis.values)
-        return assemble_fit(record, basis, simulated, criterion, say)
+        simulated = output_errors(
+            identification_part, stages_and_regression.whole, stages_and_regression.values
+        )
+        return assemble_fit(record, stages_and_regression, simulated, criterion, say)
 
 
 @dataclass(frozen=True)
 class Basis:
-    """The stages identified on a record's identification period: one, or the two of a cascade, and the
-    `regression` of the heat release over quasi-stationary periods."""
+    """The stages of an identification (one, or two for a cascade) and the heat-release `regression`."""
 
     kind: str
     stages: tuple[Stage, ...]
@@ -146,6 +149,7 @@ class Basis:
 
     @property
     def values(self) -> dict[str, float]:
+        """Estimated parameter values of all stages, by name."""
         return {name: value for stage in self.stages for name, value in stage.estimate.values.items()}
 
 
@@ -157,43 +161,52 @@ def identify_stages(
     say: Progress,
     prior: Callable[[Design], Mapping[str, Prior]] | None = None,
 ) -> Basis:
-    """Estimate every stage on the identification period `early`, with its uncertainty."""
+    """Estimate every stage of a "joint" or "cascade" model on the identification period `early`.
+
+    starts: number of start points.  profiles: whether to compute profile bounds.
+    """
     from hygrokf.identification.steady_state import heat_release_regression
 
     expect_readings(early)
     say("heat-release regression")
     regression = heat_release_regression(early)
 
-    def base_of(part: str) -> Design:
-        base = design(early, kind=part, power_order=regression.power_order, heat_start=regression.start())
+    def base_of(kind_of_design: str) -> Design:
+        """Return the design of one kind for the record, with the given priors."""
+        base = design(
+            early, kind=kind_of_design, power_order=regression.power_order, heat_start=regression.start()
+        )
         if prior is None:
             return base
-        known = {name: (p.mean, p.sd, p.logarithmic) for name, p in prior(base).items()}
-        return replace(base, priors=known)
+        priors = {name: (p.mean, p.sd, p.logarithmic) for name, p in prior(base).items()}
+        return replace(base, priors=priors)
 
-    first = base_of(JOINT if kind == JOINT else "thermal")
-    found, forms = select_form(estimate_design(early, first, starts, say), say)
+    first_design = base_of(JOINT if kind == JOINT else "thermal")
+    first_estimate, forms = select_form(estimate_design(early, first_design, starts, say), say)
+    second_design = None if kind == JOINT else base_of(CASCADE)
 
-    second = None if kind == JOINT else base_of(CASCADE)
+    def assess_first() -> Stage:
+        """Compute the uncertainty of the first stage."""
+        return assess_stage(first_estimate, profiles, say, forms)
 
-    def own() -> Stage:
-        return assess_stage(found, profiles, say, forms)
-
-    def moist(base: Design, humidity: str) -> Stage:
+    def identify_hygric(base: Design, humidity: str) -> Stage:
+        """Identify the hygric stage, with the smoothed cabinet temperature of the first stage as input."""
         say("smoothed cabinet temperature")
-        warm = smoothed_temperature(found.base, found.run, found.estimate.values, humidity)
-        return identify_stage(early.replace_series(warm), base, starts, profiles, say)
+        temperature_series = smoothed_temperature(
+            first_estimate.base, first_estimate.run, first_estimate.estimate.values, humidity
+        )
+        return identify_stage(early.replace_series(temperature_series), base, starts, profiles, say)
 
-    jobs: list[Callable[[], Stage]] = [own]
-    if second is not None and second.humidity is not None:
+    jobs: list[Callable[[], Stage]] = [assess_first]
+    if second_design is not None and second_design.humidity is not None:
         # the hygric stage needs the thermal estimate, not its bounds
-        jobs.append(partial(moist, second, second.humidity))
+        jobs.append(partial(identify_hygric, second_design, second_design.humidity))
     return Basis(kind, tuple(mapped(lambda job: job(), jobs)), regression)
 
 
 def _expect_model(model: Fit, criterion: str, prior: object, early: Record) -> None:
-    """Check a model to identify, and what stands beside it.  Raises ValueError that lists all faults."""
-    faults, name = [], model.design.humidity
+    """Check the options of `identify` beside `model`; raises ValueError that lists all faults."""
+    faults, humidity = [], model.design.humidity
     if prior is not None:
         faults.append("prior: expected none beside model, whose design has priors of its own; leave it out")
     if criterion != "likelihood":
@@ -201,38 +214,43 @@ def _expect_model(model: Fit, criterion: str, prior: object, early: Record) -> N
             f"criterion: expected 'likelihood' beside model, whose further mechanisms a free-run fit lacks, "
             f"found {criterion!r}"
         )
-    found = int(np.isfinite(early[name].value).sum()) if name and name in early else 0
-    if name and found < FEWEST_READINGS:
+    count = int(np.isfinite(early[humidity].value).sum()) if humidity and humidity in early else 0
+    if humidity and count < FEWEST_READINGS:
         faults.append(
-            f"{name}: expected at least {FEWEST_READINGS} readings in the identification period for the "
-            f"model of {model.name}, found {found}; add them, or leave model out"
+            f"{humidity}: expected at least {FEWEST_READINGS} readings in the identification period for the "
+            f"model of {model.name}, found {count}; add them, or leave model out"
         )
     if faults:
         raise ValueError("; ".join(faults))
 
 
 def _identify_model(early: Record, model: Fit, starts: int, profiles: bool, say: Progress) -> Basis:
-    """Estimate the model of a fit on the identification period, with this record's loggers, beginning at its
-    values."""
+    """Estimate a fit's model on another record's identification period `early`, from the fit's values, with
+    the sensors of that record."""
     from hygrokf.identification.steady_state import heat_release_regression
 
     expect_readings(early)
-    given = model.design
-    own = design(early, kind=JOINT, power_order=given.power_order, library=given.library)
-    loggers = {n: s for n, s in own.mechanisms if n.endswith("_sensor")}
+    model_design = model.design
+    own_design = design(early, kind=JOINT, power_order=model_design.power_order, library=model_design.library)
+    sensor_settings = {
+        name: {key: settings[key] for key in ("accuracy", "resolution") if key in settings}
+        for name, settings in own_design.mechanisms
+        if name.endswith("_sensor")
+    }
     origin = FitCode.MODEL_OF_FIT(fit=model.name, criterion=model.results.criterion)
-    made = replace(
-        own,
+    with_own_sensors = replace(
+        own_design,
         mechanisms=tuple(
-            (n, {**s, **{key: loggers[n][key] for key in ("accuracy", "resolution")}} if n in loggers else s)
-            for n, s in given.mechanisms
+            (name, {**settings, **sensor_settings.get(name, {})})
+            for name, settings in model_design.mechanisms
         ),
-        averaged={}, humidity=given.humidity, holds=given.holds, features=given.features, priors=given.priors,
-        statements=(*own.statements, origin, FitCode.FORMS_NOT_COMPARED()),
+        averaged={}, humidity=model_design.humidity, holds=model_design.holds,
+        features=model_design.features, priors=model_design.priors,
+        statements=(*own_design.statements, origin, FitCode.FORMS_NOT_COMPARED()),
     )  # fmt: skip
-    base = read_as(made, early)
-    found = estimate_design(early, base, starts, say, model.values)
-    return Basis(JOINT, (assess_stage(found, profiles, say),), heat_release_regression(early))
+    base = read_as(with_own_sensors, early)
+    estimate = estimate_design(early, base, starts, say, model.values)
+    return Basis(JOINT, (assess_stage(estimate, profiles, say),), heat_release_regression(early))
 
 
 def expect_readings(early: Record) -> None:
@@ -260,40 +278,41 @@ def assemble_fit(
     say: Progress = lambda text: None,
     tolerance: float = TOLERANCE,
 ) -> Fit:
-    """A fit from its stages: free run, scores, bands and tables on the whole record; `tolerance` as in
-    `Likelihood`."""
+    """Make a fit from its stages: free run, scores, bands and tables on the whole record; `simulated`:
+    output-error estimates by time constant; `tolerance`: as in `Likelihood`."""
     stages, whole, values = basis.stages, basis.whole, basis.values
     by_free_run = simulated if criterion == "simulation" else {}
     say("free run and scores")
-    for found in by_free_run.values():
-        values |= {n: found.values[n] for n in (*found.names, *found.unseen) if n in values}
-    errors = {
-        p.name: standard_error(stage.estimate, stage.uncertainty, p.name)
+    for output_error in by_free_run.values():
+        changed = {*output_error.names, *output_error.unseen} & values.keys()
+        values |= {name: output_error.values[name] for name in changed}
+    standard_errors = {
+        parameter.name: standard_error(stage.estimate, stage.uncertainty, parameter.name)
         for stage in stages
-        for p in stage.estimate.coordinates.parameters
+        for parameter in stage.estimate.coordinates.parameters
     }
     run = settled(whole, values, model_inputs(whole, record), tolerance)
-    spread = _covariance(stages, whole, by_free_run, values)
-    predicted = free_run(whole, values, run, spread, tolerance)
-    thermal = next((e for stage in stages if (e := thermal_entry(stage, simulated))), None)
-    moist = next((e for stage in stages if (e := hygric_entry(stage, simulated))), None)
+    covariance = _covariance(stages, whole, by_free_run, values)
+    predicted = free_run(whole, values, run, covariance, tolerance)
+    thermal = next((entry for stage in stages if (entry := thermal_entry(stage, simulated))), None)
+    hygric = next((entry for stage in stages if (entry := hygric_entry(stage, simulated))), None)
     if criterion == "simulation":
-        thermal, moist = by_simulation(thermal), by_simulation(moist)
-    table = scores(run, predicted)
-    scored = FitResults(
-        rmse=table,
+        thermal, hygric = by_simulation(thermal), by_simulation(hygric)
+    errors_by_period = scores(run, predicted)
+    partial_results = FitResults(
+        rmse=errors_by_period,
         baselines=baselines(run),
         readings_sd=readings_sd(run),
-        sensor_share=sensor_share(run, table),
+        sensor_share=sensor_share(run, errors_by_period),
         bands=bands(whole, values, run, predicted, tolerance),
         heat_release=basis.regression.thinned(),
-        actuators=actuator_effects(whole, values, errors, run),
+        actuators=actuator_effects(whole, values, standard_errors, run),
     )
     say("innovations")
     series = _series(whole, values, run, predicted, tolerance)
     likelihood = likelihood_on(whole, stages[0].run.record, IDENTIFICATION)
     results = replace(
-        _searched(scored, stages, likelihood.trace(values).loglik, likelihood.timeline.n_readings),
+        _searched(partial_results, stages, likelihood.trace(values).loglik, likelihood.timeline.n_readings),
         name=record.name,
         version=__version__,
         created=datetime.now(UTC).isoformat(timespec="seconds"),
@@ -308,11 +327,11 @@ def assemble_fit(
         warnings=tuple(record.warnings),
         doubts=all_doubts(run.record),
         files=tuple(record.files),
-        parameters=_rows(
-            stages, values, errors, by_free_run, {"thermal_time_constant": thermal, "hygric_k": moist}
-        ),
-        covariance=Covariance(*spread),
-        time_constants={n: e for n, e in (("thermal", thermal), ("hygric", moist)) if e is not None},
+        parameters=_rows(stages, values, standard_errors, by_free_run, (thermal, hygric)),
+        covariance=Covariance(*covariance),
+        time_constants={
+            name: entry for name, entry in (("thermal", thermal), ("hygric", hygric)) if entry is not None
+        },
         innovations=_diagnosis(run, series),
         identified_on=_identified_on(whole, run),
     )
@@ -320,29 +339,33 @@ def assemble_fit(
 
 
 def _statements(stages: Sequence[Stage], unseen: bool) -> tuple[Statement, ...]:
-    """The statements of a fit; `unseen`: the criterion sets constant sensor errors to 0."""
-    zero = [FitCode.SENSOR_ERRORS_ZERO()] if unseen else []
-    of_designs = unique(one for stage in stages for one in stage.base.statements)
-    return (*of_designs, *zero, *(one for stage in stages for one in undetermined(stage)))
+    """Return the statements of a fit; `unseen`: whether the criterion sets constant sensor errors to 0."""
+    sensor_errors_zero = [FitCode.SENSOR_ERRORS_ZERO()] if unseen else []
+    of_designs = unique(statement for stage in stages for statement in stage.base.statements)
+    not_determined = [statement for stage in stages for statement in undetermined(stage)]
+    return (*of_designs, *sensor_errors_zero, *not_determined)
 
 
 def _searched(results: FitResults, stages: Sequence[Stage], loglik: float, n: int) -> FitResults:
-    """The results with ln L of the whole model from its n readings, information criteria, and how the search
-    for each maximum ended; other optima are as far from `loglik` as from the best of their stage."""
-    d = sum(len(stage.estimate.z) for stage in stages)
+    """Return the results with ln L of the whole model from its n readings, information criteria, and how the
+    search of each stage ended; other optima are stated relative to `loglik`."""
+    parameter_count = sum(len(stage.estimate.z) for stage in stages)
     return replace(
         results,
         loglik=loglik,
-        aic=2.0 * d - 2.0 * loglik,
-        bic=d * math.log(max(n, 1)) - 2.0 * loglik,
+        aic=2.0 * parameter_count - 2.0 * loglik,
+        bic=parameter_count * math.log(max(n, 1)) - 2.0 * loglik,
         n_obs=n,
         converged=all(stage.estimate.converged for stage in stages),
         messages=unique(stage.estimate.message for stage in stages),
         discretisation_error=sum(stage.estimate.discretisation_error for stage in stages),
         other_optima=tuple(
-            LocalOptimum(loglik + o - stage.estimate.objective, **{k: v[k] for k in TIME_CONSTANTS if k in v})
+            LocalOptimum(
+                loglik + objective - stage.estimate.objective,
+                **{k: values[k] for k in TIME_CONSTANTS if k in values},
+            )
             for stage in stages
-            for o, v in stage.estimate.others
+            for objective, values in stage.estimate.others
         ),
         at_bounds=tuple(name for stage in stages for name in stage.estimate.at_bounds),
         flat=tuple(name for stage in stages for name in stage.uncertainty.flat),
@@ -351,78 +374,89 @@ def _searched(results: FitResults, stages: Sequence[Stage], loglik: float, n: in
 
 
 def _period(record: Record, stage: Stage) -> Period:
+    """Return start, end of the identification and end of a record, and the number of readings of a stage."""
     until = None if record.until_s is None else iso_time(record.until_s)
-    t = stage.run.timeline
-    return Period(iso_time(record.start_s), until, iso_time(record.end_s), t.n_readings)
+    n_readings = stage.run.timeline.n_readings
+    return Period(iso_time(record.start_s), until, iso_time(record.end_s), n_readings)
 
 
 def shared_error(
     pair: Sequence[Parameter], values: Sequence[float], errors: Sequence[float], correlation: float
 ) -> Statement:
-    """What a high correlation of two estimates means; `errors` are their standard errors.
+    """Return the statement about two estimates with a high correlation.
 
-    Where both are well known, the correlation does no harm; otherwise only a combination is identified.
-    Their difference (for positive parameters their ratio) is known better than either where their errors are
-    of similar size.
+    pair, values, errors: the two parameters, their values and standard errors.
+    If both are well known, the correlation does no harm; otherwise only a combination is identified.  The
+    difference (for positive parameters the ratio) of two estimates with similar errors is known better than
+    either.
     """
-    about: dict[str, Value] = {"first": pair[0].name, "second": pair[1].name, "correlation": correlation}
+    first, second = pair
+    about: dict[str, Value] = {"first": first.name, "second": second.name, "correlation": correlation}
     if not all(se < WELL_KNOWN * abs(value) for se, value in zip(errors, values, strict=True)):
         return FitCode.ONLY_COMBINATION(**about)
     # positive parameters are estimated as logarithms, to which the correlation applies
     sizes = [se / value if p.positive else se for p, se, value in zip(pair, errors, values, strict=True)]
-    if pair[0].positive == pair[1].positive and max(sizes) < 2.0 * abs(correlation) * min(sizes):
-        apart, together = ("ratio", "product") if pair[0].positive else ("difference", "sum")
-        return FitCode.OPERATION_KNOWN_BETTER(operation=apart if correlation > 0 else together, **about)
+    if first.positive == second.positive and max(sizes) < 2.0 * abs(correlation) * min(sizes):
+        if correlation > 0:
+            operation = "ratio" if first.positive else "difference"
+        else:
+            operation = "product" if first.positive else "sum"
+        return FitCode.OPERATION_KNOWN_BETTER(operation=operation, **about)
     return FitCode.COMBINATION_KNOWN_BETTER(**about)
 
 
 def undetermined(stage: Stage) -> list[Statement]:
-    """Statements about directions that the data do not determine."""
+    """Return statements about what the readings of a stage do not determine."""
     statements: list[Statement] = []
-    estimate, found = stage.estimate, stage.uncertainty
+    estimate, uncertainty = stage.estimate, stage.uncertainty
     if "resistance_ratio" in estimate.at_bounds and estimate.values["resistance_ratio"] > 0.99:
         statements.append(FitCode.NO_FEED_THROUGH())
-    others = tuple(name for name in estimate.at_bounds if name != "resistance_ratio")
-    if others:
-        statements.append(FitCode.AT_LIMITS(names=others))
+    names_at_limits = tuple(name for name in estimate.at_bounds if name != "resistance_ratio")
+    if names_at_limits:
+        statements.append(FitCode.AT_LIMITS(names=names_at_limits))
     for name, bounds in stage.bounds.items():
         if bounds.statements:
             statements.append(FitCode.BOUNDS_OF(parameter=name, bounds=bounds.statements))
         statements += limit_statements(name, bounds)
-    if found.flat:
-        statements.append(FitCode.NOT_DETERMINED(names=found.flat))
-    for a, b, r in found.trade_offs:
-        pair = [p for name in (a, b) for p in stage.base.model.parameters if p.name == name]
-        errors = [standard_error(estimate, found, p.name) for p in pair]
-        statements.append(shared_error(pair, [estimate.values[p.name] for p in pair], errors, r))
+    if uncertainty.flat:
+        statements.append(FitCode.NOT_DETERMINED(names=uncertainty.flat))
+    for first, second, correlation in uncertainty.trade_offs:
+        pair = [p for name in (first, second) for p in stage.base.model.parameters if p.name == name]
+        errors = [standard_error(estimate, uncertainty, p.name) for p in pair]
+        statements.append(shared_error(pair, [estimate.values[p.name] for p in pair], errors, correlation))
     return statements
 
 
 def _covariance(
     stages: Sequence[Stage], whole: Design, simulated: Mapping[str, OutputError], values: Mapping[str, float]
 ) -> tuple[tuple[str, ...], np.ndarray]:
-    """Covariance of the whole model's estimated parameters in their units: the sandwich of every stage, or of
-    the output error."""
+    """Return names and covariance of the whole model's estimated parameters, in their units.
+
+    It is the sandwich covariance of every stage, or of the output error for the parameters in `simulated`.
+    """
     from scipy.linalg import block_diag
 
     blocks: list[tuple[tuple[str, ...], np.ndarray]] = []
-    known = {p.name for p in whole.model.parameters}
-    known -= {name for found in simulated.values() for name in (*found.names, *found.unseen)}
+    by_likelihood = {p.name for p in whole.model.parameters}
+    by_likelihood -= {
+        name for output_error in simulated.values() for name in (*output_error.names, *output_error.unseen)
+    }
     for stage in stages:
         slopes = {p.name: p.slope(values[p.name]) for p in stage.base.model.parameters}
-        names = tuple(n for n in stage.uncertainty.names if n in known)
-        place = [stage.uncertainty.names.index(n) for n in names]
-        scale = np.array([slopes[n] for n in names])
+        names = tuple(name for name in stage.uncertainty.names if name in by_likelihood)
+        indices = [stage.uncertainty.names.index(name) for name in names]
+        scale = np.array([slopes[name] for name in names])
         # the wider of both variances on the diagonal, with the sandwich's correlations
-        matrix = stage.uncertainty.sandwich[np.ix_(place, place)]
-        wald = np.diag(stage.uncertainty.wald)[place]
-        grow = np.sqrt(np.maximum(1.0, wald / np.maximum(np.diag(matrix), 1e-300)))
-        blocks.append((names, matrix * np.outer(grow * scale, grow * scale)))
-        for found in simulated.values():
-            if set(found.names) <= set(slopes):
-                scale = np.array([slopes[n] for n in found.names])
-                blocks.append((found.names, found.covariance * np.outer(scale, scale)))
-    return tuple(n for part, _ in blocks for n in part), block_diag(*(matrix for _, matrix in blocks))
+        matrix = stage.uncertainty.sandwich[np.ix_(indices, indices)]
+        wald = np.diag(stage.uncertainty.wald)[indices]
+        widening = np.sqrt(np.maximum(1.0, wald / np.maximum(np.diag(matrix), 1e-300)))
+        blocks.append((names, matrix * np.outer(widening * scale, widening * scale)))
+        for output_error in simulated.values():
+            if set(output_error.names) <= set(slopes):
+                scale = np.array([slopes[name] for name in output_error.names])
+                blocks.append((output_error.names, output_error.covariance * np.outer(scale, scale)))
+    all_names = tuple(name for names_of_block, _ in blocks for name in names_of_block)
+    return all_names, block_diag(*(matrix for _, matrix in blocks))
 
 
 def _rows(
@@ -430,98 +464,105 @@ def _rows(
     values: Mapping[str, float],
     errors: Mapping[str, float],
     simulated: Mapping[str, OutputError],
-    entries: Mapping[str, TimeConstant | None],
+    entries: Sequence[TimeConstant | None],
 ) -> dict[str, ParameterRow]:
-    """The parameter table; parameters estimated by the output error have bounds from its own sandwich.
+    """Return the parameter table; `errors` are standard errors.
 
-    Parameters behind a reported time constant have the bounds of that time constant.
+    simulated: output-error estimates, which replace value and bounds of their parameters.
+    entries: thermal and hygric time constant, whose bounds replace those of their parameters.
     """
     rows = {name: row for stage in stages for name, row in _parameters(stage, values, errors).items()}
     positive = {p.name: p.positive for stage in stages for p in stage.base.model.parameters}
-    for found in simulated.values():
-        for name in set(found.names) & rows.keys():
-            lower, upper = found.bounds(name, positive[name])
+    for output_error in simulated.values():
+        for name in set(output_error.names) & rows.keys():
+            lower, upper = output_error.bounds(name, positive[name])
             rows[name] = replace(
                 rows[name],
-                value=found.values[name],
+                value=output_error.values[name],
                 se=nan_if_open(0.5 * (upper - lower) / normal_quantile(LEVEL)),
                 lower=nan_if_open(lower),
                 upper=nan_if_open(upper),
-                at_bound=name in found.at_bounds,
+                at_bound=name in output_error.at_bounds,
             )
-        for name in set(found.unseen) & rows.keys():
+        for name in set(output_error.unseen) & rows.keys():
             rows[name] = ParameterRow(
                 0.0, rows[name].unit, meaning=rows[name].meaning, fixed=True,
                 at_guard=rows[name].at_guard, parts=rows[name].parts,
             )  # fmt: skip
-    for name, entry in entries.items():
-        if entry is not None:
-            scale = values[name] / entry.value_h
-            rows[name] = replace(rows[name], lower=entry.lower_h * scale, upper=entry.upper_h * scale)
+    for name, constant in zip(TIME_CONSTANTS, entries, strict=True):
+        if constant is not None:
+            scale = values[name] / constant.value_h
+            rows[name] = replace(rows[name], lower=constant.lower_h * scale, upper=constant.upper_h * scale)
     return rows
 
 
 def _parameters(
     stage: Stage, values: Mapping[str, float], errors: Mapping[str, float]
 ) -> dict[str, ParameterRow]:
+    """Return the table rows of a stage's parameters, by name."""
     rows = {}
     parts = tuple(part for part, name in zip(PARTS, TIME_CONSTANTS, strict=True) if name in stage.bounds)
-    for p in stage.base.model.parameters:
-        b = stage.bounds.get(p.name) or wald_bounds(stage.estimate, stage.uncertainty, p.name)
-        at_bound = p.name in stage.estimate.at_bounds
-        se, lower, upper = (nan_if_open(one) for one in (errors.get(p.name, math.nan), b.lower, b.upper))
-        prior = None if p.prior is None else PriorTerms(*p.prior.in_unit())
-        fixed, at_guard = (
-            p.name in stage.estimate.coordinates.fixed,
-            at_bound and p.is_stopped_by_guard(values[p.name]),
-        )
-        rows[p.name] = ParameterRow(
-            values[p.name], p.unit, se, lower, upper, p.meaning, prior, fixed, at_bound, at_guard, parts
+    for parameter in stage.base.model.parameters:
+        name = parameter.name
+        bounds = stage.bounds.get(name) or wald_bounds(stage.estimate, stage.uncertainty, name)
+        at_bound = name in stage.estimate.at_bounds
+        rows[name] = ParameterRow(
+            values[name],
+            parameter.unit,
+            se=nan_if_open(errors.get(name, math.nan)),
+            lower=nan_if_open(bounds.lower),
+            upper=nan_if_open(bounds.upper),
+            meaning=parameter.meaning,
+            prior=None if parameter.prior is None else PriorTerms(*parameter.prior.in_unit()),
+            fixed=name in stage.estimate.coordinates.fixed,
+            at_bound=at_bound,
+            at_guard=at_bound and parameter.is_stopped_by_guard(values[name]),
+            parts=parts,
         )
     return rows
 
 
 def _series(
-    base: Design,
-    values: Mapping[str, float],
-    run: Run,
-    predicted: Prediction,
-    tolerance: float,
+    base: Design, values: Mapping[str, float], run: Run, predicted: Prediction, tolerance: float
 ) -> dict[str, np.ndarray]:
-    """The arrays of `series.npz`: readings, free run, standardised innovations, inputs."""
-    t, known = run.timeline, measured(run)
-    nothing = np.full(len(t), np.nan)
+    """Return the arrays of `series.npz`: readings, free run, standardised innovations, inputs."""
+    timeline, observed = run.timeline, measured(run)
+    unknown = np.full(len(timeline), np.nan)
     readings = {quantity.removesuffix("_K").removesuffix("_g_m3"): quantity for quantity in QUANTITIES}
     simulated: dict[str, np.ndarray] = {}
     for name, quantity in readings.items():
-        value, sd = predicted.of(quantity) or (nothing, nothing)
+        value, sd = predicted.of(quantity) or (unknown, unknown)
         simulated |= {f"{name}_simulated": value, f"{name}_sd": sd}
     # of the linear filter: whiteness and kurtosis mean nothing where a reading's influence is bounded
-    linear = replace(base.model, bound=math.inf)
-    trace = Likelihood(linear, t, tolerance=tolerance).trace(values)
-    standard = (t.y - trace.prediction) / np.sqrt(trace.variance)
+    linear_model = replace(base.model, bound=math.inf)
+    trace = Likelihood(linear_model, timeline, tolerance=tolerance).trace(values)
+    standardised = (timeline.y - trace.prediction) / np.sqrt(trace.variance)
 
     def innovation(*names: str) -> np.ndarray:
+        """Return the standardised innovations of the first of these outputs that exists; NaN without any."""
         for name in names:
-            if name in t.outputs:
-                return standard[:, t.outputs.index(name)]
-        return nothing
+            if name in timeline.outputs:
+                return standardised[:, timeline.outputs.index(name)]
+        return unknown
 
-    def given(name: str) -> np.ndarray:
-        return t.input(name) if name in (*t.varying, *t.regimes) else nothing
+    def input_or_nan(name: str) -> np.ndarray:
+        """Return an input (T,); NaN if the run lacks it."""
+        return timeline.input(name) if name in (*timeline.varying, *timeline.regimes) else unknown
 
-    power = given("power_1") if "power_1" in t.varying else np.where(run.operating, 1.0, 0.0)
+    power = input_or_nan("power_1") if "power_1" in timeline.varying else np.where(run.operating, 1.0, 0.0)
+    has_preheating = "preheating" in timeline.varying
+    preheating = timeline.input("preheating") if has_preheating else np.zeros(len(timeline))
     return {
-        "time_s": t.seconds,
-        **{f"{name}_measured": known[quantity] for name, quantity in readings.items()},
+        "time_s": timeline.seconds,
+        **{f"{name}_measured": observed[quantity] for name, quantity in readings.items()},
         **simulated,
         "temperature_innovation": innovation("cabinet_temperature"),
         "humidity_innovation": innovation("cabinet_relative_humidity", "cabinet_absolute_humidity"),
-        "ambient_temperature": given("ambient_temperature"),
-        "ambient_absolute_humidity": given("ambient_absolute_humidity"),
+        "ambient_temperature": input_or_nan("ambient_temperature"),
+        "ambient_absolute_humidity": input_or_nan("ambient_absolute_humidity"),
         "power": power,
         "operating": run.operating.astype(float),
-        "preheating": given("preheating") if "preheating" in t.varying else np.zeros(len(t)),
+        "preheating": preheating,
         "scored": run.scored.astype(float),
         "until_s": np.array(math.nan if run.record.until_s is None else run.record.until_s),
         "start_s": np.array(run.record.start_s),
@@ -529,31 +570,31 @@ def _series(
 
 
 def _identified_on(design: Design, run: Run) -> dict[str, tuple[float, float]]:
-    """0.1 and 99.9 % quantiles of the inputs over the instants used for the identification."""
-    t = run.timeline
-    chosen = period_masks(run)["identification"] & run.scored
-    if not chosen.any():
+    """Return the 0.1 and 99.9 % quantiles of each input over the instants used for the identification."""
+    timeline = run.timeline
+    used_instants = period_masks(run)["identification"] & run.scored
+    if not used_instants.any():
         return {}
     return {
-        key: tuple(np.quantile(t.input(name)[chosen], [0.001, 0.999]).tolist())
+        key: tuple(np.quantile(timeline.input(name)[used_instants], [0.001, 0.999]).tolist())
         for name, key in IDENTIFIED_ON.items()
         if name in design.model.inputs
     }
 
 
 def _diagnosis(run: Run, series: Mapping[str, np.ndarray]) -> Diagnosis:
-    """Whiteness of the innovations on the identification period."""
+    """Test the innovations of the identification period for whiteness and for correlation with the inputs."""
     from hygrokf.evaluation.innovation_tests import diagnose
 
-    chosen = period_masks(run)["identification"]
-    standard = {
-        name: series[key][chosen]
+    in_period = period_masks(run)["identification"]
+    standardised = {
+        name: series[key][in_period]
         for name, key in (("temperature", "temperature_innovation"), ("humidity", "humidity_innovation"))
         if np.isfinite(series[key]).any()
     }
     inputs = {
-        name: series[name][chosen]
+        name: series[name][in_period]
         for name in ("ambient_temperature", "ambient_absolute_humidity", "power", "preheating")
-        if np.isfinite(series[name]).any() and np.nanstd(series[name][chosen]) > 0
+        if np.isfinite(series[name]).any() and np.nanstd(series[name][in_period]) > 0
     }
-    return diagnose(run.timeline.time[chosen], standard, inputs)
+    return diagnose(run.timeline.time[in_period], standardised, inputs)

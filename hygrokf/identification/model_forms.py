@@ -63,8 +63,10 @@ UNSTATED = {
 
 @dataclass(frozen=True)
 class CandidateDesign:
-    """A form to fit: its design, the start values of its further parameters, and whether it may become the
-    base."""
+    """A form of the model to fit.
+
+    `starts`: start values of its further parameters.  `adoptable`: whether it may become the base.
+    """
 
     name: str
     design: Design
@@ -74,11 +76,11 @@ class CandidateDesign:
 
 @dataclass(frozen=True)
 class FittedForm:
-    """A form on one record.
+    """A form of the model, fitted to a record.
 
-    `estimate` is the maximum; `gain` the penalised ln L minus that of the base; `weight` the share of the
-    evidence [1]; `covariance` (f, f) belongs to the coordinates `names`, all inside their bounds: the wider
-    of the inverse expected information and the sandwich.
+    `estimate`: the maximum.  `gain`: penalised ln L minus that of the base.  `weight`: share of the evidence
+        [1]. `covariance` (f, f): of the coordinates `names`, all inside their bounds; the wider of inverse
+        expected information and sandwich.
     """
 
     name: str
@@ -91,13 +93,18 @@ class FittedForm:
     adoptable: bool = False
 
     def within(self, chosen: FittedForm) -> FittedForm:
-        """This form, fitted with the adopted form `chosen` as its base: gains add, weights multiply."""
+        """Return this form, which was fitted with `chosen` as its base, relative to the base of `chosen`.
+
+        Gains add and weights multiply.
+        """
         name = chosen.name if self.name == BASE else f"{chosen.name} + {self.name}"
         return replace(self, name=name, gain=chosen.gain + self.gain, weight=chosen.weight * self.weight)
 
     def variance(self, derivatives: Mapping[str, float]) -> float:
-        """Variance of a function of the coordinates with these derivatives (delta method); coordinates at a
-        bound contribute nothing."""
+        """Return the variance of a function of the coordinates with these derivatives (delta method).
+
+        Coordinates at a bound contribute nothing.
+        """
         inside = [name for name in derivatives if name in self.names]
         places = [self.names.index(name) for name in inside]
         gradient = np.array([derivatives[name] for name in inside])
@@ -105,9 +112,9 @@ class FittedForm:
 
 
 def candidates(base: Design, run: Run, values: Mapping[str, float]) -> list[CandidateDesign]:
-    """The forms to compare with a design, except those that the design already contains.
+    """Return the forms to compare with a design, without those that it already contains.
 
-    All forms read the inputs of the base, so that they share its run.
+    values: the base's parameter values.  All forms read the inputs of the base, so that they share its run.
     """
     names = [name for name, _ in base.mechanisms]
     forms: list[CandidateDesign] = []
@@ -119,8 +126,8 @@ def candidates(base: Design, run: Run, values: Mapping[str, float]) -> list[Cand
             forms.append(CandidateDesign(CONVECTION, wider, ({"convection_exponent": 0.1},), True))
         if "wall_thermal_mass" not in names:
             wider = extended(base, [("wall_thermal_mass", {})])
-            start = {"wall_conductance": 0.1, "wall_time_constant": 5.0, "wall_position": 0.9}
-            forms.append(CandidateDesign(SECOND_MASS, wider, (start,), False))
+            start_values = {"wall_conductance": 0.1, "wall_time_constant": 5.0, "wall_position": 0.9}
+            forms.append(CandidateDesign(SECOND_MASS, wider, (start_values,), False))
     for signal, sensor in UNSTATED.items():
         series = run.record[signal] if base.humidity == signal and signal in run.record else None
         if series is None or series.response_time_s is not None:
@@ -129,20 +136,25 @@ def candidates(base: Design, run: Run, values: Mapping[str, float]) -> list[Cand
         if settings.get("longest_response_h") is None:
             responding = {**settings, "longest_response_h": LONGEST_RESPONSE_H}
             wider = replace(
-                base, mechanisms=tuple((m, responding if m == sensor else s) for m, s in base.mechanisms)
+                base,
+                mechanisms=tuple(
+                    (name_of_mechanism, responding if name_of_mechanism == sensor else settings_of_mechanism)
+                    for name_of_mechanism, settings_of_mechanism in base.mechanisms
+                ),
             )
             forms.append(CandidateDesign(RESPONSE, wider, ({f"{signal}_response": 0.1},), True))
     return forms + [
-        _second(base, first, values) for first in SECOND if first in names and f"second_{first}" not in names
+        _second(base, disturbance, values)
+        for disturbance in SECOND
+        if disturbance in names and f"second_{disturbance}" not in names
     ]
 
 
 def _second(base: Design, disturbance: str, values: Mapping[str, float]) -> CandidateDesign:
-    """The form with a second disturbance of the same kind, estimated from a shorter and from a longer
-    correlation time.
+    """Return the form with a second disturbance of the same kind.
 
-    Real disturbances rarely have a single time scale; the model would attribute the rest to the cabinet's
-    dynamics.
+    It is started from a shorter and from a longer correlation time.  Real disturbances rarely have a single
+    time scale; without a second one, the rest would be attributed to the cabinet's dynamics.
     """
     time, sd = values[f"{disturbance}_time"], values[f"{disturbance}_sd"]
     settings = {**dict(base.mechanisms)[disturbance], "start_h": OTHER_TIMES[0] * time}
@@ -162,20 +174,20 @@ def weigh_forms(
     constants: Sequence[str],
     short_likelihood: Likelihood | None = None,
 ) -> tuple[FittedForm, ...]:
-    """The base and its competing forms, with their weights.
+    """Fit the base's competing forms and return all, the base first, with their shares of the evidence.
 
-    `run` is the base's run on the identification period; `constants` are the parameters of interest: the
-    largest of their variance ratios is c of the evidence; `short_likelihood` is the base's likelihood of a
-    shorter stretch, on which every form is fitted first.
+    run, estimate: of the base on the identification period.
+    constants: the parameters of interest; the largest of their variance ratios is c of the evidence.
+    short_likelihood: the base's likelihood on a shorter stretch, on which every form is fitted first.
     """
     likelihood = Likelihood(base.model, run.timeline)
     at_base, _ = _curvature(likelihood, estimate)
     places = [at_base.names.index(name) for name in constants if name in at_base.names]
-    temper = max([1.0, *(float(at_base.factor[i]) for i in places)])
+    variance_ratio = max([1.0, *(float(at_base.factor[i]) for i in places)])
     base_maximum_on_short = -math.inf
     if short_likelihood is not None:
-        start = Objective(short_likelihood, estimate.coordinates)
-        base_maximum_on_short = climb(start, estimate.z, passes=8, tolerance=1e-2).objective
+        short_objective = Objective(short_likelihood, estimate.coordinates)
+        base_maximum_on_short = climb(short_objective, estimate.z, passes=8, tolerance=1e-2).objective
     forms = [FittedForm(BASE, base, estimate, 0.0, 1.0, at_base.names, at_base.wider)]
     evidence = [0.0]
 
@@ -193,19 +205,19 @@ def weigh_forms(
         form = FittedForm(
             candidate.name, candidate.design, optimum, gain, 0.0, at_optimum.names, covariance, adoptable
         )
-        return form, gain / temper + _occam(optimum, at_optimum, score, further, temper)
+        return form, gain / variance_ratio + _occam(optimum, at_optimum, score, further, variance_ratio)
 
     for fitted_form in mapped(fit_form, candidates(base, run, estimate.values)):
         if fitted_form is not None:
             forms.append(fitted_form[0])
             evidence.append(fitted_form[1])
-    share = np.exp(np.array(evidence) - max(evidence))
-    weights = (share / share.sum()).tolist()
+    relative_evidence = np.exp(np.array(evidence) - max(evidence))
+    weights = (relative_evidence / relative_evidence.sum()).tolist()
     return tuple(replace(form, weight=weight) for form, weight in zip(forms, weights, strict=True))
 
 
 def ended_at_limits(estimate: Estimate, base: Estimate) -> set[str]:
-    """Further parameters of a form that ended at a limit of their range, a sign of another cause.
+    """Return the further parameters of a form that ended at a limit of their range, a sign of another cause.
 
     Parameters of disturbances are exempt: the step and the length of the record set their limits.
     """
@@ -223,27 +235,32 @@ def _maximise(
     short_likelihood: Likelihood | None,
     base_maximum_on_short: float,
 ) -> Estimate | None:
-    """A form's maximum from its starts; None where the form is too far below the base on the shorter
-    stretch."""
+    """Fit a form from its starts; None where it is too far below the base on the shorter stretch.
+
+    base_maximum_on_short: ln L of the base there.
+    """
     coordinates = Coordinates(candidate.design.model.parameters)
     starts = [coordinates.start({**base.values, **start}) for start in candidate.starts]
     if short_likelihood is not None:
         time = likelihood.timeline.time
-        last = int(np.searchsorted(time, short_likelihood.timeline.time[-1], side="right"))
-        short = replace(likelihood, timeline=likelihood.timeline.window(0, last))
-        short_optima = [climb(Objective(short, coordinates), z, passes=12, tolerance=1e-2) for z in starts]
-        best = max(short_optima, key=lambda optima: optima.objective)
-        if best.objective - base_maximum_on_short < LEAST_SHORT_GAIN:
+        end_of_short = int(np.searchsorted(time, short_likelihood.timeline.time[-1], side="right"))
+        short = replace(likelihood, timeline=likelihood.timeline.window(0, end_of_short))
+        short_optima = [
+            climb(Objective(short, coordinates), position, passes=12, tolerance=1e-2) for position in starts
+        ]
+        best_on_short = max(short_optima, key=lambda optima: optima.objective)
+        if best_on_short.objective - base_maximum_on_short < LEAST_SHORT_GAIN:
             return None
-        starts = [best.z]
+        starts = [best_on_short.z]
     optima = [
-        climb(Objective(likelihood, coordinates), z, passes=PASSES, tolerance=TOLERANCE) for z in starts
+        climb(Objective(likelihood, coordinates), position, passes=PASSES, tolerance=TOLERANCE)
+        for position in starts
     ]
     return estimate_of(likelihood, coordinates, optima)
 
 
 def _curvature(likelihood: Likelihood, estimate: Estimate) -> tuple[Uncertainty, dict[str, float]]:
-    """Uncertainty and score at a maximum, by the expected information of one pass."""
+    """Return the uncertainty and the score (by name) at a maximum, by the expected information."""
     objective = Objective(likelihood, estimate.coordinates)
     information = objective.information(estimate.z, each=True)
     score = dict(zip(estimate.coordinates.names, information.score.tolist(), strict=True))
@@ -251,17 +268,25 @@ def _curvature(likelihood: Likelihood, estimate: Estimate) -> tuple[Uncertainty,
 
 
 def _within_ranges(estimate: Estimate, uncertainty: Uncertainty, further: Sequence[str]) -> np.ndarray:
-    """The covariance (f, f) with normal priors of the further parameters that have the variances of their
-    ranges: where a form hardly acts, nothing else bounds what its parameters could imitate."""
-    width = _ranges(estimate)
-    places = [uncertainty.names.index(name) for name in further if name in uncertainty.names]
-    prior = np.diag([width[uncertainty.names[i]] ** 2 / 12.0 for i in places])
-    column, block = uncertainty.wider[:, places], uncertainty.wider[np.ix_(places, places)]
-    return uncertainty.wider - column @ np.linalg.solve(block + prior, column.T)
+    """Return the covariance (f, f), limited by the ranges of the further parameters.
+
+    Each further parameter gets a normal prior with the variance of its range: where a form hardly acts,
+    nothing else bounds what its parameters could imitate.
+    """
+    range_widths = _ranges(estimate)
+    indices = [uncertainty.names.index(name) for name in further if name in uncertainty.names]
+    prior = np.diag([range_widths[uncertainty.names[i]] ** 2 / 12.0 for i in indices])
+    covariance_with_further, covariance_of_further = (
+        uncertainty.wider[:, indices],
+        uncertainty.wider[np.ix_(indices, indices)],
+    )
+    return uncertainty.wider - covariance_with_further @ np.linalg.solve(
+        covariance_of_further + prior, covariance_with_further.T
+    )
 
 
 def _ranges(estimate: Estimate) -> dict[str, float]:
-    """Width of every parameter's range, in its coordinate."""
+    """Return the width of every parameter's range, in its coordinate."""
     coordinates = estimate.coordinates
     return dict(zip(coordinates.names, (coordinates.upper - coordinates.lower).tolist(), strict=True))
 
@@ -271,19 +296,22 @@ def _occam(
     uncertainty: Uncertainty,
     score: Mapping[str, float],
     further: Sequence[str],
-    temper: float,
+    variance_ratio: float,
 ) -> float:
-    """Logarithm of the share of the further parameters' ranges that remains after the readings."""
-    width = _ranges(estimate)
+    """Return the logarithm of the share of the further parameters' ranges that the readings leave (Occam
+    factor)."""
+    range_widths = _ranges(estimate)
     inside = [name for name in further if name in uncertainty.names]
-    total = 0.0
+    log_share = 0.0
     if inside:
-        places = [uncertainty.names.index(name) for name in inside]
-        block = temper * uncertainty.wald[np.ix_(places, places)]
-        deviations = np.diag(np.linalg.cholesky(block + 1e-12 * np.diag(np.diag(block))))
+        indices = [uncertainty.names.index(name) for name in inside]
+        scaled_covariance = variance_ratio * uncertainty.wald[np.ix_(indices, indices)]
+        deviations = np.diag(
+            np.linalg.cholesky(scaled_covariance + 1e-12 * np.diag(np.diag(scaled_covariance)))
+        )
         for name, sd in zip(inside, deviations, strict=True):
-            total += math.log(min(1.0, math.sqrt(2.0 * math.pi) * float(sd) / width[name]))
+            log_share += math.log(min(1.0, math.sqrt(2.0 * math.pi) * float(sd) / range_widths[name]))
     for name in set(further) - set(inside):
-        steepness = abs(score[name]) / temper * width[name]
-        total -= math.log(max(1.0, steepness))
-    return total
+        steepness = abs(score[name]) / variance_ratio * range_widths[name]
+        log_share -= math.log(max(1.0, steepness))
+    return log_share

@@ -43,8 +43,11 @@ STEP_TOLERANCE = 1e-4
 
 @dataclass(frozen=True)
 class WithoutInput:
-    """The best `model` in which an input does not act; `gain`: twice the ln L of the fit minus that of the
-    model; `required`: the least gain with which the fit needs the input."""
+    """The best `model` in which an input does not act, compared with the fit.
+
+    `gain`: twice the difference in ln L by which the fit is better.  `required`: smallest gain with which the
+        fit needs the input.
+    """
 
     model: Statement
     gain: float = math.nan
@@ -57,9 +60,10 @@ class WithoutInput:
 
 
 def without_input(name: str, model: Model, run: Run, estimate: Estimate) -> WithoutInput:
-    """The best model in which the input of a time constant does not act.
+    """Return the best model in which the input of a time constant does not act.
 
     name: "thermal_time_constant" or "hygric_k".  model, run, estimate: of the fit.
+    The first `TRIED_DAYS` are tried alone; if the input is needed there, the rest is not computed.
     """
     from scipy.special import chdtri
 
@@ -70,18 +74,21 @@ def without_input(name: str, model: Model, run: Run, estimate: Estimate) -> With
     models = list(alternatives(name, inputs, *time_and_readings))
 
     def best(count: int) -> WithoutInput:
+        """Return the best model without the input on the first `count` instants."""
         window = timeline.window(0, count)
         fit_objective = Objective(
             Likelihood(model, window, tolerance=STEP_TOLERANCE), estimate.coordinates
         ).value(estimate.z)
-        without = []
+        results = []
         for code, inputs, fixed in models:
-            without_it = window.with_inputs({name: value[:count] for name, value in inputs.items()})
+            window_without_input = window.with_inputs({name: value[:count] for name, value in inputs.items()})
             coordinates = Coordinates(model.parameters, fixed)
-            objective = Objective(Likelihood(model, without_it, tolerance=STEP_TOLERANCE), coordinates)
-            end = climb(objective, coordinates.start(estimate.values), PASSES, TOLERANCE)
-            without.append(WithoutInput(code(), 2.0 * (fit_objective - end.objective), required))
-        return min(without, key=lambda result: result.gain)
+            objective = Objective(
+                Likelihood(model, window_without_input, tolerance=STEP_TOLERANCE), coordinates
+            )
+            optimum = climb(objective, coordinates.start(estimate.values), PASSES, TOLERANCE)
+            results.append(WithoutInput(code(), 2.0 * (fit_objective - optimum.objective), required))
+        return min(results, key=lambda result: result.gain)
 
     on_short = best(int(np.searchsorted(timeline.time, timeline.time[0] + 24.0 * TRIED_DAYS)))
     return on_short if on_short.enough else best(len(timeline))
@@ -90,20 +97,22 @@ def without_input(name: str, model: Model, run: Run, estimate: Estimate) -> With
 def alternatives(
     name: str, inputs: Mapping[str, np.ndarray], time_h: np.ndarray, cabinet_K: np.ndarray, vapour: np.ndarray
 ) -> Iterator[tuple[FitCode, dict[str, np.ndarray], dict[str, float]]]:
-    """The models in which the input of a time constant does not act: code, inputs (T,), fixed parameters.
+    """Yield the models in which the input of a time constant does not act: code, inputs (T,), fixed
+    parameters.
 
-    inputs (T,) by name at times (T,) [h]; cabinet_K, vapour: (T,) the cabinet's readings [K], [g/m³], or NaN.
+    inputs: (T,) by name at times time_h (T,) [h].
+    cabinet_K, vapour: (T,) the cabinet's readings [K], [g/m³], or NaN.
     """
     if name == "hygric_k":
-        outside = inputs["ambient_absolute_humidity"]
-        yield FitCode.CONSTANT_VAPOUR, {"ambient_absolute_humidity": _mean(outside)}, {}
+        ambient_vapour = inputs["ambient_absolute_humidity"]
+        yield FitCode.CONSTANT_VAPOUR, {"ambient_absolute_humidity": _mean(ambient_vapour)}, {}
         is_warm_known, is_vapour_known = np.isfinite(cabinet_K), np.isfinite(vapour)
         if is_vapour_known.any():
             cabinet_K = np.interp(time_h, time_h[is_warm_known], cabinet_K[is_warm_known])
             saturated = 1e3 * absolute_humidity(1.0, cabinet_K)
             regulated = saturated * np.nanmean(vapour / saturated) * cabinet_K / inputs["ambient_temperature"]
-            step = float(np.median(np.diff(time_h[is_vapour_known])))
-            yield FitCode.HELD_HUMIDITY, {"ambient_absolute_humidity": regulated}, {name: 0.5 * step}
+            step_h = float(np.median(np.diff(time_h[is_vapour_known])))
+            yield FitCode.HELD_HUMIDITY, {"ambient_absolute_humidity": regulated}, {name: 0.5 * step_h}
         return
     means = {signal: _mean(value) for signal, value in inputs.items()}
     if "exchange_factor" in inputs:  # a joint model: the ambient vapour stays as it is
@@ -114,4 +123,5 @@ def alternatives(
 
 
 def _mean(value: np.ndarray) -> np.ndarray:
+    """Return an array of the same shape, filled with the mean."""
     return np.full_like(value, value.mean())

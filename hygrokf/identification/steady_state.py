@@ -57,33 +57,36 @@ MOST_POINTS = 2000
 
 @dataclass(frozen=True)
 class StationaryPoints:
-    """Quasi-stationary periods (N,), one point each, in order of time: means over the period of `power`
-    P/P_rated [1], `difference_K` T_conv,a − T_amb and `ambient_K` T_amb."""
+    """Quasi-stationary periods (N,), one point each, in order of time.
+
+    Means over the period: `power` P/P_rated [1], `difference_K` T_conv,a − T_amb, `ambient_K` T_amb.
+    """
 
     power: np.ndarray = field(default_factory=lambda: np.empty(0))
     difference_K: np.ndarray = field(default_factory=lambda: np.empty(0))
     ambient_K: np.ndarray = field(default_factory=lambda: np.empty(0))
 
     def __post_init__(self) -> None:
-        found = {name: len(value) for name, value in vars(self).items()}
-        if len(set(found.values())) > 1:
-            raise ValueError(f"expected one number for each of {len(self)} periods, found {found}")
+        """Check that all arrays have one length; raises ValueError."""
+        lengths = {name: len(value) for name, value in vars(self).items()}
+        if len(set(lengths.values())) > 1:
+            raise ValueError(f"expected one number for each of {len(self)} periods, found {lengths}")
 
     def __len__(self) -> int:
         return len(self.power)
 
     def thinned(self) -> StationaryPoints:
-        """At most `MOST_POINTS` of the points, evenly thinned."""
-        kept = slice(None, None, max(1, math.ceil(len(self) / MOST_POINTS)))
-        return StationaryPoints(**{name: value[kept] for name, value in vars(self).items()})
+        """Return at most `MOST_POINTS` of the points, evenly thinned."""
+        every_nth = slice(None, None, max(1, math.ceil(len(self) / MOST_POINTS)))
+        return StationaryPoints(**{name: value[every_nth] for name, value in vars(self).items()})
 
 
 @dataclass(frozen=True)
 class Regression:
-    """The regression of one regime, operation or standstill.
+    """The heat release of one regime (operation or standstill) as a polynomial in the power.
 
-    `order` of the polynomial in P/P_rated; `ambient` whether there is a slope over T_amb; `coefficients` by
-    parameter name of `mechanisms.thermal.heat_release`; `points` the periods.
+    `order`: of the polynomial in P/P_rated.  `ambient`: whether there is a slope over T_amb.
+    `coefficients`: by parameter name of `mechanisms.thermal.heat_release`.  `points`: the periods.
     """
 
     n_points: int = 0
@@ -96,8 +99,10 @@ class Regression:
 
 @dataclass(frozen=True)
 class HeatRelease:
-    """Heat release of both regimes; a regime is None where it cannot be fitted, and `statements` give the
-    reasons.  `reference_K` [K] ambient temperature at which the slopes are zero."""
+    """Heat release of both regimes; None for a regime that cannot be fitted, with the reason in `statements`.
+
+    `reference_K` [K]: ambient temperature at which the slopes are zero.
+    """
 
     operation: Regression | None = None
     standstill: Regression | None = None
@@ -108,7 +113,7 @@ class HeatRelease:
     def regimes(self) -> dict[str, Regression]:
         """The regressions that could be fitted, by regime."""
         pairs = ((OPERATION, self.operation), (STANDSTILL, self.standstill))
-        return {regime: one for regime, one in pairs if one is not None}
+        return {regime: regression for regime, regression in pairs if regression is not None}
 
     @property
     def power_order(self) -> int:
@@ -122,7 +127,7 @@ class HeatRelease:
         return 2 if self.operation is None else max(2, self.operation.order)
 
     def start(self) -> dict[str, float]:
-        """Start values of the heat release's parameters by name, within their bounds; empty without a
+        """Return start values of the heat release's parameters, within their bounds; empty without a
         regression."""
         values: dict[str, float] = {}
         for regime, regression in self.regimes.items():
@@ -132,8 +137,11 @@ class HeatRelease:
         return values
 
     def thinned(self) -> HeatRelease:
-        """The heat release with as many points as results hold."""
-        thinned = {regime: replace(one, points=one.points.thinned()) for regime, one in self.regimes.items()}
+        """Return the heat release with as few points as results store."""
+        thinned = {
+            regime: replace(regression, points=regression.points.thinned())
+            for regime, regression in self.regimes.items()
+        }
         return replace(self, operation=thinned.get(OPERATION), standstill=thinned.get(STANDSTILL))
 
 
@@ -159,24 +167,33 @@ def heat_release_regression(record: Record, *, reference_K: float | None = None)
     A regime with too few periods is None, and a statement gives the reason. Source: equation (1), Fig. 3
     and Fig. 4 of the paper.
     """
-    early = record.identification()
-    missing = tuple(name for name in (TEMPERATURE, AMBIENT) if not has_readings(early, name))
+    identification_part = record.identification()
+    missing = tuple(name for name in (TEMPERATURE, AMBIENT) if not has_readings(identification_part, name))
     if missing:
         return HeatRelease(None, None, reference_K, (FitCode.NO_READINGS_FOR_PERIODS(signals=missing),))
     if reference_K is None:
-        reference_K = float(np.nanmean(early[AMBIENT].value))
+        reference_K = float(np.nanmean(identification_part[AMBIENT].value))
     statements: list[Statement] = []
-    scale_W = power_scale(early) if has_readings(early, POWER) else None
-    if not has_readings(early, POWER):
+    scale_W = power_scale(identification_part) if has_readings(identification_part, POWER) else None
+    if not has_readings(identification_part, POWER):
         statements.append(FitCode.NO_POWER())
     elif scale_W is None:
         statements.append(FitCode.POWER_NEVER_POSITIVE())
-    used = [early[name] for name in (TEMPERATURE, AMBIENT, *((POWER,) if scale_W else ()))]
-    slowest_h = max(max(reading_step_h(one), one.interval_s / 3600.0) for one in used)
-    first, last = max(one.time[0] - one.interval_s for one in used), min(one.time[-1] for one in used)
-    blocks = np.arange(first, last, 3600.0 * max(1.0, slowest_h))
-    time_constant_h = rough_time_constant(cells_between(early, scale_W, blocks))
-    cells = cells_between(early, scale_W, cell_edges(used[-1] if scale_W else used[0], first, last))
+    used_series = [
+        identification_part[name] for name in (TEMPERATURE, AMBIENT, *((POWER,) if scale_W else ()))
+    ]
+    slowest_h = max(max(reading_step_h(series), series.interval_s / 3600.0) for series in used_series)
+    start_s, end_s = (
+        max(series.time[0] - series.interval_s for series in used_series),
+        min(series.time[-1] for series in used_series),
+    )
+    blocks = np.arange(start_s, end_s, 3600.0 * max(1.0, slowest_h))
+    time_constant_h = rough_time_constant(cells_between(identification_part, scale_W, blocks))
+    cells = cells_between(
+        identification_part,
+        scale_W,
+        cell_edges(used_series[-1] if scale_W else used_series[0], start_s, end_s),
+    )
     shortest_h = max(SHORTEST_H, 2.0 * slowest_h)
     wanted_h = LONGEST_H if time_constant_h is None else min(TIME_CONSTANTS * time_constant_h, LONGEST_H)
     wanted_h = max(wanted_h, shortest_h)
@@ -188,11 +205,12 @@ def heat_release_regression(record: Record, *, reference_K: float | None = None)
             statements.append(_too_few(cells, regime, choice))
         else:
             regressions[regime] = _regression(regime, choice.periods, reference_K, time_constant_h)
-    pair = (regressions.get(OPERATION), regressions.get(STANDSTILL))
-    return HeatRelease(*pair, reference_K, tuple(statements))
+    both_regimes = (regressions.get(OPERATION), regressions.get(STANDSTILL))
+    return HeatRelease(*both_regimes, reference_K, tuple(statements))
 
 
 def _too_few(cells: Cells, regime: str, choice: Choice) -> Statement:
+    """Return the statement that a regime is absent or has too few periods."""
     hours = float((cells.end - cells.start)[cells.regime == (regime == OPERATION)].sum()) / 3600.0
     if hours <= 0.0:
         return FitCode.REGIME_ABSENT(regime=regime)
@@ -204,7 +222,7 @@ def _too_few(cells: Cells, regime: str, choice: Choice) -> Statement:
 
 
 def _parameters(regime: str, order: int, ambient: bool) -> tuple[Parameter, ...]:
-    """Parameters of the mechanism, in the order of `_regressors`."""
+    """Return the parameters of the heat release of a regime, in the order of the columns of `_regressors`."""
     running = regime == OPERATION
     return heat_release(
         order=order, ambient=ambient, standstill_ambient=ambient, operation=running, standstill=not running
@@ -212,98 +230,120 @@ def _parameters(regime: str, order: int, ambient: bool) -> tuple[Parameter, ...]
 
 
 def _regressors(points: Periods, order: int, ambient: bool, reference_K: float) -> np.ndarray:
+    """Return the regression's columns: powers of the relative power and, if wanted, the ambient
+    temperature."""
     columns = [points.power**k for k in range(order + 1)]
     return np.column_stack([*columns, points.ambient_K - reference_K] if ambient else columns)
 
 
 def _left_out(regressors: np.ndarray, response: np.ndarray, episode: np.ndarray) -> np.ndarray | None:
-    """Sums of squares [K²] (G,) of each episode by the fit to all others; None where an episode is
-    indispensable."""
+    """Return the sum of squared errors [K²] (G,) of each episode under the fit to all other episodes.
+
+    None where the fit is not determined without one of the episodes.
+    """
     if np.linalg.matrix_rank(regressors) < regressors.shape[1]:
         return None
     basis = np.linalg.qr(regressors)[0]
     residual = response - basis @ (basis.T @ response)
-    sums = []
-    for rows in np.split(np.arange(len(response)), np.flatnonzero(np.diff(episode)) + 1):
+    squares_of_episodes = []
+    for rows_of_episode in np.split(np.arange(len(response)), np.flatnonzero(np.diff(episode)) + 1):
         # (I − H_gg)⁻¹ e_g through the small matrix of the coefficients
-        part = basis[rows]
-        inner = np.eye(part.shape[1]) - part.T @ part
-        if np.linalg.eigvalsh(inner)[0] < 1e-6:
+        basis_of_episode = basis[rows_of_episode]
+        remainder = np.eye(basis_of_episode.shape[1]) - basis_of_episode.T @ basis_of_episode
+        if np.linalg.eigvalsh(remainder)[0] < 1e-6:
             return None
-        outside = residual[rows] + part @ np.linalg.solve(inner, part.T @ residual[rows])
-        sums.append(float(outside @ outside))
-    return np.array(sums)
+        error_without_episode = residual[rows_of_episode] + basis_of_episode @ np.linalg.solve(
+            remainder, basis_of_episode.T @ residual[rows_of_episode]
+        )
+        squares_of_episodes.append(float(error_without_episode @ error_without_episode))
+    return np.array(squares_of_episodes)
 
 
 def _supported_order(points: Periods) -> int:
-    """Largest order K, up to `LARGEST_ORDER`, for which each of K+1 equal parts of the power's range occurs
-    in enough episodes.
+    """Return the largest polynomial order that the distribution of the power supports.
 
-    Periods cluster near standstill and at rated power, because the wind in between is rarely steady.  Without
-    this rule a curve through both ends would be unconstrained in the middle, where cross-validation has no
-    data either.
+    For order K each of K+1 equal parts of the power's range must occur in enough episodes.  Periods cluster
+    near standstill and at rated power, because the wind in between is rarely steady.  Without this rule a
+    curve through both ends would be unconstrained in the middle, where cross-validation has no data either.
     """
-    low, high = points.power.min(), points.power.max()
+    lowest, highest = points.power.min(), points.power.max()
     for order in range(LARGEST_ORDER, 0, -1):
-        part = np.minimum(((points.power - low) / (high - low) * (order + 1)).astype(int), order)
-        met = [len(np.unique(points.episode[part == k])) for k in range(order + 1)]
-        if min(met) >= EPISODES_A_PARAMETER:
+        part_of_range = np.minimum(
+            ((points.power - lowest) / (highest - lowest) * (order + 1)).astype(int), order
+        )
+        episode_counts = [
+            len(np.unique(points.episode[part_of_range == part_number])) for part_number in range(order + 1)
+        ]
+        if min(episode_counts) >= EPISODES_A_PARAMETER:
             return order
     return 0
 
 
 def _forms(regime: str, points: Periods) -> list[tuple[int, bool]]:
-    """Forms (order, ambient slope) that the spread of the periods permits, the constant first."""
-    orders = 0
+    """Return the forms (order, ambient slope) to try, as the spread of the periods permits; the constant is
+    first."""
+    largest_order = 0
     if regime == OPERATION and np.ptp(np.quantile(points.power, [0.02, 0.98])) >= 2.0 * POWER_TOLERANCE:
-        orders = _supported_order(points)
-    warm = np.ptp(np.quantile(points.ambient_K, [0.05, 0.95])) >= LEAST_AMBIENT_K
+        largest_order = _supported_order(points)
+    has_ambient_range = np.ptp(np.quantile(points.ambient_K, [0.05, 0.95])) >= LEAST_AMBIENT_K
     forms = [
-        (order, ambient) for order in range(orders + 1) for ambient in ((False, True) if warm else (False,))
+        (order, ambient)
+        for order in range(largest_order + 1)
+        for ambient in ((False, True) if has_ambient_range else (False,))
     ]
-    most = points.n_episodes // EPISODES_A_PARAMETER
-    return [form for form in forms if form == (0, False) or form[0] + 1 + form[1] <= most]
+    most_coefficients = points.n_episodes // EPISODES_A_PARAMETER
+    return [form for form in forms if form == (0, False) or form[0] + 1 + form[1] <= most_coefficients]
 
 
 def _cross_validate(
     points: Periods, response: np.ndarray, forms: list[tuple[int, bool]], reference_K: float
 ) -> tuple[tuple[int, bool], float]:
-    """The simplest form whose error is within a standard error of the best one's, by leave-one-episode-out
-    cross-validation, and the best one's root mean square error [K].
+    """Choose a form by leave-one-episode-out cross-validation.
+
+    forms: (order, ambient slope).  Returns the simplest form whose error is within a standard error of the
+        best one's, and the best one's root mean square error [K].
 
     The standard error is that of the difference of both errors over episodes, so that errors common to all
     forms, such as a day's disturbance, do not hide a slope.
     """
-    tried = {
-        form: sums
+    squares_by_form = {
+        form: squares
         for form in forms
-        if (sums := _left_out(_regressors(points, *form, reference_K), response, points.episode)) is not None
+        if (squares := _left_out(_regressors(points, *form, reference_K), response, points.episode))
+        is not None
     }
-    best = min(tried.values(), key=lambda sums: float(sums.sum()))
-    counts = np.unique(points.episode, return_counts=True)[1]
-    n, episodes = len(points), points.n_episodes
-    within = {}
-    for form, sums in tried.items():
-        excess = float((sums - best).sum()) / n
-        apart = sums - best - counts * excess
-        se = math.sqrt(episodes / (episodes - 1.0) * float(apart @ apart)) / n
-        if excess <= se + 1e-12:
-            within[form] = math.sqrt(float(sums.sum()) / n)
-    chosen = min(within, key=lambda form: (form[0] + form[1], within[form]))
-    return chosen, math.sqrt(float(best.sum()) / n)
+    best = min(squares_by_form.values(), key=lambda squares: float(squares.sum()))
+    readings_by_episode = np.unique(points.episode, return_counts=True)[1]
+    count, episode_count = len(points), points.n_episodes
+    error_of_close_forms = {}
+    for form, squares in squares_by_form.items():
+        mean_excess = float((squares - best).sum()) / count
+        centred_difference = squares - best - readings_by_episode * mean_excess
+        standard_error = (
+            math.sqrt(episode_count / (episode_count - 1.0) * float(centred_difference @ centred_difference))
+            / count
+        )
+        if mean_excess <= standard_error + 1e-12:
+            error_of_close_forms[form] = math.sqrt(float(squares.sum()) / count)
+    chosen = min(error_of_close_forms, key=lambda form: (form[0] + form[1], error_of_close_forms[form]))
+    return chosen, math.sqrt(float(best.sum()) / count)
 
 
 def _regression(
     regime: str, points: Periods, reference_K: float, time_constant_h: float | None
 ) -> Regression:
-    """Least squares in the form that cross-validation chooses."""
+    """Fit the heat release of a regime by least squares, in the form that cross-validation chooses.
+
+    time_constant_h: for the contribution of a period's own temperature change, which is subtracted unless
+        that increases the error by more than `WORSE`.
+    """
     forms, response = _forms(regime, points), points.difference_K
     form, error_K = _cross_validate(points, response, forms, reference_K)
     if time_constant_h is not None:
-        settled = response + time_constant_h * points.rate_K_h
-        other, other_error_K = _cross_validate(points, settled, forms, reference_K)
-        if other_error_K <= WORSE * error_K:
-            response, form = settled, other
+        settled_response = response + time_constant_h * points.rate_K_h
+        settled_form, settled_error_K = _cross_validate(points, settled_response, forms, reference_K)
+        if settled_error_K <= WORSE * error_K:
+            response, form = settled_response, settled_form
     solution = np.linalg.pinv(_regressors(points, *form, reference_K), rcond=1e-15) @ response
     names = [parameter.name for parameter in _parameters(regime, *form)]
     return Regression(

@@ -45,8 +45,10 @@ OPEN = 1e3
 
 
 def reference_temperatures(run: Run) -> tuple[float, float]:
-    """Mean cabinet and ambient temperature [K] over the instants with a cabinet temperature reading; without
-    any reading, twice the mean ambient temperature."""
+    """Return the mean cabinet and ambient temperature [K] at the instants with a cabinet reading.
+
+    Without any reading both are the mean ambient temperature.
+    """
     cabinet = measured(run)["temperature_K"]
     ambient = run.timeline.input("ambient_temperature")
     is_present = np.isfinite(cabinet)
@@ -56,7 +58,10 @@ def reference_temperatures(run: Run) -> tuple[float, float]:
 
 
 def thermal_entry(stage: Stage, simulated: Mapping[str, OutputError]) -> TimeConstant | None:
-    """The thermal time constant of small changes at the median difference to the ambient, with R·C."""
+    """Return the thermal time constant of a stage as reported; None if the stage has none.
+
+    It holds for small changes at the median difference to the ambient; (R_AT+R_IC) C is stated beside it.
+    """
     if THERMAL not in stage.bounds:
         return None
     entry = _entry(stage, THERMAL, 1.0, simulated)
@@ -65,7 +70,9 @@ def thermal_entry(stage: Stage, simulated: Mapping[str, OutputError]) -> TimeCon
     range_h = None
     if exponent > 0:
         reference_K = dict(stage.base.mechanisms)["natural_convection"]["difference_K"]
-        range_h = tuple(small_signal(entry.value_h, exponent, reference_K, d) for d in quantiles)
+        range_h = tuple(
+            small_signal(entry.value_h, exponent, reference_K, difference_K) for difference_K in quantiles
+        )
     return replace(
         entry,
         range_h=None if _unbounded(entry) else range_h,
@@ -76,7 +83,8 @@ def thermal_entry(stage: Stage, simulated: Mapping[str, OutputError]) -> TimeCon
 
 
 def hygric_entry(stage: Stage, simulated: Mapping[str, OutputError]) -> TimeConstant | None:
-    """The hygric time constant R_D*·V* at the record's mean temperatures."""
+    """Return the hygric time constant R_D*·V* at the record's mean temperatures; None if the stage has
+    none."""
     if HYGRIC not in stage.bounds:
         return None
     cabinet, ambient = reference_temperatures(stage.run)
@@ -101,7 +109,7 @@ def hygric_entry(stage: Stage, simulated: Mapping[str, OutputError]) -> TimeCons
 
 
 def _differences_K(run: Run) -> tuple[float, ...]:
-    """10, 50 and 90 % quantiles of the difference [K] between cabinet and ambient over the readings, at least
+    """Return the 10, 50 and 90 % quantiles of the difference [K] between cabinet and ambient, at least
     `STILL_K`."""
     differences = measured(run)["temperature_K"] - run.timeline.input("ambient_temperature")
     differences = np.abs(differences[np.isfinite(differences)])
@@ -113,32 +121,38 @@ def _differences_K(run: Run) -> tuple[float, ...]:
 
 
 def _resistance_capacity(stage: Stage, entry: TimeConstant, exponent: float) -> Interval:
-    """(R_AT+R_IC) C at the median temperature difference over all forms: (1+n) times the time constant of
-    small changes, with the exponent n of natural convection."""
+    """Return (R_AT+R_IC) C at the median temperature difference, with bounds over all forms.
+
+    It is (1+n) times the time constant of small changes, with the exponent n of natural convection.
+    """
     value = entry.value_h * (1.0 + exponent)
     sources = {step.source: step.sd_ln**2 for step in entry.composition[1:] if step.source != "forms"}
     variance = _variance(stage, THERMAL)
     if stage.forms:
         forms = []
         for form in stage.forms:
-            n = form.estimate.values.get("convection_exponent", 0.0)
-            spread = form.variance({THERMAL: 1.0, "convection_exponent": 1.0 / (1.0 + n)})
+            form_exponent = form.estimate.values.get("convection_exponent", 0.0)
+            form_variance = form.variance({THERMAL: 1.0, "convection_exponent": 1.0 / (1.0 + form_exponent)})
             forms.append(
-                AlternativeEstimate(math.log(form.estimate.values[THERMAL] * (1.0 + n)), spread, form.weight)
+                AlternativeEstimate(
+                    math.log(form.estimate.values[THERMAL] * (1.0 + form_exponent)),
+                    form_variance,
+                    form.weight,
+                )
             )
         if exponent > 0:
             variance = max(variance, max(forms, key=lambda form: form.weight).variance)
         sources["forms"] = of_forms(math.log(value), variance, forms)
     if _unbounded(entry):
         return Interval(value, 0.0)
-    ends = ANY.around(value, normal_quantile(entry.level) * math.sqrt(variance))
-    last = compose_interval(value, ends, entry.level, sources, _resolved(stage, THERMAL))[-1]
-    return Interval(value, last.lower_h, last.upper_h)
+    bounds = ANY.around(value, normal_quantile(entry.level) * math.sqrt(variance))
+    final_step = compose_interval(value, bounds, entry.level, sources, _resolved(stage, THERMAL))[-1]
+    return Interval(value, final_step.lower_h, final_step.upper_h)
 
 
 def _response(stage: Stage) -> SensorResponse:
-    """The response time of the humidity sensor, which affects the hygric time constant: stated, included in
-    that constant, or estimated."""
+    """Return the response time of the humidity sensor: stated, included in the hygric constant, or
+    estimated."""
     sensors = {name: settings for name, settings in stage.base.mechanisms if name.endswith("humidity_sensor")}
     settings = next(iter(sensors.values()), {})
     stated = settings.get("response_h", 0.0)
@@ -153,38 +167,48 @@ def _response(stage: Stage) -> SensorResponse:
 
 
 def _unbounded(entry: TimeConstant) -> bool:
+    """Whether the interval of a time constant is open on both sides."""
     return not (entry.lower_h > 0 or math.isfinite(entry.upper_h))
 
 
 def _resolved(stage: Stage, name: str) -> Resolved:
-    """The range of time constants [h] that a stage's readings resolve: from a tenth of their median step to
-    ten times their length."""
-    t = stage.run.timeline
-    output = TEMPERATURE if name == THERMAL else stage.base.humidity
-    steps = np.diff(t.time[np.isfinite(t.reading(output))]) if output in t.outputs else t.time[:0]
-    shortest = 0.1 * float(np.median(steps)) if len(steps) else 0.0
-    return Resolved(shortest, 10.0 * float(t.time[-1] - t.time[0]))
+    """Return the range of time constants that a stage's readings resolve.
+
+    It runs from a tenth of the median step between readings to ten times the record's length.
+    """
+    timeline = stage.run.timeline
+    signal = TEMPERATURE if name == THERMAL else stage.base.humidity
+    steps_h = (
+        np.diff(timeline.time[np.isfinite(timeline.reading(signal))])
+        if signal in timeline.outputs
+        else timeline.time[:0]
+    )
+    shortest = 0.1 * float(np.median(steps_h)) if len(steps_h) else 0.0
+    return Resolved(shortest, 10.0 * float(timeline.time[-1] - timeline.time[0]))
 
 
 def _variance(stage: Stage, name: str) -> float:
-    """Variance of a positive parameter's logarithm, by the wider of both covariances; 0 at a bound."""
+    """Return the variance of a positive parameter's logarithm, by the wider covariance; 0 at a bound."""
     uncertainty = stage.uncertainty
-    place = uncertainty.place(name)
-    return 0.0 if place is None else float(uncertainty.wald[place, place] * uncertainty.factor[place])
+    index = uncertainty.place(name)
+    return 0.0 if index is None else float(uncertainty.wald[index, index] * uncertainty.factor[index])
 
 
 def _entry(stage: Stage, name: str, scale: float, simulated: Mapping[str, OutputError]) -> TimeConstant:
-    """The report of one time constant; `scale` [h] per unit of its parameter."""
+    """Return the report of one time constant; scale: [h] per unit of its parameter `name`.
+
+    simulated: output-error estimates by parameter.
+    """
     bounds = stage.bounds[name]
-    place = stage.uncertainty.place(name)
-    factor = float(stage.uncertainty.factor[place]) if place is not None else 1.0
+    index = stage.uncertainty.place(name)
+    factor = float(stage.uncertainty.factor[index]) if index is not None else 1.0
     free_run = simulated.get(name)
     alternative = _by_free_run(free_run, name)
     resolved, without = _resolved(stage, name), stage.without.get(name)
     sources = _sources(stage, name, alternative)
-    value, low, high = (scale * end for end in (bounds.value, bounds.lower, bounds.upper))
-    steps = compose_interval(value, (low, high), bounds.level, sources, resolved)
-    reported = (steps[-1].lower_h, steps[-1].upper_h)
+    value, lower, upper = (scale * end for end in (bounds.value, bounds.lower, bounds.upper))
+    interval_steps = compose_interval(value, (lower, upper), bounds.level, sources, resolved)
+    reported = (interval_steps[-1].lower_h, interval_steps[-1].upper_h)
     if without is not None and not without.enough:
         reported = (0.0, math.nan)
     sampling = stage.sampling
@@ -194,13 +218,15 @@ def _entry(stage: Stage, name: str, scale: float, simulated: Mapping[str, Output
         upper_h=reported[1],
         level=bounds.level,
         method="composed" if bounds.method == "profile" else bounds.method,
-        composition=steps,
+        composition=interval_steps,
         forms=tuple(_form(form, name, scale, bounds.level, resolved) for form in stage.forms),
         parts_scatter=_parts_scatter(stage, name),
         limited_by=bounds.limited_by,
         factor=factor,
         threshold=factor * normal_quantile(bounds.level) ** 2,
-        curve=np.array([[float(x) * scale, float(y)] for x, y in bounds.curve]).reshape(-1, 2),
+        curve=np.array([[float(constant) * scale, float(drop)] for constant, drop in bounds.curve]).reshape(
+            -1, 2
+        ),
         clock=stage.clock.sources or None,
         sampling=None if sampling is None else Sampling(sampling["step_h"], sampling[name]),
         simulation=None if free_run is None else _simulation(free_run, alternative, name, scale, resolved),
@@ -211,10 +237,13 @@ def _entry(stage: Stage, name: str, scale: float, simulated: Mapping[str, Output
     )
 
 
-def _sources(stage: Stage, name: str, free: AlternativeEstimate | None) -> dict[str, float]:
-    """Source of uncertainty → variance of the logarithm that the source adds to the bounds of a profile."""
-    place = stage.uncertainty.place(name)
-    if place is None:
+def _sources(stage: Stage, name: str, by_free_run: AlternativeEstimate | None) -> dict[str, float]:
+    """Return by how much each source of uncertainty increases the variance of ln(time constant).
+
+    by_free_run: the free run's own estimate, or None.
+    """
+    index = stage.uncertainty.place(name)
+    if index is None:
         return {}
     value, variance = math.log(stage.estimate.values[name]), _variance(stage, name)
     variances = {"parts": of_parts(parts_scale(stage.uncertainty, name), variance)}
@@ -224,10 +253,10 @@ def _sources(stage: Stage, name: str, free: AlternativeEstimate | None) -> dict[
             for form in stage.forms
         ]
         variances["forms"] = of_forms(value, variance, alternatives)
-    if free is not None:
-        variances["free run"] = of_free_run(value, variance, free)
+    if by_free_run is not None:
+        variances["free run"] = of_free_run(value, variance, by_free_run)
     if stage.clock.sources:
-        factor = float(stage.uncertainty.factor[place])
+        factor = float(stage.uncertainty.factor[index])
         variances["clocks"] = factor * stage.clock.variance[name] + stage.clock.shift[name] ** 2
     if stage.sampling is not None:
         variances["sampling"] = stage.sampling[name] ** 2 / 3.0
@@ -235,57 +264,64 @@ def _sources(stage: Stage, name: str, free: AlternativeEstimate | None) -> dict[
 
 
 def _by_free_run(free_run: OutputError | None, name: str) -> AlternativeEstimate | None:
-    """The free run's own estimate; None where its bounds are uninformative."""
+    """Return the free run's own estimate of a time constant; None where its bounds say nothing."""
     if free_run is None or name not in free_run.names or name in free_run.at_bounds:
         return None
-    place = free_run.names.index(name)
-    variance = float(free_run.covariance[place, place])
+    index = free_run.names.index(name)
+    variance = float(free_run.covariance[index, index])
     # with a singular information matrix the variance may be negative
     is_informative = 0.0 < variance and 2.0 * normal_quantile(LEVEL) * math.sqrt(variance) <= math.log(OPEN)
     return AlternativeEstimate(math.log(free_run.values[name]), variance) if is_informative else None
 
 
 def _simulation(
-    free_run: OutputError, free: AlternativeEstimate | None, name: str, scale: float, resolved: Resolved
+    free_run: OutputError,
+    by_free_run: AlternativeEstimate | None,
+    name: str,
+    scale: float,
+    resolved: Resolved,
 ) -> Interval:
-    """The free run's estimate of a time constant."""
+    """Return the interval of a time constant by the free run; scale: [h] per unit of its parameter."""
     value = free_run.values[name] * scale
-    if free is None:
+    if by_free_run is None:
         return Interval(value, 0.0)
-    low, high = free_run.bounds(name, positive=True)
-    return Interval(value, *resolved.bounds(low * scale, high * scale))
+    lower, upper = free_run.bounds(name, positive=True)
+    return Interval(value, *resolved.bounds(lower * scale, upper * scale))
 
 
 def _disagree(bounds: Bounds, free_run: OutputError, name: str) -> bool:
     """Whether the estimates from the free run and from one-step predictions differ by more than their
-    combined uncertainty."""
-    low, high = free_run.bounds(name, positive=True)
+    uncertainty."""
+    lower, upper = free_run.bounds(name, positive=True)
     distance = abs(math.log(free_run.values[name] / bounds.value))
     half_width = (
         0.5 * math.log(max(bounds.upper / max(bounds.lower, 1e-9), 1.0 + 1e-9))
         if math.isfinite(bounds.upper)
         else 50.0
     )
-    return distance > math.hypot(0.5 * math.log(max(high / low, 1.0 + 1e-9)), half_width)
+    return distance > math.hypot(0.5 * math.log(max(upper / lower, 1.0 + 1e-9)), half_width)
 
 
 def _form(form: FittedForm, name: str, scale: float, level: float, resolved: Resolved) -> FormEstimate:
+    """Return the time constant by one form of the model, for the results."""
     value = form.estimate.values[name] * scale
     half_width = normal_quantile(level) * math.sqrt(form.variance({name: 1.0}))
     return FormEstimate(value, *resolved.around(value, half_width), form.name, form.weight, form.gain)
 
 
 def _parts_scatter(stage: Stage, name: str) -> float:
-    """Ratio [1] of the scatter of the estimates from quarters of the readings to the scatter that their
-    bounds predict."""
+    """Return the ratio [1] of the scatter between quarters of the record to the scatter that their bounds
+    predict."""
     if stage.uncertainty.place(name) is None or not len(stage.uncertainty.parts):
         return math.nan
     return math.sqrt(parts_scale(stage.uncertainty, name))
 
 
 def by_simulation(entry: TimeConstant | None) -> TimeConstant | None:
-    """The entry with the output-error estimate as its value; the maximum-likelihood estimate moves to the
-    field `likelihood`."""
+    """Return the entry with the output-error estimate as its reported value.
+
+    The maximum-likelihood estimate moves to the field `likelihood`.
+    """
     if entry is None or entry.simulation is None:
         return entry
     free_run, without = entry.simulation, entry.without_input

@@ -57,11 +57,13 @@ class TypeFault(HygrokfError, ValueError):
 
 @dataclass(frozen=True)
 class Pooled:
-    """One parameter over K turbines, on its scale (`logarithmic`: ln θ).
+    """One parameter over K turbines, on the scale on which it is pooled (`logarithmic`: ln θ).
 
-    `mean`, `se` of the type with its standard error (Hartung & Knapp); `lower`, `upper` 95 % bounds of the
-    mean; `spread` the standard deviation τ between turbines; `next_sd` the standard deviation of the normal
-    distribution that has the 95 % prediction interval of a further turbine.
+    `mean`, `se`: of the type, with its standard error (Hartung & Knapp).  `lower`, `upper`: 95 % bounds of
+        the mean.
+    `spread`: standard deviation τ between turbines.
+    `next_sd`: standard deviation of the normal distribution with the 95 % prediction interval of a further
+        turbine.
     """
 
     unit: Unit
@@ -75,6 +77,7 @@ class Pooled:
     turbines: int
 
     def __post_init__(self) -> None:
+        """Check that the numbers are finite and consistent; raises ValueError."""
         numbers = (self.mean, self.se, self.lower, self.upper, self.spread, self.next_sd)
         if not all(map(math.isfinite, numbers)):
             raise ValueError(f"expected finite numbers, found {numbers}")
@@ -84,18 +87,17 @@ class Pooled:
             raise ValueError(f"a logarithm of {self.mean:g} is no parameter's")
 
     def in_unit(self) -> dict[str, float]:
-        """Value and bounds of the type, and bounds of the next turbine's own value, in the parameter's
-        unit."""
-        reach = 1.959964 * self.next_sd
-        ends = [self.mean, self.lower, self.upper, self.mean - reach, self.mean + reach]
+        """Return value and bounds of the type, and bounds for the next turbine, in the parameter's unit."""
+        half_width = 1.959964 * self.next_sd
+        ends = [self.mean, self.lower, self.upper, self.mean - half_width, self.mean + half_width]
         if self.logarithmic:
-            ends = [math.exp(v) for v in ends]
+            ends = [math.exp(end) for end in ends]
         return dict(zip(("value", "lower", "upper", "next_lower", "next_upper"), ends, strict=True))
 
 
 @dataclass(frozen=True)
 class TurbineType:
-    """Parameters of a type of turbine with their spread from turbine to turbine, and their design."""
+    """Parameters of a type of turbine, with their spread from turbine to turbine, and the model's design."""
 
     name: Name
     design: Design
@@ -104,34 +106,39 @@ class TurbineType:
     version: Version = __version__
 
     def prior(self, design: Design | None = None) -> dict[str, Prior]:
-        """Priors of the next turbine's parameters for its design (by default this type's own).
+        """Return priors for the parameters of the next turbine, for its design (by default the type's own).
 
         The levels of the heat release are moved to the design's reference temperature.  Pass the bound method
         to `identify(record, prior=TurbineType.prior)`.  Parameters of the design that the type lacks have no
         prior.
         """
-        wanted = self.design if design is None else design
-        shift = reference_K(wanted) - reference_K(self.design)
-        ratio = _scale_ratio(wanted, self.design)
-        known = {p.name for p in wanted.model.parameters}
-        found = {}
+        target_design = self.design if design is None else design
+        reference_shift_K = reference_K(target_design) - reference_K(self.design)
+        power_ratio = _scale_ratio(target_design, self.design)
+        target_parameters = {p.name for p in target_design.model.parameters}
+        priors = {}
         for name, pooled in self.parameters.items():
-            if name not in known:
+            if name not in target_parameters:
                 continue
             mean, variance = pooled.mean, pooled.next_sd**2
             slope = self.parameters.get(AMBIENT_SLOPES.get(name, ""))
             if slope is not None:
-                mean, variance = mean + shift * slope.mean, variance + (shift * slope.next_sd) ** 2
-            factor = ratio ** _power_of(name)
-            found[name] = Prior(mean * factor, math.sqrt(variance) * factor, pooled.logarithmic)
-        return found
+                mean, variance = (
+                    mean + reference_shift_K * slope.mean,
+                    variance + (reference_shift_K * slope.next_sd) ** 2,
+                )
+            factor = power_ratio ** _power_of(name)
+            priors[name] = Prior(mean * factor, math.sqrt(variance) * factor, pooled.logarithmic)
+        return priors
 
     @property
     def values(self) -> dict[str, float]:
-        """The type's value of every parameter of its design, in its unit; the start value of parameters that
-        the type lacks."""
-        found = {p.name: p.start for p in self.design.model.parameters}
-        return found | {name: p.in_unit()["value"] for name, p in self.parameters.items() if name in found}
+        """The type's value of every parameter of its design, in its unit; parameters that it lacks have their
+        start value."""
+        start_values = {p.name: p.start for p in self.design.model.parameters}
+        return start_values | {
+            name: p.in_unit()["value"] for name, p in self.parameters.items() if name in start_values
+        }
 
 
 def pool_types(fits: Sequence[Fit], name: str = "") -> TurbineType:
@@ -148,60 +155,67 @@ def pool_types(fits: Sequence[Fit], name: str = "") -> TurbineType:
             f"expected the fits of at least {FEWEST_TURBINES} turbines, found {len(fits)}: fit more turbines"
         )
     names = [fit.name for fit in fits]
-    twice = sorted({one for one in names if names.count(one) > 1})
-    if twice:
+    repeated_names = sorted(
+        {name_or_constant for name_or_constant in names if names.count(name_or_constant) > 1}
+    )
+    if repeated_names:
         faults.append(
-            f"expected every turbine once, found several fits of {', '.join(twice)}: leave the others out"
+            f"expected every turbine once, found several fits of {', '.join(repeated_names)}: keep one "
+            "of each"
         )
     if faults:
         raise TypeFault("; ".join(faults))
     base = fits[0].design
-    known = {p.name: p for p in base.model.parameters if not p.name.endswith(OWN)}
-    estimates: dict[str, list[tuple[float, float]]] = {name: [] for name in known}
+    shared_parameters = {p.name: p for p in base.model.parameters if not p.name.endswith(OWN)}
+    estimates: dict[str, list[tuple[float, float]]] = {name: [] for name in shared_parameters}
     for fit in fits:
         # neither parameters taken over from another turbine nor rejected time constants are evidence
         left_out = {n for n, row in fit.results.parameters.items() if row.fixed}
         left_out |= {
-            PARAMETER_OF[part] for part, one in inherited(fit.results).items() if one.verdict == REJECT
+            PARAMETER_OF[part]
+            for part, name_or_constant in inherited(fit.results).items()
+            if name_or_constant.verdict == REJECT
         }
         for parameter, value, variance in _converted(base, fit):
-            if parameter in known and parameter not in left_out:
-                pair = _on_scale(known[parameter], value, variance)
-                estimates[parameter] += [] if pair is None else [pair]
-    found = {}
+            if parameter in shared_parameters and parameter not in left_out:
+                estimate = _on_scale(shared_parameters[parameter], value, variance)
+                estimates[parameter] += [] if estimate is None else [estimate]
+    pooled = {}
     for parameter, pairs in estimates.items():
         if len(pairs) < FEWEST_TURBINES:
             continue
-        y, v = np.array(pairs).T
-        mean, se, spread = random_effects(y, v)
-        reach = student_quantile(0.95, len(y) - 1) * se
-        ahead = student_quantile(0.95, min(len(y) - 1, max(len(y) - 2, 2))) * math.hypot(spread, se)
-        found[parameter] = Pooled(
-            unit=known[parameter].unit,
-            logarithmic=known[parameter].positive,
+        means, variances = np.array(pairs).T
+        mean, se, spread = random_effects(means, variances)
+        half_width = student_quantile(0.95, len(means) - 1) * se
+        prediction_half_width = student_quantile(
+            0.95, min(len(means) - 1, max(len(means) - 2, 2))
+        ) * math.hypot(spread, se)
+        pooled[parameter] = Pooled(
+            unit=shared_parameters[parameter].unit,
+            logarithmic=shared_parameters[parameter].positive,
             mean=mean,
             se=se,
-            lower=mean - reach,
-            upper=mean + reach,
+            lower=mean - half_width,
+            upper=mean + half_width,
             spread=spread,
-            next_sd=ahead / normal_quantile(0.95),
-            turbines=len(y),
+            next_sd=prediction_half_width / normal_quantile(0.95),
+            turbines=len(means),
         )
-    if not found:
+    if not pooled:
         raise TypeFault(
             "expected parameters that at least two of the fits know with a standard error, found none: are "
             "these fits of one type of turbine?"
         )
-    return TurbineType(name or f"type of {', '.join(names)}", base, tuple(names), found)
+    return TurbineType(name or f"type of {', '.join(names)}", base, tuple(names), pooled)
 
 
 def random_effects(y: np.ndarray, v: np.ndarray) -> tuple[float, float, float]:
-    """Mean μ, its standard error after Hartung & Knapp, and spread τ by REML of estimates y (K,) with
-    variances v (K,).
+    """Pool estimates y (K,) with variances v (K,) over turbines.
 
-    The standard error is at least that of the usual random-effects mean: with few turbines that agree by
-    chance, Hartung and Knapp's would be far too small.  Raises ValueError for fewer than two estimates or
-    variances that are not above zero.
+    Returns the mean μ, its standard error after Hartung & Knapp, and the spread τ by REML.  The standard
+    error is at least that of the usual random-effects mean: with few turbines that agree by chance, Hartung
+    and Knapp's would be far too small.  Raises ValueError for fewer than two estimates or variances that are
+    not above zero.
     """
     y, v = np.asarray(y, dtype=float), np.asarray(v, dtype=float)
     if len(y) < FEWEST_TURBINES or not np.all(v > 0) or not np.all(np.isfinite(y)):
@@ -209,39 +223,42 @@ def random_effects(y: np.ndarray, v: np.ndarray) -> tuple[float, float, float]:
             f"expected at least {FEWEST_TURBINES} finite estimates with variances above 0, found {y} and {v}"
         )
     tau2 = restricted_maximum_likelihood(y, v)
-    w = 1.0 / (tau2 + v)
-    mean = float(w @ y / w.sum())
-    scale = max(float(w @ (y - mean) ** 2) / (len(y) - 1.0), 1.0)
-    return mean, math.sqrt(scale / float(w.sum())), math.sqrt(tau2)
+    weights = 1.0 / (tau2 + v)
+    mean = float(weights @ y / weights.sum())
+    variance_scale = max(float(weights @ (y - mean) ** 2) / (len(y) - 1.0), 1.0)
+    return mean, math.sqrt(variance_scale / float(weights.sum())), math.sqrt(tau2)
 
 
 def restricted_maximum_likelihood(y: np.ndarray, v: np.ndarray) -> float:
-    """τ² (≥ 0) that maximises the restricted likelihood −½ [Σ ln(τ²+v) + ln Σw + Σ w (y−μ)²].
+    """Return τ² (≥ 0) that maximises the restricted likelihood −½ [Σ ln(τ²+v) + ln Σw + Σ w (y−μ)²].
 
-    The likelihood may have two maxima, so the search covers a grid of zero and six decades of τ, followed by
-    golden section.
+    y, v: (K,) estimates and variances.  The likelihood may have two maxima, so the search covers a grid of
+        zero and six decades of τ, followed by golden section.
     """
     from scipy.optimize import minimize_scalar
 
     def loss(tau: float) -> float:
+        """Return −2 times the restricted log-likelihood at a spread τ."""
         w = 1.0 / (tau * tau + v)
         mean = w @ y / w.sum()
         return float(-np.log(w).sum() + math.log(w.sum()) + w @ (y - mean) ** 2)
 
-    top = max(2.0 * float(np.ptp(y)), 1e-12)
-    grid = np.concatenate([[0.0], np.geomspace(1e-6, 1.0, 80) * top])
+    largest = max(2.0 * float(np.ptp(y)), 1e-12)
+    grid = np.concatenate([[0.0], np.geomspace(1e-6, 1.0, 80) * largest])
     values = [loss(tau) for tau in grid]
     best = int(np.argmin(values))
-    low, high = grid[max(best - 1, 0)], grid[min(best + 1, len(grid) - 1)]
-    found = minimize_scalar(loss, bounds=(low, high), method="bounded", options={"xatol": 1e-9 * top})
-    return float(found.x) ** 2 if found.fun < values[0] else 0.0
+    lower, upper = grid[max(best - 1, 0)], grid[min(best + 1, len(grid) - 1)]
+    optimum = minimize_scalar(
+        loss, bounds=(lower, upper), method="bounded", options={"xatol": 1e-9 * largest}
+    )
+    return float(optimum.x) ** 2 if optimum.fun < values[0] else 0.0
 
 
 # --- one design's parameters in another's terms ----------------------------------------------
 
 
 def reference_K(design: Design) -> float:
-    """The ambient temperature [K] to which the levels of the heat release refer."""
+    """Return the ambient temperature [K] to which the levels of a design's heat release refer."""
     for name, settings in design.mechanisms:
         if name == "heat_release":
             return float(settings.get("reference_K", 283.15))
@@ -249,36 +266,42 @@ def reference_K(design: Design) -> float:
 
 
 def _power_of(name: str) -> int:
-    """The exponent of the relative power that a coefficient belongs to; 0 for other parameters."""
+    """Return the exponent of the relative power that a coefficient multiplies; 0 for other parameters."""
     order = name.removeprefix("heat_release_power_")
     return int(order) if order.isdecimal() else 0
 
 
-def _scale_ratio(wanted: Design, given: Design) -> float:
-    """Ratio by which a coefficient of the relative power changes from one design's power scale to
-    another's."""
-    if wanted.power_scale_W is None or given.power_scale_W is None:
+def _scale_ratio(target: Design, origin: Design) -> float:
+    """Return the ratio of two designs' power scales, by which coefficients of the relative power are
+    converted."""
+    if target.power_scale_W is None or origin.power_scale_W is None:
         return 1.0
-    return wanted.power_scale_W / given.power_scale_W
+    return target.power_scale_W / origin.power_scale_W
 
 
 def _converted(base: Design, fit: Fit) -> list[tuple[str, float, float]]:
-    """(name, value, variance) of a fit's parameters, converted to another design's reference temperature and
-    power scale."""
+    """Return (name, value, variance) of a fit's parameters in terms of another design `base`.
+
+    The designs may differ in reference temperature and power scale.
+    """
     names, matrix = fit.covariance
-    change = np.eye(len(names))
-    shift, ratio = reference_K(base) - reference_K(fit.design), _scale_ratio(base, fit.design)
+    conversion = np.eye(len(names))
+    reference_shift_K, power_ratio = (
+        reference_K(base) - reference_K(fit.design),
+        _scale_ratio(base, fit.design),
+    )
     values = np.array([fit.values[name] for name in names])
     for i, name in enumerate(names):
         slope = AMBIENT_SLOPES.get(name)
         if slope in names:
-            change[i, names.index(slope)] = shift
-        change[i] *= ratio ** _power_of(name)
-    return list(zip(names, change @ values, np.diag(change @ matrix @ change.T), strict=True))
+            conversion[i, names.index(slope)] = reference_shift_K
+        conversion[i] *= power_ratio ** _power_of(name)
+    return list(zip(names, conversion @ values, np.diag(conversion @ matrix @ conversion.T), strict=True))
 
 
 def _on_scale(parameter: Parameter, value: float, variance: float) -> tuple[float, float] | None:
-    """Estimate and variance on the parameter's scale; None without a usable standard error."""
+    """Return estimate and variance on the scale on which a parameter is pooled; None without a usable
+    standard error."""
     if not (math.isfinite(value) and variance > 0) or (parameter.positive and value <= 0):
         return None
     if not parameter.positive:
@@ -290,17 +313,17 @@ def _on_scale(parameter: Parameter, value: float, variance: float) -> tuple[floa
 
 
 def write_type(turbine_type: TurbineType, path: str | os.PathLike[str]) -> Path:
-    """Write a type as JSON, atomically.  Raises OSError from the system."""
+    """Write a type of turbine as JSON, atomically.  Raises OSError from the system."""
     return write_text_whole(path, result_text(turbine_type))
 
 
 def read_type(path: str | os.PathLike[str], library: Library = LIBRARY) -> TurbineType:
-    """A type from its file.  Raises ResultFault with everything that is wrong.
+    """Read a type of turbine from its file.  Raises ResultFault that lists everything wrong.
 
     library: with the mechanisms of its model.
     """
-    found = read_result(TurbineType, Path(path), "hygrokf transfer")
-    return replace(found, design=replace(found.design, library=library))
+    turbine_type = read_result(TurbineType, Path(path), "hygrokf transfer")
+    return replace(turbine_type, design=replace(turbine_type.design, library=library))
 
 
 def is_type(path: str | os.PathLike[str]) -> bool:

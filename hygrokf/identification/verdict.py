@@ -78,17 +78,23 @@ _OUTPUTS = {"thermal": "temperature", "hygric": "humidity"}
 
 
 def inherited(fit: FitResults) -> dict[str, Inherited]:
-    """Value, interval, verdict and reasons of a fit's time constants, by part; missing verdicts are
-    decided."""
-    found = {}
+    """Return value, interval, verdict and reasons of a fit's time constants, by part ("thermal", "hygric").
+
+    Missing verdicts are decided by `RULES`.
+    """
+    inherited_by_part = {}
     for part in PARTS:
         if part in fit.time_constants:
-            one = fit.time_constants[part]
-            decided = (reason for rule in RULES for reason in rule(fit, part)) if not one.verdict else ()
-            reasons = one.reasons if one.verdict else worst_first(decided)
-            verdict = one.verdict or verdict_of(reasons)
-            found[part] = Inherited(one.value_h, one.lower_h, one.upper_h, verdict, reasons)
-    return found
+            constant = fit.time_constants[part]
+            reasons_of_rules = (
+                (reason for rule in RULES for reason in rule(fit, part)) if not constant.verdict else ()
+            )
+            reasons = constant.reasons if constant.verdict else worst_first(reasons_of_rules)
+            verdict = constant.verdict or verdict_of(reasons)
+            inherited_by_part[part] = Inherited(
+                constant.value_h, constant.lower_h, constant.upper_h, verdict, reasons
+            )
+    return inherited_by_part
 
 
 def with_verdicts(fit: FitResults) -> FitResults:
@@ -97,22 +103,27 @@ def with_verdicts(fit: FitResults) -> FitResults:
 
 
 def with_reasons(fit: FitResults, part: str, further: Iterable[Reason]) -> FitResults:
-    """The results with verdicts, and with further reasons against a time constant; those already present are
-    not repeated."""
-    judged = dict(fit.time_constants)
-    for name, one in inherited(fit).items():
-        present = {(known.code, known.verdict) for known in one.reasons}
-        new = [more for more in (further if name == part else ()) if (more.code, more.verdict) not in present]
-        reasons = worst_first((*one.reasons, *new))
-        verdict = max((one.verdict, verdict_of(reasons)), key=VERDICTS.index)
-        judged[name] = replace(judged[name], verdict=verdict, reasons=reasons)
-    return replace(fit, time_constants=judged)
+    """Return the results with verdicts, and with further reasons against one time constant; none is
+    repeated."""
+    constants = dict(fit.time_constants)
+    for name, constant in inherited(fit).items():
+        known_reasons = {(known.code, known.verdict) for known in constant.reasons}
+        new_reasons = [
+            more
+            for more in (further if name == part else ())
+            if (more.code, more.verdict) not in known_reasons
+        ]
+        reasons = worst_first((*constant.reasons, *new_reasons))
+        verdict = max((constant.verdict, verdict_of(reasons)), key=VERDICTS.index)
+        constants[name] = replace(constants[name], verdict=verdict, reasons=reasons)
+    return replace(fit, time_constants=constants)
 
 
 # --- the rules -------------------------------------------------------------------------------
 
 
 def _convergence(fit: FitResults, part: str) -> Iterator[Reason]:
+    """Reasons from the search: it did not converge, or its steps were not exact."""
     if fit.converged is None:
         yield ReasonCode.CONVERGENCE_UNKNOWN()
     elif not fit.converged:
@@ -122,30 +133,30 @@ def _convergence(fit: FitResults, part: str) -> Iterator[Reason]:
 
 
 def _interval(fit: FitResults, part: str) -> Iterator[Reason]:
-    """Reasons from the interval itself: open, ended by the search limit, or wide."""
+    """Reasons from the interval: it is open, ended by a limit of the search, or wide."""
     data = fit.time_constants[part]
-    low, high, without = data.lower_h, data.upper_h, data.without_input
+    lower, upper, without = data.lower_h, data.upper_h, data.without_input
     if PARAMETER_OF[part] in fit.at_bounds:
         yield ReasonCode.AT_LIMIT(value_h=data.value_h)
     if without is not None and not without.enough:
-        how = FitCode.EXPLAINS_BETTER if without.gain < 0 else FitCode.EXPLAINS_AS_WELL
+        comparison = FitCode.EXPLAINS_BETTER if without.gain < 0 else FitCode.EXPLAINS_AS_WELL
         yield ReasonCode.INPUT_NOT_NEEDED(
-            model=without.model, how=how(by=abs(without.gain)), required=without.required
+            model=without.model, how=comparison(by=abs(without.gain)), required=without.required
         )
-    elif not math.isfinite(data.value_h) or not (low > 0 or math.isfinite(high)):
+    elif not math.isfinite(data.value_h) or not (lower > 0 or math.isfinite(upper)):
         yield ReasonCode.NOT_IDENTIFIABLE()
-    elif not low > 0:
-        yield ReasonCode.ONE_SIDED(side="above", sign="≤", bound_h=high)
-    elif not math.isfinite(high):
-        yield ReasonCode.ONE_SIDED(side="below", sign="≥", bound_h=low)
-    elif high > DECADE * low:
-        yield ReasonCode.UNDETERMINED(spread=data.spread, lower_h=low, upper_h=high)
+    elif not lower > 0:
+        yield ReasonCode.ONE_SIDED(side="above", sign="≤", bound_h=upper)
+    elif not math.isfinite(upper):
+        yield ReasonCode.ONE_SIDED(side="below", sign="≥", bound_h=lower)
+    elif upper > DECADE * lower:
+        yield ReasonCode.UNDETERMINED(spread=data.spread, lower_h=lower, upper_h=upper)
     elif not data.half_width <= TIGHT:
         yield ReasonCode.IMPRECISE(spread=data.spread, half_width=data.half_width)
 
 
 def _guards(fit: FitResults, part: str) -> Iterator[Reason]:
-    """Other parameters that ended at a guard of their search."""
+    """Reason if another parameter ended at a limit of its search that is not physical."""
     rows = _rows(fit, part)
     names = tuple(name for name, row in rows if row.at_guard and name != PARAMETER_OF[part])
     if names:
@@ -153,43 +164,47 @@ def _guards(fit: FitResults, part: str) -> Iterator[Reason]:
 
 
 def _sensors(fit: FitResults, part: str) -> Iterator[Reason]:
-    """Constant sensor errors that absorb a deficiency of the model."""
+    """Reasons if a constant sensor error is so large that it stands for a deficiency of the model."""
     for name, row in _rows(fit, part):
         if name.endswith(("_bias", "_offset")) and row.prior is not None and row.prior.sd > 0:
-            apart = abs(row.value - row.prior.mean) / row.prior.sd
-            if apart > STRETCHED:
+            deviations = abs(row.value - row.prior.mean) / row.prior.sd
+            if deviations > STRETCHED:
                 yield ReasonCode.SENSOR_STRETCHED(
-                    name=name, error=row.value, unit=row.unit, standard_deviations=apart
+                    name=name, error=row.value, unit=row.unit, standard_deviations=deviations
                 )
 
 
 def _rows(fit: FitResults, part: str) -> list[tuple[str, ParameterRow]]:
-    """The parameters estimated together with a time constant; all parameters where that is not stated."""
+    """Return the parameters that were estimated together with a time constant; all where that is not
+    stated."""
     return [(name, row) for name, row in fit.parameters.items() if part in (row.parts or PARTS)]
 
 
 def _criteria(fit: FitResults, part: str) -> Iterator[Reason]:
-    """Comparison of the free run's own best constant with that of the one-step predictions."""
+    """Reason from the comparison of the free run's own best time constant with that of the one-step
+    predictions."""
     data = fit.time_constants[part]
     if data.simulation is None:
         return
-    other, low, high = data.simulation.value_h, data.simulation.lower_h, data.simulation.upper_h
+    by_simulation, lower, upper = data.simulation.value_h, data.simulation.lower_h, data.simulation.upper_h
     if data.criteria_disagree:
-        apart, own = criteria_apart(data), (data.likelihood or data).value_h
-        held = not any(value < data.lower_h or value > data.upper_h for value in (other, own))
+        distance, by_likelihood = criteria_apart(data), (data.likelihood or data).value_h
+        both_inside = not any(
+            estimate < data.lower_h or estimate > data.upper_h for estimate in (by_simulation, by_likelihood)
+        )
         yield ReasonCode.CRITERIA_DISAGREE(
-            REJECT if apart > CONTRADICTION and not held else CAUTION,
-            likelihood_h=own,
-            simulation_h=other,
-            simulation_lower_h=low,
-            simulation_upper_h=high,
-            apart=apart,
+            REJECT if distance > CONTRADICTION and not both_inside else CAUTION,
+            likelihood_h=by_likelihood,
+            simulation_h=by_simulation,
+            simulation_lower_h=lower,
+            simulation_upper_h=upper,
+            apart=distance,
         )
     elif not free_run_informs(data) and data.likelihood is None:
-        closed = low > 0 and math.isfinite(high)
-        within = FitCode.WITHIN_BOUNDS(lower_h=low, upper_h=high)
-        bounds = within if closed else FitCode.WITHOUT_BOUNDS()
-        yield ReasonCode.FREE_RUN_SILENT(simulation_h=other, bounds=bounds)
+        is_closed = lower > 0 and math.isfinite(upper)
+        within_bounds = FitCode.WITHIN_BOUNDS(lower_h=lower, upper_h=upper)
+        bounds = within_bounds if is_closed else FitCode.WITHOUT_BOUNDS()
+        yield ReasonCode.FREE_RUN_SILENT(simulation_h=by_simulation, bounds=bounds)
 
 
 def free_run_informs(data: TimeConstant) -> bool:
@@ -199,75 +214,100 @@ def free_run_informs(data: TimeConstant) -> bool:
 
 
 def criteria_apart(data: TimeConstant) -> float:
-    """Distance between the estimates by one-step predictions and by the free run, in units of their joint
+    """Return the distance between the one-step and the free-run estimate, in units of their joint
     uncertainty.
 
-    Above 1 they disagree; infinite where either has no interval.
+    Above 1 they disagree; it is infinite where either has no interval.
     """
-    ends = []
-    for one in (data.likelihood or data.profile or data, data.simulation or Interval()):
-        if not (one.value_h > 0 and 0 < one.lower_h < one.upper_h):
+    centres_and_widths = []
+    for interval in (data.likelihood or data.profile or data, data.simulation or Interval()):
+        if not (interval.value_h > 0 and 0 < interval.lower_h < interval.upper_h):
             return math.inf
-        ends.append((math.log(one.value_h), 0.5 * math.log(one.upper_h / one.lower_h)))
-    (a, reach_a), (b, reach_b) = ends
-    return abs(a - b) / math.hypot(reach_a, reach_b)
+        centres_and_widths.append(
+            (math.log(interval.value_h), 0.5 * math.log(interval.upper_h / interval.lower_h))
+        )
+    (first, first_half_width), (second, second_half_width) = centres_and_widths
+    return abs(first - second) / math.hypot(first_half_width, second_half_width)
 
 
 def _free_run(fit: FitResults, part: str) -> Iterator[Reason]:
-    """Comparison of the free run with rules that need no model, and with its own band."""
+    """Reasons from the free run: worse than the mean, than a rule without a model, or outside of its own
+    band."""
     quantity, data = QUANTITY_OF[part], fit.time_constants[part]
-    scored = [p for p in PERIODS if math.isfinite(fit.errors(p, quantity).total)]
-    beyond = [one for p in scored for one in _worse_than_mean(fit, quantity, p)]
-    if beyond:
-        yield replace(beyond[0], verdict=REJECT if len(beyond) == len(scored) else CAUTION)
-    asked = data.simulation is not None
-    alone = asked and (not free_run_informs(data) or data.criteria_disagree)
-    but = () if not asked else ((FitCode.OWN_BEST_DIFFERS if alone else FitCode.OWN_BEST_AGREES)(),)
-    worse = [one for p in scored for one in _worse_than_rule(fit, quantity, p, but)]
-    if worse:
-        yield replace(worse[0], verdict=REJECT if alone and len(worse) == len(scored) else CAUTION)
+    scored_periods = [period for period in PERIODS if math.isfinite(fit.errors(period, quantity).total)]
+    worse_than_mean = [
+        reason for period in scored_periods for reason in _worse_than_mean(fit, quantity, period)
+    ]
+    if worse_than_mean:
+        yield replace(
+            worse_than_mean[0], verdict=REJECT if len(worse_than_mean) == len(scored_periods) else CAUTION
+        )
+    has_own_estimate = data.simulation is not None
+    not_supported = has_own_estimate and (not free_run_informs(data) or data.criteria_disagree)
+    own_estimate = (
+        ()
+        if not has_own_estimate
+        else ((FitCode.OWN_BEST_DIFFERS if not_supported else FitCode.OWN_BEST_AGREES)(),)
+    )
+    worse_than_rule = [
+        reason
+        for period in scored_periods
+        for reason in _worse_than_rule(fit, quantity, period, own_estimate)
+    ]
+    if worse_than_rule:
+        yield replace(
+            worse_than_rule[0],
+            verdict=REJECT if not_supported and len(worse_than_rule) == len(scored_periods) else CAUTION,
+        )
     yield from _failed_band(fit, quantity)
 
 
 def free_run_reasons(fit: FitResults, part: str) -> Iterator[Reason]:
-    """What speaks for and against the free run's errors themselves."""
+    """Yield what speaks for and against the free run itself."""
     quantity = QUANTITY_OF[part]
-    early, late = (fit.errors(period, quantity).total for period in reversed(PERIODS))
-    period = "validation" if math.isfinite(late) else "identification"
-    if beyond := [one for p in PERIODS for one in _worse_than_mean(fit, quantity, p)]:
-        yield beyond[0]
+    identification_error, validation_error = (
+        fit.errors(period, quantity).total for period in reversed(PERIODS)
+    )
+    period = "validation" if math.isfinite(validation_error) else "identification"
+    if worse_than_mean := [
+        reason for one_period in PERIODS for reason in _worse_than_mean(fit, quantity, one_period)
+    ]:
+        yield worse_than_mean[0]
         return
-    if not math.isfinite(late):
+    if not math.isfinite(validation_error):
         yield ReasonCode.NOT_VALIDATED()
-    elif 0 < CARRIES_OVER * early < late:
+    elif 0 < CARRIES_OVER * identification_error < validation_error:
         yield ReasonCode.WORSE_ON_NEW_DATA()
-    worse, rule = [*_worse_than_rule(fit, quantity, period)], best_rule(fit, quantity, period)
-    yield from worse
-    if rule is not None and not worse:
+    worse_than_rule, rule = [*_worse_than_rule(fit, quantity, period)], best_rule(fit, quantity, period)
+    yield from worse_than_rule
+    if rule is not None and not worse_than_rule:
         code = ReasonCode.BETTER_THAN_RULE if rule.gain >= MATERIAL else ReasonCode.NO_BETTER_THAN_RULE
         unit = QUANTITIES[quantity][1]
         yield code(rule=rule.words, rule_error=rule.rule, gain=rule.gain, unit=unit)
-    yield from (replace(one, verdict=REJECT) for one in _failed_band(fit, quantity))
+    yield from (replace(reason, verdict=REJECT) for reason in _failed_band(fit, quantity))
 
 
 def _worse_than_mean(fit: FitResults, quantity: str, period: str) -> Iterator[Reason]:
+    """Reason if the free run's error is larger than the standard deviation of the readings."""
     error, (name, unit) = fit.errors(period, quantity).total, QUANTITIES[quantity]
-    spread = fit.readings_sd.get(period, {}).get(quantity, math.nan)
-    if error > spread:
-        said = {"quantity": name, "unit": unit, "period": period}
-        yield ReasonCode.WORSE_THAN_MEAN(error=error, readings_sd=spread, **said)
+    readings_sd = fit.readings_sd.get(period, {}).get(quantity, math.nan)
+    if error > readings_sd:
+        where = {"quantity": name, "unit": unit, "period": period}
+        yield ReasonCode.WORSE_THAN_MEAN(error=error, readings_sd=readings_sd, **where)
 
 
 def _worse_than_rule(
-    fit: FitResults, quantity: str, period: str, but: tuple[Statement, ...] = ()
+    fit: FitResults, quantity: str, period: str, remark: tuple[Statement, ...] = ()
 ) -> Iterator[Reason]:
+    """Reason if the free run's error is clearly larger than that of the best rule without a model."""
     rule, (name, unit) = best_rule(fit, quantity, period), QUANTITIES[quantity]
     if rule is not None and rule.gain < -MATERIAL:
-        said = {"quantity": name, "unit": unit, "period": period, "rule": rule.words}
-        yield ReasonCode.WORSE_THAN_RULE(error=rule.error, rule_error=rule.rule, but=but, **said)
+        what = {"quantity": name, "unit": unit, "period": period, "rule": rule.words}
+        yield ReasonCode.WORSE_THAN_RULE(error=rule.error, rule_error=rule.rule, but=remark, **what)
 
 
 def _failed_band(fit: FitResults, quantity: str) -> Iterator[Reason]:
+    """Reason if the free run's 95 % band contains too few readings."""
     band = fit.band("free_run", quantity)
     if band.coverage < FAILED and band.n >= FEWEST_IN_BAND:
         yield ReasonCode.BAND_FAILED(coverage=band.coverage, quantity=QUANTITIES[quantity][0])
@@ -275,8 +315,10 @@ def _failed_band(fit: FitResults, quantity: str) -> Iterator[Reason]:
 
 @dataclass(frozen=True)
 class SimpleRule:
-    """The best rule that needs no model in one period: its words, its error, the model's error, and the
-    model's gain [1]."""
+    """The best prediction rule that needs no model, in one period.
+
+    `words`: its name.  `rule`, `error`: its error and the model's.
+    """
 
     words: str
     rule: float
@@ -284,12 +326,12 @@ class SimpleRule:
 
     @property
     def gain(self) -> float:
+        """[1] relative decrease of the error by the model."""
         return 1.0 - self.error / self.rule
 
 
 def best_rule(fit: FitResults, quantity: str, period: str) -> SimpleRule | None:
-    """The rule with the smallest error in a period, with the free run's error there; None where nothing was
-    scored."""
+    """Return the rule with the smallest error in a period; None where nothing was scored."""
     error = fit.errors(period, quantity).total
     rules = {
         words: value
@@ -298,60 +340,63 @@ def best_rule(fit: FitResults, quantity: str, period: str) -> SimpleRule | None:
     }
     if not rules or not math.isfinite(error):
         return None
-    words = min(rules, key=lambda one: rules[one])
+    words = min(rules, key=lambda rule_words: rules[rule_words])
     return SimpleRule(words, rules[words], error)
 
 
 def _innovations(fit: FitResults, part: str) -> Iterator[Reason]:
-    """Correlated one-step predictions, and scores that vary more than the model explains."""
-    size, beside = largest_correlation(fit, _OUTPUTS[part])
-    if size >= SMALL and beside is not None:
+    """Reasons from the innovations: they are correlated, or scatter more than the model explains."""
+    correlation, other_variable = largest_correlation(fit, _OUTPUTS[part])
+    if correlation >= SMALL and other_variable is not None:
         quantity = QUANTITIES[QUANTITY_OF[part]][0]
-        yield ReasonCode.INNOVATIONS_CORRELATED(correlation=size, beside=beside, quantity=quantity)
+        yield ReasonCode.INNOVATIONS_CORRELATED(
+            correlation=correlation, beside=other_variable, quantity=quantity
+        )
     factor = fit.time_constants[part].factor
     if factor > SCATTER:
         yield ReasonCode.NOISE_NOT_AS_MODELLED(factor=factor)
 
 
 def largest_correlation(fit: FitResults, output: str) -> tuple[float, Statement | None]:
-    """The largest correlation [1] of an output's innovations that a test rejects, and its other variable; (0,
-    None) without one."""
+    """Return the largest significant correlation [1] of an output's innovations, and with what; (0, None)
+    without one."""
     data = fit.innovations.outputs.get(output, OutputDiagnosis())
     rejected = {
         (row.test, row.input) for row in fit.innovations.tests if row.output == output and row.rejected
     }
-    found = [("autocorrelation", "", data.autocorrelation)]
-    found += [("correlation", name, one) for name, one in data.cross_correlation.items()]
-    sizes = [
-        (size, name)
-        for test, name, one in found
-        if one is not None and (test, name) in rejected
-        for size in (float(np.max(np.abs(one.value), initial=0.0)),)
-        if size > np.nan_to_num(one.limit_all)
+    tested_correlations = [("autocorrelation", "", data.autocorrelation)]
+    tested_correlations += [
+        ("correlation", name, correlation) for name, correlation in data.cross_correlation.items()
     ]
-    if not sizes:
+    significant = [
+        (size, name)
+        for test, name, correlation in tested_correlations
+        if correlation is not None and (test, name) in rejected
+        for size in (float(np.max(np.abs(correlation.value), initial=0.0)),)
+        if size > np.nan_to_num(correlation.limit_all)
+    ]
+    if not significant:
         return 0.0, None
-    size, name = max(sizes)
+    size, name = max(significant)
     return size, FitCode.THE_INPUT(input=name) if name else FitCode.EARLIER_INNOVATIONS()
 
 
 def _data(fit: FitResults, part: str) -> Iterator[Reason]:
-    """Too few or too widely spaced readings, a record too short for the number, and doubts about the record
-    that concern it."""
+    """Reasons from the readings: too few, too widely spaced, over too short a time, or doubted."""
     data = fit.time_constants[part]
-    value, low, high = data.value_h, data.lower_h, data.upper_h
+    value, lower, upper = data.value_h, data.lower_h, data.upper_h
     sampling = data.sampling or Sampling()
-    shift, step = sampling.shift_ln_when_halved, sampling.ambient_step_h
-    reach = 0.5 * math.log(high / low) if 0 < low < high < math.inf else math.inf
-    if abs(shift) > max(reach, MATERIAL):
-        yield ReasonCode.AMBIENT_COARSE(shift=math.expm1(shift), ambient_step_min=60.0 * step)
+    change, ambient_step_h = sampling.shift_ln_when_halved, sampling.ambient_step_h
+    half_width = 0.5 * math.log(upper / lower) if 0 < lower < upper < math.inf else math.inf
+    if abs(change) > max(half_width, MATERIAL):
+        yield ReasonCode.AMBIENT_COARSE(shift=math.expm1(change), ambient_step_min=60.0 * ambient_step_h)
     output = fit.innovations.outputs.get(_OUTPUTS[part])
-    n, every = (math.nan, math.nan) if output is None else (output.n, output.step_h)
-    if every > FORGOTTEN * value:
-        yield ReasonCode.READINGS_COARSE(step_min=60.0 * every, decayed=1.0 - math.exp(-every / value))
-    free = sum(not row.fixed for _, row in _rows(fit, part))
-    if n < PER_PARAMETER * free:
-        yield ReasonCode.FEW_READINGS(readings=n, parameters=free)
+    readings, step_h = (math.nan, math.nan) if output is None else (output.n, output.step_h)
+    if step_h > FORGOTTEN * value:
+        yield ReasonCode.READINGS_COARSE(step_min=60.0 * step_h, decayed=1.0 - math.exp(-step_h / value))
+    free_parameters = sum(not row.fixed for _, row in _rows(fit, part))
+    if readings < PER_PARAMETER * free_parameters:
+        yield ReasonCode.FEW_READINGS(readings=readings, parameters=free_parameters)
     length = _hours(fit.period.start, fit.period.until or fit.period.end)
     if length < CONSTANTS * value:
         yield ReasonCode.RECORD_SHORT(time_constants=length / value)
@@ -360,20 +405,25 @@ def _data(fit: FitResults, part: str) -> Iterator[Reason]:
 
 
 def _hours(start: str | None, end: str | None) -> float:
-    """Hours between two ISO 8601 stamps; NaN where they are not stamps."""
+    """Return the hours between two ISO 8601 stamps; NaN where they are not stamps."""
     try:
-        first, last = (datetime.fromisoformat(one or "") for one in (start, end))
-        return (last - first).total_seconds() / 3600.0
+        start_time, end_time = (datetime.fromisoformat(stamp or "") for stamp in (start, end))
+        return (end_time - start_time).total_seconds() / 3600.0
     except (ValueError, TypeError):
         return math.nan
 
 
 def _other_estimates(fit: FitResults, part: str) -> Iterator[Reason]:
-    """Other forms of the model outside the interval, and parts of the record that differ."""
+    """Reasons from other estimates: another likely form lies outside of the interval, or parts of the record
+    differ."""
     data = fit.time_constants[part]
-    for one in data.forms:
-        if one.weight >= CREDIBLE and (one.value_h < data.lower_h or one.value_h > data.upper_h):
-            yield ReasonCode.FORMS_DIFFER(form=one.form, weight=one.weight, other_h=one.value_h)
+    for estimate in data.forms:
+        if estimate.weight >= CREDIBLE and (
+            estimate.value_h < data.lower_h or estimate.value_h > data.upper_h
+        ):
+            yield ReasonCode.FORMS_DIFFER(
+                form=estimate.form, weight=estimate.weight, other_h=estimate.value_h
+            )
     if data.parts_scatter > PARTS_SCATTER:
         yield ReasonCode.PARTS_DIFFER(scatter=data.parts_scatter)
 

@@ -20,7 +20,7 @@ PARAMETER_OF = {"thermal": "thermal_time_constant", "hygric": "hygric_k"}
 
 @dataclass(frozen=True)
 class Interval:
-    """A time constant [h] with its bounds; an open upper bound is NaN, an open lower one 0."""
+    """A time constant [h] with its bounds; an open upper bound is NaN, an open lower bound is 0."""
 
     value_h: float = math.nan
     lower_h: float = math.nan
@@ -28,7 +28,7 @@ class Interval:
 
     @property
     def closed(self) -> bool:
-        """Whether the interval has both ends."""
+        """Whether both bounds exist."""
         return math.isfinite(self.value_h) and 0 < self.lower_h < math.inf and math.isfinite(self.upper_h)
 
     @property
@@ -38,8 +38,8 @@ class Interval:
         Open on one side: ("≤ 0.35 h", "best 0.1 h"); open on both: ("not identifiable", "best 9 h").
         """
         if self.closed:
-            shown, span = ends(self.value_h, self.lower_h, self.upper_h)
-            return f"{shown} h", span
+            value_text, bounds_text = ends(self.value_h, self.lower_h, self.upper_h)
+            return f"{value_text} h", bounds_text
         best = f"best {plain_number(self.value_h)} h" if math.isfinite(self.value_h) else ""
         for sign, bound in (("≤", self.upper_h), ("≥", self.lower_h)):
             if 0 < bound < math.inf:
@@ -53,7 +53,7 @@ class Interval:
 
     @property
     def spread(self) -> Statement:
-        """The size of a closed interval: "±3.5 %", or "a factor of 4.2" for a wide one."""
+        """Size of a closed interval as a statement: "±3.5 %", or "a factor of 4.2" for a wide one."""
         if self.upper_h > WIDE * self.lower_h:
             return FitCode.WITHIN_FACTOR(factor=math.sqrt(self.upper_h / self.lower_h))
         code = FitCode.WITHIN_SMALL_SHARE if self.half_width < 0.095 else FitCode.WITHIN_SHARE
@@ -68,8 +68,7 @@ class Interval:
 
 @dataclass(frozen=True)
 class Inherited(Interval):
-    """A time constant [h] with the verdict on it and the reasons, the most serious first, as results that use
-    a fit state it."""
+    """A time constant [h] with its verdict and the reasons, the most serious first."""
 
     verdict: Kind = BELIEVE
     reasons: tuple[Reason, ...] = ()
@@ -94,8 +93,11 @@ class Inherited(Interval):
         return f"{self.reasons[0].text}{others}"
 
     def line(self, part: str) -> tuple[str, str]:
-        """The time constant of a part with its verdict in one line, and the number that the line discredits:
-        empty unless it is rejected."""
+        """Return the time constant of a part with its verdict in one line, and the number that a rejection
+        discredits.
+
+        The second text is empty unless the time constant is rejected.
+        """
         name = f"{part} time constant"
         if self.verdict == REJECT:
             return f"{name}, {self.sentence}", self.span
@@ -105,15 +107,15 @@ class Inherited(Interval):
 def verdict_lines(inherited: Mapping[str, Inherited]) -> list[str]:
     """One line with a mark for each time constant that a result inherited, as all commands print it."""
     return [
-        f"{PLAIN_MARKS[one.verdict]} {' – '.join(filter(None, one.line(part)))}"
-        for part, one in inherited.items()
+        f"{PLAIN_MARKS[constant.verdict]} {' – '.join(filter(None, constant.line(part)))}"
+        for part, constant in inherited.items()
     ]
 
 
 def rests_on(inherited: Mapping[str, Inherited], parts: Collection[str] = PARTS) -> list[Statement]:
-    """A statement for a result that rests on rejected time constants; none where it does not.
+    """Return a statement if a result rests on rejected time constants; empty if it does not.
 
-    parts: those that the result rests on.
+    parts: those that the result uses.
     """
     rejected = tuple(name for name, entry in inherited.items() if entry.verdict == REJECT and name in parts)
     return [VerdictCode.RESTS_ON_REJECTED(parts=rejected, count=len(rejected))] if rejected else []
