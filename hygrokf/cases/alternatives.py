@@ -64,10 +64,10 @@ NAMED, WALL, EITHER = "named", "clock_or_wall", "either_clock"
 
 @dataclass(frozen=True)
 class Alternative:
-    """Another reading of a record's files.
+    """Another interpretation of a record's files, such as a clock that is an hour off or another unit.
 
-    mistake: what would be wrong. line: what corrects it in the case file. signals: those that it changes.
-    reading: the record read so. shifts: of the stamps, for a clock.
+    mistake: what would be wrong.  line: what would correct it in the case file.  signals: those that change.
+    reading: makes the record under this interpretation.  shifts: of the stamps, for a clock.
     """
 
     mistake: Statement
@@ -79,10 +79,11 @@ class Alternative:
 
 @dataclass(frozen=True)
 class PreferredAlternative:
-    """An alternative that the record prefers to what is declared.
+    """An alternative that explains the record better than what the case declares.
 
-    gain: [ln L] ahead of the declaration. witnesses: what shows it. verdict: "named"; "clock_or_wall": a
-    chain of lags explains it as well; "either_clock": so does the `rival`.
+    gain: [ln L] over the declaration.  witnesses: what supports it.
+    verdict: "named"; "clock_or_wall" if a chain of lags explains it as well; "either_clock" if the `rival`
+        does.
     """
 
     alternative: Alternative
@@ -92,20 +93,21 @@ class PreferredAlternative:
     rival: Alternative | None = None
 
     def doubt(self) -> Statement:
-        """The finding, with the line that corrects it."""
-        one, other = self.alternative, self.rival
+        """Return the finding as a doubt, with the line that would correct it."""
+        alternative, rival = self.alternative, self.rival
         code = DoubtCode.CLOCK_OR_WALL if self.verdict == WALL else DoubtCode.READ_OTHERWISE
-        values: dict[str, Value] = {"what": one.mistake, "line": one.line, "witnesses": ()}
+        values: dict[str, Value] = {"what": alternative.mistake, "line": alternative.line, "witnesses": ()}
         if self.witnesses:
             values["witnesses"] = (RecordCode.WITNESSED(witnesses=self.witnesses, gain=self.gain),)
-        if self.verdict != WALL and other is not None:
-            return DoubtCode.EITHER_CLOCK(**values, other=other.mistake, other_line=other.line)
+        if self.verdict != WALL and rival is not None:
+            return DoubtCode.EITHER_CLOCK(**values, other=rival.mistake, other_line=rival.line)
         return code(**values)
 
 
 @dataclass(frozen=True)
 class Readings:
-    """What a record says of its alternative readings, and what it cannot tell."""
+    """What a record shows about its interpretation: the alternatives it prefers, and what it cannot
+    decide."""
 
     findings: tuple[PreferredAlternative, ...] = ()
     untold: tuple[Statement, ...] = ()
@@ -113,9 +115,9 @@ class Readings:
 
 @dataclass(frozen=True)
 class _Shift:
-    """A correction of a source's stamps [quarters of an hour], `more` of them in summer, and its gain.
+    """A correction of a source's stamps in quarters of an hour, with `more` in summer, and its gain in ln L.
 
-    between: [quarters of an hour] from the best shift of the grid to the top of the parabola through it.
+    between: [quarters of an hour] distance from this grid point to the maximum of a parabola through it.
     """
 
     source: str
@@ -126,13 +128,17 @@ class _Shift:
 
     @property
     def seasons(self) -> tuple[int, int]:
-        """The corrections in winter and in summer."""
+        """Corrections in winter and in summer [quarters of an hour]."""
         return self.quarters, self.quarters + self.more
 
 
 @dataclass(frozen=True)
 class _Scan:
-    """ln L of all shifts in one relation; `days` (N,) counts days from the record's first."""
+    """ln L of all clock shifts in one lag model.
+
+    days: (N,) day of each row, counted from the record's first.  logliks: by inputs and extra shift in
+        summer.
+    """
 
     relation: Relation
     summer: np.ndarray
@@ -140,58 +146,66 @@ class _Scan:
     logliks: Mapping[Move, np.ndarray]
 
     def move(self, source: str) -> tuple[frozenset[str], int]:
-        """The inputs that move with a source; for the cabinet's source all others, the other way (−1)."""
-        inputs = frozenset(s for s, clock in self.relation.sources.items() if clock == source)
-        own = source == self.relation.source
-        return (frozenset(self.relation.inputs) - inputs, -1) if own else (inputs, 1)
+        """Return the inputs that a source's clock moves, and the sign of the move.
+
+        For the cabinet's own source these are all other inputs, moved the other way (−1).
+        """
+        inputs = frozenset(signal for signal, clock in self.relation.sources.items() if clock == source)
+        is_own_source = source == self.relation.source
+        return (frozenset(self.relation.inputs) - inputs, -1) if is_own_source else (inputs, 1)
 
     def gains(self, inputs: frozenset[str], sign: int, more: int = 0) -> np.ndarray:
-        """Gain in ln L (K,) of each shift."""
-        there = self.logliks.get((inputs, sign * more))
-        if there is None:
+        """Return the gain in ln L (K,) of each shift, over no shift."""
+        logliks_of_move = self.logliks.get((inputs, sign * more))
+        if logliks_of_move is None:
             return np.zeros(2 * REACH + 1)
-        return there.max(axis=1)[::sign] - self.logliks[inputs, 0][REACH].max()
+        return logliks_of_move.max(axis=1)[::sign] - self.logliks[inputs, 0][REACH].max()
 
     def by_day(self, shift: _Shift, count: int) -> np.ndarray:
-        """ln L (count,) of each day with a shift, its parameters estimated anew."""
+        """Return ln L (count,) of each day under a shift, with the model's parameters fitted again."""
         inputs, sign = self.move(shift.source)
         move, quarters = (inputs, sign * shift.more), sign * shift.quarters
         if move not in self.logliks:  # nothing of this relation moves
-            move, quarters = next(one for one in self.logliks if one[1] == 0), 0
+            move, quarters = next(candidate for candidate in self.logliks if candidate[1] == 0), 0
         lag_h = LAGS_H[int(self.logliks[move][REACH + quarters].argmax())]
-        each = fit_autoregression(self.relation, lag_h, move, quarters, self.summer)[1]
-        return np.bincount(self.days, each, minlength=count)
+        loglik_of_rows = fit_autoregression(self.relation, lag_h, move, quarters, self.summer)[1]
+        return np.bincount(self.days, loglik_of_rows, minlength=count)
 
-    def days_apart(self, one: _Shift, other: _Shift, count: int) -> np.ndarray:
-        """Whether two shifts differ on a day (count,) that is compared."""
+    def days_apart(self, first: _Shift, second: _Shift, count: int) -> np.ndarray:
+        """Return (count,) whether two shifts differ on a day that is compared."""
         winter, summer = (
-            a != b or (a != 0 and one.source != other.source)
-            for a, b in zip(one.seasons, other.seasons, strict=True)
+            first_shift != second_shift or (first_shift != 0 and first.source != second.source)
+            for first_shift, second_shift in zip(first.seasons, second.seasons, strict=True)
         )
-        apart = np.where(self.summer, summer, winter) & self.relation.rows
-        return np.bincount(self.days, apart, minlength=count) > 0.0
+        differs = np.where(self.summer, summer, winter) & self.relation.rows
+        return np.bincount(self.days, differs, minlength=count) > 0.0
 
 
 def alternative_readings(record: Record) -> Readings:
-    """The clock and the other reading that a record prefers to what is declared, if any."""
+    """Return the alternative clock, unit, column or decimal mark that a record prefers, if any."""
     record = prepare(record)
-    found = relations(record)
-    if not found:
+    all_relations = relations(record)
+    if not all_relations:
         return Readings(_values(record), (RecordCode.CLOCKS_TOO_SHORT(),))
-    scans = [_scanned(one, record) for one in found]
+    scans = [_scanned(relation, record) for relation in all_relations]
     clocks, untold = _clocks(record, scans, solar_lag(record))
     return Readings((*clocks, *_values(record)), untold)
 
 
 def _scanned(relation: Relation, record: Record) -> _Scan:
-    """The shifts of every source, and of the power alone, in one relation."""
+    """Compute ln L of all shifts of every source, and of the power alone, in one lag model."""
     summer = summer_time(relation.time, in_america(record))
-    turns = min(summer[relation.rows].sum(), (~summer)[relation.rows].sum()) * relation.every
-    extra = (0, -4, 4) if turns >= 3 * 96 else (0,)
-    empty = _Scan(relation, summer, np.zeros(0), {})
-    names = {relation.source, *relation.sources.values()}
-    groups = {_POWER & frozenset(relation.inputs), *(empty.move(name)[0] for name in names)}
-    moves: set[Move] = {(group, more) for group in groups if group for more in extra}
+    days_of_rarer_season = min(summer[relation.rows].sum(), (~summer)[relation.rows].sum()) * relation.every
+    summer_shifts = (0, -4, 4) if days_of_rarer_season >= 3 * 96 else (0,)
+    scan_without_results = _Scan(relation, summer, np.zeros(0), {})
+    source_names = {relation.source, *relation.sources.values()}
+    input_groups = {
+        _POWER & frozenset(relation.inputs),
+        *(scan_without_results.move(name)[0] for name in source_names),
+    }
+    moves: set[Move] = {
+        (group, summer_shift) for group in input_groups if group for summer_shift in summer_shifts
+    }
     days = (relation.time // DAY_S - record.start_s // DAY_S).astype(int)
     return _Scan(
         relation, summer, days, shift_logliks(relation, fit_without_shift(relation)[0], moves, summer)
@@ -204,39 +218,49 @@ _POWER = frozenset({"active_power"})
 def _clocks(
     record: Record, scans: Sequence[_Scan], sun_s: float | None
 ) -> tuple[tuple[PreferredAlternative, ...], tuple[Statement, ...]]:
-    """The clock that is wrong, if one is, and the sources whose clock the record cannot tell."""
-    names = [name for name in sources(record) if any(scan.move(name)[0] for scan in scans)]
-    lit = record[_LIGHT].file if sun_s is not None else None
+    """Return the finding about the clock that is wrong, if any, and the sources whose clock cannot be judged.
+
+    sun_s: [s] lag of the radiation behind the sun, or None.
+    """
+    source_names = [name for name in sources(record) if any(scan.move(name)[0] for scan in scans)]
+    light_source = record[_LIGHT].file if sun_s is not None else None
     profiles = {
-        (name, more): np.sum([scan.gains(*scan.move(name), more) for scan in scans], axis=0)
-        for name in names
-        for more in (0, -4, 4)
+        (name, summer_shift): np.sum([scan.gains(*scan.move(name), summer_shift) for scan in scans], axis=0)
+        for name in source_names
+        for summer_shift in (0, -4, 4)
     }
-    best, untold = [], []
-    for name in names:
-        rows = [(name, more) for more in (0, -4, 4)]
-        steady, _, _ = (_highest(profiles[row], *row) for row in rows)
-        near = np.abs(np.arange(-REACH, REACH + 1) - steady.quarters) < APART
-        if profiles[name, 0][~near].max() > steady.gain - WITNESS:
-            untold.append(RecordCode.CLOCK_UNTOLD(source=name))
-        if name != lit or sun_s is None or abs(sun_s) > TOLERANCE_S:  # the sun knows better
-            best += [_highest(profiles[row], *row) for row in rows]
-    for shift in sorted(best, key=lambda one: (-round(one.gain, 3), one.source != lit))[:3]:
-        finding = _judged(record, scans, profiles, shift, best, sun_s if shift.source == lit else None)
+    best_shifts, not_determined = [], []
+    for name in source_names:
+        profile_keys = [(name, summer_shift) for summer_shift in (0, -4, 4)]
+        best_all_year, _, _ = (_highest(profiles[profile_key], *profile_key) for profile_key in profile_keys)
+        is_near = np.abs(np.arange(-REACH, REACH + 1) - best_all_year.quarters) < APART
+        if profiles[name, 0][~is_near].max() > best_all_year.gain - WITNESS:
+            not_determined.append(RecordCode.CLOCK_UNTOLD(source=name))
+        if name != light_source or sun_s is None or abs(sun_s) > TOLERANCE_S:  # the sun knows better
+            best_shifts += [_highest(profiles[profile_key], *profile_key) for profile_key in profile_keys]
+    for shift in sorted(
+        best_shifts, key=lambda candidate: (-round(candidate.gain, 3), candidate.source != light_source)
+    )[:3]:
+        finding = _judged(
+            record, scans, profiles, shift, best_shifts, sun_s if shift.source == light_source else None
+        )
         if finding is not None:
-            return (finding,), tuple(untold)
-    return (), tuple(untold)
+            return (finding,), tuple(not_determined)
+    return (), tuple(not_determined)
 
 
 def _highest(profile: np.ndarray, name: str, more: int, apart_from: int | None = None) -> _Shift:
-    """The shift of a profile (K,) that gains most, among those at least an hour from another one."""
+    """Return the shift with the largest gain of a profile (K,).
+
+    apart_from: only shifts at least `APART` quarters from this one count.
+    """
     shifts = np.arange(-REACH, REACH + 1)
-    open_ = np.ones(len(shifts), bool) if apart_from is None else np.abs(shifts - apart_from) >= APART
-    place = int(np.where(open_, profile, -np.inf).argmax())
-    before, at, after = profile[np.clip((place - 1, place, place + 1), 0, len(profile) - 1)]
-    bend = before - 2.0 * at + after
+    is_allowed = np.ones(len(shifts), bool) if apart_from is None else np.abs(shifts - apart_from) >= APART
+    place = int(np.where(is_allowed, profile, -np.inf).argmax())
+    before, middle, after = profile[np.clip((place - 1, place, place + 1), 0, len(profile) - 1)]
+    bend = before - 2.0 * middle + after
     between = float(np.clip(0.5 * (before - after) / bend, -0.5, 0.5)) if bend < 0.0 else 0.0
-    return _Shift(name, int(shifts[place]), more, float(at), between)
+    return _Shift(name, int(shifts[place]), more, float(middle), between)
 
 
 def _judged(
@@ -247,111 +271,124 @@ def _judged(
     best: Sequence[_Shift],
     sun_s: float | None,
 ) -> PreferredAlternative | None:
-    """The finding of a shift that wins beyond chance, or None."""
-    row = shift.source, shift.more
+    """Return the finding about a shift that wins beyond chance; None for others.
+
+    profiles: gains (K,) by source and extra shift in summer.  best: the best shifts of all sources.
+    """
+    profile_key = shift.source, shift.more
     largest = max(shift.seasons, key=abs)
-    own = shift.source
-    moving = [one for one in record.series if one.file == own or one.signal.startswith("cabinet_")]
-    steps = [max(modal_step(one.time)[0], one.interval_s) for one in moving if len(one) > 1]
-    if abs(largest) * QUARTER_S < max([LEAST_S, *(OF_STEP * step for step in steps)]):
+    affected = [
+        series
+        for series in record.series
+        if series.file == shift.source or series.signal.startswith("cabinet_")
+    ]
+    steps_s = [max(modal_step(series.time)[0], series.interval_s) for series in affected if len(series) > 1]
+    if abs(largest) * QUARTER_S < max([LEAST_S, *(OF_STEP * step for step in steps_s)]):
         return None
-    rivals = [_Shift(shift.source, 0), _highest(profiles[row], *row, shift.quarters)]
+    rivals = [_Shift(shift.source, 0), _highest(profiles[profile_key], *profile_key, shift.quarters)]
     if shift.more:
         rivals.append(_highest(profiles[shift.source, 0], shift.source, 0))
     if min(_lead(scans, shift, rival) for rival in rivals) < SEPARATION:
         return None
     witnesses = _witnesses(scans, shift, sun_s)
-    found = PreferredAlternative(_clock(record, shift), shift.gain, witnesses)
-    late = max(sign * largest for inputs, sign in (one.move(shift.source) for one in scans) if inputs)
-    if late > 0 and not set(witnesses) - {"temperature"}:
-        return replace(found, verdict=WALL)
-    others = [one for one in best if one.source != shift.source and "the sun" not in witnesses]
-    other = max(others, key=lambda one: one.gain, default=None)
-    if other is not None and _lead(scans, shift, other) < BEHIND:
-        return replace(found, verdict=EITHER, rival=_clock(record, other))
-    return found
+    finding = PreferredAlternative(_clock(record, shift), shift.gain, witnesses)
+    moves = [scan.move(shift.source) for scan in scans]
+    latest = max(sign * largest for inputs, sign in moves if inputs)
+    if latest > 0 and not set(witnesses) - {"temperature"}:
+        return replace(finding, verdict=WALL)
+    shifts_of_others = [
+        other for other in best if other.source != shift.source and "the sun" not in witnesses
+    ]
+    best_other = max(shifts_of_others, key=lambda other: other.gain, default=None)
+    if best_other is not None and _lead(scans, shift, best_other) < BEHIND:
+        return replace(finding, verdict=EITHER, rival=_clock(record, best_other))
+    return finding
 
 
 def _lead(scans: Sequence[_Scan], shift: _Shift, rival: _Shift) -> float:
-    """By how many standard errors a shift beats another one over the days on which they differ; −inf unless
-    it wins in each quarter of these."""
+    """Return by how many standard errors a shift beats a rival, over the days on which they differ.
+
+    −inf unless it wins in each quarter of these days.
+    """
     count = 1 + max(int(scan.days.max()) for scan in scans)
-    apart = np.any([scan.days_apart(shift, rival, count) for scan in scans], axis=0)
-    each = sum(scan.by_day(shift, count) - scan.by_day(rival, count) for scan in scans)[apart]
-    if len(each) < FEWEST_D or min(part.sum() for part in np.array_split(each, 4)) <= 0.0:
+    differs = np.any([scan.days_apart(shift, rival, count) for scan in scans], axis=0)
+    daily_gain = sum(scan.by_day(shift, count) - scan.by_day(rival, count) for scan in scans)[differs]
+    if len(daily_gain) < FEWEST_D or min(quarter.sum() for quarter in np.array_split(daily_gain, 4)) <= 0.0:
         return -math.inf
-    return _standard_errors(each)
+    return _standard_errors(daily_gain)
 
 
-def _standard_errors(each: np.ndarray) -> float:
-    """Sum of differences by day (D,) in standard errors."""
-    spread = math.sqrt(len(each) * each.var()) if len(each) else 0.0
-    return float(each.sum()) / spread if spread > 0.0 else 0.0
+def _standard_errors(differences: np.ndarray) -> float:
+    """Return the sum of daily differences (D,) in standard errors."""
+    spread = math.sqrt(len(differences) * differences.var()) if len(differences) else 0.0
+    return float(differences.sum()) / spread if spread > 0.0 else 0.0
 
 
 def _witnesses(scans: Sequence[_Scan], shift: _Shift, sun_s: float | None) -> tuple[str, ...]:
-    """What prefers a shift by itself."""
-    found = []
+    """Return which kinds of evidence support a shift by themselves: temperature, vapour, power, the sun."""
+    witnesses = []
     for scan in scans:
         inputs, sign = scan.move(shift.source)
         for name, group in ((scan.relation.name, inputs), ("power", _POWER & inputs)):
             if group and scan.gains(group, sign, shift.more)[REACH + shift.quarters] > WITNESS:
-                found.append(name)
+                witnesses.append(name)
     if sun_s is not None and abs(shift.quarters * QUARTER_S + sun_s) <= 2.0 * TOLERANCE_S:
-        found.append("the sun")
-    return tuple(found)
+        witnesses.append("the sun")
+    return tuple(witnesses)
 
 
 def _clock(record: Record, shift: _Shift) -> Alternative:
-    """The row of a shift, with the line that corrects it."""
+    """Return a clock shift as an alternative, with the line that would correct it."""
     winter = rounded(QUARTER_S * (shift.quarters + shift.between))
     summer = winter + QUARTER_S * shift.more
-    south = record.site is not None and record.site.latitude_deg < 0.0
-    steps = [Shift(shift.source, winter)] * (winter != 0.0)
-    steps += [Shift(shift.source, summer - winter, summer=True)] * (shift.more != 0)
+    is_southern = record.site is not None and record.site.latitude_deg < 0.0
+    shifts = [Shift(shift.source, winter)] * (winter != 0.0)
+    shifts += [Shift(shift.source, summer - winter, summer=True)] * (shift.more != 0)
     if shift.more:
         mistake = RecordCode.CLOCK_SEEMS_BY_SEASON(
             source=shift.source, winter=pace(winter), summer=pace(summer)
         )
-        line = RecordCode.STAMPS_NEED(remedy=season_remedy(winter, summer, south))
+        line = RecordCode.STAMPS_NEED(remedy=season_remedy(winter, summer, is_southern))
     else:
         mistake = RecordCode.CLOCK_SEEMS(source=shift.source, pace=pace(winter))
         line = state_correction(winter)
     signals = sources(record).get(shift.source, ())
-    return Alternative(mistake, line, signals, lambda record: shifted(record, *steps), tuple(steps))
+    return Alternative(mistake, line, signals, lambda record: shifted(record, *shifts), tuple(shifts))
 
 
 # -- units, columns, decimal marks ---------------------------------------------------------------------------
 def _values(record: PreparedRecord) -> tuple[PreferredAlternative, ...]:
-    """The reading of other units, columns or decimal marks that is likelier by far, if any."""
+    """Return the unit, column or decimal mark that is far likelier than the declared one, if any."""
     if not {"cabinet_temperature", "ambient_temperature"} <= set(record.signals):
         return ()
-    usual, best = _surprise(record), None
-    for row in _value_alternatives(record):
+    declared_surprise, best = _surprise(record), None
+    for alternative in _value_alternatives(record):
         try:
-            other = row.reading(record)
+            reinterpreted = alternative.reading(record)
         except ValueError:  # readings that no such signal can have
             continue
-        levels = usual - _surprise(prepare(other))
-        if levels <= max(ODDS - SYSTEMATIC, 0.0 if best is None else best.gain - SYSTEMATIC):
+        level_gain = declared_surprise - _surprise(prepare(reinterpreted))
+        if level_gain <= max(ODDS - SYSTEMATIC, 0.0 if best is None else best.gain - SYSTEMATIC):
             continue
         # how much more the inputs tell of the cabinet in the other reading
-        each = _information(other) - _information(record)
-        lead = _standard_errors(each[np.abs(each) > 1e-9])
-        gain = levels + math.copysign(min(0.5 * lead**2, SYSTEMATIC), lead)
+        daily_gain = _information(reinterpreted) - _information(record)
+        lead = _standard_errors(daily_gain[np.abs(daily_gain) > 1e-9])
+        gain = level_gain + math.copysign(min(0.5 * lead**2, SYSTEMATIC), lead)
         if gain >= ODDS and (best is None or gain > best.gain):
-            best = PreferredAlternative(row, gain, ("levels",))
+            best = PreferredAlternative(alternative, gain, ("levels",))
     return () if best is None else (best,)
 
 
 def _information(record: Record) -> np.ndarray:
-    """ln L by day (D,) that the inputs add to the cabinet's own past."""
-    found = np.zeros(int((record.end_s - record.start_s) / DAY_S) + 2)
+    """Return ln L by day (D,) that the inputs add to the cabinet's own past."""
+    daily_gain = np.zeros(int((record.end_s - record.start_s) / DAY_S) + 2)
     for relation in relations(record):
-        told = fit_without_shift(relation)[1] - fit_autoregression(replace(relation, inputs={}), LAGS_H[0])[1]
+        gain_of_rows = (
+            fit_without_shift(relation)[1] - fit_autoregression(replace(relation, inputs={}), LAGS_H[0])[1]
+        )
         days = (relation.time // DAY_S - record.start_s // DAY_S).astype(int)
-        found += np.bincount(days, told, minlength=len(found))
-    return found
+        daily_gain += np.bincount(days, gain_of_rows, minlength=len(daily_gain))
+    return daily_gain
 
 
 _DEGREES = {"degF": "°F", "degC": "°C", "K": "K"}
@@ -359,7 +396,11 @@ _SCALES = (
     *(
         (
             RecordCode.IN_OTHER_UNIT(unit=_DEGREES[unit], called=_DEGREES[called]),
-            RecordCode.STATE_UNIT(unit=unit), "temperature", called, unit, 1.0,
+            RecordCode.STATE_UNIT(unit=unit),
+            "temperature",
+            called,
+            unit,
+            1.0,
         )
         for unit, called in (("degF", "degC"), ("degC", "degF"), ("K", "degC"), ("degC", "K"))
     ),
@@ -385,44 +426,68 @@ _EXCHANGES = ((_AIR,), (_MOIST,), (_AIR, _MOIST), *((pair,) for pair in zip(_AIR
 
 
 def _value_alternatives(record: Record) -> tuple[Alternative, ...]:
-    """The rows of units, decimal marks and exchanged columns that a record has the signals for."""
-    made = []
+    """Return the alternative units, decimal marks and exchanged columns that a record has the signals for."""
+    alternatives = []
     for mistake, line, quantity, called, unit, factor in _SCALES:
         for places in _PLACES:
             signals = tuple(f"{place}_{quantity}" for place in places)
-            what = RecordCode.SEEM(signals=signals, count=len(signals), mistake=mistake)
-            made.append(Alternative(what, line, signals, partial(_scaled, signals, called, unit, factor)))
+            statement_of_mistake = RecordCode.SEEM(signals=signals, count=len(signals), mistake=mistake)
+            alternatives.append(
+                Alternative(
+                    statement_of_mistake, line, signals, partial(_scaled, signals, called, unit, factor)
+                )
+            )
     for pairs in _EXCHANGES:
-        what = RecordCode.SEEM_EXCHANGED(pairs=tuple(RecordCode.PAIR(first=a, second=b) for a, b in pairs))
-        signals = tuple(name for pair in pairs for name in pair)
-        made.append(
-            Alternative(what, RecordCode.EXCHANGE_COLUMNS(), signals, partial(_exchanged, pairs))
+        statement_of_mistake = RecordCode.SEEM_EXCHANGED(
+            pairs=tuple(RecordCode.PAIR(first=first, second=second) for first, second in pairs)
         )
-    return tuple(one for one in made if all(name in record for name in one.signals))
+        signals = tuple(name for pair in pairs for name in pair)
+        alternatives.append(
+            Alternative(
+                statement_of_mistake, RecordCode.EXCHANGE_COLUMNS(), signals, partial(_exchanged, pairs)
+            )
+        )
+    return tuple(
+        alternative for alternative in alternatives if all(name in record for name in alternative.signals)
+    )
 
 
 def _scaled(signals: Sequence[str], called: str, unit: str, factor: float, record: Record) -> Record:
-    """Raises ValueError where readings cannot be so: a decimal mark that was lost leaves whole numbers."""
+    """Return the record with signals read in another unit or with another decimal mark.
+
+    Raises ValueError where readings cannot be so: a lost decimal mark leaves whole numbers.
+    """
     changed = []
-    for one in (record[signal] for signal in signals):
-        shown = from_si(one.value, called, one.signal)
-        if factor != 1.0 and np.nanmax(np.abs(shown - np.round(shown)), initial=0.0) > 1e-6:
-            raise ValueError(f"{one.signal} has fractions")
-        changed.append(replace(one, value=to_si(factor * shown, unit, one.signal)))
+    for series in (record[signal] for signal in signals):
+        declared_values = from_si(series.value, called, series.signal)
+        if (
+            factor != 1.0
+            and np.nanmax(np.abs(declared_values - np.round(declared_values)), initial=0.0) > 1e-6
+        ):
+            raise ValueError(f"{series.signal} has fractions")
+        changed.append(replace(series, value=to_si(factor * declared_values, unit, series.signal)))
     return record.replace_series(*changed)
 
 
 def _exchanged(pairs: Sequence[tuple[str, str]], record: Record) -> Record:
-    def taken(signal: str, other: str) -> Series:
+    """Return the record with pairs of signals exchanged."""
+
+    def exchanged_series(signal: str, other: str) -> Series:
+        """Return the numbers of one signal as readings of another."""
         numbers = from_si(record[other].value, SIGNALS[other].display, other)
         return replace(record[other], signal=signal, value=to_si(numbers, SIGNALS[signal].display, signal))
 
-    both = (one for pair in pairs for one in (pair, pair[::-1]))
-    return record.replace_series(*(taken(*one) for one in both))
+    exchanged = [
+        series
+        for first, second in pairs
+        for series in (exchanged_series(first, second), exchanged_series(second, first))
+    ]
+    return record.replace_series(*exchanged)
 
 
 def _surprise(record: PreparedRecord) -> float:
-    """How unusual the levels of a record are: half the sum of squares of their distances from usual bands.
+    """Return how unusual the levels of a record are: half the sum of their squared distances from usual
+    bands.
 
     Bands and scales are those of attics, greenhouses, rooms, boxes outdoors and turbines: a cabinet 0 … 10 K
     warmer than outside (12 K above, 2 K below), vapour within a factor of 1.35 of that outside (as much
@@ -430,24 +495,25 @@ def _surprise(record: PreparedRecord) -> float:
     """
     inside, outside = (_mean(record, f"{place}_temperature") for place in ("cabinet", "ambient"))
     vapours = record.cabinet_vapour, record.ambient_vapour
-    ln_inside, ln_outside = (
-        np.nan if one is None or not len(one.known[1]) else np.log(max(one.known[1].mean(), 1e-9))
-        for one in vapours
+    ln_vapour_inside, ln_vapour_outside = (
+        np.nan if series is None or not len(series.known[1]) else np.log(max(series.known[1].mean(), 1e-9))
+        for series in vapours
     )
     bands = (
         (inside - outside, 0.0, 10.0, 2.0, 12.0),
-        (ln_inside - ln_outside, -0.3, 0.3, 0.3, 0.3),
+        (ln_vapour_inside - ln_vapour_outside, -0.3, 0.3, 0.3, 0.3),
         (outside - ZERO_CELSIUS_K, -5.0, 25.0, 6.0, 6.0),
-        (ln_outside, np.log(2e-3), np.log(15e-3), 0.4, 0.4),
+        (ln_vapour_outside, np.log(2e-3), np.log(15e-3), 0.4, 0.4),
     )
     return sum(
-        0.5 * max((low - value) / below, (value - high) / above, 0.0) ** 2
-        for value, low, high, below, above in bands
+        0.5 * max((lowest - value) / scale_below, (value - highest) / scale_above, 0.0) ** 2
+        for value, lowest, highest, scale_below, scale_above in bands
         if np.isfinite(value)
     )
 
 
 def _mean(record: Record, signal: str) -> float:
+    """Return the mean reading of a signal; NaN without readings."""
     known = record[signal].known[1] if signal in record else ()
     return float(np.mean(known)) if len(known) else np.nan
 
@@ -457,10 +523,11 @@ _LIGHT = "global_horizontal_irradiance"
 
 
 def solar_lag(record: Record) -> float | None:
-    """Time from solar noon at the site to the middle of a day's radiation by its stamps [s]; None without
-    site or radiation, or with less than 20 days of it.
+    """Return by how much [s] the middle of a day's radiation, by its stamps, lags behind solar noon at the
+    site.
 
-    The equation of time is the usual three-term approximation, accurate to a minute.
+    None without site or radiation, or with less than 20 days of it.  The equation of time is the usual
+    three-term approximation, accurate to a minute.
     """
     if record.site is None or _LIGHT not in record:
         return None
@@ -468,21 +535,23 @@ def solar_lag(record: Record) -> float | None:
     step, _ = modal_step(record[_LIGHT].time)
     if not (len(time) > 100 and step <= 3600.0):
         return None
-    angle = 2.0 * math.pi * (np.mod(time / DAY_S, 365.2425) - 80.0) / 365.2425
-    equation_min = 9.87 * np.sin(2 * angle) - 7.53 * np.cos(angle) - 1.5 * np.sin(angle)
+    year_angle = 2.0 * math.pi * (np.mod(time / DAY_S, 365.2425) - 80.0) / 365.2425
+    equation_min = 9.87 * np.sin(2 * year_angle) - 7.53 * np.cos(year_angle) - 1.5 * np.sin(year_angle)
     solar = time + 240.0 * record.site.longitude_deg + 60.0 * equation_min
     day = np.floor(solar / DAY_S).astype(int)
     day -= day.min()
-    turn = 2.0 * math.pi * (solar / DAY_S - 0.5)
+    day_angle = 2.0 * math.pi * (solar / DAY_S - 0.5)
     light = np.fmax(value, 0.0)
-    energy, east, north = (np.bincount(day, light * one) for one in (1.0, np.sin(turn), np.cos(turn)))
-    whole = (np.bincount(day) >= 0.95 * DAY_S / step) & (energy > 0.0)
-    whole &= energy > 0.2 * np.median(energy[whole]) if whole.any() else False
-    if whole.sum() < 20:
+    energy, east, north = (
+        np.bincount(day, light * weight) for weight in (1.0, np.sin(day_angle), np.cos(day_angle))
+    )
+    is_complete = (np.bincount(day) >= 0.95 * DAY_S / step) & (energy > 0.0)
+    is_complete &= energy > 0.2 * np.median(energy[is_complete]) if is_complete.any() else False
+    if is_complete.sum() < 20:
         return None
     # circular within the day: a clock may be wrong by half a day
-    middle = math.atan2(east[whole].sum(), north[whole].sum())
-    apart = np.arctan2(east[whole], north[whole]) - middle
-    apart = np.mod(apart + math.pi, 2.0 * math.pi) - math.pi
-    lag = np.mod(middle + np.median(apart) + math.pi, 2.0 * math.pi) - math.pi
+    mean_angle = math.atan2(east[is_complete].sum(), north[is_complete].sum())
+    angle_from_mean = np.arctan2(east[is_complete], north[is_complete]) - mean_angle
+    angle_from_mean = np.mod(angle_from_mean + math.pi, 2.0 * math.pi) - math.pi
+    lag = np.mod(mean_angle + np.median(angle_from_mean) + math.pi, 2.0 * math.pi) - math.pi
     return float(lag / (2.0 * math.pi) * DAY_S)

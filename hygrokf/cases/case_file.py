@@ -41,8 +41,8 @@ class CaseFault(FormFault):
 def read_case(path: str | os.PathLike[str], *, cabinet: bool = True, ambient: bool = True) -> Record:
     """Read the record that a case file describes, in SI units and UTC, with doubtful readings masked.
 
-    path: the TOML file; the files that it names are relative to it.
-        docs/reference/case_file.md describes its form.
+    path: the TOML file; the files that it names are relative to it. docs/reference/case_file.md describes its
+        form.
     cabinet: whether a cabinet signal to identify is required; False for drivers alone.
     ambient: whether an ambient temperature is required; False for a power alone.
 
@@ -53,14 +53,16 @@ def read_case(path: str | os.PathLike[str], *, cabinet: bool = True, ambient: bo
     try:
         text, content = read_toml(file, CaseFault)
     except CaseFault as fault:
-        other = _not_a_case(file)
-        raise CaseFault(file, [other] if other else fault.faults) from None
+        fault_of_other_file = _not_a_case(file)
+        raise CaseFault(file, [fault_of_other_file] if fault_of_other_file else fault.faults) from None
     case = stated_case({"name": file.stem, **content}, Place(file=file.name, lines=lines_of(text)))
 
     def table(source: StatedSource) -> FileColumns:
+        """Read the columns of one source."""
         return read_table(file.parent / source.file, source.meanings, source.time, source, source.quality)
 
     def weather(stated: StatedWeather) -> Record:
+        """Read one weather file."""
         return _weather_record(stated, file.parent, case)
 
     record = record_of(case, table, str(path), weather=weather, cabinet=cabinet, ambient=ambient)
@@ -72,18 +74,28 @@ _REMARK = re.compile(r"#(?!\s?(\[|[\w.\"'-]+\s*=))")
 
 
 def _open_doubts(name: str, text: str) -> tuple[str, ...]:
-    """The warning that names the lines of a draft's doubts about settings that are not commented out."""
-    lines = [line.strip() for line in text.splitlines()]
-    numbers = []
-    for number, line in enumerate(lines, 1):
-        next_line = next((below for below in lines[number:] if below and not _REMARK.match(below)), "#")
+    """Return a warning that names the lines of a draft's open doubts; empty without any.
+
+    A doubt is open if the setting below it is not commented out.
+    """
+    stripped_lines = [line.strip() for line in text.splitlines()]
+    doubted_lines = []
+    for line_number, line in enumerate(stripped_lines, 1):
+        next_line = next(
+            (
+                following_line
+                for following_line in stripped_lines[line_number:]
+                if following_line and not _REMARK.match(following_line)
+            ),
+            "#",
+        )
         if line.startswith(DRAFT_DOUBT) and not next_line.startswith("#"):
-            numbers.append(str(number))
-    if not numbers:
+            doubted_lines.append(str(line_number))
+    if not doubted_lines:
         return ()
-    open_doubts = f"a doubt of its draft is open, line {numbers[0]}"
-    if len(numbers) > 1:
-        open_doubts = f"{len(numbers)} doubts of its draft are open, lines {', '.join(numbers)}"
+    open_doubts = f"a doubt of its draft is open, line {doubted_lines[0]}"
+    if len(doubted_lines) > 1:
+        open_doubts = f"{len(doubted_lines)} doubts of its draft are open, lines {', '.join(doubted_lines)}"
     return (f'{name}: {open_doubts}: check the doubted setting, then delete the comment "{DRAFT_DOUBT}…"',)
 
 
@@ -98,7 +110,7 @@ def record_of(
 ) -> Record:
     """Make the record of a stated case from files or frames: SI units, UTC, doubtful readings masked.
 
-    case: as stated. table: reads a source; raises TableFault. head: first words of a CaseFault's message.
+    case: as stated.  table: reads a source; raises TableFault.  head: first words of a CaseFault's message.
     weather: reads a weather file, for cases that name any; raises TableFault.
     cabinet, ambient: as for `read_case`.
 
@@ -115,17 +127,18 @@ def record_of(
     all_read = True
     for source in case.sources:
         try:
-            read = table(source)
+            columns = table(source)
         except TableFault as broken:
             faults += [f"{source.file}: {fault}" for fault in broken.faults]
             all_read = False
             continue
-        headers[source.file] = read.header
-        if read.sha256:
-            files[source.file] = read.sha256
-        source_series, source_warnings, source_faults = _source_series(source, read, case.form.rated_power_W)
+        headers[source.file] = columns.header
+        if columns.sha256:
+            files[source.file] = columns.sha256
+        result = _source_series(source, columns, case.form.rated_power_W)
+        source_series, source_warnings, source_faults = result
         warnings += [f"{source.file}: {warning}" for warning in source_warnings]
-        doubts += _quality_doubts(source, read)
+        doubts += _quality_doubts(source, columns)
         faults += [f"{source.file}: {fault}" for fault in source_faults]
         (compared if source.compare else series).extend(source_series)
         all_read = all_read and not source_faults
@@ -169,22 +182,28 @@ def record_of(
 
 
 def _quality_doubts(source: StatedSource, read: FileColumns) -> Iterator[Statement]:
-    """Doubts about the marks of quality beside a source's readings."""
+    """Yield the doubts about the marks of quality in a source."""
     for column in source.columns:
         if column.column in read.judged and (doubt := read.judged[column.column].doubt):
             yield DoubtCode.QUALITY_DOUBTED(signal=column.signal.name, file=source.file, doubt=doubt)
 
 
 def _split_probes(case: StatedCase, headers: Mapping[str, tuple[str, ...]]) -> Iterator[Statement]:
-    """Doubts about places whose humidity and temperature come from different probes."""
-    used = {
+    """Yield doubts about places whose humidity and temperature come from different probes.
+
+    headers: names of all columns of each file.
+    """
+    column_of_signal = {
         column.signal.name: (source.file, column.column)
         for source in reversed(case.sources)
         if not source.compare
         for column in source.columns
     }
     for place in ("cabinet", "ambient"):
-        temperature, humidity = used.get(f"{place}_temperature"), used.get(f"{place}_relative_humidity")
+        temperature, humidity = (
+            column_of_signal.get(f"{place}_temperature"),
+            column_of_signal.get(f"{place}_relative_humidity"),
+        )
         if temperature is None or humidity is None:
             continue
         file = humidity[0]
@@ -199,7 +218,7 @@ def _split_probes(case: StatedCase, headers: Mapping[str, tuple[str, ...]]) -> I
 
 
 def _declaration_faults(case: StatedCase, cabinet: bool, ambient: bool) -> list[str]:
-    """Faults of a case that lacks the signals a model needs."""
+    """Return the faults of a case that lacks the signals a model needs."""
     name, faults = case.place.file, []
     has_no_ambient = "ambient_temperature" not in case.declared and all(
         stated.compare for stated in case.weather
@@ -216,82 +235,92 @@ def _declaration_faults(case: StatedCase, cabinet: bool, ambient: bool) -> list[
 def _weather_records(
     case: StatedCase, weather: Callable[[StatedWeather], Record]
 ) -> tuple[list[tuple[StatedWeather, Record]], list[str], list[str]]:
-    """Records of the weather files, with consecutive files joined, warnings and faults."""
-    reads: list[tuple[StatedWeather, Record]] = []
+    """Read the weather files of a case; files that continue each other are joined.
+
+    Returns the sources with their records, warnings and faults.
+    """
+    sources_and_records: list[tuple[StatedWeather, Record]] = []
     warnings: list[str] = []
     faults: list[str] = []
-    for stated in case.weather:
+    for weather_source in case.weather:
         try:
-            read = weather(stated)
+            weather_record = weather(weather_source)
         except TableFault as broken:
-            faults += [f"{stated.file}: {fault}" for fault in broken.faults]
+            faults += [f"{weather_source.file}: {fault}" for fault in broken.faults]
             continue
-        warnings += [f"{stated.file}: {warning}" for warning in read.warnings]
-        read = dataclasses.replace(read, warnings=())
-        for place, (earlier_stated, earlier_record) in enumerate(reads):
+        warnings += [f"{weather_source.file}: {warning}" for warning in weather_record.warnings]
+        weather_record = dataclasses.replace(weather_record, warnings=())
+        for index, (earlier_stated, earlier_record) in enumerate(sources_and_records):
             # such as one file a year, each continuing the previous one
-            if (earlier_stated.format, earlier_stated.compare) == (stated.format, stated.compare) and follows(
-                earlier_record, read
-            ):
+            if (earlier_stated.format, earlier_stated.compare) == (
+                weather_source.format,
+                weather_source.compare,
+            ) and follows(earlier_record, weather_record):
                 try:
-                    merged = join_records((earlier_record, read), earlier_record.name)
+                    merged = join_records((earlier_record, weather_record), earlier_record.name)
                 except TableFault as broken:
-                    faults += [f"{earlier_stated.file} and {stated.file}: {fault}" for fault in broken.faults]
+                    faults += [
+                        f"{earlier_stated.file} and {weather_source.file}: {fault}" for fault in broken.faults
+                    ]
                     break
                 warnings += [
-                    f"{earlier_stated.file} and {stated.file}: {warning}" for warning in merged.warnings
+                    f"{earlier_stated.file} and {weather_source.file}: {warning}"
+                    for warning in merged.warnings
                 ]
-                reads[place] = (earlier_stated, dataclasses.replace(merged, warnings=()))
+                sources_and_records[index] = (earlier_stated, dataclasses.replace(merged, warnings=()))
                 break
         else:
-            reads.append((stated, read))
-    return reads, warnings, faults
+            sources_and_records.append((weather_source, weather_record))
+    return sources_and_records, warnings, faults
 
 
 _TABLES = (".csv", ".tsv", ".txt", ".dat", ".parquet", ".nc", ".xlsx")
 
 
 def _not_a_case(file: Path) -> str:
-    """What a file that is not TOML seems to be (a result, JSON or a table), as a fault; "" if unclear."""
-    kind = "a table, expected a case file that names it" * (file.suffix.lower() in _TABLES and file.is_file())
+    """Return the fault of a file that is no case, with what it seems to be (a result, JSON or a table); "" if
+    unclear."""
+    description = "a table, expected a case file that names it" * (
+        file.suffix.lower() in _TABLES and file.is_file()
+    )
     with suppress(OSError, ValueError, RecursionError):
         if isinstance(content := json.loads(file.read_bytes()), dict):
             result = {"design", "parameters"} <= set(content)
-            kind = f"{'a result of `hygrokf fit`' if result else 'JSON'}, expected a case file"
-    return f"is {kind} (docs/reference/case_file.md)" if kind else ""
+            description = f"{'a result of `hygrokf fit`' if result else 'JSON'}, expected a case file"
+    return f"is {description} (docs/reference/case_file.md)" if description else ""
 
 
-def _weather_record(stated: StatedWeather, folder: Path, case: StatedCase) -> Record:
-    """The record of a weather file, with sources named as in the case file."""
-    read = read_weather_file(
-        folder / stated.file,
-        stated.format,
+def _weather_record(source: StatedWeather, folder: Path, case: StatedCase) -> Record:
+    """Return the record of a weather file, with sources named as in the case file."""
+    weather = read_weather_file(
+        folder / source.file,
+        source.format,
         site=case.form.site,
-        year=stated.year,
-        altitude_m=stated.altitude_m,
-        to_site_altitude=stated.to_site_altitude,
-        lapse_rate=stated.lapse_rate,
+        year=source.year,
+        altitude_m=source.altitude_m,
+        to_site_altitude=source.to_site_altitude,
+        lapse_rate=source.lapse_rate,
     )
-    name = Path(stated.file).name
+    file_name = Path(source.file).name
     return dataclasses.replace(
-        read,
+        weather,
         series=tuple(
             dataclasses.replace(
                 series,
-                time=series.time + stated.clock_correction_s,
-                clock_uncertainty_s=stated.clock_uncertainty_s,
-                source=stated.file + series.source.removeprefix(name),
+                time=series.time + source.clock_correction_s,
+                clock_uncertainty_s=source.clock_uncertainty_s,
+                source=source.file + series.source.removeprefix(file_name),
             )
-            for series in read.series
+            for series in weather.series
         ),
-        files=tuple((stated.file, digest) for _, digest in read.files),
+        files=tuple((source.file, digest) for _, digest in weather.files),
     )
 
 
 def _source_series(
     source: StatedSource, table: FileColumns, rated_W: float | None
 ) -> tuple[list[Series], list[str], list[str]]:
-    """Series of a source, warnings and faults."""
+    """Return the series of a source, with warnings and faults; rated_W: rated power or None."""
     warnings = list(table.warnings)
     time, values, order_warnings = order_readings(table.time, table.values)
     if not table.summer_time:
@@ -305,14 +334,14 @@ def _source_series(
     is_row_per_reading = len(has_reading) > 1 and all(
         np.sum(has_single_reading & is_read) > 0.9 * np.sum(is_read) for is_read in has_reading.values()
     )
-    step, regular = modal_step(time)
+    step, regular_share = modal_step(time)
     for column in source.columns:
         rows = has_reading[column.column] if is_row_per_reading else slice(None)
-        stamps, raw = time[rows], values[column.column][rows]
-        step, regular = modal_step(stamps)
-        mistake = unit_mistaken(raw, column.unit, column.signal)
+        stamps, readings = time[rows], values[column.column][rows]
+        step, regular_share = modal_step(stamps)
+        mistake = unit_mistaken(readings, column.unit, column.signal)
         if mistake is None and column.signal.name == "active_power" and rated_W is not None:
-            power_W = to_si(raw[np.isfinite(raw)], column.unit, column.signal)
+            power_W = to_si(readings[np.isfinite(readings)], column.unit, column.signal)
             ratio, explanation = power_beside_rated(power_W, rated_W)
             if ratio > 10.0:
                 mistake = RecordCode.POWER_IN_OTHER_UNIT(unit=column.unit, beside=explanation)
@@ -320,29 +349,29 @@ def _source_series(
             faults.append(f'column "{column.column}": {mistake.text}')
             continue
         hold = source.hold or (column.signal.hold_of_instants if source.stamp == "instant" else MEAN)
-        length = source.interval_s
-        if length is None and (source.stamp != "instant" or hold == MEAN):
-            if not regular >= 0.5:
+        interval_s = source.interval_s
+        if interval_s is None and (source.stamp != "instant" or hold == MEAN):
+            if not regular_share >= 0.5:
                 steps = "there is only one stamp"
                 if math.isfinite(step):
-                    steps = f"only {100 * regular:.0f} % of the steps are {duration_text(step)}"
+                    steps = f"only {100 * regular_share:.0f} % of the steps are {duration_text(step)}"
                 faults.append(
                     f"the stamps do not show the length of the averaging interval ({steps}): "
                     'state it, such as interval = "10min"'
                 )
                 break
-            length = step
-        length = length or 0.0
-        shift = {"instant": 0.0, "start": length, "middle": 0.5 * length, "end": 0.0}[source.stamp]
+            interval_s = step
+        interval_s = interval_s or 0.0
+        shift_s = {"instant": 0.0, "start": interval_s, "middle": 0.5 * interval_s, "end": 0.0}[source.stamp]
         if hold == LINEAR and source.stamp != "instant":
             # a mean that is joined by straight lines is placed in the middle of its interval
-            shift -= 0.5 * length
-        moved = stamps + source.clock_correction_s + shift
+            shift_s -= 0.5 * interval_s
+        moved = stamps + source.clock_correction_s + shift_s
         settings: dict[str, Any] = dict(column.settings)
         if "resolution" not in settings:
-            settings["resolution"] = difference_to_si(detect_resolution(raw), column.unit, column.signal)
+            settings["resolution"] = difference_to_si(detect_resolution(readings), column.unit, column.signal)
         if hold == PREVIOUS:
-            until_next = column.signal.name in SWITCHED and on_change(stamps, raw)
+            until_next = column.signal.name in SWITCHED and on_change(stamps, readings)
             settings["longest_hold_s"] = source.longest_hold_s or (math.inf if until_next else None)
             settings["lost"] = source.lost
         try:
@@ -350,9 +379,9 @@ def _source_series(
                 Series(
                     column.signal.name,
                     moved,
-                    to_si(raw, column.unit, column.signal),
+                    to_si(readings, column.unit, column.signal),
                     hold,
-                    length if hold == MEAN else 0.0,
+                    interval_s if hold == MEAN else 0.0,
                     clock_uncertainty_s=source.clock_uncertainty_s,
                     source=f'{source.file}, column "{column.column}"',
                     **settings,
@@ -369,6 +398,7 @@ def _source_series(
 
 
 def _period_faults(record: Record, case: StatedCase) -> list[str]:
+    """Return the faults of an identification period that begins or ends outside of the record."""
     faults = []
     period = case.form.identification
     for key, value in (("start", period.start_s), ("until", period.until_s)):
@@ -382,16 +412,19 @@ def _period_faults(record: Record, case: StatedCase) -> list[str]:
 
 
 def _faults_of_mask(raw: Record, record: Record, cabinet: bool, ambient: bool) -> list[str]:
-    """Faults of needed signals of which the mask left no reading; `raw` is the record before the mask."""
+    """Return the faults of needed signals of which the mask left no reading; raw: the record before the
+    mask."""
     faults = []
     needed = [("ambient_temperature",)] * ambient + [IDENTIFIABLE] * cabinet
-    for signals in needed:
-        present = [signal for signal in signals if signal in record]
-        if not any(np.isfinite(record[signal].value).any() for signal in present):
-            named = ", ".join(present if signals is IDENTIFIABLE else signals) or "the cabinet"
-            series = tuple(raw[signal] for signal in present)
+    for alternatives in needed:
+        present_signals = [signal for signal in alternatives if signal in record]
+        if not any(np.isfinite(record[signal].value).any() for signal in present_signals):
+            listed = (
+                ", ".join(present_signals if alternatives is IDENTIFIABLE else alternatives) or "the cabinet"
+            )
+            series = tuple(raw[signal] for signal in present_signals)
             only_needed = dataclasses.replace(raw, series=series, compared=(), warnings=())
             mask_warnings = mask(only_needed).warnings
-            why = f": {'; '.join(mask_warnings)}" if mask_warnings else "; the columns hold no number"
-            faults.append(f"no reading of {named} can be used{why}")
+            reason = f": {'; '.join(mask_warnings)}" if mask_warnings else "; the columns hold no number"
+            faults.append(f"no reading of {listed} can be used{reason}")
     return faults

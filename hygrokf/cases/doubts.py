@@ -39,17 +39,17 @@ IDENTIFIABLE = tuple(f"cabinet_{kind}" for kind in ("temperature", *HUMIDITIES))
 
 
 def all_doubts(
-    record: Record, clocks: Sequence[ClockError] | None = None, read: Readings | None = None
+    record: Record, clocks: Sequence[ClockError] | None = None, known_readings: Readings | None = None
 ) -> tuple[Statement, ...]:
-    """All doubts about a record and its sources for comparison.
+    """Return all doubts about a record and the sources that it is compared with.
 
-    clocks, read: clock errors and alternative readings, if already known.
+    clocks, known_readings: clock errors and alternative readings, if already computed.
     """
     record = prepare(record)
     if clocks is None:
         clocks = clock_errors(alignments(record))
     is_southern = record.site is not None and record.site.latitude_deg < 0.0
-    readings = alternative_readings(record) if read is None else read
+    readings = alternative_readings(record) if known_readings is None else known_readings
     return (
         *clock_doubts(clocks, is_southern),
         *_doubts_of_comparison(record, clocks),
@@ -65,7 +65,7 @@ def all_doubts(
 
 
 def _doubts_of_comparison(record: Record, clocks: Sequence[ClockError]) -> Iterator[Statement]:
-    """Files for comparison that share too little time with the sources that are used."""
+    """Yield doubts about files for comparison that share too little time with the sources that are used."""
     compared = {alignment.signal for error in clocks for alignment in error.alignments}
     files: dict[str, list[str]] = {}
     for series in record.compared:
@@ -76,12 +76,14 @@ def _doubts_of_comparison(record: Record, clocks: Sequence[ClockError]) -> Itera
 
 
 def _doubts_of_readings(record: Record) -> Iterator[Statement]:
-    """Doubts about readings of a record made from series; `read_case` and `read_frames` refuse or mask such
-    readings."""
+    """Yield doubts about the readings themselves: unit, range, logging only on change, date.
+
+    They concern records made from series; `read_case` and `read_frames` refuse or mask such readings.
+    """
     for series in (*record.series, *record.compared):
-        row = signal_named(series.signal)
+        signal_row = signal_named(series.signal)
         is_outside = out_of_range(series)
-        doubt = unit_mistaken(series.value, row.unit, row)
+        doubt = unit_mistaken(series.value, signal_row.unit, signal_row)
         if series.hold == LINEAR and series.resolution and on_change(*series.known, series.resolution):
             yield DoubtCode.ONLY_ON_CHANGE(signal=series.signal)
         if doubt is None and is_outside.any():
@@ -94,31 +96,37 @@ def _doubts_of_readings(record: Record) -> Iterator[Statement]:
 
 
 def no_overlap(series: Sequence[Series]) -> list[Statement]:
-    """Doubts about sources that share no time with the cabinet's readings."""
-    spans = {item.signal: (item.time[0] - item.interval_s, item.time[-1]) for item in series if len(item)}
+    """Return doubts about sources that share no time with the cabinet's readings."""
+    spans = {
+        one_series.signal: (one_series.time[0] - one_series.interval_s, one_series.time[-1])
+        for one_series in series
+        if len(one_series)
+    }
     cabinet = {signal: span for signal, span in spans.items() if signal in IDENTIFIABLE}
     if not cabinet:
         return []
-    first = min(span[0] for span in cabinet.values())
-    last = max(span[1] for span in cabinet.values())
+    cabinet_start = min(span[0] for span in cabinet.values())
+    cabinet_end = max(span[1] for span in cabinet.values())
     without_overlap: dict[tuple[str, float, float], list[str]] = {}
-    for item in series:
-        if item.signal in cabinet or item.signal not in spans:
+    for one_series in series:
+        if one_series.signal in cabinet or one_series.signal not in spans:
             continue
-        start, end = spans[item.signal]
-        if start > last or end < first:
-            without_overlap.setdefault((item.file if item.source else "", start, end), []).append(item.signal)
+        start, end = spans[one_series.signal]
+        if start > cabinet_end or end < cabinet_start:
+            without_overlap.setdefault((one_series.file if one_series.source else "", start, end), []).append(
+                one_series.signal
+            )
     return [
         DoubtCode.NO_OVERLAP(
             signals=tuple(signals), file=(RecordCode.IN_FILE(file=file),) if file else (),
-            period=period(start, end), of_cabinet=period(first, last),
+            period=period(start, end), of_cabinet=period(cabinet_start, cabinet_end),
         )
         for (file, start, end), signals in without_overlap.items()
     ]  # fmt: skip
 
 
 def _doubts_of_gaps(record: PreparedRecord) -> Iterator[Statement]:
-    """Doubts that gaps in the ambient series exclude many of the cabinet's readings from a fit."""
+    """Yield doubts that gaps in the ambient series exclude many of the cabinet's readings from a fit."""
     outside_air = {"temperature": record["ambient_temperature"]} if "ambient_temperature" in record else {}
     vapour = record.ambient_vapour if outside_air else None
     outside_air |= {} if vapour is None else {"humidity": vapour}
@@ -126,9 +134,9 @@ def _doubts_of_gaps(record: PreparedRecord) -> Iterator[Statement]:
         time = record[signal].known[0]
         is_lost, gaps = np.zeros(len(time), dtype=bool), list[str]()
         for kind, series in outside_air.items():
-            times = series.known[0]
+            known_times = series.known[0]
             in_gap = np.isnan(at_times(series, time, bridge_h(series, AMBIENT_BRIDGE_H)))
-            in_gap &= (time >= times[0]) & (time <= times[-1]) if len(times) else False
+            in_gap &= (time >= known_times[0]) & (time <= known_times[-1]) if len(known_times) else False
             is_lost |= in_gap
             if in_gap.any():
                 gaps.append(kind)
@@ -139,6 +147,7 @@ def _doubts_of_gaps(record: PreparedRecord) -> Iterator[Statement]:
 
 
 def _doubts_of_periods(record: Record) -> Iterator[Statement]:
+    """Yield doubts about the length of the record and of its identification and validation period."""
     days = (record.end_s - record.start_s) / DAY_S
     if not days >= _SHORT_RECORD_D:
         yield DoubtCode.SHORT_RECORD(days=days, least=_SHORT_RECORD_D)
@@ -147,21 +156,29 @@ def _doubts_of_periods(record: Record) -> Iterator[Statement]:
     elif not record.start_s < record.until_s < record.end_s:
         yield DoubtCode.UNTIL_OUTSIDE(until=record.until_s, period=period(record.start_s, record.end_s))
     else:
-        for name, part in (("identification", record.identification()), ("validation", record.validation())):
-            length = (part.end_s - part.start_s) / DAY_S
-            if not length >= _SHORT_VALIDATION_D:
-                yield DoubtCode.SHORT_PERIOD(period=name, days=length)
+        for name, period_record in (
+            ("identification", record.identification()),
+            ("validation", record.validation()),
+        ):
+            length_d = (period_record.end_s - period_record.start_s) / DAY_S
+            if not length_d >= _SHORT_VALIDATION_D:
+                yield DoubtCode.SHORT_PERIOD(period=name, days=length_d)
 
 
 def power_beside_rated(power_W: np.ndarray, rated_W: float) -> tuple[float, Statement]:
-    """The 99.5 % quantile of power readings divided by the rated power (NaN without readings), and the
-    statement of this ratio."""
+    """Compare power readings with the rated power.
+
+    Returns the 99.5 % quantile divided by the rated power (NaN without readings), and the statement of this
+    ratio.
+    """
     high = float(np.quantile(power_W, 0.995)) if len(power_W) else np.nan
     ratio = high / rated_W
     return ratio, RecordCode.BESIDE_RATED(high_kW=high / 1e3, times=ratio, rated_kW=rated_W / 1e3)
 
 
 def _doubts_of_power(record: Record) -> Iterator[Statement]:
+    """Yield doubts about the power: absent, negative, without standstill, unlike the rated power, or too
+    short."""
     if "active_power" not in record:
         yield DoubtCode.POWER_ABSENT()
         return
@@ -186,21 +203,25 @@ def _doubts_of_power(record: Record) -> Iterator[Statement]:
     for signal in record.signals:
         if signal.startswith("cabinet_") and len(record[signal]):
             time = record[signal].time
-            covered = float(np.mean((time >= power.time[0] - power.interval_s) & (time <= power.time[-1])))
-            if covered < 0.5:
-                yield DoubtCode.POWER_COVERS_LITTLE(share=covered, signal=signal)
+            covered_share = float(
+                np.mean((time >= power.time[0] - power.interval_s) & (time <= power.time[-1]))
+            )
+            if covered_share < 0.5:
+                yield DoubtCode.POWER_COVERS_LITTLE(share=covered_share, signal=signal)
             break
 
 
 def _doubts_of_climate(record: PreparedRecord) -> Iterator[Statement]:
-    humid = any(f"cabinet_{kind}" in record for kind in HUMIDITIES)
-    if "cabinet_temperature" not in record and not humid:
+    """Yield doubts about temperatures and humidities: absent, mostly missing, too coarse, copied, or
+    implausible."""
+    has_humidity = any(f"cabinet_{kind}" in record for kind in HUMIDITIES)
+    if "cabinet_temperature" not in record and not has_humidity:
         yield DoubtCode.NO_CABINET_SIGNAL()
     elif "cabinet_temperature" not in record:
         yield DoubtCode.NO_CABINET_TEMPERATURE()
-    elif not humid:
+    elif not has_humidity:
         yield DoubtCode.NO_CABINET_HUMIDITY()
-    if humid and not any(f"ambient_{kind}" in record for kind in HUMIDITIES):
+    if has_humidity and not any(f"ambient_{kind}" in record for kind in HUMIDITIES):
         yield DoubtCode.NO_AMBIENT_HUMIDITY()
     for series in record.series:
         if series.missing.mean() > 0.3:
@@ -212,35 +233,44 @@ def _doubts_of_climate(record: PreparedRecord) -> Iterator[Statement]:
     inside, outside = (
         record[name] if name in record else None for name in ("cabinet_temperature", "ambient_temperature")
     )
-    pair = _pair(inside, outside)
-    if pair is not None and (colder := float(np.mean(pair[1] - pair[0]))) > 2.0:
-        yield DoubtCode.COLDER_THAN_OUTSIDE(colder_K=colder)
+    both_values = _pair(inside, outside)
+    if both_values is not None and (colder_K := float(np.mean(both_values[1] - both_values[0]))) > 2.0:
+        yield DoubtCode.COLDER_THAN_OUTSIDE(colder_K=colder_K)
     yield from copies(record.series)
-    pair = _pair(record.cabinet_vapour, record.ambient_vapour)
-    if pair is not None:
-        factor = float(np.mean(pair[0]) / np.mean(pair[1]))
+    both_values = _pair(record.cabinet_vapour, record.ambient_vapour)
+    if both_values is not None:
+        factor = float(np.mean(both_values[0]) / np.mean(both_values[1]))
         if not 0.7 <= factor <= 1.3:
             yield DoubtCode.OTHER_VAPOUR(factor=factor)
 
 
 def _pair(first: Series | None, second: Series | None) -> tuple[np.ndarray, np.ndarray] | None:
-    """Values of the first series, and of the second interpolated to their times, over the common span."""
+    """Return values of the first series, and of the second at the same times, over their common span.
+
+    None without a common span.
+    """
     if first is None or second is None:
         return None
-    (time, value), reference = centred(first).known, centred(second).known
-    times = reference[0]
-    if not len(times):
+    (time, value), second_known = centred(first).known, centred(second).known
+    second_times = second_known[0]
+    if not len(second_times):
         return None
-    common = (time >= times[0]) & (time <= times[-1])
-    return (value[common], np.interp(time[common], *reference)) if common.any() else None
+    in_common_span = (time >= second_times[0]) & (time <= second_times[-1])
+    return (
+        (value[in_common_span], np.interp(time[in_common_span], *second_known))
+        if in_common_span.any()
+        else None
+    )
 
 
 def _doubts_of_clocks(record: Record) -> Iterator[Statement]:
+    """Yield doubts about irregular stamps, and about radiation that comes too early or too late for the
+    site."""
     irregular = []
     for series in record.series:
-        step, regular = modal_step(series.time)
-        if len(series) > 2 and regular < 0.9 and series.longest_hold_s is None:
-            irregular.append(DoubtCode.IRREGULAR_STEPS(file=series.file, share=regular, step_s=step))
+        step_s, regular_share = modal_step(series.time)
+        if len(series) > 2 and regular_share < 0.9 and series.longest_hold_s is None:
+            irregular.append(DoubtCode.IRREGULAR_STEPS(file=series.file, share=regular_share, step_s=step_s))
     yield from unique(irregular)
     lag = solar_lag(record)
     if lag is not None and abs(lag) > TOLERANCE_S:

@@ -24,7 +24,8 @@ STAMPS = ("instant", "start", "middle", "end")
 
 
 def stated_signal(name: object) -> Signal:
-    """A row of the table of signals.  Raises ValueError."""
+    """Return the row of a signal in the signal table.  Raises ValueError, with similar names, for an unknown
+    name."""
     if not isinstance(name, str) or name not in SIGNALS:
         near = suggestion(str(name), SIGNALS)
         raise ValueError(f'unknown signal "{name}"{near} (docs/reference/signals.md lists them all)')
@@ -32,7 +33,7 @@ def stated_signal(name: object) -> Signal:
 
 
 def _size(value: Any) -> float:
-    """A difference in the unit of the readings."""
+    """Return a difference (accuracy, resolution) in the unit of the readings.  Raises ValueError."""
     is_size = isinstance(value, (int, float)) and not isinstance(value, bool) and 0.0 <= value < float("inf")
     if not is_size:
         raise ValueError(f"expected a number ≥ 0 in the unit of the readings, found {value!r}")
@@ -40,7 +41,8 @@ def _size(value: Any) -> float:
 
 
 def longest_hold(value: Any) -> float:
-    """The age [s] up to which a value holds: a duration, or ∞ for "connected".  Raises ValueError."""
+    """Return the age [s] up to which a value holds: that of a duration, or ∞ for "connected".  Raises
+    ValueError."""
     if value == "connected":
         return math.inf
     try:
@@ -50,12 +52,12 @@ def longest_hold(value: Any) -> float:
 
 
 def _losses(value: Any) -> tuple[tuple[float, float], ...]:
-    """Spans (start, end) [s] of a list of pairs of stamps.  Raises ValueError."""
+    """Return the spans (start, end) [s] of a list of pairs of stamps.  Raises ValueError."""
     if not isinstance(value, list) or not all(isinstance(pair, list) and len(pair) == 2 for pair in value):
         raise ValueError(f"expected pairs of stamps such as [[START, END], …], found {value!r}")
     spans = tuple((moment(start), moment(end)) for start, end in value)
-    edges = [edge for span in spans for edge in span]
-    if edges != sorted(set(edges)):
+    all_stamps = [edge for span in spans for edge in span]
+    if all_stamps != sorted(set(all_stamps)):
         raise ValueError(f"expected pairs of stamps in the order of time, without overlap, found {value!r}")
     return spans
 
@@ -66,7 +68,7 @@ LONGEST_HELP = 'age up to which a value holds, or "connected"; by default three 
 
 @dataclass(frozen=True, kw_only=True)
 class StatedSensor:
-    """Keys that describe the readings of a signal, in a case and in a tracker's file."""
+    """Keys that describe the readings of a signal, in a case file and in a tracker's file."""
 
     signal: Signal
     unit: str = setting(help="the unit of the readings")
@@ -80,6 +82,7 @@ class StatedSensor:
 
     @across("unit", "signal")
     def unit_of_signal(self) -> str | None:
+        """Check that the unit fits the signal."""
         return unit_fault(self.unit, self.signal.name)
 
     @property
@@ -89,17 +92,19 @@ class StatedSensor:
 
     @property
     def settings(self) -> dict[str, float]:
-        """The optional arguments of a `Series` [SI] that are stated."""
+        """Stated optional arguments of a `Series`, in SI units."""
         arguments = {"response_time_s": self.response_time_s}
         for name in ("accuracy", "resolution"):
-            size = getattr(self, name)
-            arguments[name] = None if size is None else difference_to_si(size, self.unit, self.signal)
+            difference = getattr(self, name)
+            arguments[name] = (
+                None if difference is None else difference_to_si(difference, self.unit, self.signal)
+            )
         return {name: value for name, value in arguments.items() if value is not None}
 
 
 @dataclass(frozen=True, kw_only=True)
 class StatedColumn(StatedSensor):
-    """One signal of a source."""
+    """One signal of a source and its column."""
 
     signal: Signal = entry_name(stated_signal)
     unit: str = setting(
@@ -134,12 +139,14 @@ class StatedSource(Notation):
 
     @across("decimal", "separator", "thousands")
     def different_marks(self) -> str | None:
+        """Check that separator, thousands mark and decimal mark differ."""
         marks = {"separator": self.separator, "thousands": self.thousands}
         repeated = next((name for name, mark in marks.items() if mark and mark == self.decimal), None)
         return repeated and f'{repeated} and decimal are both "{self.decimal}"; change one of the two'
 
     @across("interval", "stamp", "hold")
     def place_in_interval(self) -> str | None:
+        """Check that stamp, interval and hold fit together."""
         if self.stamp != "instant":
             return 'hold = "previous" is for stamp = "instant"' if self.hold == PREVIOUS else None
         if self.interval_s is None and self.hold != MEAN:
@@ -148,11 +155,13 @@ class StatedSource(Notation):
 
     @across("ignore_offset", "timezone")
     def clock(self) -> str | None:
+        """Check that a clock whose offsets are ignored has a time zone."""
         lacks_zone = self.ignore_offset and self.timezone is None
         return "ignore_offset = true needs the timezone of the clock" if lacks_zone else None
 
     @across("signals")
     def any_signal(self) -> str | None:
+        """Check that the source names a signal."""
         if self.signals:
             return None
         return (
@@ -205,19 +214,21 @@ class StatedWeather:
 
     @across("year", "format")
     def stamps(self) -> str | None:
+        """Check that a year is stated for a typical year only."""
         if self.year is None or self.format in TYPICAL:
             return None
         return "year is for typical years (epw, try); this file has its own stamps"
 
     @across("lapse_rate_K_per_km", "to_site_altitude")
     def use_of_lapse_rate(self) -> str | None:
+        """Check that a lapse rate is stated together with `to_site_altitude` only."""
         if self.lapse_rate_K_per_km is None or self.to_site_altitude:
             return None
         return "lapse_rate_K_per_km is used with to_site_altitude = true only"
 
     @property
     def lapse_rate(self) -> float:
-        """[K/m]"""
+        """Lapse rate [K/m] of the air between weather and site."""
         return 1e-3 * (6.5 if self.lapse_rate_K_per_km is None else self.lapse_rate_K_per_km)
 
 
@@ -230,6 +241,7 @@ class StatedPeriod:
 
     @across("start", "until")
     def order(self) -> str | None:
+        """Check that the start lies before the end."""
         if self.start_s is None or self.until_s is None or self.start_s < self.until_s:
             return None
         return f"start {stamp_text(self.start_s)} must be before until {stamp_text(self.until_s)}"
@@ -248,16 +260,17 @@ class CaseForm:
 
     @property
     def rated_power_W(self) -> float | None:
-        """[W]"""
+        """Rated power [W]; None if it is not stated."""
         return None if self.rated_power_kW is None else 1e3 * self.rated_power_kW
 
 
 @dataclass(frozen=True)
 class StatedCase:
-    """A case with its sources.
+    """A case as stated, with its sources.
 
-    sources: tables that can be read. weather: weather files that can be read. declared: every signal of a
-    source that is used, with the number of the source. place: of the file or call in messages.
+    sources: tables that can be read.  weather: weather files that can be read.
+    declared: every signal of a source that is used, with the number of the source.
+    place: of the file or call in messages, with all faults so far.
     """
 
     form: CaseForm
@@ -268,9 +281,9 @@ class StatedCase:
 
 
 def stated_case(content: dict[str, Any], place: Place) -> StatedCase:
-    """The statements of a case; the faults of its form are added to those of `place`.
+    """Return the case that a file or call states; the faults of its form are added to those of `place`.
 
-    content: the parsed TOML, or the equivalent made from arguments. place: of the case in messages.
+    content: the parsed TOML, or the equivalent made from arguments.  place: of the case in messages.
     """
     form = read_form(CaseForm, content, place)
     if not content.get("source"):
@@ -292,11 +305,13 @@ def stated_case(content: dict[str, Any], place: Place) -> StatedCase:
 
 
 def _declared(tables: Mapping[int, StatedSource], place: Place) -> dict[str, int]:
-    """Every signal of a source that is used, with the number of the source."""
+    """Return every signal of a source that is used, with the number of the source; repeated signals are
+    faults."""
     declared: dict[str, int] = {}
     compared: dict[str, int] = {}
 
     def entry(block: int, name: str) -> Place:
+        """Return the place of a signal in a source."""
         return place.inside("source", block).inside("signals", entry=name)
 
     for block, source in tables.items():

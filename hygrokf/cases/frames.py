@@ -117,9 +117,10 @@ def read_frames(
 
 
 def _advice_on_option(key: str) -> str:
-    """The end of an unknown option's message: what to write in its place, or the options there are."""
-    for table, form in (("identification", StatedPeriod), ("site", Site)):
-        if key in keys_of(form):
+    """Return the end of the message about an unknown option: what to write instead, or which options
+    exist."""
+    for table, form_of_table in (("identification", StatedPeriod), ("site", Site)):
+        if key in keys_of(form_of_table):
             return f': write {table}={{"{key}": …}}'
     if key in keys_of(StatedSource) or key == "format":
         return ": it is for files, which a case file names"
@@ -129,7 +130,7 @@ def _advice_on_option(key: str) -> str:
 
 
 def _frames_by_name(frames: Any) -> tuple[dict[str, pandas.DataFrame], list[str]]:
-    """Frames by name, and the faults of anything that is not a frame."""
+    """Return the frames by name, and the faults of everything that is not a frame."""
     import pandas as pd
 
     faults = []
@@ -154,19 +155,21 @@ def _frames_by_name(frames: Any) -> tuple[dict[str, pandas.DataFrame], list[str]
                     "column one name"
                 )
             continue
-        fault = f"{name}: expected a pandas DataFrame, found {type(frame).__module__}.{type(frame).__name__}"
+        message = (
+            f"{name}: expected a pandas DataFrame, found {type(frame).__module__}.{type(frame).__name__}"
+        )
         if isinstance(frame, pd.Series):
-            fault += ': make it one with .to_frame("cabinet_temperature"), or what the signal is'
+            message += ': make it one with .to_frame("cabinet_temperature"), or what the signal is'
         elif hasattr(frame, "to_pandas"):
-            fault += ": pass .to_pandas()"
-        faults.append(fault)
+            message += ": pass .to_pandas()"
+        faults.append(message)
     return by_name, faults
 
 
 def _unknown_frames(
     option: str, stated: Mapping[Any, Any], by_name: Mapping[str, pandas.DataFrame]
 ) -> list[str]:
-    """Faults of an option that names frames which were not given."""
+    """Return the faults of an option that names frames which were not given."""
     return [
         f'{option}: no frame is called "{name}" (there are {", ".join(by_name)})'
         + suggestion(str(name), by_name)
@@ -176,27 +179,30 @@ def _unknown_frames(
 
 
 def _per_frame(
-    option: str, stated: Any, by_name: Mapping[str, pandas.DataFrame], faults: list[str]
+    option: str, option_value: Any, by_name: Mapping[str, pandas.DataFrame], faults: list[str]
 ) -> dict[str, dict[str, Any]]:
-    """Column -> value of each frame, from an option {column: value} or {frame: {column: value}}."""
-    empty: dict[str, dict[str, Any]] = {name: {} for name in by_name}
-    if stated is None:
-        return empty
-    if not isinstance(stated, Mapping):
-        faults.append(f"{option}: expected a mapping from columns, found {stated!r}")
-        return empty
-    is_nested = [isinstance(value, Mapping) for value in stated.values()]
+    """Return column -> value of each frame, from an option {column: value} or {frame: {column: value}}.
+
+    Its faults are added to `faults`.
+    """
+    nothing_stated: dict[str, dict[str, Any]] = {name: {} for name in by_name}
+    if option_value is None:
+        return nothing_stated
+    if not isinstance(option_value, Mapping):
+        faults.append(f"{option}: expected a mapping from columns, found {option_value!r}")
+        return nothing_stated
+    is_nested = [isinstance(value, Mapping) for value in option_value.values()]
     if any(is_nested) and not all(is_nested):
         faults.append(f"{option}: expected columns or frames as keys, found both")
-        return empty
+        return nothing_stated
     if any(is_nested):
-        faults += _unknown_frames(option, stated, by_name)
-        return empty | {
-            name: {str(column): value for column, value in stated[name].items()}
+        faults += _unknown_frames(option, option_value, by_name)
+        return nothing_stated | {
+            name: {str(column): value for column, value in option_value[name].items()}
             for name in by_name
-            if name in stated
+            if name in option_value
         }
-    columns = {str(column): value for column, value in stated.items()}
+    columns = {str(column): value for column, value in option_value.items()}
     columns_of = {name: {str(column) for column in frame.columns} for name, frame in by_name.items()}
     for column in columns:
         if not any(column in names for names in columns_of.values()):
@@ -219,24 +225,25 @@ def _prepare(
     stated: Mapping[str, Any],
     faults: list[str],
 ) -> tuple[dict[str, Any], Callable[[StatedSource], FileColumns]] | None:
-    """A frame as a source of a case file, and the function that reads it; None if no column is a signal.
+    """Return a frame as a source of a case file, and the function that reads it; None if no column is a
+    signal.
 
-    Faults that only frames can have are added to `faults`.
-    signal_of: column -> signal. by_column: option -> column -> value. stated: key of a source -> value.
+    signal_of: column -> signal.  by_column: option -> column -> value.  stated: key of a source -> value.
+        Faults that only frames can have are added to `faults`.
     """
     time = None if stated.get("time") is None else str(stated["time"])
     labels = [str(label) for label in frame.columns]
-    stamps, stamps_named, length, frame_faults = _stamps(
+    stamps, name_of_stamps, period_s, frame_faults = _stamps(
         frame, labels, time, stated.get("time_format") == EXCEL
     )
-    if length is not None:
+    if period_s is not None:
         superfluous = [key for key in ("stamp", "interval") if stated.get(key) is not None]
         frame_faults += [
-            f"{stamps_named} holds periods, which already give the averaging intervals: remove {key}"
+            f"{name_of_stamps} holds periods, which already give the averaging intervals: remove {key}"
             for key in superfluous
         ]
-        stated = {**stated, "stamp": "start", "interval": f"{length:.6f}s"}
-    used = {
+        stated = {**stated, "stamp": "start", "interval": f"{period_s:.6f}s"}
+    signal_of_used = {
         label: signal_of.get(label, label)
         for label in labels
         if (label in signal_of or label in SIGNALS) and label != time
@@ -247,8 +254,8 @@ def _prepare(
         for column in signal_of
         if column not in labels
     ]
-    entries = _entries(name, frame, used, labels, by_column, faults)
-    if not used:
+    keys_of_signals = _entries(name, frame, signal_of_used, labels, by_column, faults)
+    if not signal_of_used:
         if len(faults) == fault_count:
             shown = ", ".join(f'"{label}"' for label in labels) or "no column"
             faults.append(
@@ -261,49 +268,52 @@ def _prepare(
         "file": name,
         "time": "index" if time is None else time,
         "separator": "\t",  # a frame has no separator: this one differs from any decimal mark
-        "signals": entries,
+        "signals": keys_of_signals,
     }
-    quality = StatedQuality({label: name for label, name in by_column["quality"].items() if label in used})
-    quality_columns = quality.beside(labels, list(used))
-    places = places_of([*used, *quality_columns.values()], labels, "the frame has", frame_faults)
-    readings = frame.iloc[:, list(places.values())].copy(deep=False)
-    readings.columns = list(places)
+    stated_quality = StatedQuality(
+        {label: name for label, name in by_column["quality"].items() if label in signal_of_used}
+    )
+    quality_columns = stated_quality.beside(labels, list(signal_of_used))
+    positions = places_of([*signal_of_used, *quality_columns.values()], labels, "the frame has", frame_faults)
+    readings = frame.iloc[:, list(positions.values())].copy(deep=False)
+    readings.columns = list(positions)
     readings.index = range(len(frame))
     readings.attrs = {HEADER: labels}
 
-    def table(stated: StatedSource) -> FileColumns:
+    def read_source(stated: StatedSource) -> FileColumns:
         if not len(readings):
             raise TableFault("expected readings, found no row in the frame")
-        described = (readings, stated.meanings, stamps, stamps_named, _PLACES)
+        described = (readings, stated.meanings, stamps, name_of_stamps, _PLACES)
         return table_of(*described, stated, stated.quality, quality_columns, frame_faults)
 
-    return source, table
+    return source, read_source
 
 
 def _entries(
     name: str,
     frame: pandas.DataFrame,
-    used: Mapping[str, str],
+    signal_of_used: Mapping[str, str],
     labels: Sequence[str],
     by_column: Mapping[str, Mapping[str, Any]],
     faults: list[str],
 ) -> dict[str, dict[str, Any]]:
-    """Signal -> its keys of a case file, with the units that the frame itself states; adds the faults.
+    """Return signal -> its keys of a case file, with the units that the frame itself states.
 
-    used: column -> signal.  labels: of all columns.  by_column: option -> column -> value.
+    signal_of_used: column -> signal.  labels: of all columns.  by_column: option -> column -> value. Faults
+        are added to `faults`.
     """
-    entries: dict[str, dict[str, Any]] = {}
-    for label, signal in used.items():
-        if signal in entries:
+    keys_of_signals: dict[str, dict[str, Any]] = {}
+    for label, signal in signal_of_used.items():
+        if signal in keys_of_signals:
             faults.append(
-                f'{name}: columns "{entries[signal]["column"]}" and "{label}" are both {signal}; '
+                f'{name}: columns "{keys_of_signals[signal]["column"]}" and "{label}" are both {signal}; '
                 "a record has one series of a signal"
             )
-        entries[signal] = {"column": label}
+        keys_of_signals[signal] = {"column": label}
     for option, values in by_column.items():
         for label, value in values.items():
-            if label in used:
-                entries[used[label]][COLUMN_OPTIONS[option]] = value
+            if label in signal_of_used:
+                keys_of_signals[signal_of_used[label]][COLUMN_OPTIONS[option]] = value
             elif label not in labels:
                 faults.append(f"{name}: {option}: {column_fault(label, labels, 'the frame has')}")
             else:
@@ -312,72 +322,81 @@ def _entries(
                     f'say which signal it holds, such as signals={{"{label}": "cabinet_temperature"}}'
                 )
     # what the frame itself states, in `attrs["units"]` or in the type of pint
-    attribute = frame.attrs.get("units")
+    units_of_attrs = frame.attrs.get("units")
     frame_units = (
-        {str(label): str(unit) for label, unit in attribute.items()} if isinstance(attribute, Mapping) else {}
+        {str(label): str(unit) for label, unit in units_of_attrs.items()}
+        if isinstance(units_of_attrs, Mapping)
+        else {}
     )
-    kinds = {str(label): getattr(kind, "units", None) for label, kind in frame.dtypes.items()}
-    frame_units |= {label: f"{unit:~P}" or "1" for label, unit in kinds.items() if unit is not None}
+    pint_units = {str(label): getattr(dtype, "units", None) for label, dtype in frame.dtypes.items()}
+    frame_units |= {label: f"{unit:~P}" or "1" for label, unit in pint_units.items() if unit is not None}
     for label, unit in frame_units.items():
-        if label in used:
-            stated_unit = entries[used[label]].setdefault("unit", unit_named(unit) or unit)
+        if label in signal_of_used:
+            stated_unit = keys_of_signals[signal_of_used[label]].setdefault("unit", unit_named(unit) or unit)
             if (unit_named(str(stated_unit)) or stated_unit) != (unit_named(unit) or unit):
                 faults.append(
                     f'{name}: column "{label}" is in {unit} as the frame itself states, units says '
                     f"{stated_unit}: convert it, or correct one of the two"
                 )
-    return entries
+    return keys_of_signals
 
 
 def _stamps(
-    frame: pandas.DataFrame, labels: Sequence[str], time: str | None, serial: bool
+    frame: pandas.DataFrame, labels: Sequence[str], time: str | None, is_excel: bool
 ) -> tuple[pandas.Series | None, str, float | None, list[str]]:
-    """Stamps of the rows, their name in messages, the length of their periods [s] or None, faults.
+    """Return the stamps of the rows, their name in messages, the length of their periods [s] or None, and
+    faults.
 
-    serial: whether numbers are Excel's days.
+    time: column of the stamps; None: the index.  is_excel: whether numbers are Excel's days.
     """
     import pandas as pd
 
     if time is None:
-        place = "the index"
+        name_of_stamps = "the index"
         if frame.index.nlevels > 1:
             levels = ", ".join(str(level) for level in frame.index.names)
-            return None, place, None, [
-                f"{place} has {frame.index.nlevels} levels ({levels}), expected the times alone: turn the "
-                "other levels into columns with .reset_index(level=…), or pass one frame for each of "
-                "their values"
+            return None, name_of_stamps, None, [
+                f"{name_of_stamps} has {frame.index.nlevels} levels ({levels}), expected the times alone: "
+                "turn the other levels into columns with .reset_index(level=…), or pass one frame for each "
+                "of their values"
             ]  # fmt: skip
         stamps = pd.Series(frame.index)
     else:
-        place = f'column "{time}"'
+        name_of_stamps = f'column "{time}"'
         if labels.count(time) != 1:
-            return None, place, None, [column_fault(time, labels, "the frame has")]
+            return None, name_of_stamps, None, [column_fault(time, labels, "the frame has")]
         stamps = frame.iloc[:, labels.index(time)].reset_index(drop=True)
-    kind = stamps.dtype
-    if isinstance(kind, pd.PeriodDtype):
+    dtype = stamps.dtype
+    if isinstance(dtype, pd.PeriodDtype):
         starts = stamps.dt.start_time
         lengths = np.unique(((stamps + 1).dt.start_time - starts).dropna().dt.total_seconds())
         if len(lengths) <= 1:  # empty where no row has a stamp
-            return starts, place, float(lengths[0]) if len(lengths) else None, []
-        return None, place, None, [f"{place} holds periods of several lengths, expected one length"]
-    if (pd.api.types.is_numeric_dtype(kind) and not serial) or pd.api.types.is_timedelta64_dtype(kind):
-        content = "durations" if pd.api.types.is_timedelta64_dtype(kind) else "numbers"
-        shown = ", ".join(str(stamp) for stamp in stamps.iloc[:3])
-        where = ', or name the column of the times: time="…"' if time is None else ""
-        return None, place, None, [
-            f"{place} holds {content} ({shown} …), expected times: make a DatetimeIndex of it, such as "
-            f'pandas.to_datetime(…, unit="s", utc=True){where}'
+            return starts, name_of_stamps, float(lengths[0]) if len(lengths) else None, []
+        return (
+            None,
+            name_of_stamps,
+            None,
+            [f"{name_of_stamps} holds periods of several lengths, expected one length"],
+        )
+    if (pd.api.types.is_numeric_dtype(dtype) and not is_excel) or pd.api.types.is_timedelta64_dtype(dtype):
+        content = "durations" if pd.api.types.is_timedelta64_dtype(dtype) else "numbers"
+        first_stamps = ", ".join(str(stamp) for stamp in stamps.iloc[:3])
+        advice = ', or name the column of the times: time="…"' if time is None else ""
+        return None, name_of_stamps, None, [
+            f"{name_of_stamps} holds {content} ({first_stamps} …), expected times: make a DatetimeIndex of "
+            f'it, such as pandas.to_datetime(…, unit="s", utc=True){advice}'
         ]  # fmt: skip
-    return stamps, place, None, []
+    return stamps, name_of_stamps, None, []
 
 
 @dataclass(frozen=True, kw_only=True)
 class _FramePlace(Place):
-    """Places of a case in the arguments of `read_frames`: the frame, with the column of a signal."""
+    """The place of a fault in the arguments of `read_frames`: the frame, with the column of a signal."""
 
     sources: Sequence[Mapping[str, Any]]
 
     def at(self, *keys: str) -> str:
+        """Return the name of the frame, with the column if one of the keys is a signal."""
         if len(self.path) < 2:
             return ",".join([self.file, *(self.table(str(key)) for key in self.path)])
         source = self.sources[int(self.path[1])]
@@ -387,4 +406,5 @@ class _FramePlace(Place):
         return f'{source["file"]}, column "{source["signals"][signal]["column"]}"'
 
     def table(self, key: str) -> str:
+        """Return the head of the table under a key, as an argument of the call."""
         return f" {key}={{…}}"

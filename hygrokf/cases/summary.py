@@ -40,9 +40,9 @@ class Span:
 class SignalSummary:
     """One signal of a record: its stamps, gaps and values.
 
-    `days` [d] from `start` to `end` (UTC); `missing_share` [1] of the readings expected from the usual step;
-    `step_s` [s] the usual step; `clock_uncertainty_s`, `interval_s` [s] as stated; `gaps` longer than three
-    steps; `minimum`, `mean`, `maximum`, `resolution` and `accuracy` in `unit`.  Unknown numbers are NaN.
+    `days` [d] from `start` to `end` (UTC).  `missing_share` [1] of the readings expected from the usual step
+    `step_s` [s]. `clock_uncertainty_s`, `interval_s` [s]: as stated.  `gaps`: longer than three steps.
+    `minimum`, `mean`, `maximum`, `resolution`, `accuracy`: in `unit`.  Unknown numbers are NaN.
     """
 
     signal: Name
@@ -70,10 +70,12 @@ class SignalSummary:
 class RecordSummary:
     """The contents of a record, as `hygrokf check` shows them.
 
-    `provenance` of the readings; `days` [d] from `start` to `end` (UTC); `rated_power_kW` NaN if it is not
-    stated; `identification` and `validation` None if they are empty; `actuators`: whether and how a model
-    uses each logged actuator; `comparisons` of sources for the same signal; `untold`: what the record cannot
-    show about its clocks; `files`: names and SHA-256 of the files that were read.
+    `provenance`: of the readings.  `days` [d] from `start` to `end` (UTC).  `rated_power_kW`: NaN if it is
+        not stated.
+    `identification`, `validation`: None if they are empty.
+    `actuators`: whether and how a model uses each logged actuator.
+    `comparisons`: of sources for the same signal.  `untold`: what the record cannot show about its clocks.
+    `files`: names and SHA-256 of the files that were read.
     """
 
     name: Name
@@ -94,8 +96,10 @@ class RecordSummary:
     files: tuple[tuple[Source, Digest], ...]
 
     def to_frame(self) -> pandas.DataFrame:
-        """A pandas frame with a row for each signal and stamps in UTC; the column `unit` is the unit of the
-        readings, `attrs["units"]` holds those of the other columns."""
+        """Return a pandas frame with a row for each signal and stamps in UTC.
+
+        The column `unit` is the unit of the readings; `attrs["units"]` holds those of the other columns.
+        """
         import pandas as pd
 
         columns = [field.name for field in fields(SignalSummary)]
@@ -105,7 +109,7 @@ class RecordSummary:
 
 
 def describe(record: Record) -> RecordSummary:
-    """The summary of a record for `hygrokf check`: spans, steps, gaps, clocks, doubts."""
+    """Return the summary of a record for `hygrokf check`: spans, steps, gaps, clocks, doubts."""
     record = prepare(record)
     clocks, alternatives = clock_errors(alignments(record)), alternative_readings(record)
     span = _span(record.start_s, record.end_s)
@@ -130,35 +134,38 @@ def describe(record: Record) -> RecordSummary:
 
 
 def _span(start_s: float, end_s: float) -> Span:
+    """Return the span between two times [s]; an empty one if they are not finite."""
     if not math.isfinite(start_s):
         return Span(None, None, 0.0)
     return Span(stamp_text(start_s), stamp_text(end_s), round((end_s - start_s) / DAY_S, 3))
 
 
 def _period_of(record: Record) -> Span | None:
+    """Return the span of a record; None without series."""
     return _span(record.start_s, record.end_s) if record.series else None
 
 
 def _number(value: float | None, digits: int = 6) -> float:
-    """A number rounded to significant digits; NaN where it is unknown."""
+    """Return a number rounded to significant digits; NaN where it is unknown."""
     if value is None or not math.isfinite(value):
         return math.nan
     return float(f"{value:.{digits}g}")
 
 
 def _describe_series(series: Series) -> SignalSummary:
-    row = signal_named(series.signal)
-    step, regular = modal_step(series.time)
+    """Return the summary of one series: stamps, gaps and values."""
+    signal_row = signal_named(series.signal)
+    step_s, regular_share = modal_step(series.time)
     readings = series.value[~series.missing]
-    times = series.time[~series.missing]
-    expected = len(series)
-    if math.isfinite(step) and regular > 0.5:
-        expected = max(expected, round((series.time[-1] - series.time[0]) / step) + 1)
-    steps = np.diff(times)
-    is_gap = steps > (_GAP_STEPS + 0.01) * step if math.isfinite(step) else np.zeros(0, dtype=bool)
-    longest = int(np.argmax(steps)) if len(steps) else None
-    shown = from_si(readings, row.display, row)
-    accuracy = row.default_accuracy if series.accuracy is None else series.accuracy
+    known_times = series.time[~series.missing]
+    expected_count = len(series)
+    if math.isfinite(step_s) and regular_share > 0.5:
+        expected_count = max(expected_count, round((series.time[-1] - series.time[0]) / step_s) + 1)
+    steps_s = np.diff(known_times)
+    is_gap = steps_s > (_GAP_STEPS + 0.01) * step_s if math.isfinite(step_s) else np.zeros(0, dtype=bool)
+    longest_step_index = int(np.argmax(steps_s)) if len(steps_s) else None
+    shown_values = from_si(readings, signal_row.display, signal_row)
+    accuracy = signal_row.default_accuracy if series.accuracy is None else series.accuracy
     span = _span(series.time[0], series.time[-1]) if len(series) else _span(math.nan, math.nan)
     return SignalSummary(
         signal=series.signal,
@@ -167,17 +174,19 @@ def _describe_series(series: Series) -> SignalSummary:
         end=span.end,
         days=span.days,
         readings=len(readings),
-        missing_share=_number(1.0 - len(readings) / expected if expected else math.nan),
-        step_s=_number(step),
+        missing_share=_number(1.0 - len(readings) / expected_count if expected_count else math.nan),
+        step_s=_number(step_s),
         clock_uncertainty_s=_number(series.clock_uncertainty_s),
         gaps=int(is_gap.sum()),
-        longest_gap_s=math.nan if longest is None else _number(steps[longest]),
+        longest_gap_s=math.nan if longest_step_index is None else _number(steps_s[longest_step_index]),
         hold=series.hold,
         interval_s=series.interval_s,
-        unit=row.display,
-        resolution=_number(difference_from_si(series.resolution, row.display, row), 4),
-        accuracy=math.nan if accuracy is None else _number(difference_from_si(accuracy, row.display, row), 4),
-        minimum=_number(shown.min() if len(shown) else None),
-        mean=_number(shown.mean() if len(shown) else None),
-        maximum=_number(shown.max() if len(shown) else None),
+        unit=signal_row.display,
+        resolution=_number(difference_from_si(series.resolution, signal_row.display, signal_row), 4),
+        accuracy=math.nan
+        if accuracy is None
+        else _number(difference_from_si(accuracy, signal_row.display, signal_row), 4),
+        minimum=_number(shown_values.min() if len(shown_values) else None),
+        mean=_number(shown_values.mean() if len(shown_values) else None),
+        maximum=_number(shown_values.max() if len(shown_values) else None),
     )

@@ -68,13 +68,13 @@ class SyntheticParameters:
 
 @dataclass(frozen=True)
 class SyntheticTruth:
-    """Quantities that no logger records: true signals each minute and the errors of the sensors.
+    """Quantities of the synthetic turbine that no logger records, each minute, and the errors of the sensors.
 
-    time: [s] since the Unix epoch, (T,). The other arrays are (T,) at these instants;
-    active_power and preheating hold over the minute that follows.
+    time: [s] since the Unix epoch, (T,).  The other arrays are (T,) at these instants; active_power and
+        preheating hold over the minute that follows.
     converter_temperature, cabinet_temperature, ambient_temperature: [K].
-    equivalent_humidity (c*), cabinet_absolute_humidity, ambient_absolute_humidity: [kg/m3].
-    active_power: [W]. preheating: [-]. heat_release: [K] without the disturbance.
+    equivalent_humidity, cabinet_absolute_humidity, ambient_absolute_humidity: [kg/m3]; the first is c*.
+    active_power: [W].  preheating: [-].  heat_release: [K] without the disturbance.
     hygric_constant_s: [s] k of equation (4), with a reference temperature of exactly 273 K.
     sensor_bias: ((file.column, bias in the column's unit), ...).
     """
@@ -107,7 +107,7 @@ class SyntheticTable:
     columns: tuple[tuple[str, np.ndarray, int], ...]
 
     def __getitem__(self, column: str) -> np.ndarray:
-        """Values of one column, in the unit that its name states."""
+        """Return the values of a column, in the unit that its name states."""
         for name, values, _ in self.columns:
             if name == column:
                 return values
@@ -131,95 +131,105 @@ class SyntheticTurbine:
 
 
 def _recursion(gain: float, drive: np.ndarray, start: float) -> np.ndarray:
-    """The sequence x[0] = start, x[n + 1] = gain x[n] + drive[n], one element longer than `drive`."""
+    """Return the sequence x[0] = start, x[n + 1] = gain x[n] + drive[n]; it is one element longer than
+    `drive`."""
     from scipy.signal import lfilter  # takes longer to load than most commands need
 
     return lfilter([1.0], [1.0, -gain], np.append(start, drive))
 
 
 def _ornstein_uhlenbeck(random: np.random.Generator, steps: int, correlation_h: float) -> np.ndarray:
-    """Stationary Ornstein-Uhlenbeck process of unit variance, exact at each minute, (steps,)."""
+    """Return a stationary Ornstein-Uhlenbeck process (steps,) of unit variance, exact at each minute."""
     gain = math.exp(-MINUTE_H / correlation_h)
     noise = math.sqrt(1.0 - gain * gain) * random.standard_normal(steps - 1)
     return _recursion(gain, noise, float(random.standard_normal()))
 
 
 def _low_pass(drive: np.ndarray, lag_h: float) -> np.ndarray:
+    """Return a series of minutes filtered by a low pass with time constant `lag_h` [h]."""
     gain = math.exp(-MINUTE_H / lag_h)
     return _recursion(gain, (1.0 - gain) * drive[1:], float(drive[0]))
 
 
 def _weather(seed: np.random.SeedSequence, time: np.ndarray) -> dict[str, np.ndarray]:
-    """Weather of an English site each minute: seasons, days, fronts, clouds, rain, wind."""
+    """Return the weather of an English site at each minute `time` [s]: seasons, days, fronts, clouds, rain,
+    wind."""
     random, gusts = (np.random.default_rng(child) for child in seed.spawn(2))
 
     # outdoor air varies within a minute: a logger's reading every ten minutes is a sample, not a mean
     def wander(correlation_h: float) -> np.ndarray:
+        """Return random variations of unit variance with a correlation time [h]."""
         return _ornstein_uhlenbeck(random, time.size, correlation_h)
 
-    day = (time - np.datetime64("2020-01-01", "s").astype(float)) / DAY_S
-    winter = np.cos(2.0 * np.pi * (day - 20.0) / 365.25)
-    front = wander(70.0)
+    days_since_2020 = (time - np.datetime64("2020-01-01", "s").astype(float)) / DAY_S
+    winter = np.cos(2.0 * np.pi * (days_since_2020 - 20.0) / 365.25)
+    weather_front = wander(70.0)
     cloud = 1.0 / (1.0 + np.exp(-(1.8 * wander(18.0) + 0.9)))
-    declination = np.radians(-23.44) * np.cos(2.0 * np.pi * (day + 10.0) / 365.25)
-    hour_angle = 2.0 * np.pi * (day % 1.0 - 0.5) + math.radians(LONGITUDE_DEG)
+    declination = np.radians(-23.44) * np.cos(2.0 * np.pi * (days_since_2020 + 10.0) / 365.25)
+    hour_angle = 2.0 * np.pi * (days_since_2020 % 1.0 - 0.5) + math.radians(LONGITUDE_DEG)
     latitude = math.radians(LATITUDE_DEG)
     # sine of the sun's elevation
-    height = np.sin(latitude) * np.sin(declination)
-    height = np.maximum(height + np.cos(latitude) * np.cos(declination) * np.cos(hour_angle), 0.0)
-    irradiance = 1050.0 * height**1.15 * (1.0 - 0.75 * cloud**3) * (1.0 + 0.05 * wander(0.3))
+    sin_elevation = np.sin(latitude) * np.sin(declination)
+    sin_elevation = np.maximum(
+        sin_elevation + np.cos(latitude) * np.cos(declination) * np.cos(hour_angle), 0.0
+    )
+    irradiance = 1050.0 * sin_elevation**1.15 * (1.0 - 0.75 * cloud**3) * (1.0 + 0.05 * wander(0.3))
     sunshine = _low_pass(irradiance, 3.0)
-    clear_night = _low_pass((1.0 - cloud) * (height <= 0.0), 4.0)
-    air_mass = 9.3 - 6.2 * winter + 3.0 * front + 0.9 * wander(9.0)
+    clear_night = _low_pass((1.0 - cloud) * (sin_elevation <= 0.0), 4.0)
+    air_mass = 9.3 - 6.2 * winter + 3.0 * weather_front + 0.9 * wander(9.0)
     celsius = air_mass + 0.014 * sunshine - 2.5 * clear_night + 0.15 * wander(0.7)
-    spread = 1.2 + 0.9 * np.abs(wander(30.0)) + 0.5 * wander(5.0)
-    dew = air_mass - 1.5 * (1.0 - cloud) - spread
+    dew_point_depression = 1.2 + 0.9 * np.abs(wander(30.0)) + 0.5 * wander(5.0)
+    dew_point_C = air_mass - 1.5 * (1.0 - cloud) - dew_point_depression
     # A soft ceiling keeps the dew point below the temperature, as fog and dew do outside.
     ceiling = celsius - 0.35
-    dew = ceiling - np.logaddexp(0.0, 2.0 * (ceiling - dew)) / 2.0
-    rain = ((cloud > 0.75) & (wander(3.0) + 0.4 * front > 0.9)).astype(float)
+    dew_point_C = ceiling - np.logaddexp(0.0, 2.0 * (ceiling - dew_point_C)) / 2.0
+    rain = ((cloud > 0.75) & (wander(3.0) + 0.4 * weather_front > 0.9)).astype(float)
 
-    strength = 0.88 * wander(22.0) + 0.42 * wander(2.5) + 0.15 * front
-    speed = (8.2 + 0.7 * winter) * np.logaddexp(0.0, 1.702 * strength) ** (1.0 / 2.1)
+    wind_strength = 0.88 * wander(22.0) + 0.42 * wander(2.5) + 0.15 * weather_front
+    wind_speed = (8.2 + 0.7 * winter) * np.logaddexp(0.0, 1.702 * wind_strength) ** (1.0 / 2.1)
     gust = _ornstein_uhlenbeck(gusts, time.size, 4.0 / 60.0)
-    temperature, dew_point = celsius + ZERO_CELSIUS_K, dew + ZERO_CELSIUS_K
+    temperature, dew_point = celsius + ZERO_CELSIUS_K, dew_point_C + ZERO_CELSIUS_K
     return {
         "temperature": temperature,
         "absolute_humidity": absolute_humidity_from_dew_point(dew_point, temperature),
         "irradiance": irradiance,
         "rain": rain,
-        "wind_speed": speed * np.maximum(1.0 + 0.09 * gust, 0.2),
+        "wind_speed": wind_speed * np.maximum(1.0 + 0.09 * gust, 0.2),
     }
 
 
 def _operation(
     seed: np.random.SeedSequence, time: np.ndarray, wind_speed: np.ndarray, rated_W: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Active power [W] and pre-heating [-] over each minute: power curve, faults, heaters."""
+    """Return active power [W] and pre-heating [-] over each minute: power curve, standstills, heaters.
+
+    time: [s] (T,).  wind_speed: [m/s] (T,).  rated_W: rated power.
+    """
     random = np.random.default_rng(seed)
-    cube = wind_speed**3
-    power = rated_W * np.clip((cube - 3.2**3) / (12.3**3 - 3.2**3), 0.0, 1.0)
-    idle = -7.0e3 - 1.5e3 * np.abs(random.standard_normal(time.size))
-    power = np.where(power > 4.0e3, power, idle)
+    wind_cubed = wind_speed**3
+    power = rated_W * np.clip((wind_cubed - 3.2**3) / (12.3**3 - 3.2**3), 0.0, 1.0)
+    own_consumption_W = -7.0e3 - 1.5e3 * np.abs(random.standard_normal(time.size))
+    power = np.where(power > 4.0e3, power, own_consumption_W)
     preheating = np.zeros(time.size)
-    span = float(time[-1] - time[0])
-    scale = min(1.0, span / (60.0 * DAY_S))
+    record_s = float(time[-1] - time[0])
+    length_ratio = min(1.0, record_s / (60.0 * DAY_S))
     # (place in the record, days of standstill, hours of pre-heating, power while stopped)
-    for place, days, hours, stopped_W in (
+    for relative_start, days, preheating_h, stopped_W in (
         (0.355, 6.0, 9.0, 0.0),
         (0.56, 3.0, 6.0, -4.0e3),
         (0.90, 2.6, 5.0, -5.0e3),
     ):
-        begin = time[0] + span * (place + random.uniform(-0.01, 0.01))
-        end = begin + scale * days * DAY_S
-        stopped = (time >= begin) & (time < end)
-        power[stopped] = stopped_W
-        preheating[stopped & (time >= end - hours * 3600.0)] = 1.0
+        start_s = time[0] + record_s * (relative_start + random.uniform(-0.01, 0.01))
+        end_s = start_s + length_ratio * days * DAY_S
+        is_stopped = (time >= start_s) & (time < end_s)
+        power[is_stopped] = stopped_W
+        preheating[is_stopped & (time >= end_s - preheating_h * 3600.0)] = 1.0
     return power, preheating
 
 
 def _step_with_ramp(rate: np.ndarray, before: np.ndarray, after: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Gain and drive of dx/dt = rate (u - x) over a minute in which u is linear."""
+    """Return gain and drive of dx/dt = rate (u − x) over a minute in which u runs linearly from before to
+    after."""
     decay = rate * MINUTE_H
     gain = np.exp(-decay)
     ramp = 1.0 + np.expm1(-decay) / decay
@@ -233,29 +243,34 @@ def _cabinet_temperature(
     power: np.ndarray,
     preheating: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """T_conv, T_conv,a [K] by equations (2) and (3), and the undisturbed heat release [K]."""
-    coloured, white = (np.random.default_rng(child) for child in seed.spawn(2))
-    share = power / parameters.rated_power_W
+    """Return T_conv and T_conv,a [K] by equations (2) and (3), and the heat release [K] without disturbance.
+
+    ambient: [K].  power: [W].  preheating: [-], each (T,).
+    """
+    disturbance_generator, noise_generator = (np.random.default_rng(child) for child in seed.spawn(2))
+    relative_power = power / parameters.rated_power_W
     difference_K = ambient - _REFERENCE_K
     b0, b1, b2, b3 = parameters.operation_release
     s0, s1 = parameters.standstill_release
     release = np.where(
-        power > 0.0, b0 + (b1 + b2 * share) * share + b3 * difference_K, s0 + s1 * difference_K
+        power > 0.0,
+        b0 + (b1 + b2 * relative_power) * relative_power + b3 * difference_K,
+        s0 + s1 * difference_K,
     )
     release = release + parameters.preheating_release_K * preheating
     disturbance = parameters.heat_disturbance_K * _ornstein_uhlenbeck(
-        coloured, ambient.size, parameters.heat_correlation_h
+        disturbance_generator, ambient.size, parameters.heat_correlation_h
     )
     mean_release = release[:-1] + 0.5 * (disturbance[:-1] + disturbance[1:])
     rise_K = mean_release / parameters.resistance_ratio
-    rate = np.array(1.0 / parameters.thermal_time_constant_h)
-    gain, drive = _step_with_ramp(rate, ambient[:-1] + rise_K, ambient[1:] + rise_K)
+    rate_per_h = np.array(1.0 / parameters.thermal_time_constant_h)
+    gain, drive = _step_with_ramp(rate_per_h, ambient[:-1] + rise_K, ambient[1:] + rise_K)
     noise_sd = math.sqrt(MINUTE_H) * parameters.temperature_diffusion_K
-    drive = drive + noise_sd * white.standard_normal(drive.size)
+    drive = drive + noise_sd * noise_generator.standard_normal(drive.size)
     start = ambient[0] + float(release[0] + disturbance[0]) / parameters.resistance_ratio
     converter = _recursion(float(gain), drive, start)
-    ratio = parameters.resistance_ratio
-    return converter, ratio * converter + (1.0 - ratio) * ambient, release
+    resistance_ratio = parameters.resistance_ratio
+    return converter, resistance_ratio * converter + (1.0 - resistance_ratio) * ambient, release
 
 
 def _cabinet_humidity(
@@ -264,112 +279,137 @@ def _cabinet_humidity(
     weather: dict[str, np.ndarray],
     cabinet_K: np.ndarray,
 ) -> tuple[np.ndarray, float]:
-    """c* [kg/m3] by equation (4), and k [s] such that R_D* V* is as stated at the means."""
-    coloured, white = (np.random.default_rng(child) for child in seed.spawn(2))
+    """Return c* [kg/m3] by equation (4), and k [s] such that R_D* V* is as stated at the mean
+    temperatures."""
+    disturbance_generator, noise_generator = (np.random.default_rng(child) for child in seed.spawn(2))
     ambient_K = weather["temperature"]
     relative_rate = cabinet_K.mean() * ambient_K.mean() ** 0.8
     rate_constant_h = parameters.hygric_time_constant_h * relative_rate / 273.0**1.8
     rate = cabinet_K * ambient_K**0.8 / (rate_constant_h * 273.0**1.8)
     rate = 0.5 * (rate[:-1] + rate[1:])
     disturbance = parameters.vapour_disturbance_kg_m3 * _ornstein_uhlenbeck(
-        coloured, ambient_K.size, parameters.vapour_correlation_h
+        disturbance_generator, ambient_K.size, parameters.vapour_correlation_h
     )
     # the disturbance is a vapour flow per volume, which does not depend on the exchange rate
     inflow = 0.5 * (disturbance[:-1] + disturbance[1:]) / parameters.hygric_time_constant_h
-    outside = weather["absolute_humidity"]
-    gain, drive = _step_with_ramp(rate, outside[:-1] + inflow / rate, outside[1:] + inflow / rate)
+    ambient_vapour = weather["absolute_humidity"]
+    gain, drive = _step_with_ramp(
+        rate, ambient_vapour[:-1] + inflow / rate, ambient_vapour[1:] + inflow / rate
+    )
     noise_sd = math.sqrt(MINUTE_H) * parameters.humidity_diffusion_kg_m3
-    drive = drive + noise_sd * white.standard_normal(drive.size)
-    start = float(outside[0] + disturbance[0])
-    pairs = zip(gain.tolist(), drive.tolist(), strict=True)
-    states = accumulate(pairs, lambda state, step: step[0] * state + step[1], initial=start)
+    drive = drive + noise_sd * noise_generator.standard_normal(drive.size)
+    start = float(ambient_vapour[0] + disturbance[0])
+    gains_and_drives = zip(gain.tolist(), drive.tolist(), strict=True)
+    states = accumulate(
+        gains_and_drives,
+        lambda state, gain_and_drive: gain_and_drive[0] * state + gain_and_drive[1],
+        initial=start,
+    )
     return np.array(list(states)), rate_constant_h * 3600.0
 
 
 def _stops(random: np.random.Generator, time: np.ndarray, lengths_h: Sequence[float]) -> np.ndarray:
-    """True where a reading exists; each length [h] leaves one gap at a random place."""
-    kept = np.ones(time.size, dtype=bool)
-    span = float(time[-1] - time[0])
+    """Return True where a reading exists; each length [h] leaves one gap at a random place."""
+    has_reading = np.ones(time.size, dtype=bool)
+    record_s = float(time[-1] - time[0])
     for hours in lengths_h:
-        begin = time[0] + random.uniform(0.02, 0.97) * span
-        kept &= (time < begin) | (time >= begin + hours * 3600.0)
-    return kept
+        start_s = time[0] + random.uniform(0.02, 0.97) * record_s
+        has_reading &= (time < start_s) | (time >= start_s + hours * 3600.0)
+    return has_reading
 
 
-def _blank(values: np.ndarray, time: np.ndarray, place: float, days: float) -> np.ndarray:
-    begin = time[0] + place * float(time[-1] - time[0])
-    return np.where((time >= begin) & (time < begin + days * DAY_S), np.nan, values)
+def _blank(values: np.ndarray, time: np.ndarray, relative_start: float, days: float) -> np.ndarray:
+    """Return the values with NaN over `days` [d] from a relative position in the record."""
+    start_s = time[0] + relative_start * float(time[-1] - time[0])
+    return np.where((time >= start_s) & (time < start_s + days * DAY_S), np.nan, values)
+
+
+def _table_of_rows(
+    file: str, time: np.ndarray, has_reading: np.ndarray, *columns: tuple[str, np.ndarray, int]
+) -> SyntheticTable:
+    """Return the table of those rows (T,) that have a reading; columns: (name, values (T,), decimals)."""
+    kept = tuple((name, values[has_reading], decimals) for name, values, decimals in columns)
+    return SyntheticTable(file, time[has_reading], kept)
 
 
 def _tables(
     seed: np.random.SeedSequence, weather: dict[str, np.ndarray], truth_arrays: dict[str, np.ndarray]
 ) -> tuple[SyntheticTable, SyntheticTable, SyntheticTable, tuple[tuple[str, float], ...]]:
-    sensing, failing = (np.random.default_rng(child) for child in seed.spawn(2))
+    """Return the tables of the cabinet, ambient and SCADA loggers, and the biases of their sensors."""
+    sensor_generator, failure_generator = (np.random.default_rng(child) for child in seed.spawn(2))
     biases: list[tuple[str, float]] = []
-    minutes = truth_arrays["time"]
-    span = float(minutes[-1] - minutes[0])
-    scale = min(1.0, span / (60.0 * DAY_S))
+    minute_times = truth_arrays["time"]
+    record_s = float(minute_times[-1] - minute_times[0])
+    length_ratio = min(1.0, record_s / (60.0 * DAY_S))
 
     def at(time: np.ndarray, values: np.ndarray) -> np.ndarray:
-        return np.interp(time, minutes, values)
+        return np.interp(time, minute_times, values)
 
     def read(column: str, true: np.ndarray, accuracy: float, noise: float, resolution: float) -> np.ndarray:
+        """Return the readings of a sensor with a random bias, noise and a resolution."""
         # the stated accuracy is a 95 % bound; no sensor in the demo lies outside it
-        bias = float(np.clip(0.5 * accuracy * sensing.standard_normal(), -accuracy, accuracy))
+        bias = float(np.clip(0.5 * accuracy * sensor_generator.standard_normal(), -accuracy, accuracy))
         biases.append((column, bias))
-        reading = true + bias + noise * sensing.standard_normal(true.size)
+        reading = true + bias + noise * sensor_generator.standard_normal(true.size)
         return np.round(reading / resolution) * resolution
 
-    def climate(time: np.ndarray, place: str, short: str) -> tuple[np.ndarray, np.ndarray]:
-        kelvin = at(time, truth_arrays[f"{place}_temperature"])
-        celsius = read(f"{place}.T_{short}_degC", kelvin - ZERO_CELSIUS_K, 0.3, 0.03, 0.1)
-        percent = 100.0 * relative_humidity(at(time, truth_arrays[f"{place}_absolute_humidity"]), kelvin)
-        return celsius, np.clip(read(f"{place}.RH_{short}_pct", percent, 2.0, 0.2, 0.1), 0.0, 100.0)
+    def climate(time: np.ndarray, place: str, suffix: str) -> tuple[np.ndarray, np.ndarray]:
+        """Return the readings of temperature [°C] and humidity [%] of a place."""
+        temperature_K = at(time, truth_arrays[f"{place}_temperature"])
+        temperature_C = read(f"{place}.T_{suffix}_degC", temperature_K - ZERO_CELSIUS_K, 0.3, 0.03, 0.1)
+        humidity_percent = 100.0 * relative_humidity(
+            at(time, truth_arrays[f"{place}_absolute_humidity"]), temperature_K
+        )
+        return temperature_C, np.clip(
+            read(f"{place}.RH_{suffix}_pct", humidity_percent, 2.0, 0.2, 0.1), 0.0, 100.0
+        )
 
     # Cabinet logger: instants every 15 minutes, its clock 3 min 20 s past the quarter.
-    time = np.arange(minutes[0] + 200.0, minutes[-1], 900.0)
-    celsius, percent = climate(time, "cabinet", "cab")
-    percent = _blank(percent, time, 0.70, scale * 3.7)
-    kept = _stops(failing, time, (scale * 31.0, 5.5, 1.6, 0.8))
-    cabinet = SyntheticTable(
-        "cabinet.csv", time[kept], (("T_cab_degC", celsius[kept], 1), ("RH_cab_pct", percent[kept], 1))
+    time = np.arange(minute_times[0] + 200.0, minute_times[-1], 900.0)
+    temperature_C, humidity_percent = climate(time, "cabinet", "cab")
+    humidity_percent = _blank(humidity_percent, time, 0.70, length_ratio * 3.7)
+    has_reading = _stops(failure_generator, time, (length_ratio * 31.0, 5.5, 1.6, 0.8))
+    cabinet = _table_of_rows(
+        "cabinet.csv",
+        time,
+        has_reading,
+        ("T_cab_degC", temperature_C, 1),
+        ("RH_cab_pct", humidity_percent, 1),
     )
 
     # Ambient logger: instants every 10 minutes, 6 min 40 s past its own tens.
-    time = np.arange(minutes[0] + 400.0, minutes[-1], 600.0)
-    celsius, percent = climate(time, "ambient", "amb")
+    time = np.arange(minute_times[0] + 400.0, minute_times[-1], 600.0)
+    temperature_C, humidity_percent = climate(time, "ambient", "amb")
     irradiance = np.maximum(np.round(at(time, weather["irradiance"])), 0.0)
-    kept = _stops(failing, time, (2.4, 1.2, 0.7))
-    ambient = SyntheticTable(
+    has_reading = _stops(failure_generator, time, (2.4, 1.2, 0.7))
+    ambient = _table_of_rows(
         "ambient.csv",
-        time[kept],
-        (
-            ("T_amb_degC", celsius[kept], 1),
-            ("RH_amb_pct", percent[kept], 1),
-            ("GHI_W_m2", irradiance[kept], 0),
-            ("rain", np.round(at(time, weather["rain"]))[kept], 0),
-        ),
+        time,
+        has_reading,
+        ("T_amb_degC", temperature_C, 1),
+        ("RH_amb_pct", humidity_percent, 1),
+        ("GHI_W_m2", irradiance, 0),
+        ("rain", np.round(at(time, weather["rain"])), 0),
     )
 
     # SCADA: means over ten minutes, stamped at their start.
-    intervals = (minutes.size - 1) // 10
-    time = minutes[0] + 600.0 * np.arange(intervals)
+    intervals = (minute_times.size - 1) // 10
+    time = minute_times[0] + 600.0 * np.arange(intervals)
 
     def mean(values: np.ndarray) -> np.ndarray:
         return values[: 10 * intervals].reshape(intervals, 10).mean(axis=1)
 
     kilowatts = np.round(mean(truth_arrays["active_power"]) / 1e3, 1)
-    kilowatts[failing.random(intervals) < 0.002] = np.nan
-    kept = _stops(failing, time, (3.0, 1.5, 0.8, 0.5))
-    kept &= ~np.isnan(_blank(np.zeros(intervals), time, 0.47, scale * 2.0))
-    scada = SyntheticTable(
+    kilowatts[failure_generator.random(intervals) < 0.002] = np.nan
+    has_reading = _stops(failure_generator, time, (3.0, 1.5, 0.8, 0.5))
+    has_reading &= ~np.isnan(_blank(np.zeros(intervals), time, 0.47, length_ratio * 2.0))
+    scada = _table_of_rows(
         "scada.csv",
-        time[kept],
-        (
-            ("P_kW", kilowatts[kept], 1),
-            ("wind_speed_m_s", np.round(mean(weather["wind_speed"]), 2)[kept], 2),
-            ("preheating", mean(truth_arrays["preheating"])[kept], 1),
-        ),
+        time,
+        has_reading,
+        ("P_kW", kilowatts, 1),
+        ("wind_speed_m_s", np.round(mean(weather["wind_speed"]), 2), 2),
+        ("preheating", mean(truth_arrays["preheating"]), 1),
     )
     return cabinet, ambient, scada, tuple(biases)
 
@@ -472,19 +512,22 @@ until = "{until}"
 
 
 def _stamp(time: np.ndarray) -> np.ndarray:
+    """Return times [s] as ISO 8601 text."""
     instants = np.asarray(time).round().astype(np.int64).astype("datetime64[s]")
     return np.datetime_as_string(instants)
 
 
 def _csv(table: SyntheticTable) -> str:
-    """The table as text; a column of ones named `synthetic` labels every file."""
-    cells = [[f"{stamp}Z" for stamp in _stamp(table.time)]]
+    """Return a table as CSV text; a column of ones named `synthetic` labels every file."""
+    text_columns = [[f"{stamp}Z" for stamp in _stamp(table.time)]]
     for _, values, decimals in table.columns:
         # Adding zero turns a rounded -0.0 into 0.0.
-        rounded = (np.round(values, decimals) + 0.0).tolist()
-        cells.append(["" if math.isnan(value) else f"{value:.{decimals}f}" for value in rounded])
+        rounded_values = (np.round(values, decimals) + 0.0).tolist()
+        text_columns.append(
+            ["" if math.isnan(value) else f"{value:.{decimals}f}" for value in rounded_values]
+        )
     names = ",".join(["time", *(name for name, _, _ in table.columns), "synthetic"])
-    lines = [",".join(row) + ",1" for row in zip(*cells, strict=True)]
+    lines = [",".join(row) + ",1" for row in zip(*text_columns, strict=True)]
     return "\n".join([names, *lines, ""])
 
 

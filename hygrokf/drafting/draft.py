@@ -56,10 +56,9 @@ _LABEL = re.compile(
 
 # -- exports in a form that a case can name ------------------------------------------------------------------
 def prepare_export(export: Export, turbine: str | None) -> Export:
-    """The export with one turbine selected and its cells reordered into a form that a case can read.
+    """Return an export in a form that a case can read, with one `turbine` selected (None: the first).
 
-    turbine: to select, or None for the first.  The result's `changes` say why a copy is needed.  Raises
-    TableFault.
+    The result's `changes` say why a copy is needed.  Raises TableFault.
     """
     time_column, hour_column = time_columns(export)
     export = _rows_of_turbine(export, time_column, hour_column, turbine)
@@ -89,12 +88,12 @@ def prepare_export(export: Export, turbine: str | None) -> Export:
 
 
 def join_exports(exports: list[Export]) -> list[Export]:
-    """Exports, with consecutive exports of the same columns, such as months or years, joined to one."""
+    """Join exports that continue each other, such as one file a month, if they have the same columns."""
     import pandas as pd
 
     result: list[Export] = []
     for export in exports:
-        places = [n for n, other in enumerate(result) if _continues(other, export)]
+        places = [index for index, other in enumerate(result) if _continues(other, export)]
         if not places or export.changes:
             result.append(export)
             continue
@@ -107,18 +106,15 @@ def join_exports(exports: list[Export]) -> list[Export]:
 
 
 def same_layout_faults(exports: list[Export]) -> list[str]:
-    """Faults of exports with the columns and the stamps of another export: these are of another turbine.
-
-    Loggers, which read little else than temperature and humidity, are excepted: two of one make may share
-    columns and stamps.
-    """
+    """Return the faults of exports with the columns and stamps of another one: they are of another turbine.
+    Loggers are excepted, since two of one make may share columns and stamps."""
     faults = []
-    for number, export in enumerate(exports):
+    for position, export in enumerate(exports):
         named_columns = [name_says(name, unit) for name, unit in zip(export.names, export.units, strict=True)]
-        readings = [column for column in named_columns if column.quantity or column.signal]
-        has_power = any("power" in column.signal for column in readings)
-        is_logger = len(readings) <= _LOGGER_QUANTITIES and not has_power
-        for earlier in exports[:number]:
+        columns_with_meaning = [column for column in named_columns if column.quantity or column.signal]
+        has_power = any("power" in column.signal for column in columns_with_meaning)
+        is_logger = len(columns_with_meaning) <= _LOGGER_QUANTITIES and not has_power
+        for earlier in exports[:position]:
             if earlier.names == export.names and not is_logger:
                 faults.append(
                     f"{export.file}: expected one turbine, found the columns and stamps of "
@@ -138,33 +134,35 @@ def _continues(earlier: Export, export: Export) -> bool:
 def _with_cells(
     export: Export, cells: pandas.DataFrame, change: str, units: dict[str, str] | None = None
 ) -> Export:
-    """An export with `cells` in place of its own, and `change`, the reason, among its changes."""
+    """Return an export with other cells; `change`, the reason, is added to its changes; `units`: of new
+    columns."""
     unit_of = dict(zip(export.cells.columns, export.units, strict=True)) | (units or {})
     names = tuple(map(str, cells.columns))
-    of_names = tuple(unit_of.get(name, "") for name in names)
-    return replace(export, cells=cells, names=names, units=of_names, changes=(*export.changes, change))
+    units_of_names = tuple(unit_of.get(name, "") for name in names)
+    return replace(export, cells=cells, names=names, units=units_of_names, changes=(*export.changes, change))
 
 
 def _select_turbine(export: Export, names: list[str], turbine: str | None, where: str) -> Export:
-    """An export of the turbines `names` with one selected; without `turbine` the first, with a doubt.
+    """Return an export with `turbine`, one of `names`, selected; None: the first, with a doubt.
 
     Raises TableFault for a turbine that is not among them; `where` begins the message.
     """
-    chosen = names[0] if turbine is None else turbine
-    if chosen not in names:
-        found = f"{', '.join(names[:20])}{suggestion(chosen, names)}"
-        raise TableFault(f'{where}: expected the turbine "{chosen}", found {found}')
+    selected = names[0] if turbine is None else turbine
+    if selected not in names:
+        listed = f"{', '.join(names[:20])}{suggestion(selected, names)}"
+        raise TableFault(f'{where}: expected the turbine "{selected}", found {listed}')
     if turbine is None:
-        rest = ", ".join(names[1:8]) + (" …" if len(names) > 8 else "")
-        doubt = f'turbine "{chosen}" is the first of {len(names)} ({rest}): --turbine selects another one'
+        others = ", ".join(names[1:8]) + (" …" if len(names) > 8 else "")
+        doubt = f'turbine "{selected}" is the first of {len(names)} ({others}): --turbine selects another one'
         export = replace(export, doubts=(*export.doubts, doubt))
-    return replace(export, turbine=chosen)
+    return replace(export, turbine=selected)
 
 
 def _rows_of_turbine(
     export: Export, time_column: str, hour_column: str | None, turbine: str | None
 ) -> Export:
-    """The rows of one turbine, where a column names several turbines."""
+    """Return the rows of one turbine, where a column names several turbines; otherwise the export
+    unchanged."""
     cells = export.cells
     turbine_columns = [
         name for name in cells if name not in (time_column, hour_column) and _TURBINE.search(words_of(name))
@@ -182,29 +180,30 @@ def _rows_of_turbine(
 
 
 def _one_column_per_tag(export: Export, time_column: str) -> Export:
-    """One column for each tag, from rows of stamp, tag and value, with units from a column of units."""
+    """Return a table with a column for each tag, from rows of stamp, tag and value; other exports
+    unchanged."""
     cells = export.cells
-    rest = [name for name in cells if name != time_column]
-    sample = {name: cells[name].dropna().iloc[:500] for name in rest}
-    unit_column = next((name for name in rest if _UNIT.match(words_of(name))), None)
-    numbers = [name for name in rest if len(sample[name]) and sample[name].map(is_value).mean() > 0.9]
-    value_columns = [name for name in numbers if _VALUE.search(words_of(name))] or (
-        numbers if len(numbers) == 1 else []
+    other_names = [name for name in cells if name != time_column]
+    sample = {name: cells[name].dropna().iloc[:500] for name in other_names}
+    unit_column = next((name for name in other_names if _UNIT.match(words_of(name))), None)
+    numeric = [name for name in other_names if len(sample[name]) and sample[name].map(is_value).mean() > 0.9]
+    value_columns = [name for name in numeric if _VALUE.search(words_of(name))] or (
+        numeric if len(numeric) == 1 else []
     )
     if not value_columns:
         return export
     quality_column = quality_columns(list(cells), value_columns[:1]).get(value_columns[0])
     tag_columns = [
         name
-        for name in rest
-        if name not in (*numbers, unit_column, quality_column) and 2 <= cells[name].nunique() <= 500
+        for name in other_names
+        if name not in (*numeric, unit_column, quality_column) and 2 <= cells[name].nunique() <= 500
     ]
     tag_columns.sort(key=lambda name: _TAG.search(words_of(name)) is None)
     is_tagged = bool(tag_columns) and (
         cells[time_column].duplicated().mean() >= _FEWEST_REPEATED
         # where a row is written when a value changes, each tag has its own stamps
         or (
-            len(numbers) == 1
+            len(numeric) == 1
             and _TAG.search(words_of(tag_columns[0]))
             and _VALUE.search(words_of(value_columns[0]))
         )
@@ -213,29 +212,30 @@ def _one_column_per_tag(export: Export, time_column: str) -> Export:
         if unit_column is None or cells[unit_column].nunique() != 1:
             return export
         units = tuple(
-            str(cells[unit_column].dropna().iloc[0]) if name == value_columns[0] else given
-            for name, given in zip(cells, export.units, strict=True)
+            str(cells[unit_column].dropna().iloc[0]) if name == value_columns[0] else unit
+            for name, unit in zip(cells, export.units, strict=True)
         )
         return replace(export, units=units)
     tag_column = tag_columns[0]
     rows = cells.dropna(subset=[tag_column, time_column])
     if rows[time_column].str.match(r"\d{4}-").all():
         rows = rows.sort_values(time_column, kind="stable")
-    pivot = {"index": time_column, "columns": tag_column, "aggfunc": "first", "sort": False}
-    table = rows.pivot_table(values=value_columns[0], **pivot)
+    options = {"index": time_column, "columns": tag_column, "aggfunc": "first", "sort": False}
+    table = rows.pivot_table(values=value_columns[0], **options)
     if quality_column is not None:
-        table = table.join(rows.pivot_table(values=quality_column, **pivot).add_suffix(" quality"))
-    units_of = (
+        table = table.join(rows.pivot_table(values=quality_column, **options).add_suffix(" quality"))
+    unit_of_tag = (
         {}
         if unit_column is None
         else rows.dropna(subset=[unit_column]).groupby(tag_column)[unit_column].first().to_dict()
     )
     table = table.reset_index().rename_axis(columns=None)
-    return _with_cells(export, table.where(table.notna(), None), "one row a value", units_of)
+    return _with_cells(export, table.where(table.notna(), None), "one row a value", unit_of_tag)
 
 
 def _columns_of_turbine(export: Export, turbine: str | None) -> Export:
-    """The columns of one turbine, where the names of columns contain labels of several turbines."""
+    """Return the columns of one turbine, where names of columns contain labels of several; otherwise all
+    columns."""
     cells = export.cells
     labels = {name: match[1] for name in cells if name != export.column and (match := _LABEL.search(name))}
     stems: dict[str, list[str]] = {}
@@ -243,17 +243,19 @@ def _columns_of_turbine(export: Export, turbine: str | None) -> Export:
         stem = name.replace(label, "", 1).strip(" _.-")
         if re.search(r"[A-Za-z]", stem):
             stems.setdefault(stem, []).append(label)
-    shared = [labels_of_stem for labels_of_stem in stems.values() if len(labels_of_stem) > 1]
-    turbines = list(dict.fromkeys(label for labels_of_stem in shared for label in labels_of_stem))
+    labels_of_shared = [labels_of_stem for labels_of_stem in stems.values() if len(labels_of_stem) > 1]
+    turbines = list(dict.fromkeys(label for labels_of_stem in labels_of_shared for label in labels_of_stem))
     if not turbines:
         return export
     turbine_of_rows = export.turbine
     export = _select_turbine(export, turbines, turbine, "names of columns")
-    chosen = export.turbine or ""
-    kept = [name for name in cells if labels.get(name) not in turbines or labels[name] == chosen]
-    units = tuple(given for name, given in zip(cells, export.units, strict=True) if name in kept)
+    selected = export.turbine or ""
+    kept = [name for name in cells if labels.get(name) not in turbines or labels[name] == selected]
+    units = tuple(unit for name, unit in zip(cells, export.units, strict=True) if name in kept)
     # no copy is needed: the case names the columns of one turbine in the file as it is
-    return replace(export, cells=cells[kept], units=units, label=chosen, turbine=turbine_of_rows or chosen)
+    return replace(
+        export, cells=cells[kept], units=units, label=selected, turbine=turbine_of_rows or selected
+    )
 
 
 _COMMENT_WIDTH = 100
@@ -266,11 +268,10 @@ class DraftFault(HygrokfError):
 
 @dataclass(frozen=True)
 class Draft:
-    """A drafted case.
+    """A drafted case: its file, copies of tables, signals with their columns, and columns left without a
+    signal.
 
-    case: path of the case file. copies: tables written beside it. doubts: of the clocks, of the selection
-    and, from `hygrokf init`, of the readings.
-    lacks: sentences on the signals that a fit needs or would profit from and that no export holds.
+    doubts: choices that a person has to confirm.  lacks: sentences about signals that no export holds.
     """
 
     case: str
@@ -299,9 +300,9 @@ def draft_case(
 ) -> Draft:
     """Draft a case file from exports and write it, with copies of those tables that a case cannot name.
 
-    exports: CSV, Parquet or Excel files, and weather files. out: the case file; copies go
-        beside it.
-    turbine: of exports that hold several. site: latitude and longitude [deg].
+    exports: CSV, Parquet or Excel files, and weather files.
+    out: the case file; copies go beside it.
+    turbine: of exports that hold several.  site: latitude and longitude [deg].
 
     Raises DraftFault with the faults of all exports.
     """
@@ -361,7 +362,8 @@ def draft_case(
 
 
 def _is_typical_year(file: Path, form: str) -> bool:
-    """Whether the months of a weather file are of different years, or have no year.  Raises TableFault."""
+    """Whether a weather file is a typical year: its months are of different years, or have no year.  Raises
+    TableFault."""
     if form != "epw":
         return form == "try"
     lines = b"\n".join(content.data for content in contents(file)[0] if content.kind == "epw").splitlines()
@@ -374,8 +376,8 @@ def _with_clock_doubts(
     signals: Sequence[DraftedSignal],
     site: tuple[float, float] | None,
 ) -> Source:
-    """A source with doubts about its zone and the remark on the sun, with the separator of its copy, if
-    any."""
+    """Return a source with doubts about its time zone and a remark on the sun, prepared for its copy if it
+    needs one."""
     export, time = source.export, source.clock.time
     doubts = (*export.doubts, *_zone_doubt(source, sources))
     if source.clock.timezone is None:  # the offsets of stamps may contradict the clock's summer time
@@ -385,32 +387,32 @@ def _with_clock_doubts(
         export = replace(export, separator=";" if export.decimal == "," else ",", comment=None)
     irradiance = (source.path, "global_horizontal_irradiance")
     column = next((signal.column for signal in signals if (signal.file, signal.signal) == irradiance), None)
-    sun = None if column is None else sun_remark(time, source.values[column], site and site[1])
-    return replace(source, export=export, sun=sun)
+    sun_text = None if column is None else sun_remark(time, source.values[column], site and site[1])
+    return replace(source, export=export, sun=sun_text)
 
 
 def _copy_name(file: Path, out: Path, copies: list[Path]) -> Path:
-    """Path of the copy of an export, unique where exports in two folders have the same name."""
+    """Return the path of the copy of an export; it is unique where two exports have the same name."""
     stem = f"{out.stem}_{file.name.split('.')[0]}"
     names = (f"{stem}.csv", *(f"{stem}_{number}.csv" for number in range(2, len(copies) + 2)))
     return next(path for path in (out.parent / name for name in names) if path not in copies)
 
 
 def _zone_doubt(source: Source, sources: Sequence[Source]) -> tuple[str, ...]:
-    """A doubt about a source's assumed zone, where other exports state their zones."""
-    stated = {
+    """Return a doubt about a source's assumed time zone where other exports state theirs."""
+    file_of_zone = {
         other.clock.timezone: other.export.file.name
         for other in sources
         if other.clock.timezone not in (None, source.clock.timezone) and not other.clock.zone_assumed
     }
-    if not source.clock.zone_assumed or not stated:
+    if not source.clock.zone_assumed or not file_of_zone:
         return ()
-    others = ", ".join(f'{file} is at "{zone}"' for zone, file in stated.items())
-    return (f"{others}: state this file's zone if it is not {source.clock.timezone}; a wrong one shifts it",)
+    listed = ", ".join(f'{file} is at "{zone}"' for zone, file in file_of_zone.items())
+    return (f"{listed}: state this file's zone if it is not {source.clock.timezone}; a wrong one shifts it",)
 
 
 def _relative(file: Path, out: Path) -> str:
-    """Path of a file as the case names it."""
+    """Return the path of a file as the case names it."""
     return Path(os.path.relpath(file.absolute(), out.absolute().parent)).as_posix()
 
 
@@ -418,22 +420,25 @@ def _relative(file: Path, out: Path) -> str:
 
 
 def _missing_signals(signals: Sequence[DraftedSignal], weather: bool) -> tuple[str, ...]:
-    """Sentences on the signals that a fit needs or would profit from and that are not active in the draft."""
+    """Return sentences about signals that a fit needs or would profit from, and that the draft does not
+    have."""
     names = {signal.signal for signal in signals if signal.active and not signal.compare}
-    lacks = []
+    sentences = []
     if not weather and "ambient_temperature" not in names:
-        lacks.append("no ambient temperature was found, and every model needs it: add its export")
+        sentences.append("no ambient temperature was found, and every model needs it: add its export")
     if not any(name.startswith("cabinet_") for name in names):
-        lacks.append("no reading of the cabinet was found; `hygrokf fit` needs one: add its export")
+        sentences.append("no reading of the cabinet was found; `hygrokf fit` needs one: add its export")
     humid_places = {name.partition("_")[0] for name in names if "humidity" in name or "dew_point" in name}
     if "cabinet" in humid_places and "ambient" not in humid_places and not weather:
-        lacks.append("no humidity of the air outside was found, which the hygric model needs: add its export")
+        sentences.append(
+            "no humidity of the air outside was found, which the hygric model needs: add its export"
+        )
     if "active_power" not in names:
-        lacks.append(
+        sentences.append(
             "no active power was found: the whole record would count as standstill; add its export, "
             "or name its column"
         )
-    return tuple(lacks)
+    return tuple(sentences)
 
 
 def _lines(
@@ -442,11 +447,12 @@ def _lines(
     weather: Sequence[Weather],
     site: tuple[float, float] | None,
 ) -> Iterator[str]:
+    """Yield the lines of the drafted case file."""
     yield "# Drafted by `hygrokf init` from the exports below. Check what is marked `doubt`, then run"
     yield "# `hygrokf check` on this file. docs/reference/case_file.md describes all keys."
     name = next((source.export.turbine for source in sources if source.export.turbine), None)
-    first = sources[0].export.file.name.split(".")[0] if sources else Path(draft.case).stem
-    yield f"name = {_toml_string(name or first)}"
+    name_of_first = sources[0].export.file.name.split(".")[0] if sources else Path(draft.case).stem
+    yield f"name = {_toml_string(name or name_of_first)}"
     for signal in draft.signals:
         if signal.signal == "active_power" and signal.active and not signal.compare:
             values = next(source.values[signal.column] for source in sources if source.path == signal.file)
@@ -454,8 +460,10 @@ def _lines(
             if rated_kW is not None:
                 yield f"rated_power_kW = {rated_kW:g}  # where the power stops rising; see the type plate"
                 continue
-            high = np.quantile(to_si(values[np.isfinite(values)], signal.unit, signal.signal), 0.999) / 1e3
-            yield from _doubt(f"the power shows no plateau; its largest readings are {high:.4g} kW")
+            highest_kW = (
+                np.quantile(to_si(values[np.isfinite(values)], signal.unit, signal.signal), 0.999) / 1e3
+            )
+            yield from _doubt(f"the power shows no plateau; its largest readings are {highest_kW:.4g} kW")
             yield "# rated_power_kW = "
     yield ""
     if site is None:
@@ -470,36 +478,39 @@ def _lines(
         yield from ("", *_doubt(lack))
     for source in sources:
         for compare in (False, True):
-            part = (source.path, compare)
-            signals = [signal for signal in draft.signals if (signal.file, signal.compare) == part]
+            source_and_compare = (source.path, compare)
+            signals = [
+                signal for signal in draft.signals if (signal.file, signal.compare) == source_and_compare
+            ]
             if any(signal.active for signal in signals):
                 yield from ("", *_source_lines(draft, source, signals, compare))
             elif not compare:
                 yield from ("", f"# {source.path}: no signal was recognised; its columns:")
                 yield from _unused_lines(draft, source)
-    times = [source.clock.time[np.isfinite(source.clock.time)] for source in sources]
+    finite_times = [source.clock.time[np.isfinite(source.clock.time)] for source in sources]
     for weather_file in weather:
-        file = _toml_string(weather_file.file)
-        yield from ("", "[[source]]", f"file = {file}", f'format = "{weather_file.format}"')
+        quoted_file = _toml_string(weather_file.file)
+        yield from ("", "[[source]]", f"file = {quoted_file}", f'format = "{weather_file.format}"')
         if weather_file.typical:
             yield from _doubt("a typical year has no calendar year of its own: the year that it stands for")
             # the calendar year in the middle of the exports
-            yield f"year = {stamp_text(float(np.median(times[0])))[:4] if times else 2019}"
+            yield f"year = {stamp_text(float(np.median(finite_times[0])))[:4] if finite_times else 2019}"
     if sources:
-        start, end = float(min(map(np.min, times))), float(max(map(np.max, times)))
+        start_s, end_s = float(min(map(np.min, finite_times))), float(max(map(np.max, finite_times)))
         yield from ("", "# [identification]  # the readings after `until` are kept to validate the model")
-        yield f'# until = "{stamp_text(86400.0 * round((start + 0.7 * (end - start)) / 86400.0))}"'
+        yield f'# until = "{stamp_text(86400.0 * round((start_s + 0.7 * (end_s - start_s)) / 86400.0))}"'
 
 
 def _source_lines(
     draft: Draft, source: Source, signals: Sequence[DraftedSignal], compare: bool
 ) -> Iterator[str]:
+    """Yield the lines of one [[source]]; compare: whether it is only compared with another one."""
     clock, export = source.clock, source.export
-    finite = clock.time[np.isfinite(clock.time)]
-    missing_share = 1.0 - len(np.unique(finite)) / max(1.0, np.ptp(finite) / clock.step_s + 1.0)
+    known_times = clock.time[np.isfinite(clock.time)]
+    missing_share = 1.0 - len(np.unique(known_times)) / max(1.0, np.ptp(known_times) / clock.step_s + 1.0)
     zone = "" if clock.timezone is None else " by its own clock"
-    span = f"{stamp_text(finite.min()).rstrip('Z')} to {stamp_text(finite.max()).rstrip('Z')}{zone}"
-    yield f"# {len(finite)} rows, {span}, step {duration_text(clock.step_s)}" + (
+    span = f"{stamp_text(known_times.min()).rstrip('Z')} to {stamp_text(known_times.max()).rstrip('Z')}{zone}"
+    yield f"# {len(known_times)} rows, {span}, step {duration_text(clock.step_s)}" + (
         f", {100 * missing_share:.0f} % of the rows missing" if missing_share > 0.01 else ""
     )
     yield "[[source]]"
@@ -524,11 +535,11 @@ def _source_lines(
     yield from (
         f"{name} = {_toml_string(value)}" for name, value in settings.items() if value != defaults[name]
     )
-    texts = set().union(*(export.read(signal.column)[1] for signal in signals))
-    if len(texts) > 8:
-        yield from _doubt(f"{len(texts)} different texts among the readings are taken as missing")
-    if export.missing or texts:
-        yield f"missing = {json.dumps(sorted(texts.union(export.missing)), ensure_ascii=False)}"
+    not_numbers = set().union(*(export.read(signal.column)[1] for signal in signals))
+    if len(not_numbers) > 8:
+        yield from _doubt(f"{len(not_numbers)} different texts among the readings are taken as missing")
+    if export.missing or not_numbers:
+        yield f"missing = {json.dumps(sorted(not_numbers.union(export.missing)), ensure_ascii=False)}"
     for doubt in () if compare else source.quality_doubts:
         yield from _doubt(doubt)
     if source.vocabulary.name and any(signal.column in source.quality for signal in signals):
@@ -542,6 +553,7 @@ def _source_lines(
 
 
 def _signal_lines(source: Source, drafted: DraftedSignal) -> Iterator[str]:
+    """Yield the lines of one signal with its doubts; it is a comment unless it is active."""
     for doubt in drafted.doubts:
         yield from _doubt(doubt)
     values = source.values[drafted.column]
@@ -549,32 +561,35 @@ def _signal_lines(source: Source, drafted: DraftedSignal) -> Iterator[str]:
     is_interpolated = source.clock.stamp == "instant" and SIGNALS[drafted.signal].hold_of_instants == LINEAR
     if is_interpolated and resolution and on_change(source.clock.time, values, resolution):
         yield from _doubt(DoubtCode.ONLY_ON_CHANGE(signal=drafted.signal).text)
-    note = drafted.why + (f"; readings in steps of {resolution:g}" if resolution else "")
-    quality = f", quality = {_toml_string(source.quality.get(drafted.column, ''))}" * (
+    remark = drafted.why + (f"; readings in steps of {resolution:g}" if resolution else "")
+    quality_text = f", quality = {_toml_string(source.quality.get(drafted.column, ''))}" * (
         drafted.column in source.quality
     )
     column, unit = _toml_string(drafted.column), _toml_string(drafted.unit)
-    entry = f"signals.{drafted.signal} = {{ column = {column}, unit = {unit}{quality} }}"
-    yield f"{'' if drafted.active else '# '}{entry}  # {note}"
+    entry = f"signals.{drafted.signal} = {{ column = {column}, unit = {unit}{quality_text} }}"
+    yield f"{'' if drafted.active else '# '}{entry}  # {remark}"
 
 
 def _unused_lines(draft: Draft, source: Source) -> Iterator[str]:
+    """Yield a comment that lists the columns without a signal."""
     columns = [f"{column.column} ({column.why})" for column in draft.left if column.file == source.path]
     if columns:
         yield from _comment("# not used: " + ", ".join(columns))
 
 
 def _toml_string(text: str) -> str:
-    """A TOML string."""
+    """Return a text as a TOML string."""
     return json.dumps(text, ensure_ascii=False)
 
 
 def _doubt(text: str) -> list[str]:
+    """Return the lines of a comment that marks a doubt."""
     return _comment(f"{DRAFT_DOUBT}{text}")
 
 
 def _comment(text: str) -> list[str]:
-    """Lines of a TOML comment; line breaks in the text become blanks, so that no text ends the comment."""
+    """Return the lines of a TOML comment; line breaks in the text become blanks, so that no text ends the
+    comment."""
     plain = " ".join("".join(c if c.isprintable() else " " for c in text).split())
     return textwrap.wrap(
         plain, _COMMENT_WIDTH, subsequent_indent="#   ", break_long_words=False, break_on_hyphens=False

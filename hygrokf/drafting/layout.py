@@ -42,13 +42,15 @@ _NUMBER = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)([eE][+-]?\d+)?$")
 class Export:
     """A table as read from its file.
 
-    file: its path. cells: text of the rows, None where a cell is empty; its columns: `names`, unique.
-    names: the header. units: of the row below the header, empty texts where there is none.
-    separator, decimal, thousands, comment: of a text file; doubts: of these and of the selection. missing:
-    texts that are no readings, the row of units included.
+    file: its path.  cells: texts of the rows, None where a cell is empty; its columns are `names`, made
+        unique.
+    names: the header.  units: of the row below the header, "" where there is none.
+    separator, decimal, thousands, comment: of a text file.
+    missing: texts that are no readings, the row of units included.
     changes: reasons why a case cannot read the file itself; the draft then writes a copy.
-    label: of the turbine within the names of columns, or "". preamble: text above the header.
-    column: of stamps. turbine: the selected one, None where the file holds a single turbine.
+    label: of the turbine within the names of columns, or "".  preamble: text above the header.
+    doubts: about the layout and the selection.
+    column: of stamps.  turbine: the selected one, None where the file holds a single turbine.
     """
 
     file: Path
@@ -68,17 +70,17 @@ class Export:
     turbine: str | None = None
 
     def read(self, column: str) -> tuple[np.ndarray, dict[str, Unread]]:
-        """Values (N,) of a column in the unit of its header, and the texts that are no values, with the
-        reason."""
+        """Return the values (N,) of a column in its unit, and the texts that are no values with the
+        reasons."""
         unit = dict(zip(self.cells.columns, self.units, strict=False)).get(column, "")
         meaning = Meaning("", unit_in_export(unit) or "", one=POLES[0])
         return values_in(self.cells[column], Marks(self.decimal, self.thousands), meaning)
 
 
 def read_export(file: Path) -> Export:
-    """The table of an export: CSV text of any separator (also compressed), Parquet or Excel (.xlsx).
+    """Read the table of an export: CSV text of any separator (also compressed), Parquet or Excel (.xlsx).
 
-    Raises TableFault for what is no table, in one message with the remedy.
+    Raises TableFault for anything else, in one message with the remedy.
     """
     content = unpacked(file_bytes(file))
     if content[:4] == b"PAR1":
@@ -98,7 +100,7 @@ def read_export(file: Path) -> Export:
 
 
 def is_date(cell: str) -> bool:
-    """Whether a cell looks like a stamp."""
+    """Whether a cell looks like a time stamp."""
     return _DATE.match(cell.strip()) is not None
 
 
@@ -113,7 +115,7 @@ def is_value(cell: str) -> bool:
 
 
 def unit_in_export(text: str) -> str | None:
-    """The name in `UNITS` of a unit as headers write it, perhaps in brackets; None if unknown."""
+    """Return the name in `UNITS` of a unit as headers write it, perhaps in brackets; None if unknown."""
     bare = text.strip().strip("[](){}").strip()
     return unit_named(bare) if bare else None
 
@@ -124,24 +126,26 @@ _FURTHER_UNITS = re.compile(
 
 
 def _is_unit(cell: str) -> bool:
+    """Whether a cell holds a unit, or nothing."""
     bare = cell.strip().strip("[](){}").strip()
     return not bare or bare == "-" or unit_in_export(bare) is not None or bool(_FURTHER_UNITS.match(bare))
 
 
 def _find_separator(text: str) -> str:
-    """The separator with which most lines have a stamp and the same number of cells."""
+    """Return the separator with which most lines have a stamp and the same number of cells.  Raises
+    TableFault."""
     lines = text[:200_000].splitlines()[:_HEAD]
-    best = (0, 0, ",")
+    best_candidate = (0, 0, ",")
     for separator in SEPARATORS:
         rows = [
             row for row in csv.reader(lines, delimiter=separator) if any(map(is_date, row)) and len(row) > 1
         ]
         if not rows:
             continue
-        width, count = Counter(map(len, rows)).most_common(1)[0]
-        complete_rows = count if sum(map(is_date, rows[-1])) < width else 0
-        best = max(best, (complete_rows, width, separator))
-    if best[0] == 0:
+        common_width, rows_of_width = Counter(map(len, rows)).most_common(1)[0]
+        complete_rows = rows_of_width if sum(map(is_date, rows[-1])) < common_width else 0
+        best_candidate = max(best_candidate, (complete_rows, common_width, separator))
+    if best_candidate[0] == 0:
         dated_lines = [line for line in lines if any(is_date(part) for part in re.split(r"[;,\t|]", line))]
         if not dated_lines:
             raise TableFault(
@@ -149,26 +153,29 @@ def _find_separator(text: str) -> str:
                 f"{len(lines)} lines: export the time with the readings"
             )
         raise TableFault("expected a time and at least one column of readings, found one column alone")
-    return best[2]
+    return best_candidate[2]
 
 
 def _parse_rows(
     file: Path, lines: list[tuple[int, list[str]]], separator: str, changes: tuple[str, ...]
 ) -> Export:
-    """The table of `lines`, number and cells; header and row of units are above the first row with a
-    stamp."""
+    """Return the table of the rows of a file.
+
+    lines: line number and cells of each row.  changes: reasons why a case cannot read the file itself. Header
+        and row of units are above the first row with a stamp.  Raises TableFault.
+    """
     import pandas as pd
 
     rows = [cells for _, cells in lines]
-    head = rows[: 2 * _HEAD]
-    dated_rows = [number for number, row in enumerate(head) if len(row) > 1 and any(map(is_date, row))]
+    first_rows = rows[: 2 * _HEAD]
+    dated_rows = [number for number, row in enumerate(first_rows) if len(row) > 1 and any(map(is_date, row))]
     if not dated_rows:
         raise TableFault("expected a column of stamps and one of readings, found no row with both")
-    width = Counter(len(head[number]) for number in dated_rows).most_common(1)[0][0]
-    first = next(number for number in dated_rows if len(head[number]) == width)
+    width = Counter(len(first_rows[number]) for number in dated_rows).most_common(1)[0][0]
+    first_dated_row = next(number for number in dated_rows if len(first_rows[number]) == width)
     header_rows: list[list[str]] = []
-    while first - len(header_rows) > 0 and len(header_rows) < 4:
-        row = [cell.strip() for cell in rows[first - len(header_rows) - 1]]
+    while first_dated_row - len(header_rows) > 0 and len(header_rows) < 4:
+        row = [cell.strip() for cell in rows[first_dated_row - len(header_rows) - 1]]
         if len(row) > width + 1 or len(row) < 2 or sum(map(bool, row)) < 0.4 * min(width, len(row)):
             break
         header_rows.append((row + [""] * width)[:width])
@@ -182,39 +189,50 @@ def _parse_rows(
     names = [header_rows[0][0].removeprefix("#").strip() or header_rows[0][0], *header_rows[0][1:]]
     unit_rows = [row for row in header_rows[1:] if sum(map(_is_unit, row)) > 0.6 * len(row)]
     units = unit_rows[0] if unit_rows else [""] * width
-    body = [(number, row) for number, row in lines[first:] if any(cell.strip() for cell in row)]
-    is_remark = [row[0].lstrip().startswith("#") and not is_date(row[0]) for _, row in body]
+    data_rows = [
+        (number, row) for number, row in lines[first_dated_row:] if any(cell.strip() for cell in row)
+    ]
+    is_remark = [row[0].lstrip().startswith("#") and not is_date(row[0]) for _, row in data_rows]
     comment = "#" if any(is_remark) else None
-    body = [row for row in body if not (comment and row[1][0].lstrip().startswith(comment))]
-    if faults := too_wide(body, width, separator, "above it"):
+    data_rows = [row for row in data_rows if not (comment and row[1][0].lstrip().startswith(comment))]
+    if faults := too_wide(data_rows, width, separator, "above it"):
         raise TableFault(*faults)
-    data = [[*(cell.strip() for cell in row[:width]), *[""] * (width - len(row))] for _, row in body]
-    frame = pd.DataFrame(data, columns=_unique_names(names), dtype=object)
-    words = {cell for row in header_rows[1:] for cell in row if cell and cell not in MISSING}
-    preamble = "\n".join(" ".join(row) for row in rows[: first - len(header_rows)])
+    filled = [[*(cell.strip() for cell in row[:width]), *[""] * (width - len(row))] for _, row in data_rows]
+    frame = pd.DataFrame(filled, columns=_unique_names(names), dtype=object)
+    header_words = {cell for row in header_rows[1:] for cell in row if cell and cell not in MISSING}
+    preamble = "\n".join(" ".join(row) for row in rows[: first_dated_row - len(header_rows)])
     export = Export(
-        file, frame, tuple(names), tuple(units), separator, comment=comment, missing=tuple(sorted(words)),
-        changes=changes, preamble=preamble,
-    )  # fmt: skip
+        file,
+        frame,
+        tuple(names),
+        tuple(units),
+        separator,
+        comment=comment,
+        missing=tuple(sorted(header_words)),
+        changes=changes,
+        preamble=preamble,
+    )
     return _with_marks(export)
 
 
 def _is_title(row: list[str], below: list[str]) -> bool:
-    """Whether a row is a title above the header: it has far fewer filled cells than the row below, and the
-    row below is no row of units."""
+    """Whether a row is a title above the header.
+
+    It has far fewer filled cells than the row below, and the row below is no row of units.
+    """
     units = sum(map(_is_unit, filter(None, below)))
     filled = sum(map(bool, below))
     return sum(map(bool, row)) < 0.7 * filled and units <= 0.6 * filled
 
 
 def _with_marks(export: Export) -> Export:
-    """An export with None in empty cells, units also taken from cells, and its marks of numbers."""
+    """Return an export with None in empty cells, units also taken from cells, and its marks of numbers."""
     if len(export.names) < 2:
         raise TableFault("expected a time and at least one column of readings, found one column alone")
     if len(export.cells) < 2:
         raise TableFault(f"expected readings, found {len(export.cells)} rows below the header")
-    missing = {*MISSING, None}
-    cells = export.cells.apply(lambda column: [None if text in missing else text for text in column])
+    missing_texts = {*MISSING, None}
+    cells = export.cells.apply(lambda column: [None if text in missing_texts else text for text in column])
     cells = cells.astype(object)
     marks, doubts = _number_marks(cells)
     units = tuple(
@@ -226,17 +244,18 @@ def _with_marks(export: Export) -> Export:
 
 
 def _number_marks(cells: pandas.DataFrame) -> tuple[Marks, tuple[str, ...]]:
-    """The marks of numbers by the evidence of all columns, and a doubt where two readings are possible.
+    """Return the marks of numbers by the evidence of all columns, and a doubt where both meanings are
+    possible.
 
-    Raises TableFault where both marks are decimal.
+    Raises TableFault where point and comma are both decimal.
     """
     evidence_of = {(mark, evidence(cells[name], mark)): name for name in cells for mark in ",."}
     decimal_marks = [mark for mark in ",." if (mark, "decimal") in evidence_of]
     if len(decimal_marks) == 2:
-        comma, point = (evidence_of[mark, "decimal"] for mark in ",.")
+        comma_column, point_column = (evidence_of[mark, "decimal"] for mark in ",.")
         raise TableFault(
-            f'expected one decimal mark, found both: a comma in column "{comma}" and a point in column '
-            f'"{point}"; export again with one of them'
+            f'expected one decimal mark, found both: a comma in column "{comma_column}" and a point in '
+            f'column "{point_column}"; export again with one of them'
         )
     thousands_marks = [
         mark for mark in ",." if (mark, "thousands") in evidence_of and mark not in decimal_marks
@@ -251,16 +270,18 @@ def _number_marks(cells: pandas.DataFrame) -> tuple[Marks, tuple[str, ...]]:
 
 
 def _unique_names(names: list[str]) -> list[str]:
-    seen: Counter[str] = Counter()
+    """Return the names with a number added to each repetition, such as "T (2)"."""
+    count_of: Counter[str] = Counter()
     result = []
     for name in names:
-        seen[name] += 1
-        result.append(name if seen[name] == 1 else f"{name} ({seen[name]})")
+        count_of[name] += 1
+        result.append(name if count_of[name] == 1 else f"{name} ({count_of[name]})")
     return result
 
 
 def _excel_rows(content: bytes) -> list[tuple[int, list[str]]]:
-    """Number and cells, as text, of the rows of the first sheet of an .xlsx file."""
+    """Return number and cells, as text, of the rows of the first sheet of an .xlsx file.  Raises
+    TableFault."""
     import pandas as pd
 
     try:
@@ -269,13 +290,14 @@ def _excel_rows(content: bytes) -> list[tuple[int, list[str]]]:
         raise TableFault(
             'Excel files need the extra "excel": pip install "hygrokf[excel]"; or export the table as CSV'
         ) from None
-    except (KeyError, ValueError, OSError, zlib.error, zipfile.BadZipFile) as broken:
-        raise TableFault(f"is a ZIP archive but no Excel table: {broken}") from None
+    except (KeyError, ValueError, OSError, zlib.error, zipfile.BadZipFile) as error:
+        raise TableFault(f"is a ZIP archive but no Excel table: {error}") from None
     rows = ([_cell_text(cell) for cell in row] for row in frame.itertuples(index=False))
     return list(enumerate(rows, 1))
 
 
 def _cell_text(cell: object) -> str:
+    """Return a cell as text; "" for an empty one."""
     import pandas as pd
 
     if cell is None or (pd.api.types.is_scalar(cell) and pd.isna(cell)):

@@ -41,15 +41,15 @@ class Hourly:
     value: np.ndarray
 
     def beside(self, other: Hourly) -> tuple[np.ndarray, np.ndarray]:
-        """Values of this column and of another column in the hours that both have."""
-        _, here, there = np.intersect1d(self.hour, other.hour, return_indices=True)
-        return self.value[here], other.value[there]
+        """Return the values of this and of another column in the hours that both have."""
+        _, own_index, other_index = np.intersect1d(self.hour, other.hour, return_indices=True)
+        return self.value[own_index], other.value[other_index]
 
 
 def unit_by_values(values: np.ndarray, signal: str, stated: str | None) -> tuple[str, str | None]:
-    """The unit of a column, and a doubt where only the readings determine it or they contradict the header.
+    """Return the unit of a column, and a doubt if only the readings show it or they contradict the header.
 
-    values: (N,) as in the file. signal: of the table. stated: a name in `UNITS`, or None.
+    values: (N,) as in the file.  signal: of the table.  stated: a name in `UNITS`, or None.
     """
     finite = values[np.isfinite(values)]
     units = fitting_units(signal)
@@ -84,17 +84,17 @@ def unit_by_values(values: np.ndarray, signal: str, stated: str | None) -> tuple
         return ranked[0], "the header states no unit and the readings fit none"
     if SIGNALS[signal].dimension == "temperature" and fits[0] == "degC" and np.quantile(finite, 0.95) < 60.0:
         return "degC", None
-    alternative = (
+    alternative_text = (
         f", perhaps {fits[1]}"
         if len(fits) > 1 and SIGNALS[signal].dimension in ("temperature", "angle")
         else ""
     )
-    doubt = f"the header states no unit; the readings fit {fits[0]}{alternative}"
-    return fits[0], doubt if alternative else None
+    doubt = f"the header states no unit; the readings fit {fits[0]}{alternative_text}"
+    return fits[0], doubt if alternative_text else None
 
 
 def reason_impossible(values: np.ndarray, unit: str, signal: str) -> str | None:
-    """Why a column cannot hold a signal although its unit fits; None where it can."""
+    """Return why a column cannot hold a signal although its unit fits; None where it can."""
     finite = values[np.isfinite(values)]
     if len(finite) < (3 if signal in SWITCHED else 20):
         return "hardly any readings"
@@ -113,8 +113,8 @@ def reason_impossible(values: np.ndarray, unit: str, signal: str) -> str | None:
 
 
 def like_ambient(column: Hourly, others: list[Hourly]) -> float:
-    """Likeness of a temperature to the outside air's, 0 to 1: colder than the other temperatures, with a
-    wider range and a daily course."""
+    """Return how much a temperature resembles outside air, 0 to 1: colder and more variable than others, with
+    a daily course."""
     if len(column.value) < 24:
         return 0.0
     pairs = map(column.beside, others)
@@ -130,8 +130,8 @@ def like_ambient(column: Hourly, others: list[Hourly]) -> float:
 
 
 def like_cabinet(column: Hourly, ambient: Hourly | None, power: Hourly | None) -> float:
-    """Likeness of a temperature to a closed cabinet's, 0 to 1: warmer than the outside air, and correlated
-    with the outside temperature and with the power."""
+    """Return how much a temperature resembles a cabinet's, 0 to 1: warmer than outside, correlated with
+    outside and power."""
     if ambient is None:
         return 0.5
     inside, outside = column.beside(ambient)
@@ -139,23 +139,22 @@ def like_cabinet(column: Hourly, ambient: Hourly | None, power: Hourly | None) -
         return 0.3
     score = 0.4 * float(np.mean(inside > outside)) + 0.3 * max(_correlation(inside, outside), 0.0)
     if power is not None:
-        excess, load = column.beside(power)
-        score += 0.3 * max(_correlation(excess, load), 0.0)
+        temperature_in_common, power_in_common = column.beside(power)
+        score += 0.3 * max(_correlation(temperature_in_common, power_in_common), 0.0)
     return score
 
 
-def follows_rather(column: Hourly, one: Hourly, other: Hourly) -> bool:
-    """Whether the column minus series `one` varies less than the column minus series `other`, over a day or
-    more."""
+def follows_rather(column: Hourly, first: Hourly, second: Hourly) -> bool:
+    """Whether the column follows `first` more closely than `second`: their difference varies less."""
     spreads = []
-    for series in (one, other):
+    for series in (first, second):
         own_values, other_values = column.beside(series)
         spreads.append(float(np.std(own_values - other_values)) if len(own_values) >= 24 else math.nan)
     return spreads[0] < spreads[1]
 
 
 def daily_share(column: Hourly) -> float:
-    """Share of the variance within days that the mean course of the day explains, 0 to 1."""
+    """Return the share of the variance within days that the mean course of the day explains, 0 to 1."""
     day = np.floor(column.hour / 24.0)
     _, day_index = np.unique(day, return_inverse=True)
     within = column.value - (np.bincount(day_index, column.value) / np.bincount(day_index))[day_index]
@@ -166,10 +165,10 @@ def daily_share(column: Hourly) -> float:
 
 
 def rated_power(values: np.ndarray, unit: str) -> float | None:
-    """Rated power [kW] by the plateau that the power does not exceed; None where there is no plateau.
+    """Return the rated power [kW], the plateau of the power; None where there is no plateau.
 
-    values: [unit] (N,).  A plateau holds at least 0.5 % of the readings within 2 % of the 99.8th
-    percentile, and at least 1.5 times as many readings as the 4 % below.
+    values: [unit] (N,).  A plateau holds at least 0.5 % of the readings within 2 % of the 99.8th percentile,
+        and at least 1.5 times as many readings as the 4 % below.
     """
     power = to_si(values[np.isfinite(values)], unit, "active_power") / 1e3
     if len(power) < 100:
@@ -183,13 +182,15 @@ def rated_power(values: np.ndarray, unit: str) -> float | None:
 
 
 def _spread(column: Hourly) -> float:
+    """Return the range between the 5 % and the 95 % quantile."""
     return float(np.subtract(*np.quantile(column.value, (0.95, 0.05))))
 
 
-def _correlation(one: np.ndarray, other: np.ndarray) -> float:
-    if len(one) < 24 or np.ptp(one) == 0.0 or np.ptp(other) == 0.0:
+def _correlation(first: np.ndarray, second: np.ndarray) -> float:
+    """Return the correlation of two series; 0 for short or constant ones."""
+    if len(first) < 24 or np.ptp(first) == 0.0 or np.ptp(second) == 0.0:
         return 0.0
-    return float(np.corrcoef(one, other)[0, 1])
+    return float(np.corrcoef(first, second)[0, 1])
 
 
 SURE = 0.8
@@ -210,8 +211,9 @@ COPIED = tuple(f"{place}_{one}" for place in ("cabinet", "ambient") for one in (
 class DraftedSignal:
     """A column that may hold a signal, or in a draft the column of a signal.
 
-    file: path in the case. score: 0 to 1. why: in words. doubts: to confirm. active: whether the case reads
-    the column; otherwise its line is a comment. compare: whether it is only compared with another source.
+    file: path in the case.  score: how likely, 0 to 1.  why: the evidence in words.  doubts: to confirm.
+    active: whether the case reads the column; otherwise its line is a comment.
+    compare: whether it is only compared with another source.
     """
 
     signal: str
@@ -244,11 +246,12 @@ Key: TypeAlias = tuple[str, str]
 
 @dataclass(frozen=True)
 class Source:
-    """An export whose columns are numbers.
+    """An export whose columns are converted to numbers.
 
-    path: in the case. values: column -> readings (N,), without those of bad quality. named: column -> what
-    its name says. left: column -> why it holds no signal. quality: column -> column of its quality.
-    vocabulary: of these. quality_doubts: about them. sun: what the irradiance says of the clock.
+    path: in the case.  values: column -> readings (N,), without those of bad quality.
+    named: column -> what its name says.  left: column -> why it holds no signal.
+    quality: column -> column of its quality.  vocabulary: of the quality.  quality_doubts: about it.
+    sun: what the irradiance says about the clock.
     """
 
     path: str
@@ -263,7 +266,7 @@ class Source:
     sun: str | None = None
 
     def hourly(self, column: str) -> Hourly:
-        """Hourly means of a column."""
+        """Return the hourly means of a column."""
         time, values = self.clock.time, self.values[column]
         is_known = np.isfinite(time) & np.isfinite(values)
         hours, hour_index = np.unique(np.floor(time[is_known] / HOUR_S), return_inverse=True)
@@ -273,59 +276,61 @@ class Source:
 
 
 def source_of(export: Export, path: str) -> Source:
-    """An export with its clock, its numbers and the meaning of its names; path: in the case.
+    """Return an export with its clock, its numbers and the meaning of its names; path: in the case.
 
     Readings count as means over intervals where a name says so, or where the export has signals of operation.
     """
     cells, column, values = export.cells, export.column, dict[str, np.ndarray]()
-    counts = {name: cells[name].notna().sum() for name in cells}
-    for name in (name for name in cells if name != column and counts[name] >= 2):
+    cell_counts = {name: cells[name].notna().sum() for name in cells}
+    for name in (name for name in cells if name != column and cell_counts[name] >= 2):
         numbers, _ = export.read(name)
-        if np.isfinite(numbers).sum() > 0.5 * counts[name]:
+        if np.isfinite(numbers).sum() > 0.5 * cell_counts[name]:
             values[name] = numbers
     texts = {name: list(cells[name].dropna().unique()) for name in cells}
     quality, vocabulary, statements = drafted(texts, values)
     doubts = tuple(statement.text for statement in statements)
     values = {name: array for name, array in values.items() if name not in quality.values()}
     for name, quality_column in quality.items():
-        bad = cells[quality_column].map(vocabulary.judge) == BAD
-        values[name] = np.where(bad, np.nan, values[name])
+        is_bad = cells[quality_column].map(vocabulary.judge) == BAD
+        values[name] = np.where(is_bad, np.nan, values[name])
     headers = zip(cells, export.names, strict=False)
     repeated = {name for name, header in headers if export.names.count(header) > 1}
     # columns of one constant number that codes a missing reading hold nothing
     finite = {name: array[np.isfinite(array)] for name, array in values.items()}
-    empty = {
+    without_readings = {
         name for name, array in finite.items() if len(array) and np.ptp(array) == 0.0 and array[0] in _FILLERS
     }
-    empty |= {name for name in cells if not counts[name]}
+    without_readings |= {name for name in cells if not cell_counts[name]}
     values = {
         name: array
         for name, array in values.items()
-        if name not in empty and (name not in repeated or export.changes)
+        if name not in without_readings and (name not in repeated or export.changes)
     }
     units = dict(zip(cells.columns, export.units, strict=True))
     named = {name: _read_name(export, name, units[name]) for name in values}
-    left = {
-        name: "no readings" if name in empty else "text" for name in cells if name not in (*values, column)
+    unused = {
+        name: "no readings" if name in without_readings else "text"
+        for name in cells
+        if name not in (*values, column)
     }
-    left |= {name: "several columns have this name" for name in left if name in repeated}
-    left |= {quality_column: f'quality of "{name}"' for name, quality_column in quality.items()}
-    is_operation = any(n.signal in ("active_power", "wind_speed", "rotor_speed") for n in named.values())
-    has_averages = any(re.search(r" (avg|ave|mean|mittel\w*) ", n.words) for n in named.values())
-    is_reanalysis = any("ERA5" in n.why for n in named.values())
+    unused |= {name: "several columns have this name" for name in unused if name in repeated}
+    unused |= {quality_column: f'quality of "{name}"' for name, quality_column in quality.items()}
+    is_operation = any(m.signal in ("active_power", "wind_speed", "rotor_speed") for m in named.values())
+    has_averages = any(re.search(r" (avg|ave|mean|mittel\w*) ", m.words) for m in named.values())
+    is_reanalysis = any("ERA5" in m.why for m in named.values())
     clock = clock_of(export, (is_operation or has_averages) and not is_reanalysis)
-    return Source(path, export, clock, values, named, left, quality, vocabulary, doubts)
+    return Source(path, export, clock, values, named, unused, quality, vocabulary, doubts)
 
 
 def _read_name(export: Export, name: str, unit: str) -> NamedColumn:
-    """The meaning of a column's name; a flag's name is read together with the word for its 1 if need be."""
+    """Return the meaning of a column's name; that of a flag is read with the word for its 1 if need be."""
     unlabelled = name.replace(export.label, "", 1)
     named, word = name_says(unlabelled, unit), flag_word(export.cells[name])
     return name_says(f"{unlabelled} {word}", unit) if word and not named.signal else named
 
 
 def assign_signals(sources: Mapping[str, Source]) -> tuple[list[DraftedSignal], list[LeftColumn]]:
-    """The signals found with their columns, and the other columns with the reason; sources: by path."""
+    """Return the signals found with their columns, and all other columns with the reason."""
 
     def series(candidate: DraftedSignal | None) -> Hourly | None:
         return None if candidate is None else sources[candidate.file].hourly(candidate.column)
@@ -333,32 +338,33 @@ def assign_signals(sources: Mapping[str, Source]) -> tuple[list[DraftedSignal], 
     by_name = [candidate for source in sources.values() for candidate in _by_name(source)]
     ambient = _best(by_name, "ambient_temperature")
     open_temperatures = _unplaced(sources, "temperature")
-    guesses: list[DraftedSignal] = [*_by_file(sources, open_temperatures)]
-    placed = {candidate.key for candidate in guesses}
-    open_temperatures = [key for key in open_temperatures if key not in placed]
-    if ambient is None and not any(candidate.signal == "ambient_temperature" for candidate in guesses):
-        guesses += _ambient_by_values(sources, open_temperatures, by_name)
-    ambient = ambient or _best(guesses, "ambient_temperature")
-    outside, load = series(ambient), series(_best(by_name, "active_power"))
+    guessed: list[DraftedSignal] = [*_by_file(sources, open_temperatures)]
+    placed_keys = {candidate.key for candidate in guessed}
+    open_temperatures = [key for key in open_temperatures if key not in placed_keys]
+    if ambient is None and not any(candidate.signal == "ambient_temperature" for candidate in guessed):
+        guessed += _ambient_by_values(sources, open_temperatures, by_name)
+    ambient = ambient or _best(guessed, "ambient_temperature")
+    outside, power = series(ambient), series(_best(by_name, "active_power"))
     for file, column in open_temperatures:
         if ambient is not None and ambient.key == (file, column):
             continue
         source = sources[file]
-        likeness = like_cabinet(source.hourly(column), outside, load)
+        likeness = like_cabinet(source.hourly(column), outside, power)
         bonus_of_air = 0.04 if " air " in source.named[column].words else 0.0
         score = round(0.2 + 0.4 * likeness + bonus_of_air, 3)
-        guesses.append(_candidate(source, "cabinet_temperature", column, score, "by its readings"))
+        guessed.append(_candidate(source, "cabinet_temperature", column, score, "by its readings"))
     inside = series(_best(by_name, "cabinet_temperature"))
     if inside is not None and outside is not None:
-        guesses += _cabinet_humidities(sources, inside, outside)
-    guesses += _companions(sources, _best_by_column([*by_name, *guesses]))
+        guessed += _cabinet_humidities(sources, inside, outside)
+    guessed += _companions(sources, _best_by_column([*by_name, *guessed]))
     candidates = _prefer_probe_temperatures(
-        sources, _lower_scores_of_impossible([*by_name, *guesses], sources)
+        sources, _lower_scores_of_impossible([*by_name, *guessed], sources)
     )
     return _decide(sources, _without_copies(sources, candidates))
 
 
 def _by_name(source: Source) -> list[DraftedSignal]:
+    """Return the candidates whose names determine a signal."""
     candidates = []
     for column, named in source.named.items():
         if not named.signal:
@@ -371,12 +377,13 @@ def _by_name(source: Source) -> list[DraftedSignal]:
 
 
 def _candidate(source: Source, signal: str, column: str, score: float, why: str) -> DraftedSignal:
+    """Return a column as a candidate for a signal, with its unit."""
     unit, doubt = unit_by_values(source.values[column], signal, source.named[column].unit)
     return DraftedSignal(signal, source.path, column, unit, score, why, () if doubt is None else (doubt,))
 
 
 def _unplaced(sources: Mapping[str, Source], quantity: str) -> list[Key]:
-    """Columns of a quantity whose names state no place."""
+    """Return the columns of a quantity whose names state no place."""
     return [
         (file, column)
         for file, source in sources.items()
@@ -386,7 +393,7 @@ def _unplaced(sources: Mapping[str, Source], quantity: str) -> list[Key]:
 
 
 def _by_file(sources: Mapping[str, Source], columns: list[Key]) -> list[DraftedSignal]:
-    """Candidates among the columns of loggers, whose file or folder names the place."""
+    """Return candidates among columns of loggers whose file or folder names the place."""
     candidates = []
     folders = {source.export.file.parent for source in sources.values()}
     for path, column in columns:
@@ -405,7 +412,7 @@ def _by_file(sources: Mapping[str, Source], columns: list[Key]) -> list[DraftedS
 def _ambient_by_values(
     sources: Mapping[str, Source], columns: list[Key], sure: list[DraftedSignal]
 ) -> list[DraftedSignal]:
-    """Candidates for the ambient temperature among temperatures without a place, by their likeness to it."""
+    """Return temperatures without a place that resemble the outside air."""
     hourly_of = {key: sources[key[0]].hourly(key[1]) for key in columns}
     named = [sources[c.file].hourly(c.column) for c in sure if c.signal.endswith("_temperature")]
     candidates = []
@@ -421,8 +428,7 @@ def _ambient_by_values(
 def _cabinet_humidities(
     sources: Mapping[str, Source], inside: Hourly, outside: Hourly
 ) -> list[DraftedSignal]:
-    """Humidities without a place whose probe's temperature follows the cabinet temperature of another file
-    more closely than the outside temperature."""
+    """Return humidities without a place whose probe's temperature follows the cabinet's."""
     candidates = []
     for file, column in _unplaced(sources, "relative_humidity"):
         source = sources[file]
@@ -435,40 +441,40 @@ def _cabinet_humidities(
     return candidates
 
 
-def _companions(sources: Mapping[str, Source], taken: Mapping[Key, DraftedSignal]) -> list[DraftedSignal]:
-    """Candidates among humidities and dew points without a place, which take the place of the temperature of
-    the same probe or logger; a dew point without a temperature in its file belongs to the weather."""
+def _companions(sources: Mapping[str, Source], chosen: Mapping[Key, DraftedSignal]) -> list[DraftedSignal]:
+    """Return humidities and dew points as candidates for the place of the same probe's or logger's
+    temperature; a dew point without a temperature in its file belongs to the weather."""
     companions: list[DraftedSignal] = []
     for quantity in ("relative_humidity", "dew_point_temperature"):
         unplaced = _unplaced(sources, quantity)
         by_file = _by_file(sources, unplaced)
         companions += by_file
-        placed = {other.key for other in by_file}
-        for file, column in (other for other in unplaced if other not in placed):
+        placed = {sibling.key for sibling in by_file}
+        for file, column in (key for key in unplaced if key not in placed):
             source, is_alone = sources[file], sum(path == file for path, _ in unplaced) == 1
-            for other in (other for other in taken.values() if other.file == file):
-                place, _, kind = other.signal.rpartition("_")
-                is_same_probe = probe_of(other.column)[0] == probe_of(column)[0]
-                is_same_logger = is_alone and other.why != "by its name" and place in ("cabinet", "ambient")
-                dew_point = other.signal.endswith("point_temperature")
+            for sibling in (sibling for sibling in chosen.values() if sibling.file == file):
+                place, _, kind = sibling.signal.rpartition("_")
+                is_same_probe = probe_of(sibling.column)[0] == probe_of(column)[0]
+                is_same_logger = is_alone and sibling.why != "by its name" and place in ("cabinet", "ambient")
+                dew_point = sibling.signal.endswith("point_temperature")
                 if kind == "temperature" and not dew_point and (is_same_probe or is_same_logger):
-                    score, why = min(other.score, 0.75), f'beside "{other.column}"'
+                    score, why = min(sibling.score, 0.75), f'beside "{sibling.column}"'
                     companions.append(_candidate(source, f"{place}_{quantity}", column, score, why))
             if quantity == "dew_point_temperature" and not temperatures_of(column, source.values):
                 companions.append(_candidate(source, f"ambient_{quantity}", column, 0.85, "by its name"))
-    return [other for other in companions if other.signal in SIGNALS]
+    return [sibling for sibling in companions if sibling.signal in SIGNALS]
 
 
 def _prefer_probe_temperatures(
     sources: Mapping[str, Source], candidates: list[DraftedSignal]
 ) -> list[DraftedSignal]:
-    """Candidates in which a place's temperature is measured by the probe of its humidity, where possible."""
-    taken, preferred = _best_by_column(candidates), []
-    for humidity in taken.values():
+    """Return the candidates, with a place's temperature taken from its humidity probe where possible."""
+    chosen, preferred = _best_by_column(candidates), []
+    for humidity in chosen.values():
         source, (place, _, quantity) = sources[humidity.file], humidity.signal.rpartition("_relative_")
         probe_temperatures = temperatures_of(humidity.column, source.values) if quantity == "humidity" else []
         signal = f"{place}_temperature"
-        temperature = next((candidate for candidate in taken.values() if candidate.signal == signal), None)
+        temperature = next((candidate for candidate in chosen.values() if candidate.signal == signal), None)
         is_single = len(probe_temperatures) == 1
         if not is_single or temperature is None or temperature.key == (humidity.file, probe_temperatures[0]):
             continue
@@ -481,21 +487,22 @@ def _prefer_probe_temperatures(
 
 
 def _without_copies(sources: Mapping[str, Source], candidates: list[DraftedSignal]) -> list[DraftedSignal]:
-    """Candidates without ambient columns that repeat the cabinet's readings or are computed from them; `left`
-    of their sources gets the reason."""
+    """Return the candidates without ambient columns that repeat the cabinet's readings or are computed from
+    them; `left` of their sources gets the reason."""
     while True:
-        taken = [c for c in _best_by_column(candidates).values() if c.signal in COPIED]
-        copied = copies([_series(sources[c.file], c) for c in taken])
+        could_be_copies = [c for c in _best_by_column(candidates).values() if c.signal in COPIED]
+        copied = copies([_series(sources[c.file], c) for c in could_be_copies])
         reasons = {str(statement.values["signal"]): statement.text for statement in copied}
         if not reasons:
             return candidates
-        keys = {c.key: reasons[c.signal] for c in taken if c.signal in reasons}
-        for (file, column), words in keys.items():
-            sources[file].left[column] = words
-        candidates = [candidate for candidate in candidates if candidate.key not in keys]
+        reason_of_key = {c.key: reasons[c.signal] for c in could_be_copies if c.signal in reasons}
+        for (file, column), reason in reason_of_key.items():
+            sources[file].left[column] = reason
+        candidates = [c for c in candidates if c.key not in reason_of_key]
 
 
 def _series(source: Source, candidate: DraftedSignal) -> Series:
+    """Return a candidate's column as a series."""
     time, rows = np.unique(source.clock.time, return_index=True)
     is_known = np.isfinite(time)
     value = to_si(source.values[candidate.column], candidate.unit, candidate.signal)[rows]
@@ -504,25 +511,26 @@ def _series(source: Source, candidate: DraftedSignal) -> Series:
 
 
 def _best(candidates: list[DraftedSignal], signal: str) -> DraftedSignal | None:
+    """Return the best candidate for a signal, or None."""
     of_signal = (candidate for candidate in candidates if candidate.signal == signal)
     return max(of_signal, key=lambda candidate: candidate.score, default=None)
 
 
 def _best_by_column(candidates: list[DraftedSignal]) -> dict[Key, DraftedSignal]:
-    """The best candidate of each column, where no better candidate has the same signal."""
-    taken: dict[Key, DraftedSignal] = {}
+    """Return the best candidate of each column; a signal is given to one column only."""
+    chosen: dict[Key, DraftedSignal] = {}
     signals: set[str] = set()
     for candidate in sorted(candidates, key=lambda candidate: -candidate.score):
-        if candidate.signal not in signals and candidate.key not in taken:
-            taken[candidate.key] = candidate
+        if candidate.signal not in signals and candidate.key not in chosen:
+            chosen[candidate.key] = candidate
             signals.add(candidate.signal)
-    return taken
+    return chosen
 
 
 def _lower_scores_of_impossible(
     candidates: list[DraftedSignal], sources: Mapping[str, Source]
 ) -> list[DraftedSignal]:
-    """Candidates, with lower scores where the readings cannot be readings of the signal."""
+    """Return the candidates, with lower scores where the readings cannot be those of the signal."""
     checked = []
     for candidate in candidates:
         reason = reason_impossible(
@@ -537,25 +545,27 @@ def _lower_scores_of_impossible(
 def _decide(
     sources: Mapping[str, Source], candidates: list[DraftedSignal]
 ) -> tuple[list[DraftedSignal], list[LeftColumn]]:
-    taken = _best_by_column(candidates)
-    ambient = next((chosen for chosen in taken.values() if chosen.signal == "ambient_temperature"), None)
-    is_turbine = any(chosen.signal == "active_power" for chosen in taken.values())
-    signals, used = [], set(taken)
-    for chosen in taken.values():
+    """Choose a column for each signal; returns the signals with their doubts, and the unused columns."""
+    best = _best_by_column(candidates)
+    ambient = next((chosen for chosen in best.values() if chosen.signal == "ambient_temperature"), None)
+    is_turbine = any(chosen.signal == "active_power" for chosen in best.values())
+    signals, used = [], set(best)
+    for chosen in best.values():
         others = sorted(
-            (c for c in candidates if c.signal == chosen.signal and c != chosen), key=lambda c: -c.score
+            (c for c in candidates if c.signal == chosen.signal and c != chosen),
+            key=lambda c: -c.score,
         )
         runners_up = [c for c in others if c.score > chosen.score - 0.15 and c.key not in used]
         second_sources = [c for c in runners_up if c.file != chosen.file and c.score >= SURE]
         doubts = [*chosen.doubts]
         if chosen.score < SURE:
             doubts.insert(0, f"{chosen.why}, score {chosen.score:.2f}")
-        if listed := [
+        if next_ones := [
             f'"{c.column}"{f" of {c.file}" * (c.file != chosen.file)} ({c.score:.2f})'
             for c in runners_up
             if c not in second_sources
         ]:
-            doubts.append(f"next: {', '.join(listed[:4])}")
+            doubts.append(f"next: {', '.join(next_ones[:4])}")
         if chosen.signal == "cabinet_temperature" and ambient is not None:
             ambient_hourly = sources[ambient.file].hourly(ambient.column)
             inside, outside = sources[chosen.file].hourly(chosen.column).beside(ambient_hourly)
@@ -574,10 +584,10 @@ def _decide(
         for second in second_sources[:1]:
             signals.append(replace(second, active=True, compare=True))
             used.add(second.key)
-    left = [
+    unused = [
         LeftColumn(file, column, source.left.get(column) or source.named[column].why)
         for file, source in sources.items()
         for column in (*source.values, *source.left)
         if (file, column) not in used
     ]
-    return signals, list(dict.fromkeys(left))
+    return signals, list(dict.fromkeys(unused))

@@ -46,11 +46,12 @@ _CLOCKS_OF_MAKES = {"MESS_DATUM": ("UTC", "the files of DWD are in UTC")}
 class ExportClock:
     """The stamps of one export.
 
-    column: its name. time_format: strptime format, None for ISO 8601. time: [s] (N,) by the clock of the
-    file, read as UTC where the stamps have no offset.
-    timezone: of the stamps, None where they carry offsets; zone_assumed: whether there is no evidence of it.
-    stamp: "instant", "start" or "end" of the interval. step_s: most frequent step.
-    doubts: choices to confirm. remarks: conclusions that rest on evidence.
+    column: its name.  time_format: strptime format; None for ISO 8601.
+    time: [s] (N,) by the clock of the file, read as UTC where the stamps have no offset.
+    timezone: of the stamps; None where they carry offsets.  zone_assumed: whether there is no evidence for
+        it.
+    stamp: "instant", "start" or "end" of the interval.  step_s: most frequent step.
+    doubts: choices to confirm.  remarks: conclusions that rest on evidence.
     """
 
     column: str
@@ -65,35 +66,37 @@ class ExportClock:
 
 
 def time_columns(export: Export) -> tuple[str, str | None]:
-    """The column of stamps or dates, and the column of times of day where the date is in a column of its own.
+    """Return the column of stamps or dates, and the column of times of day if that is a separate one.
 
     Raises TableFault where there is none.
     """
-    sample = export.cells.iloc[np.linspace(0, len(export.cells) - 1, min(len(export.cells), 200)).astype(int)]
+    sampled_rows = export.cells.iloc[
+        np.linspace(0, len(export.cells) - 1, min(len(export.cells), 200)).astype(int)
+    ]
     candidates: list[tuple[int, int, str]] = []
-    for name in sample:
-        cells = sample[name].dropna()
-        if len(cells) < 0.5 * len(sample) or (cells.nunique() < 2 and len(sample) > 200):
+    for name in sampled_rows:
+        cells = sampled_rows[name].dropna()
+        if len(cells) < 0.5 * len(sampled_rows) or (cells.nunique() < 2 and len(sampled_rows) > 200):
             continue
         if cells.map(is_date).mean() > 0.9:
-            words = name.lower()
+            lower_name = name.lower()
             is_numeric = cells.str.fullmatch(r"[\d.,]+").all() and not cells.str.contains(r"\..*\.").any()
-            is_named = bool(re.search(r"time|date|datum|zeit|stamp|epoch|yyyymmdd|ts\b|_ts|时间", words))
+            is_named = bool(re.search(r"time|date|datum|zeit|stamp|epoch|yyyymmdd|ts\b|_ts|时间", lower_name))
             if is_numeric and not is_named:
                 continue
-            is_utc = "utc" in words or "gmt" in words
-            is_end = bool(re.search(r"\bend|ende\b|bis\b|_end|received|insert", words))
+            is_utc = "utc" in lower_name or "gmt" in lower_name
+            is_end = bool(re.search(r"\bend|ende\b|bis\b|_end|received|insert", lower_name))
             candidates.append((is_named + is_utc - is_end, -len(candidates), name))
     if not candidates:
         raise TableFault(
             "expected a column of stamps such as 2020-12-01 00:00, found none among "
-            f"{', '.join(sample)[:200]}"
+            f"{', '.join(sampled_rows)[:200]}"
         )
     column = max(candidates)[2]
-    dates = sample[column].dropna()
+    dates = sampled_rows[column].dropna()
     if not dates.str.contains(":").any():
-        for name in sample:
-            cells = sample[name].dropna()
+        for name in sampled_rows:
+            cells = sampled_rows[name].dropna()
             if name == column or not len(cells):
                 continue
             if cells.map(lambda cell: bool(_TIME_ALONE.match(cell))).mean() > 0.9:
@@ -105,8 +108,7 @@ def time_columns(export: Export) -> tuple[str, str | None]:
 
 
 def time_of_day(hours: pandas.Series) -> tuple[pandas.Series, bool]:
-    """Times of day as text, converted from hours if need be; and whether the hours are 1 to 24, ends of
-    intervals."""
+    """Return times of day as text, and whether hours run from 1 to 24, that is, are ends of intervals."""
     if hours.str.contains(":").any():
         return hours, False
     numbers = hours.dropna().astype(int)
@@ -114,7 +116,7 @@ def time_of_day(hours: pandas.Series) -> tuple[pandas.Series, bool]:
 
 
 def as_text(stamps: pandas.Series) -> tuple[pandas.Series, str | None]:
-    """Stamps in a form that a case can read, and, for converted Unix times, their unit in words."""
+    """Return stamps in a form that a case can read and, if they were Unix times, their unit in words."""
     import pandas as pd
 
     present = stamps.dropna()
@@ -126,66 +128,69 @@ def as_text(stamps: pandas.Series) -> tuple[pandas.Series, str | None]:
     return text.str.replace(".000000Z", "Z"), f"Unix {'milliseconds' if is_milliseconds else 'seconds'}"
 
 
-def clock_of(export: Export, means: bool) -> ExportClock:
-    """The clock of an export.
+def clock_of(export: Export, are_means: bool) -> ExportClock:
+    """Return the clock of an export.
 
-    means: whether the readings are means over intervals.  Raises TableFault where no format reads the stamps.
+    are_means: whether the readings are means over intervals.  Raises TableFault where no format reads the
+        stamps.
     """
     column, text = export.column, export.cells[export.column]
-    forms = _fitting_forms(text)
-    if not forms:
+    fitting = _fitting_forms(text)
+    if not fitting:
         raise TableFault(
             f'column "{column}": expected stamps such as 2020-12-01 00:00 or 01.12.2020 00:00, found '
             f'"{text.dropna().iloc[0]}"; export the time in ISO 8601'
         )
     doubts: list[str] = []
-    form, time = forms[0]
-    if len(forms) > 1:
-        others = ", ".join(str(one) for one, _ in forms[1:3])
+    time_format, time = fitting[0]
+    if len(fitting) > 1:
+        others = ", ".join(str(other_form) for other_form, _ in fitting[1:3])
         doubts.append(f"day and month can be exchanged in these stamps; also possible: {others}")
     step, _ = modal_step(np.sort(time[np.isfinite(time)]))
     holes, unbroken = _spring_holes(time, step)
     zone: str | None = None
     remark, is_assumed = "", False
-    if not (form is None and read_stamps(text.iloc[:50]).naive.sum() < 25):
+    if not (time_format is None and read_stamps(text.iloc[:50]).naive.sum() < 25):
         zone, remark, doubt = _infer_zone(export, holes, unbroken)
         doubts += [doubt] if doubt else []
         is_assumed = bool(doubt) and zone == "UTC"
-    stamp, evidence = _infer_meaning(column, time, step, holes, means)
+    stamp, evidence = _infer_meaning(column, time, step, holes, are_means)
     if stamp != "instant" and not evidence:
         doubts.append(
             'means over intervals: the file does not state whether stamps are their "start" or "end"'
         )
     remarks = tuple(filter(None, (remark, evidence)))
-    return ExportClock(column, form, time, zone, stamp, step, tuple(doubts), remarks, is_assumed)
+    return ExportClock(column, time_format, time, zone, stamp, step, tuple(doubts), remarks, is_assumed)
 
 
 def _fitting_forms(text: pandas.Series) -> list[tuple[str | None, np.ndarray]]:
-    """Formats that read the stamps, with the times [s]; those with the most regular and shortest times
-    only."""
+    """Return the formats that read the stamps, with the times [s].
+
+    Of several formats, only those with the most regular steps and the shortest span are kept.
+    """
     sample = text.dropna()
     sample = sample.iloc[np.linspace(0, len(sample) - 1, min(len(sample), 300)).astype(int)]
     ranked = []
-    for order, form in enumerate(fitting_formats(sample)):
-        read = read_stamps(text, UTC, time_format=form)
-        if read.unreadable.sum() > 0.001 * len(text):
+    for rank, form in enumerate(fitting_formats(sample)):
+        stamps_read = read_stamps(text, UTC, time_format=form)
+        if stamps_read.unreadable.sum() > 0.001 * len(text):
             continue
-        moments = np.sort(read.time[np.isfinite(read.time)])
-        irregular = 1.0 - modal_step(moments)[1]
-        span = moments[-1] - moments[0] if len(moments) else math.inf
-        ranked.append((round(irregular, 2), round(span / DAY_S), order, form, read.time))
+        times = np.sort(stamps_read.time[np.isfinite(stamps_read.time)])
+        irregular = 1.0 - modal_step(times)[1]
+        span = times[-1] - times[0] if len(times) else math.inf
+        ranked.append((round(irregular, 2), round(span / DAY_S), rank, form, stamps_read.time))
         if form is None:
             break
-    ranked.sort(key=lambda entry: entry[:3])
-    return [(entry[3], entry[4]) for entry in ranked if entry[:2] == ranked[0][:2]]
+    ranked.sort(key=lambda candidate: candidate[:3])
+    return [(candidate[3], candidate[4]) for candidate in ranked if candidate[:2] == ranked[0][:2]]
 
 
 @dataclass(frozen=True)
 class _Hole:
-    """The hour that a clock with summer time skips in spring.
+    """An hour that a clock skips in spring because it follows summer time.
 
-    hour: [h] at which it begins by this clock. end: whether stamps are ends of intervals. american: whether
-    the clock changed on the American date.
+    hour: [h] at which it begins by this clock.  end: whether stamps are ends of intervals.
+    american: whether the clock changed on the American date.
     """
 
     hour: int
@@ -197,48 +202,52 @@ _ZONES = {1: "Europe/London", 2: "Europe/Berlin", 3: "Europe/Helsinki"}
 
 
 def _spring_holes(time: np.ndarray, step: float) -> tuple[list[_Hole], int]:
-    """Hours missing on the dates when summer time begins, and the number of these dates without a missing
-    hour."""
-    moments = np.unique(time[np.isfinite(time)])
-    if not step <= HOUR_S or len(moments) < 10:
+    """Return the hours missing on the dates when summer time begins, and on how many such dates no hour is
+    missing."""
+    times = np.unique(time[np.isfinite(time)])
+    if not step <= HOUR_S or len(times) < 10:
         return [], 0
-    holes, unbroken = [], 0
-    for start in np.arange(DAY_S * np.floor(moments[0] / DAY_S), moments[-1], DAY_S):
+    holes, unbroken_count = [], 0
+    for start in np.arange(DAY_S * np.floor(times[0] / DAY_S), times[-1], DAY_S):
         day, season = change_date(start)
         if season != "spring":
             continue
         european = day.day >= 25
-        nearby = moments[(moments >= start - HOUR_S) & (moments <= start + 6 * HOUR_S)]
-        gaps = np.flatnonzero(np.diff(nearby) > 1.5 * step)
-        if len(gaps) == 0 and len(nearby) > 5 * HOUR_S / step:
-            unbroken += european
-        elif len(gaps) == 1 and abs(nearby[gaps[0] + 1] - nearby[gaps[0]] - HOUR_S - step) < 0.01 * step:
-            missing = (nearby[gaps[0]] + step - start) / HOUR_S
-            holes.append(_Hole(math.floor(missing + 1e-6), missing % 1.0 > 1e-6, not european))
-    return holes, unbroken
+        times_around_change = times[(times >= start - HOUR_S) & (times <= start + 6 * HOUR_S)]
+        gaps = np.flatnonzero(np.diff(times_around_change) > 1.5 * step)
+        if len(gaps) == 0 and len(times_around_change) > 5 * HOUR_S / step:
+            unbroken_count += european
+        elif (
+            len(gaps) == 1
+            and abs(times_around_change[gaps[0] + 1] - times_around_change[gaps[0]] - HOUR_S - step)
+            < 0.01 * step
+        ):
+            hour_of_gap = (times_around_change[gaps[0]] + step - start) / HOUR_S
+            holes.append(_Hole(math.floor(hour_of_gap + 1e-6), hour_of_gap % 1.0 > 1e-6, not european))
+    return holes, unbroken_count
 
 
 def _infer_zone(export: Export, holes: Sequence[_Hole], unbroken: int) -> tuple[str, str, str]:
-    """The zone of stamps without an offset, the evidence for it, and a doubt about it; either may be ""."""
+    """Return the zone of stamps without an offset, the evidence for it, and a doubt about it ("" without)."""
     column = export.column
-    heading = " ".join((column, *export.units[:1])).replace("_", " ")
-    named, central = zone_in_header(heading), _CENTRAL_EUROPE.search(heading)
-    if named is not None and not central:
-        return named, f'the zone is named in the header "{column}"', ""
-    stated = _STATED_ZONE.search(export.preamble)
-    if stated is not None:
+    header_text = " ".join((column, *export.units[:1])).replace("_", " ")
+    zone_of_header, central_european = zone_in_header(header_text), _CENTRAL_EUROPE.search(header_text)
+    if zone_of_header is not None and not central_european:
+        return zone_of_header, f'the zone is named in the header "{column}"', ""
+    stated_zone = _STATED_ZONE.search(export.preamble)
+    if stated_zone is not None:
         with suppress(ValueError):
-            offset = None if _CENTRAL_EUROPE.search(stated[1]) else zone_in_header(stated[1])
-            zone_named(offset or stated[1])
-            return offset or stated[1], "the zone is stated above the header", ""
+            offset = None if _CENTRAL_EUROPE.search(stated_zone[1]) else zone_in_header(stated_zone[1])
+            zone_named(offset or stated_zone[1])
+            return offset or stated_zone[1], "the zone is stated above the header", ""
     if column in _CLOCKS_OF_MAKES:
         return *_CLOCKS_OF_MAKES[column], ""
-    if central and named is not None and not holes:
+    if central_european and zone_of_header is not None and not holes:
         doubt = (
-            f'the header "{column}" names Central European Time: {named} is assumed; '
+            f'the header "{column}" names Central European Time: {zone_of_header} is assumed; '
             'state "Europe/Berlin" if the clock follows summer time'
         )
-        return named, "", "" if unbroken else doubt
+        return zone_of_header, "", "" if unbroken else doubt
     if holes and not unbroken:
         zone = _ZONES.get(holes[0].hour) if not holes[0].american else None
         evidence = f"the hour from {holes[0].hour}:00 is missing where summer time begins"
@@ -255,50 +264,52 @@ def _infer_zone(export: Export, holes: Sequence[_Hole], unbroken: int) -> tuple[
 
 
 def _infer_meaning(
-    column: str, time: np.ndarray, step: float, holes: Sequence[_Hole], means: bool
+    column: str, time: np.ndarray, step: float, holes: Sequence[_Hole], are_means: bool
 ) -> tuple[str, str]:
-    """The meaning of the stamps, "instant" or "start" or "end" of an interval, and the evidence.
+    """Return what stamps mean ("instant", or "start" or "end" of an interval), and the evidence.
 
-    Without evidence, stamps of means count as starts, and the evidence is "".
+    are_means: whether readings are means.  Without evidence, their stamps count as starts, and the evidence
+        is "".
     """
-    words = re.sub(r"[_\W]+", " ", column.lower())
-    header = f'the header "{column}" says that stamps are at the {{}} of the interval'
-    if re.search(r"\b(start|begin|beginning|beginn|von|from)\b", words):
-        return "start", header.format("start")
-    if re.search(r"\b(end|ende|bis)\b", words):
-        return "end", header.format("end")
-    if not (means and step >= 5.0 * MINUTE_S):
+    header_words = re.sub(r"[_\W]+", " ", column.lower())
+    evidence_of_header = f'the header "{column}" says that stamps are at the {{}} of the interval'
+    if re.search(r"\b(start|begin|beginning|beginn|von|from)\b", header_words):
+        return "start", evidence_of_header.format("start")
+    if re.search(r"\b(end|ende|bis)\b", header_words):
+        return "end", evidence_of_header.format("end")
+    if not (are_means and step >= 5.0 * MINUTE_S):
         return "instant", ""
-    moments = np.sort(time[np.isfinite(time)])
-    first_minute, last_minute = np.round(np.mod(moments[[0, -1]], DAY_S) / MINUTE_S)
-    minutes = round(step / MINUTE_S) if math.isfinite(step) else 0
-    if minutes and holes:
+    times = np.sort(time[np.isfinite(time)])
+    first_minute, last_minute = np.round(np.mod(times[[0, -1]], DAY_S) / MINUTE_S)
+    step_minutes = round(step / MINUTE_S) if math.isfinite(step) else 0
+    if step_minutes and holes:
         stamp = "end" if holes[0].end else "start"
         return stamp, f"the stamps missing where summer time begins are {stamp}s of intervals"
-    if minutes and (first_minute, last_minute) == (minutes, 0):
+    if step_minutes and (first_minute, last_minute) == (step_minutes, 0):
         evidence = "one step after midnight and ends at midnight: stamps are ends of intervals"
         return "end", f"the file begins {evidence}"
-    if minutes and (first_minute, last_minute) == (0, round(DAY_S / MINUTE_S) - minutes):
+    if step_minutes and (first_minute, last_minute) == (0, round(DAY_S / MINUTE_S) - step_minutes):
         evidence = "at midnight and ends one step before: stamps are starts of intervals"
         return "start", f"the file begins {evidence}"
     return "start", ""
 
 
 def sun_remark(time: np.ndarray, irradiance: np.ndarray, longitude_deg: float | None) -> str | None:
-    """A sentence on a clock's offset from UTC by the course of the sun; None with less than five days of sun.
+    """Return a sentence on a clock's offset from UTC by the course of the sun; None with less than five days
+    of sun.
 
-    time: [s] (N,) by the clock. irradiance: [any unit] (N,).  Noon is the mean time of day of the sun's
-    energy, by the first harmonic of the day, weighted by the irradiance; the equation of time averages out
-    over a year and is at most 0.3 h.
+    time: [s] (N,) by the clock.  irradiance: [any unit] (N,).  Noon is the mean time of day of the sun's
+        energy, by the first harmonic of the day, weighted by the irradiance; the equation of time averages
+        out over a year and is at most 0.3 h.
     """
     is_sunny = np.isfinite(time) & np.isfinite(irradiance) & (irradiance > 0.0)
     if is_sunny.sum() < 50 or np.ptp(time[is_sunny]) < 5.0 * DAY_S:
         return None
     phase = 2.0 * math.pi * time[is_sunny] / DAY_S
-    angle = math.atan2(
+    noon_angle = math.atan2(
         float(irradiance[is_sunny] @ np.sin(phase)), float(irradiance[is_sunny] @ np.cos(phase))
     )
-    noon_h = (angle / (2.0 * math.pi) * 24.0) % 24.0
+    noon_h = (noon_angle / (2.0 * math.pi) * 24.0) % 24.0
     lead_h = noon_h - 12.0
     if longitude_deg is not None:
         offset = lead_h + longitude_deg / 15.0
@@ -306,5 +317,7 @@ def sun_remark(time: np.ndarray, irradiance: np.ndarray, longitude_deg: float | 
             f"the sun culminates at {noon_h:.1f} h by this clock: at {longitude_deg:g}° E UTC{offset:+.1f} h"
         )
     longitude_at_utc = -15.0 * lead_h
-    listed = ", ".join(f"{offset:+d} h: {longitude_at_utc + 15.0 * offset:.0f}° E" for offset in (0, 1, 2))
-    return f"the sun culminates at {noon_h:.1f} h by this clock; that fits UTC{listed}"
+    longitudes = ", ".join(
+        f"{offset:+d} h: {longitude_at_utc + 15.0 * offset:.0f}° E" for offset in (0, 1, 2)
+    )
+    return f"the sun culminates at {noon_h:.1f} h by this clock; that fits UTC{longitudes}"

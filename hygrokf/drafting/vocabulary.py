@@ -149,12 +149,12 @@ _BRACKETS = re.compile(r"[(\[{]([^()\[\]{}]*)[)\]}]")
 
 @dataclass(frozen=True)
 class NamedColumn:
-    """The meaning of a column's name.
+    """What a column's name says about its content.
 
-    words: of the name, in lower case between blanks. unit: in `UNITS`, from the name or the row below it,
-    None where not recognised; stated: the unit as written. quantity: "temperature", …, or a signal; "" where
-    none is named. place: "" where none is named. signal: "" where the name does not determine it. score:
-    trust in the name, 0 to 1. why: in words.
+    words: of the name, in lower case between blanks.
+    unit: in `UNITS`, from the name or the row below it; None if unknown.  stated: the unit as written.
+    quantity: "temperature", …, or a signal; "" if none is named.  place: "" if none is named.
+    signal: "" if the name does not determine it.  score: trust in the name, 0 to 1.  why: in words.
     """
 
     words: str
@@ -168,48 +168,51 @@ class NamedColumn:
 
 
 def name_says(name: str, unit: str = "") -> NamedColumn:
-    """The meaning of a header.
+    """Return what a column's header says: signal, quantity, place, unit and trust.
 
-    name: of the column. unit: from a row of units, or "".
+    name: of the column.  unit: from a row of units, or "".
     """
     if _LOGICAL_NODE.search(name):
         # IEC 61400-25: "WTG07/WTUR1.W.mag.f" is WTUR.W
         name = _DATA_ATTRIBUTE.sub("", _LOGICAL_NODE.sub(r"\1", name))
-    plain, stated, unit_name = _split_unit(name, unit)
-    words = words_of(plain)
-    unnamed = NamedColumn(words, unit_name, stated, "", "", "", 0.0, "no signal of this name")
+    name_without_unit, unit_text, unit_name = _split_unit(name, unit)
+    words = words_of(name_without_unit)
+    no_signal = NamedColumn(words, unit_name, unit_text, "", "", "", 0.0, "no signal of this name")
     if re.search(_STATISTIC, words):
-        return replace(unnamed, why="a statistic other than the mean")
+        return replace(no_signal, why="a statistic other than the mean")
     name_without_mean = re.sub(r"\s+", " ", re.sub(_MEAN, " ", words)).strip()
     full_name = re.sub(r"\s+", " ", re.sub(_MEAN, " ", words_of(name))).strip()
-    for make_name, signal, make in OWN_NAMES:
-        has_unit_in_name = make_name == full_name != name_without_mean
+    for known_name, signal, make in OWN_NAMES:
+        has_unit_in_name = known_name == full_name != name_without_mean
         if has_unit_in_name or (
-            make_name == name_without_mean and (unit_name is None or unit_name in fitting_units(signal))
+            known_name == name_without_mean and (unit_name is None or unit_name in fitting_units(signal))
         ):
-            of_make = replace(unnamed, signal=signal, score=1.0, why=f"a name of {make}")
+            of_make = replace(no_signal, signal=signal, score=1.0, why=f"a name of {make}")
             return replace(of_make, unit=None, stated="") if has_unit_in_name else of_make
     quantity = next((quantity_name for quantity_name, pattern in QUANTITIES if re.search(pattern, words)), "")
-    quantity = quantity or _quantity_by_unit(unit_name, stated, words)
+    quantity = quantity or _quantity_by_unit(unit_name, unit_text, words)
     if re.search(NOT_MEANT, words) or not quantity:
-        return unnamed
+        return no_signal
     place, score = place_of(words)
     is_part = re.search(PARTS, words) is not None
     signal = _signal_of(quantity, place, words)
     needs_air = quantity in ("temperature", "relative_humidity") and place not in OF_AIR
     if is_part and (needs_air or quantity == "power"):
-        return replace(unnamed, place=place, why="a part that is no signal")
+        return replace(no_signal, place=place, why="a part that is no signal")
     if not place and signal:
         score = 0.85 if quantity != "power" else 0.9
     if place == "cabinet":
         score = 0.5 if is_part else _cabinet_score(words)
     return NamedColumn(
-        words, unit_name, stated, quantity, place, signal, score if signal else 0.0, "by its name"
+        words, unit_name, unit_text, quantity, place, signal, score if signal else 0.0, "by its name"
     )
 
 
 def words_of(text: str) -> str:
-    """The words of a name in lower case, between blanks; camel case and digits apart, umlauts written out."""
+    """Return the words of a name in lower case, between blanks.
+
+    Camel case and digits are separated, umlauts are written out.
+    """
     text = text.translate(_WRITTEN_OUT)
     text = re.sub(r"(?<![A-Za-z])(T|RH)_?(cab|amb|nac|out|ext)(?![a-z])", r"\1 \2", text)
     text = re.sub(r"([a-z])([A-Z])", r"\1 \2", text)
@@ -218,7 +221,7 @@ def words_of(text: str) -> str:
 
 
 def place_of(words: str) -> tuple[str, float]:
-    """The place that words name, and the trust in it, 0 to 1; ("", 0) where they name no place."""
+    """Return the place that words name, and the trust in it, 0 to 1; ("", 0) without a place."""
     for place, pattern, score in PLACES:
         if re.search(pattern, words):
             return place, score
@@ -226,7 +229,7 @@ def place_of(words: str) -> tuple[str, float]:
 
 
 def _cabinet_score(words: str) -> float:
-    """Trust, 0 to 1, that a cabinet is the converter's."""
+    """Return the trust, 0 to 1, that a named cabinet is the converter's."""
     if re.search(r"converter|inverter|umrichter|wechselrichter|变流", words):
         return 0.97
     if re.search(r" top ?box | cont top ", words):
@@ -237,7 +240,7 @@ def _cabinet_score(words: str) -> float:
 
 
 def _quantity_by_unit(unit: str | None, stated: str, words: str) -> str:
-    """The quantity that a unit implies, where the words name no quantity; "" without one."""
+    """Return the quantity that a unit implies, where the words name none; "" without one."""
     if unit == "m/s":
         return "wind_speed" if " wind " in words else ""
     if unit == "rpm":
@@ -250,6 +253,7 @@ def _quantity_by_unit(unit: str | None, stated: str, words: str) -> str:
 
 
 def _signal_of(quantity: str, place: str, words: str) -> str:
+    """Return the signal for a quantity and a place; "" if there is none."""
     if quantity == "power":
         if re.search(r"heater|heiz", words):
             return "heater_power"
@@ -267,19 +271,26 @@ def _signal_of(quantity: str, place: str, words: str) -> str:
     return quantity
 
 
-def _split_unit(name: str, below: str) -> tuple[str, str, str | None]:
-    """Name without its unit, the unit as written, and the unit's name in `UNITS`."""
-    if below.strip().strip("[]()-"):
-        return name, below, unit_in_export(below)
+def _split_unit(name: str, unit_below: str) -> tuple[str, str, str | None]:
+    """Return a name without its unit, the unit as written, and the unit's name in `UNITS` or None.
+
+    unit_below: text in the row of units, or "".
+    """
+    if unit_below.strip().strip("[]()-"):
+        return name, unit_below, unit_in_export(unit_below)
     for bracket in reversed(list(_BRACKETS.finditer(name))):
         unit = unit_in_export(bracket[1])
         if unit is not None:
             return name[: bracket.start()] + name[bracket.end() :], bracket[1], unit
     # loggers: "Temp, °C (LGR S/N: 123, SEN S/N: 123)"
-    logger = re.match(r"(.+?),\s*([^,(]+?)\s*(\(.*)?$", name)
-    if logger is not None and unit_in_export(logger[2]) is not None:
-        label = re.search(r"LBL:\s*([^,)]+)", logger[3] or "")
-        return f"{logger[1]} {label[1] if label else ''}", logger[2], unit_in_export(logger[2])
+    logger_header = re.match(r"(.+?),\s*([^,(]+?)\s*(\(.*)?$", name)
+    if logger_header is not None and unit_in_export(logger_header[2]) is not None:
+        label = re.search(r"LBL:\s*([^,)]+)", logger_header[3] or "")
+        return (
+            f"{logger_header[1]} {label[1] if label else ''}",
+            logger_header[2],
+            unit_in_export(logger_header[2]),
+        )
     if unit_in_export(name) is not None and len(name) > 1:
         return name, name, unit_in_export(name)
     suffix = _SUFFIX.search(name) or re.search(r"[ _](Wm2)$", name)

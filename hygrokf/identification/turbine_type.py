@@ -155,9 +155,7 @@ def pool_types(fits: Sequence[Fit], name: str = "") -> TurbineType:
             f"expected the fits of at least {FEWEST_TURBINES} turbines, found {len(fits)}: fit more turbines"
         )
     names = [fit.name for fit in fits]
-    repeated_names = sorted(
-        {name_or_constant for name_or_constant in names if names.count(name_or_constant) > 1}
-    )
+    repeated_names = sorted({repeated for repeated in names if names.count(repeated) > 1})
     if repeated_names:
         faults.append(
             f"expected every turbine once, found several fits of {', '.join(repeated_names)}: keep one "
@@ -173,8 +171,8 @@ def pool_types(fits: Sequence[Fit], name: str = "") -> TurbineType:
         left_out = {n for n, row in fit.results.parameters.items() if row.fixed}
         left_out |= {
             PARAMETER_OF[part]
-            for part, name_or_constant in inherited(fit.results).items()
-            if name_or_constant.verdict == REJECT
+            for part, constant in inherited(fit.results).items()
+            if constant.verdict == REJECT
         }
         for parameter, value, variance in _converted(base, fit):
             if parameter in shared_parameters and parameter not in left_out:
