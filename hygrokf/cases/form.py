@@ -148,16 +148,19 @@ class StatedSource(Notation):
     def place_in_interval(self) -> str | None:
         """Check that stamp, interval and hold fit together."""
         if self.stamp != "instant":
-            return 'hold = "previous" is for stamp = "instant"' if self.hold == PREVIOUS else None
+            return 'hold = "previous" needs stamp = "instant"' if self.hold == PREVIOUS else None
         if self.interval_s is None and self.hold != MEAN:
             return None
-        return 'a mean needs to know where in it the stamp is: state stamp = "start", "middle" or "end"'
+        return (
+            "a mean needs the position of its stamp in the averaging interval: "
+            'state stamp = "start", "middle" or "end"'
+        )
 
     @across("ignore_offset", "timezone")
     def clock(self) -> str | None:
         """Check that a clock whose offsets are ignored has a time zone."""
         lacks_zone = self.ignore_offset and self.timezone is None
-        return "ignore_offset = true needs the timezone of the clock" if lacks_zone else None
+        return "ignore_offset = true needs the timezone of the clock: state timezone" if lacks_zone else None
 
     @across("signals")
     def any_signal(self) -> str | None:

@@ -259,8 +259,8 @@ def _prepare(
         if len(faults) == fault_count:
             shown = ", ".join(f'"{label}"' for label in labels) or "no column"
             faults.append(
-                f"{name}: none of its columns is a signal (it has {shown}): call them by signals, or say "
-                'which is which, such as signals={"T": "cabinet_temperature"}'
+                f"{name}: none of its columns is named after a signal (it has {shown}): rename them, or map "
+                'them, such as signals={"T": "cabinet_temperature"}'
             )
         return None
     source = {

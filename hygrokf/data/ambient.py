@@ -34,10 +34,10 @@ FEWEST_FOR_NOISE = 200
 
 
 def reading_noise(series: Series) -> tuple[float, float] | None:
-    """Estimate the noise of a series' readings: (q, r).
+    """Estimate the noise of a series' readings; None where that is impossible.
 
-    q: variance of the level's increments per second.  r: variance of a reading's noise.
-    None for short or irregular series and for means whose intervals are not adjacent; these are not smoothed.
+    Returns the variance q of the level's increments per second, and the variance r of a reading's noise.
+    Short or irregular series, and means whose intervals are not adjacent, give None: they are not smoothed.
     """
     is_present = ~series.missing
     time, value = series.time[is_present], series.value[is_present]

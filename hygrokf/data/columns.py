@@ -198,8 +198,8 @@ def _ambiguous_points(name: str, column: pandas.Series, places: Places) -> str:
     """Return the message that the points of a column may divide thousands, with an example."""
     example = column.dropna().astype(str).str.extract(PARTED)[0].dropna().iloc[0]
     return (
-        f'column "{name}": "{example}" may be {example.replace(".", "")} or {float(example):g}, as texts '
-        f'without a point stay below 1000: state thousands = "." or decimal = "."{places.here}'
+        f'column "{name}": "{example}" may be {example.replace(".", "")} or {float(example):g}, since no '
+        f'number without a point reaches 1000: state thousands = "." or decimal = "."{places.here}'
     )
 
 
@@ -255,7 +255,7 @@ def _read_times(
             time = np.where(out_of_range, np.nan, time)
         else:
             remedy = "correct or remove these rows"
-            faults.append(f"{stamps_named}: expected stamps of our time, found {description}; {remedy}")
+            faults.append(f"{stamps_named}: expected stamps of 1850 to 2200, found {description}; {remedy}")
     return time, warnings, faults, bool(stamps_read.warnings)
 
 

@@ -197,8 +197,8 @@ def mask_saturated(series: Series) -> tuple[Series, tuple[str, ...]]:
     duration = f", {duration_text(saturated.sum() * step_s)} in all" if np.isfinite(step_s) else ""
     sentence = (
         f"{_label(series)}: saturated humidity, {_readings(saturated)} of at least "
-        f"{100.0 * ceiling:.4g} % masked{duration} ({_period(series, saturated)}); they are censored and "
-        "excluded from the likelihood"
+        f"{100.0 * ceiling:.4g} % masked{duration} ({_period(series, saturated)}); the sensor "
+        "cannot show more, so a fit does not use them"
     )
     masked = dataclasses.replace(_without(series, saturated), saturated=int(saturated.sum()))
     return masked, (sentence,)

@@ -100,7 +100,7 @@ class Series:
             object.__setattr__(self, "hold", hold_named(self.hold))
             if (self.hold == MEAN) != (self.interval_s > 0.0):
                 found_text = f"found hold {self.hold} and {self.interval_s} s"
-                faults.append(f"a mean has hold mean and its interval_s, {found_text}")
+                faults.append(f"expected hold mean together with interval_s > 0 only, {found_text}")
         except ValueError as fault:
             faults.append(str(fault))
         if self.longest_hold_s is not None and not self.longest_hold_s > 0.0:

@@ -359,9 +359,9 @@ def _rejected(
     """Return the causes that were left out, with reasons: dropped ones, then those of the last round, then
     the rest."""
     rejected: dict[str, Rejected] = {}
-    for candidate in search.left:
+    for candidate in search.dropped:
         rejected.setdefault(candidate.cause, _rejection(candidate, "later_gone"))
-    for candidate in sorted(search.beside, key=lambda candidate: -candidate.evidence):
+    for candidate in sorted(search.last_round, key=lambda candidate: -candidate.evidence):
         is_weak = candidate.evidence < required_evidence(candidate, conclusion.accepted)
         rejected.setdefault(candidate.cause, _rejection(candidate, "weak" if is_weak else "weak_by_days"))
     for cause in library.causes:

@@ -58,8 +58,8 @@ class Instants:
 
     time_h: (T,) [h].  tau_h: [h] time constant of the cabinet's low pass.
     added: (T,) variance added to the state n where it is unknown: at the start and after gaps.
-    key: (T,) row of `table` (d, 2m+1), which holds the coefficients of each distinct step.
-    there: (m,) whether the readings resolve a part of the process.
+    key: (T,) row of each step in `table` (d, 2m+1), which holds the coefficients of each distinct step.
+    is_resolved: (m,) whether the readings resolve a part of the process.
     shape: (T,) noise variance of each reading as a multiple of R.
     largest: variance of the readings; no part may exceed it at the output.
     """
@@ -69,7 +69,7 @@ class Instants:
     added: np.ndarray
     key: np.ndarray
     table: np.ndarray
-    there: np.ndarray
+    is_resolved: np.ndarray
     shape: np.ndarray
     largest: float
 
@@ -80,7 +80,8 @@ def course(
 ) -> Instants:  # fmt: skip
     """Return the instants of an error with the coefficients of the process between them.
 
-    there: (m,) which parts the readings resolve; None: decided from the step and length of the record.
+    time_h: (T,) [h].  tau_h, added, shape, largest: as in `Instants`.
+    is_resolved: (m,) which parts the readings resolve; None: decided from the step and length of the record.
     """
     steps = np.round(np.diff(time_h, prepend=time_h[0]) * 3.6e6) / 3.6e6
     lengths, key = np.unique(steps, return_inverse=True)
@@ -480,7 +481,7 @@ def start_variances(instants: Instants, residual: np.ndarray) -> np.ndarray:
     variances = np.zeros(VARIANCES)
     variances[:2] = 0.05 * total, 0.1 * total
     variances[2:] = np.where(
-        instants.there, 0.85 * total / max(instants.there.sum(), 1) / shares(instants.tau_h), 0.0
+        instants.is_resolved, 0.85 * total / max(instants.is_resolved.sum(), 1) / shares(instants.tau_h), 0.0
     )
     return variances
 
@@ -492,7 +493,7 @@ def maximised(instants: Instants, residual: np.ndarray, start: np.ndarray | None
     """
     upper = np.full(VARIANCES, instants.largest)
     upper[2:] = instants.largest / shares(instants.tau_h)
-    active = np.append([True, True], instants.there)
+    active = np.append([True, True], instants.is_resolved)
     default_start = start_variances(instants, residual)
     initial = default_start if start is None else start
     lowest = np.log(LEAST * upper)

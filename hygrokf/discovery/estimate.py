@@ -298,7 +298,8 @@ def slopes(
 ) -> dict[str, np.ndarray]:
     """Return the Jacobian (T, d) of the simulated readings in the coordinates, by quantity.
 
-    block: the quantities; None: all.  kept: columns that are used as they are, by quantity and parameter.
+    block: the quantities; None: all.
+    known_columns: columns that are not computed again, by quantity and parameter.
     """
     block = estimate.quantities if block is None else block
     position = coordinates.coordinates(estimate.theta)

@@ -230,7 +230,7 @@ def fit_of(
         basis = Basis(CASCADE, stages, heat_release_regression(early))
         fit = assemble_fit(record, basis, {}, say=say, tolerance=STEP_TOLERANCE)
     except (RatesFault, DigitsFault) as fault:
-        raise ValueError(f"the model that the search ends with cannot be filtered: {fault}") from fault
+        raise ValueError(f"the final model of the search is too fast for a Kalman filter: {fault}") from fault
     # the linear estimate of clock offsets needs a maximum of the filter's likelihood, but this set is none
     statements = (*fit.results.statements, FitCode.CLOCKS_NOT_COUNTED())
     results = with_verdicts(replace(fit.results, criterion=final.estimator, statements=statements))

@@ -63,18 +63,18 @@ class Whitened:
 
     error: (n,) NaN without a reading.  step_h: [h] length of a bin.  tau_h: [h] time constant of the low
         pass.
-    known: the filtered error.  nuisance: (n, q) columns of effects that are already explained.
+    filter_result: the filtered error.  nuisance: (n, q) columns of effects that are already explained.
     basis: (n, q) orthonormal basis of the whitened nuisance.
-    e: (n,) standardised innovations orthogonal to it; 0 without a reading.
+    innovations: (n,) standardised, orthogonal to the basis; 0 without a reading.
     """
 
     error: np.ndarray
     step_h: float
     tau_h: float
-    known: Filtered
+    filter_result: Filtered
     nuisance: np.ndarray
     basis: np.ndarray
-    e: np.ndarray
+    innovations: np.ndarray
 
     @classmethod
     def of(cls, error: np.ndarray, step_h: float, tau_h: float) -> Whitened:
@@ -91,7 +91,7 @@ class Whitened:
 
     def _with(self, error: np.ndarray, variances: np.ndarray, nuisance: np.ndarray) -> Whitened:
         """Return the same object for another error (n,), variances (7,) and nuisance columns (n, q)."""
-        filter_result = filtered(self.known.course, variances, error)
+        filter_result = filtered(self.filter_result.course, variances, error)
         white_nuisance = filter_result.whitened(nuisance)
         root = _root(white_nuisance)
         basis = white_nuisance[:, :0] if root is None else white_nuisance @ root
@@ -99,10 +99,10 @@ class Whitened:
         return replace(
             self,
             error=error,
-            known=filter_result,
+            filter_result=filter_result,
             nuisance=nuisance,
             basis=basis,
-            e=innovations - basis @ (basis.T @ innovations),
+            innovations=innovations - basis @ (basis.T @ innovations),
         )
 
     def columns(self, condition: np.ndarray, flow: bool) -> np.ndarray:
@@ -129,7 +129,7 @@ class Whitened:
 
     def whitened(self, columns: np.ndarray) -> np.ndarray:
         """Whiten columns (n, k) and remove their parts along the nuisance."""
-        white = self.known.whitened(columns)
+        white = self.filter_result.whitened(columns)
         squares_before = np.einsum("ni,ni->i", white, white)
         white -= self.basis @ (self.basis.T @ white)
         white[:, np.einsum("ni,ni->i", white, white) <= ROUNDING * squares_before] = 0.0
@@ -143,11 +143,14 @@ class Whitened:
         root = _root(white)
         if root is None:
             return 0.0
-        innovations, degrees_of_freedom = self.e if unbounded else _clipped(self.e), root.shape[1]
+        innovations, degrees_of_freedom = (
+            self.innovations if unbounded else _clipped(self.innovations),
+            root.shape[1],
+        )
         statistic = _square(root.T @ (white.T @ innovations))
         if _log_tail(statistic, degrees_of_freedom) > POSSIBLE:
             return _log_tail(statistic, degrees_of_freedom)
-        remainder = _clipped(self.e - white @ (root @ (root.T @ (white.T @ self.e))))
+        remainder = _clipped(self.innovations - white @ (root @ (root.T @ (white.T @ self.innovations))))
         daily = np.add.reduceat(
             white * remainder[:, None], np.arange(0, len(remainder), round(24.0 / self.step_h))
         )
@@ -159,7 +162,7 @@ class Whitened:
         root = _root(white)
         if root is None:
             return np.zeros(len(columns))
-        return columns @ (root @ (root.T @ (white.T @ self.e)))
+        return columns @ (root @ (root.T @ (white.T @ self.innovations)))
 
     def rejudged(self, columns: np.ndarray) -> Whitened:
         """Return this error with the variances estimated without the effect of columns (n, k).
@@ -167,7 +170,7 @@ class Whitened:
         Otherwise a slow effect would raise the slow variances, which then hide it.
         """
         remainder = self.error - self.effect(columns)
-        variances = maximised(self.known.course, remainder, self.known.variances)
+        variances = maximised(self.filter_result.course, remainder, self.filter_result.variances)
         return self._with(self.error, variances, self.nuisance)
 
     def without(self, columns: np.ndarray, kin: np.ndarray) -> Whitened:
@@ -176,7 +179,7 @@ class Whitened:
         These columns and the related columns `kin` (n, c) become nuisance.
         """
         remainder = self.error - self.effect(columns)
-        variances = maximised(self.known.course, remainder, self.known.variances)
+        variances = maximised(self.filter_result.course, remainder, self.filter_result.variances)
         return self._with(remainder, variances, np.column_stack([self.nuisance, columns, kin]))
 
     def change(self) -> tuple[int, bool, int, bool]:
@@ -193,8 +196,10 @@ class Whitened:
         from scipy.ndimage import maximum_filter1d
         from scipy.signal import lfilter
 
-        count, decay = len(self.e), np.exp(-self.step_h / self.tau_h)
-        contributions = np.column_stack([self._adjoint(column) for column in (self.e, *self.basis.T)])
+        count, decay = len(self.innovations), np.exp(-self.step_h / self.tau_h)
+        contributions = np.column_stack(
+            [self._adjoint(column) for column in (self.innovations, *self.basis.T)]
+        )
         reversed_contributions = contributions[::-1]
         direct_sums = np.cumsum(reversed_contributions, axis=0)
         sums = np.stack(
@@ -213,7 +218,9 @@ class Whitened:
             (bin_index >= first_bin)[:, None].astype(float),
             (bin_index == first_bin)[:, None].astype(float),
         )
-        filter_without_gaps = filtered(self.known.course, self.known.variances, np.zeros(count))
+        filter_without_gaps = filtered(
+            self.filter_result.course, self.filter_result.variances, np.zeros(count)
+        )
         white_columns = filter_without_gaps.whitened(np.column_stack([step, self.low_passed(step), outlier]))[
             first_bin:
         ]
@@ -221,7 +228,7 @@ class Whitened:
         information = information - (sums[dates, :, 1:] ** 2).sum(axis=2)
         positive_information = np.where(information > 0.0, information, np.inf)
         statistic = sums[dates, :, 0] ** 2 / positive_information
-        shock = np.maximum(self.e**2, contributions[:, 0] ** 2 / _square(white_columns[:, 2]))
+        shock = np.maximum(self.innovations**2, contributions[:, 0] ** 2 / _square(white_columns[:, 2]))
         statistic[statistic < maximum_filter1d(shock, 2 * NEAR + 1)[dates, None] - INTERVAL] = 0.0
         best_row, flow_column = np.unravel_index(np.argmax(statistic), statistic.shape)
         likely_bins = int((statistic[:, flow_column] > statistic[best_row, flow_column] - INTERVAL).sum())
@@ -232,10 +239,12 @@ class Whitened:
 
         One of them is `white` (n,); the other is to be multiplied later.
         """
-        is_present = np.isfinite(self.known.innovation)
-        innovation = np.where(is_present, white * np.sqrt(self.known.variance), np.nan)
-        smoothed = replace(self.known, innovation=innovation, predicted=np.zeros(len(white))).smoothed()
-        noise_variance = self.known.variances[0] * self.known.course.shape
+        is_present = np.isfinite(self.filter_result.innovation)
+        innovation = np.where(is_present, white * np.sqrt(self.filter_result.variance), np.nan)
+        smoothed = replace(
+            self.filter_result, innovation=innovation, predicted=np.zeros(len(white))
+        ).smoothed()
+        noise_variance = self.filter_result.variances[0] * self.filter_result.course.shape
         return np.where(is_present, (innovation - smoothed) / noise_variance, 0.0)
 
 

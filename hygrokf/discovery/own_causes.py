@@ -232,7 +232,7 @@ def form_faults(cause: Cause, library: Library) -> list[str]:
         return [f"forms fails on a record with every signal: {exception_text(fault)}"]
     if not forms:
         return [
-            "forms gives none on a record with every signal (30 days, hourly); expected at least one there"
+            "forms: expected at least one form for a record with every signal (30 days, hourly), found none"
         ]
     faults = []
     for form in forms:
@@ -314,8 +314,8 @@ def _nesting_faults(
             )
         elif mechanisms and changes[quantity] <= 1e-3 * SAME:
             yield (
-                f"it changes nothing in the simulated {quantity}, whatever its parameters; contribute to one "
-                f"of {', '.join(SUMS)}"
+                f"expected an effect on the simulated {quantity}, found none at any parameter values; let "
+                f"the mechanism contribute to one of {', '.join(SUMS)}"
             )
 
 
@@ -472,7 +472,7 @@ def _causes_at_top(module: object) -> list[Cause]:
         cause for cause in causes.values() if all(cause is not package_cause for package_cause in CAUSES)
     ]
     if not user_causes:
-        message = "expected a hygrokf.Cause at the top level, found none: NAME = hygrokf.cause_of(…), "
+        message = "expected a hygrokf.Cause at the top level, found none: define NAME = hygrokf.cause_of(…), "
         raise LibraryFault([message + "docs/how_to/own_cause.md"])
     return user_causes
 

@@ -250,7 +250,7 @@ def binned(residuals: Residuals, least_h: float = 1.0) -> Residuals:
     in_period = ~residuals.validation
     time = residuals.time_s[in_period]
     if not len(time):
-        raise ValueError("binned: the period has no instants")
+        raise ValueError("binned: expected instants in the identification period, found none")
     has_error = np.any([np.isfinite(residuals.error[q][in_period]) for q in QUANTITIES], axis=0)
     step_h = float(np.median(np.diff(time[has_error]))) / 3600.0 if has_error.sum() > 1 else 1.0
     bin_h = least_h * max(1, math.ceil(step_h / least_h - 0.05))

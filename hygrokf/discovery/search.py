@@ -53,8 +53,8 @@ class Search:
     A round that reaches the budget of simulations names nothing.
 
     parent: the base model with all accepted causes.
-    left: causes that were accepted and later dropped.
-    beside: candidates of the last round.
+    dropped: causes that were accepted and later dropped.
+    last_round: candidates of the last round.
     not_judged: causes for which the budget did not suffice.
     searched: number of settings that are tried, by cause.
     """
@@ -81,8 +81,8 @@ class Search:
         self.parent = base
         self.accepted: list[Candidate] = []
         self._refuted: list[Candidate] = []
-        self.left: list[Candidate] = []
-        self.beside: list[Candidate] = []
+        self.dropped: list[Candidate] = []
+        self.last_round: list[Candidate] = []
         self.not_judged: list[str] = []
         self.visited: set[frozenset[str]] = set()
         self._version: Counter[str] = Counter()
@@ -140,7 +140,7 @@ class Search:
 
         Returns whether another round may find more: a cause was accepted, or a form was refuted.
         """
-        candidates = self.beside = self.candidates()
+        candidates = self.last_round = self.candidates()
         if self.not_judged:
             # the best cause may be among those that were not judged
             return False
@@ -199,7 +199,7 @@ class Search:
             )
             if self._earns(refitted):
                 continue
-            self.left.append(refitted)
+            self.dropped.append(refitted)
             self.accepted, self.parent = others, update_error_models(without, accepted_cause.acts)
             self._version.update(accepted_cause.acts)
 

@@ -408,7 +408,8 @@ def _zone_doubt(source: Source, sources: Sequence[Source]) -> tuple[str, ...]:
     if not source.clock.zone_assumed or not file_of_zone:
         return ()
     listed = ", ".join(f'{file} is at "{zone}"' for zone, file in file_of_zone.items())
-    return (f"{listed}: state this file's zone if it is not {source.clock.timezone}; a wrong one shifts it",)
+    zone = source.clock.timezone
+    return (f"{listed}: state this file's zone if it is not {zone}; a wrong zone shifts all its readings",)
 
 
 def _relative(file: Path, out: Path) -> str:
@@ -492,7 +493,7 @@ def _lines(
         quoted_file = _toml_string(weather_file.file)
         yield from ("", "[[source]]", f"file = {quoted_file}", f'format = "{weather_file.format}"')
         if weather_file.typical:
-            yield from _doubt("a typical year has no calendar year of its own: the year that it stands for")
+            yield from _doubt("a typical year has no calendar year: state the year of the other files")
             # the calendar year in the middle of the exports
             yield f"year = {stamp_text(float(np.median(finite_times[0])))[:4] if finite_times else 2019}"
     if sources:

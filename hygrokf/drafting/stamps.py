@@ -314,10 +314,11 @@ def sun_remark(time: np.ndarray, irradiance: np.ndarray, longitude_deg: float | 
     if longitude_deg is not None:
         offset = lead_h + longitude_deg / 15.0
         return (
-            f"the sun culminates at {noon_h:.1f} h by this clock: at {longitude_deg:g}° E UTC{offset:+.1f} h"
+            f"the sun is highest at {noon_h:.1f} h by this clock: at {longitude_deg:g}° E it runs at "
+            f"UTC{offset:+.1f} h"
         )
     longitude_at_utc = -15.0 * lead_h
     longitudes = ", ".join(
         f"{offset:+d} h: {longitude_at_utc + 15.0 * offset:.0f}° E" for offset in (0, 1, 2)
     )
-    return f"the sun culminates at {noon_h:.1f} h by this clock; that fits UTC{longitudes}"
+    return f"the sun is highest at {noon_h:.1f} h by this clock; that fits UTC{longitudes}"

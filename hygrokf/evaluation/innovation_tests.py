@@ -77,7 +77,7 @@ def diagnose(
     """
     time = np.asarray(time_h, dtype=float)
     if not 0.0 < longest_h < math.inf:
-        raise ValueError(f"longest_h must be a number above 0, found {longest_h}")
+        raise ValueError(f"longest_h: expected a number of hours above 0, found {longest_h}")
     tests: list[InnovationTest] = []
     outputs: dict[str, OutputDiagnosis] = {}
     for name, values in standardised.items():
@@ -198,7 +198,7 @@ def _autocorrelation(
 
 
 def _spectrum(
-    name: str, e: np.ndarray, step: float
+    name: str, e: np.ndarray, step_h: float
 ) -> tuple[CumulativePeriodogram, Periodogram, InnovationTest]:
     """Return the cumulative periodogram with its Kolmogorov–Smirnov test, and the periodogram in bands.
 
@@ -210,7 +210,7 @@ def _spectrum(
     power = np.abs(np.fft.rfft(e - e.mean())[1 : (count + 1) // 2]) ** 2
     power = power / power.mean()
     frequency_count = len(power)
-    frequency = np.arange(1, frequency_count + 1) / (count * step)
+    frequency = np.arange(1, frequency_count + 1) / (count * step_h)
     cumulative = np.cumsum(power) / frequency_count
     # for white noise the first m−1 values are distributed as the order statistics of m−1 uniform numbers
     kolmogorov = kstest(cumulative[:-1], "uniform")

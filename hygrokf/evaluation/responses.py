@@ -230,8 +230,8 @@ def _linear(
     if is_fit(source) and (given is None or isinstance(given, Record)):
         if state or inputs:
             raise ValueError(
-                f"{verb}: expected no state and inputs beside a Fit, whose thermal network has a point of "
-                f"its own; linearise the whole model by {verb}(fit.likelihood(record), fit.values, …)"
+                f"{verb}: expected no state and inputs with a Fit, whose thermal network has its own "
+                f"operating point; to linearise the whole model, call {verb}(fit.likelihood(record), fit.values, …)"
             )
         parameters = source.design.model.parameters
         spread = Spread.in_units(parameters, source.values, source.covariance)

@@ -208,11 +208,11 @@ def _expect_model(model: Fit, criterion: str, prior: object, early: Record) -> N
     """Check the options of `identify` beside `model`; raises ValueError that lists all faults."""
     faults, humidity = [], model.design.humidity
     if prior is not None:
-        faults.append("prior: expected none beside model, whose design has priors of its own; leave it out")
+        faults.append("prior: expected none together with model, which has its own priors; leave it out")
     if criterion != "likelihood":
         faults.append(
-            f"criterion: expected 'likelihood' beside model, whose further mechanisms a free-run fit lacks, "
-            f"found {criterion!r}"
+            "criterion: expected 'likelihood' together with model, since a free-run fit would lack its added "
+            f"mechanisms, found {criterion!r}"
         )
     count = int(np.isfinite(early[humidity].value).sum()) if humidity and humidity in early else 0
     if humidity and count < FEWEST_READINGS:

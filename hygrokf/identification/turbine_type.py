@@ -84,7 +84,7 @@ class Pooled:
         if min(self.se, self.spread, self.next_sd) < 0.0 or not self.lower <= self.mean <= self.upper:
             raise ValueError("expected lower ≤ mean ≤ upper and se, spread, next_sd of 0 or more")
         if self.logarithmic and max(map(abs, (self.lower, self.upper))) > 300.0:
-            raise ValueError(f"a logarithm of {self.mean:g} is no parameter's")
+            raise ValueError(f"expected logarithms within ±300, found {self.lower:g} … {self.upper:g}")
 
     def in_unit(self) -> dict[str, float]:
         """Return value and bounds of the type, and bounds for the next turbine, in the parameter's unit."""
@@ -201,8 +201,8 @@ def pool_types(fits: Sequence[Fit], name: str = "") -> TurbineType:
         )
     if not pooled:
         raise TypeFault(
-            "expected parameters that at least two of the fits know with a standard error, found none: are "
-            "these fits of one type of turbine?"
+            "expected parameters with a standard error in at least two of the fits, found none: check that "
+            "the fits are of one type of turbine"
         )
     return TurbineType(name or f"type of {', '.join(names)}", base, tuple(names), pooled)
 

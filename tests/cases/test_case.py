@@ -120,7 +120,7 @@ def test_provenance_is_stated_and_never_read_from_a_name(folder, stated):
 def test_another_provenance_is_refused(folder):
     (said,) = faults(folder, ('name = "uk-01"\n', 'name = "uk-01"\nprovenance = "sythetic"\n'))
     assert said == (
-        "case.toml, line 2: provenance must be one of measured, simulated, synthetic, found \"sythetic\"; "
+        'case.toml, line 2: provenance must be one of measured, simulated, synthetic, found "sythetic"; '
         'did you mean "synthetic"?'
     )
     with pytest.raises(ValueError, match="one of measured, simulated, synthetic, found 'made'"):
@@ -176,8 +176,8 @@ def test_stamps_and_holds(folder, stamp, hold, shift, found):
         ('hold = "zero-order"', r"two meanings: held from its stamp on .*\"previous\".*ends at its stamp"),
         ('hold = "Linear"', r"expected the hold previous, mean or linear, found 'Linear'; did you mean"),
         ('hold = ""', r"expected the hold previous, mean or linear, found ''"),
-        ('hold = "mean"', r"a mean needs to know where in it the stamp is"),
-        ('stamp = "end"\nhold = "zoh"', r'hold = "previous" is for stamp = "instant"'),
+        ('hold = "mean"', r"a mean needs the position of its stamp in the averaging interval"),
+        ('stamp = "end"\nhold = "zoh"', r'hold = "previous" needs stamp = "instant"'),
         ('hold = "zoh"\nlongest_hold = "long"', r"longest_hold"),
         ('hold = "zoh"\nlongest_hold = "0s"', r"longest_hold"),
     ],

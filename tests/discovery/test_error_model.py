@@ -228,9 +228,9 @@ def test_shares_are_those_of_the_stationary_law(tau_h):
 
 def test_parts_that_the_readings_do_not_resolve_are_left_out():
     hourly = course(np.arange(24.0 * 20.0), 2.0, np.zeros(480))
-    assert hourly.there.tolist() == [False, True, True, True, True]
+    assert hourly.is_resolved.tolist() == [False, True, True, True, True]
     short = course(0.25 * np.arange(4.0 * 30.0), 2.0, np.zeros(120))
-    assert short.there.tolist() == [True, True, True, False, False]
+    assert short.is_resolved.tolist() == [True, True, True, False, False]
 
 
 # -- scoring -------------------------------------------------------------------------------------------------
@@ -327,7 +327,7 @@ def test_maximised_variances_stay_within_their_bounds_and_gain(seed):
     upper = np.append([largest, largest], largest / shares(2.0))
     for start in (None, KNOWN, np.zeros(VARIANCES), np.full(VARIANCES, 1e6)):
         found = maximised(where, error, start)
-        there = np.append([True, True], where.there)
+        there = np.append([True, True], where.is_resolved)
         assert (found[there] >= LEAST * upper[there] * (1.0 - 1e-9)).all()
         assert (found <= upper * (1.0 + 1e-9)).all()
         assert not found[~there].any()

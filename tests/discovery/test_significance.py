@@ -187,10 +187,12 @@ def test_the_score_of_a_date_is_that_of_its_own_column() -> None:
     values = smooth_errors(44, 1500)
     values[np.random.default_rng(44).random(1500) < 0.05] = np.nan
     white = Whitened.of(values, 0.25, 1.5)
-    told = np.cumsum(white._adjoint(white.e)[::-1])[::-1]
+    told = np.cumsum(white._adjoint(white.innovations)[::-1])[::-1]
     for date in (200, 777, 1300):
         step = (np.arange(1500) >= date)[:, None].astype(float)
-        assert told[date] == pytest.approx(float(white.known.whitened(step)[:, 0] @ white.e), rel=1e-6)
+        assert told[date] == pytest.approx(
+            float(white.filter_result.whitened(step)[:, 0] @ white.innovations), rel=1e-6
+        )
 
 
 # --- false discoveries -----------------------------------------------------------------------

@@ -361,5 +361,5 @@ def test_an_inputs_unit_does_not_matter(scale: float, shift: float, seed: int) -
 
 
 def test_a_longest_lag_that_is_none_is_refused() -> None:
-    with pytest.raises(ValueError, match="longest_h must be a number above 0"):
+    with pytest.raises(ValueError, match="longest_h: expected a number of hours above 0"):
         diagnose(_time(), {"temperature": _white(30)}, {}, longest_h=-1.0)
