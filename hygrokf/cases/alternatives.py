@@ -42,23 +42,26 @@ from hygrokf.texts.statement import Statement, Value
 from hygrokf.weather.clock_comparison import TOLERANCE_S, pace, rounded, season_remedy, state_correction
 
 LEAST_S = 2700.0
-"""[s] smaller shifts are no clock's: response times, or the sun on a sensor."""
+"""[s] smallest shift that is taken for a clock error; smaller ones may be response times, or the sun on a
+sensor."""
 OF_STEP = 0.85
-"""Shift, as a share of a step or interval, that the place of a stamp in it can look like."""
+"""Largest shift, as a share of a step or interval, that the position of stamps within it could explain."""
 APART = 4
-"""Quarters of an hour between a shift and those that it must beat."""
+"""Smallest distance, in quarters of an hour, of the other shifts that a shift must beat."""
 SEPARATION = 5.0
-"""Standard errors, by days, by which a clock must win: hundreds of shifts are tried, with a rough model."""
+"""Standard errors (over days) by which a clock shift must win; it is large because hundreds of shifts are
+tried with a rough model."""
 BEHIND = 3.0
-"""Standard errors by which another source must lose for one clock alone to be named."""
+"""Standard errors by which a shift of another source must lose; otherwise both clocks are named."""
 WITNESS = 12.0
-"""[ln L] by which a witness must prefer the shift."""
+"""[ln L] by which one kind of evidence must prefer the shift to count as a witness."""
 ODDS = 8.0
-"""[ln L] by which a unit, a column or a decimal mark must win."""
+"""[ln L] by which another unit, column or decimal mark must win."""
 SYSTEMATIC = 6.0
-"""[ln L] that the lag models may add to levels at most: no enclosure is as simple as they are."""
+"""[ln L] that the lag models may add to the evidence of levels at most, since no enclosure is as simple as
+they are."""
 FEWEST_D = 14
-"""Days to which a shift must apply; it must win in each quarter of them."""
+"""Fewest days to which a shift must apply; it must win in each quarter of them."""
 NAMED, WALL, EITHER = "named", "clock_or_wall", "either_clock"
 
 
@@ -195,13 +198,15 @@ def alternative_readings(record: Record) -> Readings:
 def _scanned(relation: Relation, record: Record) -> _Scan:
     """Compute ln L of all shifts of every source, and of the power alone, in one lag model."""
     summer = summer_time(relation.time, in_america(record))
-    days_of_rarer_season = min(summer[relation.rows].sum(), (~summer)[relation.rows].sum()) * relation.every
-    summer_shifts = (0, -4, 4) if days_of_rarer_season >= 3 * 96 else (0,)
-    scan_without_results = _Scan(relation, summer, np.zeros(0), {})
+    quarters_of_rarer_season = (
+        min(summer[relation.rows].sum(), (~summer)[relation.rows].sum()) * relation.every
+    )
+    summer_shifts = (0, -4, 4) if quarters_of_rarer_season >= 3 * 96 else (0,)
+    empty_scan = _Scan(relation, summer, np.zeros(0), {})
     source_names = {relation.source, *relation.sources.values()}
     input_groups = {
         _POWER & frozenset(relation.inputs),
-        *(scan_without_results.move(name)[0] for name in source_names),
+        *(empty_scan.move(name)[0] for name in source_names),
     }
     moves: set[Move] = {
         (group, summer_shift) for group in input_groups if group for summer_shift in summer_shifts
@@ -293,8 +298,8 @@ def _judged(
     witnesses = _witnesses(scans, shift, sun_s)
     finding = PreferredAlternative(_clock(record, shift), shift.gain, witnesses)
     moves = [scan.move(shift.source) for scan in scans]
-    latest = max(sign * largest for inputs, sign in moves if inputs)
-    if latest > 0 and not set(witnesses) - {"temperature"}:
+    largest_lag = max(sign * largest for inputs, sign in moves if inputs)
+    if largest_lag > 0 and not set(witnesses) - {"temperature"}:
         return replace(finding, verdict=WALL)
     shifts_of_others = [
         other for other in best if other.source != shift.source and "the sun" not in witnesses
@@ -417,8 +422,8 @@ _SCALES = (
         for digits in (1, 2)
     ),
 )
-"""A mistake, the key that corrects it; a quantity, the unit that its readings are declared in, the one that
-they are in, and how many times as many they are."""
+"""Rows of: the mistake; the setting that corrects it; the quantity; the declared unit; the true unit; the
+factor between the numbers."""
 _PLACES = (("cabinet",), ("ambient",), ("cabinet", "ambient"))
 _AIR = ("cabinet_temperature", "ambient_temperature")
 _MOIST = ("cabinet_relative_humidity", "ambient_relative_humidity")

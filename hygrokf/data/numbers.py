@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 FLAGS = {"true": 1.0, "on": 1.0, "false": 0.0, "off": 0.0}
 POLES = ("open", "closed")
-"""Texts of a flag whose meaning the signal decides."""
+"""Texts of a flag; the signal decides which of them means 1."""
 PARTED = re.compile(r"\s*([+-]?[1-9][0-9]{0,2}\.[0-9]{3})(?![0-9.,eE])")
 """The number at the beginning of a text whose point may divide thousands."""
 _PLAIN = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")

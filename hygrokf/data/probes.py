@@ -18,9 +18,10 @@ from hygrokf.texts.record_codes import DoubtCode
 from hygrokf.texts.statement import Statement
 
 FEWEST_IN_COMMON = 20
-"""Readings at common times from which two series are compared."""
+"""Fewest readings at common times from which two series are compared."""
 ROUNDING = 0.01
-"""[1] deviation in vapour pressure that rounding and another formula make: 0.15 K of a dew point."""
+"""[1] relative deviation in vapour pressure that rounding and another formula can make: 0.15 K of a dew
+point."""
 QUANTITIES = (
     ("dew_point_temperature", r"(dew|frost) ?points?( temp(erature)?)?|taupunkt(temperatur)?|tdew|dp|td"),
     ("relative_humidity", r"(rel(ative)? )?(humidity|humid|hum|feuchte|luftfeuchte)|rel|rh|rf"),

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     import pandas
 
 GOOD, UNCERTAIN, BAD, AMBIGUOUS = "good", "uncertain", "bad", "ambiguous"
-"""Outcomes.  Ambiguous: vocabularies contradict each other, or none knows the mark."""
+"""Meanings of a quality mark.  Ambiguous: vocabularies contradict each other, or none knows the mark."""
 _WORDS = {
     **dict.fromkeys(("ok", "valid", "true", "normal"), GOOD),
     **dict.fromkeys(("questionable", "doubtful", "suspect", "substituted", "estimated"), UNCERTAIN),
@@ -101,7 +101,7 @@ VOCABULARIES = {
     "words": QualityVocabulary("words", {1: GOOD, 0: BAD}),
 }
 UNSTATED = QualityVocabulary("", {})
-"""All vocabularies at once: an outcome holds if all that define a number agree."""
+"""All vocabularies together: a number has a meaning if all vocabularies that define it agree."""
 
 
 def stated_vocabulary(value: object) -> QualityVocabulary:

@@ -19,9 +19,9 @@ SATURATED = 0.995
 SHOWN = 5
 """Number of outlying readings that a warning names."""
 PILED = 5
-"""Ratio of readings at the ceiling to readings below it from which they pile up."""
+"""Readings pile up at a ceiling if there are this many times as many as just below it."""
 PILE_WIDTHS = (0.0, 0.005, 0.01, 0.015)
-"""[-] ranges over which noise may spread the readings of saturated air."""
+"""[-] widths of the ranges over which noise may spread readings of saturated air."""
 
 
 def mask(record: Record, within_range: bool = False) -> Record:

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
 BY_SIGNAL = "by the signal"
-"""The hold of a series that states none: that of means, else that of its signal's instants."""
+"""Hold of a series that states none: "mean" for means, else that of its signal's instants."""
 USUAL_STEPS, AGE_STEPS = 11, 3.0
 """A value holds for AGE_STEPS times the median of the last USUAL_STEPS steps before it.  Only earlier steps
 count, since a live tracker knows no later ones."""

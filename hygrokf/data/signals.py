@@ -79,7 +79,7 @@ _OTHER_SPELLINGS = {
 
 
 HUMIDITIES = ("relative_humidity", "absolute_humidity", "dew_point_temperature")
-"""Quantities of which each tells the vapour of a place, besides its temperature."""
+"""Quantities each of which, together with the temperature, gives the vapour of a place."""
 SWITCHED = (
     "preheating", "heater_power", "heater_duty", "fan_duty", "pump_duty", "dehumidifier_duty", "door_open",
 )  # fmt: skip

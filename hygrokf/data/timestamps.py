@@ -430,7 +430,8 @@ def modal_step(time: np.ndarray) -> tuple[float, float]:
 
 
 BY_CHANCE = 0.1
-"""Expected number of chance losses of a single hour on dates of change, above which no warning is given."""
+"""Expected number of single hours missing by chance on dates of summer-time change above which no warning is
+given."""
 
 
 def summer_time_holes(time: np.ndarray) -> tuple[str, ...]:

@@ -36,15 +36,16 @@ from hygrokf.physics.parameters import Parameter
 THRESHOLD = 10.0
 """Evidence from which a cause is accepted."""
 SWEEPS, FOLLOWED, WORSE = 3, 2, 10.0
-"""Number of sweeps of jumps, jumps of a sweep that are fitted, and the largest rise of −2 ln L by a jump
-before the fit."""
+"""Number of sweeps of jumps; number of jumps of a sweep that are fitted; largest rise of −2 ln L by a jump
+that is still fitted."""
 CLOSE_Z = 2.0
-"""Largest lag of a rival behind the best candidate, in standard errors over the days."""
+"""Difference to the best candidate, in standard errors over the days, up to which a rival fits equally
+well."""
 SENSOR = "humidity_sensor_drift"
 WATER = ("internal_moisture_source", "moisture_sorption", "condensation")
 WATER_SHARE = 0.5
-"""Evidence of water as a share of that of the sensor's error, both in days, from which water is reported with
-the sensor's error."""
+"""Smallest ratio of the evidence for water to that for a sensor error (both in days) at which water is
+reported beside the sensor error."""
 
 
 @dataclass(frozen=True)

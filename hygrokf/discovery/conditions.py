@@ -20,35 +20,36 @@ from hygrokf.texts.statement import Statement
 
 LAGS_H = (1.0, 2.0, 3.0, 4.0, 6.0, 9.0, 12.0, 18.0, 24.0)
 LAG_TOLERANCE = 0.1
-"""[1] share of a lag by which the bins may miss it."""
+"""[1] largest relative difference between a lag and the nearest multiple of the bins' length."""
 RATE_H = 3.0
-"""[h] over which a rate is taken: shorter ones are noise of the readings."""
+"""[h] interval over which a rate of change is computed; over shorter ones it is noise of the readings."""
 STANDSTILL_H = 6.0
 LONG_STANDSTILL_H = 24.0
 LONG_STOPS = ConditionCode.STOPS_LONGER_THAN_A_DAY()
 AFTERWARDS_H = 6.0
-"""[h] after an episode that count as its end."""
+"""[h] time after an episode that counts as "after the episode"."""
 SATURATED = 0.97
-"""[1] relative humidity from which air counts as saturated: a sensor reads no more, within its accuracy."""
+"""[1] relative humidity from which air counts as saturated; within its accuracy, a sensor shows no more."""
 SINCE_H = (3.0, 6.0, 12.0, 24.0)
 LEVELS = (0.1, 0.3, 0.5, 0.7, 0.9)
 RATES = (0.1, 0.3, 0.7, 0.9)
 RESTING = 0.15
-"""[1] share of the time at its least value from which a driver counts as resting there (night, calm, dry)."""
+"""[1] share of the time at its lowest value from which a driver has a bin of its own for it (night, calm,
+dry)."""
 MONTH_H = 240.0
-"""[h] of a month within the record from which it counts."""
+"""[h] shortest part of a month within the record for which the month counts."""
 SECTORS = 12
 SHORTEST_H = 6.0
 """[h] shortest time for which a condition must hold to be tested."""
 LARGEST_PART = 0.5
-"""[1] largest share of the hours that a finding may hold for: beyond it, the rest is the exception."""
+"""[1] largest share of the hours that a finding may cover; beyond it, the rest would be the exception."""
 GROUPS = {
     "regime": "episodes", "episode": "episodes", "since": "episodes", "saturation": "episodes",
     "hour": "hour",
     "season": "calendar", "drift": "calendar", "step": "calendar",
     "level": "drivers", "rate": "drivers", "lag": "drivers",
 }  # fmt: skip
-"""Kind -> group; each group may make an equal share of the false discoveries."""
+"""Kind of a condition -> its group; every group gets an equal share of the allowed false discoveries."""
 
 Phrase = Callable[[int, int], Statement]
 
@@ -287,7 +288,7 @@ THIRDS = {
     (0, 0): ConditionCode.FIRST_THIRD, (1, 1): ConditionCode.MIDDLE_THIRD, (2, 2): ConditionCode.LAST_THIRD,
     (0, 1): ConditionCode.FIRST_TWO_THIRDS, (1, 2): ConditionCode.LAST_TWO_THIRDS,
 }  # fmt: skip
-"""First and last third of a stretch -> its code."""
+"""First and last third of the record -> code of that period."""
 
 
 def step_at(hours: Residuals, first: int, sharp: bool) -> Stratum:

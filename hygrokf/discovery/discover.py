@@ -134,13 +134,13 @@ def _judged(
 
 
 SIGNIFICANT = 1e-4
-"""Probability of a line without an effect, below which the line is reported."""
+"""Probability that chance alone makes a spectral line so strong, below which the line is reported."""
 BIN_H = 1.0
 NEIGHBOURS = 101
-"""Ordinates of the periodogram whose mean is compared with the ordinate in their middle."""
+"""Number of ordinates of the periodogram whose mean is compared with the ordinate in their middle."""
 FEWEST = 3 * NEIGHBOURS
 CYCLES = 4
-"""Fewest cycles of a rhythm in the record: with fewer cycles it cannot be distinguished from a trend."""
+"""Fewest cycles of a rhythm within the record; with fewer it cannot be told from a trend."""
 FEWEST_DAYS = 30
 
 
@@ -239,9 +239,9 @@ def remaining_lines(conclusion: Conclusion) -> list[SpectralLine]:
 
 # -- from a record to its discovery --------------------------------------------------------------------------
 BUDGET = 40_000
-"""Simulations after which no further cause is tried."""
+"""Number of simulations after which no further cause is tried."""
 MOVING = ("cabinet_temperature", "cabinet_relative_humidity", "cabinet_absolute_humidity")
-"""Signals whose readings the simulation explains, so that they must vary."""
+"""Signals that the simulation explains; their readings must vary."""
 WET_SENSOR = ReasonCode.SENSOR_OR_WATER()
 
 

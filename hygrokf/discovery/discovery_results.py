@@ -40,22 +40,25 @@ SCORED_AS: Mapping[Quantity, str] = {
     "temperature": "temperature_K",
     "humidity": "absolute_humidity_g_m3",
 }
-"""Quantity of a finding -> scored quantity."""
+"""Quantity of a finding -> name of the quantity in scores."""
 LASTING_KINDS = ("step", "drift", "season")
-"""Kinds of a condition that begins once and lasts, so that it need not recur."""
+"""Kinds of conditions that begin once and last, so that they need not recur."""
 Verdict: TypeAlias = Literal["none", "named", "ambiguous", "unexplained", "refuted"]
-"""No effect is missing; every cause is named; one at least cannot be told from others; an effect is missing
-beside what is named; held-out readings refute every cause that was found."""
+"""none: no effect is missing.  named: every cause is named.  ambiguous: at least one cause cannot be told
+from others.  unexplained: an effect is missing beside the named causes.  refuted: held-out readings
+contradict every cause found."""
 Reason: TypeAlias = Literal["", "worse", "no_gain", "unproven", "no_effect"]
-"""Why a cause is refuted: its held-out errors are larger; held-out readings cost it more evidence than it can
-spare, or do not bear out little evidence; it has no effect in the final set."""
+"""Why a cause is refuted.  worse: its held-out errors are larger.  no_gain: held-out readings cost more
+evidence than it can spare.  unproven: they do not support weak evidence.  no_effect: it has no effect in the
+final set."""
 Exclusion: TypeAlias = Literal[
     "refuted", "no_effect", "weak", "weak_by_days", "later_gone", "left_to_budget", "no_form"
 ]
-"""Why a cause was left out: held-out readings refute it; screening found nothing; too little evidence, or
-evidence in days; it lost its place to later ones; the budget ended the search; the record cannot show it."""
+"""Why a cause was left out.  refuted: by held-out readings.  no_effect: screening found nothing.  weak,
+weak_by_days: too little evidence, or too little in days.  later_gone: later causes replaced it.
+left_to_budget: the budget ended the search.  no_form: the record cannot show it."""
 CLASS_LIMIT = 3
-"""Causes that a class may hold; a longer one names nothing."""
+"""Largest number of causes that may be indistinguishable from each other; with more, none is named."""
 
 
 @dataclass(frozen=True)

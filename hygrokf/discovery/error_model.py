@@ -32,7 +32,7 @@ from hygrokf.physics.matrices import add, product, transpose
 TIMES_H = (0.5, 2.0, 8.0, 32.0, 128.0)
 """[h] correlation times θ of the parts: a factor of four apart, they span half an hour to a week."""
 HUBER = 4.0
-"""Standard deviations from which an innovation counts linearly."""
+"""Standard deviations beyond which an innovation counts linearly instead of squared."""
 FEWEST_STEPS = 0.6
 """Shortest correlation time of a part that readings resolve, in median steps of the readings."""
 LONGEST_SHARE = 1.0 / 3.0

@@ -31,15 +31,15 @@ from hygrokf.discovery.simulator import Simulator
 from hygrokf.physics.parameters import Parameter
 
 TIME_CONSTANT = {"temperature": "thermal_time_constant", "vapour": "hygric_k"}
-"""Parameter that is the time constant [h] of a quantity's low pass."""
+"""Quantity -> parameter that is the time constant [h] of its low pass."""
 DAMPINGS = (0.0, 1e-3, 1e-2, 0.1, 1.0, 10.0, 100.0, 1000.0)
 LARGEST_STEP = 1.5
 """Largest change of a logarithmic coordinate in one step."""
 MOVE = 1e-3
-"""Step of the numerical Jacobian: change of a logarithm; fifty times this share of a prior's standard
-deviation; a tenth of this share of a range."""
+"""Step of the numerical Jacobian: for a logarithm this change; for a parameter with a prior 50 times this
+share of the prior's standard deviation; for others a tenth of this share of the range."""
 STEPS = 3
-"""Gauss–Newton steps between two estimates of the variances."""
+"""Largest number of Gauss–Newton steps between two estimates of the error variances."""
 LIGHT, POLISH = (3, 0.3), (10, 0.05)
 """Effort of a fit: largest number of rounds, and the gain in −2 ln L below which they end."""
 

@@ -55,12 +55,12 @@ from hygrokf.texts.reasons import Reason
 
 Estimator = Literal["likelihood", "output-error"]
 BETTER = 0.95
-"""Ratio of the errors of least squares and likelihood below which least squares are preferred."""
+"""Ratio of the errors by least squares to those by likelihood below which least squares are preferred."""
 EARLY = 2.0 / 3.0
 """Share of the identification period to which both estimators are fitted for their comparison."""
 UNDETERMINED = 1e-10
-"""Information of a coordinate, and eigenvalue as a share of the largest, up to which a direction is not
-determined."""
+"""A direction is not determined if its information, or its eigenvalue as a share of the largest one, is at
+most this."""
 
 
 @dataclass(frozen=True)
@@ -210,9 +210,10 @@ def sandwich(estimate: Calibration) -> tuple[tuple[str, ...], np.ndarray, tuple[
 
 
 SIZE_TOLERANCE = 0.05
-"""Expected gain in ln L below which the search for the sizes of the filter's disturbances ends."""
+"""Expected gain in ln L at which the search for the sizes of the filter's disturbances ends."""
 STEP_TOLERANCE = 1e-5
-"""[1] `tolerance` of the filter's sub-steps: a coarser one changes only the sizes of the disturbances."""
+"""[1] `tolerance` of the filter's sub-steps; it is coarse, since only the sizes of the disturbances depend on
+it."""
 
 
 def fit_of(

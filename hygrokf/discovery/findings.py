@@ -41,20 +41,21 @@ from hygrokf.discovery.residuals import (
 
 # -- score tests ---------------------------------------------------------------------------------------------
 SLOWER = 4.0
-"""[1] ratio of the time constant of a slower mass to that of the low pass."""
+"""[1] time constant of a slower mass, as a multiple of that of the low pass."""
 POSSIBLE = math.log(0.05)
-"""ln p above which the statistic is not corrected for the scatter of the days."""
+"""ln p above which a condition is clearly not significant, so that the correction for scatter between days is
+skipped."""
 EDGE = 0.05
-"""[1] share of the readings at either end among which no change is searched."""
+"""[1] share of the readings at each end of the record in which no change is searched."""
 INTERVAL = 4.0
 """Difference in the χ² statistic from which one explanation is clearly better than another (95 %
 interval)."""
 ROUNDING = 1e-12
-"""Share of a column's square up to which the part orthogonal to the nuisance is rounding error."""
+"""Share of a column's square below which its part orthogonal to the nuisance is rounding error."""
 NEAR = 2
 """Bins around a change in which an outlier or a shock may explain it instead."""
 SHARP_H = 1.0
-"""[h] longest confidence interval of a date that counts as certain."""
+"""[h] longest confidence interval of a date for which the date counts as certain."""
 
 
 @dataclass(frozen=True)
@@ -309,21 +310,23 @@ def benjamini_hochberg(p: np.ndarray, weights: np.ndarray | None = None) -> np.n
 # -- findings ------------------------------------------------------------------------------------------------
 LEVEL = 0.05
 BIN_H = 0.25
-"""[h] shortest bins in which the errors are tested."""
+"""[h] length of the shortest bins over which errors are averaged before they are tested."""
 FEWEST_H = 72.0
-"""[h] fewest hours with an error for an analysis."""
+"""[h] fewest hours with errors for which a quantity is tested."""
 MATERIAL = 0.2
-"""[1] share of the free run's RMSE below which a finding is immaterial, however significant."""
+"""[1] smallest size of a finding as a share of the free run's RMSE; smaller ones are not reported, however
+significant."""
 SENSORS = 0.6
-"""[1] largest share of a finding's square that the sensors' accuracy may explain."""
+"""[1] largest share of a finding's squared size that the sensors' accuracy may explain."""
 CERTAIN = 1e-8
-"""p above which a slow condition is tested again under variances of the error without its effect."""
+"""p above which a calendar condition is tested again, with the error variances estimated without its
+effect."""
 MOST = 8
-"""Findings that are reported."""
+"""Largest number of findings that are reported."""
 BATCH = 8
-"""Conditions whose columns are whitened together."""
+"""Number of conditions whose columns are whitened together."""
 SEEN = 0.5
-"""[1] share of a finding's size from which an episode counts as showing the finding."""
+"""[1] mean error of an episode, as a share of a finding's size, from which the episode shows the finding."""
 
 
 @dataclass

@@ -17,19 +17,19 @@ LEVELS = (
     "heat_release_standstill_ambient", "cabinet_temperature_bias", "cabinet_relative_humidity_bias",
     "breathed_offset", "breathed_humidity_offset",
 )  # fmt: skip
-"""Parameters that set the levels of a simulation."""
+"""Parameters that set the mean level of a simulation."""
 HORIZONS_H = (3.0, 12.0, 48.0)
 BETTER_Z = 2.0
-"""Standard errors by which errors must fall to count as a gain."""
+"""Standard errors by which held-out errors must fall to count as a gain."""
 WORSE_GROWTH = 0.1
 """Mean growth of ln squared error above which a cause is refuted."""
 LEAST_IMPROVEMENT = 0.02
-"""Share by which a cause must lower the free-run error of a quantity, with levels at their least squares;
-otherwise a remark says so, or weak evidence is unproven."""
+"""Share by which a cause must lower the free-run error of a quantity, with levels fitted; with less a remark
+says so, and weak evidence counts as unproven."""
 NOTICED = 1.0
-"""Squared whitened difference of two simulations below which held-out readings cannot distinguish them."""
+"""Squared whitened difference of two simulations below which held-out readings cannot tell them apart."""
 OLDEST = 1.5
-"""Largest time from the start of a forecast to its reading: this many horizons plus half an hour."""
+"""A forecast's reading lies at most this many horizons, plus half an hour, after its start."""
 
 
 @dataclass(frozen=True)

@@ -55,7 +55,8 @@ from hygrokf.physics.model import SUMS, Mechanism
 GROUP = "hygrokf.causes"
 """Entry points of this group name a `Cause`, or a module with causes at its top level."""
 SAME = 1e-5
-"""[1] largest difference of two equal simulations, as a share of the standard deviation of the base's."""
+"""[1] largest difference of two simulations that count as equal, in standard deviations of the base's
+simulation."""
 DAYS = 30
 IDENTIFIER = re.compile(r"[a-z][a-z0-9_]*")
 _RANGES: Mapping[str, tuple[float, float]] = {
@@ -362,7 +363,7 @@ def _away(start: float, lower: float, upper: float, positive: bool) -> float:
 
 _PACKAGE = str(Path(__file__).parents[1])
 _FUNCTOOLS = functools.__file__
-"""File of the frames between the package and a user's code where the package caches a property."""
+"""File whose frames appear in a traceback where the package caches a property."""
 
 
 def exception_text(fault: BaseException, file: str | None = None) -> str:

@@ -20,15 +20,15 @@ SHORTEST_S = 3600.0
 FEWEST_REPEATED = 6
 """Fewest readings of a stretch of repeated readings."""
 BEYOND = 1.5
-"""Least ratio of a stretch's length to that of the longest chance repetition, which is measured at other lags
-near a day."""
+"""Smallest ratio of a span's length to the longest repetition by chance, as measured at other lags near a
+day."""
 PAUSE_S = 7200.0
 """[s] longest pause within a stretch: readings that were missing on the previous day."""
 OTHERS = 40
 """Number of other lags at which chance repetitions are measured."""
 MOVING = 0.25
-"""[1] share of steps with a change below which readings stand still: saturated or frozen readings repeat at
-every lag."""
+"""[1] share of steps with a change below which readings count as constant; saturated or frozen readings
+repeat at every lag."""
 
 
 def repeats(series: Series) -> list[tuple[float, float]]:

@@ -27,15 +27,16 @@ HUMIDITY: Quantity = "humidity"
 QUANTITIES = (TEMPERATURE, HUMIDITY)
 UNITS: Mapping[str, str] = {TEMPERATURE: "K", HUMIDITY: "g/m³"}
 SERIES: Mapping[str, str] = {TEMPERATURE: "temperature", HUMIDITY: "absolute_humidity"}
-"""Quantity -> stem of its names in a fit's series."""
+"""Quantity -> beginning of its names in a fit's series."""
 TIME_CONSTANT: Mapping[str, str] = {TEMPERATURE: "thermal_time_constant", HUMIDITY: "hygric_k"}
 """Quantity -> parameter that is the time constant [h] of its low pass."""
 RESPONSES = ("cabinet_", "converter_")
-"""Signals that respond to the cabinet instead of driving it."""
+"""Beginnings of the names of signals that respond to the cabinet instead of driving it."""
 SAME_AIR = ("ambient_dew_point_temperature", "ambient_absolute_humidity", "ambient_temperature")
-"""Ambient signals that are not read from the record, since a fit's series contain temperature and vapour."""
+"""Ambient signals that are not taken from the record, since a fit's series already hold temperature and
+vapour."""
 KNOWN = 0.5
-"""[1] least share of the instants at which a driver is known."""
+"""[1] smallest share of the instants at which a driver must be known."""
 NORMAL_95 = 1.96
 """[1] standard deviations that contain 95 % of a normal distribution around its mean."""
 PAUSE_H = 3.0

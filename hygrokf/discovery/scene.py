@@ -38,12 +38,13 @@ from hygrokf.physics.holds import LINEAR
 from hygrokf.physics.psychrometrics import absolute_humidity
 
 PARTS = 8
-"""Parts of a cell: a change of the power in 10-minute means then acts at most a minute early or late."""
+"""Number of parts of a cell, so that a change of the power in 10-minute means acts at most a minute early or
+late."""
 SHORTEST_S, LONGEST_S = 180.0, 1200.0
 """[s] shortest and longest cell."""
 MOST_CELLS = 33_000
 SATURATED, DRY = 0.995, 0.005
-"""Relative humidities beyond which a reading is at the end of its sensor's range."""
+"""Relative humidities at or beyond which a reading is at the end of its sensor's range."""
 UNKNOWN_K = 25.0
 """[K²] variance of the temperature's error at the start of a run and after a gap."""
 UNKNOWN_SHARE = 0.3
@@ -63,7 +64,7 @@ SIGNAL_OF = {
     "wind_tenth": "wind_speed",
     "wind_square": "wind_speed",
 }
-"""Derived input → the signal whose clock it has."""
+"""Derived input → the signal from which it is computed, and whose clock it has."""
 
 
 @dataclass(frozen=True)

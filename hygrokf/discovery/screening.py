@@ -26,11 +26,11 @@ from hygrokf.physics.parameters import Parameter
 from hygrokf.physics.switches import CONTROLLED, Throttle
 
 SMALL = 0.1
-"""Share of an effect's usual size at which its column is taken."""
+"""Share of an effect's typical size at which its linear response is simulated."""
 SIZES = (1.0, 2.5, 0.4, 6.0)
 """Multiples of the linearised amplitude at which the best settings are simulated."""
 FOLLOWED = 3
-"""Settings of a form that are simulated, and of a cause that are estimated."""
+"""Number of settings of a form that are simulated, and of a cause that are fitted."""
 LEAST = 6.0
 """Gain in −2 ln L below which a setting is dropped."""
 AT_LIMIT = 1e-3
@@ -347,7 +347,8 @@ MOST_WINDOWS = 12
 EDGES_H = (-4.0, -2.0, -1.0, -0.5, -0.25, 0.25, 0.5, 1.0, 2.0)
 """[h] shifts of a window's edges that are tried."""
 EXCHANGES = (0.5, 3.0, 15.0)
-"""Sizes of an open door's exchange at which windows are run, in units of the cabinet's own."""
+"""Sizes of the air exchange through an open door that are tried, as multiples of the cabinet's own
+exchange."""
 
 
 def _windows(parent: Parent, form: Form) -> list[Screened]:

@@ -39,12 +39,13 @@ from hygrokf.discovery.starting_model import update_error_models
 from hygrokf.modelling.causes.forms import Form, Setting
 
 FURTHER = 100.0
-"""Evidence from which a further cause is accepted in a quantity for which a cause is named already."""
+"""Evidence that a cause needs if another cause is already named for the same quantity."""
 CAUSES, SETTINGS, FORMS, ROUNDS = 4, 3, 4, 6
-"""Per round: causes estimated for a quantity, fewest settings and most forms of a cause; number of rounds."""
+"""Causes that are fitted per round and quantity; fewest settings and most forms of a cause that are fitted;
+largest number of rounds."""
 NEAR, NEAR_SHARE = 30.0, 0.15
-"""Largest lag behind the leader's evidence, and the same as a share of that evidence, with which a candidate
-is fitted to its maximum."""
+"""A candidate is fitted to its maximum if its evidence lies below the best one's by at most this much, or by
+this share of it."""
 
 
 class Search:

@@ -27,11 +27,11 @@ from hygrokf.modelling.design import CASCADE, TEMPERATURE, Design, accuracy_of, 
 from hygrokf.modelling.library import LIBRARY, Library
 
 GAIN_SD = 0.015
-"""Standard deviation of the relative error of the ambient vapour within the accuracy of its sensors."""
+"""Standard deviation of the relative error of the ambient vapour that the sensors' accuracy allows."""
 SCALE_SD = 0.02
 """Standard deviation of the relative error of the humidity sensor's scale."""
 LONGEST_RESPONSE_H, SHORTEST_RESPONSE_H = 0.5, 0.002
-"""[h] limits of the humidity sensor's response time where none is stated."""
+"""[h] limits of the humidity sensor's response time if none is stated."""
 ACCURACY_SHARE = 1.0 / 6.0
 """Largest noise of a temperature reading, as a share of the stated accuracy: with more, the smoother would
 remove variations of the temperature itself."""

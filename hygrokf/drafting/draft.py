@@ -46,7 +46,7 @@ _TAG = re.compile(
 _VALUE = re.compile(r"value|wert|reading|messwert| state ")
 _UNIT = re.compile(r"^ (unit|units|einheit) $")
 _LOGGER_QUANTITIES = 3
-"""Largest number of quantities of a logger: temperature, humidity and dew point."""
+"""Largest number of quantities of a simple logger: temperature, humidity and dew point."""
 _FEWEST_REPEATED = 0.3
 """[1] least share of repeated stamps in an export with one row for each turbine or tag; two make it 0.5."""
 _LABEL = re.compile(

@@ -194,13 +194,13 @@ def _correlation(first: np.ndarray, second: np.ndarray) -> float:
 
 
 SURE = 0.8
-"""Score from which a name needs no confirmation."""
+"""Score from which a column needs no confirmation."""
 OUTSIDE = 0.45
-"""Score from which readings alone may be those of the outside air."""
+"""Score from which readings alone identify a column as outside air."""
 NEEDED = 0.3
-"""Score from which a signal that a model needs is read, with its doubts."""
+"""Score from which the draft reads a signal that every model needs, together with its doubts."""
 USED = 0.7
-"""Score from which a signal that no model needs is read without an edit."""
+"""Score from which the draft reads a signal that models do not need."""
 _FILLERS = (-99.0, -99.9, -999.0, -999.9, -9999.0, -99999.0, 9999.0, 99999.0)
 _NO_UNIT_HERE = re.compile(r" (mm hg|mmhg|inhg|in hg|torr|psi|knots|kt|mph|km h|ft) ")
 COPIED = tuple(f"{place}_{one}" for place in ("cabinet", "ambient") for one in ("temperature", *HUMIDITIES))

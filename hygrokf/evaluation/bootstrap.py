@@ -35,7 +35,8 @@ DRAWS = 600
 FEWEST_BLOCKS = 4.0
 """Effective number of blocks below which no bounds are given."""
 MOST_LOST = 0.5
-"""Largest share of the variance by which the bounds are corrected for the finite length of the blocks."""
+"""Largest share of the variance that may be missing because blocks are short; the bounds are corrected for
+it."""
 
 
 # --- memory ----------------------------------------------------------------------------------

@@ -88,7 +88,7 @@ TestName: TypeAlias = Literal[
     "mean", "variance", "normality", "autocorrelation", "cumulative periodogram", "daily cycle", "correlation"
 ]
 WHITENESS: tuple[TestName, ...] = ("autocorrelation", "cumulative periodogram")
-"""Tests of the same property: whiteness."""
+"""Names of the tests that both test whiteness."""
 
 
 @dataclass(frozen=True)

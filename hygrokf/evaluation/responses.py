@@ -231,7 +231,8 @@ def _linear(
         if state or inputs:
             raise ValueError(
                 f"{verb}: expected no state and inputs with a Fit, whose thermal network has its own "
-                f"operating point; to linearise the whole model, call {verb}(fit.likelihood(record), fit.values, …)"
+                f"operating point; to linearise the whole model, call "
+                f"{verb}(fit.likelihood(record), fit.values, …)"
             )
         parameters = source.design.model.parameters
         spread = Spread.in_units(parameters, source.values, source.covariance)

@@ -43,7 +43,7 @@ LEVEL = 0.95
 """[1] probability of the bounds of the time constants."""
 TIME_CONSTANTS = ("thermal_time_constant", "hygric_k")
 SEARCH_DAYS = 30.0
-"""[d] stretch of a long record on which starts and forms are tried first."""
+"""[d] first part of a long record on which starts and forms are tried."""
 
 
 @dataclass(frozen=True)

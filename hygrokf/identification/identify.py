@@ -75,7 +75,7 @@ STARTS = 5
 DEFAULT_KIND = CASCADE
 """Chosen by trial: docs/project/decisions/0002-joint-or-cascade.md."""
 WELL_KNOWN = 0.1
-"""[1] relative standard error below which a parameter counts as well known, whatever its correlations."""
+"""[1] relative standard error below which a parameter counts as well known despite correlations."""
 CRITERIA = ("likelihood", "simulation")
 
 

@@ -32,11 +32,11 @@ from hygrokf.texts.statement import Statement
 CHANCE = 1e-3
 """[1] probability that chance alone gives the required gain."""
 PASSES = 15
-"""Scoring passes of a model without the input: from the fit's values most end after six."""
+"""Largest number of scoring passes for a model without the input; most end after six."""
 TOLERANCE = 0.5
 """Expected gain in ln L below which scoring ends: about a tenth of the required gain."""
 TRIED_DAYS = 10.0
-"""[d] first stretch of the record, tried alone at first: an input that is needed there is needed in all."""
+"""[d] first part of the record, which is tried alone: an input that is needed there is needed for all."""
 STEP_TOLERANCE = 1e-4
 """[1] `tolerance` of these models' sub-steps: the error of ln L is a few hundredths."""
 

@@ -29,7 +29,7 @@ POWER_TOLERANCE = 0.025
 CELL_S = 600.0
 """[s] shortest averaging time of the power, as in the paper's SCADA data."""
 ENOUGH = (30, 10)
-"""Periods and episodes that a length of period must yield; otherwise a shorter one is tried."""
+"""Numbers of periods and of episodes that a length must yield; otherwise a shorter one is tried."""
 KEPT = 0.75
 """[1] share of the classes of power and of ambient temperature that a longer length must retain from the
 shortest one."""
@@ -38,7 +38,7 @@ EPISODE_GAP_H = 12.0
 EPISODE_LONGEST_H = 72.0
 """[h] longest episode."""
 LAGS = (1, 2, 3, 6)
-"""Lags, in blocks, of the instruments of the rough time constant."""
+"""Lags, in blocks, at which earlier inputs serve as instruments for the rough time constant."""
 FEWEST_BLOCKS = 100
 """Fewest blocks for the rough time constant."""
 

@@ -32,7 +32,7 @@ from hygrokf.texts.fit_codes import FitCode
 from hygrokf.texts.statement import Statement
 
 TIME_CONSTANTS = 3.0
-"""[1] length of periods in thermal time constants, unless too few periods would be that long."""
+"""[1] length of periods in thermal time constants, unless that yields too few periods."""
 SHORTEST_H = 1.0
 """[h] shortest period; periods also last at least two steps of the slowest series."""
 LONGEST_H = 12.0
@@ -40,7 +40,7 @@ LONGEST_H = 12.0
 FEWEST_PERIODS = (8, 5)
 """Fewest periods and episodes for a regression."""
 EPISODES_A_PARAMETER = 3
-"""Episodes needed for each coefficient."""
+"""Number of episodes needed for each coefficient."""
 LEAST_AMBIENT_K = 2.0
 """[K] spread of the ambient temperature needed for a slope over it."""
 WORSE = 2.0
@@ -249,11 +249,11 @@ def _left_out(regressors: np.ndarray, response: np.ndarray, episode: np.ndarray)
     for rows_of_episode in np.split(np.arange(len(response)), np.flatnonzero(np.diff(episode)) + 1):
         # (I − H_gg)⁻¹ e_g through the small matrix of the coefficients
         basis_of_episode = basis[rows_of_episode]
-        remainder = np.eye(basis_of_episode.shape[1]) - basis_of_episode.T @ basis_of_episode
-        if np.linalg.eigvalsh(remainder)[0] < 1e-6:
+        small_matrix = np.eye(basis_of_episode.shape[1]) - basis_of_episode.T @ basis_of_episode
+        if np.linalg.eigvalsh(small_matrix)[0] < 1e-6:
             return None
         error_without_episode = residual[rows_of_episode] + basis_of_episode @ np.linalg.solve(
-            remainder, basis_of_episode.T @ residual[rows_of_episode]
+            small_matrix, basis_of_episode.T @ residual[rows_of_episode]
         )
         squares_of_episodes.append(float(error_without_episode @ error_without_episode))
     return np.array(squares_of_episodes)

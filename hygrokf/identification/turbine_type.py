@@ -42,7 +42,7 @@ from hygrokf.version import __version__
 FEWEST_TURBINES = 2
 """Fewest turbines that make a type."""
 OWN = ("_bias", "_offset", "_noise")
-"""Suffixes of parameters that belong to a logger and not to a type of turbine."""
+"""Endings of parameters that belong to a logger, not to a type of turbine."""
 AMBIENT_SLOPES = {
     "heat_release_operation": "heat_release_operation_ambient",
     "heat_release_standstill": "heat_release_standstill_ambient",

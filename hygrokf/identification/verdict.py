@@ -40,7 +40,7 @@ CONTRADICTION = 2.0
 """[1] distance of the two criteria, in units of their joint uncertainty, above which they contradict each
 other."""
 SAYING = 3.0
-"""[1] ratio of upper to lower bound of the free run's time constant below which it is informative."""
+"""[1] ratio of upper to lower bound below which the free run's own time constant is informative."""
 MATERIAL = 0.1
 """[1] relative difference of an error from a rule's error, or change of a time constant, that is worth
 mentioning."""
@@ -53,10 +53,9 @@ FAILED = 0.5
 FEWEST_IN_BAND = 20
 """Fewest readings for a meaningful share within a band."""
 SCATTER = 2.0
-"""[1] ratio of the score's variance to the model's above which most of the scatter is not explained by the
-model."""
+"""[1] ratio of the score's variance to that of the model above which most of the scatter is unexplained."""
 STRETCHED = 3.0
-"""[1] prior standard deviations above which a constant sensor error is no longer attributed to the sensor."""
+"""[1] prior standard deviations above which a constant sensor error is probably not the sensor's."""
 PER_PARAMETER = 20.0
 """Readings per estimated parameter below which asymptotic bounds are doubtful."""
 CONSTANTS = 20.0
