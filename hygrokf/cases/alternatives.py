@@ -1,13 +1,16 @@
-"""Alternative readings of a record's files, and those that the record prefers to what is declared.
+"""Alternative interpretations of a record's files (clocks, units, columns, decimal marks), and those that the
+record prefers to what the case declares.
 
-Clocks are scored by the lag models of the cabinet (`lag_model`), every shift of every source at once; units,
-columns and decimal marks by levels, and by the lag models where these tell.  A linear model is the same in
-another unit, but levels are not: an enclosure is as warm as outside or some kelvins warmer, and holds about
-as much vapour.  A row is named where it beats the declaration beyond chance.
+Clocks are scored by the lag models of the cabinet (`lag_model`), with every shift of every source.  Units,
+columns and decimal marks are scored by the levels of the readings, and by the lag models where these are
+informative.  A linear model fits equally well in another unit, but levels do not: an enclosure is as warm as
+outside or some kelvins warmer, and holds about as much vapour.  An alternative is named if it beats the
+declaration beyond chance.
 
-The models know one lag.  Where a cabinet seems to follow its surroundings too late, a chain of lags explains
-it as well as a clock does, so a second witness is needed: power, whose steps are sharp, vapour, which has a
-lag of its own, or the sun.  Where a cabinet seems to lead its surroundings, none is.
+The lag models have a single lag.  If a cabinet seems to follow its surroundings too late, several lags in
+series explain that as well as a wrong clock does.  A second witness is then needed: power, whose steps are
+sharp; vapour, which has its own lag; or the sun.  If a cabinet seems to lead its surroundings, no second
+witness is needed.
 """
 
 from __future__ import annotations

@@ -104,15 +104,9 @@ class Stratum:
                 inside_count, inside_effect = bins_count[stretch].sum(), effect_sum[stretch].sum()
                 if not 0 < inside_count <= LARGEST_PART * overall_count:
                     continue
-                gain = (
-                    (
-                        inside_effect / inside_count
-                        - (overall_effect - inside_effect) / (overall_count - inside_count)
-                    )
-                    ** 2
-                    * inside_count
-                    * (overall_count - inside_count)
-                )
+                rest_count, rest_effect = overall_count - inside_count, overall_effect - inside_effect
+                difference = inside_effect / inside_count - rest_effect / rest_count
+                gain = difference**2 * inside_count * rest_count
                 if gain > best * (1.0 + 1e-9):
                     best, worst_stretch = gain, (first, first + length - 1)
         return worst_stretch

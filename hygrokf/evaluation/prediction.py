@@ -123,7 +123,7 @@ def simulate(source: Source, given: Given | None = None) -> Course:
     relative humidity [1] and the absolute humidity [g/m³] that follows from both.  The standard deviations
     include the noise of a reading, the model's disturbances and, of a fit or an estimate, the uncertainty of
     the parameters to first order.  A cabinet's thermostats follow the simulated readings.
-    Raises ValueError for anything else, with the call that makes what is missing, and for a diffuse start.
+    Raises ValueError for other arguments, with the call that makes the right ones, and for a diffuse start.
     """
     resolved = subject("simulate", source, given)
     if isinstance(given, Record) and resolved.fit is not None:
@@ -168,7 +168,7 @@ def forecast(
     with leads one row per forecast and lead.  The standard deviations include the state's uncertainty, the
     disturbances and the noise of a reading.  Those of a single forecast also include the uncertainty of the
     parameters of a fit or an estimate, to first order; forecasts by lead treat parameters as known.
-    Raises ValueError for anything else, with the call that makes what is missing, and where no reading or no
+    Raises ValueError for other arguments, with the call that makes the right ones, and where no reading or no
     later instant is left.
     """
     if leads_h is not None and not (len(leads_h) and min(leads_h) > 0.0):
@@ -252,7 +252,7 @@ def smooth(source: Source, given: Given | None = None) -> Smoothed:
 
     Returns the smoothed states by name in the model's units; `mean` (T, n) and `covariance` (T, n, n) hold
     all of them; `to_frame()` makes a pandas frame.  Parameters are treated as known.
-    Raises ValueError for anything else, with the call that makes what is missing.
+    Raises ValueError for other arguments, with the call that makes the right ones.
     Source: Bierman 1973, doi:10.1016/0005-1098(73)90051-4.
     """
     resolved = subject("smooth", source, given)
@@ -331,7 +331,7 @@ def innovations(source: Source, given: Given | None = None) -> Innovations:
     Returns the errors with their standard deviations in the outputs' units; `standardised` [1] is white with
     variance 1 where the model is right, which `tests()` judges; `to_frame()` makes a pandas frame.  Readings
     count in full, also in a model that bounds their influence.
-    Raises ValueError for anything else, with the call that makes what is missing.
+    Raises ValueError for other arguments, with the call that makes the right ones.
     """
     resolved = subject("innovations", source, given)
     linear_likelihood = replace(resolved.likelihood, model=replace(resolved.likelihood.model, bound=math.inf))

@@ -107,7 +107,7 @@ def to_statespace(
     Returns the system with the names of its states, inputs and outputs.  Of a fit: inputs
     `ambient_temperature` and `heat_release` [K] (f_ΔT), output `cabinet_air_temperature` [K], state
     `converter_temperature` [K].  `control.sample_system(system, step_h, "zoh")` gives F and G of the filter.
-    Raises ValueError for anything else, with the call that makes what is missing, for names that the model
+    Raises ValueError for other arguments, with the call that makes the right ones, for names that the model
     does not have, and for a fit without a thermal network.
     """
     import control
