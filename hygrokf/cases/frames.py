@@ -229,7 +229,8 @@ def _prepare(
     signal.
 
     signal_of: column -> signal.  by_column: option -> column -> value.  stated: key of a source -> value.
-        Faults that only frames can have are added to `faults`.
+
+    Faults that only frames can have are added to `faults`.
     """
     time = None if stated.get("time") is None else str(stated["time"])
     labels = [str(label) for label in frame.columns]
@@ -299,8 +300,9 @@ def _entries(
 ) -> dict[str, dict[str, Any]]:
     """Return signal -> its keys of a case file, with the units that the frame itself states.
 
-    signal_of_used: column -> signal.  labels: of all columns.  by_column: option -> column -> value. Faults
-        are added to `faults`.
+    signal_of_used: column -> signal.  labels: of all columns.  by_column: option -> column -> value.
+
+    Faults are added to `faults`.
     """
     keys_of_signals: dict[str, dict[str, Any]] = {}
     for label, signal in signal_of_used.items():

@@ -139,8 +139,9 @@ def mean_weights(before: int, after: int, noise_share: float) -> np.ndarray:
 def _weights(count: int, edge: float, block: int | None, noise_share: float) -> np.ndarray:
     """Return the weights of means over adjacent unit intervals in one value of the path.
 
-    edge: position of the value.  block: number of the interval whose mean is wanted instead, or None. The
-        start of the path is unknown, so the weights sum to 1 (ordinary kriging).
+    edge: position of the value.  block: number of the interval whose mean is wanted instead, or None.
+
+    The start of the path is unknown, so the weights sum to 1 (ordinary kriging).
     """
     index = np.arange(count)
     # covariance (n, n) of the means of a Brownian path that starts at 0 with q = 1

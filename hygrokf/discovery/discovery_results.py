@@ -120,8 +120,9 @@ class ErrorGain:
     """Errors of the free run before and after the causes were added: RMSE [K] or [g/m³].
 
     period: "validation" or "identification".  lower, upper: 95 % bounds of the decrease.
-    driven_before, driven_after: RMSE of the vapour when the measured temperature drives it, else NaN. Hours
-        of named door openings are left out.
+    driven_before, driven_after: RMSE of the vapour when the measured temperature drives it, else NaN.
+
+    Hours of named door openings are left out.
     """
 
     quantity: Name

@@ -321,7 +321,7 @@ def without_input(model: Calibration, name: str) -> WithoutInput:
             comparisons.append(
                 WithoutInput(code(), float(fit.deviances[quantity] - full_fit.deviances[quantity]), required)
             )
-    return min(comparisons, key=lambda simulator_without_input: simulator_without_input.gain)
+    return min(comparisons, key=lambda comparison: comparison.gain)
 
 
 def _uncertainty(final: FinalSet, coordinates: Coordinates) -> Uncertainty:

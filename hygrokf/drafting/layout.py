@@ -161,8 +161,9 @@ def _parse_rows(
 ) -> Export:
     """Return the table of the rows of a file.
 
-    lines: line number and cells of each row.  changes: reasons why a case cannot read the file itself. Header
-        and row of units are above the first row with a stamp.  Raises TableFault.
+    lines: line number and cells of each row.  changes: reasons why a case cannot read the file itself.
+
+    Header and row of units are above the first row with a stamp.  Raises TableFault.
     """
     import pandas as pd
 

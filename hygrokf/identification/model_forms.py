@@ -79,8 +79,10 @@ class FittedForm:
     """A form of the model, fitted to a record.
 
     `estimate`: the maximum.  `gain`: penalised ln L minus that of the base.  `weight`: share of the evidence
-        [1]. `covariance` (f, f): of the coordinates `names`, all inside their bounds; the wider of inverse
-        expected information and sandwich.
+        [1].
+
+    `covariance` (f, f): of the coordinates `names`, all inside their bounds; the wider of inverse expected
+    information and sandwich.
     """
 
     name: str
@@ -248,7 +250,7 @@ def _maximise(
         short_optima = [
             climb(Objective(short, coordinates), position, passes=12, tolerance=1e-2) for position in starts
         ]
-        best_on_short = max(short_optima, key=lambda optima: optima.objective)
+        best_on_short = max(short_optima, key=lambda optimum: optimum.objective)
         if best_on_short.objective - base_maximum_on_short < LEAST_SHORT_GAIN:
             return None
         starts = [best_on_short.z]
