@@ -715,6 +715,6 @@ def test_a_faulty_library_is_told_before_the_work(
     said = capsys.readouterr()
     assert said.err.endswith(
         "hygrokf: library of causes: 1 fault\n  1. own.py: expected a hygrokf.Cause at the top level, "
-        "found none: NAME = hygrokf.cause_of(…), docs/how_to/own_cause.md\n"
+        "found none: define NAME = hygrokf.cause_of(…), docs/how_to/own_cause.md\n"
     )
     assert said.out == "" and not (tmp_path / "made").exists()
