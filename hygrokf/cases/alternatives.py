@@ -30,8 +30,8 @@ from hygrokf.data.signals import SIGNALS, from_si, to_si
 from hygrokf.data.timestamps import DAY_S, modal_step, summer_time
 from hygrokf.estimation.lag_model import (
     LAGS_H,
+    LARGEST_SHIFT,
     QUARTER_S,
-    REACH,
     Move,
     Relation,
     fit_autoregression,
@@ -63,9 +63,9 @@ ODDS = 8.0
 SYSTEMATIC = 6.0
 """[ln L] that the lag models may add to the evidence of levels at most, since no enclosure is as simple as
 they are."""
-FEWEST_D = 14
+FEWEST_SHIFTED_D = 14
 """Fewest days to which a shift must apply; it must win in each quarter of them."""
-NAMED, WALL, EITHER = "named", "clock_or_wall", "either_clock"
+NAMED_SHIFT, WALL, EITHER = "named", "clock_or_wall", "either_clock"
 
 
 @dataclass(frozen=True)
@@ -95,7 +95,7 @@ class PreferredAlternative:
     alternative: Alternative
     gain: float
     witnesses: tuple[str, ...] = ()
-    verdict: str = NAMED
+    verdict: str = NAMED_SHIFT
     rival: Alternative | None = None
 
     def doubt(self) -> Statement:
@@ -164,8 +164,8 @@ class _Scan:
         """Return the gain in ln L (K,) of each shift, over no shift."""
         logliks_of_move = self.logliks.get((inputs, sign * more))
         if logliks_of_move is None:
-            return np.zeros(2 * REACH + 1)
-        return logliks_of_move.max(axis=1)[::sign] - self.logliks[inputs, 0][REACH].max()
+            return np.zeros(2 * LARGEST_SHIFT + 1)
+        return logliks_of_move.max(axis=1)[::sign] - self.logliks[inputs, 0][LARGEST_SHIFT].max()
 
     def by_day(self, shift: _Shift, count: int) -> np.ndarray:
         """Return ln L (count,) of each day under a shift, with the model's parameters fitted again."""
@@ -173,7 +173,7 @@ class _Scan:
         move, quarters = (inputs, sign * shift.more), sign * shift.quarters
         if move not in self.logliks:  # nothing of this relation moves
             move, quarters = next(candidate for candidate in self.logliks if candidate[1] == 0), 0
-        lag_h = LAGS_H[int(self.logliks[move][REACH + quarters].argmax())]
+        lag_h = LAGS_H[int(self.logliks[move][LARGEST_SHIFT + quarters].argmax())]
         loglik_of_rows = fit_autoregression(self.relation, lag_h, move, quarters, self.summer)[1]
         return np.bincount(self.days, loglik_of_rows, minlength=count)
 
@@ -241,7 +241,7 @@ def _clocks(
     for name in source_names:
         profile_keys = [(name, summer_shift) for summer_shift in (0, -4, 4)]
         best_all_year, _, _ = (_highest(profiles[profile_key], *profile_key) for profile_key in profile_keys)
-        is_near = np.abs(np.arange(-REACH, REACH + 1) - best_all_year.quarters) < APART
+        is_near = np.abs(np.arange(-LARGEST_SHIFT, LARGEST_SHIFT + 1) - best_all_year.quarters) < APART
         if profiles[name, 0][~is_near].max() > best_all_year.gain - WITNESS:
             not_determined.append(RecordCode.CLOCK_UNTOLD(source=name))
         if name != light_source or sun_s is None or abs(sun_s) > TOLERANCE_S:  # the sun knows better
@@ -262,7 +262,7 @@ def _highest(profile: np.ndarray, name: str, more: int, apart_from: int | None =
 
     apart_from: only shifts at least `APART` quarters from this one count.
     """
-    shifts = np.arange(-REACH, REACH + 1)
+    shifts = np.arange(-LARGEST_SHIFT, LARGEST_SHIFT + 1)
     is_allowed = np.ones(len(shifts), bool) if apart_from is None else np.abs(shifts - apart_from) >= APART
     place = int(np.where(is_allowed, profile, -np.inf).argmax())
     before, middle, after = profile[np.clip((place - 1, place, place + 1), 0, len(profile) - 1)]
@@ -321,7 +321,10 @@ def _lead(scans: Sequence[_Scan], shift: _Shift, rival: _Shift) -> float:
     count = 1 + max(int(scan.days.max()) for scan in scans)
     differs = np.any([scan.days_apart(shift, rival, count) for scan in scans], axis=0)
     daily_gain = sum(scan.by_day(shift, count) - scan.by_day(rival, count) for scan in scans)[differs]
-    if len(daily_gain) < FEWEST_D or min(quarter.sum() for quarter in np.array_split(daily_gain, 4)) <= 0.0:
+    if (
+        len(daily_gain) < FEWEST_SHIFTED_D
+        or min(quarter.sum() for quarter in np.array_split(daily_gain, 4)) <= 0.0
+    ):
         return -math.inf
     return _standard_errors(daily_gain)
 
@@ -338,7 +341,7 @@ def _witnesses(scans: Sequence[_Scan], shift: _Shift, sun_s: float | None) -> tu
     for scan in scans:
         inputs, sign = scan.move(shift.source)
         for name, group in ((scan.relation.name, inputs), ("power", _POWER & inputs)):
-            if group and scan.gains(group, sign, shift.more)[REACH + shift.quarters] > WITNESS:
+            if group and scan.gains(group, sign, shift.more)[LARGEST_SHIFT + shift.quarters] > WITNESS:
                 witnesses.append(name)
     if sun_s is not None and abs(shift.quarters * QUARTER_S + sun_s) <= 2.0 * TOLERANCE_S:
         witnesses.append("the sun")

@@ -113,7 +113,7 @@ class Notation:
         return stated_marks(self.decimal, self.thousands)
 
 
-def table_of(
+def frame_table(
     frame: pandas.DataFrame,
     columns: Mapping[str, Meaning],
     stamps: pandas.Series | None,

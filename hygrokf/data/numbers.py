@@ -42,7 +42,7 @@ class Meaning(NamedTuple):
     one: str = ""
 
 
-POINT, UNKNOWN = Marks(), Meaning()
+POINT, UNKNOWN_MEANING = Marks(), Meaning()
 
 
 class Unread(Exception):
@@ -81,7 +81,7 @@ def number_in(text: str, marks: Marks = POINT) -> float | None:
     return number if math.isfinite(number) else None
 
 
-def value_in(text: str, marks: Marks = POINT, meaning: Meaning = UNKNOWN) -> float:
+def value_in(text: str, marks: Marks = POINT, meaning: Meaning = UNKNOWN_MEANING) -> float:
     """Return the value of a text in its stated unit: a number, a number with its unit, or a flag.
 
     A unit with the same zero is converted (MW to kW).  Raises Unread.
@@ -110,7 +110,7 @@ def value_in(text: str, marks: Marks = POINT, meaning: Meaning = UNKNOWN) -> flo
 
 
 def values_in(
-    texts: pandas.Series, marks: Marks = POINT, meaning: Meaning = UNKNOWN
+    texts: pandas.Series, marks: Marks = POINT, meaning: Meaning = UNKNOWN_MEANING
 ) -> tuple[np.ndarray, dict[str, Unread]]:
     """Return the values (N,) of texts and numbers, and the texts without a value with the reasons.
 

@@ -6,7 +6,7 @@ import dataclasses
 
 import numpy as np
 
-from hygrokf.data.gate import DEPARTED, FEWEST, FROZEN, REACH_S, judge, resting, runs_of, scale_of
+from hygrokf.data.gate import DEPARTED, FEWEST_FOR_SCALE, FROZEN, REACH_S, judge, resting, runs_of, scale_of
 from hygrokf.data.record import Record, Series
 from hygrokf.data.signals import in_words, signal_named
 from hygrokf.data.timestamps import modal_step
@@ -16,7 +16,7 @@ from hygrokf.texts.wording import duration_text, period_text, stamp_text
 
 SATURATED = 0.995
 """[-] relative humidity from which a reading is censored: the sensor cannot show more."""
-SHOWN = 5
+SHOWN_READINGS = 5
 """Number of outlying readings that a warning names."""
 PILED = 5
 """Readings pile up at a ceiling if there are this many times as many as just below it."""
@@ -233,7 +233,7 @@ def mask_gated(series: Series) -> tuple[Series, tuple[str, ...]]:
     signal_row = signal_named(series.signal)
     present = np.flatnonzero(np.isfinite(series.value))
     time, value = series.time[present], series.value[present]
-    if len(value) < FEWEST or signal_row.idle == (-np.inf, np.inf):
+    if len(value) < FEWEST_FOR_SCALE or signal_row.idle == (-np.inf, np.inf):
         return series, ()
     if value[0] == value.min() == value.max() and not resting(series.signal, value[:1], np.inf).any():
         reading = in_words(value[0], signal_row)
@@ -251,9 +251,10 @@ def mask_gated(series: Series) -> tuple[Series, tuple[str, ...]]:
         is_masked[present[is_departed]] = True
         rows = present[is_departed]
         listed_readings = ", ".join(
-            f"{in_words(series.value[i], signal_row)} at {stamp_text(series.time[i])}" for i in rows[:SHOWN]
+            f"{in_words(series.value[i], signal_row)} at {stamp_text(series.time[i])}"
+            for i in rows[:SHOWN_READINGS]
         )
-        and_more = f" and {len(rows) - SHOWN} more" if len(rows) > SHOWN else ""
+        and_more = f" and {len(rows) - SHOWN_READINGS} more" if len(rows) > SHOWN_READINGS else ""
         verb = "leaves its course and returns" if len(rows) == 1 else "leave their course and return"
         warnings.append(
             f"{_label(series)}: {_readings(is_departed)} that {verb} within {duration_text(REACH_S)} masked: "

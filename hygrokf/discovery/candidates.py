@@ -33,9 +33,9 @@ from hygrokf.discovery.simulator import Simulator
 from hygrokf.modelling.causes.forms import Form, Setting
 from hygrokf.physics.parameters import Parameter
 
-THRESHOLD = 10.0
+ACCEPTED_EVIDENCE = 10.0
 """Evidence from which a cause is accepted."""
-SWEEPS, FOLLOWED, WORSE = 3, 2, 10.0
+SWEEPS, FOLLOWED_JUMPS, LARGEST_RISE = 3, 2, 10.0
 """Number of sweeps of jumps; number of jumps of a sweep that are fitted; largest rise of −2 ln L by a jump
 that is still fitted."""
 CLOSE_Z = 2.0
@@ -153,7 +153,7 @@ def candidate(
     """Return the candidate of a child model: its gains over the parent and its evidence.
 
     child: the parent extended by `form`, fitted.  searched: number of settings that were tried.  The
-        correction for correlated days is computed only for evidence of at least `THRESHOLD`.
+        correction for correlated days is computed only for evidence of at least `ACCEPTED_EVIDENCE`.
     """
     added_parameters = added(parent, child.simulator)
     gains, total_constants, lacking = {}, 0, False
@@ -167,7 +167,7 @@ def candidate(
         lacking |= form.together and constants > 0 and net_gain <= 0.0
         total_constants += constants
         evidence += max(0.0, net_gain)
-    factor = day_factor(parent, child) if evidence >= THRESHOLD else 1.0
+    factor = day_factor(parent, child) if evidence >= ACCEPTED_EVIDENCE else 1.0
     return Candidate(
         form, setting, child, gains, total_constants, searched, evidence, evidence / factor, lacking
     )
@@ -213,8 +213,8 @@ def improved_by_jumps(parent: Calibration, best: Candidate) -> Candidate:
     """Return the candidate after trying large changes of its parameters and settings, to leave a local
     maximum.
 
-    Each jump is simulated after one linear step of the other parameters (`chord_gains`).  The `FOLLOWED` best
-    jumps are fitted, unless they are worse than the start by more than `WORSE`.
+    Each jump is simulated after one linear step of the other parameters (`chord_gains`).  The `FOLLOWED_JUMPS` best
+    jumps are fitted, unless they are worse than the start by more than `LARGEST_RISE`.
     """
     steps = dict(best.form.steps)
     for _ in range(SWEEPS):
@@ -225,11 +225,11 @@ def improved_by_jumps(parent: Calibration, best: Candidate) -> Candidate:
             gain = chord_gains(parent_at_best, wider, wider.vector(values)[:, None], {}, best.acts)[0]
             promising.append((float(gain), setting, values))
         promising.sort(key=lambda jump: -jump[0])
-        for gain, setting, values in promising[:FOLLOWED]:
-            if gain < -WORSE:
+        for gain, setting, values in promising[:FOLLOWED_JUMPS]:
+            if gain < -LARGEST_RISE:
                 break
             trial = fit_form(parent, best.form, setting, values, LIGHT, parent_at_best.columns)
-            if trial.deviance < best.estimate.deviance + 0.5 * WORSE:
+            if trial.deviance < best.estimate.deviance + 0.5 * LARGEST_RISE:
                 fit = fitted(trial, acting(trial, best.acts), POLISH)
                 if fit.deviance < best.estimate.deviance - 0.1:
                     best = replace(
@@ -305,9 +305,9 @@ def fits_equally_well(best: Candidate, rival: Candidate) -> bool:
     They are compared in the quantities that both change, by Vuong's test on daily sums of −2 ln L.
     """
     shared = best.acts & rival.acts
-    if not shared or rival.evidence < THRESHOLD:
+    if not shared or rival.evidence < ACCEPTED_EVIDENCE:
         return False
-    if best.evidence - rival.evidence < THRESHOLD:
+    if best.evidence - rival.evidence < ACCEPTED_EVIDENCE:
         return True
     daily = np.concatenate([_daily(best.estimate, rival.estimate, q) for q in sorted(shared)])
     return float(daily.sum() / (math.sqrt(len(daily)) * max(daily.std(), 1e-12))) < CLOSE_Z

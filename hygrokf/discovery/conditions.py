@@ -18,7 +18,7 @@ from hygrokf.discovery.residuals import Residuals, displayed, run_lengths, words
 from hygrokf.texts.discovery_codes import ConditionCode
 from hygrokf.texts.statement import Statement
 
-LAGS_H = (1.0, 2.0, 3.0, 4.0, 6.0, 9.0, 12.0, 18.0, 24.0)
+CONDITION_LAGS_H = (1.0, 2.0, 3.0, 4.0, 6.0, 9.0, 12.0, 18.0, 24.0)
 LAG_TOLERANCE = 0.1
 """[1] largest relative difference between a lag and the nearest multiple of the bins' length."""
 RATE_H = 3.0
@@ -28,18 +28,18 @@ LONG_STANDSTILL_H = 24.0
 LONG_STOPS = ConditionCode.STOPS_LONGER_THAN_A_DAY()
 AFTERWARDS_H = 6.0
 """[h] time after an episode that counts as "after the episode"."""
-SATURATED = 0.97
+SATURATED_AIR = 0.97
 """[1] relative humidity from which air counts as saturated; within its accuracy, a sensor shows no more."""
 SINCE_H = (3.0, 6.0, 12.0, 24.0)
-LEVELS = (0.1, 0.3, 0.5, 0.7, 0.9)
-RATES = (0.1, 0.3, 0.7, 0.9)
+LEVEL_QUANTILES = (0.1, 0.3, 0.5, 0.7, 0.9)
+RATE_QUANTILES = (0.1, 0.3, 0.7, 0.9)
 RESTING = 0.15
 """[1] share of the time at its lowest value from which a driver has a bin of its own for it (night, calm,
 dry)."""
 MONTH_H = 240.0
 """[h] shortest part of a month within the record for which the month counts."""
 SECTORS = 12
-SHORTEST_H = 6.0
+SHORTEST_CONDITION_H = 6.0
 """[h] shortest time for which a condition must hold to be tested."""
 LARGEST_PART = 0.5
 """[1] largest share of the hours that a finding may cover; beyond it, the rest would be the exception."""
@@ -123,8 +123,8 @@ def conditions(hours: Residuals) -> list[Stratum]:
     strata = [*_regimes(hours), *_preheating(hours), _hour(hours), *_calendar(hours)]
     humidity = hours.drivers.get("cabinet_relative_humidity")
     if humidity is not None:
-        saturated = np.nan_to_num(humidity) >= SATURATED
-        strata.append(_flag("saturation", saturated, ConditionCode.SATURATED_AIR(share=SATURATED)))
+        saturated = np.nan_to_num(humidity) >= SATURATED_AIR
+        strata.append(_flag("saturation", saturated, ConditionCode.SATURATED_AIR(share=SATURATED_AIR)))
     for name, value in hours.drivers.items():
         if name != "preheating":
             strata += _driver(hours, name, value)
@@ -132,9 +132,9 @@ def conditions(hours: Residuals) -> list[Stratum]:
 
 
 def _held(stratum: Stratum, step_h: float) -> bool:
-    """Whether a yes-or-no condition holds, and fails, for at least `SHORTEST_H`."""
+    """Whether a yes-or-no condition holds, and fails, for at least `SHORTEST_CONDITION_H`."""
     hours_inside = float((stratum.bins == 0).sum()) * step_h
-    return SHORTEST_H <= hours_inside <= len(stratum.bins) * step_h - SHORTEST_H
+    return SHORTEST_CONDITION_H <= hours_inside <= len(stratum.bins) * step_h - SHORTEST_CONDITION_H
 
 
 def _flag(kind: str, flag: np.ndarray, condition: Statement, share: np.ndarray | None = None) -> Stratum:
@@ -306,7 +306,7 @@ def _driver(hours: Residuals, name: str, value: np.ndarray) -> list[Stratum]:
     """
     if name.endswith("_direction"):
         return [_direction(name, value)]
-    level_stratum = _binned("level", name, value, LEVELS, ConditionCode.LEVEL_OF_DRIVER)
+    level_stratum = _binned("level", name, value, LEVEL_QUANTILES, ConditionCode.LEVEL_OF_DRIVER)
     if level_stratum is None:
         return []
     strata = [level_stratum]
@@ -320,18 +320,20 @@ def _driver(hours: Residuals, name: str, value: np.ndarray) -> list[Stratum]:
     count, rate_steps = len(value), max(1, round(RATE_H / hours.step_h))
     rate = np.full(count, np.nan)
     rate[rate_steps:] = (value[rate_steps:] - value[:-rate_steps]) / (rate_steps * hours.step_h)
-    rate_stratum = _binned("rate", name, rate, RATES, ConditionCode.RATE_OF_DRIVER)
+    rate_stratum = _binned("rate", name, rate, RATE_QUANTILES, ConditionCode.RATE_OF_DRIVER)
     if rate_stratum is not None:
         strata.append(
             replace(rate_stratum, basis=np.column_stack([np.maximum(rate, 0.0), np.minimum(rate, 0.0)]))
         )
-    for lag in LAGS_H:
+    for lag in CONDITION_LAGS_H:
         lag_steps = round(lag / hours.step_h)
         if not 1 <= lag_steps < count or abs(lag_steps * hours.step_h - lag) > LAG_TOLERANCE * lag:
             continue
         earlier_value = np.full(count, np.nan)
         earlier_value[lag_steps:] = value[:-lag_steps]
-        lag_stratum = _binned("lag", name, earlier_value, LEVELS, ConditionCode.EARLIER_DRIVER, hours=lag)
+        lag_stratum = _binned(
+            "lag", name, earlier_value, LEVEL_QUANTILES, ConditionCode.EARLIER_DRIVER, hours=lag
+        )
         if lag_stratum is not None:
             strata.append(lag_stratum)
     return strata

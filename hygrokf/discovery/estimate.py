@@ -30,7 +30,7 @@ from hygrokf.discovery.error_model import (
 from hygrokf.discovery.simulator import Simulator
 from hygrokf.physics.parameters import Parameter
 
-TIME_CONSTANT = {"temperature": "thermal_time_constant", "vapour": "hygric_k"}
+TIME_CONSTANT_OF = {"temperature": "thermal_time_constant", "vapour": "hygric_k"}
 """Quantity -> parameter that is the time constant [h] of its low pass."""
 DAMPINGS = (0.0, 1e-3, 1e-2, 0.1, 1.0, 10.0, 100.0, 1000.0)
 LARGEST_STEP = 1.5
@@ -38,7 +38,7 @@ LARGEST_STEP = 1.5
 MOVE = 1e-3
 """Step of the numerical Jacobian: for a logarithm this change; for a parameter with a prior 50 times this
 share of the prior's standard deviation; for others a tenth of this share of the range."""
-STEPS = 3
+GAUSS_NEWTON_STEPS = 3
 """Largest number of Gauss–Newton steps between two estimates of the error variances."""
 LIGHT, POLISH = (3, 0.3), (10, 0.05)
 """Effort of a fit: largest number of rounds, and the gain in −2 ln L below which they end."""
@@ -233,12 +233,12 @@ def _blocks(estimate: Calibration, free: set[str]) -> list[tuple[str, ...]]:
 
 
 def _stepped(estimate: Calibration, free: set[str], block: tuple[str, ...], kept: Columns) -> Calibration:
-    """Make up to `STEPS` damped Gauss–Newton steps of the free parameters, with the error variances fixed.
+    """Make up to `GAUSS_NEWTON_STEPS` damped Gauss–Newton steps of the free parameters, with the error variances fixed.
 
     block: the quantities that count.  kept: Jacobian columns that are not computed again.
     """
     acting_names = {name for name in free if set(estimate.simulator.affects(name)) & set(block)}
-    for _ in range(STEPS):
+    for _ in range(GAUSS_NEWTON_STEPS):
         coordinates = frame(estimate.simulator.parameters, acting_names, estimate.linear)
         matrix, gradient = _normal_equations(estimate, coordinates, block, kept)
         position = coordinates.coordinates(estimate.theta)
@@ -414,7 +414,7 @@ def errors_of(simulator: Simulator, theta: np.ndarray, quantities: Sequence[str]
         )
         instants_of[q] = course(
             readings.time_h,
-            values[TIME_CONSTANT[q]],
+            values[TIME_CONSTANT_OF[q]],
             readings.added,
             relative_noise,
             largest=variance_of_readings,

@@ -24,7 +24,7 @@ from hygrokf.data.shared_clocks import shifted
 from hygrokf.data.timestamps import HOUR_S
 from hygrokf.discovery.estimate import (
     POLISH,
-    TIME_CONSTANT,
+    TIME_CONSTANT_OF,
     Calibration,
     acting,
     errors_of,
@@ -47,14 +47,14 @@ from hygrokf.identification.identify import Basis, assemble_fit
 from hygrokf.identification.needed_inputs import CHANCE, WithoutInput, alternatives
 from hygrokf.identification.steady_state import heat_release_regression
 from hygrokf.identification.verdict import with_reasons, with_verdicts
-from hygrokf.modelling.design import CASCADE, TEMPERATURE, Design
+from hygrokf.modelling.design import CABINET_TEMPERATURE, CASCADE, Design
 from hygrokf.modelling.inputs import model_inputs
 from hygrokf.physics.parameters import Coordinates
 from hygrokf.texts.fit_codes import FitCode
 from hygrokf.texts.reasons import Reason
 
 Estimator = Literal["likelihood", "output-error"]
-BETTER = 0.95
+BETTER_RATIO = 0.95
 """Ratio of the errors by least squares to those by likelihood below which least squares are preferred."""
 EARLY = 2.0 / 3.0
 """Share of the identification period to which both estimators are fitted for their comparison."""
@@ -128,7 +128,7 @@ def final_estimator(*models: Calibration) -> Estimator:
                     for fit in (by_likelihood, by_output)
                 ]
                 ratios.append(0.5 * math.log(errors[1] / errors[0]))
-    return "output-error" if ratios and math.exp(np.mean(ratios)) < BETTER else "likelihood"
+    return "output-error" if ratios and math.exp(np.mean(ratios)) < BETTER_RATIO else "likelihood"
 
 
 def final_set(estimate: Calibration, estimator: Estimator) -> FinalSet:
@@ -211,12 +211,12 @@ def sandwich(estimate: Calibration) -> tuple[tuple[str, ...], np.ndarray, tuple[
 
 SIZE_TOLERANCE = 0.05
 """Expected gain in ln L at which the search for the sizes of the filter's disturbances ends."""
-STEP_TOLERANCE = 1e-5
+FINAL_STEP_TOLERANCE = 1e-5
 """[1] `tolerance` of the filter's sub-steps; it is coarse, since only the sizes of the disturbances depend on
 it."""
 
 
-def fit_of(
+def final_fit(
     record: Record, final: FinalSet, say: Progress = lambda text: None, against: Sequence[Reason] = ()
 ) -> Fit:
     """Return a final set as a `Fit` of the record, with the record's clocks corrected as the set states.
@@ -229,7 +229,7 @@ def fit_of(
     try:
         stages = tuple(_stage(early, design, final, say) for design in final_designs(final))
         basis = Basis(CASCADE, stages, heat_release_regression(early))
-        fit = assemble_fit(record, basis, {}, say=say, tolerance=STEP_TOLERANCE)
+        fit = assemble_fit(record, basis, {}, say=say, tolerance=FINAL_STEP_TOLERANCE)
     except (RatesFault, DigitsFault) as fault:
         raise ValueError(f"the final model of the search is too fast for a Kalman filter: {fault}") from fault
     # the linear estimate of clock offsets needs a maximum of the filter's likelihood, but this set is none
@@ -258,7 +258,7 @@ def _stage(early: PreparedRecord, base: Design, final: FinalSet, say: Progress) 
     """
     say("sizes of the disturbances")
     run_of_record = model_inputs(base, early)
-    likelihood = Likelihood(base.model, run_of_record.timeline, tolerance=STEP_TOLERANCE)
+    likelihood = Likelihood(base.model, run_of_record.timeline, tolerance=FINAL_STEP_TOLERANCE)
     estimated = final.estimate.values
     fixed = {
         p.name: min(max(estimated[p.name], p.lower), p.upper)
@@ -294,13 +294,13 @@ def without_input(model: Calibration, name: str) -> WithoutInput:
     """
     from scipy.special import chdtri
 
-    quantity = next(q for q, parameter in TIME_CONSTANT.items() if parameter == name)
+    quantity = next(q for q, parameter in TIME_CONSTANT_OF.items() if parameter == name)
     scene, simulator = model.simulator.scene, model.simulator
     time_h, vapour = scene.edges_s / HOUR_S, np.full(len(scene.edges_s), np.nan)
     if "vapour" in scene.readings:
         readings = scene.readings["vapour"]
         vapour[np.clip(np.searchsorted(scene.edges_s, readings.time_s), 0, len(time_h) - 1)] = readings.value
-    names = [n for n in simulator.cell_model(quantity).inputs if n != TEMPERATURE]
+    names = [n for n in simulator.cell_model(quantity).inputs if n != CABINET_TEMPERATURE]
     inputs = {n: scene.at_edges(n, simulator.owner(n)) for n in names}
     free, comparisons = acting(model, [quantity]), []
     full_fit = fitted(model, free)

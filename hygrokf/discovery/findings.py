@@ -29,7 +29,7 @@ from hygrokf.discovery.conditions import Stratum, conditions, dummies, step_at
 from hygrokf.discovery.discovery_results import Finding
 from hygrokf.discovery.error_model import HUBER, Filtered, course, filtered, maximised
 from hygrokf.discovery.residuals import (
-    QUANTITIES,
+    RESIDUAL_QUANTITIES,
     Quantity,
     Residuals,
     binned,
@@ -45,14 +45,14 @@ SLOWER = 4.0
 POSSIBLE = math.log(0.05)
 """ln p above which a condition is clearly not significant, so that the correction for scatter between days is
 skipped."""
-EDGE = 0.05
+EDGE_SHARE = 0.05
 """[1] share of the readings at each end of the record in which no change is searched."""
 INTERVAL = 4.0
 """Difference in the χ² statistic from which one explanation is clearly better than another (95 %
 interval)."""
-ROUNDING = 1e-12
+ORTHOGONAL_ROUNDING = 1e-12
 """Share of a column's square below which its part orthogonal to the nuisance is rounding error."""
-NEAR = 2
+NEAR_BINS = 2
 """Bins around a change in which an outlier or a shock may explain it instead."""
 SHARP_H = 1.0
 """[h] longest confidence interval of a date for which the date counts as certain."""
@@ -133,7 +133,7 @@ class Whitened:
         white = self.filter_result.whitened(columns)
         squares_before = np.einsum("ni,ni->i", white, white)
         white -= self.basis @ (self.basis.T @ white)
-        white[:, np.einsum("ni,ni->i", white, white) <= ROUNDING * squares_before] = 0.0
+        white[:, np.einsum("ni,ni->i", white, white) <= ORTHOGONAL_ROUNDING * squares_before] = 0.0
         return white
 
     def log_p(self, white: np.ndarray, unbounded: bool = False) -> float:
@@ -211,9 +211,9 @@ class Whitened:
             axis=1,
         )[::-1]
         read_bins = np.flatnonzero(np.isfinite(self.error))
-        margin = round(EDGE * len(read_bins))
+        margin = round(EDGE_SHARE * len(read_bins))
         dates = read_bins[margin : len(read_bins) - margin]
-        first_bin = min(round(EDGE * count), int(dates[0]))
+        first_bin = min(round(EDGE_SHARE * count), int(dates[0]))
         bin_index = np.arange(count)
         step, outlier = (
             (bin_index >= first_bin)[:, None].astype(float),
@@ -230,7 +230,7 @@ class Whitened:
         positive_information = np.where(information > 0.0, information, np.inf)
         statistic = sums[dates, :, 0] ** 2 / positive_information
         shock = np.maximum(self.innovations**2, contributions[:, 0] ** 2 / _square(white_columns[:, 2]))
-        statistic[statistic < maximum_filter1d(shock, 2 * NEAR + 1)[dates, None] - INTERVAL] = 0.0
+        statistic[statistic < maximum_filter1d(shock, 2 * NEAR_BINS + 1)[dates, None] - INTERVAL] = 0.0
         best_row, flow_column = np.unravel_index(np.argmax(statistic), statistic.shape)
         likely_bins = int((statistic[:, flow_column] > statistic[best_row, flow_column] - INTERVAL).sum())
         return int(dates[best_row]), bool(flow_column), statistic.size, likely_bins * self.step_h <= SHARP_H
@@ -309,21 +309,21 @@ def benjamini_hochberg(p: np.ndarray, weights: np.ndarray | None = None) -> np.n
 
 # -- findings ------------------------------------------------------------------------------------------------
 LEVEL = 0.05
-BIN_H = 0.25
+FINDING_BIN_H = 0.25
 """[h] length of the shortest bins over which errors are averaged before they are tested."""
 FEWEST_H = 72.0
 """[h] fewest hours with errors for which a quantity is tested."""
-MATERIAL = 0.2
+MATERIAL_SHARE = 0.2
 """[1] smallest size of a finding as a share of the free run's RMSE; smaller ones are not reported, however
 significant."""
-SENSORS = 0.6
+SENSORS_SHARE = 0.6
 """[1] largest share of a finding's squared size that the sensors' accuracy may explain."""
 CERTAIN = 1e-8
 """p above which a calendar condition is tested again, with the error variances estimated without its
 effect."""
-MOST = 8
+MOST_FINDINGS = 8
 """Largest number of findings that are reported."""
-BATCH = 8
+WHITENED_TOGETHER = 8
 """Number of conditions whose columns are whitened together."""
 SEEN = 0.5
 """[1] mean error of an episode, as a share of a finding's size, from which the episode shows the finding."""
@@ -369,17 +369,17 @@ def findings(residuals: Residuals) -> list[Finding]:
     A quantity with errors in fewer than 72 hours has no findings.  Raises KeyError for a quantity without a
     time constant in the residuals.
     """
-    binned_residuals = binned(residuals, BIN_H)
+    binned_residuals = binned(residuals, FINDING_BIN_H)
     common_conditions = conditions(binned_residuals)
     states = []
-    for quantity in QUANTITIES:
+    for quantity in RESIDUAL_QUANTITIES:
         error = binned_residuals.error[quantity]
         if np.isfinite(error).sum() * binned_residuals.step_h >= FEWEST_H:
             white = Whitened.of(error, binned_residuals.step_h, residuals.time_constants[quantity])
             states.append(_QuantityErrors(quantity, residuals.rmse(quantity), white, common_conditions))
     results: list[Finding] = []
     changed_states = states
-    for _ in range(MOST):
+    for _ in range(MOST_FINDINGS):
         for state in changed_states:
             _test(state, common_conditions, binned_residuals)
         adjusted = _adjusted(states)
@@ -400,7 +400,7 @@ def findings(residuals: Residuals) -> list[Finding]:
             break
     rmse = {state.quantity: state.rmse for state in states}
     results.sort(key=lambda finding: -finding.size / rmse[finding.quantity])
-    return results[:MOST]
+    return results[:MOST_FINDINGS]
 
 
 def _test(state: _QuantityErrors, common_conditions: Sequence[Stratum], hours: Residuals) -> None:
@@ -416,8 +416,8 @@ def _test(state: _QuantityErrors, common_conditions: Sequence[Stratum], hours: R
         return min(0.0, errors.log_p(columns, unbounded=True) + math.log(number_tried))
 
     log_p_of: list[float] = []
-    for first in range(0, len(state.conditions), BATCH):
-        conditions_of_batch = state.conditions[first : first + BATCH]
+    for first in range(0, len(state.conditions), WHITENED_TOGETHER):
+        conditions_of_batch = state.conditions[first : first + WHITENED_TOGETHER]
         whitened_columns = [state.columns(first + i) for i in range(len(conditions_of_batch))]
         ends = np.cumsum([columns.shape[1] for columns in whitened_columns])[:-1]
         whitened_columns = np.split(white.whitened(np.column_stack(whitened_columns)), ends, axis=1)
@@ -477,7 +477,7 @@ def _described(hours: Residuals, state: _QuantityErrors, number: int, p_adjusted
     size = float(effect[known_inside].mean() - effect[known_outside].mean())
     sensor_error = float(np.nan_to_num(root_mean_square(hours.sensor_error[state.quantity][inside])))
     sensor_share = min(1.0, (sensor_error / size) ** 2) if size else 1.0
-    if abs(size) < MATERIAL * state.rmse or sensor_share > SENSORS:
+    if abs(size) < MATERIAL_SHARE * state.rmse or sensor_share > SENSORS_SHARE:
         return None
     deviation = np.sign(size) * (error - error[known_outside].mean())
     episodes = [

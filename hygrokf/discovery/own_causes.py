@@ -36,7 +36,7 @@ from hygrokf.errors import suggestion
 from hygrokf.modelling.causes.cause import Cause
 from hygrokf.modelling.causes.forms import Form, Ground, ground_of
 from hygrokf.modelling.derived_inputs import FEATURES, feature_faults
-from hygrokf.modelling.design import HOLDS
+from hygrokf.modelling.design import INPUT_HOLDS
 from hygrokf.modelling.library import (
     CAUSES,
     LIBRARY,
@@ -52,12 +52,12 @@ from hygrokf.physics.holds import hold_named
 from hygrokf.physics.mechanisms import FURTHER, LOGGED
 from hygrokf.physics.model import SUMS, Mechanism
 
-GROUP = "hygrokf.causes"
+ENTRY_POINTS = "hygrokf.causes"
 """Entry points of this group name a `Cause`, or a module with causes at its top level."""
-SAME = 1e-5
+SAME_SIMULATION = 1e-5
 """[1] largest difference of two simulations that count as equal, in standard deviations of the base's
 simulation."""
-DAYS = 30
+TRIAL_DAYS = 30
 IDENTIFIER = re.compile(r"[a-z][a-z0-9_]*")
 _RANGES: Mapping[str, tuple[float, float]] = {
     "K": (278.0, 293.0), "1": (0.0, 1.0), "Pa": (9.8e4, 1.02e5), "W": (0.0, 2e4), "kg/m3": (5e-3, 9e-3),
@@ -72,7 +72,7 @@ _RANGES: Mapping[str, tuple[float, float]] = {
 def trial_record() -> Record:
     """Return a record with every signal, in ordinary ranges and with two clocks: sums of sines of different
     periods."""
-    hour = np.arange(24 * DAYS + 1.0)
+    hour = np.arange(24 * TRIAL_DAYS + 1.0)
     series = []
     for number, signal in enumerate(SIGNALS.values()):
         lowest, highest = _RANGES.get(signal.name, _RANGES[signal.unit])
@@ -141,7 +141,7 @@ def declared_faults(cause: Cause) -> list[str]:
                 hold_named(feature_and_hold[1])
             except ValueError as fault:
                 faults.append(f"feature {name!r}: {fault}")
-        if name in HOLDS and name not in {*FEATURES, *SIGNALS}:
+        if name in INPUT_HOLDS and name not in {*FEATURES, *SIGNALS}:
             faults.append(
                 f"feature {name!r}: the base models have an input of that name; choose another name"
             )
@@ -172,7 +172,7 @@ def _factory_faults(
             f"mechanism {name!r}: expected its features {', '.join(missing_features)} in features= of the "
             "Cause too, found none there; state them, or make the cause with cause_of"
         )
-    known_names = {*HOLDS, *features, *mechanism.features}
+    known_names = {*INPUT_HOLDS, *features, *mechanism.features}
     for signal in mechanism.inputs:
         if signal not in known_names:
             yield (
@@ -295,7 +295,7 @@ def _nesting_faults(
     changed_values = {p.name: _away(p.start, p.lower, p.upper, p.positive) for p in own_parameters}
     for values in ({**start, **null_values}, {**start, **changed_values, **null_values}):
         deviation = max(_deviations(base, wider, values).values())
-        if not deviation <= SAME:
+        if not deviation <= SAME_SIMULATION:
             listed = ", ".join(f"{name} = {value:g}" for name, value in null_values.items())
             differs = f"differs by {100.0 * deviation:.3g} % of its spread"
             yield (
@@ -313,7 +313,7 @@ def _nesting_faults(
                 f"the simulated {quantity} is not finite near the start values; check divisions, logarithms "
                 "and bounds"
             )
-        elif mechanisms and changes[quantity] <= 1e-3 * SAME:
+        elif mechanisms and changes[quantity] <= 1e-3 * SAME_SIMULATION:
             yield (
                 f"expected an effect on the simulated {quantity}, found none at any parameter values; let "
                 f"the mechanism contribute to one of {', '.join(SUMS)}"
@@ -422,7 +422,7 @@ def load_library(*files: str | Path, installed: bool = False, library: Library =
             loaded += [(path.name, _guarded(cause, path), origin) for cause in causes]
         except LibraryFault as fault:
             faults += [f"{path.name}: {text}" for text in fault.faults]
-    for entry_point in entry_points(group=GROUP) if installed else ():
+    for entry_point in entry_points(group=ENTRY_POINTS) if installed else ():
         label, origin = _origin_of(entry_point)
         try:
             loaded += [(label, _guarded(cause), origin) for cause in _causes_of(entry_point)]

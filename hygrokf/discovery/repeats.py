@@ -15,18 +15,18 @@ from hygrokf.texts.discovery_codes import DiscoveryCode
 from hygrokf.texts.statement import Statement, Value
 from hygrokf.texts.wording import day_text
 
-SHORTEST_S = 3600.0
+SHORTEST_REPEAT_S = 3600.0
 """[s] shortest stretch of repeated readings."""
 FEWEST_REPEATED = 6
 """Fewest readings of a stretch of repeated readings."""
-BEYOND = 1.5
+BEYOND_CHANCE = 1.5
 """Smallest ratio of a span's length to the longest repetition by chance, as measured at other lags near a
 day."""
-PAUSE_S = 7200.0
+LONGEST_PAUSE_S = 7200.0
 """[s] longest pause within a stretch: readings that were missing on the previous day."""
 OTHERS = 40
 """Number of other lags at which chance repetitions are measured."""
-MOVING = 0.25
+MOVING_SHARE = 0.25
 """[1] share of steps with a change below which readings count as constant; saturated or frozen readings
 repeat at every lag."""
 
@@ -54,7 +54,7 @@ def repeats(series: Series) -> list[tuple[float, float]]:
     longest_by_chance = max(
         (end - first for lag in other_lags for first, end in _equal(grid, lag, tolerance)), default=0
     )
-    shortest_run = max(FEWEST_REPEATED, SHORTEST_S / step, BEYOND * longest_by_chance)
+    shortest_run = max(FEWEST_REPEATED, SHORTEST_REPEAT_S / step, BEYOND_CHANCE * longest_by_chance)
     return [
         (float(time[0] + step * (steps_per_day + first)), float(time[0] + step * (steps_per_day + end - 1)))
         for first, end in _equal(grid, steps_per_day, tolerance)
@@ -73,7 +73,7 @@ def _equal(grid: np.ndarray, lag: int, tolerance: float) -> list[tuple[int, int]
     return [
         (first, end)
         for first, end in run_lengths(np.abs(current - earlier) < tolerance)
-        if end - first > 1 and np.mean(np.diff(current[first:end]) != 0.0) >= MOVING
+        if end - first > 1 and np.mean(np.diff(current[first:end]) != 0.0) >= MOVING_SHARE
     ]
 
 
@@ -93,7 +93,7 @@ def without_repeats(record: Record) -> tuple[Record, dict[str, list[tuple[float,
             if other.source.split(",")[0] == series.source.split(",")[0]
             for span in spans.get(other.signal, ())
         ]
-        for first, last in joined(spans_of_source, PAUSE_S):
+        for first, last in joined(spans_of_source, LONGEST_PAUSE_S):
             value[(series.time >= first - 1.0) & (series.time <= last + 1.0)] = np.nan
         record = record.replace_series(replace(series, value=value))
     return record, spans

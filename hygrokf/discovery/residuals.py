@@ -15,8 +15,8 @@ import numpy as np
 from hygrokf.data.ambient import AMBIENT_BRIDGE_H, at_times, bridge_h
 from hygrokf.data.prepared import VAPOUR, prepare
 from hygrokf.data.record import Record
+from hygrokf.data.signals import RESIDUAL_UNITS as CASE_UNITS
 from hygrokf.data.signals import SIGNALS
-from hygrokf.data.signals import UNITS as CASE_UNITS
 from hygrokf.identification.fit import Fit
 from hygrokf.modelling.design import accuracy_of
 from hygrokf.physics.psychrometrics import absolute_humidity, absolute_humidity_slope_temperature
@@ -24,9 +24,9 @@ from hygrokf.physics.psychrometrics import absolute_humidity, absolute_humidity_
 Quantity = Literal["temperature", "humidity"]
 TEMPERATURE: Quantity = "temperature"
 HUMIDITY: Quantity = "humidity"
-QUANTITIES = (TEMPERATURE, HUMIDITY)
-UNITS: Mapping[str, str] = {TEMPERATURE: "K", HUMIDITY: "g/m³"}
-SERIES: Mapping[str, str] = {TEMPERATURE: "temperature", HUMIDITY: "absolute_humidity"}
+RESIDUAL_QUANTITIES = (TEMPERATURE, HUMIDITY)
+RESIDUAL_UNITS: Mapping[str, str] = {TEMPERATURE: "K", HUMIDITY: "g/m³"}
+SERIES_STEMS: Mapping[str, str] = {TEMPERATURE: "temperature", HUMIDITY: "absolute_humidity"}
 """Quantity -> beginning of its names in a fit's series."""
 TIME_CONSTANT: Mapping[str, str] = {TEMPERATURE: "thermal_time_constant", HUMIDITY: "hygric_k"}
 """Quantity -> parameter that is the time constant [h] of its low pass."""
@@ -35,7 +35,7 @@ RESPONSES = ("cabinet_", "converter_")
 SAME_AIR = ("ambient_dew_point_temperature", "ambient_absolute_humidity", "ambient_temperature")
 """Ambient signals that are not taken from the record, since a fit's series already hold temperature and
 vapour."""
-KNOWN = 0.5
+LEAST_KNOWN = 0.5
 """[1] smallest share of the instants at which a driver must be known."""
 NORMAL_95 = 1.96
 """[1] standard deviations that contain 95 % of a normal distribution around its mean."""
@@ -111,13 +111,15 @@ def residuals(fit: Fit, record: Record) -> Residuals:
 
     def course(ending: str) -> dict[str, np.ndarray]:
         """Return the series (T,) of every quantity whose name ends so."""
-        return {q: np.asarray(series[f"{SERIES[q]}_{ending}"], dtype=float) for q in QUANTITIES}
+        return {
+            q: np.asarray(series[f"{SERIES_STEMS[q]}_{ending}"], dtype=float) for q in RESIDUAL_QUANTITIES
+        }
 
     measured, simulated = course("measured"), course("simulated")
     return Residuals(
         time_h=(time - time[0]) / 3600.0,
         origin_s=float(time[0]),
-        error={q: np.where(scored, measured[q] - simulated[q], np.nan) for q in QUANTITIES},
+        error={q: np.where(scored, measured[q] - simulated[q], np.nan) for q in RESIDUAL_QUANTITIES},
         drivers=_drivers(series, record, time),
         operating=np.asarray(series["operating"]) > 0.5,
         preheating=np.nan_to_num(np.asarray(series["preheating"], dtype=float)) > 0.5,
@@ -155,7 +157,9 @@ def _drivers(fit_series: Mapping[str, np.ndarray], record: Record, time: np.ndar
 def _varies(value: np.ndarray) -> bool:
     """Whether enough values are known and they are not constant."""
     finite = value[np.isfinite(value)]
-    return len(finite) >= KNOWN * len(value) and bool(np.ptp(finite) > 1e-9 * max(1.0, np.abs(finite).max()))
+    return len(finite) >= LEAST_KNOWN * len(value) and bool(
+        np.ptp(finite) > 1e-9 * max(1.0, np.abs(finite).max())
+    )
 
 
 def _sensor_error(fit_series: Mapping[str, np.ndarray], record: Record) -> dict[str, np.ndarray]:
@@ -252,7 +256,7 @@ def binned(residuals: Residuals, least_h: float = 1.0) -> Residuals:
     time = residuals.time_s[in_period]
     if not len(time):
         raise ValueError("binned: expected instants in the identification period, found none")
-    has_error = np.any([np.isfinite(residuals.error[q][in_period]) for q in QUANTITIES], axis=0)
+    has_error = np.any([np.isfinite(residuals.error[q][in_period]) for q in RESIDUAL_QUANTITIES], axis=0)
     step_h = float(np.median(np.diff(time[has_error]))) / 3600.0 if has_error.sum() > 1 else 1.0
     bin_h = least_h * max(1, math.ceil(step_h / least_h - 0.05))
     bin_index = np.floor(time / (3600.0 * bin_h)).astype(np.int64)
@@ -276,7 +280,7 @@ def binned(residuals: Residuals, least_h: float = 1.0) -> Residuals:
         time_h=bin_h * np.arange(count),
         origin_s=(first + 0.5) * 3600.0 * bin_h,
         step_h=bin_h,
-        error={q: mean(residuals.error[q]) for q in QUANTITIES},
+        error={q: mean(residuals.error[q]) for q in RESIDUAL_QUANTITIES},
         drivers={
             name: circular(value) if name.endswith("_direction") else mean(value)
             for name, value in residuals.drivers.items()

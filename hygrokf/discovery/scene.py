@@ -1,7 +1,7 @@
 """A record for simulations: inputs over cells of equal length, and the readings to compare with.
 
 Every input is averaged over each cell along the same path as in the filter (`modelling.inputs`), sampled at
-the edges of `PARTS` parts of a cell.  Readings keep their own times.
+the edges of `CELL_PARTS` parts of a cell.  Readings keep their own times.
 
 Shapes: K cells, F = PARTS K + 1 edges of their parts, T readings of a quantity.
 """
@@ -23,9 +23,9 @@ from hygrokf.data.prepared import PreparedRecord, prepare
 from hygrokf.data.record import Record, Series
 from hygrokf.data.shared_clocks import Shift, in_america
 from hygrokf.data.timestamps import HOUR_S, summer_time
-from hygrokf.engine.cell_loop import IDLE, TEMPERATURE, CellInputs
+from hygrokf.engine.cell_loop import CABINET_TEMPERATURE, IDLE, CellInputs
 from hygrokf.modelling.derived_inputs import feature
-from hygrokf.modelling.design import HUMIDITIES, Design, reading_step_h
+from hygrokf.modelling.design import CABINET_HUMIDITIES, Design, reading_step_h
 from hygrokf.modelling.inputs import (
     ambient_inputs,
     bridged,
@@ -37,10 +37,10 @@ from hygrokf.modelling.inputs import (
 from hygrokf.physics.holds import LINEAR
 from hygrokf.physics.psychrometrics import absolute_humidity
 
-PARTS = 8
+CELL_PARTS = 8
 """Number of parts of a cell, so that a change of the power in 10-minute means acts at most a minute early or
 late."""
-SHORTEST_S, LONGEST_S = 180.0, 1200.0
+SHORTEST_CELL_S, LONGEST_CELL_S = 180.0, 1200.0
 """[s] shortest and longest cell."""
 MOST_CELLS = 33_000
 SATURATED, DRY = 0.995, 0.005
@@ -157,7 +157,7 @@ class Scene:
     def edges_s(self) -> np.ndarray:
         """(F,) [s] edges of the parts of all cells, rounded to a millisecond so that a mean ends exactly at
         its stamp."""
-        edges = np.arange(self.count * PARTS + 1) * (HOUR_S * self.cell_h / PARTS)
+        edges = np.arange(self.count * CELL_PARTS + 1) * (HOUR_S * self.cell_h / CELL_PARTS)
         return np.round(self.first_s + edges, 3)
 
     def _base(self) -> tuple[dict[str, np.ndarray], np.ndarray]:
@@ -167,7 +167,7 @@ class Scene:
             time, derived = self.edges_s, {"exchange_factor"}
             ambient = courses(design, self.record)
             # a gap of the cabinet's temperature matters for the vapour only
-            ambient.pop(TEMPERATURE, None)
+            ambient.pop(CABINET_TEMPERATURE, None)
             inputs, unknown = ambient_inputs(ambient, time, derived)
             power, operating, unknown_power = power_inputs(self.heat, self.record, time)
             inputs |= power
@@ -182,9 +182,9 @@ class Scene:
     def unknown(self, signal: str) -> np.ndarray:
         """Return (F,) whether an input that a signal depends on is unknown."""
         unknown = self._base()[1]
-        if signal == TEMPERATURE:
+        if signal == CABINET_TEMPERATURE:
             return unknown
-        path = self.record.course(TEMPERATURE)
+        path = self.record.course(CABINET_TEMPERATURE)
         return unknown | np.isnan(at_times(path, self.edges_s, bridge_h(path, AMBIENT_BRIDGE_H)))
 
     def at_edges(self, name: str, design: Design) -> np.ndarray:
@@ -214,7 +214,7 @@ class Scene:
 
     def _unmoved(self, name: str, design: Design) -> np.ndarray:
         """Return an input (F,) at the edges of the parts, without clock corrections."""
-        if name == TEMPERATURE:
+        if name == CABINET_TEMPERATURE:
             return self.drive
         if name in self._base()[0]:
             return self._base()[0][name]
@@ -249,7 +249,7 @@ class Scene:
         edges = np.empty((self.count + 1, len(inputs)))
         for c, name in enumerate(inputs):
             owner = next((design for design in designs if name in design.model.inputs), designs[0])
-            straight = name == TEMPERATURE or owner.model.holds.get(name) == LINEAR
+            straight = name == CABINET_TEMPERATURE or owner.model.holds.get(name) == LINEAR
             means[:, c], edges[:, c] = self._over_cells(name, owner, straight)
         return CellInputs(self.cell_h, means, edges)
 
@@ -261,7 +261,7 @@ class Scene:
         """
         source = self.source(name)
         shifts_of_source = [[shift.seconds, shift.summer] for shift in self.shifts if shift.source == source]
-        drive_id = id(self.drive) if name == TEMPERATURE else 0
+        drive_id = id(self.drive) if name == CABINET_TEMPERATURE else 0
         key = json.dumps(
             [name, design.features.get(name), shifts_of_source, drive_id, straight], default=float
         )
@@ -278,7 +278,7 @@ class Scene:
     def moved(self, shift: Shift) -> Scene:
         """Return the scene with the stamps of one source corrected; it keeps the same readings."""
         scene = replace(self, shifts=(*self.shifts, shift))
-        if shift.source != self.record[TEMPERATURE].file:
+        if shift.source != self.record[CABINET_TEMPERATURE].file:
             return scene
         readings = {}
         for q, old in self.readings.items():
@@ -302,8 +302,8 @@ def over_cells(value: np.ndarray, straight: bool) -> tuple[np.ndarray, np.ndarra
     value: (F,) at the edges of the parts.  straight: whether it is linear within a part, else constant.
     """
     parts = 0.5 * (value[1:] + value[:-1]) if straight else value[1:]
-    means = parts.reshape(-1, PARTS).mean(axis=1)
-    return means, value[::PARTS] if straight else np.append(means[:1], means)
+    means = parts.reshape(-1, CELL_PARTS).mean(axis=1)
+    return means, value[::CELL_PARTS] if straight else np.append(means[:1], means)
 
 
 def scene_of(record: Record, heat: Design, vapour: Design | None) -> Scene:
@@ -313,15 +313,17 @@ def scene_of(record: Record, heat: Design, vapour: Design | None) -> Scene:
     """
     design, record = vapour or heat, prepare(record)
     first, last = common_span(record, courses(design, record), False)
-    step_s = HOUR_S * min(reading_step_h(record[n]) for n in (TEMPERATURE, *HUMIDITIES) if n in record)
-    cell_s = min(max(0.5 * step_s, SHORTEST_S, (last - first) / MOST_CELLS), LONGEST_S)
+    step_s = HOUR_S * min(
+        reading_step_h(record[n]) for n in (CABINET_TEMPERATURE, *CABINET_HUMIDITIES) if n in record
+    )
+    cell_s = min(max(0.5 * step_s, SHORTEST_CELL_S, (last - first) / MOST_CELLS), LONGEST_CELL_S)
     # readings at the edges of cells need no interpolation
-    read = record[TEMPERATURE].time
+    read = record[CABINET_TEMPERATURE].time
     first += float((read[np.searchsorted(read, first)] - first) % cell_s)
     count = max(math.ceil((last - first) / cell_s - 1e-9), 2)
     scene = Scene(record, first, cell_s / HOUR_S, count, heat, vapour)
-    warm_series = record[TEMPERATURE]
-    warm = at_times(record.course(TEMPERATURE), scene.edges_s, math.inf)
+    warm_series = record[CABINET_TEMPERATURE]
+    warm = at_times(record.course(CABINET_TEMPERATURE), scene.edges_s, math.inf)
     scene = replace(scene, drive=_filled(warm))
     readings = {"temperature": _readings(scene, warm_series, warm_series.value, np.ones(1))}
     if vapour is not None and vapour.humidity is not None:
@@ -354,7 +356,9 @@ def _vapour(scene: Scene, series: Series) -> SceneReadings:
     middle = series.time - 0.5 * series.interval_s
     saturated = 1e3 * absolute_humidity(1.0, _over_intervals(scene.edges_s, scene.drive, series))
     at_sensor_limit = (series.value >= SATURATED) | (series.value <= DRY)
-    cabinet_K = at_times(centred(scene.record[TEMPERATURE]), middle, bridge_h(scene.record[TEMPERATURE], 1.0))
+    cabinet_K = at_times(
+        centred(scene.record[CABINET_TEMPERATURE]), middle, bridge_h(scene.record[CABINET_TEMPERATURE], 1.0)
+    )
     value = np.where(at_sensor_limit, np.nan, 1e3 * absolute_humidity(series.value, cabinet_K))
     return _readings(scene, series, value, saturated)
 
@@ -384,7 +388,7 @@ def _readings(scene: Scene, series: Series, value: np.ndarray, saturated: np.nda
     inside_cells = (begin >= -1e-9) & (end <= scene.count + 1e-9)
     unknown_count = np.append(0, np.cumsum(scene.unknown(series.signal)))
     part_index = [
-        np.clip((PARTS * position).astype(int), 0, len(unknown_count) - 2) for position in (begin, end)
+        np.clip((CELL_PARTS * position).astype(int), 0, len(unknown_count) - 2) for position in (begin, end)
     ]
     inputs_known = unknown_count[part_index[1] + 1] == unknown_count[part_index[0]]
     value = np.where(inputs_known, value, np.nan)
@@ -398,7 +402,7 @@ def _readings(scene: Scene, series: Series, value: np.ndarray, saturated: np.nda
         : len(unknown_before_reading)
     ]
     unknown_variance = (
-        UNKNOWN_K if series.signal == TEMPERATURE else (UNKNOWN_SHARE * float(np.nanmean(value))) ** 2
+        UNKNOWN_K if series.signal == CABINET_TEMPERATURE else (UNKNOWN_SHARE * float(np.nanmean(value))) ** 2
     )
     return SceneReadings(
         time,

@@ -25,15 +25,15 @@ from hygrokf.modelling.design import Design, extended
 from hygrokf.physics.parameters import Parameter
 from hygrokf.physics.switches import CONTROLLED, Throttle
 
-SMALL = 0.1
+SMALL_SIZE = 0.1
 """Share of an effect's typical size at which its linear response is simulated."""
 SIZES = (1.0, 2.5, 0.4, 6.0)
 """Multiples of the linearised amplitude at which the best settings are simulated."""
-FOLLOWED = 3
+FOLLOWED_SETTINGS = 3
 """Number of settings of a form that are simulated, and of a cause that are fitted."""
-LEAST = 6.0
+LEAST_GAIN = 6.0
 """Gain in −2 ln L below which a setting is dropped."""
-AT_LIMIT = 1e-3
+LIMIT_SHARE = 1e-3
 """Share of a coordinate's range within which a parameter is at its limit."""
 
 
@@ -77,7 +77,7 @@ def parent_of(estimate: Calibration, quantities: Sequence[str] | None = None) ->
     """
     coordinates = frame(estimate.simulator.parameters, set(estimate.simulator.names), estimate.linear)
     position = coordinates.coordinates(estimate.theta)
-    margin = AT_LIMIT * (coordinates.upper - coordinates.lower)
+    margin = LIMIT_SHARE * (coordinates.upper - coordinates.lower)
     basis, error, columns_of = {}, {}, {}
     for q, columns in slopes(estimate, coordinates, quantities).items():
         columns_of[q] = {
@@ -164,7 +164,7 @@ def _freed(parent: Parent, form: Form) -> list[Screened]:
             if square_of_column > 1e-9 * float(white_column[:, 0] @ white_column[:, 0])
             else 0.0
         )
-    return [Screened(form, form.grid[0], {}, gain)] if gain > LEAST else []
+    return [Screened(form, form.grid[0], {}, gain)] if gain > LEAST_GAIN else []
 
 
 def added(parent: Calibration, wider: Simulator) -> tuple[Parameter, ...]:
@@ -200,7 +200,7 @@ def start_values(parent: Calibration, wider: Simulator, setting: Setting) -> dic
 
 
 def screened(parent: Parent, form: Form) -> list[Screened]:
-    """Return the settings of a form with the largest gain in −2 ln L, at most `FOLLOWED`, the best first.
+    """Return the settings of a form with the largest gain in −2 ln L, at most `FOLLOWED_SETTINGS`, the best first.
 
     All settings are ranked by the linearised gain of a small effect; the best are simulated.
     """
@@ -218,7 +218,7 @@ def screened(parent: Parent, form: Form) -> list[Screened]:
         return []
     start_values_of_settings = [start_values(estimate, wider, setting) for setting in form.grid]
     columns = {name: [wider.column(name, s.features[name]) for s in form.grid] for name in varied_features}
-    small_changes = {p.name: SMALL * size_of(p) for p in sizes}
+    small_changes = {p.name: SMALL_SIZE * size_of(p) for p in sizes}
     theta = np.column_stack(
         [wider.vector({**values, **_sized(sizes, small_changes)}) for values in start_values_of_settings]
     )
@@ -239,7 +239,7 @@ def screened(parent: Parent, form: Form) -> list[Screened]:
             linear_amplitude = np.where(square_of_column > 1e-12, linear_amplitude, 0.0)
             gain += linear_amplitude**2 * square_of_column
             amplitude[p.name] += linear_amplitude * small_changes[p.name]
-    best_settings = [i for i in np.argsort(-gain)[:FOLLOWED] if gain[i] >= LEAST]
+    best_settings = [i for i in np.argsort(-gain)[:FOLLOWED_SETTINGS] if gain[i] >= LEAST_GAIN]
     return _run(parent, form, wider, sizes, best_settings, start_values_of_settings, columns, amplitude)
 
 
@@ -334,12 +334,12 @@ def _clocks(parent: Parent, form: Form) -> list[Screened]:
         shifts.append(
             Screened(form, setting, {}, squares_before - sum(shifted_parent.remaining_squares.values()))
         )
-    return sorted((s for s in shifts if s.gain >= LEAST), key=lambda s: -s.gain)[:FOLLOWED]
+    return sorted((s for s in shifts if s.gain >= LEAST_GAIN), key=lambda s: -s.gain)[:FOLLOWED_SETTINGS]
 
 
 WINDOWS_H = (1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0, 128.0, 256.0)
 """[h] lengths of the windows in which a door may stand open."""
-EVERY_S = 900.0
+WINDOW_GRID_S = 900.0
 """[s] grid on which windows begin and end."""
 MOST_WINDOWS = 12
 
@@ -360,7 +360,7 @@ def _windows(parent: Parent, form: Form) -> list[Screened]:
         return []
     spans, sizes, gain = _move_edges(estimate, form, spans)
     setting = Setting({"door_open": {"spans": spans}}, price=price * len(spans))
-    return [Screened(form, setting, sizes, gain)] if gain > LEAST else []
+    return [Screened(form, setting, sizes, gain)] if gain > LEAST_GAIN else []
 
 
 def _move_edges(
@@ -422,11 +422,11 @@ def openings(estimate: Calibration, form: Form, identified: bool) -> tuple[list[
     """
     wider = widened(estimate, form, form.grid[0])
     sizes = amplitudes(added(estimate, wider))
-    small_changes = {p.name: SMALL * size_of(p) for p in sizes}
+    small_changes = {p.name: SMALL_SIZE * size_of(p) for p in sizes}
     values = start_values(estimate, wider, form.grid[0])
     theta = wider.vector({**values, **_sized(sizes, small_changes)})[:, None]
     scene = estimate.simulator.scene
-    count = int(scene.count * scene.cell_h * 3600.0 / EVERY_S) + 2
+    count = int(scene.count * scene.cell_h * 3600.0 / WINDOW_GRID_S) + 2
     products, squares = np.zeros((2, len(estimate.quantities), count))
     for i, q in enumerate(estimate.quantities):
         r = scene.readings[q]
@@ -438,14 +438,14 @@ def openings(estimate: Calibration, form: Form, identified: bool) -> tuple[list[
         )
         white_response = reference.whitened(wider.simulated(theta, q) - estimate.simulated[q][:, None])[:, 0]
         weighted_innovation = np.nan_to_num(reference.standardised) * reference.weight
-        grid_cell = np.clip(((r.time_s - scene.first_s) / EVERY_S).astype(int), 0, count - 1)
+        grid_cell = np.clip(((r.time_s - scene.first_s) / WINDOW_GRID_S).astype(int), 0, count - 1)
         np.add.at(products[i], grid_cell, weighted_innovation * white_response)
         np.add.at(squares[i], grid_cell, white_response * white_response)
     cumulated = [np.cumsum(np.pad(a, ((0, 0), (1, 0))), axis=1) for a in (products, squares)]
     price_of_window = 2.0 * float(np.log(count * len(WINDOWS_H)))
     candidates = []
     for hours in WINDOWS_H:
-        window_cells = int(hours * 3600.0 / EVERY_S)
+        window_cells = int(hours * 3600.0 / WINDOW_GRID_S)
         product, square = (total[:, window_cells:] - total[:, :-window_cells] for total in cumulated)
         matched = (product > 0) & (square > 1e-12)
         gains = np.where(matched, product * product / np.maximum(square, 1e-12), 0.0)
@@ -458,7 +458,7 @@ def openings(estimate: Calibration, form: Form, identified: bool) -> tuple[list[
             is_used[first : first + window_cells] = True
             chosen_windows.append((int(first), window_cells))
     spans = sorted(
-        [scene.first_s + EVERY_S * first, scene.first_s + EVERY_S * (first + window_cells)]
+        [scene.first_s + WINDOW_GRID_S * first, scene.first_s + WINDOW_GRID_S * (first + window_cells)]
         for first, window_cells in chosen_windows
     )
     return spans, price_of_window

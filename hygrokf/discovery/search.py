@@ -9,8 +9,8 @@ from dataclasses import replace
 from typing import Any
 
 from hygrokf.discovery.candidates import (
+    ACCEPTED_EVIDENCE,
     SENSOR,
-    THRESHOLD,
     WATER,
     Candidate,
     acts,
@@ -38,12 +38,12 @@ from hygrokf.discovery.screening import (
 from hygrokf.discovery.starting_model import update_error_models
 from hygrokf.modelling.causes.forms import Form, Setting
 
-FURTHER = 100.0
+FURTHER_EVIDENCE = 100.0
 """Evidence that a cause needs if another cause is already named for the same quantity."""
-CAUSES, SETTINGS, FORMS, ROUNDS = 4, 3, 4, 6
+MOST_CAUSES, FEWEST_SETTINGS, MOST_FORMS, MOST_ROUNDS = 4, 3, 4, 6
 """Causes that are fitted per round and quantity; fewest settings and most forms of a cause that are fitted;
 largest number of rounds."""
-NEAR, NEAR_SHARE = 30.0, 0.15
+NEAR_EVIDENCE, NEAR_SHARE = 30.0, 0.15
 """A candidate is fitted to its maximum if its evidence lies below the best one's by at most this much, or by
 this share of it."""
 
@@ -97,7 +97,7 @@ class Search:
 
     def run(self) -> Search:
         """Run rounds until nothing more is found, and return this search."""
-        for _ in range(ROUNDS):
+        for _ in range(MOST_ROUNDS):
             self.visited.add(self.names)
             if not self._round():
                 break
@@ -236,12 +236,12 @@ class Search:
                 continue
             leader = max(rivals, key=lambda c: c.evidence)
             for rival in rivals:
-                if rival.evidence > leader.evidence - max(NEAR, NEAR_SHARE * leader.evidence):
+                if rival.evidence > leader.evidence - max(NEAR_EVIDENCE, NEAR_SHARE * leader.evidence):
                     best[rival.cause] = self._finish(rival, rival is leader)
         return sorted(best.values(), key=lambda c: -c.strength)
 
     def _first(self, screened_of: Mapping[str, Sequence[Screened]]) -> list[str]:
-        """Return the causes with the largest screened gains, at most `CAUSES` for each quantity.
+        """Return the causes with the largest screened gains, at most `MOST_CAUSES` for each quantity.
 
         They are ranked within each quantity, since gains of temperature and vapour differ in size.
         """
@@ -251,7 +251,7 @@ class Search:
         first: dict[str, None] = {}
         for q in self.parent.quantities:
             acting_causes = [c for c in ranked if q in acts(screened_of[c][0].form, self.parent.quantities)]
-            first |= dict.fromkeys(acting_causes[:CAUSES])
+            first |= dict.fromkeys(acting_causes[:MOST_CAUSES])
         # an error of the humidity sensor must not take the place of water
         return [*first, *(c for c in WATER if SENSOR in first and c not in first and screened_of.get(c))]
 
@@ -298,7 +298,7 @@ def _to_estimate(settings: Sequence[Screened]) -> list[Screened]:
     for s in settings:
         first.setdefault(s.form.code, s)
     rest = [s for s in settings if first[s.form.code] is not s]
-    return [*first.values(), *rest][: max(SETTINGS, min(len(first), FORMS))]
+    return [*first.values(), *rest][: max(FEWEST_SETTINGS, min(len(first), MOST_FORMS))]
 
 
 def refitted_with(
@@ -354,12 +354,12 @@ def _held_out_deviance(estimate: Calibration) -> float:
 
 
 def required_evidence(candidate: Candidate, accepted: Sequence[Candidate]) -> float:
-    """Return the evidence that a candidate needs: `FURTHER` or `THRESHOLD`.
+    """Return the evidence that a candidate needs: `FURTHER_EVIDENCE` or `ACCEPTED_EVIDENCE`.
 
     More is needed once a cause is named for a quantity that the candidate changes: what remains there is more
     often a misfit of the named cause than another cause.
     """
-    return FURTHER if any(candidate.acts & a.acts for a in accepted) else THRESHOLD
+    return FURTHER_EVIDENCE if any(candidate.acts & a.acts for a in accepted) else ACCEPTED_EVIDENCE
 
 
 def held_out_test(
@@ -377,7 +377,7 @@ def held_out_test(
         after,
         candidate.in_days - required_evidence(candidate, accepted),
         candidate.factor,
-        candidate.in_days < FURTHER,
+        candidate.in_days < FURTHER_EVIDENCE,
     )
 
 

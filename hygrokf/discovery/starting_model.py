@@ -19,23 +19,23 @@ from hygrokf.discovery.estimate import (
     fitted,
 )
 from hygrokf.discovery.residuals import ambient_sd
-from hygrokf.discovery.scene import PARTS, Scene, driven, scene_of
+from hygrokf.discovery.scene import CELL_PARTS, Scene, driven, scene_of
 from hygrokf.discovery.simulator import SimulationWork, Simulator
 from hygrokf.identification.steady_state import heat_release_regression
-from hygrokf.modelling.causes.forms import AMBIENT_HUMIDITY, MechanismSettings
-from hygrokf.modelling.design import CASCADE, TEMPERATURE, Design, accuracy_of, design, extended
+from hygrokf.modelling.causes.forms import AMBIENT_RELATIVE_HUMIDITY, MechanismSettings
+from hygrokf.modelling.design import CABINET_TEMPERATURE, CASCADE, Design, accuracy_of, design, extended
 from hygrokf.modelling.library import LIBRARY, Library
 
 GAIN_SD = 0.015
 """Standard deviation of the relative error of the ambient vapour that the sensors' accuracy allows."""
 SCALE_SD = 0.02
 """Standard deviation of the relative error of the humidity sensor's scale."""
-LONGEST_RESPONSE_H, SHORTEST_RESPONSE_H = 0.5, 0.002
+LONGEST_FREE_RESPONSE_H, SHORTEST_FREE_RESPONSE_H = 0.5, 0.002
 """[h] limits of the humidity sensor's response time if none is stated."""
 ACCURACY_SHARE = 1.0 / 6.0
 """Largest noise of a temperature reading, as a share of the stated accuracy: with more, the smoother would
 remove variations of the temperature itself."""
-RESPONSE = "cabinet_relative_humidity_response"
+RESPONSE_PARAMETER = "cabinet_relative_humidity_response"
 
 
 def base_designs(record: Record, library: Library = LIBRARY) -> tuple[Design, Design | None]:
@@ -58,7 +58,7 @@ def base_designs(record: Record, library: Library = LIBRARY) -> tuple[Design, De
         return heat_design, None
     additions: list[MechanismSettings] = [("breathed_air", {"form": "temperature"})]
     priors = {"breathed_gain": (0.0, GAIN_SD, False)}
-    humidity_sd = ambient_sd(identification_part, AMBIENT_HUMIDITY)
+    humidity_sd = ambient_sd(identification_part, AMBIENT_RELATIVE_HUMIDITY)
     if humidity_sd > 0.0:
         additions.append(("breathed_air", {"form": "humidity"}))
         priors["breathed_humidity_offset"] = (0.0, humidity_sd, False)
@@ -67,7 +67,7 @@ def base_designs(record: Record, library: Library = LIBRARY) -> tuple[Design, De
         additions.append(("humidity_scale", {"flag": None}))
         priors["humidity_scale_error"] = (0.0, SCALE_SD, False)
         mechanisms = tuple(
-            (name, {**settings, "longest_response_h": LONGEST_RESPONSE_H})
+            (name, {**settings, "longest_response_h": LONGEST_FREE_RESPONSE_H})
             if name == "humidity_sensor" and not settings.get("response_h")
             else (name, settings)
             for name, settings in mechanisms
@@ -84,7 +84,7 @@ def base_estimate(record: Record, library: Library = LIBRARY) -> Calibration:
     """
     heat, vapour = base_designs(record, library)
     scene = scene_of(record, heat, vapour)
-    limits = {RESPONSE: (SHORTEST_RESPONSE_H, LONGEST_RESPONSE_H)}
+    limits = {RESPONSE_PARAMETER: (SHORTEST_FREE_RESPONSE_H, LONGEST_FREE_RESPONSE_H)}
     simulator = Simulator(scene, heat, vapour, limits=limits, work=SimulationWork())
     quantities = tuple(scene.readings)
     start_theta = simulator.vector({p.name: p.start for p in simulator.parameters})
@@ -171,7 +171,7 @@ def smoothed_temperature(estimate: Calibration) -> np.ndarray:
     """
     scene: Scene = estimate.simulator.scene
     readings = scene.readings["temperature"]
-    series = scene.record[TEMPERATURE]
+    series = scene.record[CABINET_TEMPERATURE]
     sensor_variance = series.resolution**2 / 12.0 + (ACCURACY_SHARE * accuracy_of(series)) ** 2
     variances = estimate.variances["temperature"].copy()
     variances[0] = min(variances[0], sensor_variance) if sensor_variance > 0.0 else variances[0]
@@ -180,7 +180,7 @@ def smoothed_temperature(estimate: Calibration) -> np.ndarray:
     early_error = filtered(instants, variances, np.where(readings.identified, error, np.nan)).smoothed()
     full_error = filtered(instants, variances, error).smoothed()
     simulated_K = estimate.simulator.shown(estimate.theta[:, None], "temperature")[:, 0]
-    at_edges = np.interp(scene.edges_s, scene.edges_s[::PARTS], np.append(simulated_K[:1], simulated_K))
+    at_edges = np.interp(scene.edges_s, scene.edges_s[::CELL_PARTS], np.append(simulated_K[:1], simulated_K))
     middle_s = 0.5 * (readings.begin + readings.end) * (3600.0 * scene.cell_h) + scene.first_s
     return at_edges + np.interp(
         scene.edges_s, middle_s, np.where(readings.identified, early_error, full_error)

@@ -22,7 +22,7 @@ from hygrokf.estimation.serial_dependence import autocovariance
 
 LEVEL = 0.95
 """[1] probability of the bounds."""
-SEED = 20200925
+BOOTSTRAP_SEED = 20200925
 """Fixed seed: the same record gives the same result."""
 LEAST_BLOCK_H = 24.0
 """[h] shortest block."""
@@ -30,9 +30,9 @@ BLOCKS_PER_TIME = 4.0
 """Length of blocks in integral times."""
 SHORT_HOLE = 6
 """Longest hole, in bins, that is interpolated before the correlation time is estimated."""
-DRAWS = 600
+ERROR_DRAWS = 600
 """Draws of blocks for bounds of root mean squared errors."""
-FEWEST_BLOCKS = 4.0
+FEWEST_DRAWN_BLOCKS = 4.0
 """Effective number of blocks below which no bounds are given."""
 MOST_LOST = 0.5
 """Largest share of the variance that may be missing because blocks are short; the bounds are corrected for
@@ -151,14 +151,14 @@ class Resampled:
         varies by σ²/K, its bootstrap by σ² (K−1)/K²: the factor K/(K−1) corrects this.  1/(1 − τ/L) adds the
         variance from correlation beyond the end of a block (length L, integral time τ of the errors).
         """
-        if self.blocks < FEWEST_BLOCKS:
+        if self.blocks < FEWEST_DRAWN_BLOCKS:
             return None
         spread = float(np.std(draws)) * math.sqrt(self.blocks / (self.blocks - 1.0) / (1.0 - self.lost))
         return student_quantile(LEVEL, self.blocks - 1.0) * spread
 
 
 def resampled(
-    time_s: np.ndarray, errors: np.ndarray, length_h: float | None = None, count: int = DRAWS
+    time_s: np.ndarray, errors: np.ndarray, length_h: float | None = None, count: int = ERROR_DRAWS
 ) -> Resampled | None:
     """Return root mean squared errors of columns (T, k) at times (T,) [s], with bootstrap draws.
 
@@ -190,7 +190,7 @@ def resampled(
         [np.zeros((1, columns.shape[1])), np.cumsum(np.vstack([columns, columns[:length]]), axis=0)]
     )
     block_sums = running_sums[length : length + hour_count] - running_sums[:hour_count]
-    generator = np.random.default_rng(SEED)
+    generator = np.random.default_rng(BOOTSTRAP_SEED)
     starts = generator.integers(0, hour_count, (count, max(round(hour_count / length), 1)))
     drawn_sums = block_sums[starts].sum(axis=1)
     drawn_sums = drawn_sums[drawn_sums[:, 0] > 0]

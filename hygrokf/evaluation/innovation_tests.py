@@ -31,18 +31,18 @@ from hygrokf.evaluation.diagnosis import (
 from hygrokf.texts.fit_codes import FitCode
 from hygrokf.texts.statement import Statement
 
-SMALL = 0.1
+SMALL_CORRELATION = 0.1
 """[1] correlations below this explain less than 1 % of the variance and are called small."""
-FEWEST_READINGS = 30
+FEWEST_DIAGNOSED = 30
 """Fewest readings for a diagnosis."""
-POINTS = 400
+MOST_POINTS = 400
 """Largest number of values in a list of the result: a longer list keeps of each stretch of equal length the
 value farthest from zero."""
 SPECTRUM_POINTS = 120
 """Bands of the periodogram, evenly spaced in the logarithm of the frequency."""
-LARGEST_ORDER = 48
+WHITENING_ORDER = 48
 """Largest order of the autoregression that whitens an input."""
-BEYOND = 3.0
+OUTLIER_SD = 3.0
 """[1] absolute value of a standardised innovation above which it counts as an outlier."""
 LEVEL = 0.05
 """[1] probability of any false alarm among all tests."""
@@ -100,8 +100,8 @@ def _output(
     """Run all tests on one output's innovations e (n,) at times (n,) [h]; returns the diagnosis and its
     tests."""
     count = len(e)
-    if count < FEWEST_READINGS:
-        remark = FitCode.TOO_FEW_INNOVATIONS(output=name, n=count, fewest=FEWEST_READINGS)
+    if count < FEWEST_DIAGNOSED:
+        remark = FitCode.TOO_FEW_INNOVATIONS(output=name, n=count, fewest=FEWEST_DIAGNOSED)
         return OutputDiagnosis(count, remark=remark), []
     if float(np.ptp(e)) <= 1e-12 * max(1.0, float(np.max(np.abs(e)))):
         return OutputDiagnosis(count, remark=FitCode.CONSTANT_INNOVATIONS(output=name)), []
@@ -132,10 +132,10 @@ def _moments(name: str, e: np.ndarray) -> tuple[tuple[float, float, float, float
     mean, variance = float(e.mean()), float(e.var())
     normalised = (e - mean) / math.sqrt(variance)
     skewness, kurtosis = float(np.mean(normalised**3)), float(np.mean(normalised**4) - 3.0)
-    outlier_share = float(np.mean(np.abs(e) > BEYOND))
+    outlier_share = float(np.mean(np.abs(e) > OUTLIER_SD))
     # the sample kurtosis enters the variance of the sample variance: heavy tails alone cause no rejection
     standard_error = math.sqrt(max(kurtosis + 2.0, 1e-12) / count) * variance
-    mean_code = FitCode.MEAN_SMALL if abs(mean) < SMALL else FitCode.MEAN_BIASED
+    mean_code = FitCode.MEAN_SMALL if abs(mean) < SMALL_CORRELATION else FitCode.MEAN_BIASED
     variance_code = FitCode.WIDER_THAN_PREDICTED if variance > 1 else FitCode.NARROWER_THAN_PREDICTED
     tails_code = FitCode.TAILS_HEAVY if kurtosis > 0 else FitCode.TAILS_LIGHT
     shape_statement = tails_code() if abs(kurtosis) >= abs(skewness) else FitCode.SKEWED()
@@ -155,7 +155,7 @@ def _moments(name: str, e: np.ndarray) -> tuple[tuple[float, float, float, float
                 kurtosis=kurtosis,
                 skewness=skewness,
                 beyond=outlier_share,
-                expected=_two_sided(BEYOND),
+                expected=_two_sided(OUTLIER_SD),
             ),
         ),
     )
@@ -218,7 +218,9 @@ def _spectrum(
     limit = float(kstwo.isf(LEVEL, frequency_count - 1))
     offset = cumulative - np.arange(1, frequency_count + 1) / frequency_count
     worst = int(np.argmax(np.abs(offset)))
-    shown_indices = np.unique(np.linspace(0, frequency_count - 1, min(frequency_count, POINTS)).astype(int))
+    shown_indices = np.unique(
+        np.linspace(0, frequency_count - 1, min(frequency_count, MOST_POINTS)).astype(int)
+    )
     cumulative_periodogram = CumulativePeriodogram(
         _rounded(frequency[shown_indices]), _rounded(cumulative[shown_indices]), distance, limit, p
     )
@@ -267,7 +269,7 @@ def _daily_cycle(name: str, time: np.ndarray, e: np.ndarray) -> list[InnovationT
 def whitened(values: np.ndarray) -> tuple[np.ndarray, int]:
     """Return the errors (n,) with which an autoregression predicts an input (n,), and its order.
 
-    AIC selects the order, at most `LARGEST_ORDER`.  The errors are NaN at missing values, at values predicted
+    AIC selects the order, at most `WHITENING_ORDER`.  The errors are NaN at missing values, at values predicted
     from missing ones, and at the first values, as many as the order.
     """
     from statsmodels.tsa.stattools import acovf, levinson_durbin
@@ -275,7 +277,7 @@ def whitened(values: np.ndarray) -> tuple[np.ndarray, int]:
     is_known = np.isfinite(values)
     centred = np.where(is_known, values - float(np.mean(values[is_known])), 0.0)
     count = len(values)
-    largest_order = int(min(LARGEST_ORDER, max(count // 10, 1)))
+    largest_order = int(min(WHITENING_ORDER, max(count // 10, 1)))
     covariance = np.asarray(acovf(centred, fft=True, nlag=largest_order))
     _, _, _, error_variance, phi = levinson_durbin(covariance, nlags=largest_order, isacov=True)
     error_variance = np.concatenate([[covariance[0]], error_variance[1:]])
@@ -294,7 +296,7 @@ def _cross_correlation(
     None where the input hardly varies, or where its own past predicts it without error.
     """
     known_values = values[np.isfinite(values)]
-    if len(known_values) < FEWEST_READINGS:
+    if len(known_values) < FEWEST_DIAGNOSED:
         return None
     if float(np.ptp(known_values)) <= 1e-9 * max(1.0, float(np.max(np.abs(known_values)))):
         return None
@@ -302,7 +304,7 @@ def _cross_correlation(
     is_known = np.isfinite(whitened_input)
     known_count = int(is_known.sum())
     input_square = float(np.sum(whitened_input[is_known] ** 2))
-    if known_count < FEWEST_READINGS or input_square <= 0.0:
+    if known_count < FEWEST_DIAGNOSED or input_square <= 0.0:
         return None
     whitened_input = np.where(is_known, whitened_input - float(whitened_input[is_known].mean()), 0.0)
     centred = e - e.mean()
@@ -369,8 +371,8 @@ def _simultaneous(count: int) -> float:
 
 
 def _extremes(values: np.ndarray) -> np.ndarray:
-    """Return the indices of at most `POINTS` values to plot: the value farthest from zero in each stretch."""
-    width = math.ceil(len(values) / POINTS)
+    """Return the indices of at most `MOST_POINTS` values to plot: the value farthest from zero in each stretch."""
+    width = math.ceil(len(values) / MOST_POINTS)
     if width == 1:
         return np.arange(len(values))
     sizes = np.full(math.ceil(len(values) / width) * width, -1.0)
@@ -391,4 +393,4 @@ def _correlation_and_limit(r: float, limit: float) -> Statement:
 
 def _remark_on_size(r: float) -> tuple[Statement, ...]:
     """Return the remark that a correlation explains little; empty for a larger one."""
-    return (FitCode.SMALL_SHARE(share=r * r),) if abs(r) < SMALL else ()
+    return (FitCode.SMALL_SHARE(share=r * r),) if abs(r) < SMALL_CORRELATION else ()

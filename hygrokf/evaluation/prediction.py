@@ -84,7 +84,7 @@ class Course:
             if name in self.reading:
                 columns[f"{name}_reading"] = self.reading[name]
         frame = DataFrame(columns, index=time_index(self.time_h, self.origin_s))
-        units = {f"{name}{suffix}": unit for name, unit in self.units.items() for suffix in ENDS}
+        units = {f"{name}{suffix}": unit for name, unit in self.units.items() for suffix in COLUMN_SUFFIXES}
         return with_units(frame, units | {"lead_h": "h"})
 
     def __repr__(self) -> str:
@@ -98,7 +98,7 @@ class Course:
         return "\n".join(lines[:12])
 
 
-ENDS = ("", "_sd", "_lower", "_upper", "_reading")
+COLUMN_SUFFIXES = ("", "_sd", "_lower", "_upper", "_reading")
 """Suffixes of a quantity's name in the names of its columns."""
 
 
@@ -111,7 +111,7 @@ def time_index(time_h: np.ndarray, origin_s: float) -> Index:
 
 Pairs = Mapping[str, tuple[np.ndarray, np.ndarray]]
 """Values and standard deviations (T,) by output."""
-UNITS = dict(zip(QUANTITIES, ("K", "1", "g/m³"), strict=True))
+QUANTITY_UNITS = dict(zip(QUANTITIES, ("K", "1", "g/m³"), strict=True))
 
 
 def simulate(source: Source, given: Given | None = None) -> Course:
@@ -351,7 +351,7 @@ def _course(timeline: Timeline, pairs: Pairs, readings: Mapping[str, np.ndarray]
     return Course(timeline.time, timeline.origin_s, value, sd, reading, units=_units(pairs))
 
 
-CABINET = {
+CABINET_SIGNAL = {
     quantity: f"cabinet_{quantity.removesuffix('_K').removesuffix('_g_m3')}" for quantity in QUANTITIES
 }
 """Quantities of a cabinet and the names of their readings."""
@@ -359,7 +359,7 @@ CABINET = {
 
 def _units(names: Iterable[str]) -> dict[str, str]:
     """Return the units of those names that are readings of a cabinet."""
-    unit_of = {name: UNITS[quantity] for quantity, name in CABINET.items()}
+    unit_of = {name: QUANTITY_UNITS[quantity] for quantity, name in CABINET_SIGNAL.items()}
     return {name: unit_of[name] for name in names if name in unit_of}
 
 
@@ -367,14 +367,14 @@ def _by_output(predicted: Prediction) -> Pairs:
     """Return a prediction as (value, standard deviation) by the name of the reading."""
     return {
         name: value_and_sd
-        for quantity, name in CABINET.items()
+        for quantity, name in CABINET_SIGNAL.items()
         if (value_and_sd := predicted.of(quantity)) is not None
     }
 
 
 def _readings_of(run: Run) -> dict[str, np.ndarray]:
     """Return the observed readings (T,) of a cabinet's run by name."""
-    return {CABINET[quantity]: value for quantity, value in measured(run).items()}
+    return {CABINET_SIGNAL[quantity]: value for quantity, value in measured(run).items()}
 
 
 def _readings_in(timeline: Timeline) -> dict[str, np.ndarray]:

@@ -27,10 +27,10 @@ if TYPE_CHECKING:
     import control
     from matplotlib.axes import Axes
 
-DRAWS = 4096
-POINTS = 121
+RESPONSE_DRAWS = 4096
+RESPONSE_POINTS = 121
 """Frequencies or times of a response whose grid is not stated."""
-REACHED = 1e-9
+LEAST_RESIDUE = 1e-9
 """[1] share of the largest residue at or below which a mode transmits no input to an output."""
 Answer = tuple[np.ndarray, np.ndarray, np.ndarray]
 """A value with its lower and upper bound, (F,) or (T,) each; NaN where no uncertainty is known."""
@@ -149,7 +149,7 @@ def bode(
         lowest, highest = (
             (mode_rates.min() / 10.0, mode_rates.max() * 10.0) if len(mode_rates) else (0.01, 100.0)
         )
-        omega = np.geomspace(lowest, highest, POINTS)
+        omega = np.geomspace(lowest, highest, RESPONSE_POINTS)
     grid = np.asarray(omega, dtype=float)
     exact_response, drawn_responses = _frequency(system, grid), None
     if len(spread.names):
@@ -194,7 +194,9 @@ def step_response(
     if time_h is None:
         decays = -1.0 / _modes(system).real
         decays = decays[decays > 0.0]
-        time_h = np.linspace(0.0, 5.0 * float(decays.max(initial=1e-12)) if len(decays) else 10.0, POINTS)
+        time_h = np.linspace(
+            0.0, 5.0 * float(decays.max(initial=1e-12)) if len(decays) else 10.0, RESPONSE_POINTS
+        )
     grid = np.asarray(time_h, dtype=float)
     steps = np.diff(grid)
     if grid[0] != 0.0 or len(grid) < 2 or not np.allclose(steps, steps[0], rtol=1e-6) or steps[0] <= 0.0:
@@ -249,7 +251,7 @@ def _modes(system: LinearSystem) -> np.ndarray:
     eigenvalues, eigenvectors = np.linalg.eig(system.A)
     input_coupling = np.abs(np.linalg.pinv(eigenvectors) @ system.B).max(axis=1, initial=0.0)
     residues = np.abs(system.C @ eigenvectors).max(axis=0) * input_coupling
-    return eigenvalues[(residues > REACHED * residues.max(initial=0.0)) & (np.abs(eigenvalues) > 0.0)]
+    return eigenvalues[(residues > LEAST_RESIDUE * residues.max(initial=0.0)) & (np.abs(eigenvalues) > 0.0)]
 
 
 def _places(system: LinearSystem) -> dict[tuple[str, str], tuple[Any, int, int]]:
@@ -295,7 +297,7 @@ def _normal(count: int) -> np.ndarray:
     """Return standard normal quasi-random points (DRAWS, count); the seed is fixed."""
     from scipy.stats import qmc
 
-    return np.asarray(qmc.MultivariateNormalQMC(np.zeros(count), seed=1).random(DRAWS))
+    return np.asarray(qmc.MultivariateNormalQMC(np.zeros(count), seed=1).random(RESPONSE_DRAWS))
 
 
 def _with_bounds(value: np.ndarray, draws: np.ndarray | None, level: float) -> Answer:

@@ -9,7 +9,7 @@ from typing import TypeAlias, TypeVar
 
 import numpy as np
 
-from hygrokf.engine.schedule import TOLERANCE
+from hygrokf.engine.schedule import STEP_TOLERANCE
 from hygrokf.estimation.confidence import normal_quantile
 from hygrokf.evaluation.simulation import QUANTITIES, Prediction, forecasts, measured
 from hygrokf.modelling.design import Design, accuracy_of
@@ -18,7 +18,7 @@ from hygrokf.physics.psychrometrics import absolute_humidity, absolute_humidity_
 
 T = TypeVar("T")
 SCORED = ("temperature_K", "absolute_humidity_g_m3")
-PERIODS = ("identification", "validation")
+SCORED_PERIODS = ("identification", "validation")
 REGIMES = ("operation", "standstill", "total")
 
 
@@ -239,7 +239,7 @@ def sensor_share(run: Run, errors: Scores) -> Shares:
             else math.nan
             for q, variance_of_quantity in variance.items()
         }
-        for period in PERIODS
+        for period in SCORED_PERIODS
     }
 
 
@@ -265,7 +265,7 @@ def bands(
     values: Mapping[str, float],
     run: Run,
     predicted: Prediction,
-    tolerance: float = TOLERANCE,
+    tolerance: float = STEP_TOLERANCE,
 ) -> Bands:
     """Return the coverage of the 1 h, 6 h, 24 h and free-run bands, by lead and quantity.
 

@@ -27,7 +27,7 @@ from hygrokf.data.record import Series
 from hygrokf.estimation.confidence import Uncertainty, positive_inverse
 from hygrokf.estimation.likelihood import Likelihood
 from hygrokf.estimation.optimiser import Estimate, Objective
-from hygrokf.modelling.design import HUMIDITIES, TEMPERATURE, Design
+from hygrokf.modelling.design import CABINET_HUMIDITIES, CABINET_TEMPERATURE, Design
 from hygrokf.modelling.inputs import Run, model_inputs
 from hygrokf.texts.terms import Source
 
@@ -36,9 +36,9 @@ ONE_SYSTEM_S = 30.0
 minutes."""
 TWO_SYSTEMS_S = 60.0
 """[s] prior standard deviation of the offset between two sources without a stated clock uncertainty."""
-STEP_S = 30.0
+CLOCK_STEP_S = 30.0
 """[s] shift of a source for the numerical derivative by its offset."""
-DRIVERS = (
+CLOCKED_DRIVERS = (
     "ambient_temperature",
     "ambient_relative_humidity",
     "ambient_absolute_humidity",
@@ -101,12 +101,14 @@ def clock_offsets(base: Design, run: Run, estimate: Estimate, uncertainty: Uncer
     Sources without clock uncertainty are left out.
     """
     record = run.record
-    reference = next((record[name] for name in (TEMPERATURE, *HUMIDITIES) if name in record), None)
+    reference = next(
+        (record[name] for name in (CABINET_TEMPERATURE, *CABINET_HUMIDITIES) if name in record), None
+    )
     if reference is None:
         return NO_OFFSETS
     series_by_source: dict[str, list[Series]] = {}
     for series in record.series:
-        if series.signal in DRIVERS and prior_s(series, reference) > 0:
+        if series.signal in CLOCKED_DRIVERS and prior_s(series, reference) > 0:
             series_by_source.setdefault(_system(series), []).append(series)
     likelihood = Likelihood(base.model, run.timeline)
     weights, errors, slopes = _innovations(likelihood, estimate, uncertainty)
@@ -116,7 +118,7 @@ def clock_offsets(base: Design, run: Run, estimate: Estimate, uncertainty: Uncer
     derivatives, names = [], []
     for name, group in series_by_source.items():
         shifted = record.replace_series(
-            *(replace(one_series, time=one_series.time - STEP_S) for one_series in group)
+            *(replace(one_series, time=one_series.time - CLOCK_STEP_S) for one_series in group)
         )
         shifted_run = model_inputs(base, shifted)
         matching_rows = _matched(run, shifted_run)
@@ -127,7 +129,7 @@ def clock_offsets(base: Design, run: Run, estimate: Estimate, uncertainty: Uncer
             matching_rows[0]
         ]
         derivative = np.zeros_like(errors)
-        derivative[matching_rows[0]] = np.nan_to_num(change) / STEP_S
+        derivative[matching_rows[0]] = np.nan_to_num(change) / CLOCK_STEP_S
         derivatives.append(derivative)
         names.append(name)
     if not derivatives:

@@ -15,7 +15,7 @@ from hygrokf.evaluation.simulation import Prediction, free_run, run_on
 from hygrokf.identification.fit import Fit
 from hygrokf.identification.verdict import inherited
 from hygrokf.identification.verdict_terms import Inherited
-from hygrokf.modelling.design import HUMIDITIES, Design
+from hygrokf.modelling.design import CABINET_HUMIDITIES, Design
 from hygrokf.modelling.inputs import Run
 from hygrokf.physics.psychrometrics import ZERO_CELSIUS_K
 from hygrokf.texts.fit_codes import FitCode
@@ -175,11 +175,11 @@ def mismatches(fit: Fit, record: Record) -> list[Statement]:
         statements.append(FitCode.PREHEATING_NOT_LOGGED())
     if "preheating" not in inputs and "preheating" in record and np.nanmax(record["preheating"].value) > 0:
         statements.append(FitCode.PREHEATING_NOT_MODELLED())
-    modelled_humidities = [name for name in HUMIDITIES if name in outputs]
+    modelled_humidities = [name for name in CABINET_HUMIDITIES if name in outputs]
     if modelled_humidities and not any(name in record for name in modelled_humidities):
         statements += [
             FitCode.OTHER_HUMIDITY(predicted=modelled_humidities[0], recorded=name)
-            for name in HUMIDITIES
+            for name in CABINET_HUMIDITIES
             if name in record
         ]
     return statements

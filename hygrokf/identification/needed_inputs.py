@@ -31,13 +31,13 @@ from hygrokf.texts.statement import Statement
 
 CHANCE = 1e-3
 """[1] probability that chance alone gives the required gain."""
-PASSES = 15
+WITHOUT_INPUT_PASSES = 15
 """Largest number of scoring passes for a model without the input; most end after six."""
-TOLERANCE = 0.5
+WITHOUT_INPUT_TOLERANCE = 0.5
 """Expected gain in ln L below which scoring ends: about a tenth of the required gain."""
 TRIED_DAYS = 10.0
 """[d] first part of the record, which is tried alone: an input that is needed there is needed for all."""
-STEP_TOLERANCE = 1e-4
+WITHOUT_INPUT_STEP_TOLERANCE = 1e-4
 """[1] `tolerance` of these models' sub-steps: the error of ln L is a few hundredths."""
 
 
@@ -77,16 +77,18 @@ def without_input(name: str, model: Model, run: Run, estimate: Estimate) -> With
         """Return the best model without the input on the first `count` instants."""
         window = timeline.window(0, count)
         fit_objective = Objective(
-            Likelihood(model, window, tolerance=STEP_TOLERANCE), estimate.coordinates
+            Likelihood(model, window, tolerance=WITHOUT_INPUT_STEP_TOLERANCE), estimate.coordinates
         ).value(estimate.z)
         results = []
         for code, inputs, fixed in models:
             window_without_input = window.with_inputs({name: value[:count] for name, value in inputs.items()})
             coordinates = Coordinates(model.parameters, fixed)
             objective = Objective(
-                Likelihood(model, window_without_input, tolerance=STEP_TOLERANCE), coordinates
+                Likelihood(model, window_without_input, tolerance=WITHOUT_INPUT_STEP_TOLERANCE), coordinates
             )
-            optimum = climb(objective, coordinates.start(estimate.values), PASSES, TOLERANCE)
+            optimum = climb(
+                objective, coordinates.start(estimate.values), WITHOUT_INPUT_PASSES, WITHOUT_INPUT_TOLERANCE
+            )
             results.append(WithoutInput(code(), 2.0 * (fit_objective - optimum.objective), required))
         return min(results, key=lambda result: result.gain)
 

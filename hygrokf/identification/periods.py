@@ -15,11 +15,11 @@ import numpy as np
 from hygrokf.data.actuators import HEATERS
 from hygrokf.data.ambient import at_times
 from hygrokf.data.record import Record, Series
-from hygrokf.modelling.design import TEMPERATURE, reading_step_h
+from hygrokf.modelling.design import CABINET_TEMPERATURE, reading_step_h
 from hygrokf.physics.holds import LINEAR
 
-AMBIENT = "ambient_temperature"
-POWER = "active_power"
+AMBIENT_TEMPERATURE = "ambient_temperature"
+ACTIVE_POWER = "active_power"
 OPERATION = "operation"
 STANDSTILL = "standstill"
 TEMPERATURE_TOLERANCE_K = 0.5
@@ -28,9 +28,9 @@ POWER_TOLERANCE = 0.025
 """[1] tolerance ± of the power within a period, as a share of the rated power."""
 CELL_S = 600.0
 """[s] shortest averaging time of the power, as in the paper's SCADA data."""
-ENOUGH = (30, 10)
+ENOUGH_PERIODS = (30, 10)
 """Numbers of periods and of episodes that a length must yield; otherwise a shorter one is tried."""
-KEPT = 0.75
+KEPT_CLASSES = 0.75
 """[1] share of the classes of power and of ambient temperature that a longer length must retain from the
 shortest one."""
 EPISODE_GAP_H = 12.0
@@ -39,7 +39,7 @@ EPISODE_LONGEST_H = 72.0
 """[h] longest episode."""
 LAGS = (1, 2, 3, 6)
 """Lags, in blocks, at which earlier inputs serve as instruments for the rough time constant."""
-FEWEST_BLOCKS = 100
+FEWEST_ROUGH_BLOCKS = 100
 """Fewest blocks for the rough time constant."""
 
 Range = tuple[np.ndarray, np.ndarray]
@@ -143,7 +143,7 @@ def cells_between(record: Record, scale_W: float | None, edges: np.ndarray) -> C
     start, end = (edges[0], edges[-1]) if len(edges) else (math.inf, -math.inf)
     heaters = [name for name in HEATERS if name in record]
     all_edges = [edges]
-    for name in (TEMPERATURE, AMBIENT, *((POWER,) if scale_W else ()), *heaters):
+    for name in (CABINET_TEMPERATURE, AMBIENT_TEMPERATURE, *((ACTIVE_POWER,) if scale_W else ()), *heaters):
         for shift in {0.0, record[name].interval_s}:
             edges_of_series = record[name].time - shift
             all_edges.append(edges_of_series[(edges_of_series > start) & (edges_of_series < end)])
@@ -172,12 +172,12 @@ def cells_between(record: Record, scale_W: float | None, edges: np.ndarray) -> C
             cabinet_change,
         )
 
-    cabinet, cabinet_range, cabinet_change = course(TEMPERATURE)
-    ambient, ambient_range, ambient_change = course(AMBIENT)
+    cabinet, cabinet_range, cabinet_change = course(CABINET_TEMPERATURE)
+    ambient, ambient_range, ambient_change = course(AMBIENT_TEMPERATURE)
     usable = np.isfinite(sum((*cabinet_range, *ambient_range), cabinet + ambient))
     power, running = np.zeros(len(cell_length)), np.zeros(len(cell_length))
     if scale_W:
-        relative_power = at_times(record[POWER], middles, _bridge_h(record[POWER])) / scale_W
+        relative_power = at_times(record[ACTIVE_POWER], middles, _bridge_h(record[ACTIVE_POWER])) / scale_W
         power, running = mean(relative_power), mean((relative_power > 0).astype(float))
         usable &= np.isfinite(power)
     for name in heaters:
@@ -320,7 +320,7 @@ def choose_length(
 ) -> Choice:
     """Return the periods of the longest length up to `longest_h` [h] that still yields enough of them.
 
-    Enough means `ENOUGH` periods and episodes that retain the share `KEPT` of the classes of power (tenths of
+    Enough means `ENOUGH_PERIODS` periods and episodes that retain the share `KEPT_CLASSES` of the classes of power (tenths of
     the rated) and of ambient temperature (5 K) found with the shortest length.  Lengths are multiples of the
     cells' length, increasing by a quarter; where none yields enough, the shortest is taken.
     """
@@ -329,15 +329,15 @@ def choose_length(
     lengths = np.geomspace(shortest_h, longest_h, step_count + 1)
     lengths = np.round(np.unique(np.ceil(lengths / cell_h - 1e-3)) * cell_h, 6)
     shortest = periods_of_length(cells, earliest, regime, float(lengths[0]))
-    if len(shortest) < ENOUGH[0] or shortest.n_episodes < ENOUGH[1]:
+    if len(shortest) < ENOUGH_PERIODS[0] or shortest.n_episodes < ENOUGH_PERIODS[1]:
         return Choice(float(lengths[0]), shortest)
     classes_shortest = (shortest.classes(shortest.power, 0.1), shortest.classes(shortest.ambient_K, 5.0))
     for length in lengths[:0:-1]:
         longer = periods_of_length(cells, earliest, regime, float(length))
         classes_longer = (longer.classes(longer.power, 0.1), longer.classes(longer.ambient_K, 5.0))
-        has_enough = len(longer) >= ENOUGH[0] and longer.n_episodes >= ENOUGH[1]
+        has_enough = len(longer) >= ENOUGH_PERIODS[0] and longer.n_episodes >= ENOUGH_PERIODS[1]
         if has_enough and all(
-            count >= KEPT * count_shortest
+            count >= KEPT_CLASSES * count_shortest
             for count, count_shortest in zip(classes_longer, classes_shortest, strict=True)
         ):
             return Choice(float(length), longer)
@@ -356,7 +356,7 @@ def rough_time_constant(cells: Cells) -> float | None:
     independent of them and serve as instruments for ΔT_conv,a.  The result is used to choose a length and to
     settle periods; the likelihood gives the accurate value.
     """
-    if len(cells.start) < FEWEST_BLOCKS:
+    if len(cells.start) < FEWEST_ROUGH_BLOCKS:
         return None
     is_known = cells.usable & np.isfinite(cells.change_K + cells.ambient_change_K)
     hours = (cells.end - cells.start) / 3600.0
@@ -371,7 +371,7 @@ def rough_time_constant(cells: Cells) -> float | None:
         [*drivers, cells.ambient_change_K / hours, -cells.change_K / hours, *instruments_of_past]
     )
     is_complete = is_known & np.isfinite(table).all(axis=1)
-    if is_complete.sum() < FEWEST_BLOCKS:
+    if is_complete.sum() < FEWEST_ROUGH_BLOCKS:
         return None
     table = table[is_complete] - table[is_complete].mean(axis=0)
     deviations = table.std(axis=0)

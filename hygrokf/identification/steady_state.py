@@ -10,9 +10,9 @@ import numpy as np
 
 from hygrokf.data.record import Record
 from hygrokf.identification.periods import (
-    AMBIENT,
+    ACTIVE_POWER,
+    AMBIENT_TEMPERATURE,
     OPERATION,
-    POWER,
     POWER_TOLERANCE,
     STANDSTILL,
     Cells,
@@ -25,17 +25,17 @@ from hygrokf.identification.periods import (
     has_readings,
     rough_time_constant,
 )
-from hygrokf.modelling.design import TEMPERATURE, power_scale, reading_step_h
+from hygrokf.modelling.design import CABINET_TEMPERATURE, power_scale, reading_step_h
 from hygrokf.physics.mechanisms.thermal import heat_release
 from hygrokf.physics.parameters import Parameter
 from hygrokf.texts.fit_codes import FitCode
 from hygrokf.texts.statement import Statement
 
-TIME_CONSTANTS = 3.0
+PERIOD_TIME_CONSTANTS = 3.0
 """[1] length of periods in thermal time constants, unless that yields too few periods."""
-SHORTEST_H = 1.0
+SHORTEST_PERIOD_H = 1.0
 """[h] shortest period; periods also last at least two steps of the slowest series."""
-LONGEST_H = 12.0
+LONGEST_PERIOD_H = 12.0
 """[h] longest period: sun and weather change over a day."""
 FEWEST_PERIODS = (8, 5)
 """Fewest periods and episodes for a regression."""
@@ -51,7 +51,7 @@ the smoothing.
 """
 LARGEST_ORDER = 3
 """Largest order of the polynomial in the power that is tried."""
-MOST_POINTS = 2000
+MOST_REGIME_POINTS = 2000
 """Largest number of points of a regime in the results of a fit."""
 
 
@@ -76,8 +76,8 @@ class StationaryPoints:
         return len(self.power)
 
     def thinned(self) -> StationaryPoints:
-        """Return at most `MOST_POINTS` of the points, evenly thinned."""
-        every_nth = slice(None, None, max(1, math.ceil(len(self) / MOST_POINTS)))
+        """Return at most `MOST_REGIME_POINTS` of the points, evenly thinned."""
+        every_nth = slice(None, None, max(1, math.ceil(len(self) / MOST_REGIME_POINTS)))
         return StationaryPoints(**{name: value[every_nth] for name, value in vars(self).items()})
 
 
@@ -168,19 +168,24 @@ def heat_release_regression(record: Record, *, reference_K: float | None = None)
     and Fig. 4 of the paper.
     """
     identification_part = record.identification()
-    missing = tuple(name for name in (TEMPERATURE, AMBIENT) if not has_readings(identification_part, name))
+    missing = tuple(
+        name
+        for name in (CABINET_TEMPERATURE, AMBIENT_TEMPERATURE)
+        if not has_readings(identification_part, name)
+    )
     if missing:
         return HeatRelease(None, None, reference_K, (FitCode.NO_READINGS_FOR_PERIODS(signals=missing),))
     if reference_K is None:
-        reference_K = float(np.nanmean(identification_part[AMBIENT].value))
+        reference_K = float(np.nanmean(identification_part[AMBIENT_TEMPERATURE].value))
     statements: list[Statement] = []
-    scale_W = power_scale(identification_part) if has_readings(identification_part, POWER) else None
-    if not has_readings(identification_part, POWER):
+    scale_W = power_scale(identification_part) if has_readings(identification_part, ACTIVE_POWER) else None
+    if not has_readings(identification_part, ACTIVE_POWER):
         statements.append(FitCode.NO_POWER())
     elif scale_W is None:
         statements.append(FitCode.POWER_NEVER_POSITIVE())
     used_series = [
-        identification_part[name] for name in (TEMPERATURE, AMBIENT, *((POWER,) if scale_W else ()))
+        identification_part[name]
+        for name in (CABINET_TEMPERATURE, AMBIENT_TEMPERATURE, *((ACTIVE_POWER,) if scale_W else ()))
     ]
     slowest_h = max(max(reading_step_h(series), series.interval_s / 3600.0) for series in used_series)
     start_s, end_s = (
@@ -194,8 +199,12 @@ def heat_release_regression(record: Record, *, reference_K: float | None = None)
         scale_W,
         cell_edges(used_series[-1] if scale_W else used_series[0], start_s, end_s),
     )
-    shortest_h = max(SHORTEST_H, 2.0 * slowest_h)
-    wanted_h = LONGEST_H if time_constant_h is None else min(TIME_CONSTANTS * time_constant_h, LONGEST_H)
+    shortest_h = max(SHORTEST_PERIOD_H, 2.0 * slowest_h)
+    wanted_h = (
+        LONGEST_PERIOD_H
+        if time_constant_h is None
+        else min(PERIOD_TIME_CONSTANTS * time_constant_h, LONGEST_PERIOD_H)
+    )
     wanted_h = max(wanted_h, shortest_h)
     earliest = earliest_starts(cells, wanted_h)
     regressions: dict[str, Regression] = {}

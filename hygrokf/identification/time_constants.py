@@ -15,7 +15,7 @@ from hygrokf.estimation.confidence import Bounds, normal_quantile, parts_scale
 from hygrokf.estimation.output_error import OutputError
 from hygrokf.evaluation.simulation import measured
 from hygrokf.identification.composition import (
-    ANY,
+    ANY_CONSTANT,
     AlternativeEstimate,
     Resolved,
     compose_interval,
@@ -33,14 +33,14 @@ from hygrokf.identification.fit_results import (
 )
 from hygrokf.identification.model_forms import FittedForm
 from hygrokf.identification.verdict_terms import Interval
-from hygrokf.modelling.design import TEMPERATURE
+from hygrokf.modelling.design import CABINET_TEMPERATURE
 from hygrokf.modelling.inputs import Run
 from hygrokf.modelling.thermal_system import thermal_poles
 from hygrokf.physics.mechanisms.hygric import exchange_factor, hygric_time_constant
 from hygrokf.physics.mechanisms.thermal import STILL_K, small_signal
 
 THERMAL, HYGRIC = "thermal_time_constant", "hygric_k"
-OPEN = 1e3
+OPEN_RATIO = 1e3
 """Ratio of the free run's bounds above which they are uninformative."""
 
 
@@ -145,7 +145,7 @@ def _resistance_capacity(stage: Stage, entry: TimeConstant, exponent: float) -> 
         sources["forms"] = of_forms(math.log(value), variance, forms)
     if _unbounded(entry):
         return Interval(value, 0.0)
-    bounds = ANY.around(value, normal_quantile(entry.level) * math.sqrt(variance))
+    bounds = ANY_CONSTANT.around(value, normal_quantile(entry.level) * math.sqrt(variance))
     final_step = compose_interval(value, bounds, entry.level, sources, _resolved(stage, THERMAL))[-1]
     return Interval(value, final_step.lower_h, final_step.upper_h)
 
@@ -163,7 +163,7 @@ def _response(stage: Stage) -> SensorResponse:
     name = next(p for p in stage.estimate.values if p.endswith("_response"))
     value, variance = stage.estimate.values[name], _variance(stage, name)
     half_width = normal_quantile(LEVEL) * math.sqrt(variance)
-    return SensorResponse("estimated", 60.0 * value, *ANY.around(60.0 * value, half_width))
+    return SensorResponse("estimated", 60.0 * value, *ANY_CONSTANT.around(60.0 * value, half_width))
 
 
 def _unbounded(entry: TimeConstant) -> bool:
@@ -177,7 +177,7 @@ def _resolved(stage: Stage, name: str) -> Resolved:
     It runs from a tenth of the median step between readings to ten times the record's length.
     """
     timeline = stage.run.timeline
-    signal = TEMPERATURE if name == THERMAL else stage.base.humidity
+    signal = CABINET_TEMPERATURE if name == THERMAL else stage.base.humidity
     steps_h = (
         np.diff(timeline.time[np.isfinite(timeline.reading(signal))])
         if signal in timeline.outputs
@@ -270,7 +270,9 @@ def _by_free_run(free_run: OutputError | None, name: str) -> AlternativeEstimate
     index = free_run.names.index(name)
     variance = float(free_run.covariance[index, index])
     # with a singular information matrix the variance may be negative
-    is_informative = 0.0 < variance and 2.0 * normal_quantile(LEVEL) * math.sqrt(variance) <= math.log(OPEN)
+    is_informative = 0.0 < variance and 2.0 * normal_quantile(LEVEL) * math.sqrt(variance) <= math.log(
+        OPEN_RATIO
+    )
     return AlternativeEstimate(math.log(free_run.values[name]), variance) if is_informative else None
 
 

@@ -7,7 +7,7 @@ the worst reason decides, and a number without any reason against it is believed
 A reason is "reject" where the evidence contradicts the number, or where the record does not determine it.  It
 is "caution" where the evidence is weak, or where it affects the interval but not the number.
 
-A further rule takes one function `rule(fit, part) -> reasons` in `RULES`, a code in `ReasonCode`, and
+A further rule takes one function `rule(fit, part) -> reasons` in `VERDICT_RULES`, a code in `ReasonCode`, and
 one row in docs/explanation/verdict.md.
 `fit` are the results of a fit, of which parts may be missing; `part` is "thermal" or "hygric".
 """
@@ -23,14 +23,20 @@ import numpy as np
 
 from hygrokf.estimation.optimiser import INEXACT
 from hygrokf.evaluation.diagnosis import OutputDiagnosis
-from hygrokf.evaluation.innovation_tests import SMALL
+from hygrokf.evaluation.innovation_tests import SMALL_CORRELATION
 from hygrokf.identification.fit_results import FitResults, ParameterRow, Sampling, TimeConstant
-from hygrokf.identification.verdict_terms import PARAMETER_OF, PERIODS, QUANTITY_OF, Inherited, Interval
+from hygrokf.identification.verdict_terms import (
+    JUDGED_PERIODS,
+    PARAMETER_OF,
+    QUANTITY_OF,
+    Inherited,
+    Interval,
+)
 from hygrokf.modelling.design import PARTS
 from hygrokf.texts.fit_codes import FitCode
 from hygrokf.texts.reasons import CAUTION, REJECT, VERDICTS, Reason, ReasonCode, verdict_of, worst_first
 from hygrokf.texts.statement import Statement
-from hygrokf.texts.wording import BASELINES, QUANTITIES
+from hygrokf.texts.wording import BASELINES, QUANTITY_NAMES
 
 TIGHT = 0.25
 """[1] largest relative half-width of the interval of a well-determined time constant."""
@@ -48,7 +54,7 @@ CARRIES_OVER = 1.25
 """[1] largest ratio of validation to identification error of a model that generalises."""
 COVERAGE = (0.90, 0.985)
 """[1] acceptable shares of readings within a 95 % band."""
-FAILED = 0.5
+FAILED_SHARE = 0.5
 """[1] share within the free run's 95 % band below which the free run is unreliable."""
 FEWEST_IN_BAND = 20
 """Fewest readings for a meaningful share within a band."""
@@ -79,14 +85,16 @@ _OUTPUTS = {"thermal": "temperature", "hygric": "humidity"}
 def inherited(fit: FitResults) -> dict[str, Inherited]:
     """Return value, interval, verdict and reasons of a fit's time constants, by part ("thermal", "hygric").
 
-    Missing verdicts are decided by `RULES`.
+    Missing verdicts are decided by `VERDICT_RULES`.
     """
     inherited_by_part = {}
     for part in PARTS:
         if part in fit.time_constants:
             constant = fit.time_constants[part]
             reasons_of_rules = (
-                (reason for rule in RULES for reason in rule(fit, part)) if not constant.verdict else ()
+                (reason for rule in VERDICT_RULES for reason in rule(fit, part))
+                if not constant.verdict
+                else ()
             )
             reasons = constant.reasons if constant.verdict else worst_first(reasons_of_rules)
             verdict = constant.verdict or verdict_of(reasons)
@@ -233,7 +241,9 @@ def _free_run(fit: FitResults, part: str) -> Iterator[Reason]:
     """Reasons from the free run: worse than the mean, than a rule without a model, or outside of its own
     band."""
     quantity, data = QUANTITY_OF[part], fit.time_constants[part]
-    scored_periods = [period for period in PERIODS if math.isfinite(fit.errors(period, quantity).total)]
+    scored_periods = [
+        period for period in JUDGED_PERIODS if math.isfinite(fit.errors(period, quantity).total)
+    ]
     worse_than_mean = [
         reason for period in scored_periods for reason in _worse_than_mean(fit, quantity, period)
     ]
@@ -265,11 +275,11 @@ def free_run_reasons(fit: FitResults, part: str) -> Iterator[Reason]:
     """Yield what speaks for and against the free run itself."""
     quantity = QUANTITY_OF[part]
     identification_error, validation_error = (
-        fit.errors(period, quantity).total for period in reversed(PERIODS)
+        fit.errors(period, quantity).total for period in reversed(JUDGED_PERIODS)
     )
     period = "validation" if math.isfinite(validation_error) else "identification"
     if worse_than_mean := [
-        reason for one_period in PERIODS for reason in _worse_than_mean(fit, quantity, one_period)
+        reason for one_period in JUDGED_PERIODS for reason in _worse_than_mean(fit, quantity, one_period)
     ]:
         yield worse_than_mean[0]
         return
@@ -281,14 +291,14 @@ def free_run_reasons(fit: FitResults, part: str) -> Iterator[Reason]:
     yield from worse_than_rule
     if rule is not None and not worse_than_rule:
         code = ReasonCode.BETTER_THAN_RULE if rule.gain >= MATERIAL else ReasonCode.NO_BETTER_THAN_RULE
-        unit = QUANTITIES[quantity][1]
+        unit = QUANTITY_NAMES[quantity][1]
         yield code(rule=rule.words, rule_error=rule.rule, gain=rule.gain, unit=unit)
     yield from (replace(reason, verdict=REJECT) for reason in _failed_band(fit, quantity))
 
 
 def _worse_than_mean(fit: FitResults, quantity: str, period: str) -> Iterator[Reason]:
     """Reason if the free run's error is larger than the standard deviation of the readings."""
-    error, (name, unit) = fit.errors(period, quantity).total, QUANTITIES[quantity]
+    error, (name, unit) = fit.errors(period, quantity).total, QUANTITY_NAMES[quantity]
     readings_sd = fit.readings_sd.get(period, {}).get(quantity, math.nan)
     if error > readings_sd:
         where = {"quantity": name, "unit": unit, "period": period}
@@ -299,7 +309,7 @@ def _worse_than_rule(
     fit: FitResults, quantity: str, period: str, remark: tuple[Statement, ...] = ()
 ) -> Iterator[Reason]:
     """Reason if the free run's error is clearly larger than that of the best rule without a model."""
-    rule, (name, unit) = best_rule(fit, quantity, period), QUANTITIES[quantity]
+    rule, (name, unit) = best_rule(fit, quantity, period), QUANTITY_NAMES[quantity]
     if rule is not None and rule.gain < -MATERIAL:
         what = {"quantity": name, "unit": unit, "period": period, "rule": rule.words}
         yield ReasonCode.WORSE_THAN_RULE(error=rule.error, rule_error=rule.rule, but=remark, **what)
@@ -308,8 +318,8 @@ def _worse_than_rule(
 def _failed_band(fit: FitResults, quantity: str) -> Iterator[Reason]:
     """Reason if the free run's 95 % band contains too few readings."""
     band = fit.band("free_run", quantity)
-    if band.coverage < FAILED and band.n >= FEWEST_IN_BAND:
-        yield ReasonCode.BAND_FAILED(coverage=band.coverage, quantity=QUANTITIES[quantity][0])
+    if band.coverage < FAILED_SHARE and band.n >= FEWEST_IN_BAND:
+        yield ReasonCode.BAND_FAILED(coverage=band.coverage, quantity=QUANTITY_NAMES[quantity][0])
 
 
 @dataclass(frozen=True)
@@ -346,8 +356,8 @@ def best_rule(fit: FitResults, quantity: str, period: str) -> SimpleRule | None:
 def _innovations(fit: FitResults, part: str) -> Iterator[Reason]:
     """Reasons from the innovations: they are correlated, or scatter more than the model explains."""
     correlation, other_variable = largest_correlation(fit, _OUTPUTS[part])
-    if correlation >= SMALL and other_variable is not None:
-        quantity = QUANTITIES[QUANTITY_OF[part]][0]
+    if correlation >= SMALL_CORRELATION and other_variable is not None:
+        quantity = QUANTITY_NAMES[QUANTITY_OF[part]][0]
         yield ReasonCode.INNOVATIONS_CORRELATED(
             correlation=correlation, beside=other_variable, quantity=quantity
         )
@@ -427,7 +437,7 @@ def _other_estimates(fit: FitResults, part: str) -> Iterator[Reason]:
         yield ReasonCode.PARTS_DIFFER(scatter=data.parts_scatter)
 
 
-RULES: tuple[Callable[[FitResults, str], Iterable[Reason]], ...] = (
+VERDICT_RULES: tuple[Callable[[FitResults, str], Iterable[Reason]], ...] = (
     _convergence,
     _interval,
     _criteria,
