@@ -143,12 +143,11 @@ class Likelihood:
         # a copy has its own working memory: another thread may use it
         return self if self.recursion.exact else replace(self._with_schedule(values, True, None))
 
-    def discretisation_error(self, values: Mapping[str, float]) -> float:
-        """Change of ln L where every sub-step is halved; 0 where steps are exact."""
+    def halved(self, values: Mapping[str, float]) -> Likelihood:
+        """The likelihood with the sub-steps fixed that suit these values, each divided in two; itself where
+        steps are exact."""
         held = self if self.schedule is not None else self.scheduled(values)
-        if held.schedule is None:
-            return 0.0
-        return abs(replace(held, schedule=held.schedule.halved()).value(values) - held.value(values))
+        return held if held.schedule is None else replace(held, schedule=held.schedule.halved())
 
     def steps_per_instant(self, values: Mapping[str, float]) -> float:
         """Filter steps of one pass with these values per instant of the record; 1 where steps are exact."""

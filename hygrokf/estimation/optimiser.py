@@ -56,7 +56,8 @@ BETTER = 0.1
 """Excess in log-likelihood by which another point shows that an estimate is not a maximum; climbs converge
 far below it."""
 INEXACT = 1e-3
-"""Change of ln L with sub-steps of half the length above which an estimate is not exact."""
+"""Change of ln L, or of the parameters in standard errors, with sub-steps of half the length above which an
+estimate is not exact."""
 NOISE_SPREAD = 5.0
 """[ln] width of the range over which further starts vary a noise parameter: a factor of 12 up or down."""
 OTHER_SPREAD = 3.0
@@ -65,13 +66,14 @@ OTHER_SPREAD = 3.0
 
 @dataclass(frozen=True)
 class Optimum:
-    """End of one climb: coordinates z (d,), penalised log-likelihood, whether it converged, and how it
-    ended."""
+    """End of one climb: coordinates z (d,), penalised log-likelihood, whether it converged, how it ended,
+    and the curvature (d, d) there of a climb that converged."""
 
     z: np.ndarray
     objective: float
     converged: bool
     end: Statement
+    curvature: np.ndarray | None = None
 
 
 @dataclass(frozen=True, repr=False)
@@ -79,8 +81,8 @@ class Estimate:
     """The best optimum of several climbs.
 
     `values` all parameters; `loglik` without the prior; `others` further distinct optima (objective, values);
-    `at_bounds` free parameters that ended at a bound; `discretisation_error` the change of ln L with
-    sub-steps of half the length, 0 where steps are exact.
+    `at_bounds` free parameters that ended at a bound; `discretisation_error` what sub-steps of half the
+    length change, 0 where steps are exact: ln L, or, where this is more, the parameters in standard errors.
     """
 
     coordinates: Coordinates
@@ -133,6 +135,10 @@ class Objective:
             return Objective(self.likelihood.scheduled(self.coordinates.values(z)), self.coordinates)
         except FloatingPointError:
             return self
+
+    def halved(self, z: np.ndarray) -> Objective:
+        """The objective with the sub-steps fixed that suit z (d,), each divided in two."""
+        return Objective(self.likelihood.halved(self.coordinates.values(z)), self.coordinates)
 
     def value(self, z: np.ndarray) -> float:
         try:
@@ -243,7 +249,7 @@ def _climb(objective: _Metered, start: np.ndarray, passes: int, tolerance: float
     for count in range(passes + 1):
         free = ~(((z <= lower) & (gradient <= 0)) | ((z >= upper) & (gradient >= 0)))
         if not free.any():
-            return Optimum(z, value, True, FitCode.CONVERGED_AT_BOUNDS())
+            return Optimum(z, value, True, FitCode.CONVERGED_AT_BOUNDS(), curvature)
         reach = reach_of(objective.coordinates, z)
         promised = bounded_step(curvature, gradient, free, z, lower, upper, 1e-9, reach)[1]
         if promised < tolerance and was_small and objective.renew_sub_steps(z):
@@ -252,7 +258,7 @@ def _climb(objective: _Metered, start: np.ndarray, passes: int, tolerance: float
                 return Optimum(z, value, False, FitCode.NO_SUB_STEPS())
             promised = bounded_step(curvature, gradient, free, z, lower, upper, 1e-9, reach)[1]
         if promised < tolerance and was_small:
-            return Optimum(z, value, True, FitCode.CONVERGED())
+            return Optimum(z, value, True, FitCode.CONVERGED(), curvature)
         if count == passes:
             break
         was_small = promised < tolerance
@@ -356,7 +362,9 @@ def _damped_step(
     Each coordinate's information, in its `unit`, counts as at least 1e-12 of the largest coordinate's.
     """
     curvatures = np.diag(information)
-    diagonal = np.maximum(curvatures, 1e-12 * max(float(np.max(curvatures * unit**2)), 1e-300) / unit**2)
+    diagonal = np.maximum(
+        curvatures, 1e-12 * max(float(np.max(curvatures * unit**2, initial=0.0)), 1e-300) / unit**2
+    )
     root = 1.0 / np.sqrt(diagonal)
     scaled = information * root[:, None] * root[None, :] + damping * np.eye(len(gradient))
     try:
@@ -546,7 +554,10 @@ def estimate_of(likelihood: AnyLikelihood, coordinates: Coordinates, optima: lis
     near = AT_LIMIT * natural_units(coordinates)
     ends = (best.z <= coordinates.lower + near) | (best.z >= coordinates.upper - near)
     message = best.end if best.converged else FitCode.SEARCH_UNFINISHED(end=best.end)
-    loglik, error = likelihood.value(values), likelihood.discretisation_error(values)
+    loglik, error = (
+        likelihood.value(values),
+        max(changes_by_halving(Objective(likelihood, coordinates), best)),
+    )
     if error > INEXACT:
         finer = 0.1 * likelihood.tolerance * INEXACT / error
         message = FitCode.STEPS_TOO_LONG(end=message, change=error, tolerance=finer)
@@ -564,3 +575,25 @@ def estimate_of(likelihood: AnyLikelihood, coordinates: Coordinates, optima: lis
         ),
         discretisation_error=error,
     )
+
+
+def changes_by_halving(objective: Objective, optimum: Optimum) -> tuple[float, float]:
+    """What sub-steps of half the length change at an optimum, zeros where steps are exact: |Δl|, and the
+    largest shift of a combination of the parameters [standard errors],
+
+        √(Δg' M⁻¹ Δg),
+
+    with the change Δg of the score and the curvature M in the coordinates that are not at a bound.  Without a
+    curvature the shift is given as 0.
+    """
+    z, coordinates = optimum.z, objective.coordinates
+    held, halved = objective.at(z), objective.halved(z)
+    if halved.likelihood is held.likelihood:
+        return 0.0, 0.0
+    if optimum.curvature is None:
+        return abs(halved.value(z) - held.value(z)), 0.0
+    (value, score), (finer_value, finer_score) = held.score(z), halved.score(z)
+    is_free = (z > coordinates.lower) & (z < coordinates.upper)
+    change, curvature = (finer_score - score)[is_free], optimum.curvature[np.ix_(is_free, is_free)]
+    shift = _damped_step(curvature, change, 0.0, natural_units(coordinates)[is_free])
+    return abs(finer_value - value), math.sqrt(max(float(change @ shift), 0.0))
