@@ -28,7 +28,14 @@ import numpy as np
 
 from hygrokf.engine.discretisation import Operation, Step, operations, step
 from hygrokf.engine.packing import pack, place, unpack
-from hygrokf.engine.square_root import corrected, factored, factors, orthogonalised, square_root
+from hygrokf.engine.square_root import (
+    corrected,
+    factored,
+    factored_slopes,
+    factors,
+    orthogonalised,
+    square_root,
+)
 from hygrokf.engine.timeline import Timeline
 from hygrokf.engine.variances import Variances, variances_of
 from hygrokf.physics.expression import (
@@ -199,11 +206,37 @@ class Recursion:
             parts.append(np.broadcast_to(rest, (*mean.shape[:-1], len(rest))))
         return np.concatenate(parts, axis=-1)
 
-    def with_covariance(self, state: np.ndarray, covariance: np.ndarray) -> np.ndarray:
-        """Moments (…, w) with another covariance (…, n, n)."""
-        moments = self.packed_moments(state[..., : self.n], covariance)
-        moments[..., self.loaded :] = state[..., self.loaded :]
+    def packed_slopes(
+        self, mean_slopes: np.ndarray, covariance: np.ndarray, covariance_slopes: np.ndarray
+    ) -> np.ndarray:
+        """Derivatives (r, w) of `packed_moments` from those of the mean (r, n) and of the covariance
+        (r, n, n)."""
+        slopes = np.zeros((len(mean_slopes), len(self.state)))
+        slopes[:, : self.n] = mean_slopes
+        entries = factored_slopes(covariance, covariance_slopes) if self.factored else covariance_slopes
+        slopes[:, self.n : self.n + self.q] = pack(entries)
+        return slopes
+
+    def widened(self, state: np.ndarray, added: np.ndarray) -> np.ndarray:
+        """Moments (w,) with the variances `added` (n,)."""
+        moments = self.packed_moments(state[: self.n], self.covariance_of(state) + np.diag(added))
+        moments[self.loaded :] = state[self.loaded :]
         return moments
+
+    def widened_slopes(self, state: np.ndarray, added: np.ndarray) -> np.ndarray:
+        """Derivatives (w, w) of `widened`; row i is by entry i of `state`."""
+        eye = np.eye(len(state))
+        if not self.factored:
+            return eye
+        lower, diagonal = self._lower_of(state), np.diag(unpack(state[self.n : self.n + self.q], self.n))
+        scaled = lower * diagonal
+        lower_slopes = self._lower_of(eye) - self._lower_of(np.zeros(len(state)))
+        diagonal_slopes = np.einsum("rii->ri", unpack(eye[:, self.n : self.n + self.q], self.n))
+        half = lower_slopes @ scaled.T
+        slopes = half + np.swapaxes(half, 1, 2) + (lower * diagonal_slopes[:, None, :]) @ lower.T
+        result = self.packed_slopes(eye[:, : self.n], lower @ scaled.T + np.diag(added), slopes)
+        result[:, self.loaded :] = eye[:, self.loaded :]
+        return result
 
     @property
     def loaded(self) -> int:
@@ -414,16 +447,6 @@ class Recursion:
                 result.append(max(result[j] for j in arguments(node)))
         return result
 
-    @cached_property
-    def jacobian_entries(self) -> dict[tuple[int, int], Value]:
-        """The entries of the Jacobian that are not zero, by row and column."""
-        return _entries(self.jacobian)
-
-    @cached_property
-    def noise_entries(self) -> dict[tuple[int, int], Value]:
-        """The entries of the noise that are not zero, by row and column."""
-        return _entries(self.noise)
-
     def cuts(self, timeline: Timeline) -> Iterable[int]:
         """Instants at which a run is divided to limit the memory of its loops."""
         return ()
@@ -562,12 +585,6 @@ def _quadratic(row: list[Value], covariance: Matrix, cross: list[Value]) -> Valu
         (i,) = nonzero
         return (row[i] * row[i]) * covariance[i][i]
     return dot(row, cross)
-
-
-def _entries(matrix: Matrix) -> dict[tuple[int, int], Value]:
-    return {
-        (i, j): entry for i, row in enumerate(matrix) for j, entry in enumerate(row) if not is_zero(entry)
-    }
 
 
 def _flat(matrix: Matrix) -> list[Value]:

@@ -274,7 +274,7 @@ class Likelihood:
         if isinstance(self.initial, Gaussian):
             first = Moments(np.asarray(self.initial.mean), np.asarray(self.initial.covariance))
         else:
-            first = law(self.initial, self.model, self.recursion, values, self.first_inputs())
+            first = law(self.initial, self.model, values, self.first_inputs())
         return packed(self.recursion, first, self._unknown, bool(self.diffuse_states))
 
     def _first_with_derivatives(self, values: Mapping[str, float]) -> tuple[np.ndarray, np.ndarray]:
@@ -284,7 +284,7 @@ class Likelihood:
             state = self.first_state(values)
             return state, np.zeros((len(self.model.parameters), len(state)))
         r, begun = self.recursion, bool(self.diffuse_states)
-        first, slopes = law_with_slopes(self.initial, self.model, r, values, self.first_inputs())
+        first, slopes = law_with_slopes(self.initial, self.model, values, self.first_inputs())
         return packed(r, first, self._unknown, begun), packed_slopes(r, first, slopes, self._unknown)
 
     def jacobian(self, values: Mapping[str, float], mean: np.ndarray, u: Mapping[str, float]) -> np.ndarray:
@@ -324,17 +324,11 @@ class Likelihood:
 
     def _widened(self, k: int, state: np.ndarray) -> np.ndarray:
         """Packed moments before instant k, with the variance that the end of a gap adds."""
-        if k not in self._gaps:
-            return state
-        covariance = self.recursion.covariance_of(state) + np.diag(self._gaps[k])
-        return self.recursion.with_covariance(state, covariance)
+        return self.recursion.widened(state, self._gaps[k]) if k in self._gaps else state
 
     def _gap_jacobian(self, k: int, state: np.ndarray) -> np.ndarray:
         """Derivatives (w, w) of `_widened`; row i is by entry i of `state`."""
-        eye = np.eye(len(state))
-        if k not in self._gaps or not self.square_root:
-            return eye
-        return np.imag(self._widened(k, state + 1e-30j * eye)) * 1e30
+        return self.recursion.widened_slopes(state, self._gaps[k])
 
     @cached_property
     def _store(self) -> np.ndarray:
