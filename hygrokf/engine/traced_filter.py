@@ -182,7 +182,7 @@ class Recursion:
         packed = unpack(state[..., self.n : self.n + self.q], self.n)
         if not self.factored:
             return packed
-        lower, diagonal = self._lower_of(state), np.einsum("...ii->...i", packed)
+        lower, diagonal = self.lower_of(state), np.einsum("...ii->...i", packed)
         return (lower * diagonal[..., None, :]) @ np.swapaxes(lower, -1, -2)
 
     def root_of(self, state: np.ndarray) -> np.ndarray:
@@ -190,9 +190,10 @@ class Recursion:
         packed = unpack(state[..., self.n : self.n + self.q], self.n)
         if not self.factored:
             return square_root(packed)
-        return self._lower_of(state) * np.sqrt(np.einsum("...ii->...i", packed))[..., None, :]
+        return self.lower_of(state) * np.sqrt(np.einsum("...ii->...i", packed))[..., None, :]
 
-    def _lower_of(self, state: np.ndarray) -> np.ndarray:
+    def lower_of(self, state: np.ndarray) -> np.ndarray:
+        """L (…, n, n) of factored moments (…, w)."""
         lower = np.tril(unpack(state[..., self.n : self.n + self.q], self.n), -1) + np.eye(self.n)
         for c, i in enumerate(self.model.resets):
             lower[..., i, i] = state[..., self.n + self.q + c]
@@ -216,27 +217,6 @@ class Recursion:
         entries = factored_slopes(covariance, covariance_slopes) if self.factored else covariance_slopes
         slopes[:, self.n : self.n + self.q] = pack(entries)
         return slopes
-
-    def widened(self, state: np.ndarray, added: np.ndarray) -> np.ndarray:
-        """Moments (w,) with the variances `added` (n,)."""
-        moments = self.packed_moments(state[: self.n], self.covariance_of(state) + np.diag(added))
-        moments[self.loaded :] = state[self.loaded :]
-        return moments
-
-    def widened_slopes(self, state: np.ndarray, added: np.ndarray) -> np.ndarray:
-        """Derivatives (w, w) of `widened`; row i is by entry i of `state`."""
-        eye = np.eye(len(state))
-        if not self.factored:
-            return eye
-        lower, diagonal = self._lower_of(state), np.diag(unpack(state[self.n : self.n + self.q], self.n))
-        scaled = lower * diagonal
-        lower_slopes = self._lower_of(eye) - self._lower_of(np.zeros(len(state)))
-        diagonal_slopes = np.einsum("rii->ri", unpack(eye[:, self.n : self.n + self.q], self.n))
-        half = lower_slopes @ scaled.T
-        slopes = half + np.swapaxes(half, 1, 2) + (lower * diagonal_slopes[:, None, :]) @ lower.T
-        result = self.packed_slopes(eye[:, : self.n], lower @ scaled.T + np.diag(added), slopes)
-        result[:, self.loaded :] = eye[:, self.loaded :]
-        return result
 
     @property
     def loaded(self) -> int:

@@ -20,7 +20,7 @@ import numpy as np
 
 from hygrokf.data.record import kind_of
 from hygrokf.engine.filter_loops import Control, filter_loop
-from hygrokf.engine.gaps import gap_variances
+from hygrokf.engine.gaps import gap_variances, widened, widened_slopes
 from hygrokf.engine.information import summed
 from hygrokf.engine.llvm_writer import LANES
 from hygrokf.engine.packing import pack, trace_width, unpack
@@ -324,11 +324,11 @@ class Likelihood:
 
     def _widened(self, k: int, state: np.ndarray) -> np.ndarray:
         """Packed moments before instant k, with the variance that the end of a gap adds."""
-        return self.recursion.widened(state, self._gaps[k]) if k in self._gaps else state
+        return widened(self.recursion, state, self._gaps[k]) if k in self._gaps else state
 
     def _gap_jacobian(self, k: int, state: np.ndarray) -> np.ndarray:
         """Derivatives (w, w) of `_widened`; row i is by entry i of `state`."""
-        return self.recursion.widened_slopes(state, self._gaps[k])
+        return widened_slopes(self.recursion, state, self._gaps[k])
 
     @cached_property
     def _store(self) -> np.ndarray:

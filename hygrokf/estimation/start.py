@@ -53,7 +53,7 @@ def law_with_slopes(
     return prior(model, values, inputs), prior_slopes(model, values, inputs)
 
 
-class _Traced:
+class _StartEquations:
     """The first state's equations of a model, traced in a graph apart from the filter's."""
 
     def __init__(self, model: Model) -> None:
@@ -94,11 +94,11 @@ class _Traced:
         return partials(self.graph, self.equations, [*self.p.values(), *self.x])
 
 
-def _traced(model: Model) -> _Traced:
+def _equations(model: Model) -> _StartEquations:
     """The equations of a model, cached on the model as its filters are."""
     if "_start" not in vars(model):
-        vars(model)["_start"] = _Traced(model)
-    traced: _Traced = vars(model)["_start"]
+        vars(model)["_start"] = _StartEquations(model)
+    traced: _StartEquations = vars(model)["_start"]
     return traced
 
 
@@ -110,7 +110,7 @@ def prior(model: Model, values: Mapping[str, float], inputs: Mapping[str, float]
 
 def prior_slopes(model: Model, values: Mapping[str, float], inputs: Mapping[str, float]) -> Moments:
     """Derivatives of `prior`."""
-    traced, n = _traced(model), len(model.states)
+    traced, n = _equations(model), len(model.states)
     slopes = traced.prior_partials.evaluate(traced.symbols(values, inputs)).T
     return Moments(slopes[:, :n], slopes[:, n:].reshape(-1, n, n))
 
@@ -123,7 +123,7 @@ def stationary(
     Raises ValueError where the model has no steady state: Newton's iteration from the prior's mean does not
     converge, or an eigenvalue of A has no negative real part.
     """
-    traced, n, start = _traced(model), len(model.states), prior(model, values, inputs)
+    traced, n, start = _equations(model), len(model.states), prior(model, values, inputs)
     mean, width = start.mean, np.sqrt(np.diag(start.covariance))
     for _ in range(MOST_NEWTON_STEPS):
         symbols = traced.symbols(values, inputs, mean.tolist())
@@ -146,7 +146,7 @@ def stationary_with_slopes(
 ) -> tuple[Moments, Moments]:
     """The moments of `stationary` and their derivatives."""
     steady, matrix = stationary(model, values, inputs)
-    traced, n, d = _traced(model), len(model.states), len(model.parameters)
+    traced, n, d = _equations(model), len(model.states), len(model.parameters)
     derivatives = traced.equation_partials.evaluate(traced.symbols(values, inputs, steady.mean.tolist()))
     mean = -np.linalg.solve(matrix, derivatives[:n, :d])
     along = derivatives[n:, :d] + derivatives[n:, d:] @ mean

@@ -15,6 +15,7 @@ import pytest
 from builders.many_digits import decay, filtered, trend
 from builders.scores import check_score
 
+from hygrokf.engine.gaps import widened, widened_slopes
 from hygrokf.engine.square_root import factored, factored_slopes
 from hygrokf.engine.timeline import timeline
 from hygrokf.engine.traced_filter import Recursion
@@ -332,8 +333,8 @@ def test_slopes_of_widened_moments_are_central_differences(averaged: object, is_
     state[recursion.loaded :] = random.normal(size=len(state) - recursion.loaded)
     step = 1e-5
     expected = [
-        (recursion.widened(state + move, added) - recursion.widened(state - move, added)) / (2 * step)
+        (widened(recursion, state + move, added) - widened(recursion, state - move, added)) / (2 * step)
         for move in step * np.eye(len(state))
     ]
-    found = recursion.widened_slopes(state, added)
+    found = widened_slopes(recursion, state, added)
     np.testing.assert_allclose(found, expected, rtol=1e-5, atol=1e-6 * np.abs(expected).max())
