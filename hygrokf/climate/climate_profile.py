@@ -12,7 +12,7 @@ from typing import Literal, TypeAlias
 
 import numpy as np
 
-from hygrokf.climate.bounds import LEVEL, BoundedMean, bounded, bounded_array, held, rounded
+from hygrokf.climate.bounds import BoundedMean, bounded, bounded_array, held, rounded
 from hygrokf.climate.chamber import Acceleration, ProfilePlan
 from hygrokf.climate.chamber_profile import ChamberProfile, Days, build_profile, days_of, thinned
 from hygrokf.climate.ensemble import (
@@ -33,6 +33,7 @@ from hygrokf.climate.study import DurationCurve, JointDistribution, RegionClimat
 from hygrokf.data.ambient import middle
 from hygrokf.data.progress import Progress, reporting
 from hygrokf.data.record import Record
+from hygrokf.estimation.conventions import CONFIDENCE
 from hygrokf.identification.fit import Fit
 from hygrokf.identification.verdict import inherited
 from hygrokf.identification.verdict_terms import rests_on
@@ -234,7 +235,7 @@ def climate_profile(
         version=__version__,
         members=members,
         seed=seed,
-        level=LEVEL,
+        level=CONFIDENCE,
         verdicts=inherited(fit.results),
         surface=surface,
         plan=plan,
@@ -370,8 +371,8 @@ def weather_statements(
         statements.append(ClimateCode.NO_LIMIT_PASSES(part=part))
     if hours < 0.98 * length:
         statements.append(ClimateCode.INPUTS_UNKNOWN(share=1.0 - hours / length))
-    if share < LEVEL:
-        few = ClimateCode.FEW_MEMBERS(members=members, share=share, level=LEVEL, fewest=FEWEST_MEMBERS)
+    if share < CONFIDENCE:
+        few = ClimateCode.FEW_MEMBERS(members=members, share=share, level=CONFIDENCE, fewest=FEWEST_MEMBERS)
         statements.append(few)
     statements += [text for limit in limits for text in _limit_statements(limit, gathered)]
     if dripping_h >= DRIPPING_H:

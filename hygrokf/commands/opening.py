@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hygrokf.commands.console import Progress, activity, faults_of
+from hygrokf.estimation.conventions import STARTS
 
 if TYPE_CHECKING:
     from hygrokf.data.record import Record
@@ -26,7 +27,7 @@ def record_of(case: Path, cabinet: bool = True) -> Record:
 
 
 def fit_of(
-    record: Record, case: Path, criterion: str = "likelihood", starts: int = 4, kind: str | None = None,
+    record: Record, case: Path, criterion: str = "likelihood", starts: int = STARTS, kind: str | None = None,
     model: Fit | None = None,
 ) -> Fit:  # fmt: skip
     """Estimate the fit of a record; the options are those of `identify`.  Raises UserFault that names the

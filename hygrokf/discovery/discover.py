@@ -368,7 +368,7 @@ def _saturated(record: Record) -> float:
 
 
 # -- the report of a cause -----------------------------------------------------------------------------------
-CONFIDENCE = (-1.26, 0.531, 0.00118)
+CONFIDENCE_WEIGHTS = (-1.26, 0.531, 0.00118)
 """Coefficients of the logistic confidence: constant, weight of ln of the evidence in days, weight of the lead
 in days."""
 
@@ -400,7 +400,7 @@ def confidence(in_days: float, lead: float) -> float:
     the best rival, in days."""
     from scipy.special import expit
 
-    constant, by_evidence, by_lead = CONFIDENCE
+    constant, by_evidence, by_lead = CONFIDENCE_WEIGHTS
     return float(expit(constant + by_evidence * math.log(max(in_days, 1.0)) + by_lead * lead))
 
 

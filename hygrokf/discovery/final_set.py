@@ -38,10 +38,11 @@ from hygrokf.discovery.estimate import (
 )
 from hygrokf.discovery.judgement import levelled
 from hygrokf.estimation.confidence import Uncertainty, wald_bounds
+from hygrokf.estimation.conventions import CONFIDENCE
 from hygrokf.estimation.likelihood import Likelihood, RatesFault
 from hygrokf.estimation.moments import DigitsFault
 from hygrokf.estimation.optimiser import Estimate, Objective, climb
-from hygrokf.identification.estimation import LEVEL, TIME_CONSTANTS, Stage
+from hygrokf.identification.estimation import TIME_CONSTANTS, Stage
 from hygrokf.identification.fit import Fit
 from hygrokf.identification.identify import Basis, assemble_fit
 from hygrokf.identification.needed_inputs import CHANCE, WithoutInput, alternatives
@@ -252,7 +253,7 @@ def _stage(early: PreparedRecord, base: Design, final: FinalSet, say: Progress) 
     )  # fmt: skip
     uncertainty = _uncertainty(final, coordinates)
     bounds = {
-        name: wald_bounds(estimate, uncertainty, name, LEVEL)
+        name: wald_bounds(estimate, uncertainty, name, CONFIDENCE)
         for name in TIME_CONSTANTS
         if name in coordinates.names
     }

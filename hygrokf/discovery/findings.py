@@ -38,6 +38,7 @@ from hygrokf.discovery.residuals import (
     root_mean_square,
     run_lengths,
 )
+from hygrokf.estimation.conventions import SIGNIFICANCE
 
 # -- score tests ---------------------------------------------------------------------------------------------
 SLOWER = 4.0
@@ -262,7 +263,6 @@ def benjamini_hochberg(p: np.ndarray, weights: np.ndarray | None = None) -> np.n
 
 
 # -- findings ------------------------------------------------------------------------------------------------
-LEVEL = 0.05
 BIN_H = 0.25
 """[h] shortest bins in which the errors are tested."""
 FEWEST_H = 72.0
@@ -334,7 +334,8 @@ def findings(residuals: Residuals) -> list[Finding]:
         changed_states = []
         for state, q in zip(states, adjusted, strict=True):
             for number in np.argsort(state.log_p, kind="stable"):
-                finding = _described(bins, state, number, float(q[number])) if q[number] <= LEVEL else None
+                is_significant = q[number] <= SIGNIFICANCE
+                finding = _described(bins, state, number, float(q[number])) if is_significant else None
                 if finding is not None:
                     results.append(finding)
                     _remove_effect(state, number)

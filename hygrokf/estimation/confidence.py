@@ -24,6 +24,7 @@ from typing import Literal, TypeAlias
 import numpy as np
 
 from hygrokf.engine.parallel import mapped
+from hygrokf.estimation.conventions import CONFIDENCE
 from hygrokf.estimation.likelihood import Sensitivities
 from hygrokf.estimation.optimiser import Estimate, Objective, natural_units
 from hygrokf.estimation.serial_dependence import long_run_covariance
@@ -319,7 +320,7 @@ def _trade_offs(names: tuple[str, ...], covariance: np.ndarray) -> tuple[tuple[s
 
 
 def wald_bounds(
-    estimate: Estimate, spread: Uncertainty, name: str, level: float = 0.95, covariance: str = "wider"
+    estimate: Estimate, spread: Uncertainty, name: str, level: float = CONFIDENCE, covariance: str = "wider"
 ) -> Bounds:
     """Bounds symmetric in the parameter's coordinate, from a covariance: "wald", "sandwich" or the "wider" of
     the two."""

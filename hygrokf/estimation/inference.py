@@ -28,6 +28,7 @@ from hygrokf.estimation.confidence import (
     uncertainty,
     wald_bounds,
 )
+from hygrokf.estimation.conventions import CONFIDENCE
 from hygrokf.estimation.joint_likelihood import AnyLikelihood, records_of
 from hygrokf.estimation.optimiser import Objective, natural_units, shortened
 from hygrokf.estimation.profile_likelihood import profile
@@ -58,7 +59,7 @@ def confidence_intervals(
     given: Given | None = None,
     names: str | Sequence[str] | None = None,
     method: str = "profile",
-    level: float = 0.95,
+    level: float = CONFIDENCE,
     progress: Callable[[str], None] | None = None,
 ) -> dict[str, Bounds]:
     """Bounds of free parameters by one method, by default of all of them.
@@ -124,7 +125,7 @@ class ModalTimeConstant:
 def modal_time_constants(
     source: Source,
     given: Given | None = None,
-    level: float = 0.95,
+    level: float = CONFIDENCE,
     state: Mapping[str, float] | None = None,
     inputs: Mapping[str, float] | None = None,
     known: Uncertainty | None = None,
@@ -310,7 +311,7 @@ def _cells(row: ParameterEstimate) -> tuple[str, ...]:
     )
 
 
-def parameter_table(source: Source, given: Given | None = None, level: float = 0.95) -> ParameterTable:
+def parameter_table(source: Source, given: Given | None = None, level: float = CONFIDENCE) -> ParameterTable:
     """Values, standard errors, bounds, correlations and identifiable combinations of a model's parameters.
 
     source, given: as in `confidence_intervals`.

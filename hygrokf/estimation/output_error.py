@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hygrokf.estimation.confidence import normal_quantile, positive_inverse
+from hygrokf.estimation.conventions import CONFIDENCE
 from hygrokf.estimation.likelihood import Likelihood
 from hygrokf.estimation.optimiser import AT_LIMIT
 from hygrokf.physics.parameters import Coordinates
@@ -40,7 +41,7 @@ class OutputError:
     at_bounds: tuple[str, ...] = ()
     unseen: tuple[str, ...] = ()
 
-    def bounds(self, name: str, positive: bool, level: float = 0.95) -> tuple[float, float]:
+    def bounds(self, name: str, positive: bool, level: float = CONFIDENCE) -> tuple[float, float]:
         """Bounds symmetric in the parameter's coordinate; open where the estimate ended at a search limit."""
         if name in self.at_bounds:
             return (0.0 if positive else -math.inf), math.inf

@@ -28,6 +28,7 @@ from hygrokf.estimation.confidence import (
     too_short,
     with_positive_eigenvalues,
 )
+from hygrokf.estimation.conventions import CONFIDENCE
 from hygrokf.estimation.optimiser import (
     AT_LIMIT,
     BETTER,
@@ -57,7 +58,7 @@ def profile(
     estimate: Estimate,
     spread: Uncertainty,
     name: str,
-    level: float = 0.95,
+    level: float = CONFIDENCE,
     progress: Callable[[str], None] | None = None,
     robust: bool = True,
 ) -> Bounds:

@@ -18,10 +18,9 @@ import numpy as np
 
 from hygrokf.data.timestamps import HOUR_S
 from hygrokf.estimation.confidence import student_quantile
+from hygrokf.estimation.conventions import CONFIDENCE
 from hygrokf.estimation.serial_dependence import autocovariance
 
-LEVEL = 0.95
-"""[1] probability of the bounds."""
 SEED = 20200925
 """Fixed seed: the same record gives the same result."""
 LEAST_BLOCK_H = 24.0
@@ -145,7 +144,7 @@ class Resampled:
         if self.blocks < FEWEST_BLOCKS:
             return None
         spread = float(np.std(draws)) * math.sqrt(self.blocks / (self.blocks - 1.0) / (1.0 - self.lost))
-        return student_quantile(LEVEL, self.blocks - 1.0) * spread
+        return student_quantile(CONFIDENCE, self.blocks - 1.0) * spread
 
 
 def resampled(

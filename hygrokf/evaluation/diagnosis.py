@@ -109,7 +109,7 @@ class InnovationTest:
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """All tests of the innovations; `LEVEL` is the probability of at least one false alarm among them."""
+    """All tests of the innovations; the probability of any false alarm among them is `SIGNIFICANCE`."""
 
     outputs: Mapping[str, OutputDiagnosis] = field(default_factory=dict)
     tests: tuple[InnovationTest, ...] = ()

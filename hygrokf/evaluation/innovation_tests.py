@@ -17,6 +17,7 @@ from dataclasses import replace
 import numpy as np
 
 from hygrokf.estimation.confidence import normal_quantile
+from hygrokf.estimation.conventions import SIGNIFICANCE
 from hygrokf.evaluation.bootstrap import prediction_error
 from hygrokf.evaluation.diagnosis import (
     Autocorrelation,
@@ -44,8 +45,6 @@ LARGEST_ORDER = 48
 """Largest order of the autoregression that whitens an input."""
 BEYOND = 3.0
 """[1] absolute value of a standardised innovation above which it counts as an outlier."""
-LEVEL = 0.05
-"""[1] probability of any false alarm among all tests."""
 NOTE = (
     "standardised innovations e/√S of the identification period; lags count readings, a gap counts as one "
     "step, hours are lags times the median step; inputs are whitened by an autoregression before they are "
@@ -87,7 +86,12 @@ def diagnose(
         tests += output_tests
     adjusted = _holm([test.p for test in tests])
     rows = tuple(
-        replace(test, p_adjusted=p, rejected=p < LEVEL, statement=test.statement if p < LEVEL else None)
+        replace(
+            test,
+            p_adjusted=p,
+            rejected=p < SIGNIFICANCE,
+            statement=test.statement if p < SIGNIFICANCE else None,
+        )
         for test, p in zip(tests, adjusted, strict=True)
     )
     return Diagnosis(outputs, rows)
@@ -167,7 +171,7 @@ def _autocorrelation(
     hour = int(min(max(round(1.0 / step), 1), lags))
     limit_all = _simultaneous(lags) / math.sqrt(n)
     shown = _extremes(values)
-    limit = normal_quantile(1.0 - LEVEL) / math.sqrt(n)
+    limit = normal_quantile(1.0 - SIGNIFICANCE) / math.sqrt(n)
     autocorrelation = Autocorrelation(_rounded((shown + 1) * step), _rounded(values[shown]), limit, limit_all)
     tests = []
     for k in dict.fromkeys((lags, hour)):
@@ -196,7 +200,7 @@ def _spectrum(
     # for white noise the first m−1 values are distributed as the order statistics of m−1 uniform numbers
     kolmogorov = kstest(cumulative[:-1], "uniform")
     distance, p = float(kolmogorov.statistic), float(kolmogorov.pvalue)
-    limit = float(kstwo.isf(LEVEL, m - 1))
+    limit = float(kstwo.isf(SIGNIFICANCE, m - 1))
     offset = cumulative - np.arange(1, m + 1) / m
     worst = int(np.argmax(np.abs(offset)))
     shown = np.unique(np.linspace(0, m - 1, min(m, POINTS)).astype(int))
@@ -208,8 +212,8 @@ def _spectrum(
     periodogram = Periodogram(
         _rounded(np.add.reduceat(frequency, edges[:-1]) / count),
         _rounded(np.add.reduceat(power, edges[:-1]) / count),
-        _rounded(chi2.ppf(LEVEL / 2.0, 2 * count) / (2 * count)),
-        _rounded(chi2.isf(LEVEL / 2.0, 2 * count) / (2 * count)),
+        _rounded(chi2.ppf(SIGNIFICANCE / 2.0, 2 * count) / (2 * count)),
+        _rounded(chi2.isf(SIGNIFICANCE / 2.0, 2 * count) / (2 * count)),
     )
     code = FitCode.SPECTRUM_TOO_HIGH if offset[worst] > 0 else FitCode.SPECTRUM_TOO_LOW
     statement = code(output=name, distance=distance, limit=limit, period_h=float(1.0 / frequency[worst]))
@@ -297,7 +301,7 @@ def _cross_correlation(
     correlation = CrossCorrelation(
         _rounded(lag[shown] * step),
         _rounded(r[shown]),
-        normal_quantile(1.0 - LEVEL) / math.sqrt(n),
+        normal_quantile(1.0 - SIGNIFICANCE) / math.sqrt(n),
         limit_all,
         p,
     )
@@ -330,8 +334,9 @@ def _two_sided(z: float) -> float:
 
 
 def _simultaneous(count: int) -> float:
-    """Quantile below which `count` independent normal numbers all stay with probability 1 − LEVEL (Šidák)."""
-    return normal_quantile((1.0 - LEVEL) ** (1.0 / count))
+    """Quantile below which `count` independent normal numbers all stay with probability 1 − SIGNIFICANCE
+    (Šidák)."""
+    return normal_quantile((1.0 - SIGNIFICANCE) ** (1.0 / count))
 
 
 def _extremes(values: np.ndarray) -> np.ndarray:

@@ -16,6 +16,7 @@ from hygrokf.data.record import Record
 from hygrokf.data.result_file import utc_index, with_units
 from hygrokf.engine.timeline import Timeline
 from hygrokf.estimation.confidence import normal_quantile
+from hygrokf.estimation.conventions import CONFIDENCE
 from hygrokf.estimation.likelihood import Gaussian, Likelihood, Trace
 from hygrokf.estimation.smoother import smoothed_states
 from hygrokf.estimation.subject import Given, Source, Spread, subject
@@ -60,13 +61,13 @@ class Course:
             raise KeyError(f"expected one of {', '.join(self.value)}, found {name}")
         return self.value[name], self.sd[name]
 
-    def bounds(self, name: str, level: float = 0.95) -> tuple[np.ndarray, np.ndarray]:
+    def bounds(self, name: str, level: float = CONFIDENCE) -> tuple[np.ndarray, np.ndarray]:
         """Lower and upper bound (T,) of the central interval with probability `level` [1]."""
         value, sd = self[name]
         half_width = normal_quantile(level) * sd
         return value - half_width, value + half_width
 
-    def to_frame(self, level: float = 0.95) -> DataFrame:
+    def to_frame(self, level: float = CONFIDENCE) -> DataFrame:
         """A pandas frame over time (UTC, or hours where there is no date) with the columns `name`, `name_sd`,
         `name_lower`, `name_upper` and, where it is read, `name_reading`, of every quantity; a forecast has
         `lead_h` too."""

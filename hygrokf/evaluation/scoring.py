@@ -11,6 +11,7 @@ import numpy as np
 
 from hygrokf.engine.schedule import TOLERANCE
 from hygrokf.estimation.confidence import normal_quantile
+from hygrokf.estimation.conventions import CONFIDENCE
 from hygrokf.evaluation.simulation import QUANTITIES, Prediction, forecasts, measured
 from hygrokf.modelling.design import Design, accuracy_of
 from hygrokf.modelling.inputs import Run
@@ -223,7 +224,7 @@ def sensor_share(run: Run, errors: Scores) -> Shares:
     }
 
 
-def coverage(reading: np.ndarray, value: np.ndarray, sd: np.ndarray, level: float = 0.95) -> Coverage:
+def coverage(reading: np.ndarray, value: np.ndarray, sd: np.ndarray, level: float = CONFIDENCE) -> Coverage:
     """Share of readings inside the band, and the factor by which the band would have to be scaled to contain
     `level`."""
     z = np.abs(reading - value) / sd

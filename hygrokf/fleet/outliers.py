@@ -7,7 +7,7 @@ On the logarithm x of a positive quantity, with standard errors e from its bound
 
 so a turbine with wide bounds must deviate further.  |z| is compared with the largest |z| of as many normal
 numbers, which is simulated (`SEED`): the probability of any outlier in a fleet of identical turbines is
-`LEVEL`, divided among the compared quantities (Bonferroni).
+`SIGNIFICANCE`, divided among the compared quantities (Bonferroni).
 """
 
 from __future__ import annotations
@@ -18,11 +18,10 @@ from functools import cache
 
 import numpy as np
 
+from hygrokf.estimation.conventions import SIGNIFICANCE
 from hygrokf.fleet.job import Row, number
 from hygrokf.fleet.tasks import Compared
 
-LEVEL = 0.05
-"""Probability of any outlier, in all quantities together, in a fleet of identical turbines."""
 FEWEST_JUDGED = 6
 """Fewest turbines among which outliers are sought."""
 DRAWS, SEED = 4000, 20
@@ -60,7 +59,7 @@ class Scatter:
     @property
     def outliers(self) -> list[int]:
         """Indices of the outliers, sorted by distance, farthest first."""
-        return [int(i) for i in np.argsort(-np.abs(self.z)) if self.p[i] < LEVEL]
+        return [int(i) for i in np.argsort(-np.abs(self.z)) if self.p[i] < SIGNIFICANCE]
 
     @property
     def explained(self) -> bool:
@@ -76,7 +75,7 @@ class Scatter:
         if len(kept) < 2:
             return True
         q = float(weight @ (x - weight @ x / weight.sum()) ** 2)
-        return bool(chdtrc(len(kept) - 1, q) > LEVEL)
+        return bool(chdtrc(len(kept) - 1, q) > SIGNIFICANCE)
 
 
 def spreads(rows: Sequence[Row], compared: Sequence[Compared]) -> list[Scatter]:
@@ -86,7 +85,7 @@ def spreads(rows: Sequence[Row], compared: Sequence[Compared]) -> list[Scatter]:
 
 
 def spread(rows: Sequence[Row], compared: Compared, quantities: int = 1) -> Scatter:
-    """The scatter of one quantity; `quantities` is the number of quantities among which `LEVEL` is
+    """The scatter of one quantity; `quantities` is the number of quantities among which `SIGNIFICANCE` is
     divided."""
     names, x, error, open_, rejected = [], [], [], [], []
     for row in rows:

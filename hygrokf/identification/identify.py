@@ -19,6 +19,7 @@ from hygrokf.data.record import Record, expect_record
 from hygrokf.engine.parallel import mapped
 from hygrokf.engine.schedule import TOLERANCE
 from hygrokf.estimation.confidence import normal_quantile, standard_error, wald_bounds
+from hygrokf.estimation.conventions import CONFIDENCE, STARTS
 from hygrokf.estimation.likelihood import Likelihood
 from hygrokf.estimation.output_error import OutputError
 from hygrokf.estimation.profile_likelihood import limit_statements
@@ -29,7 +30,6 @@ from hygrokf.evaluation.scoring import bands, baselines, period_masks, readings_
 from hygrokf.evaluation.simulation import QUANTITIES, Prediction, free_run, measured, settled
 from hygrokf.identification.composition import nan_if_open
 from hygrokf.identification.estimation import (
-    LEVEL,
     TIME_CONSTANTS,
     Stage,
     assess_stage,
@@ -71,7 +71,6 @@ from hygrokf.version import __version__
 if TYPE_CHECKING:
     from hygrokf.identification.steady_state import HeatRelease
 
-STARTS = 5
 DEFAULT_KIND = CASCADE
 """Chosen by trial: docs/project/decisions/0002-joint-or-cascade.md."""
 WELL_KNOWN = 0.1
@@ -444,7 +443,7 @@ def _rows(
             rows[name] = replace(
                 rows[name],
                 value=found.values[name],
-                se=nan_if_open(0.5 * (upper - lower) / normal_quantile(LEVEL)),
+                se=nan_if_open(0.5 * (upper - lower) / normal_quantile(CONFIDENCE)),
                 lower=nan_if_open(lower),
                 upper=nan_if_open(upper),
                 at_bound=name in found.at_bounds,

@@ -12,6 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from hygrokf.estimation.confidence import Bounds, normal_quantile, parts_scale
+from hygrokf.estimation.conventions import CONFIDENCE
 from hygrokf.estimation.output_error import OutputError
 from hygrokf.evaluation.simulation import measured
 from hygrokf.identification.composition import (
@@ -23,7 +24,7 @@ from hygrokf.identification.composition import (
     of_free_run,
     of_parts,
 )
-from hygrokf.identification.estimation import LEVEL, Stage
+from hygrokf.identification.estimation import Stage
 from hygrokf.identification.fit_results import (
     FormEstimate,
     MeanTemperatures,
@@ -148,7 +149,7 @@ def _response(stage: Stage) -> SensorResponse:
         return SensorResponse("stated" if stage.response_stated else "included", 0.0)
     name = next(p for p in stage.estimate.values if p.endswith("_response"))
     value, variance = stage.estimate.values[name], _variance(stage, name)
-    half_width = normal_quantile(LEVEL) * math.sqrt(variance)
+    half_width = normal_quantile(CONFIDENCE) * math.sqrt(variance)
     return SensorResponse("estimated", 60.0 * value, *ANY.around(60.0 * value, half_width))
 
 
@@ -241,7 +242,8 @@ def _by_free_run(free_run: OutputError | None, name: str) -> AlternativeEstimate
     place = free_run.names.index(name)
     variance = float(free_run.covariance[place, place])
     # with a singular information matrix the variance may be negative
-    is_informative = 0.0 < variance and 2.0 * normal_quantile(LEVEL) * math.sqrt(variance) <= math.log(OPEN)
+    log_width = 2.0 * normal_quantile(CONFIDENCE) * math.sqrt(max(variance, 0.0))
+    is_informative = 0.0 < variance and log_width <= math.log(OPEN)
     return AlternativeEstimate(math.log(free_run.values[name]), variance) if is_informative else None
 
 

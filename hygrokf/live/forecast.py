@@ -18,6 +18,7 @@ from hygrokf.data.record import Record, Series
 from hygrokf.data.timestamps import HOUR_S
 from hygrokf.engine.timeline import Timeline
 from hygrokf.estimation.confidence import normal_quantile
+from hygrokf.estimation.conventions import CONFIDENCE
 from hygrokf.evaluation.self_switching import self_switched
 from hygrokf.identification.fit import Fit
 from hygrokf.live.condition import (
@@ -174,8 +175,6 @@ LONGEST_H = 24.0
 """Longest pre-heating that is considered [h]."""
 STAYS_H = 1.0
 """[h] the air must stay dry: the peak of vapour that the heat drives out of materials must have passed."""
-LEVEL = 0.95
-"""Confidence level of the bounds of the heaters' effect (`Heating.bounds_K`)."""
 PREHEATING, PREHEATING_HEAT = "preheating", "preheating_heat"
 LOGGED, LOGGED_HEAT = "logged_heater", "logged_heater_heat"
 
@@ -207,7 +206,7 @@ class Heating:
     @property
     def bounds_K(self) -> tuple[float, float]:
         """Bounds of the effect [K]; a heater does not cool."""
-        half_width_K = normal_quantile(LEVEL) * self.sd_K
+        half_width_K = normal_quantile(CONFIDENCE) * self.sd_K
         return max(self.effect_K - half_width_K, 0.0), self.effect_K + half_width_K
 
     def values_at(self, effect_K: float, values: Mapping[str, float]) -> dict[str, float]:
@@ -295,7 +294,7 @@ def restart(
     if len(effects) == 1:
         return advice_from(hours, dry_by_effect[0], limit)
     # quadrature at the bounds and the estimate, with the weights that give the variance of the effect
-    outer = 0.5 / normal_quantile(LEVEL) ** 2
+    outer = 0.5 / normal_quantile(CONFIDENCE) ** 2
     weak, estimated, strong = dry_by_effect
     advice = advice_from(hours, outer * (weak + strong) + (1.0 - 2.0 * outer) * estimated, limit)
     longest_h, shortest_h = _hours_until_dry(hours, weak), _hours_until_dry(hours, strong)

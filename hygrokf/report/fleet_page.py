@@ -10,9 +10,10 @@ from pathlib import Path
 from hygrokf.data.files import FLEET, REPORT, write_text_whole
 from hygrokf.data.record import Provenance
 from hygrokf.data.result_file import ResultFault, read_result
+from hygrokf.estimation.conventions import SIGNIFICANCE
 from hygrokf.fleet.fleet_results import CSV, FleetResults
 from hygrokf.fleet.job import DONE, Row, number, text_of
-from hygrokf.fleet.outliers import DRAWS, FEWEST_JUDGED, LEVEL, Scatter, spreads
+from hygrokf.fleet.outliers import DRAWS, FEWEST_JUDGED, Scatter, spreads
 from hygrokf.fleet.tasks import TASKS, Compared, Tally, Task
 from hygrokf.report.blocks import (
     Banner,
@@ -313,9 +314,9 @@ def _method(fleet: FleetResults) -> tuple[Block, ...]:
         "Outliers: the distance of the logarithm of a turbine’s value from the median, in median absolute "
         "deviations (the turbines’ own bounds taken out, and those of the turbine added again), is compared "
         f"with the largest distance in as many normal numbers ({DRAWS} simulated fleets at most). If "
-        f"turbines differ normally, the chance of any false outlier is {percent(LEVEL)} for the whole fleet "
-        f"and all quantities together; fewer than {FEWEST_JUDGED} turbines are not judged. An outlier need "
-        "not be faulty: the turbine may have another site, operation or design.",
+        f"turbines differ normally, the chance of any false outlier is {percent(SIGNIFICANCE)} for the whole "
+        f"fleet and all quantities together; fewer than {FEWEST_JUDGED} turbines are not judged. An outlier "
+        "need not be faulty: the turbine may have another site, operation or design.",
         f"{CSV} has all numbers, and each turbine’s folder its results.",
         f"Done by {versions(fleet.version)}.",
     )

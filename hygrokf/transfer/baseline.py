@@ -26,6 +26,7 @@ import numpy as np
 
 from hygrokf.data.record import Record
 from hygrokf.estimation.confidence import Uncertainty, normal_quantile, positive_inverse
+from hygrokf.estimation.conventions import CONFIDENCE, SIGNIFICANCE
 from hygrokf.estimation.likelihood import Likelihood
 from hygrokf.estimation.optimiser import Estimate, Objective
 from hygrokf.evaluation.simulation import measured, settled
@@ -52,7 +53,6 @@ DISTURBANCES = "disturbances"
 UNKNOWN = "not known to the type"
 OF_THE_RECORD = (OFFSETS, DISTURBANCES, UNKNOWN)
 """Groups that belong to a logger, a site and a season, not to a type of cabinet: every record has its own."""
-LEVEL = 0.05
 _BASE = {"thermal_network": THERMAL, "heat_release": HEAT, "hygric_exchange": HYGRIC}
 _OFFSETS = ("_bias", "_offset")
 
@@ -93,7 +93,7 @@ class Difference:
             tuple(self.names[i] for i in place), self.value[place], self.covariance[np.ix_(place, place)]
         )
 
-    def bounds(self, name: str, level: float = 0.95) -> tuple[float, float, float]:
+    def bounds(self, name: str, level: float = CONFIDENCE) -> tuple[float, float, float]:
         """Difference of one parameter in its coordinate: (value, lower, upper)."""
         i = self.names.index(name)
         reach = normal_quantile(level) * math.sqrt(max(self.covariance[i, i], 0.0))
@@ -112,7 +112,7 @@ class GroupTest:
     @property
     def significant(self) -> bool:
         """Whether the group is selected."""
-        return self.p_adjusted < LEVEL
+        return self.p_adjusted < SIGNIFICANCE
 
 
 def unexplained(found: Difference, differing: Sequence[str]) -> float:

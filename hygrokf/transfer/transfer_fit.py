@@ -26,6 +26,7 @@ import numpy as np
 from hygrokf.data.progress import Progress, reporting
 from hygrokf.data.record import Record
 from hygrokf.estimation.confidence import Bounds, Uncertainty, normal_quantile, uncertainty
+from hygrokf.estimation.conventions import CONFIDENCE
 from hygrokf.estimation.optimiser import Estimate, Objective, fit_mle
 from hygrokf.evaluation.bootstrap import Resampled, resampled
 from hygrokf.evaluation.scoring import SCORED, guesses, period_masks, rmse
@@ -298,11 +299,12 @@ def _fit(baseline: Baseline, estimate: Estimate, spread: Uncertainty) -> Fit:
     for name in TIME_CONSTANTS:
         i = wider.place(name)
         if i is not None:
-            reach = min(normal_quantile(0.95) * math.sqrt(max(wider.wald[i, i], wider.sandwich[i, i])), 50.0)
+            log_variance = max(wider.wald[i, i], wider.sandwich[i, i])
+            reach = min(normal_quantile(CONFIDENCE) * math.sqrt(log_variance), 50.0)
             value = estimate.values[name]
             ends = (value * math.exp(-reach), value * math.exp(reach))
             method = "taken over" if name in kept else "wald"
-            bounds[name] = Bounds(value, *ends, 0.95, method)
+            bounds[name] = Bounds(value, *ends, CONFIDENCE, method)
     stage = Stage(baseline.base, baseline.early_run, estimate, wider, bounds)
     basis = Basis(JOINT, (stage,), heat_release_regression(baseline.early_run.record))
     made = assemble_fit(baseline.run.record, basis, {})

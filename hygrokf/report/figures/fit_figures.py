@@ -16,6 +16,7 @@ from typing import Literal
 import numpy as np
 
 from hygrokf.data.result_file import array, instants, scalar
+from hygrokf.estimation.conventions import CONFIDENCE
 from hygrokf.evaluation.diagnosis import (
     Autocorrelation,
     CrossCorrelation,
@@ -331,7 +332,6 @@ QUANTILES = 160
 """Points of the quantile plot, evenly spread over the normal distribution's quantiles."""
 INPUTS = 4
 """Inputs that are shown; of more of them those with the smallest p."""
-LEVEL = 0.95
 
 
 def figure_innovations(
@@ -476,7 +476,7 @@ def _quantiles(e: np.ndarray) -> Panel:
     x = np.array([normal.inv_cdf(float(p)) for p in share])
     # standard error of an order statistic: √(p(1−p)/n) over the density
     spread = np.sqrt(share * (1 - share) / n) / (np.exp(-0.5 * x**2) / math.sqrt(2.0 * math.pi))
-    reach = normal.inv_cdf(0.5 + 0.5 * LEVEL)
+    reach = normal.inv_cdf(0.5 + 0.5 * CONFIDENCE)
     marks = (
         Band(x, x - reach * spread, x + reach * spread, QUIET),
         Curve(x, x, QUIET, 0.6),
