@@ -1,36 +1,30 @@
-"""Tests of the innovations: whiteness, distribution, and remaining correlation with the inputs.
+"""Tests of the innovations: whiteness, distribution, and remaining correlation with the inputs; and their
+results, as `fit.json` stores them.
 
 Innovations divided by their standard deviations, e/√S, are white with unit variance if the model is correct,
 whatever the time steps between the readings.  Autocorrelation and spectrum are therefore computed over the
 *sequence of readings*: a lag is a number of readings, and a gap counts as one step.  Hours are lags times the
 median step.
 
-Shapes: T instants, n readings of one output, L lags.
+Shapes: T instants, n readings of one output, L lags, m frequencies.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
+from typing import Literal, TypeAlias
 
 import numpy as np
 
+from hygrokf.data.structured import optional
 from hygrokf.estimation.confidence import normal_quantile
 from hygrokf.estimation.conventions import SIGNIFICANCE
 from hygrokf.evaluation.bootstrap import prediction_error
-from hygrokf.evaluation.diagnosis import (
-    Autocorrelation,
-    CrossCorrelation,
-    CumulativePeriodogram,
-    Diagnosis,
-    InnovationTest,
-    OutputDiagnosis,
-    Periodogram,
-    TestName,
-)
 from hygrokf.texts.fit_codes import FitCode
 from hygrokf.texts.statement import Statement
+from hygrokf.texts.terms import Name
 
 SMALL = 0.1
 """[1] correlations below this explain less than 1 % of the variance and are called small."""
@@ -51,6 +45,126 @@ NOTE = (
     "correlated (Haugh 1976); a correlation counts only where it exceeds its limit under equal and under "
     "unequal variance; all tests share one error rate (Holm 1979)"
 )
+
+
+# --- results ---------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Autocorrelation:
+    """Autocorrelation `value` (L,) [1] at lags `lag_h` (L,) [h].
+
+    `limit`: of each lag by itself; `limit_all`: of all lags together.
+    """
+
+    lag_h: tuple[float, ...] = ()
+    value: tuple[float, ...] = ()
+    limit: float = math.nan
+    limit_all: float = math.nan
+
+
+@dataclass(frozen=True)
+class CrossCorrelation(Autocorrelation):
+    """Correlation of innovations with one whitened input; at a positive lag the innovation is later than the
+    input.  `p` [1]: probability under independence."""
+
+    p: float = math.nan
+
+
+@dataclass(frozen=True)
+class CumulativePeriodogram:
+    """Cumulative share `value` (m,) [1] of the power up to `frequency_per_h` (m,) [1/h], with the
+    Kolmogorov–Smirnov test against a straight line."""
+
+    frequency_per_h: tuple[float, ...] = ()
+    value: tuple[float, ...] = ()
+    statistic: float = math.nan
+    limit: float = math.nan
+    p: float = math.nan
+
+
+@dataclass(frozen=True)
+class Periodogram:
+    """Power (m,) [1] in bands about `frequency_per_h` (m,) [1/h]; white innovations stay between `lower` and
+    `upper`."""
+
+    frequency_per_h: tuple[float, ...] = ()
+    power: tuple[float, ...] = ()
+    lower: tuple[float, ...] = ()
+    upper: tuple[float, ...] = ()
+
+
+@dataclass(frozen=True)
+class OutputDiagnosis:
+    """Moments and whiteness of one output's standardised innovations.
+
+    `n` readings, `step_h` [h] median step, `lags` longest lag in readings; `beyond_3`: share [1] beyond ±3;
+    `cross_correlation`: by input, without inputs that hardly vary.  `remark`: why only `n` is known.
+    """
+
+    n: int = 0
+    step_h: float = optional(math.nan)
+    lags: int | None = optional()
+    mean: float = optional(math.nan)
+    variance: float = optional(math.nan)
+    excess_kurtosis: float = optional(math.nan)
+    beyond_3: float = optional(math.nan)
+    autocorrelation: Autocorrelation | None = optional()
+    cumulative_periodogram: CumulativePeriodogram | None = optional()
+    periodogram: Periodogram | None = optional()
+    cross_correlation: Mapping[str, CrossCorrelation] = field(default_factory=dict)
+    remark: Statement | None = optional()
+
+
+TestName: TypeAlias = Literal[
+    "mean", "variance", "normality", "autocorrelation", "cumulative periodogram", "daily cycle", "correlation"
+]
+WHITENESS: tuple[TestName, ...] = ("autocorrelation", "cumulative periodogram")
+"""Tests of the same property: whiteness."""
+
+
+@dataclass(frozen=True)
+class InnovationTest:
+    """One test of an output's innovations: p [1], p adjusted by Holm's method, and whether it rejects.
+
+    `input`: input of a tested correlation; `lag_h` [h]: longest lag of a tested autocorrelation; `statement`:
+    the finding, if the test rejects.
+    """
+
+    output: Name
+    test: TestName
+    input: Name = optional("")
+    lag_h: float = optional(math.nan)
+    p: float = math.nan
+    p_adjusted: float = math.nan
+    rejected: bool = False
+    statement: Statement | None = optional()
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """All tests of the innovations; the probability of any false alarm among them is `SIGNIFICANCE`."""
+
+    outputs: Mapping[str, OutputDiagnosis] = field(default_factory=dict)
+    tests: tuple[InnovationTest, ...] = ()
+
+    @property
+    def statements(self) -> tuple[Statement, ...]:
+        """The findings for each output; of several rejections of whiteness only the first is included."""
+        statements: list[Statement] = []
+        for name, output in self.outputs.items():
+            tests = [test for test in self.tests if test.output == name]
+            rejections: dict[tuple[str, str], Statement] = {}
+            for test in tests:
+                if test.rejected and test.statement is not None:
+                    kind = "whiteness" if test.test in WHITENESS else test.test
+                    rejections.setdefault((kind, test.input), test.statement)
+            white = [FitCode.WHITE(output=name, tests=len(tests))] if tests else []
+            statements += [output.remark] if output.remark else rejections.values() or white
+        return tuple(statements)
+
+
+# --- all outputs -----------------------------------------------------------------------------
 
 
 def diagnose(
@@ -103,12 +217,12 @@ def _output(
     n = len(e)
     if n < FEWEST_READINGS:
         remark = FitCode.TOO_FEW_INNOVATIONS(output=name, n=n, fewest=FEWEST_READINGS)
-        return OutputDiagnosis(n, remark=remark), []
+        return OutputDiagnosis(n=n, remark=remark), []
     if float(np.ptp(e)) <= 1e-12 * max(1.0, float(np.max(np.abs(e)))):
-        return OutputDiagnosis(n, remark=FitCode.CONSTANT_INNOVATIONS(output=name)), []
+        return OutputDiagnosis(n=n, remark=FitCode.CONSTANT_INNOVATIONS(output=name)), []
     step = float(np.median(np.diff(time)))
     lags = int(min(max(round(longest_h / step), 1), n // 10))
-    moments, tests = _moments(name, e)
+    diagnosis, tests = _moments(name, e)
     autocorrelation, whiteness_tests = _autocorrelation(name, e, step, lags)
     cumulative, periodogram, spectral = _spectrum(name, e, step)
     tests += [*whiteness_tests, spectral, *_daily_cycle(name, time, e)]
@@ -117,15 +231,24 @@ def _output(
         if (pair := _cross_correlation(name, source, e, values, step, lags)) is not None:
             cross_correlations[source], test = pair
             tests.append(test)
-    courses = (autocorrelation, cumulative, periodogram, cross_correlations)
-    return OutputDiagnosis(n, step, lags, *moments, *courses), tests
+    diagnosis = replace(
+        diagnosis,
+        step_h=step,
+        lags=lags,
+        autocorrelation=autocorrelation,
+        cumulative_periodogram=cumulative,
+        periodogram=periodogram,
+        cross_correlation=cross_correlations,
+    )
+    return diagnosis, tests
 
 
 # --- one series ------------------------------------------------------------------------------
 
 
-def _moments(name: str, e: np.ndarray) -> tuple[tuple[float, float, float, float], list[InnovationTest]]:
-    """Mean, variance, excess kurtosis (0 for a normal distribution), share beyond ±3."""
+def _moments(name: str, e: np.ndarray) -> tuple[OutputDiagnosis, list[InnovationTest]]:
+    """The diagnosis with the moments alone: mean, variance, excess kurtosis (0 for a normal distribution),
+    share beyond ±3."""
     from scipy.stats import jarque_bera
 
     n = len(e)
@@ -155,9 +278,10 @@ def _moments(name: str, e: np.ndarray) -> tuple[tuple[float, float, float, float
             ),
         ),
     )  # fmt: skip
-    return (mean, variance, kurtosis, outlier_share), [
-        InnovationTest(name, test, p=p, statement=statement) for test, p, statement in rows
-    ]
+    diagnosis = OutputDiagnosis(
+        n=n, mean=mean, variance=variance, excess_kurtosis=kurtosis, beyond_3=outlier_share
+    )
+    return diagnosis, [InnovationTest(name, test, p=p, statement=statement) for test, p, statement in rows]
 
 
 def _autocorrelation(

@@ -20,7 +20,7 @@ from hygrokf.estimation.conventions import CONFIDENCE
 from hygrokf.estimation.likelihood import Gaussian, Likelihood, Trace
 from hygrokf.estimation.smoother import smoothed_states
 from hygrokf.estimation.subject import Given, Source, Spread, subject
-from hygrokf.evaluation.diagnosis import Diagnosis
+from hygrokf.evaluation.innovation_tests import Diagnosis
 from hygrokf.evaluation.simulation import (
     QUANTITIES,
     Prediction,

@@ -25,7 +25,7 @@ from hygrokf.estimation.output_error import OutputError
 from hygrokf.estimation.profile_likelihood import limit_statements
 from hygrokf.estimation.subject import IDENTIFICATION
 from hygrokf.evaluation.actuator_effects import actuator_effects
-from hygrokf.evaluation.diagnosis import Diagnosis
+from hygrokf.evaluation.innovation_tests import Diagnosis
 from hygrokf.evaluation.scoring import bands, baselines, period_masks, readings_sd, scores, sensor_share
 from hygrokf.evaluation.simulation import QUANTITIES, Prediction, free_run, measured, settled
 from hygrokf.identification.composition import nan_if_open

@@ -22,8 +22,7 @@ from datetime import datetime
 import numpy as np
 
 from hygrokf.estimation.optimiser import INEXACT
-from hygrokf.evaluation.diagnosis import OutputDiagnosis
-from hygrokf.evaluation.innovation_tests import SMALL
+from hygrokf.evaluation.innovation_tests import SMALL, OutputDiagnosis
 from hygrokf.identification.fit_results import FitResults, ParameterRow, Sampling, TimeConstant
 from hygrokf.identification.verdict_terms import PARAMETER_OF, PERIODS, QUANTITY_OF, Inherited, Interval
 from hygrokf.modelling.design import PARTS

@@ -6,7 +6,7 @@ import math
 from functools import partial
 
 from hygrokf.evaluation.actuator_effects import EstimatedChange
-from hygrokf.evaluation.diagnosis import CumulativePeriodogram
+from hygrokf.evaluation.innovation_tests import CumulativePeriodogram
 from hygrokf.evaluation.scoring import REGIMES, SCORED, Errors, Scored
 from hygrokf.identification.fit_on_record import Evaluation
 from hygrokf.identification.fit_results import FitResults, PriorTerms, SensorResponse, TimeConstant

@@ -11,8 +11,14 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from hygrokf.data.structured import plain, structured
-from hygrokf.evaluation.diagnosis import Diagnosis, InnovationTest
-from hygrokf.evaluation.innovation_tests import FEWEST_READINGS, POINTS, diagnose, whitened
+from hygrokf.evaluation.innovation_tests import (
+    FEWEST_READINGS,
+    POINTS,
+    Diagnosis,
+    InnovationTest,
+    diagnose,
+    whitened,
+)
 from hygrokf.texts.fit_codes import FitCode
 
 STEP_H = 0.25

@@ -17,7 +17,7 @@ import numpy as np
 
 from hygrokf.data.result_file import array, instants, scalar
 from hygrokf.estimation.conventions import CONFIDENCE
-from hygrokf.evaluation.diagnosis import (
+from hygrokf.evaluation.innovation_tests import (
     Autocorrelation,
     CrossCorrelation,
     CumulativePeriodogram,
