@@ -19,12 +19,12 @@ import numpy as np
 
 from hygrokf.data.ambient import AMBIENT_BRIDGE_H, at_times, bridge_h
 from hygrokf.data.input_paths import centred
-from hygrokf.data.prepared import PreparedRecord, prepare
+from hygrokf.data.prepared import VAPOUR, PreparedRecord, prepare
 from hygrokf.data.record import Record, Series
 from hygrokf.data.shared_clocks import Shift, in_america
 from hygrokf.data.timestamps import HOUR_S, summer_time
 from hygrokf.engine.cell_loop import IDLE, TEMPERATURE, CellInputs
-from hygrokf.modelling.derived_inputs import feature
+from hygrokf.modelling.derived_inputs import SIGNAL_OF, feature
 from hygrokf.modelling.design import HUMIDITIES, Design, reading_step_h
 from hygrokf.modelling.inputs import (
     ambient_inputs,
@@ -48,22 +48,6 @@ UNKNOWN_K = 25.0
 """[K²] variance of the temperature's error at the start of a run and after a gap."""
 UNKNOWN_SHARE = 0.3
 """Standard deviation of the vapour's error at the start of a run and after a gap, as a share of the mean."""
-AMBIENT_HUMIDITIES = (
-    "ambient_absolute_humidity", "ambient_relative_humidity", "ambient_dew_point_temperature",
-)  # fmt: skip
-SIGNAL_OF = {
-    "exchange_factor": "ambient_temperature",
-    "ambient_temperature_rate": "ambient_temperature",
-    "ambient_vapour_rate": "ambient_temperature",
-    "operating": "active_power",
-    "standstill": "active_power",
-    "sunshine": "global_horizontal_irradiance",
-    "sunlit_wall": "global_horizontal_irradiance",
-    "night_sky": "global_horizontal_irradiance",
-    "wind_tenth": "wind_speed",
-    "wind_square": "wind_speed",
-}
-"""Derived input → the signal whose clock it has."""
 
 
 @dataclass(frozen=True)
@@ -194,10 +178,9 @@ class Scene:
 
     def source(self, name: str) -> str:
         """The source whose clock stamps an input; empty for an input without a signal."""
-        signal = SIGNAL_OF.get(name, "active_power" if name.startswith("power_") else name)
-        if name == "ambient_absolute_humidity":
-            humid = [one for one in AMBIENT_HUMIDITIES if one in self.record]
-            signal = humid[0] if humid else signal
+        if name == VAPOUR and (vapour := self.record.ambient_vapour) is not None:
+            return vapour.file
+        signal = SIGNAL_OF.get(name, name)
         return self.record[signal].file if signal in self.record else ""
 
     def _unmoved(self, name: str, design: Design) -> np.ndarray:

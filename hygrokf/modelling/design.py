@@ -21,9 +21,9 @@ from hygrokf.data.ambient import bridge_h
 from hygrokf.data.prepared import PreparedRecord, prepare
 from hygrokf.data.record import Record, Series
 from hygrokf.data.signals import SIGNALS, signal_named
-from hygrokf.modelling.derived_inputs import FEATURES, without_settings
+from hygrokf.modelling.derived_inputs import BASE_INPUTS, FEATURES, without_settings
 from hygrokf.modelling.library import LIBRARY, Library
-from hygrokf.physics.holds import LINEAR, MEAN, PREVIOUS, REGIME
+from hygrokf.physics.holds import LINEAR, MEAN, PREVIOUS
 from hygrokf.physics.mechanisms import Factory
 from hygrokf.physics.mechanisms.hygric import SHORTEST_H
 from hygrokf.physics.model import Mechanism, Model, compose, field_values
@@ -34,10 +34,7 @@ from hygrokf.texts.terms import Name
 
 HOLDS: Mapping[str, str] = {
     **{signal.name: MEAN if signal.hold == PREVIOUS else LINEAR for signal in SIGNALS.values()},
-    "exchange_factor": LINEAR,
-    "operating": MEAN,
-    "power_unknown": REGIME,
-    **{f"power_{k}": MEAN for k in range(1, 6)},
+    **{name: hold for name, (hold, _) in BASE_INPUTS.items()},
     **{name: hold for name, (_, hold) in FEATURES.items()},
 }
 """Holds of inputs between their own times: every signal, the inputs of the base models, and the package's
