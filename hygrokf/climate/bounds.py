@@ -15,7 +15,7 @@ import numpy as np
 
 from hygrokf.estimation.conventions import CONFIDENCE
 
-DIGITS = 6
+RESULT_DIGITS = 6
 """Significant digits of the numbers in a result."""
 
 
@@ -36,7 +36,7 @@ class BoundedMean:
     between_years: float
 
     def rounded(self) -> BoundedMean:
-        """The same to `DIGITS` significant digits."""
+        """The same to `RESULT_DIGITS` significant digits."""
         return BoundedMean(*rounded(np.array(list(vars(self).values()))).tolist())
 
 
@@ -83,7 +83,7 @@ def held(draws: float, level: float = CONFIDENCE) -> float:
     return min(level, (draws - 1.0) / (draws + 1.0))
 
 
-def rounded(values: np.ndarray, digits: int = DIGITS) -> np.ndarray:
+def rounded(values: np.ndarray, digits: int = RESULT_DIGITS) -> np.ndarray:
     """Numbers to significant digits, NaN where they are not finite: a file need not show the last bits."""
     values = np.asarray(values, dtype=float)
     with np.errstate(divide="ignore", invalid="ignore"):

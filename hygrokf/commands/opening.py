@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from hygrokf.modelling.library import Library
 
 
-def record_of(case: Path, cabinet: bool = True) -> Record:
+def case_record(case: Path, cabinet: bool = True) -> Record:
     """The record of a case; its warnings go to standard error."""
     from hygrokf.cases.case_file import read_case
 
@@ -26,7 +26,7 @@ def record_of(case: Path, cabinet: bool = True) -> Record:
     return record
 
 
-def fit_of(
+def case_fit(
     record: Record, case: Path, criterion: str = "likelihood", starts: int = STARTS, kind: str | None = None,
     model: Fit | None = None,
 ) -> Fit:  # fmt: skip

@@ -14,7 +14,7 @@ import numpy as np
 from hygrokf.estimation.confidence import normal_quantile, positive_inverse
 from hygrokf.estimation.conventions import CONFIDENCE
 from hygrokf.estimation.likelihood import Likelihood
-from hygrokf.estimation.optimiser import AT_LIMIT
+from hygrokf.estimation.optimiser import LIMIT_DISTANCE
 from hygrokf.physics.parameters import Coordinates
 
 LEAST_DAMPING = 1e-12
@@ -22,7 +22,7 @@ LEAST_DAMPING = 1e-12
 alike."""
 TRANSIENT_H = 24.0
 """[h] residuals at the start that are left out, because the initial state is a guess."""
-FEWEST_BLOCKS = 40
+FEWEST_VARIANCE_BLOCKS = 40
 
 
 @dataclass(frozen=True)
@@ -106,9 +106,9 @@ def fit_output_error(likelihood: Likelihood, values: dict[str, float], passes: i
     _, matrix, scores = _normal_equations(e, slopes)
     inverse = positive_inverse(matrix)
     # two days exceed the memory of the disturbances; short records need shorter blocks for enough blocks
-    block_h = min(max((time[-1] - time[0]) / FEWEST_BLOCKS, 12.0), 48.0)
+    block_h = min(max((time[-1] - time[0]) / FEWEST_VARIANCE_BLOCKS, 12.0), 48.0)
     score_variance = long_run_variance(scores, time, block_h)
-    is_at_bound = (z <= coordinates.lower + AT_LIMIT) | (z >= coordinates.upper - AT_LIMIT)
+    is_at_bound = (z <= coordinates.lower + LIMIT_DISTANCE) | (z >= coordinates.upper - LIMIT_DISTANCE)
     at_bounds = tuple(
         name for name, ends_at_bound in zip(coordinates.names, is_at_bound, strict=True) if ends_at_bound
     )

@@ -26,18 +26,18 @@ from hygrokf.texts.fit_codes import FitCode
 from hygrokf.texts.statement import Statement
 from hygrokf.texts.terms import Name
 
-SMALL = 0.1
+SMALL_CORRELATION = 0.1
 """[1] correlations below this explain less than 1 % of the variance and are called small."""
-FEWEST_READINGS = 30
+FEWEST_DIAGNOSED = 30
 """Fewest readings for a diagnosis."""
-POINTS = 400
+MOST_POINTS = 400
 """Largest number of values in a list of the result: a longer list keeps of each stretch of equal length the
 value farthest from zero."""
 SPECTRUM_POINTS = 120
 """Bands of the periodogram, evenly spaced in the logarithm of the frequency."""
-LARGEST_ORDER = 48
+WHITENING_ORDER = 48
 """Largest order of the autoregression that whitens an input."""
-BEYOND = 3.0
+OUTLIER_SD = 3.0
 """[1] absolute value of a standardised innovation above which it counts as an outlier."""
 NOTE = (
     "standardised innovations e/√S of the identification period; lags count readings, a gap counts as one "
@@ -215,8 +215,8 @@ def _output(
     name: str, time: np.ndarray, e: np.ndarray, inputs: Mapping[str, np.ndarray], longest_h: float
 ) -> tuple[OutputDiagnosis, list[InnovationTest]]:
     n = len(e)
-    if n < FEWEST_READINGS:
-        remark = FitCode.TOO_FEW_INNOVATIONS(output=name, n=n, fewest=FEWEST_READINGS)
+    if n < FEWEST_DIAGNOSED:
+        remark = FitCode.TOO_FEW_INNOVATIONS(output=name, n=n, fewest=FEWEST_DIAGNOSED)
         return OutputDiagnosis(n=n, remark=remark), []
     if float(np.ptp(e)) <= 1e-12 * max(1.0, float(np.max(np.abs(e)))):
         return OutputDiagnosis(n=n, remark=FitCode.CONSTANT_INNOVATIONS(output=name)), []
@@ -255,10 +255,10 @@ def _moments(name: str, e: np.ndarray) -> tuple[OutputDiagnosis, list[Innovation
     mean, variance = float(e.mean()), float(e.var())
     z = (e - mean) / math.sqrt(variance)
     skewness, kurtosis = float(np.mean(z**3)), float(np.mean(z**4) - 3.0)
-    outlier_share = float(np.mean(np.abs(e) > BEYOND))
+    outlier_share = float(np.mean(np.abs(e) > OUTLIER_SD))
     # the sample kurtosis enters the variance of the sample variance: heavy tails alone cause no rejection
     spread = math.sqrt(max(kurtosis + 2.0, 1e-12) / n) * variance
-    mean_code = FitCode.MEAN_SMALL if abs(mean) < SMALL else FitCode.MEAN_BIASED
+    mean_code = FitCode.MEAN_SMALL if abs(mean) < SMALL_CORRELATION else FitCode.MEAN_BIASED
     variance_code = FitCode.WIDER_THAN_PREDICTED if variance > 1 else FitCode.NARROWER_THAN_PREDICTED
     tails = FitCode.TAILS_HEAVY if kurtosis > 0 else FitCode.TAILS_LIGHT
     shape = tails() if abs(kurtosis) >= abs(skewness) else FitCode.SKEWED()
@@ -274,7 +274,7 @@ def _moments(name: str, e: np.ndarray) -> tuple[OutputDiagnosis, list[Innovation
             float(jarque_bera(e).pvalue),
             FitCode.NOT_NORMAL(
                 output=name, shape=shape, kurtosis=kurtosis, skewness=skewness, beyond=outlier_share,
-                expected=_two_sided(BEYOND),
+                expected=_two_sided(OUTLIER_SD),
             ),
         ),
     )  # fmt: skip
@@ -327,7 +327,7 @@ def _spectrum(
     limit = float(kstwo.isf(SIGNIFICANCE, m - 1))
     offset = cumulative - np.arange(1, m + 1) / m
     worst = int(np.argmax(np.abs(offset)))
-    shown = np.unique(np.linspace(0, m - 1, min(m, POINTS)).astype(int))
+    shown = np.unique(np.linspace(0, m - 1, min(m, MOST_POINTS)).astype(int))
     cumulative_periodogram = CumulativePeriodogram(
         _rounded(frequency[shown]), _rounded(cumulative[shown]), distance, limit, p
     )
@@ -369,15 +369,15 @@ def _daily_cycle(name: str, time: np.ndarray, e: np.ndarray) -> list[InnovationT
 def whitened(values: np.ndarray) -> tuple[np.ndarray, int]:
     """The prediction errors (n,) of an input (n,) [any unit] by its own autoregression, and its order.
 
-    AIC selects the order, at most `LARGEST_ORDER`, from the Levinson–Durbin recursion.  The errors are NaN at
-    missing values, at values predicted from missing ones, and at the first values, as many as the order.
+    AIC selects the order, at most `WHITENING_ORDER`, from the Levinson–Durbin recursion.  The errors are NaN
+    at missing values, at values predicted from missing ones, and at the first values, as many as the order.
     """
     from statsmodels.tsa.stattools import acovf, levinson_durbin
 
     is_known = np.isfinite(values)
     centred = np.where(is_known, values - float(np.mean(values[is_known])), 0.0)
     n = len(values)
-    largest = int(min(LARGEST_ORDER, max(n // 10, 1)))
+    largest = int(min(WHITENING_ORDER, max(n // 10, 1)))
     covariance = np.asarray(acovf(centred, fft=True, nlag=largest))
     _, _, _, error_variance, phi = levinson_durbin(covariance, nlags=largest, isacov=True)
     error_variance = np.concatenate([[covariance[0]], error_variance[1:]])
@@ -392,7 +392,7 @@ def _cross_correlation(
     """The correlation with one input; None where the input hardly varies, or where its past predicts it
     without error."""
     known_values = values[np.isfinite(values)]
-    if len(known_values) < FEWEST_READINGS:
+    if len(known_values) < FEWEST_DIAGNOSED:
         return None
     if float(np.ptp(known_values)) <= 1e-9 * max(1.0, float(np.max(np.abs(known_values)))):
         return None
@@ -400,7 +400,7 @@ def _cross_correlation(
     is_known = np.isfinite(u)
     n = int(is_known.sum())
     total = float(np.sum(u[is_known] ** 2))
-    if n < FEWEST_READINGS or total <= 0.0:
+    if n < FEWEST_DIAGNOSED or total <= 0.0:
         return None
     u = np.where(is_known, u - float(u[is_known].mean()), 0.0)
     centred = e - e.mean()
@@ -464,8 +464,9 @@ def _simultaneous(count: int) -> float:
 
 
 def _extremes(values: np.ndarray) -> np.ndarray:
-    """Indices of at most `POINTS` values: the value farthest from zero in each stretch of equal length."""
-    width = math.ceil(len(values) / POINTS)
+    """Indices of at most `MOST_POINTS` values: the value farthest from zero in each stretch of equal
+    length."""
+    width = math.ceil(len(values) / MOST_POINTS)
     if width == 1:
         return np.arange(len(values))
     padded = np.full(math.ceil(len(values) / width) * width, -1.0)
@@ -486,4 +487,4 @@ def _correlation_and_limit(r: float, limit: float) -> Statement:
 
 def _remark_on_size(r: float) -> tuple[Statement, ...]:
     """The remark on a correlation that explains little."""
-    return (FitCode.SMALL_SHARE(share=r * r),) if abs(r) < SMALL else ()
+    return (FitCode.SMALL_SHARE(share=r * r),) if abs(r) < SMALL_CORRELATION else ()

@@ -302,7 +302,7 @@ TASKS: Mapping[str, Task] = {
 }
 """Every task by its name in FLEET.toml."""
 
-SHARED = {
+SHARED_COLUMNS = {
     "turbine": "name of the turbine in the fleet",
     "status": "done; failed: see reason; lost: its process died, twice",
     "reason": "reason for the missing result, empty otherwise",

@@ -17,7 +17,7 @@ from hygrokf.data.progress import Progress, reporting
 from hygrokf.data.readings import mask
 from hygrokf.data.record import Record, expect_record
 from hygrokf.engine.parallel import mapped
-from hygrokf.engine.schedule import TOLERANCE
+from hygrokf.engine.schedule import STEP_TOLERANCE
 from hygrokf.estimation.confidence import normal_quantile, standard_error, wald_bounds
 from hygrokf.estimation.conventions import CONFIDENCE, STARTS
 from hygrokf.estimation.likelihood import Likelihood
@@ -257,7 +257,7 @@ def assemble_fit(
     simulated: Mapping[str, OutputError],
     criterion: str = "likelihood",
     say: Progress = lambda text: None,
-    tolerance: float = TOLERANCE,
+    tolerance: float = STEP_TOLERANCE,
 ) -> Fit:
     """A fit from its stages: free run, scores, bands and tables on the whole record; `tolerance` as in
     `Likelihood`."""

@@ -16,7 +16,7 @@ from hygrokf.estimation.conventions import CONFIDENCE
 from hygrokf.estimation.output_error import OutputError
 from hygrokf.evaluation.simulation import measured
 from hygrokf.identification.composition import (
-    ANY,
+    ANY_CONSTANT,
     AlternativeEstimate,
     Resolved,
     compose_interval,
@@ -34,14 +34,14 @@ from hygrokf.identification.fit_results import (
 )
 from hygrokf.identification.model_forms import FittedForm
 from hygrokf.identification.verdict_terms import Interval
-from hygrokf.modelling.design import TEMPERATURE
 from hygrokf.modelling.inputs import Run
 from hygrokf.modelling.thermal_system import thermal_poles
 from hygrokf.physics.mechanisms.hygric import exchange_factor, hygric_time_constant
 from hygrokf.physics.mechanisms.thermal import STILL_K, small_signal
+from hygrokf.physics.signal_names import CABINET_TEMPERATURE
 
 THERMAL, HYGRIC = "thermal_time_constant", "hygric_k"
-OPEN = 1e3
+OPEN_RATIO = 1e3
 """Ratio of the free run's bounds above which they are uninformative."""
 
 
@@ -132,7 +132,7 @@ def _resistance_capacity(stage: Stage, entry: TimeConstant, exponent: float) -> 
         sources["forms"] = of_forms(math.log(value), variance, forms)
     if _unbounded(entry):
         return Interval(value, 0.0)
-    ends = ANY.around(value, normal_quantile(entry.level) * math.sqrt(variance))
+    ends = ANY_CONSTANT.around(value, normal_quantile(entry.level) * math.sqrt(variance))
     last = compose_interval(value, ends, entry.level, sources, _resolved(stage, THERMAL))[-1]
     return Interval(value, last.lower_h, last.upper_h)
 
@@ -150,7 +150,7 @@ def _response(stage: Stage) -> SensorResponse:
     name = next(p for p in stage.estimate.values if p.endswith("_response"))
     value, variance = stage.estimate.values[name], _variance(stage, name)
     half_width = normal_quantile(CONFIDENCE) * math.sqrt(variance)
-    return SensorResponse("estimated", 60.0 * value, *ANY.around(60.0 * value, half_width))
+    return SensorResponse("estimated", 60.0 * value, *ANY_CONSTANT.around(60.0 * value, half_width))
 
 
 def _unbounded(entry: TimeConstant) -> bool:
@@ -161,7 +161,7 @@ def _resolved(stage: Stage, name: str) -> Resolved:
     """The range of time constants [h] that a stage's readings resolve: from a tenth of their median step to
     ten times their length."""
     t = stage.run.timeline
-    output = TEMPERATURE if name == THERMAL else stage.base.humidity
+    output = CABINET_TEMPERATURE if name == THERMAL else stage.base.humidity
     steps = np.diff(t.time[np.isfinite(t.reading(output))]) if output in t.outputs else t.time[:0]
     shortest = 0.1 * float(np.median(steps)) if len(steps) else 0.0
     return Resolved(shortest, 10.0 * float(t.time[-1] - t.time[0]))
@@ -243,7 +243,7 @@ def _by_free_run(free_run: OutputError | None, name: str) -> AlternativeEstimate
     variance = float(free_run.covariance[place, place])
     # with a singular information matrix the variance may be negative
     log_width = 2.0 * normal_quantile(CONFIDENCE) * math.sqrt(max(variance, 0.0))
-    is_informative = 0.0 < variance and log_width <= math.log(OPEN)
+    is_informative = 0.0 < variance and log_width <= math.log(OPEN_RATIO)
     return AlternativeEstimate(math.log(free_run.values[name]), variance) if is_informative else None
 
 

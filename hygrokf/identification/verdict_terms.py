@@ -12,7 +12,7 @@ from hygrokf.texts.reasons import BELIEVE, PLAIN_MARKS, REJECT, WORDS, Kind, Rea
 from hygrokf.texts.statement import Statement
 from hygrokf.texts.wording import UNBOUNDED, WIDE, ends, plain_number
 
-PERIODS = ("validation", "identification")
+JUDGED_PERIODS = ("validation", "identification")
 
 QUANTITY_OF = {"thermal": "temperature_K", "hygric": "absolute_humidity_g_m3"}
 PARAMETER_OF = {"thermal": "thermal_time_constant", "hygric": "hygric_k"}

@@ -35,7 +35,7 @@ from hygrokf.report.blocks import (
     unmeasured,
 )
 from hygrokf.report.figures.comparison_figures import (
-    SETS,
+    SET_LABELS,
     figure_course,
     figure_parameters,
     figure_sets,
@@ -56,14 +56,14 @@ from hygrokf.transfer.transfer_results import (
     write_courses,
 )
 
-COMMAND = "hygrokf transfer"
+TRANSFER_COMMAND = "hygrokf transfer"
 SETS_NOTE = (
     f"{FREE_RUN} As it is: every parameter of the fit. Own loggers: sensor offsets and disturbances "
     "estimated on this record. Re-estimated: also the groups that differ. All its own: every parameter "
     "estimated on this record. All rows score the same instants; the fit's own page scores more where it "
     "can. The rule of the temperature was fitted to this record's identification period."
 )
-METHOD = (
+TRANSFER_METHOD = (
     f"{INNOVATIONS} All parameters were estimated from them on the record's identification period, with the "
     "fit's own model. A group of parameters differs if the estimates are further apart than both covariances "
     "explain (forward selection, corrected for the number of groups) and if the difference matters: 10 % of "
@@ -74,7 +74,7 @@ METHOD = (
     "bound, if the record's own estimate errs by far more than the fit did on its own record, or if the "
     "re-estimated model is worse than a rule without a model, or than the fit as it is.",
 )
-TONES: dict[TransferVerdict, Literal["plain", "open", "reject"]] = {
+TRANSFER_TONES: dict[TransferVerdict, Literal["plain", "open", "reject"]] = {
     TransferVerdict.TRANSFERS: "plain",
     TransferVerdict.PARTLY: "open",
     TransferVerdict.CANNOT_BE_JUDGED: "open",
@@ -119,8 +119,8 @@ def rewrite_transfer(directory: str | os.PathLike[str]) -> Path:
 def read_transfer(directory: str | os.PathLike[str]) -> tuple[TransferResults, tuple[RecordCourse, ...]]:
     """The results and courses in a directory.  Raises ResultFault with all faults."""
     folder = Path(directory)
-    found = read_result(TransferResults, folder / TRANSFER, COMMAND)
-    return found, read_courses(folder / TRANSFER_SERIES, len(found.records), COMMAND)
+    found = read_result(TransferResults, folder / TRANSFER, TRANSFER_COMMAND)
+    return found, read_courses(folder / TRANSFER_SERIES, len(found.records), TRANSFER_COMMAND)
 
 
 def folders(names: Sequence[str]) -> list[str]:
@@ -165,7 +165,7 @@ def transfer_blocks(found: TransferResults, courses: Sequence[RecordCourse] = ()
         (f"The {kind} of {source}, tried on the record{'s' if names[1:] else ''} of {', '.join(names)}.",),
         (*unmeasured(provenance, OF_RECORDS), cards, *pictures[:1]),
         tuple(body),
-        method("Method", *METHOD, f"Judged by {versions(found.version)}."),
+        method("Method", *TRANSFER_METHOD, f"Judged by {versions(found.version)}."),
     )
 
 
@@ -179,7 +179,7 @@ def _card(found: TransferResults, one: TransferResult) -> Card:
         lines=reasons if alone else reasons[:1],
         wide=alone,
         words=True,
-        tone=TONES[one.verdict],
+        tone=TRANSFER_TONES[one.verdict],
     )
 
 
@@ -213,7 +213,7 @@ def _record(found: TransferResults, place: int, course: Figure | None) -> tuple[
         Details(
             "All parameters, and likelihood ratios",
             (
-                table_or(parameters_table(one), "There are no parameters."),
+                table_or(transfer_parameters_table(one), "There are no parameters."),
                 table_or(ratios_table(one), "No likelihood ratio was needed."),
             ),
         ),
@@ -256,11 +256,11 @@ def errors_tables(one: TransferResult) -> tuple[Table, ...]:
     tables = []
     for scored, by_set in one.rmse.items():
         rows = []
-        for name in (n for n in SETS if n in by_set):
+        for name in (n for n in SET_LABELS if n in by_set):
             row = by_set[name]
             bounds = NONE if row.bounds is None else interval(*row.bounds)
             numbers = (fixed(v) for v in (row.operation, row.standstill, row.total))
-            rows.append((SETS[name], *numbers, bounds, str(row.n.total)))
+            rows.append((SET_LABELS[name], *numbers, bounds, str(row.n.total)))
         tables.append(
             Table(
                 f"{quantity(scored).rmse}, {where}",
@@ -271,7 +271,7 @@ def errors_tables(one: TransferResult) -> tuple[Table, ...]:
     return tuple(tables)
 
 
-def parameters_table(one: TransferResult) -> Table:
+def transfer_parameters_table(one: TransferResult) -> Table:
     """Every parameter of the cabinet: original, own, difference."""
     rows = []
     for name, row in one.parameters.items():

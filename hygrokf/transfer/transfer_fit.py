@@ -62,7 +62,7 @@ from hygrokf.transfer.transfer_results import (
     TransferResult,
     TransferSource,
 )
-from hygrokf.transfer.transferability import groups_of, matters, parameters_of, ratios_of, with_verdict
+from hygrokf.transfer.transferability import group_parameters, groups_of, matters, ratios_of, with_verdict
 
 SETS = ("as_is", "own_loggers", "re_estimated", "all_own")
 
@@ -177,7 +177,7 @@ def _results(
         reasons=(),
         re_estimate=found.differing,
         statements=tuple(statements),
-        parameters=parameters_of(baseline, found.apart, found.values(baseline), found.spread, found.own),
+        parameters=group_parameters(baseline, found.apart, found.values(baseline), found.spread, found.own),
         groups=groups_of(baseline, found.apart, found.tests, found.effects, found.differing),
         likelihood_ratios=ratios_of(baseline, *estimates, found.spread, found.differing),
         period=period,

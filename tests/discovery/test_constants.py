@@ -107,7 +107,7 @@ def test_a_constant_that_is_missing_or_stale_is_found() -> None:
         ("error_model", "LEAST"): None, ("error_model", "GONE"): 2.0,
     }  # fmt: skip
     code = of_code()
-    assert code["search", "FURTHER"] == search.FURTHER != told["search", "FURTHER"]
+    assert code["search", "FURTHER"] == search.FURTHER_EVIDENCE != told["search", "FURTHER"]
     assert code["error_model", "TIMES_H"] == error_model.TIMES_H
     assert ("error_model", "GONE") not in code and ("search", "SENSOR") not in code
     assert assigned("A, b = 1, 2\nC: int = 3\n_D = 4\nE += 5\ndef f():\n    G = 1\n") == {"A", "C", "_D", "E"}
