@@ -54,10 +54,10 @@ from hygrokf.identification.fit import Fit
 from hygrokf.identification.fit_results import ParameterRow
 from hygrokf.identification.identify import expect_readings
 from hygrokf.modelling.causes.forms import Form, Setting, Settings, ground_of, possible
-from hygrokf.modelling.design import PARTS
 from hygrokf.modelling.library import LIBRARY, Library
 from hygrokf.physics.signal_names import CABINET_SIGNALS
 from hygrokf.physics.switches import CONTROLLED
+from hygrokf.texts.parts import PARTS
 from hygrokf.texts.reasons import ReasonCode
 from hygrokf.texts.statement import unique
 from hygrokf.version import __version__

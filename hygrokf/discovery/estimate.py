@@ -29,8 +29,9 @@ from hygrokf.discovery.error_model import (
 )
 from hygrokf.discovery.simulator import Simulator
 from hygrokf.physics.parameters import Parameter
+from hygrokf.texts.parts import BOTH_PARTS
 
-TIME_CONSTANT_OF = {"temperature": "thermal_time_constant", "vapour": "hygric_k"}
+TIME_CONSTANT_OF = {part.balance: part.time_constant for part in BOTH_PARTS}
 """Parameter that is the time constant [h] of a quantity's low pass."""
 DAMPINGS = (0.0, 1e-3, 1e-2, 0.1, 1.0, 10.0, 100.0, 1000.0)
 LARGEST_STEP = 1.5

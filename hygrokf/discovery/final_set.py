@@ -42,7 +42,7 @@ from hygrokf.estimation.conventions import CONFIDENCE
 from hygrokf.estimation.likelihood import Likelihood, RatesFault
 from hygrokf.estimation.moments import DigitsFault
 from hygrokf.estimation.optimiser import Estimate, Objective, climb
-from hygrokf.identification.estimation import TIME_CONSTANTS, Stage
+from hygrokf.identification.estimation import Stage
 from hygrokf.identification.fit import Fit
 from hygrokf.identification.identify import Basis, assemble_fit
 from hygrokf.identification.needed_inputs import CHANCE, WithoutInput, alternatives
@@ -53,6 +53,7 @@ from hygrokf.modelling.inputs import model_inputs
 from hygrokf.physics.parameters import Coordinates
 from hygrokf.physics.signal_names import CABINET_TEMPERATURE
 from hygrokf.texts.fit_codes import FitCode
+from hygrokf.texts.parts import TIME_CONSTANTS
 from hygrokf.texts.reasons import Reason
 
 Estimator = Literal["likelihood", "output-error"]

@@ -20,15 +20,16 @@ from hygrokf.data.signals import UNITS as CASE_UNITS
 from hygrokf.identification.fit import Fit
 from hygrokf.modelling.design import accuracy_of
 from hygrokf.physics.psychrometrics import absolute_humidity, absolute_humidity_slope_temperature
+from hygrokf.texts.parts import BOTH_PARTS
 
 Quantity = Literal["temperature", "humidity"]
 TEMPERATURE: Quantity = "temperature"
 HUMIDITY: Quantity = "humidity"
 RESIDUAL_QUANTITIES = (TEMPERATURE, HUMIDITY)
 RESIDUAL_UNITS: Mapping[str, str] = {TEMPERATURE: "K", HUMIDITY: "g/m³"}
-SERIES_STEMS: Mapping[str, str] = {TEMPERATURE: "temperature", HUMIDITY: "absolute_humidity"}
+SERIES_STEMS: Mapping[str, str] = {part.output: part.series for part in BOTH_PARTS}
 """Quantity -> stem of its names in a fit's series."""
-TIME_CONSTANT: Mapping[str, str] = {TEMPERATURE: "thermal_time_constant", HUMIDITY: "hygric_k"}
+TIME_CONSTANT: Mapping[str, str] = {part.output: part.time_constant for part in BOTH_PARTS}
 """Quantity -> parameter that is the time constant [h] of its low pass."""
 RESPONSES = ("cabinet_", "converter_")
 """Signals that respond to the cabinet instead of driving it."""

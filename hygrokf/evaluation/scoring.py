@@ -16,9 +16,9 @@ from hygrokf.evaluation.simulation import QUANTITIES, Prediction, forecasts, mea
 from hygrokf.modelling.design import Design, accuracy_of
 from hygrokf.modelling.inputs import Run
 from hygrokf.physics.psychrometrics import absolute_humidity, absolute_humidity_slope_temperature
+from hygrokf.texts.parts import SCORED
 
 T = TypeVar("T")
-SCORED = ("temperature_K", "absolute_humidity_g_m3")
 SCORED_PERIODS = ("identification", "validation")
 REGIMES = ("operation", "standstill", "total")
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from hygrokf.data.toml_form import setting
 from hygrokf.estimation.conventions import STARTS
 from hygrokf.fleet.job import Row
-from hygrokf.modelling.design import PARTS
+from hygrokf.texts.parts import PARTS
 from hygrokf.texts.reasons import REJECT
 
 

@@ -39,8 +39,8 @@ from hygrokf.modelling.design import CASCADE, Design, design, reading_step_h
 from hygrokf.modelling.inputs import Run, model_inputs
 from hygrokf.physics.holds import LINEAR
 from hygrokf.physics.parameters import within_limits
+from hygrokf.texts.parts import TIME_CONSTANTS
 
-TIME_CONSTANTS = ("thermal_time_constant", "hygric_k")
 SEARCH_DAYS = 30.0
 """[d] stretch of a long record on which starts and forms are tried first."""
 

@@ -30,7 +30,6 @@ from hygrokf.evaluation.scoring import bands, baselines, period_masks, readings_
 from hygrokf.evaluation.simulation import QUANTITIES, Prediction, free_run, measured, settled
 from hygrokf.identification.composition import nan_if_open
 from hygrokf.identification.estimation import (
-    TIME_CONSTANTS,
     Stage,
     assess_stage,
     estimate_design,
@@ -51,19 +50,11 @@ from hygrokf.identification.fit_results import (
 )
 from hygrokf.identification.time_constants import by_simulation, hygric_entry, thermal_entry
 from hygrokf.identification.verdict import with_verdicts
-from hygrokf.modelling.design import (
-    CASCADE,
-    FEWEST_READINGS,
-    JOINT,
-    PARTS,
-    Design,
-    design,
-    merged,
-    read_as,
-)
+from hygrokf.modelling.design import CASCADE, FEWEST_READINGS, JOINT, Design, design, merged, read_as
 from hygrokf.modelling.inputs import IDENTIFIED_ON, Run, model_inputs
 from hygrokf.physics.parameters import Parameter, Prior
 from hygrokf.texts.fit_codes import FitCode
+from hygrokf.texts.parts import PARTS, TIME_CONSTANTS
 from hygrokf.texts.statement import Statement, Value, unique
 from hygrokf.texts.wording import iso_time
 from hygrokf.version import __version__
@@ -311,7 +302,7 @@ def assemble_fit(
             stages, values, errors, by_free_run, {"thermal_time_constant": thermal, "hygric_k": moist}
         ),
         covariance=Covariance(*spread),
-        time_constants={n: e for n, e in (("thermal", thermal), ("hygric", moist)) if e is not None},
+        time_constants={n: e for n, e in zip(PARTS, (thermal, moist), strict=True) if e is not None},
         innovations=_diagnosis(run, series),
         identified_on=_identified_on(whole, run),
     )

@@ -39,8 +39,9 @@ from hygrokf.modelling.thermal_system import thermal_poles
 from hygrokf.physics.mechanisms.hygric import exchange_factor, hygric_time_constant
 from hygrokf.physics.mechanisms.thermal import STILL_K, small_signal
 from hygrokf.physics.signal_names import CABINET_TEMPERATURE
+from hygrokf.texts.parts import TIME_CONSTANTS
 
-THERMAL, HYGRIC = "thermal_time_constant", "hygric_k"
+THERMAL_TIME_CONSTANT, HYGRIC_TIME_CONSTANT = TIME_CONSTANTS
 OPEN_RATIO = 1e3
 """Ratio of the free run's bounds above which they are uninformative."""
 
@@ -58,9 +59,9 @@ def reference_temperatures(run: Run) -> tuple[float, float]:
 
 def thermal_entry(stage: Stage, simulated: Mapping[str, OutputError]) -> TimeConstant | None:
     """The thermal time constant of small changes at the median difference to the ambient, with R·C."""
-    if THERMAL not in stage.bounds:
+    if THERMAL_TIME_CONSTANT not in stage.bounds:
         return None
-    entry = _entry(stage, THERMAL, 1.0, simulated)
+    entry = _entry(stage, THERMAL_TIME_CONSTANT, 1.0, simulated)
     exponent = stage.estimate.values.get("convection_exponent", 0.0)
     quantiles = _differences_K(stage.run)
     range_h = None
@@ -78,11 +79,11 @@ def thermal_entry(stage: Stage, simulated: Mapping[str, OutputError]) -> TimeCon
 
 def hygric_entry(stage: Stage, simulated: Mapping[str, OutputError]) -> TimeConstant | None:
     """The hygric time constant R_D*·V* at the record's mean temperatures."""
-    if HYGRIC not in stage.bounds:
+    if HYGRIC_TIME_CONSTANT not in stage.bounds:
         return None
     cabinet, ambient = reference_temperatures(stage.run)
     scale = float(hygric_time_constant(1.0, cabinet, ambient))
-    entry = _entry(stage, HYGRIC, scale, simulated)
+    entry = _entry(stage, HYGRIC_TIME_CONSTANT, scale, simulated)
     readings = measured(stage.run)["temperature_K"]
     is_present = np.isfinite(readings)
     ambient_present = stage.run.timeline.input("ambient_temperature")[is_present]
@@ -90,7 +91,7 @@ def hygric_entry(stage: Stage, simulated: Mapping[str, OutputError]) -> TimeCons
     if is_present.any() and not _unbounded(entry):
         # the hygric time constant at an instant is the parameter divided by this product
         product = readings[is_present] * exchange_factor(ambient_present)
-        parameter = stage.estimate.values[HYGRIC]
+        parameter = stage.estimate.values[HYGRIC_TIME_CONSTANT]
         range_h = float(parameter / product.max()), float(parameter / product.min())
     return replace(
         entry,
@@ -118,14 +119,16 @@ def _resistance_capacity(stage: Stage, entry: TimeConstant, exponent: float) -> 
     small changes, with the exponent n of natural convection."""
     value = entry.value_h * (1.0 + exponent)
     sources = {step.source: step.sd_ln**2 for step in entry.composition[1:] if step.source != "forms"}
-    variance = _variance(stage, THERMAL)
+    variance = _variance(stage, THERMAL_TIME_CONSTANT)
     if stage.forms:
         forms = []
         for form in stage.forms:
             n = form.estimate.values.get("convection_exponent", 0.0)
-            spread = form.variance({THERMAL: 1.0, "convection_exponent": 1.0 / (1.0 + n)})
+            spread = form.variance({THERMAL_TIME_CONSTANT: 1.0, "convection_exponent": 1.0 / (1.0 + n)})
             forms.append(
-                AlternativeEstimate(math.log(form.estimate.values[THERMAL] * (1.0 + n)), spread, form.weight)
+                AlternativeEstimate(
+                    math.log(form.estimate.values[THERMAL_TIME_CONSTANT] * (1.0 + n)), spread, form.weight
+                )
             )
         if exponent > 0:
             variance = max(variance, max(forms, key=lambda form: form.weight).variance)
@@ -133,7 +136,7 @@ def _resistance_capacity(stage: Stage, entry: TimeConstant, exponent: float) -> 
     if _unbounded(entry):
         return Interval(value, 0.0)
     ends = ANY_CONSTANT.around(value, normal_quantile(entry.level) * math.sqrt(variance))
-    last = compose_interval(value, ends, entry.level, sources, _resolved(stage, THERMAL))[-1]
+    last = compose_interval(value, ends, entry.level, sources, _resolved(stage, THERMAL_TIME_CONSTANT))[-1]
     return Interval(value, last.lower_h, last.upper_h)
 
 
@@ -161,7 +164,7 @@ def _resolved(stage: Stage, name: str) -> Resolved:
     """The range of time constants [h] that a stage's readings resolve: from a tenth of their median step to
     ten times their length."""
     t = stage.run.timeline
-    output = CABINET_TEMPERATURE if name == THERMAL else stage.base.humidity
+    output = CABINET_TEMPERATURE if name == THERMAL_TIME_CONSTANT else stage.base.humidity
     steps = np.diff(t.time[np.isfinite(t.reading(output))]) if output in t.outputs else t.time[:0]
     shortest = 0.1 * float(np.median(steps)) if len(steps) else 0.0
     return Resolved(shortest, 10.0 * float(t.time[-1] - t.time[0]))

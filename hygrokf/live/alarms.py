@@ -27,9 +27,9 @@ from hygrokf.live.plan import Need
 from hygrokf.live.properties import MOIST, TrackedState, relative_shift
 from hygrokf.live.sources.stream import Reach
 from hygrokf.live.tracker import SAME_S, TrackedCourse
-from hygrokf.modelling.design import PARTS
 from hygrokf.physics.signal_names import CABINET_RELATIVE_HUMIDITY
 from hygrokf.texts.live_codes import AlarmCode, CauseCode
+from hygrokf.texts.parts import PARTS
 from hygrokf.texts.statement import Statement
 
 ESTIMATES, SHIFTS, INNOVATION_KIND = "estimates", "shifts", "innovations"

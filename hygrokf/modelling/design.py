@@ -47,8 +47,6 @@ BOUND = 4.0
 16,000 readings."""
 FEWEST_READINGS = 50
 """Fewest readings of a signal that is used in an identification."""
-PARTS = ("thermal", "hygric")
-"""The two networks of a model."""
 JOINT = "joint"
 CASCADE = "cascade"
 

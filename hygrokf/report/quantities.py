@@ -14,6 +14,7 @@ from functools import partial
 from hygrokf.data.record import Site
 from hygrokf.identification.fit_results import ParameterRow
 from hygrokf.physics.psychrometrics import ZERO_CELSIUS_K
+from hygrokf.texts.parts import BOTH_PARTS
 from hygrokf.texts.wording import (
     MOST_DECIMALS,
     NONE,
@@ -76,10 +77,7 @@ class QuantityTerms:
 LEVEL_UNITS = {"temperature_K": ("°C", ZERO_CELSIUS_K)}
 """Unit and zero of levels, where they are not those of the errors."""
 NAMED_QUANTITY = {
-    "temperature": "temperature_K",
-    "humidity": "absolute_humidity_g_m3",
-    "vapour": "absolute_humidity_g_m3",
-    "absolute_humidity": "absolute_humidity_g_m3",
+    name: part.scored for part in BOTH_PARTS for name in (part.output, part.balance, part.series)
 }
 """Quantity of series, of residuals or of a search → scored quantity."""
 COLDEST_K = 150.0

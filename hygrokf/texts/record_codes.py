@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
+from hygrokf.texts.parts import PARTS
 from hygrokf.texts.statement import Code, Statement
 
-TOUCHES_THERMAL, TOUCHES_HYGRIC, TOUCHES_BOTH, TOUCHES_NEITHER = (
-    ("thermal",),
-    ("hygric",),
-    ("thermal", "hygric"),
-    (),
-)
+TOUCHES_THERMAL, TOUCHES_HYGRIC, TOUCHES_BOTH, TOUCHES_NEITHER = PARTS[:1], PARTS[1:], PARTS, PARTS[:0]
 """Time constants that a doubt touches."""
 TOUCHED_BY_SIGNAL = None
 """Those that depend on the doubt's signal."""

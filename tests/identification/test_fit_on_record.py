@@ -25,7 +25,7 @@ from hygrokf.data.structured import plain, structured
 from hygrokf.estimation.inference import confidence_intervals
 from hygrokf.estimation.smoother import smoothed_states
 from hygrokf.evaluation.prediction import forecast, innovations, simulate, smooth
-from hygrokf.evaluation.scoring import REGIMES, SCORED
+from hygrokf.evaluation.scoring import REGIMES
 from hygrokf.evaluation.simulation import Prediction, forecasts, free_run, measured, settled
 from hygrokf.identification import fit_on_record
 from hygrokf.identification.fit import Fit
@@ -44,6 +44,7 @@ from hygrokf.modelling.inputs import Run, model_inputs
 from hygrokf.report.blocks import Table
 from hygrokf.report.fit_tables import evaluation_blocks, evaluation_text
 from hygrokf.texts.fit_codes import FitCode
+from hygrokf.texts.parts import SCORED
 from hygrokf.texts.wording import NONE, QUANTITY_NAMES, RULE_NAMES
 
 HOUR = 3600.0

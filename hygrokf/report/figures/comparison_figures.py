@@ -11,7 +11,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hygrokf.data.timestamps import DAY_S, WEEK_S
-from hygrokf.evaluation.scoring import SCORED
 from hygrokf.fleet.outliers import INTERVAL_SD, Scatter
 from hygrokf.identification.turbine_type import TurbineType
 from hygrokf.report.figures.drawing import (
@@ -39,6 +38,7 @@ from hygrokf.report.figures.panels import (
     strokes,
 )
 from hygrokf.report.quantities import quantity, spoken
+from hygrokf.texts.parts import SCORED
 from hygrokf.transfer.comparison import ComparisonResults
 from hygrokf.transfer.transfer_results import RecordCourse, TransferResult
 from hygrokf.transfer.transferability import MATERIAL_DIFFERENCE

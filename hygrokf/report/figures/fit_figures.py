@@ -63,11 +63,12 @@ from hygrokf.report.figures.panels import (
     strokes,
 )
 from hygrokf.report.quantities import spoken
+from hygrokf.texts.parts import PARTS
 from hygrokf.texts.wording import one_line, p_equation
 
 CHI_SQUARE_95 = 3.8415
 """95 % quantile of χ² with one degree of freedom."""
-PRODUCT = {"thermal": "(R_AT+R_IC)·C", "hygric": "R_D*·V*"}
+PRODUCT = dict(zip(PARTS, ("(R_AT+R_IC)·C", "R_D*·V*"), strict=True))
 """Symbols of the time constants."""
 CLOUD_POINTS = 500
 """Points of one cloud; more of them only hide each other."""

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hygrokf.evaluation.scoring import SCORED
 from hygrokf.report.figures.drawing import INK, MEASURED, RULE, SIMULATED_COLOUR, new_figure, styled
+from hygrokf.texts.parts import SCORED
 from validation.paper.models import CRITERIA, FREE_RUN, LIKELIHOOD
 from validation.paper.tables import SPREAD, UNITS, WORDS, published_total, totals
 
