@@ -13,7 +13,6 @@ from typing import Literal
 from hygrokf.data.files import REPORT, TRANSFER, TRANSFER_SERIES, TYPE, write_text_whole
 from hygrokf.data.record import least_measured
 from hygrokf.data.result_file import read_result, result_text
-from hygrokf.evaluation.scoring import SCORED
 from hygrokf.identification.fit import write_fit
 from hygrokf.identification.turbine_type import TurbineType, write_type
 from hygrokf.report.blocks import (
@@ -42,8 +41,10 @@ from hygrokf.report.figures.comparison_figures import (
     figure_type,
 )
 from hygrokf.report.fit_page import write_report
+from hygrokf.report.fit_tables import RegimeRow, regimes_table
 from hygrokf.report.page import page_html
 from hygrokf.report.quantities import interval, quantity, versions
+from hygrokf.texts.parts import SCORED
 from hygrokf.texts.transfer_codes import TransferVerdict
 from hygrokf.texts.wording import NONE, fixed, p_value, percent, plain_number, sentence
 from hygrokf.transfer.transfer_results import (
@@ -255,19 +256,12 @@ def errors_tables(one: TransferResult) -> tuple[Table, ...]:
     where = "held out" if held_out else "identification period: nothing is held out"
     tables = []
     for scored, by_set in one.rmse.items():
-        rows = []
+        rows: list[RegimeRow] = []
         for name in (n for n in SET_LABELS if n in by_set):
             row = by_set[name]
-            bounds = NONE if row.bounds is None else interval(*row.bounds)
-            numbers = (fixed(v) for v in (row.operation, row.standstill, row.total))
-            rows.append((SET_LABELS[name], *numbers, bounds, str(row.n.total)))
-        tables.append(
-            Table(
-                f"{quantity(scored).rmse}, {where}",
-                ("", "operation", "standstill", "total", "total, 95 %", "n"),
-                tuple(rows),
-            )
-        )
+            values = (row.operation, row.standstill, row.total)
+            rows.append(((SET_LABELS[name],), values, row.bounds, row.n.total))
+        tables.append(regimes_table(f"{quantity(scored).rmse}, {where}", rows))
     return tuple(tables)
 
 
