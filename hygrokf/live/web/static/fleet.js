@@ -3,7 +3,8 @@
 import { areOld, sparkline } from "./spark.js";
 import { Fault, ask } from "./server.js";
 import {
-  CONDENSATION, FRESH_S, age, celsius, chance, clock, fixed, kelvin, make, near, percent, say, span, timeOf, whole, withTimes,
+  CONDENSATION, FRESH_S, age, celsius, chance, clock, fixed, kelvin, make, near, percent, say, span, timeOf, whole,
+  withTimes,
 } from "./text.js";
 
 const COLUMNS = [
