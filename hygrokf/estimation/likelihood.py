@@ -25,7 +25,7 @@ from hygrokf.engine.information import summed
 from hygrokf.engine.llvm_writer import LANES
 from hygrokf.engine.packing import pack, trace_width, unpack
 from hygrokf.engine.schedule import (
-    TOLERANCE,
+    STEP_TOLERANCE,
     Schedule,
     SubSteps,
     Unresolved,
@@ -87,7 +87,7 @@ class Likelihood:
     initial: str | Gaussian = "prior"
     diffuse_states: tuple[str, ...] = ()
     square_root: bool = False
-    tolerance: float = TOLERANCE
+    tolerance: float = STEP_TOLERANCE
     schedule: Schedule | None = None
 
     def __post_init__(self) -> None:

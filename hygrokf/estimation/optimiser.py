@@ -31,28 +31,28 @@ from hygrokf.physics.parameters import Coordinates, Parameter, expect_starts
 from hygrokf.texts.fit_codes import FitCode
 from hygrokf.texts.statement import Statement
 
-TOLERANCE = 1e-9
+CLIMB_TOLERANCE = 1e-9
 """A climb has converged when the next full step promises less than this much log-likelihood: the estimate is
 then within 5e-5 of its standard error."""
-NEAR = 1.0
+NEAR_GAIN = 1.0
 """Promised gain in log-likelihood below which the curvature follows the exact score."""
 SCORING_PASSES = 25
 """Passes of scoring after which the curvature follows the exact score at any distance: far from the maximum
 the expected information can mislead."""
 MAXIMUM_PASSES = 200
-ROUNDING = 1e-8
+LIKELIHOOD_ROUNDING = 1e-8
 """[1] share of the log-likelihood; smaller gains are computed from the score, because the difference of two
 values would be rounding."""
-BUDGET = 3_000.0
+MOST_FILTER_STEPS = 3_000.0
 """Filter steps per instant of the record after which a climb is stopped; the fit of the demo's cabinet takes
 at most 76."""
-SHARE = 1.0 / 30.0
+STEP_SHARE = 1.0 / 30.0
 """[1] share of a search range that counts as much as a step of 1 in a logarithm."""
-REACH = 1.5
+LEAST_BOX = 1.5
 """Least half width of the box of one step, in the coordinates' natural units."""
-AT_LIMIT = 1e-9
+LIMIT_DISTANCE = 1e-9
 """Distance within which a coordinate counts as being at a limit, in its natural unit."""
-BETTER = 0.1
+BETTER_GAIN = 0.1
 """Excess in log-likelihood by which another point shows that an estimate is not a maximum; climbs converge
 far below it."""
 INEXACT = 1e-3
@@ -221,8 +221,8 @@ def climb(
     objective: Objective,
     start: np.ndarray,
     passes: int = MAXIMUM_PASSES,
-    tolerance: float = TOLERANCE,
-    budget: float = BUDGET,
+    tolerance: float = CLIMB_TOLERANCE,
+    budget: float = MOST_FILTER_STEPS,
 ) -> Optimum:
     """A bounded climb from one start (d,), as the module's text describes.
 
@@ -262,13 +262,13 @@ def _climb(objective: _Metered, start: np.ndarray, passes: int, tolerance: float
         if count == passes:
             break
         was_small = promised < tolerance
-        is_far = promised > NEAR and count < SCORING_PASSES
+        is_far = promised > NEAR_GAIN and count < SCORING_PASSES
         for _ in range(25):
             step, promised = bounded_step(curvature, gradient, free, z, lower, upper, damping, reach)
             new, slope = (objective.value(z + step), gradient) if is_far else objective.score(z + step)
             gain = new - value
             if not is_far and math.isfinite(new):
-                if promised < ROUNDING * (1.0 + abs(value)):
+                if promised < LIKELIHOOD_ROUNDING * (1.0 + abs(value)):
                     gain = 0.5 * float((gradient + slope) @ step)
                 curvature = secant_update(curvature, step, gradient - slope)
             if gain > 0.05 * promised > 0.0:
@@ -302,12 +302,12 @@ def secant_update(curvature: np.ndarray, s: np.ndarray, y: np.ndarray) -> np.nda
 def natural_units(coordinates: Coordinates) -> np.ndarray:
     """Units (d,) in which steps of the coordinates compare: 1 of a logarithm, else a share of the search
     range's width, so that nothing depends on the parameters' units."""
-    return np.array([1.0 if p.positive else SHARE * (p.upper - p.lower) for p in coordinates.free])
+    return np.array([1.0 if p.positive else STEP_SHARE * (p.upper - p.lower) for p in coordinates.free])
 
 
 def reach_of(coordinates: Coordinates, z: np.ndarray) -> np.ndarray:
     """Half widths (d,) of the trust box of one step from z; wider far from the parameters' starts."""
-    return np.maximum(REACH * natural_units(coordinates), 0.5 * np.abs(z - coordinates.start()))
+    return np.maximum(LEAST_BOX * natural_units(coordinates), 0.5 * np.abs(z - coordinates.start()))
 
 
 def bounded_step(
@@ -441,8 +441,8 @@ def fit_mle(
     more_starts: Sequence[Mapping[str, float]] = (),
     search: AnyLikelihood | None = None,
     parents: Sequence[Estimate] = (),
-    budget: float = BUDGET,
-    tolerance: float = TOLERANCE,
+    budget: float = MOST_FILTER_STEPS,
+    tolerance: float = CLIMB_TOLERANCE,
 ) -> Estimate:
     """Maximum likelihood from several starts; other optima are reported too.
 
@@ -508,7 +508,7 @@ def fit_mle(
         if all(is_distinct(end, other) for other in optima):
             optima.append(end)
     least = least_objective(coordinates, parents)
-    if max(optimum.objective for optimum in optima) < least - BETTER:
+    if max(optimum.objective for optimum in optima) < least - BETTER_GAIN:
         optima += [climb(objective, z, tolerance=tolerance, budget=budget) for z in nested]
     return reject_below(least, estimate_of(likelihood, coordinates, optima))
 
@@ -534,7 +534,7 @@ def reject_below(least: float, estimate: Estimate) -> Estimate:
     """The estimate, marked as not converged where its objective is below `least`, a nested model's
     maximum."""
     deficit = least - estimate.objective
-    if not deficit > BETTER:
+    if not deficit > BETTER_GAIN:
         return estimate
     return replace(estimate, converged=False, message=FitCode.NESTED_MODEL_HIGHER(gain=deficit))
 
@@ -551,7 +551,7 @@ def estimate_of(likelihood: AnyLikelihood, coordinates: Coordinates, optima: lis
     optima = sorted(optima, key=lambda optimum: -optimum.objective)
     best = optima[0]
     values = coordinates.values(best.z)
-    near = AT_LIMIT * natural_units(coordinates)
+    near = LIMIT_DISTANCE * natural_units(coordinates)
     ends = (best.z <= coordinates.lower + near) | (best.z >= coordinates.upper - near)
     message = best.end if best.converged else FitCode.SEARCH_UNFINISHED(end=best.end)
     loglik, error = (
