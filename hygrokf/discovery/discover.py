@@ -61,9 +61,10 @@ from hygrokf.identification.fit import Fit
 from hygrokf.identification.fit_results import ParameterRow
 from hygrokf.identification.identify import expect_readings
 from hygrokf.modelling.causes.forms import Form, Setting, Settings, ground_of, possible
-from hygrokf.modelling.design import PARTS
 from hygrokf.modelling.library import LIBRARY, Library
+from hygrokf.physics.signal_names import CABINET_SIGNALS
 from hygrokf.physics.switches import CONTROLLED
+from hygrokf.texts.parts import PARTS
 from hygrokf.texts.reasons import ReasonCode
 from hygrokf.texts.statement import unique
 from hygrokf.version import __version__
@@ -398,7 +399,7 @@ def _saturated(record: Record) -> float:
 
 
 # -- the report of a cause -----------------------------------------------------------------------------------
-CONFIDENCE = (-1.26, 0.531, 0.00118)
+CONFIDENCE_WEIGHTS = (-1.26, 0.531, 0.00118)
 """Coefficients of the logistic confidence: constant, weight of ln of the evidence in days, weight of the lead
 in days."""
 
@@ -432,7 +433,7 @@ def confidence(in_days: float, lead: float) -> float:
     the lead over the best rival, in days."""
     from scipy.special import expit
 
-    constant, by_evidence, by_lead = CONFIDENCE
+    constant, by_evidence, by_lead = CONFIDENCE_WEIGHTS
     return float(expit(constant + by_evidence * math.log(max(in_days, 1.0)) + by_lead * lead))
 
 

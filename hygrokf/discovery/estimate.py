@@ -29,6 +29,7 @@ from hygrokf.discovery.error_model import (
 )
 from hygrokf.discovery.simulator import Simulator
 from hygrokf.physics.parameters import Parameter
+from hygrokf.texts.parts import BOTH_PARTS
 
 TIME_CONSTANT_OF = {"temperature": "thermal_time_constant", "vapour": "hygric_k"}
 """Quantity -> parameter that is the time constant [h] of its low pass."""

@@ -38,10 +38,11 @@ from hygrokf.discovery.estimate import (
 )
 from hygrokf.discovery.judgement import levelled
 from hygrokf.estimation.confidence import Uncertainty, wald_bounds
+from hygrokf.estimation.conventions import CONFIDENCE
 from hygrokf.estimation.likelihood import Likelihood, RatesFault
 from hygrokf.estimation.moments import DigitsFault
 from hygrokf.estimation.optimiser import Estimate, Objective, climb
-from hygrokf.identification.estimation import LEVEL, TIME_CONSTANTS, Stage
+from hygrokf.identification.estimation import Stage
 from hygrokf.identification.fit import Fit
 from hygrokf.identification.identify import Basis, assemble_fit
 from hygrokf.identification.needed_inputs import CHANCE, WithoutInput, alternatives
@@ -50,7 +51,9 @@ from hygrokf.identification.verdict import with_reasons, with_verdicts
 from hygrokf.modelling.design import CABINET_TEMPERATURE, CASCADE, Design
 from hygrokf.modelling.inputs import model_inputs
 from hygrokf.physics.parameters import Coordinates
+from hygrokf.physics.signal_names import CABINET_TEMPERATURE
 from hygrokf.texts.fit_codes import FitCode
+from hygrokf.texts.parts import TIME_CONSTANTS
 from hygrokf.texts.reasons import Reason
 
 Estimator = Literal["likelihood", "output-error"]
@@ -275,7 +278,7 @@ def _stage(early: PreparedRecord, base: Design, final: FinalSet, say: Progress) 
     )  # fmt: skip
     uncertainty = _uncertainty(final, coordinates)
     bounds = {
-        name: wald_bounds(estimate, uncertainty, name, LEVEL)
+        name: wald_bounds(estimate, uncertainty, name, CONFIDENCE)
         for name in TIME_CONSTANTS
         if name in coordinates.names
     }

@@ -38,6 +38,7 @@ from hygrokf.discovery.residuals import (
     root_mean_square,
     run_lengths,
 )
+from hygrokf.estimation.conventions import SIGNIFICANCE
 
 # -- score tests ---------------------------------------------------------------------------------------------
 SLOWER = 4.0

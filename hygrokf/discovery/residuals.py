@@ -20,6 +20,7 @@ from hygrokf.data.signals import SIGNALS
 from hygrokf.identification.fit import Fit
 from hygrokf.modelling.design import accuracy_of
 from hygrokf.physics.psychrometrics import absolute_humidity, absolute_humidity_slope_temperature
+from hygrokf.texts.parts import BOTH_PARTS
 
 Quantity = Literal["temperature", "humidity"]
 TEMPERATURE: Quantity = "temperature"

@@ -19,7 +19,8 @@ import numpy as np
 
 from hygrokf.data.ambient import AMBIENT_BRIDGE_H, at_times, bridge_h
 from hygrokf.data.input_paths import centred
-from hygrokf.data.prepared import PreparedRecord, prepare
+from hygrokf.data.prepared import VAPOUR, PreparedRecord, prepare
+from hygrokf.data.readings import SATURATED
 from hygrokf.data.record import Record, Series
 from hygrokf.data.shared_clocks import Shift, in_america
 from hygrokf.data.timestamps import HOUR_S, summer_time
@@ -36,6 +37,7 @@ from hygrokf.modelling.inputs import (
 )
 from hygrokf.physics.holds import LINEAR
 from hygrokf.physics.psychrometrics import absolute_humidity
+from hygrokf.physics.signal_names import CABINET_HUMIDITIES, CABINET_TEMPERATURE
 
 CELL_PARTS = 8
 """Number of parts of a cell, so that a change of the power in 10-minute means acts at most a minute early or

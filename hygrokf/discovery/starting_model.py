@@ -25,6 +25,7 @@ from hygrokf.identification.steady_state import heat_release_regression
 from hygrokf.modelling.causes.forms import AMBIENT_RELATIVE_HUMIDITY, MechanismSettings
 from hygrokf.modelling.design import CABINET_TEMPERATURE, CASCADE, Design, accuracy_of, design, extended
 from hygrokf.modelling.library import LIBRARY, Library
+from hygrokf.physics.signal_names import AMBIENT_RELATIVE_HUMIDITY, CABINET_TEMPERATURE
 
 GAIN_SD = 0.015
 """Standard deviation of the relative error of the ambient vapour that the sensors' accuracy allows."""

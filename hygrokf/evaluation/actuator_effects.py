@@ -12,14 +12,13 @@ import numpy as np
 from hygrokf.data.actuators import Actuator, actuators
 from hygrokf.data.structured import optional
 from hygrokf.estimation.confidence import normal_quantile
+from hygrokf.estimation.conventions import CONFIDENCE
 from hygrokf.evaluation.simulation import QUANTITIES, free_run
 from hygrokf.modelling.design import Design
 from hygrokf.modelling.inputs import Run
 from hygrokf.physics.parameters import Parameter
 from hygrokf.texts.statement import Statement
 from hygrokf.texts.terms import Name
-
-LEVEL = 0.95
 
 
 @dataclass(frozen=True)

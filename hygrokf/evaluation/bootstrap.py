@@ -18,6 +18,7 @@ import numpy as np
 
 from hygrokf.data.timestamps import HOUR_S
 from hygrokf.estimation.confidence import student_quantile
+from hygrokf.estimation.conventions import CONFIDENCE
 from hygrokf.estimation.serial_dependence import autocovariance
 
 LEVEL = 0.95
@@ -154,7 +155,7 @@ class Resampled:
         if self.blocks < FEWEST_DRAWN_BLOCKS:
             return None
         spread = float(np.std(draws)) * math.sqrt(self.blocks / (self.blocks - 1.0) / (1.0 - self.lost))
-        return student_quantile(LEVEL, self.blocks - 1.0) * spread
+        return student_quantile(CONFIDENCE, self.blocks - 1.0) * spread
 
 
 def resampled(

@@ -18,6 +18,7 @@ import numpy as np
 from hygrokf.data.record import Record
 from hygrokf.data.result_file import drawn
 from hygrokf.estimation.confidence import expect_level
+from hygrokf.estimation.conventions import CONFIDENCE
 from hygrokf.estimation.inference import operating_point
 from hygrokf.estimation.subject import Given, Source, Spread, is_fit, subject
 from hygrokf.modelling.thermal_system import thermal_system
@@ -125,7 +126,7 @@ def bode(
     given: Given | None = None,
     omega: np.ndarray | None = None,
     *,
-    level: float = 0.95,
+    level: float = CONFIDENCE,
     state: Mapping[str, float] | None = None,
     inputs: Mapping[str, float] | None = None,
 ) -> FrequencyResponse:
@@ -174,7 +175,7 @@ def step_response(
     given: Given | None = None,
     time_h: np.ndarray | None = None,
     *,
-    level: float = 0.95,
+    level: float = CONFIDENCE,
     state: Mapping[str, float] | None = None,
     inputs: Mapping[str, float] | None = None,
 ) -> StepResponse:

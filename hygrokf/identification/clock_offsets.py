@@ -29,6 +29,13 @@ from hygrokf.estimation.likelihood import Likelihood
 from hygrokf.estimation.optimiser import Estimate, Objective
 from hygrokf.modelling.design import CABINET_HUMIDITIES, CABINET_TEMPERATURE, Design
 from hygrokf.modelling.inputs import Run, model_inputs
+from hygrokf.physics.signal_names import (
+    ACTIVE_POWER,
+    AMBIENT_HUMIDITIES,
+    AMBIENT_TEMPERATURE,
+    CABINET_HUMIDITIES,
+    CABINET_TEMPERATURE,
+)
 from hygrokf.texts.terms import Source
 
 ONE_SYSTEM_S = 30.0

@@ -26,6 +26,7 @@ from dataclasses import dataclass
 
 from hygrokf.data.structured import optional
 from hygrokf.estimation.confidence import normal_quantile
+from hygrokf.estimation.conventions import CONFIDENCE
 from hygrokf.texts.terms import Name
 
 
@@ -106,7 +107,7 @@ def of_free_run(log_value: float, variance: float, free: AlternativeEstimate) ->
     difference, total_variance = free.log_value - log_value, variance + free.variance
     return (
         0.5 * (difference**2 - total_variance)
-        if difference**2 > normal_quantile(0.95) ** 2 * total_variance
+        if difference**2 > normal_quantile(CONFIDENCE) ** 2 * total_variance
         else 0.0
     )
 

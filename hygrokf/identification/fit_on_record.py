@@ -18,6 +18,7 @@ from hygrokf.identification.verdict_terms import Inherited
 from hygrokf.modelling.design import CABINET_HUMIDITIES, Design
 from hygrokf.modelling.inputs import Run
 from hygrokf.physics.psychrometrics import ZERO_CELSIUS_K
+from hygrokf.physics.signal_names import CABINET_HUMIDITIES
 from hygrokf.texts.fit_codes import FitCode
 from hygrokf.texts.statement import Statement
 from hygrokf.texts.terms import Instant, Name

@@ -17,7 +17,7 @@ from hygrokf.data.record import Provenance, Site
 from hygrokf.data.structured import optional
 from hygrokf.estimation.confidence import Limit
 from hygrokf.evaluation.actuator_effects import ActuatorEffect
-from hygrokf.evaluation.diagnosis import Diagnosis
+from hygrokf.evaluation.innovation_tests import Diagnosis
 from hygrokf.evaluation.scoring import Scored, Shares
 from hygrokf.identification.clock_offsets import ClockOffset
 from hygrokf.identification.composition import CompositionStep

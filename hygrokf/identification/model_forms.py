@@ -31,6 +31,7 @@ from hygrokf.modelling.design import CABINET_TEMPERATURE, Design, extended
 from hygrokf.modelling.inputs import Run
 from hygrokf.physics.mechanisms.thermal import STILL_K
 from hygrokf.physics.parameters import Coordinates
+from hygrokf.physics.signal_names import CABINET_TEMPERATURE
 
 BASE_FORM = "base"
 CONVECTION = "natural convection"

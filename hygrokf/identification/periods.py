@@ -17,6 +17,7 @@ from hygrokf.data.ambient import at_times
 from hygrokf.data.record import Record, Series
 from hygrokf.modelling.design import CABINET_TEMPERATURE, reading_step_h
 from hygrokf.physics.holds import LINEAR
+from hygrokf.physics.signal_names import ACTIVE_POWER, AMBIENT_TEMPERATURE, CABINET_TEMPERATURE
 
 AMBIENT_TEMPERATURE = "ambient_temperature"
 ACTIVE_POWER = "active_power"

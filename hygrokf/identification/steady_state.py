@@ -28,6 +28,7 @@ from hygrokf.identification.periods import (
 from hygrokf.modelling.design import CABINET_TEMPERATURE, power_scale, reading_step_h
 from hygrokf.physics.mechanisms.thermal import heat_release
 from hygrokf.physics.parameters import Parameter
+from hygrokf.physics.signal_names import ACTIVE_POWER, AMBIENT_TEMPERATURE, CABINET_TEMPERATURE
 from hygrokf.texts.fit_codes import FitCode
 from hygrokf.texts.statement import Statement
 

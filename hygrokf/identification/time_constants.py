@@ -12,6 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from hygrokf.estimation.confidence import Bounds, normal_quantile, parts_scale
+from hygrokf.estimation.conventions import CONFIDENCE
 from hygrokf.estimation.output_error import OutputError
 from hygrokf.evaluation.simulation import measured
 from hygrokf.identification.composition import (
@@ -23,7 +24,7 @@ from hygrokf.identification.composition import (
     of_free_run,
     of_parts,
 )
-from hygrokf.identification.estimation import LEVEL, Stage
+from hygrokf.identification.estimation import Stage
 from hygrokf.identification.fit_results import (
     FormEstimate,
     MeanTemperatures,
@@ -38,6 +39,8 @@ from hygrokf.modelling.inputs import Run
 from hygrokf.modelling.thermal_system import thermal_poles
 from hygrokf.physics.mechanisms.hygric import exchange_factor, hygric_time_constant
 from hygrokf.physics.mechanisms.thermal import STILL_K, small_signal
+from hygrokf.physics.signal_names import CABINET_TEMPERATURE
+from hygrokf.texts.parts import TIME_CONSTANTS
 
 THERMAL, HYGRIC = "thermal_time_constant", "hygric_k"
 OPEN_RATIO = 1e3
@@ -64,7 +67,7 @@ def thermal_entry(stage: Stage, simulated: Mapping[str, OutputError]) -> TimeCon
     """
     if THERMAL not in stage.bounds:
         return None
-    entry = _entry(stage, THERMAL, 1.0, simulated)
+    entry = _entry(stage, THERMAL_TIME_CONSTANT, 1.0, simulated)
     exponent = stage.estimate.values.get("convection_exponent", 0.0)
     quantiles = _differences_K(stage.run)
     range_h = None
@@ -89,7 +92,7 @@ def hygric_entry(stage: Stage, simulated: Mapping[str, OutputError]) -> TimeCons
         return None
     cabinet, ambient = reference_temperatures(stage.run)
     scale = float(hygric_time_constant(1.0, cabinet, ambient))
-    entry = _entry(stage, HYGRIC, scale, simulated)
+    entry = _entry(stage, HYGRIC_TIME_CONSTANT, scale, simulated)
     readings = measured(stage.run)["temperature_K"]
     is_present = np.isfinite(readings)
     ambient_present = stage.run.timeline.input("ambient_temperature")[is_present]
@@ -97,7 +100,7 @@ def hygric_entry(stage: Stage, simulated: Mapping[str, OutputError]) -> TimeCons
     if is_present.any() and not _unbounded(entry):
         # the hygric time constant at an instant is the parameter divided by this product
         product = readings[is_present] * exchange_factor(ambient_present)
-        parameter = stage.estimate.values[HYGRIC]
+        parameter = stage.estimate.values[HYGRIC_TIME_CONSTANT]
         range_h = float(parameter / product.max()), float(parameter / product.min())
     return replace(
         entry,
@@ -127,7 +130,7 @@ def _resistance_capacity(stage: Stage, entry: TimeConstant, exponent: float) -> 
     """
     value = entry.value_h * (1.0 + exponent)
     sources = {step.source: step.sd_ln**2 for step in entry.composition[1:] if step.source != "forms"}
-    variance = _variance(stage, THERMAL)
+    variance = _variance(stage, THERMAL_TIME_CONSTANT)
     if stage.forms:
         forms = []
         for form in stage.forms:

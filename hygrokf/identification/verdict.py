@@ -34,6 +34,7 @@ from hygrokf.identification.verdict_terms import (
 )
 from hygrokf.modelling.design import PARTS
 from hygrokf.texts.fit_codes import FitCode
+from hygrokf.texts.parts import BOTH_PARTS, PARTS
 from hygrokf.texts.reasons import CAUTION, REJECT, VERDICTS, Reason, ReasonCode, verdict_of, worst_first
 from hygrokf.texts.statement import Statement
 from hygrokf.texts.wording import BASELINES, QUANTITY_NAMES
@@ -76,7 +77,7 @@ PARTS_SCATTER = 2.0
 CREDIBLE = 0.1
 """[1] weight above which another form of the model is considered."""
 
-_OUTPUTS = {"thermal": "temperature", "hygric": "humidity"}
+_OUTPUTS = {part.name: part.output for part in BOTH_PARTS}
 
 
 # --- deciding --------------------------------------------------------------------------------

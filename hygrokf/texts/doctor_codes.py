@@ -11,7 +11,7 @@ from hygrokf.texts.wording import one_line
 OK: Final = "ok"
 DOUBT: Final = "doubt"
 FAULT: Final = "fault"
-LEVELS = (OK, DOUBT, FAULT)
+CHECK_LEVELS = (OK, DOUBT, FAULT)
 ASK_REBIRTH = 'publish the command "Node Control/Rebirth" to spBv1.0/GROUP/NCMD/NODE'
 """What to do where the tracker may not ask."""
 _COMPARE_PAYLOADS = "compare [mapping] and known_as of each [[turbine]] with the delivered payloads"
@@ -311,8 +311,8 @@ class ExaminedCode(Code):
 
 @dataclass(frozen=True)
 class Check(Statement):
-    """The result of one check: what it is `about`, its `level` (see `LEVELS`), and what to do unless it is
-    "ok"."""
+    """The result of one check: what it is `about`, its `level` (see `CHECK_LEVELS`), and what to do unless it
+    is "ok"."""
 
     about: str = ""
     level: str = OK
