@@ -46,27 +46,29 @@ from hygrokf.live.sources.postgres_source import PostgresForm
 from hygrokf.live.sources.sparkplug import MqttForm
 from hygrokf.live.sources.stream import SourceKeys, Stream
 from hygrokf.live.storage.postgres import SCHEMES, url_fault
-from hygrokf.live.turbines import STALE_S, Turbine
+from hygrokf.live.turbine import STALE_S, Turbine
 from hygrokf.live.web.page_settings import PAGE, PageSettings, page_settings
 from hygrokf.modelling.library import LIBRARY, Library
 from hygrokf.physics.holds import MEAN, PREVIOUS, hold_named
 
 PATHS = ("turbine", "time", "quality", "tag", "value")
+"""Keys of [mapping] that are paths in a payload."""
 ON_CHANGE = ("mqtt", "opc.tcp:")
-"""Beginnings of the URLs of sources that report a value when it changes."""
+"""Beginnings of the URLs of sources that report a value only when it changes."""
 SAMPLE = datetime.datetime(2026, 11, 23, 17, 48)
-"""A time whose parts differ, with which a form of stamps is tested."""
+"""A time whose parts all differ, to test whether a strptime format keeps all of them."""
 
 
 def texts(value: object) -> tuple[str, ...]:
-    """A list as texts.  Raises ValueError."""
+    """Convert a list to a tuple of texts.  Raises ValueError."""
     if not isinstance(value, list):
         raise ValueError(f"expected a list, found {value!r}")
     return tuple(str(item) for item in value)
 
 
 def _time_form(value: object) -> str:
-    """A strptime form that holds a date and a time to the minute; empty for ISO 8601.  Raises ValueError."""
+    """Check a strptime format, which must hold date and time to the minute; "" stands for ISO 8601.  Raises
+    ValueError."""
     if value in ("", EXCEL):
         return str(value)
     if isinstance(value, str):
@@ -88,12 +90,14 @@ class SignalForm(StatedSensor):
 
     field: str = entry_name()
     signal: Signal = setting(help="a signal of docs/reference/signals.md", read=stated_signal)
-    stamp: str = setting("instant", "an instant, or a position in the interval", choices=STAMPS)
-    interval_s: float = setting(0.0, "length averaged over", read=duration)
+    stamp: str = setting(
+        "instant", "what the time stamp marks: an instant, or a part of the interval", choices=STAMPS
+    )
+    interval_s: float = setting(0.0, "averaging interval of a mean", read=duration)
     hold: str | None = setting(None, HOLD_HELP, read=hold_named)
     longest_hold_s: float | None = setting(None, LONGEST_HELP, read=longest_hold, above=0.0)
     scale: float = setting(
-        1.0, "by which the number is multiplied", fits=bool, expected="a number other than 0"
+        1.0, "factor of the number in the payload", fits=bool, expected="a number other than 0"
     )
     offset: float = setting(0.0, "added to the scaled number [unit]")
 
@@ -110,7 +114,7 @@ class SignalForm(StatedSensor):
         return f'hold = "{self.hold}" with stamp = "{self.stamp}": a mean has both, "mean" and its stamp'
 
     def to_field(self) -> Field:
-        """The field of a payload."""
+        """Return the field of payloads that the row configures."""
         hold = self.hold or (MEAN if self.interval_s > 0 else self.signal.hold)
         form = SignalReporting(hold, self.interval_s, **self.settings, longest_hold_s=self.longest_hold_s)
         return Field(self.signal.name, self.unit, form, self.stamp, self.scale, self.offset, self.one or "")
@@ -120,23 +124,25 @@ class SignalForm(StatedSensor):
 class MappingForm:
     """The table [mapping]."""
 
-    format: str = setting(JSON, "of payloads that are not rows of a table", choices=FORMATS)
+    format: str = setting(JSON, "format of payloads that are texts, not rows of a table", choices=FORMATS)
     records: str = setting("", "path to the objects that hold the values")
     turbine: str = setting("turbine", "field with the turbine's name", empty=True)
     time: str = setting("time", "field with the time")
-    timezone: datetime.tzinfo | None = setting(None, "of stamps without an offset", read=zone_named)
-    time_format: str = setting("", "strptime form of stamps that are not ISO 8601", read=_time_form)
-    quality: str = setting("", "field with a quality")
-    vocabulary: QualityVocabulary = setting(UNSTATED, "of quality, or its good marks", read=stated_vocabulary)
+    timezone: datetime.tzinfo | None = setting(None, "time zone of stamps without an offset", read=zone_named)
+    time_format: str = setting("", "strptime format of stamps that are not ISO 8601", read=_time_form)
+    quality: str = setting("", "field with the quality of the values")
+    vocabulary: QualityVocabulary = setting(
+        UNSTATED, "vocabulary of the quality, or a list of its good marks", read=stated_vocabulary
+    )
     good: QualityVocabulary | None = setting(
         None, "marks of good quality, instead of a vocabulary", read=stated_vocabulary
     )
-    use_uncertain: bool = setting(True, "use readings of uncertain quality")
-    tag: str = setting("", "field with the name, where a record is one reading")
-    value: str = setting("", "field with the value, where a record is one reading")
-    tag_pattern: str = setting("", "of tags or, without tag, of the names of the fields")
-    decimal: str | None = setting(None, "mark of numbers in texts", choices=(".", ","))
-    signals: Mapping[str, SignalForm] = setting(dict, "fields that are signals")
+    use_uncertain: bool = setting(True, "whether readings of uncertain quality are used")
+    tag: str = setting("", "field with the name of the value, if each record is one reading")
+    value: str = setting("", "field with the value, if each record is one reading")
+    tag_pattern: str = setting("", "pattern of the tags or, without tag, of the names of the fields")
+    decimal: str | None = setting(None, "decimal mark of numbers in texts", choices=(".", ","))
+    signals: Mapping[str, SignalForm] = setting(dict, "field of a payload → its signal")
 
     @across("tag", "value")
     def one_reading(self) -> str | None:
@@ -178,7 +184,7 @@ class MappingForm:
             name_by_signal[row.signal.name] = name
 
     def to_mapping(self) -> PayloadMapping:
-        """The mapping, without rows that cannot be used and without turbines yet."""
+        """Return the mapping, without rows that have faults, and without turbines yet."""
         usable = {name: row for name, row in self.signals.items() if row.signal and not row.unit_of_signal()}
         zone = zone_in_header(self.time) if self.timezone is None else None
         return PayloadMapping(
@@ -201,9 +207,9 @@ class MappingForm:
 def source_mappings(
     common: MappingForm, stated: object, sources: Sequence[Mapping[str, object]], place: Place
 ) -> tuple[PayloadMapping, ...]:
-    """The mapping of each [[source]]: the common mapping, with keys replaced by those of [source.mapping].
+    """Return the mapping of each [[source]]: the common one, with keys replaced by those of [source.mapping].
 
-    stated: the common table as it stands in the file; `place` has its faults already.
+    common: the common table [mapping], whose faults `place` has already.  stated: the same as in the file.
     """
     common_faults = {_without_place(fault) for fault in place.faults}
     common_table = stated if isinstance(stated, Mapping) else {}
@@ -228,16 +234,15 @@ def source_mappings(
 
 
 def _without_place(fault: str) -> str:
-    """A fault of a mapping without the name of its table."""
+    """Return the message of a fault of a mapping without the name of its table."""
     return fault.partition("mapping")[2].lstrip("] ")
 
 
 def expect_one_place(
     mappings: Iterable[PayloadMapping], sources: Sequence[Mapping[str, Any]], place: Place
 ) -> None:
-    """Add a fault to `place` for each tag of a server or file that two [[source]] tables read as different
-    signals."""
-    first_readers: dict[tuple[str, ...], tuple[str, int]] = {}
+    """Report at `place` each tag of a server or file that two [[source]] tables read as different signals."""
+    first_readers: dict[tuple[str, ...], tuple[str, int]] = {}  # address -> meaning, number of the source
     for number, (mapping, source) in enumerate(zip(mappings, sources, strict=True)):
         nodes, topics = source.get("nodes"), source.get("topics")
         tags: dict[tuple[str, ...], str] = {}
@@ -264,7 +269,7 @@ def expect_one_place(
 def source_forms(
     mappings: Iterable[PayloadMapping], sources: Sequence[Mapping[str, object]], place: Place
 ) -> dict[str, SignalReporting]:
-    """Signal → how its sources report it; all sources but weather forecasts must report it alike.
+    """Return signal → how its sources report it; all sources except weather forecasts must report it alike.
 
     By default a switched signal of a source that reports changes is held while the source is connected.
     """
@@ -299,7 +304,7 @@ KINDS: Mapping[str, type[SourceKeys]] = {
     "postgresql": PostgresForm,
     "postgres": PostgresForm,
 }
-"""Scheme of a URL -> form of the table."""
+"""Scheme of a source's URL -> form of its [[source]] table."""
 
 
 class ConfigFault(FormFault):
@@ -324,8 +329,8 @@ class Config:
 def stream_of(
     table: Mapping[str, object], place: Place, folder: Path, mapping: PayloadMapping
 ) -> Stream | None:
-    """The stream of a `[[source]]` table, not connected or opened yet; None if the table has faults, which
-    are added to `place`.
+    """Return the stream of a `[[source]]` table, which is not connected yet; None if the table has faults,
+    which are reported at `place`.
 
     Paths are relative to `folder`.  With `weather = true` the source delivers weather forecasts.
     """
@@ -349,13 +354,15 @@ def stream_of(
 
 
 def _names(value: object) -> dict[str, str]:
+    """Check a table of texts.  Raises ValueError."""
     if not isinstance(value, dict) or not all(isinstance(name, str) for name in value.values()):
         raise ValueError(f'expected a table such as {{ TT101 = "Tcab" }}, found {value!r}')
     return value
 
 
 def store_url(value: object) -> str:
-    """The URL of a store, which messages do not show because it may hold a password.  Raises ValueError."""
+    """Check the URL of a store, which messages never show, because it may hold a password.  Raises
+    ValueError."""
     if not isinstance(value, str):
         raise ValueError(f"expected text in quotes, found {value!r}")
     fault = url_fault(value)
@@ -371,8 +378,13 @@ def store_url(value: object) -> str:
 class SurfaceForm:
     """The table cold_surface of a [[turbine]]."""
 
-    follows: float = setting(Surface().follows, "share of the cabinet air in it", least=0.0, most=1.0)
-    offset_K: float = setting(Surface().offset_K, "by which it is warmer")
+    follows: float = setting(
+        Surface().follows,
+        "share of the cabinet air's temperature [1]; the rest is ambient",
+        least=0.0,
+        most=1.0,
+    )
+    offset_K: float = setting(Surface().offset_K, "by how much it is warmer than this mean [K]")
 
 
 @dataclass(frozen=True)
@@ -395,18 +407,20 @@ class TurbineForm:
         fits=lambda name: len(name) <= 100 and name.isprintable(),
         expected="text of 1 to 100 printable characters",
     )
-    fit: str = setting(help="its model: fit.json, or the directory of it")
-    known_as: tuple[str, ...] | None = setting(None, "names that stand for it in payloads", read=texts)
+    fit: str = setting(help="its model: fit.json, or the directory with it")
+    known_as: tuple[str, ...] | None = setting(None, "names of the turbine in payloads", read=texts)
     names: Mapping[str, Any] = setting(
-        dict, "its own names of fields in payloads: NAME = FIELD of [mapping.signals]", read=_names
+        dict, "fields with other names in its payloads: NAME = FIELD of [mapping.signals]", read=_names
     )
     cold_surface: SurfaceForm = setting(SurfaceForm, "its coldest surface")
-    site: SiteForm | None = setting(None, "for models that read the sun")
-    rated_power_kW: float | None = setting(None, "of the turbine", above=0.0)
-    lateness_s: float | None = setting(None, "as in the file", read=duration)
-    humidity_limit: float = setting(LIMIT, "relative humidity that forecasts ask for", above=0.0, most=1.0)
+    site: SiteForm | None = setting(None, "its site, for models with solar radiation")
+    rated_power_kW: float | None = setting(None, "rated power of the turbine [kW]", above=0.0)
+    lateness_s: float | None = setting(None, "lateness of its readings, instead of the file's", read=duration)
+    humidity_limit: float = setting(
+        LIMIT, "relative humidity [1] whose exceedance is forecast", above=0.0, most=1.0
+    )
     stale_s: float = setting(
-        STALE_S, "age of stale data", read=duration, above=0.0, expected="longer than nothing"
+        STALE_S, "age above which data are stale", read=duration, above=0.0, expected="a duration above 0 s"
     )
 
 
@@ -414,7 +428,7 @@ _RATE = "a rate above 0 and at most 1 a day^0.5"
 WanderingForm = make_dataclass(
     "WanderingForm",
     [
-        (name, float | None, setting(None, "for a day^0.5", above=0.0, most=1.0, expected=_RATE))
+        (name, float | None, setting(None, "drift rate per day^0.5", above=0.0, most=1.0, expected=_RATE))
         for name in WANDERING
     ],
     frozen=True,
@@ -428,19 +442,21 @@ class TrackForm:
 
     store: str = setting("sqlite:live.db", "URL of the store", read=store_url)
     page: Any = setting(PAGE, "HOST:PORT, or a table")
-    lateness_s: float = setting(LATENESS_S, "of a reading behind the newest one", read=duration)
+    lateness_s: float = setting(
+        LATENESS_S, "how much older than the newest reading one may be", read=duration
+    )
     retention_s: float = setting(
         RETENTION_S,
-        "history that is kept",
+        "how long history is kept",
         read=duration,
         least=LEAST_RETENTION_S,
         expected="at least 7 d: a restart needs what was read before",
     )
     turbine: tuple[TurbineForm, ...] = setting((), "the turbines")
     mapping: MappingForm = setting(MappingForm, "how payloads are read")
-    source: tuple[Mapping[str, Any], ...] = setting((), "where payloads come from")
-    wandering: Mapping[str, Any] | None = setting(None, "what may change slowly")
-    notify: tuple[Mapping[str, Any], ...] = setting((), "who is told of alarms")
+    source: tuple[Mapping[str, Any], ...] = setting((), "sources of payloads")
+    wandering: Mapping[str, Any] | None = setting(None, "drift rates of the tracked properties")
+    notify: tuple[Mapping[str, Any], ...] = setting((), "channels for notices of alarms")
 
     @across("turbine")
     def any_turbine(self) -> Iterator[str]:
@@ -456,7 +472,7 @@ class TrackForm:
 def read_config(path: str | os.PathLike[str], library: Library = LIBRARY) -> Config:
     """Read a tracker's file; paths in it are relative to its folder.  Raises ConfigFault.
 
-    library: with the mechanisms of the models.
+    library: of the mechanisms that the models may contain.
     """
     file = Path(path)
     text, stated = read_toml(file, ConfigFault)
@@ -473,9 +489,8 @@ def read_config(path: str | os.PathLike[str], library: Library = LIBRARY) -> Con
     for number, (table, layout) in enumerate(zip(form.source, mappings, strict=True)):
         source_place = place.inside("source", number)
         mapping = replace(layout, turbines=names, names=names_by_turbine)
-        stream = stream_of(
-            {k: v for k, v in table.items() if k != "mapping"}, source_place, file.parent, mapping
-        )
+        source_keys = {key: value for key, value in table.items() if key != "mapping"}
+        stream = stream_of(source_keys, source_place, file.parent, mapping)
         if stream is None:
             continue
         if stream.url in [other.url for other in streams]:
@@ -492,6 +507,7 @@ def read_config(path: str | os.PathLike[str], library: Library = LIBRARY) -> Con
 
 
 def _channels(form: TrackForm, folder: Path, place: Place) -> tuple[Channel, ...]:
+    """Return the channels of the [[notify]] tables; report faults at `place`."""
     channels: list[Channel] = []
     turbines = [turbine.name for turbine in form.turbine]
     for number, table in enumerate(form.notify):
@@ -507,7 +523,7 @@ def _channels(form: TrackForm, folder: Path, place: Place) -> tuple[Channel, ...
 def _own_names(
     turbines: Sequence[TurbineForm], fields: Collection[str], place: Place
 ) -> dict[str, dict[str, str]]:
-    """Turbine → its own names of fields; a field that no mapping has is a fault."""
+    """Return turbine → its own names of fields; report a field that no mapping has at `place`."""
     for number, turbine in enumerate(turbines):
         for name, field_ in turbine.names.items():
             if field_ not in fields:
@@ -521,7 +537,10 @@ def _own_names(
 def _turbines(
     form: TrackForm, folder: Path, forms: Mapping[str, SignalReporting], place: Place, library: Library
 ) -> tuple[dict[str, Turbine], dict[str, str]]:
-    """Turbines by name, and the turbine of each name that stands for a turbine in payloads."""
+    """Return name → turbine, and name in payloads → name of the turbine; report faults at `place`.
+
+    forms: signal → how its sources report it.
+    """
     rates = None
     if form.wandering is not None:
         stated = vars(read_form(WanderingForm, form.wandering, place.inside("wandering")))
@@ -557,10 +576,10 @@ def _turbines(
 
 
 def read_turbine(path: Path, place: Place, library: Library, **options: Any) -> Turbine | None:
-    """A turbine with the model in a file or folder; None if the model cannot be used, with a fault in
+    """Return a turbine with the model in a file or folder; None if the model cannot be used, with a fault at
     `place`.
 
-    library: with the mechanisms of the model.  options: of `plan`.
+    library: of the mechanisms that the model may contain.  options: arguments of `plan`.
     """
     try:
         fit = read_fit(path, library=library)
@@ -573,6 +592,6 @@ def read_turbine(path: Path, place: Place, library: Library, **options: Any) -> 
 
 
 def turbine_of(fit: Fit, plan_: Plan) -> Turbine:
-    """A turbine tracked by a plan, with standard errors and verdicts of the plan's fit."""
+    """Return a turbine that is tracked by a plan, with standard errors and verdicts of the plan's fit."""
     errors, verdicts = standard_errors(fit), inherited(fit.results)
     return Turbine(plan_, errors=errors, verdicts=verdicts, heating_sd_K=heating_sd(fit))

@@ -127,9 +127,7 @@ def looked(folder: Path, wait_s: float = 0.3, with_page: bool = False) -> list[C
 def said(checks: list[Check], level: str, words: str, remedy: str = "") -> Check:
     """The one check of this level that says so; every one that is not fine says what to do."""
     assert all(bool(one.remedy) == (one.level != "ok") for one in checks), checks
-    found = [
-        c for c in checks if c.level == level and words in f"{c.about}: {c.text}" and remedy in c.remedy
-    ]
+    found = [c for c in checks if c.level == level and words in f"{c.about}: {c.text}" and remedy in c.remedy]
     assert len(found) == 1, "\n".join(map(str, checks))
     return found[0]
 
@@ -409,7 +407,7 @@ def test_turbines_of_the_store_and_of_the_file(folder: Path) -> None:
     text = 'name = "T07"\nfit = "T07"\n'
     changed(folder, (text, text.replace('name = "T07"', 'name = "T08"')))
     found = looked(folder)
-    said(found, "doubt", "no process tracks T07", "add a [[turbine]]")
+    said(found, "doubt", "it contains T07, which no process tracks", "add a [[turbine]]")
     said(found, "doubt", "it does not contain T08 yet", "name a new store")
     said(found, "doubt", "it has no estimate yet", "start the tracker")
     said(found, "doubt", "no reading of T08", "known_as")

@@ -38,7 +38,7 @@ from hygrokf.live.notification.transports import Mail, Webhook, secret_bytes
 from hygrokf.live.sources.local import Playback, record_mapping, record_messages
 from hygrokf.live.storage.store import Store, StoreFault, open_store
 from hygrokf.live.tracking import track
-from hygrokf.live.turbines import Turbine
+from hygrokf.live.turbine import Turbine
 from hygrokf.texts.doctor_codes import Check
 from hygrokf.texts.live_codes import NoticeCode
 from hygrokf.texts.statement import Code, Statement
@@ -261,16 +261,16 @@ def test_an_accepted_message_is_not_sent_again_when_the_store_fails(
         real(*given)
 
     monkeypatch.setattr(outbox, "mark_sent", mark)
-    sender._pass()
-    sender._pass()
+    sender._send_and_recover()
+    sender._send_and_recover()
     assert outbox.channel_states(store)["ops"].waiting == 1
     again = Sender(channel, url)  # as after a crash before the commit
-    again._pass()
+    again._send_and_recover()
     assert channel.messages[0] == channel.messages[1]
     again._close()
     del channel.messages[1:]
     fails[0] = False
-    sender._pass()
+    sender._send_and_recover()
     assert all_sent(store) and len(channel.messages) == 1
     sender._close()
     store.close()

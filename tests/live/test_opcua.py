@@ -40,7 +40,7 @@ from hygrokf.live.sources.opcua_form import Node, Server
 from hygrokf.live.sources.payload import Field, PayloadMapping
 from hygrokf.live.sources.stream import BackOff, SourceFault, SourceKeys
 from hygrokf.live.storage.store import open_store
-from hygrokf.live.turbines import Turbine
+from hygrokf.live.turbine import Turbine
 
 pytest.importorskip("asyncua", reason="asyncua is not installed: pip install 'hygrokf[test]'")
 
@@ -292,9 +292,9 @@ def test_samples_of_data_values() -> None:
         return sample_of(node, ua.DataValue(ua.Variant(value), ua.StatusCode(status), **stamps), T0 + 9.0)
 
     both = sample(SourceTimestamp=then, ServerTimestamp=then + timedelta(seconds=5))
-    assert (both.time, both.quality, both.word, both.overflowed) == (T0, "good", "Good", False)
-    assert both.served == T0 + 5.0  # by which corrected values are ordered
-    assert sample(ServerTimestamp=then).time == T0 and math.isnan(sample(SourceTimestamp=then).served)
+    assert (both.time, both.quality, both.status, both.overflowed) == (T0, "good", "Good", False)
+    assert both.server_time == T0 + 5.0  # by which corrected values are ordered
+    assert sample(ServerTimestamp=then).time == T0 and math.isnan(sample(SourceTimestamp=then).server_time)
     assert sample().time is None
     never = datetime(1601, 1, 1, tzinfo=UTC)
     assert sample(SourceTimestamp=never).time is None
@@ -759,9 +759,9 @@ def test_a_whole_table(papers: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         ({"user": "me", "password_file": "gone"}, "gone: No such file or directory"),
         ({"user": "me", "password_file": "empty"}, "expected one line, the password"),
         ({"user": "me", "password_env": "HYGROKF_NOT_THERE"}, "HYGROKF_NOT_THERE is not set"),
-        (AWAY, 'needs certificate, key, server_certificate; state security = "none"'),
+        (AWAY, 'needs certificate, key, server_certificate, or state security = "none"'),
         ({**AWAY, "security": "none", "user": "me", "password_file": "password"},
-            "it would be sent readable"),
+            "otherwise it is sent unencrypted"),
     ],
 )  # fmt: skip
 def test_what_is_wrong_in_the_table_is_told(papers: Path, changes: dict, said: str) -> None:

@@ -129,7 +129,7 @@ def test_a_whole_file(folder: Path) -> None:
         (('quality = "q"', 'tag = "tag"'), "tag and value belong together"),
         (('url = "file:live.csv"', 'url = "kafka://x"'), "url must begin with one of"),
         (('url = "file:live.csv"', 'url = "file:none.csv"\nspeed = 2'),
-            "a file that is played back must be there"),
+            "a file that is played back must exist at the start"),
         (('url = "file:live.csv"', 'url = "file:live.csv"\nrepeated = 0.1'),
             "late and repeated need a speed"),
         (('url = "file:live.csv"', 'url = "file:live.csv"\nfollow = "no"'), "follow must be true or false"),

@@ -50,7 +50,7 @@ class PageSettings:
 
     @property
     def place(self) -> str:
-        """The address in the form of the tracker's file."""
+        """The address as in the tracker's file: HOST:PORT or unix:PATH."""
         return f"{UNIX}{self.unix}" if self.unix else f"{bracketed(self.host)}:{self.port}"
 
     @property
@@ -67,11 +67,13 @@ class PageForm:
     REFUSED: ClassVar = {"certificate": NO_TLS, "key": NO_TLS}
     address: str = setting(PAGE, "HOST:PORT or unix:PATH")
     hosts: tuple[str, ...] = setting(
-        (), "further names that browsers ask for", expected='a list of names such as ["farm.example"]'
+        (),
+        "further host names by which browsers reach the page",
+        expected='a list of names such as ["farm.example"]',
     )
     token_file: str = setting("", "file with the token")
-    token_env: str = setting("", "variable of the environment with the token")
-    behind_proxy: bool = setting(False, "requests come through a proxy that does TLS")
+    token_env: str = setting("", "environment variable with the token")
+    behind_proxy: bool = setting(False, "whether requests come through a proxy that provides TLS")
 
     @across("address")
     def host_and_port(self) -> str | None:
@@ -86,7 +88,7 @@ class PageForm:
 
 
 def page_settings(value: object, folder: Path, place: Place) -> PageSettings:
-    """The page's settings from `page = "HOST:PORT"` or a table [page]; faults are added to `place`.
+    """Return the page's settings from `page = "HOST:PORT"` or a table [page]; faults are reported at `place`.
 
     Paths are relative to `folder`.  An address that other machines can reach needs a proxy, and a proxy needs
     a token.
@@ -112,7 +114,7 @@ def page_settings(value: object, folder: Path, place: Place) -> PageSettings:
 
 
 def address(text: str) -> tuple[str, int] | None:
-    """Host and port of a text `HOST:PORT`; None for any other text."""
+    """Return host and port of a text `HOST:PORT`; None for any other text."""
     host, _, port = text.rpartition(":")
     if not host or not port.isdecimal() or not 0 <= int(port) < 65536:
         return None
@@ -120,7 +122,7 @@ def address(text: str) -> tuple[str, int] | None:
 
 
 def _token(form: PageForm, folder: Path, place: Place) -> str:
-    """The token from its file or environment variable; no message contains it."""
+    """Return the token from its file or environment variable, "" without one; no message contains it."""
     if form.token_file and form.token_env:
         return ""
     try:
