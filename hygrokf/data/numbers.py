@@ -96,7 +96,7 @@ def value_in(text: str, marks: Marks = POINT, meaning: Meaning = UNKNOWN) -> flo
     unit = unit_named(measure[2]) if measure is not None else None
     number = number_in(measure[1], marks) if measure is not None and unit is not None else None
     if number is None or unit is None or not meaning.unit:
-        raise Unread("no number", f"{shown} is no number")
+        raise Unread("no number", f"{shown} is not a number")
     given, stated = UNITS[unit], UNITS[meaning.unit]
     if (given.dimension, given.offset) != (stated.dimension, stated.offset):
         raise Unread("other unit", f"{shown} is in {unit}, not in {meaning.unit} as stated")

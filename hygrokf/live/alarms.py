@@ -150,8 +150,13 @@ def _judge_level(
     ended."""
     rule, alarm = RULES[level.kind], before.alarm
     severity = "alarm" if level.level >= rule.severe else level.severity or rule.severity
-    is_past = level.level >= rule.on if alarm is None else level.level < rule.off and now >= alarm.began
-    since = None if not is_past else now if before.since is None else min(now, before.since)
+    if alarm is None:
+        is_past_threshold = level.level >= rule.on
+    else:
+        is_past_threshold = level.level < rule.off and now >= alarm.began
+    since = None
+    if is_past_threshold:
+        since = now if before.since is None else min(now, before.since)
     if since is not None and now - since >= rule.hold_s:
         if alarm is not None:
             return AlarmState(level.kind), replace(alarm, ended=since)

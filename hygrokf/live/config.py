@@ -105,13 +105,15 @@ class SignalForm(StatedSensor):
     def mean(self) -> str | None:
         if (self.stamp == "instant") == (self.interval_s == 0.0):
             return None
-        return 'a mean needs both, stamp = "start", "middle" or "end" and its interval'
+        return 'a mean needs both: stamp = "start", "middle" or "end", and interval'
 
     @across("hold", "stamp", "interval")
     def hold_of_stamp(self) -> str | None:
         if self.hold is None or (self.hold == MEAN) == (self.stamp != "instant"):
             return None
-        return f'hold = "{self.hold}" with stamp = "{self.stamp}": a mean has both, "mean" and its stamp'
+        return (
+            f'hold = "{self.hold}" contradicts stamp = "{self.stamp}": a mean needs hold = "mean" and a stamp'
+        )
 
     def to_field(self) -> Field:
         """Return the field of payloads that the row configures."""
@@ -148,7 +150,7 @@ class MappingForm:
     def one_reading(self) -> str | None:
         if bool(self.tag) == bool(self.value):
             return None
-        return "tag and value belong together: one reading a record needs both"
+        return "tag and value belong together: state both or neither"
 
     @across(*PATHS)
     def paths(self) -> Iterator[str]:
@@ -162,7 +164,7 @@ class MappingForm:
         steps = self.records.split(".")
         if not self.records or (all(steps) and "{" not in self.records):
             return None
-        return f'records: expected names with points between, "*" for every one, found {self.records!r}'
+        return f'records: expected names separated by points, "*" for any name, found {self.records!r}'
 
     @across("tag_pattern", "turbine")
     def pattern(self) -> str | None:
@@ -179,9 +181,10 @@ class MappingForm:
     def rows(self) -> Iterator[str]:
         name_by_signal: dict[str, str] = {}
         for name, row in self.signals.items():
-            if row.signal.name in name_by_signal:
-                yield f"{name} and {name_by_signal[row.signal.name]} are both {row.signal.name}"
-            name_by_signal[row.signal.name] = name
+            signal = row.signal.name
+            if signal in name_by_signal:
+                yield f"{name} and {name_by_signal[signal]} are both {signal}: keep one of them"
+            name_by_signal[signal] = name
 
     def to_mapping(self) -> PayloadMapping:
         """Return the mapping, without rows that have faults, and without turbines yet."""
@@ -262,7 +265,7 @@ def expect_one_place(
                 first_place = place.inside("source", first_number).at()
                 place.inside("source", number).fault(
                     f"{tag[-1]} of {address[0]} is {meaning} here and {first_meaning} in {first_place}: a "
-                    "tag has one place; name the right one alone"
+                    "tag has one meaning; keep the right one"
                 )
 
 
@@ -409,16 +412,12 @@ class TurbineForm:
     )
     fit: str = setting(help="its model: fit.json, or the directory with it")
     known_as: tuple[str, ...] | None = setting(None, "names of the turbine in payloads", read=texts)
-    names: Mapping[str, Any] = setting(
-        dict, "fields with other names in its payloads: NAME = FIELD of [mapping.signals]", read=_names
-    )
+    names: Mapping[str, Any] = setting(dict, "NAME in its payloads = FIELD of [mapping.signals]", read=_names)
     cold_surface: SurfaceForm = setting(SurfaceForm, "its coldest surface")
     site: SiteForm | None = setting(None, "its site, for models with solar radiation")
     rated_power_kW: float | None = setting(None, "rated power of the turbine [kW]", above=0.0)
     lateness_s: float | None = setting(None, "lateness of its readings, instead of the file's", read=duration)
-    humidity_limit: float = setting(
-        LIMIT, "relative humidity [1] whose exceedance is forecast", above=0.0, most=1.0
-    )
+    humidity_limit: float = setting(LIMIT, "limit of relative humidity in forecasts", above=0.0, most=1.0)
     stale_s: float = setting(
         STALE_S, "age above which data are stale", read=duration, above=0.0, expected="a duration above 0 s"
     )
@@ -494,7 +493,9 @@ def read_config(path: str | os.PathLike[str], library: Library = LIBRARY) -> Con
         if stream is None:
             continue
         if stream.url in [other.url for other in streams]:
-            source_place.fault(f"{stream.url} is a source already; two of one broker need a client_id each")
+            source_place.fault(
+                f"{stream.url} is already a source; several sources of one broker need different client_ids"
+            )
         streams.append(stream)
     channels = _channels(form, file.parent, place)
     page = page_settings(form.page, file.parent, place)
@@ -514,7 +515,7 @@ def _channels(form: TrackForm, folder: Path, place: Place) -> tuple[Channel, ...
         channel_place = place.inside("notify", number)
         channel = channel_of(table, channel_place, folder, turbines)
         if channel is not None and channel.name in [other.name for other in channels]:
-            channel_place.fault(f"a second channel named {channel.name!r}")
+            channel_place.fault(f"a second channel is named {channel.name!r}: names must differ")
         elif channel is not None:
             channels.append(channel)
     return tuple(channels)
@@ -550,10 +551,12 @@ def _turbines(
     for number, row in enumerate(form.turbine):
         turbine_place = place.inside("turbine", number)
         if row.name in turbines:
-            turbine_place.fault(f"a second turbine named {row.name!r}")
+            turbine_place.fault(f"a second turbine is named {row.name!r}: names must differ")
         for payload_name in (row.name,) if row.known_as is None else row.known_as:
             if turbine_by_name.setdefault(payload_name, row.name) != row.name:
-                turbine_place.fault(f"{payload_name!r} already stands for {turbine_by_name[payload_name]!r}")
+                turbine_place.fault(
+                    f"known_as: {payload_name!r} already stands for {turbine_by_name[payload_name]!r}"
+                )
         if not row.fit:
             continue
         turbine = read_turbine(

@@ -164,11 +164,11 @@ class Plan:
             required.append(AMBIENT_HUMIDITIES)
         if "cabinet_temperature" in inputs:
             required.append(("cabinet_temperature",))
-        optional = [
-            *((name,) for name in outputs if name in SIGNALS),
-            *((("active_power",),) if self.design.power_order or "operating" in inputs else ()),
-            *((("preheating",),) if "preheating" in inputs else ()),
-        ]
+        optional = [(name,) for name in outputs if name in SIGNALS]
+        if self.design.power_order or "operating" in inputs:
+            optional.append(("active_power",))
+        if "preheating" in inputs:
+            optional.append(("preheating",))
         return (
             *(Need(signals, True) for signals in dict.fromkeys(required)),
             *(Need(signals) for signals in dict.fromkeys(optional) if signals not in required),

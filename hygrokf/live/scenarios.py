@@ -453,19 +453,20 @@ def _operation_after_standstill(
     another time h with probability a/(a + h), with actuators as now (`steady`), and then the given day's
     operation follows.
     """
-    age_s, moments = _standstills(history, now_s)
+    age_s, earlier_times = _standstills(history, now_s)
     after_earlier = [
-        {name: values_at(history[name], time - now_s + moment) for name in steady} for moment in moments
+        {name: values_at(history[name], time - now_s + earlier_s) for name in steady}
+        for earlier_s in earlier_times
     ]
     after_earlier = [operation for operation in after_earlier if np.isfinite(operation["active_power"]).all()]
     cycle = len(after_earlier) + 1
-    unprecedented = math.ceil(len(given) / cycle)
+    unprecedented_count = math.ceil(len(given) / cycle)
     operations = []
     for i, day in enumerate(given):
         if i % cycle:
             operations.append(after_earlier[i % cycle - 1])
             continue
-        quantile = (i // cycle + 0.5) / unprecedented
+        quantile = (i // cycle + 0.5) / unprecedented_count
         stands_still = time <= now_s + age_s * (1.0 / quantile - 1.0)
         operations.append(
             {

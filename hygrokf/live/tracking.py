@@ -76,7 +76,9 @@ def track(
             for sender in senders:  # the store exists now
                 sender.start()
             for name, doubt in record_doubts(config.turbines):
-                LOG.warning("its model rests on a doubted record", extra={"turbine": name, "why": doubt})
+                LOG.warning(
+                    "the model was identified on a doubtful record", extra={"turbine": name, "why": doubt}
+                )
             begun(service, page)
 
         service.run(until_ended, begin)

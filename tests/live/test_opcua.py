@@ -741,7 +741,7 @@ def test_a_whole_table(papers: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         ({"publishing": "0s"}, "publishing must be within"),
         ({"sampling": "fast"}, "sampling: expected a duration"),
         ({"uncertain": "yes"}, "uncertain must be true or false"),
-        ({"security": "some"}, 'security must be "none" where it is stated'),
+        ({"security": "some"}, 'security must be "none", or left out'),
         ({**PAPERS, "security": "none"},
             'security = "none" contradicts certificate, key, server_certificate'),
         ({"certificate": "tracker.pem"}, "key, server_certificate missing"),

@@ -482,7 +482,7 @@ def test_two_queries_of_a_database_need_names(postgresql: Server, historian: str
     text = TRACK.format(url=postgresql.url(historian), watermark="id")
     source_ = text[text.index("[[source]]") :]
     (tmp_path / "track.toml").write_text(text + source_)
-    with pytest.raises(ConfigFault, match="is a source already"):
+    with pytest.raises(ConfigFault, match="is already a source"):
         read_config(tmp_path / "track.toml")
     (tmp_path / "track.toml").write_text(text + source_ + 'name = "second"\n')
     urls = [one.url for one in read_config(tmp_path / "track.toml").streams]

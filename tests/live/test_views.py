@@ -142,7 +142,7 @@ def test_health() -> None:
         },
         {
             "url": "tail", "state": "lost", "words": "", "heard": T0, "lag": 2.5, "not_reached": T0,
-            "ordered_by": "nothing: neither counts",
+            "ordered_by": "nothing: neither is used",
         },
     ]  # fmt: skip
 

@@ -219,7 +219,7 @@ class Sender:
         self._refusals = 0
         self._accepted.append((names, now))
         if self.failure:
-            LOG.info("notices pass again", extra={"channel": self.channel.name})
+            LOG.info("notices are sent again", extra={"channel": self.channel.name})
         self.failure = ""
         self._mark_accepted(store)
         return True
@@ -236,6 +236,6 @@ class Sender:
         reason = NoticeCode.GIVEN_UP(attempts=message.attempts, failure=self.failure)
         notices.drop(store, [(name, reason) for name in message.contents], time.time())
         LOG.error(
-            "a message was given up",
+            "a message was dropped after too many failures",
             extra={"channel": self.channel.name, "notices": len(message.contents), "reason": reason.text},
         )

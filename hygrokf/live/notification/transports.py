@@ -64,7 +64,7 @@ def _faults_of(where: str) -> Iterator[None]:
     except (smtplib.SMTPServerDisconnected, http.client.IncompleteRead, ConnectionResetError):
         raise ChannelFault(f"{where}: it closed the connection, or did not answer in time") from None
     except http.client.HTTPException as fault:
-        raise ChannelFault(f"{where}: its answer is no HTTP ({type(fault).__name__})") from None
+        raise ChannelFault(f"{where}: its answer is not HTTP ({type(fault).__name__})") from None
     except smtplib.SMTPException as fault:
         raise ChannelFault(f"{where}: {fault}") from None
     except (OSError, ValueError) as fault:
@@ -127,12 +127,12 @@ class Mail(PasswordKeys, Channel):
                 return None
         except SourceFault as fault:
             return str(fault)
-        return "user and password must be ASCII, as Python's SMTP client sends no other"
+        return "user and password must be ASCII: Python's SMTP client sends nothing else"
 
     @across("unencrypted", "url", "password_file", "password_env")
     def secured(self) -> Iterator[str]:
         if self.unencrypted and self.tls:
-            yield "unencrypted does not go with smtps://: keep one"
+            yield "unencrypted contradicts smtps://: keep one"
         if self.unencrypted and self.password.is_stated:
             yield "unencrypted: a password is only sent over TLS"
 

@@ -179,7 +179,7 @@ class Broker(UrlKeys, PasswordKeys, SourceKeys):
     def user_stated_once(self) -> str | None:
         if self.user is None or not self.address.user:
             return None
-        return "user stands in the url and as a key: keep one"
+        return "user is stated in the url and as a key: keep one"
 
     @across("password_file", "password_env", "user")
     def password_of_user(self) -> str | None:
@@ -190,7 +190,7 @@ class Broker(UrlKeys, PasswordKeys, SourceKeys):
     @across(*_TLS)
     def tls_files(self) -> Iterator[str]:
         if not self.tls and (tls_keys := [key for key in _TLS if getattr(self, key)]):
-            yield f"{', '.join(tls_keys)}: only with TLS; write mqtts:// or take this away"
+            yield f"{', '.join(tls_keys)}: only for TLS: write mqtts://, or remove these keys"
         if bool(self.certificate) != bool(self.key):
             yield "certificate and key belong together: both, or neither"
 
@@ -210,10 +210,10 @@ class Broker(UrlKeys, PasswordKeys, SourceKeys):
         for topic in self.topics if self.format == SPARKPLUG else ():
             levels = topic.split("/")
             if levels[0] == "$share":
-                yield f"topics: a share has gaps in the sequence of every edge node, found {topic!r}"
+                yield f"topics: a shared subscription misses messages of edge nodes, found {topic!r}"
             elif levels[0] != NAMESPACE or ("#" not in levels[1:3] and levels[2:3] != ["+"]):
                 yield (
-                    f"topics: births, data and deaths are needed: write {NAMESPACE}/GROUP/# or "
+                    f"topics: the filter must include births, data and deaths: write {NAMESPACE}/GROUP/# or "
                     f"{NAMESPACE}/GROUP/+/NODE/#, found {topic!r}"
                 )
 

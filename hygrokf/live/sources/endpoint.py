@@ -63,7 +63,7 @@ class UrlKeys:
         scheme, after_scheme = self.url.partition(":")[0], self.url.partition("://")[2]
         default_port, has_path = PORTS.get(scheme, 0), scheme in WITH_PATH
         expected = f"url must be {scheme}://" + (
-            "HOST[:PORT]/PATH" if has_path else "[USER@]HOST[:PORT] and no more"
+            "HOST[:PORT]/PATH" if has_path else "[USER@]HOST[:PORT] without a path"
         )
         login = (after_scheme.partition("/")[0] if has_path else after_scheme).rpartition("@")[0]
         if ":" in login:

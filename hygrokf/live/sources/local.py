@@ -94,7 +94,7 @@ class Lines:
                 raise csv.Error("it holds a NUL")
             cells = [cell.strip() for cell in next(csv.reader([text], delimiter=self._separator), [])]
         except csv.Error as fault:
-            return Unreadable("malformed", f"a row that is no CSV: {fault}")
+            return Unreadable("malformed", f"a row that is not valid CSV: {fault}")
         if not self.header:
             self.header = cells
         if cells == self.header:
@@ -391,7 +391,7 @@ class FileForm(SourceKeys):
         if RECEIVED in mapping.time:
             place.fault(
                 f'time = "{RECEIVED}" is for sources that send by themselves; rows of a file need a time: '
-                "state another time in its [source.mapping]"
+                "state the field with the time in its [source.mapping]"
             )
         path = self.folder / self.url.removeprefix("file:").removeprefix("//")
         if self.speed is None:

@@ -193,7 +193,7 @@ class Mqtt(Stream):
         """Publish the alarms that former links could not; called when the broker has accepted a link."""
         if self._had_session and not link.resumed:
             LOG.warning(
-                "the broker no longer has a session of this client_id: messages of the meantime are lost",
+                "the broker no longer has a session of this client_id: messages sent meanwhile are lost",
                 extra={"source": self.url},
             )
         self._had_session = True

@@ -344,4 +344,4 @@ def _check_nodes(nodes: Mapping[str, Node], mapping: PayloadMapping, place: Plac
             entry.fault(f"a field must not be named {node.field!r} here: rename it in [mapping.signals]")
         other = taken.setdefault((node.turbine, node.field), node_id)
         if other != node_id:
-            entry.fault(f"{other!r} already is {node.field} of {node.turbine}")
+            entry.fault(f"{other!r} is already {node.field} of {node.turbine}: remove one of them")

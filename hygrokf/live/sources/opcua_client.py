@@ -326,7 +326,7 @@ class Connection:
         if security is not None and not offered[configured].startswith(security.server_certificate):
             return (
                 "the server's certificate is not the one in server_certificate: find out whether it was "
-                "replaced, and state the new one only then"
+                "replaced; only then state the new one"
             )
         return ""
 

@@ -75,7 +75,7 @@ class Server(UrlKeys, PasswordKeys, SourceKeys):
         "",
         '"none" permits an unsecured connection to another host',
         fits="none".__eq__,
-        expected='"none" where it is stated',
+        expected='"none", or left out',
     )
     policy: str | None = setting(None, f"security policy, by default {POLICIES[0]}", choices=POLICIES)
     mode: str | None = setting(None, f"message security mode, by default {MODES[0]}", choices=MODES)
@@ -114,7 +114,7 @@ class Server(UrlKeys, PasswordKeys, SourceKeys):
     def security_not_contradicted(self) -> str | None:
         if self.security != "none" or not self.security_keys:
             return None
-        return f'security = "none" contradicts {", ".join(self.security_keys)}: leave out one or the other'
+        return f'security = "none" contradicts {", ".join(self.security_keys)}; remove one or the other'
 
     @across(*FILES)
     def files_complete(self) -> str | None:

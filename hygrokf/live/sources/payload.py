@@ -286,7 +286,7 @@ class PayloadMapping:
     def _read_record(self, record: PayloadRecord, result: ReadingsByTurbine) -> None:
         """Add the readings and rejections of a record.  Raises Refused if nothing of it can be used."""
         if not record.scopes:
-            raise Refused("malformed", "expected an object as a record, found something else")
+            raise Refused("malformed", "expected a JSON object as a record")
         if self.tag:
             self._read_tagged_value(record, result)
         elif self.read_tag is not None:
@@ -338,7 +338,7 @@ class PayloadMapping:
             if raw is not None and raw != "":
                 self._convert(record, name, raw, conversion, time, result[turbine])
         if not has_field:
-            reason = f"no field like {self.tag_pattern} is among {_names(record.scopes)}"
+            reason = f"no field matching {self.tag_pattern} is among {_names(record.scopes)}"
             raise Refused("no known field", reason)
 
     def _read_tagged_value(self, record: PayloadRecord, result: ReadingsByTurbine) -> None:
@@ -350,7 +350,7 @@ class PayloadMapping:
         if self.read_tag is not None:
             tag = self.read_tag(name)
             if tag is None:
-                raise Refused("unknown tag", f"tag {quoted(stated_tag)} is not like {self.tag_pattern}")
+                raise Refused("unknown tag", f"tag {quoted(stated_tag)} does not match {self.tag_pattern}")
             name, stated_turbine = tag.field, stated_turbine if tag.turbine is None else tag.turbine
         turbine = self._turbine(stated_turbine)
         time, target = self._time(record, turbine, name), result[turbine]
@@ -358,7 +358,9 @@ class PayloadMapping:
             return
         conversion = self.table(turbine).get(name)
         if conversion is None:
-            target.rejections.append(Rejection("unknown tag", f"tag {quoted(stated_tag)} is no field"))
+            target.rejections.append(
+                Rejection("unknown tag", f"tag {quoted(stated_tag)} is not a field of the mapping")
+            )
             return
         raw = self.readers["value"](inner)
         if raw is not None and raw != "":

@@ -112,7 +112,9 @@ def _walk(
     elif steps[index] in content:
         yield from _walk(content[steps[index]], steps, index + 1, (content, *around), name)
     else:
-        raise Refused("no records", f"there is no {steps[index]!r} of records = {'.'.join(steps)!r}")
+        raise Refused(
+            "no records", f"the payload has no {steps[index]!r} on the path records = {'.'.join(steps)!r}"
+        )
 
 
 def parsed_text(content: bytes | str | Unreadable, form: str) -> Json:
@@ -155,7 +157,7 @@ def _json(text: bytes) -> Json:
     try:
         return decoded(text)
     except (ValueError, RecursionError) as fault:
-        raise Refused("malformed", f"no JSON: {str(fault)[:80]}") from None
+        raise Refused("malformed", f"not valid JSON: {str(fault)[:80]}") from None
 
 
 _NOT_FINITE = re.compile(

@@ -214,7 +214,7 @@ def quantity_or_flag(raw: Json, meaning: Meaning, marks: Marks = POINT) -> float
     """Return the value of a text with a unit, or of a flag, which `number` cannot read.  Raises Unread."""
     text = raw if isinstance(raw, str) else str(raw) if isinstance(raw, bool) else ""
     if not text or len(text) > LONGEST_TEXT:
-        raise Unread("no number", f"{quoted(raw)} is no number")
+        raise Unread("no number", f"{quoted(raw)} is not a number")
     return value_in(text, marks, meaning)
 
 
@@ -310,8 +310,8 @@ def _local_seconds(
         if len(continuing) != 1:
             raise Refused(
                 "ambiguous time",
-                f"{local} comes twice in {zone}, and the order of its source does not tell which: stamps "
-                "with an offset would",
+                f"{local} occurs twice in {zone}, and the order of the stamps does not tell which one is "
+                "meant; send stamps with their offset",
             )
         first = continuing[0]
     if order is not None and not first <= newest:

@@ -102,7 +102,7 @@ class PostgresForm(PasswordKeys, SourceKeys):
         if AFTER not in self.query:
             return f"query must ask for new rows: … WHERE received > {AFTER} ORDER BY received"
         if re.search(r"%(?!%|\(after\)s)", self.query.replace("%%", "")):
-            return f"query: write a % other than that of {AFTER} as %%"
+            return f"query: write every % except that of {AFTER} as %%"
         return None
 
     def stream(self, mapping: PayloadMapping, place: Place) -> Stream:
@@ -126,7 +126,7 @@ class Columns:
         watermark: Watermark | None = row[self.watermark_index]
         if watermark is None:
             raise SourceFault(
-                f"a row has no {self.names[self.watermark_index]}, the watermark; select rows that have one"
+                f"a row has no {self.names[self.watermark_index]}, the watermark; select only rows with one"
             )
         if isinstance(watermark, float | Decimal) and math.isnan(watermark):
             return type(watermark)("inf")

@@ -279,7 +279,7 @@ class EdgeNode:
         is_last = last is not None and (last.address, last.message) == (arrived.address, arrived.message)
         # sequence numbers wrap at 256; one that is 128 or more ahead is taken as one in the past
         if is_last or (arrived.repeated and (sequence - (self._expected or 0)) % 256 >= 128):
-            return [refused(arrived, "repeated", "it came before")]
+            return [refused(arrived, "repeated", "it was received before")]
         self._waiting.append(arrived)
         return self.release_overdue(arrived.received)
 
@@ -335,14 +335,14 @@ class EdgeNode:
         """Process the death certificate of the edge node."""
         number = arrived.message.session
         if number is not None and self._bdseq is not None and (number - self._bdseq) % 256 >= 128:
-            return [refused(arrived, "former death certificate", "it belongs to a former session")]
+            return [refused(arrived, "former death certificate", "it belongs to an earlier session")]
         released = self._apply_despite_gap(arrived.received, self._waiting) if self._waiting else []
         self._former |= self._tables
         self.left_s |= dict.fromkeys(("", *self._former), arrived.received)
         self.present.clear()
         self._tables, self._expected, self._last = {}, None, None
         self.gap_s, self.unborn, self._changed = None, False, True
-        return [*released, refused(arrived, "death certificate", "it has left")]
+        return [*released, refused(arrived, "death certificate", "the sender is offline")]
 
     def _apply(self, arrived: Arrived) -> list[Released]:
         """Process a message that is next in the sequence, except a death certificate of the edge node."""
@@ -352,7 +352,7 @@ class EdgeNode:
                 self._former[device] = self._tables.pop(device)
             self.present.discard(device)
             self.left_s[device], self._changed = arrived.received, True
-            return [refused(arrived, "death certificate", "it has left")]
+            return [refused(arrived, "death certificate", "the sender is offline")]
         # a message shows that its device and the edge node are present
         self.present.add(device)
         for returned in {"", device} & set(self.left_s):

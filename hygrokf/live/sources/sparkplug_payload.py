@@ -185,7 +185,7 @@ def _decode(payload: bytes) -> tuple[SparkplugMessage, str, bytes]:
         )
         return message, decoded.uuid.decode(), decoded.body
     except DecodeError:
-        raise Refused("malformed", "no protobuf, or cut short") from None
+        raise Refused("malformed", "not protobuf, or cut short") from None
     except UnicodeDecodeError:
         raise Refused("malformed", "a text that is not in UTF-8") from None
 

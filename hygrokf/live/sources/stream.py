@@ -295,4 +295,4 @@ def _reason(fault: Exception, url: str) -> str:
         return str(fault)
     if isinstance(fault, OSError):
         return f"{url}: {fault.strerror or fault}"
-    return f"{url}: unforeseen fault, {type(fault).__name__}: {fault}; please report it with the log"
+    return f"{url}: unexpected error, {type(fault).__name__}: {fault}; please report it with the log"

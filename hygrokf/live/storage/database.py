@@ -31,8 +31,8 @@ CLAIM_S = 3.0
 """[s] for which a claim waits for the previous holder, because the end of a process is noticed with a
 delay."""
 REPLACED = (
-    "it was replaced while the tracker ran; the tracker goes on with the store that is there now. Restart "
-    "the tracker, so that its sources go on from the places of that store"
+    "another store replaced it while the tracker ran; the tracker continues with the new store. Restart the "
+    "tracker, so that its sources resume from the positions in the new store"
 )
 RETRY_S = 0.1
 """[s] between two attempts to make a claim."""
@@ -235,7 +235,7 @@ class Database:
                 kind, name, holder = conflict
                 raise StoreFault(
                     f"{self.url}: the {kind} {name} is already tracked by {holder}; "
-                    "end that process, or give this one its own turbines, sources and store"
+                    "end that process, or give this tracker other turbines, sources and another store"
                 )
             time.sleep(RETRY_S)
         self._claimed.update(requested)

@@ -134,11 +134,12 @@ def export(
     ExportFault, StoreFault, OSError.
     """
     if form not in FORMATS:
-        raise ExportFault(f"expected a format of {', '.join(FORMATS)}, found {form!r}")
+        raise ExportFault(f"expected one of the formats {', '.join(FORMATS)}, found {form!r}")
     turbines = list(store.models())
     if turbine is not None and turbine not in turbines:
         raise ExportFault(
-            f"{store.url}: expected a turbine of {', '.join(turbines) or 'none yet'}, found {turbine!r}"
+            f"{store.url}: expected one of the turbines {', '.join(turbines) or '(none yet)'}, "
+            f"found {turbine!r}"
         )
     if not since < until:
         raise ExportFault("since must be earlier than until")

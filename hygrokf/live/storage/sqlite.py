@@ -204,9 +204,11 @@ def _opening_fault(path: Path, fault: sqlite3.Error) -> str:
     if path.is_dir():
         return f"{path}: expected the file of a store, found a directory; name a file in it"
     if not os.access(path.parent, os.W_OK | os.X_OK):
-        return f"{path}: the folder {path.parent} is write-protected; change its rights or name another"
+        return (
+            f"{path}: the folder {path.parent} is write-protected; change its permissions or name another one"
+        )
     if path.exists() and not os.access(path, os.R_OK | os.W_OK):
-        return f"{path}: no right to read and write it; change its rights, or name a new file"
+        return f"{path}: this user may not read and write it; change its permissions, or name a new file"
     return (
         f"{path}: it cannot be read as a store ({fault}); nothing was written to it. "
         "Move it away and restore a copy, or name a new file"

@@ -278,12 +278,12 @@ def acknowledgement_of(posted: Mapping[str, Json], now: float) -> dict[str, Any]
     alarm, cause = posted.get("id"), posted.get("cause", "unexplained")
     if not isinstance(alarm, str) or not 0 < len(alarm) <= LONGEST_ID or not alarm.isprintable():
         raise StatementFault("expected the id of an alarm")
-    cause = _choice(cause, CAUSES, f"expected a cause of {', '.join(CAUSES)}")
+    cause = _choice(cause, CAUSES, f"expected one of the causes {', '.join(CAUSES)}")
     look_again_s = None
     if cause == LOOK_AGAIN:
         look_again_s = now + DAY_S * _posted_days(posted, MOST_POSTPONED_DAYS)
     elif posted.get("days") is not None:
-        raise StatementFault(f'days belong to the cause "{LOOK_AGAIN}" alone')
+        raise StatementFault(f'days is only for the cause "{LOOK_AGAIN}"')
     by, note = _posted_name(posted), _posted_note(posted)
     return {"alarm": alarm, "by": by, "cause": cause, "note": note, "look_again_s": look_again_s}
 
@@ -298,13 +298,13 @@ def shelf_of(posted: Mapping[str, Json], turbines: Collection[str], now: float) 
 def shelf_key(posted: Mapping[str, Json], turbines: Collection[str]) -> tuple[str, str]:
     """Return turbine ("" for the sources) and kind of alarms in a posted object.  Raises StatementFault."""
     turbine = _choice(posted.get("turbine"), (SOURCE, *turbines), EXPECTED_TURBINE)
-    return turbine, _choice(posted.get("kind"), RULES, f"expected a kind of {', '.join(RULES)}")
+    return turbine, _choice(posted.get("kind"), RULES, f"expected one of the kinds {', '.join(RULES)}")
 
 
 def event_of(posted: Mapping[str, Json], turbines: Collection[str], now: float) -> Event:
     """Return the event in a posted object, entered at `now` [s].  Raises StatementFault."""
     turbine = _choice(posted.get("turbine"), turbines, EXPECTED_TURBINE)
-    kind = _choice(posted.get("kind"), EVENT_KINDS, f"expected a kind of {', '.join(EVENT_KINDS)}")
+    kind = _choice(posted.get("kind"), EVENT_KINDS, f"expected one of the kinds {', '.join(EVENT_KINDS)}")
     at = _number(posted.get("time", now))
     if not -EARLIEST_S <= at - now <= AHEAD_S:
         raise StatementFault("expected a time in seconds since 1970, within the last 400 days")
@@ -449,7 +449,7 @@ class Statements:
         event = event_of(await posted_json(request), self.service.turbines, self.service.now)
         await self._write(lambda store: store.note_event(event))
         LOG.info(
-            "an event was stated",
+            "an event was entered",
             extra={"turbine": event.turbine, "kind": event.kind, "at": event.time, "by": event.made_by},
         )
         self.hub.announce([event.turbine])

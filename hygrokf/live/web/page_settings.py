@@ -19,8 +19,8 @@ PAGE = "127.0.0.1:8080"
 UNIX = "unix:"
 """Beginning of an address that is the path of a Unix socket."""
 NO_TLS = (
-    "the page does no TLS itself: give this file to a proxy such as nginx (docs/live_files/nginx.conf), and "
-    "set behind_proxy = true"
+    "the page does not use TLS itself: give this file to a proxy such as nginx "
+    "(docs/live_files/nginx.conf), and set behind_proxy = true"
 )
 SHORTEST_TOKEN = 16
 """Shortest token [characters]; tokens made by the command in the message of `_token` have 43."""
@@ -104,10 +104,10 @@ def page_settings(value: object, folder: Path, place: Place) -> PageSettings:
     host, port = ("localhost", 0) if unix else address(form.address) or ("127.0.0.1", 0)
     if len(place.faults) == earlier_faults:
         if form.behind_proxy and not token:
-            inside.fault("behind_proxy needs token_file or token_env: the proxy lets others in")
+            inside.fault("behind_proxy needs token_file or token_env, because others can reach the proxy")
         if not is_loopback(host) and not form.behind_proxy:
             inside.fault(
-                f"other machines reach {host}: give an address such as {PAGE}; or put a proxy that does TLS "
+                f"other machines reach {host}: give an address such as {PAGE}; or put a proxy with TLS "
                 "in front of the page (docs/live_files/nginx.conf) and set behind_proxy = true, token_file"
             )
     return PageSettings(host, port, form.hosts, token, form.behind_proxy, unix)

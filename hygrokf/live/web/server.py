@@ -423,7 +423,9 @@ class Access:
             return refusal(421, message)
         path = scope["path"]
         if self.settings.behind_proxy and scope["scheme"] != "https" and path not in LOCAL_PATHS:
-            return refusal(403, "expected X-Forwarded-Proto: https; have the proxy set it, and do TLS")
+            return refusal(
+                403, "expected X-Forwarded-Proto: https; let the proxy use TLS and set this header"
+            )
         if scope["method"] not in READ_METHODS and not is_own_page(headers):
             message = (
                 "expected JSON from the page itself, found a request from another site or of another kind"

@@ -349,7 +349,7 @@ def health_view(
                 "heard": None if times is None else times.committed,
                 "lag": None if times is None else times.lag_s,
                 "not_reached": None if stream.played_back else stream.reach().since,
-                "ordered_by": "nothing: neither counts" if is_unordered else stream.ordered_by,
+                "ordered_by": "nothing: neither is used" if is_unordered else stream.ordered_by,
             }
         )
     return {
