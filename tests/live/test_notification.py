@@ -457,7 +457,7 @@ def test_channels_of_a_tracker_s_file(folder: Path) -> None:
         ("smtp://127.0.0.1:{mail}", "smtp://me@mail", "user and password belong together"),
         ("smtp://127.0.0.1:{mail}", "smtps://mail", "unencrypted contradicts smtps"),
         ('to = ["ops@farm.example"]', 'to = ["ops"]', "to must be a list of addresses"),
-        ('to = ["ops@farm.example"]', "", "needs to, receivers"),
+        ('to = ["ops@farm.example"]', "", "needs to, addresses of the receivers"),
         ('kinds = ["condensation"]', 'kinds = ["condensations"]', "found ['condensations']"),
         ('severities = ["warning", "alarm"]', 'severities = ["worst"]', "found ['worst']"),
         ('turbines = ["T07"]', 'turbines = ["T08"]', "no turbine is named 'T08'"),

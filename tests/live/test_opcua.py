@@ -304,7 +304,7 @@ def test_samples_of_data_values() -> None:
     assert qualities == ["good", "uncertain", "bad", "bad"]
     assert sample(value=None).quality == "bad"
     assert sample_of(node, ua.DataValue(), T0).quality == "bad"
-    assert sample(status=BAD | OVERFLOWED).word == "BadSensorFailure"
+    assert sample(status=BAD | OVERFLOWED).status == "BadSensorFailure"
     overflowed = [sample(status=s).overflowed for s in (0x480, 0x80, 0x400, 0x40000480)]
     assert overflowed == [True, False, False, True]
 
@@ -736,7 +736,7 @@ def test_a_whole_table(papers: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         ({"nodes": {"i=5": {"turbine": "T7", "field": "Tcab"}}}, 'has no \'T7\'; did you mean "T07"?'),
         ({"nodes": {"i=5": {"turbine": "T07", "field": "Tcap"}}}, 'has no \'Tcap\'; did you mean "Tcab"?'),
         ({"nodes": {"i=5": {"turbine": "T07", "feld": "Tcab"}}}, 'unknown key "feld"'),
-        ({"nodes": {**NODES, "i=5": {"turbine": "T07", "field": "Tcab"}}}, "already is Tcab of T07"),
+        ({"nodes": {**NODES, "i=5": {"turbine": "T07", "field": "Tcab"}}}, "is already Tcab of T07"),
         ({"queue": 1}, "queue must be a whole number within 2 … 20000"),
         ({"publishing": "0s"}, "publishing must be within"),
         ({"sampling": "fast"}, "sampling: expected a duration"),
