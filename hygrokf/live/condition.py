@@ -103,7 +103,7 @@ class DisplayedQuantity:
         return f"{self.name}_sd"
 
 
-QUANTITIES = (
+DISPLAYED_QUANTITIES = (
     DisplayedQuantity("temperature", "temperature_K", "celsius", offset=-ZERO_CELSIUS_K),
     DisplayedQuantity("relative_humidity", "relative_humidity", "percent", factor=100.0),
     DisplayedQuantity("absolute_humidity", "absolute_humidity_g_m3", "g_m3"),
@@ -231,7 +231,7 @@ def _air_temperature(
 
 
 # -- water in the cabinet, or a humidity sensor that errs ----------------------------------------------------
-SHOWN = 0.005
+SHOWN_DIFFERENCE = 0.005
 """By how much condensation must be likelier by the sensor [1] for its condition to be shown, not the
 model's."""
 
@@ -289,7 +289,7 @@ def safer_condition(
     by_model: result of `air_condition` for the other arguments.  excess: vapour (T,) [g/m³] by which the
     newest reading exceeds the estimate, NaN if unknown.  By the sensor the vapour is higher by the excess,
     and the variance of the sensor's accuracy is added.  The probability is the larger of the two; the
-    quantities are those by the sensor where its probability is larger by more than `SHOWN`.
+    quantities are those by the sensor where its probability is larger by more than `SHOWN_DIFFERENCE`.
     """
     if by_model.condensation is None or by_model.temperature_K is None:
         return by_model
@@ -301,7 +301,7 @@ def safer_condition(
     by_sensor = air_condition(model, values, by_model.time_s, u, mean, covariance, surface)
     assert by_sensor.condensation is not None, "by_model has it, and both have the same model"
     larger = np.fmax(by_model.condensation, by_sensor.condensation)
-    wetter = larger > by_model.condensation + SHOWN
+    wetter = larger > by_model.condensation + SHOWN_DIFFERENCE
 
     def chosen(name: str, quantity: Quantity) -> Quantity:
         """Return the quantity, taken from `by_sensor` where that is wetter."""

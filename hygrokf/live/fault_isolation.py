@@ -32,7 +32,7 @@ from hygrokf.live.tracker import Point
 from hygrokf.modelling.design import extended
 from hygrokf.modelling.inputs import model_inputs
 
-STATES = {
+CHANGED_STATES = {
     "thermal_time_constant": (("log_thermal_change", (0.05, 0.2, 0.6)),),
     "hygric_k": (("log_hygric_change", (0.05, 0.2, 0.6)),),
     "heat_release_change": (("release_change", (0.2, 0.6, 2.0)),),
@@ -48,17 +48,17 @@ STATES = {
 PAIRS = {"ambient_temperature": "temperature_sensor", "ambient_humidity": "humidity_sensor"}
 """Error of an ambient sensor -> error of the cabinet's sensor that only sister turbines can distinguish from
 it: in the likelihood, small misfits of the model weigh more than the difference between the two errors."""
-SENSORS = (*PAIRS, *PAIRS.values())
-LEAST = 8.0
+PAIRED_SENSORS = (*PAIRS, *PAIRS.values())
+EXPLAINING_GAIN = 8.0
 """Gain in ln L from which a cause counts as an explanation; fault isolation chooses among about twenty
 combinations."""
 CLOSE = 3.0
 """Difference in ln L below which two causes cannot be distinguished."""
-BEFORE_S = 20.0 * DAY_S
+SHIFT_BEFORE_S = 20.0 * DAY_S
 """[s] before a shift from which readings are used."""
-LONGEST_S = 45.0 * DAY_S
+LONGEST_ISOLATION_S = 45.0 * DAY_S
 """Longest period of readings [s]."""
-EVERY_S = DAY_S
+ISOLATION_EVERY_S = DAY_S
 """[s] after which the cause of a lasting shift is isolated again."""
 
 
@@ -99,13 +99,13 @@ def shift_step(
     time: float, shifts: Mapping[str, ParameterShift], deviations: Mapping[str, TrackedState], last_s: float
 ) -> ShiftStep:
     """Return the step at a time [s]; fault isolation is due when a shift becomes lasting, and then once per
-    `EVERY_S`.
+    `ISOLATION_EVERY_S`.
 
     last_s: time [s] of the last fault isolation.
     """
     lasting = tuple(shift for shift in shifts.values() if shift.lasting)
     newest_s = max((shift.since + lasting_s(shift) for shift in lasting), default=-np.inf)
-    due = bool(lasting) and (last_s < newest_s or last_s <= time - EVERY_S)
+    due = bool(lasting) and (last_s < newest_s or last_s <= time - ISOLATION_EVERY_S)
     return ShiftStep(time, lasting, due, dict(deviations))
 
 
@@ -129,7 +129,7 @@ def isolate(
     wide_plan = replace(plan, design=extended(plan.design, additions))
     timeline = model_inputs(wide_plan.design, record).timeline
     # the smallest drift rates that the model allows hold every state constant
-    wandering = {f"{state}_rate" for options in STATES.values() for state, _ in options}
+    wandering = {f"{state}_rate" for options in CHANGED_STATES.values() for state, _ in options}
     constant_values = {
         **wide_plan.values,
         **{
@@ -149,7 +149,7 @@ def isolate(
     base_loglik, end_s = censored_end(likelihood, constant_values, start).loglik, float(timeline.seconds[-1])
     best_findings: dict[str, CauseFinding] = {}
     sister_support: dict[str, float] = {}
-    for cause, options in STATES.items():
+    for cause, options in CHANGED_STATES.items():
         best: tuple[Mapping[str, float], Gaussian | None, int] | None = None
         for state, rates in options:
             if state not in wide_plan.model.states:
@@ -167,7 +167,7 @@ def isolate(
                     )
                     best = values, prior, state_index
                 yield None
-        deviations = sister_deviations(record, sisters, AMBIENT.get(cause, ""))
+        deviations = sister_deviations(record, sisters, SISTERS_SIGNAL.get(cause, ""))
         if deviations is not None and best is not None:
             best_values, best_prior, error_index = best
             error = censored_trace(likelihood, best_values, best_prior).mean[:, error_index]
@@ -182,7 +182,7 @@ def _widened_state(plan: Plan, wide: Plan, state: Gaussian) -> Gaussian:
     mean, covariance = np.zeros(size), np.zeros((size, size))
     mean[indices], covariance[np.ix_(indices, indices)] = state.mean, state.covariance
     state = replace(state, mean=mean, covariance=covariance)
-    for options in STATES.values():
+    for options in CHANGED_STATES.values():
         for name, _ in options:
             if name in wide.model.states:
                 state = _with_variance(state, wide.model.states.index(name), 0.0)
@@ -217,19 +217,22 @@ def decide_cause(
             gain = (max if sensor == "humidity_sensor" else min)(remaining[cause].gain for cause in pair)
             remaining.update({cause: replace(remaining[cause], gain=gain) for cause in pair})
     ordered = sorted(remaining, key=lambda cause: -remaining[cause].gain)
-    if not ordered or remaining[ordered[0]].gain < LEAST:
+    if not ordered or remaining[ordered[0]].gain < EXPLAINING_GAIN:
         return CauseFinding(time_s, "")
     best = remaining[ordered[0]]
     alike = tuple(cause for cause in ordered[1:] if best.gain - remaining[cause].gain < CLOSE)
     return replace(best, alike=alike)
 
 
-AMBIENT = {"ambient_temperature": "ambient_temperature", "ambient_humidity": "ambient_relative_humidity"}
-"""Cause in `STATES` -> signal that is compared with the signal of the sisters."""
+SISTERS_SIGNAL = {
+    "ambient_temperature": "ambient_temperature",
+    "ambient_humidity": "ambient_relative_humidity",
+}
+"""Cause in `CHANGED_STATES` -> signal that is compared with the signal of the sisters."""
 USUAL = 10
 """Number of days at the beginning of a record, before the shift, that give the usual difference to
 sisters."""
-FEWEST = 5
+FEWEST_COMMON_DAYS = 5
 """Smallest number of these days on which both turbines must have readings."""
 
 
@@ -281,7 +284,7 @@ def sister_deviations(record: Record, sisters: Sequence[Record], signal: str) ->
         if signal not in sister or _is_same_sensor(series, sister[signal]):
             continue
         difference = mean - _daily_means(*sister[signal].known, end_s, days)
-        if np.isfinite(difference[-USUAL:]).sum() >= FEWEST:
+        if np.isfinite(difference[-USUAL:]).sum() >= FEWEST_COMMON_DAYS:
             differences.append(difference - np.nanmedian(difference[-USUAL:]))
     if not differences or days < 2 * USUAL:
         return None

@@ -32,7 +32,7 @@ from hygrokf.live.condition import (
     safer_condition,
 )
 from hygrokf.live.plan import Plan
-from hygrokf.live.scenarios import OPERATION, Scenarios
+from hygrokf.live.scenarios import OPERATION_SIGNALS, Scenarios
 from hygrokf.live.traces import SAME_S
 from hygrokf.live.tracker import Point
 from hygrokf.modelling.inputs import model_inputs
@@ -148,7 +148,7 @@ def moments_by_member(
 def _series(plan: Plan, signal: str, scenarios: Scenarios, values: np.ndarray) -> Series:
     """Return a signal of a member with its values (H,) as a series; a signal that is not interpolated
     linearly is constant over each step of the scenarios."""
-    is_stepwise = signal in OPERATION or (
+    is_stepwise = signal in OPERATION_SIGNALS or (
         plan.form(signal).hold != LINEAR and not signal.startswith("ambient_")
     )
     step_s = float(scenarios.time_s[1] - scenarios.time_s[0])
@@ -171,16 +171,16 @@ def mixture(conditions: Sequence[Condition]) -> Condition:
 
 
 # -- advice for a restart ------------------------------------------------------------------------------------
-ENOUGH = 0.95
+DRY_ENOUGH = 0.95
 """Probability [1] with which the air must be dry enough for a restart."""
-LONGEST_H = 24.0
+LONGEST_HEATING_H = 24.0
 """Longest pre-heating that is considered [h]."""
 STAYS_H = 1.0
 """[h] for which the air must stay dry: the peak of the vapour driven out of materials must have passed."""
 LEVEL = 0.95
 """Confidence level of the bounds of the heaters' effect (`Heating.bounds_K`)."""
 PREHEATING, PREHEATING_HEAT = "preheating", "preheating_heat"
-LOGGED, LOGGED_HEAT = "logged_heater", "logged_heater_heat"
+LOGGED_HEATER, LOGGED_HEATER_HEAT = "logged_heater", "logged_heater_heat"
 
 
 @dataclass(frozen=True)
@@ -223,9 +223,9 @@ def heaters(model: Model) -> tuple[Heater, ...]:
     """Return the heaters among a model's inputs: a logged heater, the pre-heating flag, or both."""
     model_heaters = []
     for mechanism in model.mechanisms:
-        if mechanism.name == LOGGED:
+        if mechanism.name == LOGGED_HEATER:
             settings = mechanism.settings
-            model_heaters.append(Heater(settings["signal"], float(settings["full"]), LOGGED_HEAT))
+            model_heaters.append(Heater(settings["signal"], float(settings["full"]), LOGGED_HEATER_HEAT))
         elif PREHEATING in mechanism.inputs and PREHEATING_HEAT in [
             parameter.name for parameter in mechanism.parameters
         ]:
@@ -255,8 +255,8 @@ def heating_sd(fit: Fit) -> float:
 class Advice:
     """How long to pre-heat before a restart.
 
-    `hours` [h] of pre-heating until the air is dry enough, None if `LONGEST_H` is not enough or the time is
-    unknown; `probability` [1] of dry air after `hours` or, without them, its maximum within `LONGEST_H`.
+    `hours` [h] of pre-heating until the air is dry enough, None if `LONGEST_HEATING_H` is not enough or the time is
+    unknown; `probability` [1] of dry air after `hours` or, without them, its maximum within `LONGEST_HEATING_H`.
     """
 
     statement: Statement
@@ -276,7 +276,7 @@ def restart(
     """Return how long to pre-heat from now on, at standstill and with all heaters of the model at full power.
 
     The advice is the shortest time after which the relative humidity at the coldest surface is below `limit`
-    with a probability of at least `ENOUGH`, and stays so for `STAYS_H`.  The probability includes the
+    with a probability of at least `DRY_ENOUGH`, and stays so for `STAYS_H`.  The probability includes the
     standard error `heating_sd_K` of the heaters' effect.  `excess` as in `forecast`.
     """
     all_heaters = heating(plan, heating_sd_K)
@@ -285,7 +285,7 @@ def restart(
     effect: dict[str, Value] = {"heaters": tuple(all_heaters.signals), "effect_K": all_heaters.effect_K}
     if not all_heaters.effect_K > 0.0:
         return Advice(AdviceCode.HEATING_COOLS(**effect))
-    heated = scenarios.with_preheating(LONGEST_H + STAYS_H, all_heaters.signals)
+    heated = scenarios.with_preheating(LONGEST_HEATING_H + STAYS_H, all_heaters.signals)
     effects = sorted({all_heaters.effect_K, *all_heaters.bounds_K})
     dry_by_effect = []
     for effect_K in effects:
@@ -309,7 +309,9 @@ def restart(
     needed_hours: Statement | str = ""
     if shortest_h is not None and advice.hours != 0.0:
         code = AdviceCode.NEEDED_HOURS_OPEN if longest_h is None else AdviceCode.NEEDED_HOURS
-        needed_hours = code(shortest_h=shortest_h, longest_h=LONGEST_H if longest_h is None else longest_h)
+        needed_hours = code(
+            shortest_h=shortest_h, longest_h=LONGEST_HEATING_H if longest_h is None else longest_h
+        )
     effect_statement = AdviceCode.WITH_EFFECT(**effect, lower_K=lower, upper_K=upper, needed=needed_hours)
     values = {**advice.statement.values, "effect": effect_statement}
     return replace(advice, statement=replace(advice.statement, values=values))
@@ -317,12 +319,12 @@ def restart(
 
 def _hours_until_dry(hours: np.ndarray, probability: np.ndarray) -> float | None:
     """Return the first of `hours` (T,) [h] from which the air stays dry for `STAYS_H` with a probability of
-    at least `ENOUGH`; None if it does not within `LONGEST_H`.
+    at least `DRY_ENOUGH`; None if it does not within `LONGEST_HEATING_H`.
 
     probability: of dry air (T,) [1].
     """
-    for start_h in hours[hours <= LONGEST_H].tolist():
-        if np.all(probability[_while_restarting(hours, start_h)] >= ENOUGH):
+    for start_h in hours[hours <= LONGEST_HEATING_H].tolist():
+        if np.all(probability[_while_restarting(hours, start_h)] >= DRY_ENOUGH):
             return float(start_h)
     return None
 
@@ -343,12 +345,12 @@ def advice_from(hours: np.ndarray, probability: np.ndarray, limit: float) -> Adv
             limit=limit, probability=at_start, least=least, stays_h=STAYS_H, hours=start_h, effect=""
         )
         return Advice(statement, start_h, at_start)
-    best = int(np.argmax(np.where(hours <= LONGEST_H, probability, -1.0)))
+    best = int(np.argmax(np.where(hours <= LONGEST_HEATING_H, probability, -1.0)))
     statement = AdviceCode.PREHEATING_TOO_WEAK(
         limit=limit,
-        longest_h=LONGEST_H,
+        longest_h=LONGEST_HEATING_H,
         stays_h=STAYS_H,
-        enough=ENOUGH,
+        enough=DRY_ENOUGH,
         probability=float(probability[best]),
         hours=float(hours[best]),
         effect="",

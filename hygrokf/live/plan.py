@@ -18,7 +18,7 @@ from hygrokf.data.timestamps import HOUR_S
 from hygrokf.engine.timeline import Timeline
 from hygrokf.estimation.likelihood import Likelihood
 from hygrokf.identification.fit import Fit
-from hygrokf.modelling.design import HOLDS, Design, extended
+from hygrokf.modelling.design import INPUT_HOLDS, Design, extended
 from hygrokf.physics.holds import LINEAR, MEAN, PREVIOUS
 from hygrokf.physics.model import Model
 
@@ -35,7 +35,7 @@ BEFORE = USUAL_STEPS + 1
 gaps."""
 LATENESS_S = 1800.0
 """[s] by which a reading may be older than the newest reading and still be used."""
-WANDERING = {
+TRACKED_PROPERTIES = {
     "wandering_time_constant": ("converter_temperature", 0.02),
     "wandering_exchange": ("vapour", 0.02),
     "wandering_release": ("converter_temperature", 0.1),
@@ -112,7 +112,7 @@ class Plan:
 
     def looks_back(self, signal: str) -> bool:
         """Return whether an input at a time depends only on readings up to that time."""
-        return self.form(signal).hold == PREVIOUS and HOLDS[signal] == MEAN
+        return self.form(signal).hold == PREVIOUS and INPUT_HOLDS[signal] == MEAN
 
     @cached_property
     def held_while_connected(self) -> tuple[str, ...]:
@@ -130,7 +130,7 @@ class Plan:
     def readings_ahead(self, signal: str) -> int:
         """Return the number of readings after the next one on which an input depends; 0 for a step signal."""
         form = self.form(signal)
-        if HOLDS[signal] == MEAN:
+        if INPUT_HOLDS[signal] == MEAN:
             return 0
         return readings_ahead(form.interval_s, form.response_time_s or 0.0)
 
@@ -193,22 +193,22 @@ def plan(
     """Return the plan for tracking a turbine with an identified model.
 
     wandering: tracked property → drift rate [per day^0.5], by default all properties of the model at the
-    rates of `WANDERING`.  The ambient's readings are used without smoothing, because smoothing would need
+    rates of `TRACKED_PROPERTIES`.  The ambient's readings are used without smoothing, because smoothing would need
     later readings.
     """
     model = fit.design.model
     rates = (
-        {mechanism: rate for mechanism, (_, rate) in WANDERING.items()}
+        {mechanism: rate for mechanism, (_, rate) in TRACKED_PROPERTIES.items()}
         if wandering is None
         else dict(wandering)
     )
-    unknown = sorted(set(rates) - set(WANDERING))
+    unknown = sorted(set(rates) - set(TRACKED_PROPERTIES))
     if unknown:
-        raise ValueError(f"wandering: expected names of {sorted(WANDERING)}, found {unknown}")
+        raise ValueError(f"wandering: expected names of {sorted(TRACKED_PROPERTIES)}, found {unknown}")
     additions = [
         (mechanism, {"rate": rate})
         for mechanism, rate in rates.items()
-        if WANDERING[mechanism][0] in (*model.states, *model.outputs)
+        if TRACKED_PROPERTIES[mechanism][0] in (*model.states, *model.outputs)
     ]
     # a fit of an earlier version lacks these means: an unknown actuator is off, whatever the earlier readings
     means = {name: 0.0 for name in ACTUATORS if name in model.inputs} | dict(fit.design.actuator_means)

@@ -34,20 +34,20 @@ class Watched:
 
 
 TEMPERATURES = ("cabinet_temperature",)
-HUMIDITIES = ("cabinet_relative_humidity", "cabinet_absolute_humidity")
+CABINET_HUMIDITIES = ("cabinet_relative_humidity", "cabinet_absolute_humidity")
 WATCHED = (
     Watched(
         "thermal_time_constant", "log_thermal_change", "thermal_time_constant", "h", math.log(1.15), 0.25,
         TEMPERATURES,
     ),
-    Watched("hygric_k", "log_hygric_change", "hygric_k", "h", math.log(1.15), 0.25, HUMIDITIES),
+    Watched("hygric_k", "log_hygric_change", "hygric_k", "h", math.log(1.15), 0.25, CABINET_HUMIDITIES),
     Watched("heat_release_change", "release_change", None, "K", 1.0, 2.0, TEMPERATURES),
-    Watched("humidity_offset", "humidity_reading_change", None, "1", 0.04, 0.1, HUMIDITIES[:1]),
+    Watched("humidity_offset", "humidity_reading_change", None, "1", 0.04, 0.1, CABINET_HUMIDITIES[:1]),
 )  # fmt: skip
 """The tracked properties; the smallest shifts that matter are 15 %, 1 K and 4 % relative humidity."""
-SURE = 4.0
+SURE_SD = 4.0
 """Number of standard deviations by which a property must differ from its reference to have shifted."""
-SILENT_S = 3.0 * DAY_S
+UNOBSERVABLE_S = 3.0 * DAY_S
 """[s] without a reading in `shown_by` after which a property is not observable."""
 LASTING_S = 2.0 * DAY_S
 """[s] after which a shift counts as lasting."""
@@ -128,7 +128,7 @@ def states_of(
         if watched.state in model.states:
             i = model.states.index(watched.state)
             heard_s = max((heard.get(signal, -math.inf) for signal in watched.shown_by), default=-math.inf)
-            sd = math.sqrt(max(float(covariance[i, i]), 0.0)) if time - heard_s < SILENT_S else math.inf
+            sd = math.sqrt(max(float(covariance[i, i]), 0.0)) if time - heard_s < UNOBSERVABLE_S else math.inf
             states[watched.name] = TrackedState(float(mean[i]), sd)
     return states
 
@@ -187,7 +187,7 @@ def deviations(
 def relative_shift(name: str, deviation: TrackedState) -> float:
     """Return a deviation of a property as a multiple of the smallest deviation that counts as a shift."""
     (least,) = (watched.least for watched in WATCHED if watched.name == name)
-    return deviation.x / max(least, SURE * deviation.sd)
+    return deviation.x / max(least, SURE_SD * deviation.sd)
 
 
 def lasting_s(shift: ParameterShift) -> float:
@@ -201,7 +201,7 @@ def parameter_shifts(
     """Return property → its shift at `time` [s], from the `previous` shifts and the present deviations.
 
     A shift begins when a property differs from its reference by more than the smallest change that matters
-    and by `SURE` standard deviations.  It is lasting after `lasting_s`.  It ends when less than the share
+    and by `SURE_SD` standard deviations.  It is lasting after `lasting_s`.  It ends when less than the share
     `BACK` of its largest change remains, or when the property cannot be observed.
     """
     shifts = {}

@@ -31,7 +31,7 @@ from hygrokf.estimation.likelihood import End, Gaussian, Likelihood, Trace
 from hygrokf.live.properties import WATCHED, TrackedState, observable
 from hygrokf.physics.model import Model
 
-HUMIDITY = "cabinet_relative_humidity"
+CABINET_RELATIVE_HUMIDITY = "cabinet_relative_humidity"
 
 
 def censored_trace(
@@ -72,7 +72,7 @@ def _filter_pieces(
     """Yield the results of `run(piece, start)` for the pieces between censored readings, and the traces of
     the censored readings, in the order of time."""
     t = likelihood.timeline
-    humidity = t.reading(HUMIDITY) if HUMIDITY in t.outputs else np.zeros(0)
+    humidity = t.reading(CABINET_RELATIVE_HUMIDITY) if CABINET_RELATIVE_HUMIDITY in t.outputs else np.zeros(0)
     censored_indices: list[int] = np.flatnonzero(humidity >= SATURATED).tolist()
     first = 0
     for index in (*censored_indices, len(t)):
@@ -92,7 +92,7 @@ def _filter_pieces(
 def _censored(likelihood: Likelihood, values: Mapping[str, float], start: Gaussian | None) -> Trace:
     """Run the filter over one instant with a censored humidity reading (see the module)."""
     t = likelihood.timeline
-    column = t.outputs.index(HUMIDITY)
+    column = t.outputs.index(CABINET_RELATIVE_HUMIDITY)
 
     def read(humidity: float) -> Trace:
         """Run the filter with this value as an ordinary humidity reading; NaN for no reading."""
@@ -145,7 +145,7 @@ def joined(traces: list[Trace]) -> Trace:
 # -- changes that people state -------------------------------------------------------------------------------
 SENSOR_WRONG = "humidity sensor wrong"
 """Kind of event from which on, until the next event, humidity readings are no evidence of condensation."""
-KINDS = ("settings changed", "defect repaired", SENSOR_WRONG)
+EVENT_KINDS = ("settings changed", "defect repaired", SENSOR_WRONG)
 """Kinds of events."""
 SETTLED_S = 7.0 * DAY_S
 """[s] after a change at which a property becomes the reference for later shifts."""

@@ -30,7 +30,7 @@ from hygrokf.live.plan import AMBIENT_HUMIDITIES, BEFORE, Plan
 from hygrokf.live.traces import SAME_S, changed_trace
 from hygrokf.modelling.inputs import Run, longest_gap_h, model_inputs
 
-WAITS_S = 7 * DAY_S
+PROVISIONAL_S = 7 * DAY_S
 """[s] for which estimates without cabinet readings stay provisional, because silent sensors may still deliver
 readings."""
 Losses = Mapping[str, Sequence[tuple[float, float]]]
@@ -41,7 +41,7 @@ Readings = tuple[np.ndarray, np.ndarray]
 """Times [s] (T,) and values [SI unit] (T,) of a signal's readings."""
 KEPT_OUT = {DEPARTED: "departed", FROZEN: "frozen"}
 """Verdict of the gate that rejects a reading → name of the count of these readings."""
-AHEAD_S = 30 * DAY_S
+GAP_END_S = 30 * DAY_S
 """[s] after the newest reading at which a gap that is too long to be bridged is assumed to end."""
 
 
@@ -137,7 +137,7 @@ class Tracker:
     final, "departed" and "frozen" (rejected by `data.gate`).
 
     While all sensors of the cabinet are silent, estimates follow from the inputs alone.  These estimates are
-    provisional for `WAITS_S`, because a late delivery replaces them; `provisional_point` is the last estimate
+    provisional for `PROVISIONAL_S`, because a late delivery replaces them; `provisional_point` is the last estimate
     that only a late delivery can change, and the filter continues from it.  Alarms do not wait: they are
     judged up to `judged_s` [s], and again from the point on if a late delivery changes their estimates.
 
@@ -338,7 +338,7 @@ class Tracker:
             self.plan.design, self._record_with_ended_gaps(), beyond=self.silent_since() is not None
         )
         silent_s = silent_since(self._times, self.plan.lateness_s)
-        is_provisional = silent_s is not None and self.newest - silent_s <= WAITS_S
+        is_provisional = silent_s is not None and self.newest - silent_s <= PROVISIONAL_S
         # a course that moves the point begins at it, so that all estimates that it passes become final
         if self.provisional_point is not None and not (
             is_provisional and silent_s is not None and silent_s <= self.provisional_point.time
@@ -413,7 +413,7 @@ class Tracker:
         timeline, start = run.timeline, self.provisional_point or self.point
         after_s = -math.inf if start is None else start.time + SAME_S
         first = int(np.searchsorted(timeline.seconds, after_s, side="right"))
-        # the run goes on to the assumed end of a gap (`AHEAD_S`)
+        # the run goes on to the assumed end of a gap (`GAP_END_S`)
         end = int(np.searchsorted(timeline.seconds, self.newest + SAME_S, side="right"))
         if first >= end:
             return None
@@ -474,7 +474,7 @@ class Tracker:
         return age > max(bridge_s, 1.5 * usual_step_s - self.plan.form(signal).interval_s)
 
     def _record_with_ended_gaps(self) -> Record:
-        """Return the accepted readings, with an additional one `AHEAD_S` after the newest for each stale
+        """Return the accepted readings, with an additional one `GAP_END_S` after the newest for each stale
         input, so that its gap is recognised as too long."""
         with_readings = {signal for signal, (times, _) in self._accepted.items() if len(times)}
         stale = {
@@ -485,7 +485,7 @@ class Tracker:
         readings = dict(self._accepted)
         for signal in stale:
             times, values = self._accepted[signal]
-            readings[signal] = np.append(times, self.newest + AHEAD_S), np.append(values, values[-1])
+            readings[signal] = np.append(times, self.newest + GAP_END_S), np.append(values, values[-1])
         return _record(self.plan, readings, self.lost)
 
     def _drop_old_readings(self) -> None:
@@ -546,7 +546,7 @@ def judged_readings(
     return JudgedReadings((time, value), judge(signal, time, value, scale, known_until_s))
 
 
-def record_of(
+def tracked_record(
     plan: Plan, times: Mapping[str, Column], values: Mapping[str, Column], lost: Losses | None = None
 ) -> Record:
     """Return a record of the plan's turbine with the accepted ones of the readings: signal → `times` [s],
@@ -576,7 +576,7 @@ def offline_course(plan: Plan, record: Record, changes: Iterable[float] = ()) ->
     times `changes` [s]; missing readings are skipped."""
     times = {series.signal: series.time for series in record.series}
     values = {series.signal: series.value for series in record.series}
-    accepted = record_of(plan, times, values, {series.signal: series.lost for series in record.series})
+    accepted = tracked_record(plan, times, values, {series.signal: series.lost for series in record.series})
     silent_s = silent_since({series.signal: series.time for series in accepted.series}, plan.lateness_s)
     run = model_inputs(plan.design, accepted, beyond=silent_s is not None)
     trace = changed_trace(plan.likelihood(run.timeline), plan.values, None, changes)

@@ -201,7 +201,7 @@ def test_a_second_tracker_of_a_turbine_is_refused(
     expect_offline(store_url, record, turbine)
 
 
-@pytest.mark.parametrize(("behind", "share"), [(False, module.SHARE), (True, module.LEAST_SHARE)])
+@pytest.mark.parametrize(("behind", "share"), [(False, module.FORECAST_SHARE), (True, module.BUSY_SHARE)])
 def test_forecasts_give_way_while_anything_waits(
     behind: bool,
     share: float,

@@ -34,7 +34,7 @@ MOST_READ = 10_000
 """Largest number of payloads read."""
 MOST_VALUES = 40
 """Largest number of readings, and of rejections, shown for a payload."""
-WIDTH = 100
+SHOWN_CHARACTERS = 100
 """Largest number of characters shown of a payload."""
 
 
@@ -172,19 +172,23 @@ def _reading_row(turbine: str, reading: Reading) -> dict[str, Any]:
 
 
 def _text(content: Content) -> str:
-    """Return the content of a payload as one text of at most `WIDTH` characters."""
+    """Return the content of a payload as one text of at most `SHOWN_CHARACTERS` characters."""
     if isinstance(content, Unreadable):
         return "(no payload)"
     if isinstance(content, Mapping):
         text = ", ".join(f"{name}={value}" for name, value in content.items())
     elif isinstance(content, bytes):
-        text = "(gzip)" if content[:2] == b"\x1f\x8b" else content[: 4 * WIDTH].decode("utf-8", "replace")
+        text = (
+            "(gzip)"
+            if content[:2] == b"\x1f\x8b"
+            else content[: 4 * SHOWN_CHARACTERS].decode("utf-8", "replace")
+        )
     else:
         text = content
-    return text if len(text) <= WIDTH else f"{text[: WIDTH - 1]}…"
+    return text if len(text) <= SHOWN_CHARACTERS else f"{text[: SHOWN_CHARACTERS - 1]}…"
 
 
-def as_text(trials: Sequence[Trial]) -> str:
+def trials_text(trials: Sequence[Trial]) -> str:
     """Return the trials as text: each payload with its readings and rejections, and a summary per mapping."""
     lines = []
     for trial in trials:
@@ -204,6 +208,6 @@ def as_text(trials: Sequence[Trial]) -> str:
     return "\n".join(map(one_line, lines))
 
 
-def as_data(trials: Sequence[Trial]) -> JsonObject:
+def trials_data(trials: Sequence[Trial]) -> JsonObject:
     """Return the trials as JSON data."""
     return {"trials": plain(list(trials))}

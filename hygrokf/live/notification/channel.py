@@ -13,7 +13,7 @@ from hygrokf.data.structured import JsonObject
 from hygrokf.data.timestamps import DAY_S, duration
 from hygrokf.data.toml_form import FolderKeys, across, setting
 from hygrokf.errors import HygrokfError
-from hygrokf.live.alarms import RULES
+from hygrokf.live.alarms import ALARM_RULES
 from hygrokf.live.batch import Alarm
 from hygrokf.live.sources.endpoint import UrlKeys
 from hygrokf.texts.doctor_codes import Check
@@ -141,7 +141,7 @@ def data(message: NoticeMessage) -> JsonObject:
 
 
 # -- keys common to the tables of all channels ---------------------------------------------------------------
-LONGEST_NAME = 40
+LONGEST_CHANNEL_NAME = 40
 MOST_HOLD_OFF_S, MOST_DIGEST_S = 7.0 * DAY_S, DAY_S
 
 
@@ -156,8 +156,8 @@ class Channel(UrlKeys, FolderKeys):
 
     name: str = setting(
         help="the name of the channel",
-        fits=lambda name: len(name) <= LONGEST_NAME and name.isprintable() and ":" not in name,
-        expected=f"text of 1 to {LONGEST_NAME} printable characters without a colon",
+        fits=lambda name: len(name) <= LONGEST_CHANNEL_NAME and name.isprintable() and ":" not in name,
+        expected=f"text of 1 to {LONGEST_CHANNEL_NAME} printable characters without a colon",
     )
     hold_off_s: float = setting(
         0.0,
@@ -172,7 +172,7 @@ class Channel(UrlKeys, FolderKeys):
         expected="at most 1 d",
     )  # fmt: skip
     kinds: tuple[str, ...] = setting(
-        (), "kinds of alarms that are sent; by default all", choices=tuple(RULES)
+        (), "kinds of alarms that are sent; by default all", choices=tuple(ALARM_RULES)
     )
     severities: tuple[str, ...] = setting(
         (), "severities of alarms that are sent; by default all", choices=SEVERITIES

@@ -24,10 +24,10 @@ from hygrokf.data.timestamps import duration
 from hygrokf.data.toml_form import Place, across, setting
 from hygrokf.live.plan import SignalReporting
 from hygrokf.live.sources.payload import Field, PayloadMapping
-from hygrokf.live.sources.payload_formats import JSON, LARGEST, Content, Unreadable
+from hygrokf.live.sources.payload_formats import JSON, LARGEST_PAYLOAD, Content, Unreadable
 from hygrokf.live.sources.payload_values import RECEIVED
 from hygrokf.live.sources.stream import (
-    PAUSE_S,
+    POLL_PAUSE_S,
     Delivery,
     SourceFault,
     SourceKeys,
@@ -37,9 +37,9 @@ from hygrokf.live.sources.stream import (
 
 GROWTHS = 16
 """Number of a file's latest growths from which the usual interval between growths is estimated."""
-LONGEST_LINE = LARGEST
+LONGEST_LINE = LARGEST_PAYLOAD
 """Longest line that is read [bytes]."""
-READ_SIZE = 65_536
+INPUT_READ_SIZE = 65_536
 """Number of bytes read at once from standard input."""
 _JSON_LINE = re.compile(r"\s*(\{|\[\s*[{\]])")
 """Beginning of a line that holds a JSON object or an array of objects."""
@@ -168,7 +168,7 @@ class TailedFile(Stream):
                 if not self.follow:
                     raise SourceFault(f"{self.path}: no such file") from None
                 self._state = SourceState("waiting", f"{self.path} does not exist yet")
-                self._ended.wait(PAUSE_S)
+                self._ended.wait(POLL_PAUSE_S)
             place = None
 
     def _read(self, file: IO[bytes], identity: str, offset: int, put: Callable[[Delivery], None]) -> bool:
@@ -199,7 +199,7 @@ class TailedFile(Stream):
                 self._growth_times.append(time.monotonic())
                 if len(self._growth_times) > 1:
                     self.usual_interval_s = float(np.median(np.diff(self._growth_times)))
-            self._ended.wait(PAUSE_S)
+            self._ended.wait(POLL_PAUSE_S)
             try:
                 status = self.path.stat()
             except FileNotFoundError:
@@ -241,8 +241,8 @@ class StandardInput(Stream):
         while (end := self._buffer.find(b"\n", searched) + 1) == 0 and len(self._buffer) <= LONGEST_LINE:
             searched, piece = len(self._buffer), b""
             while not self._ended.is_set():
-                if select.select([descriptor], [], [], PAUSE_S)[0]:
-                    piece = os.read(descriptor, READ_SIZE)
+                if select.select([descriptor], [], [], POLL_PAUSE_S)[0]:
+                    piece = os.read(descriptor, INPUT_READ_SIZE)
                     break
             if not piece:
                 end = len(self._buffer)
@@ -325,13 +325,13 @@ class Playback(Stream):
 def record_mapping(record: Record, turbine: str) -> PayloadMapping:
     """Return the mapping for `record_messages`: each field has the name of its signal, in SI units."""
     fields = {
-        series.signal: Field(series.signal, SIGNALS[series.signal].unit, form_of(series))
+        series.signal: Field(series.signal, SIGNALS[series.signal].unit, line_form(series))
         for series in record.series
     }
     return PayloadMapping(fields, turbines={turbine: turbine})
 
 
-def form_of(series: Series) -> SignalReporting:
+def line_form(series: Series) -> SignalReporting:
     """Return how a source would report the readings of a series."""
     return SignalReporting(**{field.name: getattr(series, field.name) for field in fields(SignalReporting)})
 

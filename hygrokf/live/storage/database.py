@@ -34,7 +34,7 @@ REPLACED = (
     "another store replaced it while the tracker ran; the tracker continues with the new store. Restart the "
     "tracker, so that its sources resume from the positions in the new store"
 )
-RETRY_S = 0.1
+CLAIM_AGAIN_S = 0.1
 """[s] between two attempts to make a claim."""
 
 Row = tuple[Any, ...]
@@ -237,7 +237,7 @@ class Database:
                     f"{self.url}: the {kind} {name} is already tracked by {holder}; "
                     "end that process, or give this tracker other turbines, sources and another store"
                 )
-            time.sleep(RETRY_S)
+            time.sleep(CLAIM_AGAIN_S)
         self._claimed.update(requested)
 
     def insert_claims(self, requested: Sequence[tuple[str, str]], holder: int) -> None:
