@@ -13,9 +13,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-LEVEL = 0.95
-"""Share of the cases [1] that the bounds are to hold."""
-DIGITS = 6
+from hygrokf.estimation.conventions import CONFIDENCE
+
+RESULT_DIGITS = 6
 """Significant digits of the numbers in a result."""
 
 
@@ -36,11 +36,11 @@ class BoundedMean:
     between_years: float
 
     def rounded(self) -> BoundedMean:
-        """The same to `DIGITS` significant digits."""
+        """The same to `RESULT_DIGITS` significant digits."""
         return BoundedMean(*rounded(np.array(list(vars(self).values()))).tolist())
 
 
-def bounded(values: np.ndarray, level: float = LEVEL) -> BoundedMean:
+def bounded(values: np.ndarray, level: float = CONFIDENCE) -> BoundedMean:
     """The bounds of a number from its values (years, N).
 
     Quantiles are expected values of order statistics (k/(n+1)): a further draw lies between them with the
@@ -62,7 +62,7 @@ def bounded(values: np.ndarray, level: float = LEVEL) -> BoundedMean:
     return BoundedMean(all_years.value, all_years.lower, all_years.upper, mean.lower, mean.upper, between)
 
 
-def bounded_array(values: np.ndarray, level: float = LEVEL) -> dict[str, np.ndarray]:
+def bounded_array(values: np.ndarray, level: float = CONFIDENCE) -> dict[str, np.ndarray]:
     """What `BoundedMean` has, of each of many numbers, from their values (years, N, …) without gaps."""
     values = np.asarray(values, dtype=float)
     ends = np.array([0.5 - 0.5 * level, 0.5 + 0.5 * level])
@@ -77,13 +77,13 @@ def bounded_array(values: np.ndarray, level: float = LEVEL) -> dict[str, np.ndar
     }  # fmt: skip
 
 
-def held(draws: float, level: float = LEVEL) -> float:
+def held(draws: float, level: float = CONFIDENCE) -> float:
     """Probability [1] that bounds from so many draws hold a further one: the level, or what the extremes of
     few draws hold."""
     return min(level, (draws - 1.0) / (draws + 1.0))
 
 
-def rounded(values: np.ndarray, digits: int = DIGITS) -> np.ndarray:
+def rounded(values: np.ndarray, digits: int = RESULT_DIGITS) -> np.ndarray:
     """Numbers to significant digits, NaN where they are not finite: a file need not show the last bits."""
     values = np.asarray(values, dtype=float)
     with np.errstate(divide="ignore", invalid="ignore"):

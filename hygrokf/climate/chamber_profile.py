@@ -36,7 +36,7 @@ T_EDGES, H_EDGES = np.arange(-60.0, 125.0, 5.0), np.arange(0.0, 110.0, 10.0)
 RANGE_EDGES_K = np.array([0.0, 2.5, 5.0, 7.5, 10.0, 15.0, 20.0, 1e3])
 WEIGHTS = {"joint": 1.0, "ageing": 1.0, "mean": 3.0, "wet": 2.0, "range": 1.0}
 """Weights of the features' squared errors."""
-ROUNDS = 12
+MOST_EXCHANGES = 12
 
 
 Days: TypeAlias = np.ndarray
@@ -100,7 +100,7 @@ def choose_days(days: Days, count: int, law: Acceleration) -> np.ndarray:
         chosen.append(place)
         used[place] += 1
         total += rows[place]
-    for _ in range(ROUNDS):
+    for _ in range(MOST_EXCHANGES):
         changed = False
         for slot, old in enumerate(chosen):
             total -= rows[old]

@@ -12,11 +12,11 @@ from typing import Literal, TypeAlias
 
 import numpy as np
 
-from hygrokf.climate.bounds import LEVEL, BoundedMean, bounded, bounded_array, held, rounded
+from hygrokf.climate.bounds import BoundedMean, bounded, bounded_array, held, rounded
 from hygrokf.climate.chamber import Acceleration, ProfilePlan
 from hygrokf.climate.chamber_profile import ChamberProfile, Days, build_profile, days_of, thinned
 from hygrokf.climate.ensemble import (
-    WHOLE,
+    WHOLE_SHARE,
     YEAR_H,
     Shots,
     Year,
@@ -33,6 +33,7 @@ from hygrokf.climate.study import DurationCurve, JointDistribution, RegionClimat
 from hygrokf.data.ambient import middle
 from hygrokf.data.progress import Progress, reporting
 from hygrokf.data.record import Record
+from hygrokf.estimation.conventions import CONFIDENCE
 from hygrokf.identification.fit import Fit
 from hygrokf.identification.verdict import inherited
 from hygrokf.identification.verdict_terms import rests_on
@@ -48,7 +49,7 @@ DAYS_OF = 8
 """Members of each year whose days a test profile may choose from."""
 SHARES = (0.0, 0.001, 0.01, 0.02, 0.05, *np.arange(0.1, 0.91, 0.05).round(2), 0.95, 0.98, 0.99, 0.999, 1.0)
 """Shares of the time [1] at which a duration curve is given."""
-RATES = {"temperature_degC": "temperature", "relative_humidity_percent": "relative_humidity"}
+RATE_QUANTITIES = {"temperature_degC": "temperature", "relative_humidity_percent": "relative_humidity"}
 """Quantities whose rates of change have a duration curve, with their keys in climate.json."""
 TEMPERATURE_EDGES = np.arange(-60.0, 120.1, 2.5)
 HUMIDITY_EDGES = np.arange(0.0, 100.1, 5.0)
@@ -67,7 +68,7 @@ def reduced(year: Year, law: Acceleration, limits: Sequence[ClimateLimit] = ()) 
     found = {(scope, name): scalar for scope in SCOPES for name, scalar in scalars(year, law, scope).items()}
     for name, value in rows.items():
         found["duration", name] = np.quantile(value[:, year.known], shares, axis=1).T
-    for name, short in RATES.items():
+    for name, short in RATE_QUANTITIES.items():
         if name in rows:
             found["rates", short] = np.quantile(rates(rows[name], year), shares, axis=1).T
     if (percent := rows.get("relative_humidity_percent")) is not None:
@@ -112,10 +113,10 @@ class Gathered:
     def part(self) -> Statement | None:
         """The known part of the fullest year, such as 80 days; None where it can stand for a year."""
         fullest = max(self.spans, key=lambda span: span.hours_known)
-        if fullest.hours_known >= WHOLE * YEAR_H:
+        if fullest.hours_known >= WHOLE_SHARE * YEAR_H:
             return None
         covered = fullest.hours_covered
-        return _length(covered if covered < WHOLE * YEAR_H else fullest.hours_known)
+        return _length(covered if covered < WHOLE_SHARE * YEAR_H else fullest.hours_known)
 
     def has(self, scope: str) -> bool:
         """Whether any hour of any year belongs to a scope."""
@@ -175,7 +176,7 @@ def _length(hours: float) -> Statement:
     return ClimateCode.LENGTH_IN_HOURS(hours=hours)
 
 
-MEMBERS = 50
+ENSEMBLE_MEMBERS = 50
 STANDSTILL_YEAR = "standstill_all_year"
 
 
@@ -186,7 +187,7 @@ def climate_profile(
     *,
     limits: Sequence[ClimateLimit] = (),
     plan: ProfilePlan | None = None,
-    members: int = MEMBERS,
+    members: int = ENSEMBLE_MEMBERS,
     seed: int = 1,
     surface: Surface | None = None,
     progress: Progress | bool | None = None,
@@ -204,7 +205,7 @@ def climate_profile(
     progress: called with each step in words; True: shows them as one line.
 
     Returns hours, temperatures [°C], relative [%] and absolute humidities [g/m³] a year by region and scope,
-    with bounds.  Of several years those with less than `WHOLE` of their hours known are left out.
+    with bounds.  Of several years those with less than `WHOLE_SHARE` of their hours known are left out.
     Raises ValueError without regions and for fewer than two members, and PowerFault where weather and power
     do not suffice for the model.
     """
@@ -234,7 +235,7 @@ def climate_profile(
         version=__version__,
         members=members,
         seed=seed,
-        level=LEVEL,
+        level=CONFIDENCE,
         verdicts=inherited(fit.results),
         surface=surface,
         plan=plan,
@@ -318,7 +319,7 @@ def _gathered(
     for year in years:
         count += 1
         if year.known.any():
-            (whole if year.hours >= WHOLE * YEAR_H else part).add(year, limits, law, members)
+            (whole if year.hours >= WHOLE_SHARE * YEAR_H else part).add(year, limits, law, members)
     return (whole if whole.spans else part), count
 
 
@@ -360,7 +361,7 @@ def weather_statements(
         code = ClimateCode.WEATHER_WITHOUT_DAYS if step_h >= 12.0 else ClimateCode.WEATHER_RARE
         statements.append(code(signal=name, step_h=step_h))
     if count < found:
-        statements.append(ClimateCode.YEARS_LEFT_OUT(left_out=found - count, years=found, share=WHOLE))
+        statements.append(ClimateCode.YEARS_LEFT_OUT(left_out=found - count, years=found, share=WHOLE_SHARE))
     if count == 1:
         alone = ClimateCode.BOUNDS_OF_ONE_YEAR() if part is None else ClimateCode.BOUNDS_OF_A_PART(part=part)
         statements.append(alone)
@@ -370,8 +371,8 @@ def weather_statements(
         statements.append(ClimateCode.NO_LIMIT_PASSES(part=part))
     if hours < 0.98 * length:
         statements.append(ClimateCode.INPUTS_UNKNOWN(share=1.0 - hours / length))
-    if share < LEVEL:
-        few = ClimateCode.FEW_MEMBERS(members=members, share=share, level=LEVEL, fewest=FEWEST_MEMBERS)
+    if share < CONFIDENCE:
+        few = ClimateCode.FEW_MEMBERS(members=members, share=share, level=CONFIDENCE, fewest=FEWEST_MEMBERS)
         statements.append(few)
     statements += [text for limit in limits for text in _limit_statements(limit, gathered)]
     if dripping_h >= DRIPPING_H:

@@ -198,17 +198,17 @@ def _share(
     return 3.0 * total / float(spread[place, place]) ** 2
 
 
-STEP_TOLERANCE = 1e-4
+MEMBER_STEP_TOLERANCE = 1e-4
 """[1] `tolerance` of the members' sub-steps: a draw of a member is off by that share of its spread."""
 STEP_H = 1.0
 """[h] distance of the kept instants; the steps between them are simulated but not kept."""
 YEAR_H = 8766.0
 """[h] of a year, 365.25 days."""
-WHOLE = 0.9
+WHOLE_SHARE = 0.9
 """Share of a year above which a stretch counts as a year."""
 SPIN_UP_H = 720.0
 """[h] length of a first run, after which the state has forgotten its start; then the run starts over."""
-SINGULAR = 1e-9
+OWN_NOISE = 1e-9
 """Share of a state's variance [1] that is added as noise of its own, so that singular covariances have a
 factor."""
 DRAWN = 256
@@ -316,7 +316,7 @@ def shots_of(fit: Fit, design: Design, run: Run) -> tuple[Shots, ...]:
     inputs = {name: _typical(t.input(name), name in t.regimes) for name in model.inputs}
     first = np.array([model.initial(fit.values, inputs)[0]], dtype=float)
     still = {name: np.full(2, value) for name, value in inputs.items()}
-    runs = SideBySide(model, [fit.values], STEP_TOLERANCE)
+    runs = SideBySide(model, [fit.values], MEMBER_STEP_TOLERANCE)
     walk = _EnsembleWalk(runs, first, still, np.array([0.0, STEP_H]), None)
     walk.through(range(1))
     for _ in range(int(SPIN_UP_H / STEP_H)):
@@ -366,7 +366,7 @@ def simulate_years(
         kick = random.standard_normal(n) if process else np.zeros(n)
         begin = mean + np.sqrt(variance) * kick
         starts.append(np.where(model.amounts, np.maximum(begin, 0.0), begin))
-    runs = SideBySide(model, members, STEP_TOLERANCE)
+    runs = SideBySide(model, members, MEMBER_STEP_TOLERANCE)
     spread = {p.name: np.array([member[p.name] for member in members]) for p in model.parameters}
     off = {name: np.zeros(len(members)) for name in switches}
     board = Switchboard(model, spread, switches, off) if switches else None
@@ -391,7 +391,7 @@ def kept_instants(time_h: np.ndarray) -> np.ndarray:
     """Places of the first instants [h] that are at least an hour apart."""
     whole = np.flatnonzero(np.abs(time_h / STEP_H - np.round(time_h / STEP_H)) < 1e-6)
     # where every hour has an instant of its own these are the hours; else whatever stands an hour on
-    if len(whole) >= WHOLE * (time_h[-1] - time_h[0]) / STEP_H:
+    if len(whole) >= WHOLE_SHARE * (time_h[-1] - time_h[0]) / STEP_H:
         return whole
     chosen, last = [], -np.inf
     for place, hour in enumerate(time_h.tolist()):
@@ -408,7 +408,7 @@ def years_of(time_h: np.ndarray) -> list[np.ndarray]:
     """
     number = ((time_h - time_h[0]) // YEAR_H).astype(int)
     groups = [np.flatnonzero(number == year) for year in np.unique(number)]
-    long = [g for g in groups if time_h[g[-1]] - time_h[g[0]] >= WHOLE * YEAR_H]
+    long = [g for g in groups if time_h[g[-1]] - time_h[g[0]] >= WHOLE_SHARE * YEAR_H]
     return long or groups[:1]
 
 
@@ -491,13 +491,13 @@ def _drawn(covariance: np.ndarray, kick: np.ndarray) -> np.ndarray:
     safe = np.where(scale > 0.0, scale, 1.0)
     correlation = covariance / (safe[:, :, None] * safe[:, None, :])
     n = kick.shape[1]
-    correlation[:, np.arange(n), np.arange(n)] = 1.0 + SINGULAR
+    correlation[:, np.arange(n), np.arange(n)] = 1.0 + OWN_NOISE
     try:
         factor = np.linalg.cholesky(correlation)
     except np.linalg.LinAlgError:
         # the moments of a nonlinear model may have an eigenvalue a little below 0
         least = np.linalg.eigvalsh(correlation)[:, 0]
-        correlation[:, np.arange(n), np.arange(n)] += np.maximum(2.0 * SINGULAR - least, 0.0)[:, None]
+        correlation[:, np.arange(n), np.arange(n)] += np.maximum(2.0 * OWN_NOISE - least, 0.0)[:, None]
         factor = np.linalg.cholesky(correlation)
     return scale * np.einsum("nij,nj->ni", factor, kick)
 

@@ -23,7 +23,7 @@ from hygrokf.texts.climate_codes import ClimateCode
 from hygrokf.texts.statement import Statement
 from hygrokf.texts.terms import Name
 
-QUANTITIES = {
+LIMITED_QUANTITIES = {
     "temperature_degC": "°C",
     "relative_humidity_percent": "%",
     "absolute_humidity_g_m3": "g/m³",
@@ -42,7 +42,7 @@ class ClimateLimit:
     """A limit, and a [[limit]] of a file: at most `hours_a_year` of `quantity` `above` or `below` a level,
     `during` a scope of the year."""
 
-    quantity: Name = setting(help="what is limited", choices=tuple(QUANTITIES))
+    quantity: Name = setting(help="what is limited", choices=tuple(LIMITED_QUANTITIES))
     above: float | None = setting(None, "the level that should not be exceeded")
     below: float | None = setting(None, "the level that the quantity should not fall below")
     hours_a_year: float = setting(0.0, "hours allowed beyond the level", least=0.0, most=YEAR_H)
@@ -79,7 +79,7 @@ class ClimateLimit:
     def named(self, of: str = "") -> ClimateLimit:
         """The limit with a name: its own, or that `of` a class and the limit in words."""
         when = "" if self.during == "all" else f" in {self.during}"
-        words = f"{self.quantity_words} {self.side} {self.level:g} {QUANTITIES[self.quantity]}{when}"
+        words = f"{self.quantity_words} {self.side} {self.level:g} {LIMITED_QUANTITIES[self.quantity]}{when}"
         return replace(self, name=self.name or f"{of}{words}")
 
     @property

@@ -23,7 +23,7 @@ from hygrokf.errors import HygrokfError
 from hygrokf.identification.fit import Fit
 from hygrokf.texts.climate_codes import ClimateCode
 from hygrokf.texts.statement import Statement
-from hygrokf.weather.reading import TYPICAL, form_of, read_weather
+from hygrokf.weather.reading import TYPICAL, read_weather, weather_format
 
 YEAR_S = 365.25 * DAY_S
 FASTEST_M_S = 60.0
@@ -282,7 +282,7 @@ def read_region(
     if cases:
         weather = read_case(paths[0], cabinet=False)
     else:
-        typical = len(paths) == 1 and form_of(paths[0]) in TYPICAL
+        typical = len(paths) == 1 and weather_format(paths[0]) in TYPICAL
         years = years_of_power(power["active_power"]) if typical and isinstance(power, Record) else 1
         weather = read_weather(paths, year=TYPICAL_YEAR if typical else None, years=years)
         if years > 1:

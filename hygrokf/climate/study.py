@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
 TABLE = "climate.csv"
-UNITS = {one.name: one.unit for one in STATISTICS}
+STATISTIC_UNITS = {one.name: one.unit for one in STATISTICS}
 """Of the numbers of a climate, by name."""
 LIMIT_UNITS = {"hours": "h/a", "number": "1/a", "longest_h": "h"}
 """Of the numbers of a limit."""
@@ -173,7 +173,7 @@ class Study:
         "limit".  `outside` is NaN where the weather has none."""
         for region in self.regions:
             numbers = [
-                (scope, name, UNITS.get(name, "1"), one)
+                (scope, name, STATISTIC_UNITS.get(name, "1"), one)
                 for scope, by_name in region.scopes.items()
                 for name, one in by_name.items()
             ]

@@ -14,12 +14,12 @@ from hygrokf.commands.console import (
     faults_of,
     show_reported,
 )
-from hygrokf.commands.opening import fit_of, record_of, source_model, stored_fit
+from hygrokf.commands.opening import case_fit, case_record, source_model, stored_fit
 from hygrokf.commands.verb import Verb, add_json, add_library, add_out
 from hygrokf.data import files
 from hygrokf.errors import HygrokfError
 
-STEPS = 8
+TRANSFER_STEPS = 8
 """Progress messages of one transfer."""
 
 
@@ -91,9 +91,9 @@ def _compare(options: Namespace) -> int:
     if len(pairs) < 2:
         raise UserFault("expected at least two columns to compare: several cases, or several fits; found one")
     fits = {path: stored_fit(path, options.library) for path in options.fit}
-    records = {case: record_of(case) for case in dict.fromkeys(case for case, _ in pairs)}
+    records = {case: case_record(case) for case in dict.fromkeys(case for case, _ in pairs)}
     without_fit = dict.fromkeys(case for case, path in pairs if path is None)
-    own_fits = {case: fit_of(records[case], case) for case in without_fit}
+    own_fits = {case: case_fit(records[case], case) for case in without_fit}
     chosen = [
         (records[case], own_fits[case] if path is None else fits[path], case, path) for case, path in pairs
     ]
@@ -137,9 +137,9 @@ def _transfer(options: Namespace) -> int:
 
     expect_own_directory(options.out, files.TRANSFER)
     source = source_model(options.fit, options.library)
-    records = [record_of(case) for case in options.cases]
+    records = [case_record(case) for case in options.cases]
     transfers = []
-    with Progress(STEPS * len(records)) as progress:
+    with Progress(TRANSFER_STEPS * len(records)) as progress:
         for case, record in zip(options.cases, records, strict=True):
             with faults_of(case):
                 transfers.append(transfer_fit(source, record, progress))
@@ -158,7 +158,7 @@ def _transfer(options: Namespace) -> int:
     return show_reported(page, results, transfer_blocks(results), options.json, pooling_fault)
 
 
-TRANSFER = Verb(
+TRANSFER_VERB = Verb(
     "transfer",
     "try a fitted model on another turbine: which parameters carry over, which differ",
     _transfer_arguments,

@@ -22,11 +22,11 @@ from hygrokf.fleet.job import Job, Row, Work
 from hygrokf.fleet.running import run_jobs
 from hygrokf.fleet.tasks import CLIMATE_COLUMNS
 from hygrokf.identification.fit import write_fit
-from hygrokf.modelling.design import PARTS
 from hygrokf.report.fit_page import write_report
 from hygrokf.report.fleet_page import write_fleet_report
 from hygrokf.report.transfer_page import write_transfer
 from hygrokf.texts.fleet_codes import FleetCode
+from hygrokf.texts.parts import PARTS
 from hygrokf.texts.statement import Statement
 from hygrokf.texts.wording import stamp_text
 
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from hygrokf.identification.fit_results import TimeConstant
     from hygrokf.identification.verdict_terms import Inherited
 
-ERRORS = {"temperature_K": "temperature_rmse_K", "absolute_humidity_g_m3": "humidity_rmse_g_m3"}
+ERROR_COLUMNS = {"temperature_K": "temperature_rmse_K", "absolute_humidity_g_m3": "humidity_rmse_g_m3"}
 """Scored quantity → the column of its free-run error."""
 
 
@@ -139,7 +139,7 @@ def _score_columns(results: Scored) -> dict[str, Cell]:
     period."""
     is_validated = math.isfinite(results.errors("validation", "temperature_K").total)
     period = "validation" if is_validated else "identification"
-    errors = {column: results.errors(period, quantity).total for quantity, column in ERRORS.items()}
+    errors = {column: results.errors(period, quantity).total for quantity, column in ERROR_COLUMNS.items()}
     return {"scored_period": period, **errors}
 
 
@@ -166,7 +166,7 @@ def _discover(job: Job) -> Row:
         **_score_columns(final.fit),
     }
     base = _score_columns(results.baseline.fit)
-    return columns | {f"base_{column}": base[column] for column in ERRORS.values()}
+    return columns | {f"base_{column}": base[column] for column in ERROR_COLUMNS.values()}
 
 
 def _evaluate(job: Job) -> Row:
@@ -181,7 +181,7 @@ def _evaluate(job: Job) -> Row:
         **_verdict_columns(evaluation.verdicts),
         **_score_columns(evaluation),
     }
-    for quantity, column in ERRORS.items():
+    for quantity, column in ERROR_COLUMNS.items():
         errors = evaluation.errors(str(columns["scored_period"]), quantity)
         columns[column.replace("rmse", "rmse_operation")] = errors.operation
         columns[column.replace("rmse", "rmse_standstill")] = errors.standstill
@@ -211,7 +211,7 @@ def _transfer(job: Job) -> Row:
         **_verdict_columns(results.verdicts),
         "scored_period": results.period,
     }
-    for quantity, column in ERRORS.items():
+    for quantity, column in ERROR_COLUMNS.items():
         for which, name in (("re_estimated", column), ("as_is", f"as_is_{column}")):
             error = results.rmse.get(quantity, {}).get(which)
             columns[name] = error.total if error is not None else math.nan

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hygrokf.commands.console import Progress, activity, faults_of
+from hygrokf.estimation.conventions import STARTS
 
 if TYPE_CHECKING:
     from hygrokf.data.record import Record
@@ -15,7 +16,7 @@ if TYPE_CHECKING:
     from hygrokf.modelling.library import Library
 
 
-def record_of(case: Path, cabinet: bool = True) -> Record:
+def case_record(case: Path, cabinet: bool = True) -> Record:
     """The record of a case; its warnings go to standard error."""
     from hygrokf.cases.case_file import read_case
 
@@ -25,8 +26,8 @@ def record_of(case: Path, cabinet: bool = True) -> Record:
     return record
 
 
-def fit_of(
-    record: Record, case: Path, criterion: str = "likelihood", starts: int = 4, kind: str | None = None,
+def case_fit(
+    record: Record, case: Path, criterion: str = "likelihood", starts: int = STARTS, kind: str | None = None,
     model: Fit | None = None,
 ) -> Fit:  # fmt: skip
     """Estimate the fit of a record; the options are those of `identify`.  Raises UserFault that names the

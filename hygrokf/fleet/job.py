@@ -52,7 +52,7 @@ class FleetFault(FormFault):
     """The fleet cannot be run; `faults` lists every reason."""
 
 
-def number(row: Row, column: str) -> float:
+def cell_number(row: Row, column: str) -> float:
     """The number in a column; NaN if the cell has no number."""
     value = row.get(column)
     return float(value) if isinstance(value, int | float) and not isinstance(value, bool) else math.nan
@@ -72,7 +72,7 @@ def flat(cell: Cell) -> bool | int | float | str | None:
     return cell
 
 
-def text_of(row: Row, column: str) -> str:
+def cell_text(row: Row, column: str) -> str:
     """The text in a column; "" without a value."""
     value = flat(row.get(column))
     return "" if value is None else one_line(str(value))
@@ -197,7 +197,7 @@ def perform(job: Job, work: Work) -> Row:
         clear_folder(job)
         row = row_of(job, DONE, work(job))
     except Exception as fault:
-        row = row_of(job, FAILED, reason=reason_of(fault))
+        row = row_of(job, FAILED, reason=failure_reason(fault))
     try:
         write_row(job, row)
     except OSError as fault:
@@ -205,7 +205,7 @@ def perform(job: Job, work: Work) -> Row:
     return row
 
 
-def reason_of(fault: Exception) -> str:
+def failure_reason(fault: Exception) -> str:
     """The reason for a failure on one line, for an unexpected exception with the place where it was
     raised."""
     faults = getattr(fault, "faults", ())

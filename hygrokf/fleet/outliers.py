@@ -6,8 +6,8 @@ On the logarithm x of a positive quantity, with standard errors e from its bound
     0),
 
 so a turbine with wide bounds must deviate further.  |z| is compared with the largest |z| of as many normal
-numbers, which is simulated (`SEED`): the probability of any outlier in a fleet of identical turbines is
-`LEVEL`, divided among the compared quantities (Bonferroni).
+numbers, which is simulated (`FLEET_SEED`): the probability of any outlier in a fleet of identical turbines is
+`SIGNIFICANCE`, divided among the compared quantities (Bonferroni).
 """
 
 from __future__ import annotations
@@ -18,18 +18,17 @@ from functools import cache
 
 import numpy as np
 
-from hygrokf.fleet.job import Row, number
+from hygrokf.estimation.conventions import SIGNIFICANCE
+from hygrokf.fleet.job import Row, cell_number
 from hygrokf.fleet.tasks import Compared
 
-LEVEL = 0.05
-"""Probability of any outlier, in all quantities together, in a fleet of identical turbines."""
 FEWEST_JUDGED = 6
 """Fewest turbines among which outliers are sought."""
-DRAWS, SEED = 4000, 20
+SIMULATED_FLEETS, FLEET_SEED = 4000, 20
 """Number of simulated fleets, and the seed of the simulation."""
 TO_SD = 1.4826
 """Standard deviation of a normal distribution over its median absolute deviation."""
-REACH = 1.959963984540054
+INTERVAL_SD = 1.959963984540054
 """Half-width of a 95 % interval, in standard deviations."""
 NUMBERS_AT_ONCE = 2_000_000
 """Largest number of normal numbers in memory at once."""
@@ -60,7 +59,7 @@ class Scatter:
     @property
     def outliers(self) -> list[int]:
         """Indices of the outliers, sorted by distance, farthest first."""
-        return [int(i) for i in np.argsort(-np.abs(self.z)) if self.p[i] < LEVEL]
+        return [int(i) for i in np.argsort(-np.abs(self.z)) if self.p[i] < SIGNIFICANCE]
 
     @property
     def explained(self) -> bool:
@@ -76,21 +75,23 @@ class Scatter:
         if len(kept) < 2:
             return True
         q = float(weight @ (x - weight @ x / weight.sum()) ** 2)
-        return bool(chdtrc(len(kept) - 1, q) > LEVEL)
+        return bool(chdtrc(len(kept) - 1, q) > SIGNIFICANCE)
 
 
 def spreads(rows: Sequence[Row], compared: Sequence[Compared]) -> list[Scatter]:
     """The scatter of every quantity of which at least one turbine has a positive value."""
-    present = [quantity for quantity in compared if any(number(row, quantity.column) > 0 for row in rows)]
+    present = [
+        quantity for quantity in compared if any(cell_number(row, quantity.column) > 0 for row in rows)
+    ]
     return [spread(rows, quantity, len(present)) for quantity in present]
 
 
 def spread(rows: Sequence[Row], compared: Compared, quantities: int = 1) -> Scatter:
-    """The scatter of one quantity; `quantities` is the number of quantities among which `LEVEL` is
+    """The scatter of one quantity; `quantities` is the number of quantities among which `SIGNIFICANCE` is
     divided."""
     names, x, error, open_, rejected = [], [], [], [], []
     for row in rows:
-        value = number(row, compared.column)
+        value = cell_number(row, compared.column)
         if not value >= 0:
             continue
         if compared.rejected(row):
@@ -99,13 +100,13 @@ def spread(rows: Sequence[Row], compared: Compared, quantities: int = 1) -> Scat
         if value == 0:  # no logarithm
             open_.append(str(row["turbine"]))
             continue
-        low, high = (number(row, name) if name else np.nan for name in (compared.lower, compared.upper))
+        low, high = (cell_number(row, name) if name else np.nan for name in (compared.lower, compared.upper))
         if compared.lower and not 0 < low < high:
             open_.append(str(row["turbine"]))
             continue
         names.append(str(row["turbine"]))
         x.append(np.log(value))
-        error.append(np.log(high / low) / (2.0 * REACH) if compared.lower else np.nan)
+        error.append(np.log(high / low) / (2.0 * INTERVAL_SD) if compared.lower else np.nan)
     logs, sds = np.array(x), np.array(error)
     undefined = np.full(len(logs), np.nan)
     if not len(logs):
@@ -131,8 +132,8 @@ def spread(rows: Sequence[Row], compared: Compared, quantities: int = 1) -> Scat
 def _largest_distances(count: int) -> np.ndarray:
     """Largest |z| of `count` normal numbers, scaled by their median deviation, in each of many draws;
     sorted."""
-    random = np.random.default_rng(SEED)
-    draws = max(DRAWS // 8, min(DRAWS, 8_000_000 // count))
+    random = np.random.default_rng(FLEET_SEED)
+    draws = max(SIMULATED_FLEETS // 8, min(SIMULATED_FLEETS, 8_000_000 // count))
     largest = np.empty(draws)
     part = max(1, NUMBERS_AT_ONCE // count)
     for start in range(0, draws, part):

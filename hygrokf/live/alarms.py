@@ -30,6 +30,7 @@ from hygrokf.live.traces import CABINET_RELATIVE_HUMIDITY, SAME_S
 from hygrokf.live.tracker import TrackedCourse
 from hygrokf.modelling.design import PARTS
 from hygrokf.texts.live_codes import AlarmCode, CauseCode
+from hygrokf.texts.parts import PARTS
 from hygrokf.texts.statement import Statement
 
 ESTIMATES, SHIFTS, INNOVATION_KIND = "estimates", "shifts", "innovations"

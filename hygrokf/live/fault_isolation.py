@@ -25,12 +25,13 @@ import numpy as np
 from hygrokf.data.record import Record, Series
 from hygrokf.data.timestamps import DAY_S
 from hygrokf.estimation.likelihood import Gaussian
-from hygrokf.live.plan import AMBIENT_HUMIDITIES, Plan
+from hygrokf.live.plan import Plan
 from hygrokf.live.properties import ParameterShift, TrackedState, lasting_s
 from hygrokf.live.traces import SAME_S, censored_end, censored_trace
 from hygrokf.live.tracker import Point
 from hygrokf.modelling.design import extended
 from hygrokf.modelling.inputs import model_inputs
+from hygrokf.physics.signal_names import AMBIENT_HUMIDITIES
 
 CHANGED_STATES = {
     "thermal_time_constant": (("log_thermal_change", (0.05, 0.2, 0.6)),),

@@ -18,6 +18,7 @@ from hygrokf.data.record import Record, Series
 from hygrokf.data.timestamps import HOUR_S
 from hygrokf.engine.timeline import Timeline
 from hygrokf.estimation.confidence import normal_quantile
+from hygrokf.estimation.conventions import CONFIDENCE
 from hygrokf.evaluation.self_switching import self_switched
 from hygrokf.identification.fit import Fit
 from hygrokf.live.condition import (
@@ -301,7 +302,7 @@ def restart(
     if len(effects) == 1:
         return advice_from(hours, dry_by_effect[0], limit)
     # quadrature at the bounds and the estimate, with the weights that give the variance of the effect
-    outer = 0.5 / normal_quantile(LEVEL) ** 2
+    outer = 0.5 / normal_quantile(CONFIDENCE) ** 2
     weak, estimated, strong = dry_by_effect
     advice = advice_from(hours, outer * (weak + strong) + (1.0 - 2.0 * outer) * estimated, limit)
     longest_h, shortest_h = _hours_until_dry(hours, weak), _hours_until_dry(hours, strong)

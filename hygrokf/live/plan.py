@@ -21,13 +21,8 @@ from hygrokf.identification.fit import Fit
 from hygrokf.modelling.design import INPUT_HOLDS, Design, extended
 from hygrokf.physics.holds import LINEAR, MEAN, PREVIOUS
 from hygrokf.physics.model import Model
+from hygrokf.physics.signal_names import AMBIENT_HUMIDITIES
 
-AMBIENT_HUMIDITIES = (
-    "ambient_relative_humidity",
-    "ambient_absolute_humidity",
-    "ambient_dew_point_temperature",
-)
-"""Signals each of which determines the ambient's humidity."""
 FEATURES_H = 48.0
 """[h] before an instant on which derived inputs (features) may depend."""
 BEFORE = USUAL_STEPS + 1

@@ -13,6 +13,7 @@ from hygrokf.data.timestamps import DAY_S, HOUR_S
 from hygrokf.identification.fit import Fit
 from hygrokf.live.condition import Z95
 from hygrokf.physics.model import Model
+from hygrokf.physics.signal_names import CABINET_HUMIDITIES
 
 
 @dataclass(frozen=True)

@@ -29,6 +29,7 @@ from hygrokf.live.frozen import Frozen, frozen_runs
 from hygrokf.live.plan import AMBIENT_HUMIDITIES, BEFORE, Plan
 from hygrokf.live.traces import SAME_S, changed_trace
 from hygrokf.modelling.inputs import Run, longest_gap_h, model_inputs
+from hygrokf.physics.signal_names import AMBIENT_HUMIDITIES
 
 PROVISIONAL_S = 7 * DAY_S
 """[s] for which estimates without cabinet readings stay provisional, because silent sensors may still deliver

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from hygrokf.data.files import COMPARISON, COMPARISON_SERIES, COMPARISON_TABLE, REPORT, write_text_whole
 from hygrokf.data.result_file import read_result, result_text
-from hygrokf.evaluation.scoring import REGIMES, SCORED
+from hygrokf.evaluation.scoring import REGIMES
 from hygrokf.report.blocks import (
     FREE_RUN,
     OF_RECORDS,
@@ -34,11 +34,13 @@ from hygrokf.report.figures.comparison_figures import (
     figure_weeks,
     short_labels,
 )
+from hygrokf.report.fit_tables import RegimeRow, regimes_table
 from hygrokf.report.page import page_html
 from hygrokf.report.quantities import interval, quantity, share_text, versions
+from hygrokf.texts.parts import SCORED
 from hygrokf.texts.statement import Value
 from hygrokf.texts.transfer_codes import TransferCode
-from hygrokf.texts.wording import RULES, fixed, sentence, signed
+from hygrokf.texts.wording import RULE_NAMES, fixed, sentence, signed
 from hygrokf.transfer.comparison import (
     ComparisonColumn,
     ComparisonResults,
@@ -46,13 +48,13 @@ from hygrokf.transfer.comparison import (
 )
 from hygrokf.transfer.transfer_results import RecordCourse, read_courses, write_courses
 
-PERIODS = ("whole", "validation", "identification")
-COMMAND = "hygrokf compare"
+COMPARED_PERIODS = ("whole", "validation", "identification")
+COMPARE_COMMAND = "hygrokf compare"
 LEAST_DIFFERENCE = 0.005
 """Difference of two errors [K], [g/m³] that two decimals do not show."""
 MOST_PAIRS = 3
 """Number of pairs whose tables are shown; the tables of further pairs are folded."""
-METHOD = (
+COMPARISON_METHOD = (
     "Instants at which an input is unknown are not scored.",
     "Bounds come from a bootstrap of circular blocks of hours. A block is four times as long as the errors "
     "are correlated, and at least a day. Student's t widens the bounds for the small number of blocks. They "
@@ -97,11 +99,11 @@ def read_comparison(directory: str | os.PathLike[str]) -> tuple[ComparisonResult
     Raises ResultFault with all faults.
     """
     folder = Path(directory)
-    results = read_result(ComparisonResults, folder / COMPARISON, COMMAND)
+    results = read_result(ComparisonResults, folder / COMPARISON, COMPARE_COMMAND)
     path = folder / COMPARISON_SERIES
     if not path.exists():
         return results, ()
-    return results, read_courses(path, len(results.columns), COMMAND)
+    return results, read_courses(path, len(results.columns), COMPARE_COMMAND)
 
 
 # --- the page --------------------------------------------------------------------------------
@@ -159,7 +161,7 @@ def comparison_blocks(results: ComparisonResults, courses: Sequence[RecordCourse
             ),
         ),
         body,
-        method("Method", *METHOD, f"Compared by {versions(results.version)}."),
+        method("Method", *COMPARISON_METHOD, f"Compared by {versions(results.version)}."),
     )
 
 
@@ -253,28 +255,24 @@ def _sentence(row: ErrorRow) -> str:
 
 def scores_table(results: ComparisonResults, name: str) -> Table:
     """Table III of one quantity: operation, standstill and total by column and period."""
-    labels, rows = short_labels([column.label for column in results.columns]), []
-    for period in PERIODS:
+    labels = short_labels([column.label for column in results.columns])
+    rows: list[RegimeRow] = []
+    for period in COMPARED_PERIODS:
         for column, label in zip(results.columns, labels, strict=True):
             if (total := results.errors(period, name).get(column.label)) is not None:
-                regimes = (results.row("rmse", column.label, period, name, regime) for regime in REGIMES)
-                cells = (fixed(row.value) for row in regimes)
-                rows.append((label, period, *cells, interval(total.lower, total.upper), str(total.n)))
-    return Table(
-        quantity(name).rmse,
-        ("", "period", *REGIMES, "total, 95 %", "n"),
-        tuple(rows),
-        left=(0, 1),
-    )
+                regimes = [results.row("rmse", column.label, period, name, regime) for regime in REGIMES]
+                values = [row.value for row in regimes]
+                rows.append(((label, period), values, (total.lower, total.upper), total.n))
+    return regimes_table(quantity(name).rmse, rows, heads=("", "period"))
 
 
 def differences_table(results: ComparisonResults, column: str, reference: str) -> Table:
     """RMSE of `column` minus RMSE of `reference`, by quantity and period; rows whose bounds exclude zero are
     bold."""
-    rows: list[tuple[str, ...]] = []
+    rows: list[RegimeRow] = []
     bold_rows: list[int] = []
     for name in SCORED:
-        for period in PERIODS:
+        for period in COMPARED_PERIODS:
             by_regime = {
                 regime: results.row("difference", column, period, name, regime, reference)
                 for regime in REGIMES
@@ -285,14 +283,14 @@ def differences_table(results: ComparisonResults, column: str, reference: str) -
             if total.sure:
                 bold_rows.append(len(rows))
             remark = "" if total.same_readings else ", other readings"
-            cells = (signed(row.value) for row in by_regime.values())
-            span = interval(total.lower, total.upper)
-            rows.append((f"{quantity(name).change}{remark}", period, *cells, span, str(total.n)))
-    return Table(
+            values = [row.value for row in by_regime.values()]
+            labels = (f"{quantity(name).change}{remark}", period)
+            rows.append((labels, values, (total.lower, total.upper), total.n))
+    return regimes_table(
         f"RMSE of {column} minus RMSE of {reference}",
-        ("", "period", *REGIMES, "total, 95 %", "n"),
-        tuple(rows),
-        left=(0, 1),
+        rows,
+        heads=("", "period"),
+        number=signed,
         marked=tuple(bold_rows),
     )
 
@@ -306,7 +304,7 @@ def skill_table(results: ComparisonResults) -> Table:
             if period is None:
                 continue
             total = results.errors(period, name)[column.label]
-            for rule in RULES:
+            for rule in RULE_NAMES:
                 skill, error = (
                     results.row(kind, column.label, period, name, against=rule) for kind in ("skill", "rule")
                 )
@@ -314,7 +312,7 @@ def skill_table(results: ComparisonResults) -> Table:
                     continue
                 bounds = interval(skill.lower, skill.upper, share_text)
                 cells = (fixed(error.value), fixed(total.value), share_text(skill.value), bounds)
-                rows.append((label, quantity(name).words, RULES[rule], period, *cells))
+                rows.append((label, quantity(name).words, RULE_NAMES[rule], period, *cells))
     return Table(
         "Skill",
         ("", "quantity", "rule", "period", "rule", "model", "skill", "95 %"),

@@ -16,7 +16,6 @@ from hygrokf.evaluation.innovation_tests import NOTE
 from hygrokf.identification.fit import read_series
 from hygrokf.identification.fit_results import FitResults
 from hygrokf.identification.verdict import inherited, with_verdicts
-from hygrokf.modelling.design import PARTS
 from hygrokf.report.blocks import (
     FREE_RUN,
     INNOVATIONS,
@@ -41,15 +40,16 @@ from hygrokf.report.figures.fit_figures import FIGURES, PRODUCT, figure_of
 from hygrokf.report.fit_tables import (
     actuators_table,
     bands_table,
+    fit_parameters_table,
     innovations_table,
     optima_table,
-    parameters_table,
     rmse_table,
     time_constants_table,
 )
 from hygrokf.report.fit_text import free_run_text, judgements, level_and_method, range_text
 from hygrokf.report.page import page_html
 from hygrokf.report.quantities import place, versions
+from hygrokf.texts.parts import PARTS
 from hygrokf.texts.reasons import BELIEVE, CAUTION, REJECT, ReasonCode
 from hygrokf.texts.wording import UNBOUNDED, fixed, moment, one_line, sentence
 
@@ -106,7 +106,7 @@ def fit_blocks(fit: FitResults, series: Mapping[str, np.ndarray]) -> Page:
     """What a fit says: the time constants with their verdicts and the validation period first."""
     pictures = {name: figure_of(name, fit, series) for name in FIGURES}
     body = (
-        *section("What is reliable", Prose(TERMS, "note"), _judgements(fit)),
+        *section("What is reliable", Prose(FIT_TERMS, "note"), _judgements(fit)),
         *section(
             "Accuracy",
             table_or(
@@ -129,7 +129,7 @@ def fit_blocks(fit: FitResults, series: Mapping[str, np.ndarray]) -> Page:
             Details(
                 "All parameters",
                 (
-                    table_or(parameters_table(fit), "The fit holds no parameters."),
+                    table_or(fit_parameters_table(fit), "The fit holds no parameters."),
                     table_or(optima_table(fit), "All starts ended in the same optimum."),
                 ),
                 printed=True,
@@ -160,7 +160,7 @@ def fit_blocks(fit: FitResults, series: Mapping[str, np.ndarray]) -> Page:
     )
 
 
-def period_text(fit: FitResults) -> str:
+def fit_period(fit: FitResults) -> str:
     """The record's first and last instant and the end of its identification; empty where unknown."""
     start, until, end = (moment(one or "") for one in (fit.period.start, fit.period.until, fit.period.end))
     if not (start and end):
@@ -169,7 +169,7 @@ def period_text(fit: FitResults) -> str:
 
 
 def _about(fit: FitResults) -> tuple[str, ...]:
-    span = period_text(fit)
+    span = fit_period(fit)
     lines = [span] if span else []
     n, rated = fit.period.n_readings, fit.rated_power_kW
     facts = [f"{n:,} times with a reading"] if n else []
@@ -255,7 +255,7 @@ def _method(fit: FitResults) -> tuple[Block, ...]:
     )
     kind = f" ({fit.kind} model)" if fit.kind else ""
     estimated = f"The parameters were estimated by {how}{kind}, on the identification period alone. "
-    lines = [METHOD[0], estimated + METHOD[1], *METHOD[2:]]
+    lines = [FIT_METHOD[0], estimated + FIT_METHOD[1], *FIT_METHOD[2:]]
     lines += [sentence(one.text) for one in (() if fit.design is None else fit.design.statements)]
     values = [
         f"{label} {fixed(value)}"
@@ -270,12 +270,12 @@ def _method(fit: FitResults) -> tuple[Block, ...]:
     return method("How this was computed", *lines, fitted)
 
 
-TERMS = (
+FIT_TERMS = (
     f"{FREE_RUN} {INNOVATIONS} All sources: bounds of the profile likelihood, widened by every other source "
     "of uncertainty. Sandwich: bounds from the observed scatter of the scores, which hold even where the "
     "model's noise is not quite right."
 )
-METHOD = (
+FIT_METHOD = (
     "Heat balance: dT_conv/dt = (T_amb − T_conv + f_ΔT/ρ)/τ and T_conv,a = ρ T_conv + (1−ρ) T_amb, with "
     "τ = (R_AT+R_IC)·C and ρ = R_AT/(R_AT+R_IC). The heat release f_ΔT [K] is a polynomial of the power in "
     "operation and a line over the ambient temperature at standstill. Vapour balance: dc*/dt = T_conv,a "

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Iterable, Sequence
 from functools import partial
 
 from hygrokf.evaluation.actuator_effects import EstimatedChange
-from hygrokf.evaluation.diagnosis import CumulativePeriodogram
-from hygrokf.evaluation.scoring import REGIMES, SCORED, Errors, Scored
+from hygrokf.evaluation.innovation_tests import CumulativePeriodogram
+from hygrokf.evaluation.scoring import REGIMES, Errors, Scored
 from hygrokf.identification.fit_on_record import Evaluation
 from hygrokf.identification.fit_results import FitResults, PriorTerms, SensorResponse, TimeConstant
 from hygrokf.identification.verdict import inherited
@@ -17,10 +18,11 @@ from hygrokf.report.figures.fit_figures import PRODUCT
 from hygrokf.report.fit_text import lead_words, level_and_method, range_text
 from hygrokf.report.quantities import interval, parameter_cells, quantity
 from hygrokf.report.terminal import blocks_text
+from hygrokf.texts.parts import SCORED
 from hygrokf.texts.wording import (
     NONE,
-    QUANTITIES,
-    RULES,
+    QUANTITY_NAMES,
+    RULE_NAMES,
     decimals_for,
     fixed,
     p_value,
@@ -30,7 +32,9 @@ from hygrokf.texts.wording import (
     signed,
 )
 
-ACTUATORS = (
+RegimeRow = tuple[tuple[str, ...], Iterable[float], tuple[float, float] | None, int]
+"""Words of a row, its number in each of `REGIMES`, bounds and readings of the total."""
+ACTUATORS_NOTE = (
     "Mean difference between the simulations with and without the actuator while it is above half of its "
     "span, with 95 % bounds."
 )
@@ -108,7 +112,7 @@ def rmse_table(fit: Scored, period: str) -> Table | None:
     if not any(math.isfinite(error.total) for error in errors):
         return None
     rows = [("model, free run", *_cells(errors))]
-    for key, words in RULES.items():
+    for key, words in RULE_NAMES.items():
         cells = _cells([fit.rule_errors(period, key, name) for name in SCORED])
         if any(cell != NONE for cell in cells):
             rows.append((words, *cells))
@@ -126,6 +130,29 @@ def rmse_table(fit: Scored, period: str) -> Table | None:
     )
 
 
+def regimes_table(
+    title: str,
+    rows: Sequence[RegimeRow],
+    *,
+    heads: tuple[str, ...] = ("",),
+    number: Callable[[float], str] = fixed,
+    marked: tuple[int, ...] = (),
+) -> Table:
+    """Errors, or differences of errors, by regime, with the bounds and readings of the total; `heads` of the
+    columns of words, `marked` rows are set off."""
+    cells = []
+    for labels, values, bounds, n in rows:
+        total = NONE if bounds is None else interval(*bounds)
+        cells.append((*labels, *map(number, values), total, str(n)))
+    return Table(
+        title,
+        (*heads, *REGIMES, "total, 95 %", "n"),
+        tuple(cells),
+        left=tuple(range(len(heads))),
+        marked=marked,
+    )
+
+
 def _cells(errors: list[Errors]) -> list[str]:
     return [fixed(getattr(error, regime)) for error in errors for regime in REGIMES]
 
@@ -135,7 +162,7 @@ def bands_table(fit: Scored) -> Table:
     rows = []
     for lead in fit.bands:
         cells = []
-        for name in QUANTITIES:
+        for name in QUANTITY_NAMES:
             band = fit.band(lead, name)
             cells += [percent(band.coverage, 1), fixed(band.scale), str(band.n) if band.n > 0 else NONE]
         if any(cell != NONE for cell in cells):
@@ -144,13 +171,13 @@ def bands_table(fit: Scored) -> Table:
         "Readings inside the 95 % bands",
         ("", *("inside", "scale", "n") * 3),
         tuple(rows),
-        groups=(("", 1), *((words, 3) for words, _ in QUANTITIES.values())),
+        groups=(("", 1), *((words, 3) for words, _ in QUANTITY_NAMES.values())),
         note="Scale: the factor by which the band would have to be widened (above 1) or narrowed (below 1) "
         "to hold 95 %.",
     )
 
 
-def parameters_table(fit: FitResults) -> Table:
+def fit_parameters_table(fit: FitResults) -> Table:
     """Every parameter with standard error, bounds, unit, meaning and remarks."""
     rows: list[tuple[str, ...]] = []
     marked: list[int] = []
@@ -200,7 +227,7 @@ def actuators_table(fit: FitResults) -> Table:
         "What the logged actuators change while they are on",
         ("actuator", "on", "temperature [K]", "relative humidity [%]", "absolute humidity [g/m³]"),
         tuple(rows),
-        note=" ".join([ACTUATORS, *left_out]),
+        note=" ".join([ACTUATORS_NOTE, *left_out]),
     )
 
 

@@ -11,8 +11,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import partial
 
-from hygrokf.evaluation.innovation_tests import SMALL
-from hygrokf.evaluation.scoring import SCORED
+from hygrokf.evaluation.innovation_tests import SMALL_CORRELATION
 from hygrokf.identification.fit_results import FitResults, TimeConstant
 from hygrokf.identification.verdict import (
     COVERAGE,
@@ -23,12 +22,12 @@ from hygrokf.identification.verdict import (
     largest_correlation,
 )
 from hygrokf.identification.verdict_terms import QUANTITY_OF
-from hygrokf.modelling.design import PARTS
 from hygrokf.report.quantities import interval, quantity, spoken
+from hygrokf.texts.parts import PARTS, SCORED
 from hygrokf.texts.reasons import BELIEVE, CAUTION, REJECT, Kind, Reason, ReasonCode, verdict_of, worst_first
 from hygrokf.texts.wording import decimals_for, fixed, percent, plain_number
 
-METHODS = {
+METHOD_NAMES = {
     "composed": "all sources",
     "profile": "profile likelihood",
     "wald": "Wald",
@@ -42,7 +41,7 @@ METHODS = {
 def level_and_method(found: TimeConstant) -> str:
     """Level of an interval, and how its bounds were made."""
     level = percent(found.level) if math.isfinite(found.level) else ""
-    return ", ".join(filter(None, (level, METHODS.get(found.method, found.method))))
+    return ", ".join(filter(None, (level, METHOD_NAMES.get(found.method, found.method))))
 
 
 def free_run_text(found: TimeConstant) -> str:
@@ -84,7 +83,7 @@ class SubjectVerdict:
     reasons: tuple[Reason, ...] = ()
 
 
-ENDS = {
+VERDICT_ENDS = {
     BELIEVE: ", is reliable",
     CAUTION: ", should be used with caution",
     REJECT: ", is not reliable",
@@ -96,7 +95,7 @@ def _judged(about: str, subject: str, reasons: Iterable[Reason]) -> SubjectVerdi
     found = worst_first(reasons)
     verdict = verdict_of(found)
     told = tuple(one for one in found if verdict == BELIEVE or one.verdict != BELIEVE)
-    return SubjectVerdict(about, verdict, subject + ENDS[verdict], told)
+    return SubjectVerdict(about, verdict, subject + VERDICT_ENDS[verdict], told)
 
 
 def judgements(fit: FitResults) -> list[SubjectVerdict]:
@@ -112,7 +111,7 @@ def _time_constant(fit: FitResults, part: str) -> SubjectVerdict:
         return SubjectVerdict(part, CAUTION, none)
     known = inherited(fit)[part]
     size = f", known to {known.spread}" if known.closed else ""
-    head = f"The {part} time constant, {known.texts[0]}{size}{ENDS[known.verdict]}"
+    head = f"The {part} time constant, {known.texts[0]}{size}{VERDICT_ENDS[known.verdict]}"
     # doubts about the record stand before everything else
     reasons = [
         reason for reason in known.reasons if reason.source or reason.values.get("doubt") not in fit.doubts
@@ -160,7 +159,7 @@ def _innovations(fit: FitResults) -> Iterator[SubjectVerdict]:
     if not tests:
         return
     largest = max((largest_correlation(fit, name)[0] for name in fit.innovations.outputs), default=0.0)
-    small, reasons = 0 < largest < SMALL, []
+    small, reasons = 0 < largest < SMALL_CORRELATION, []
     if against:
         kinds = dict.fromkeys(f"{row.test}{' with inputs' * bool(row.input)}" for row in against)
         reasons.append(ReasonCode.NOT_WHITE(BELIEVE if small else CAUTION, kinds=tuple(kinds)))

@@ -10,9 +10,10 @@ from pathlib import Path
 from hygrokf.data.files import FLEET, REPORT, write_text_whole
 from hygrokf.data.record import Provenance
 from hygrokf.data.result_file import ResultFault, read_result
+from hygrokf.estimation.conventions import SIGNIFICANCE
 from hygrokf.fleet.fleet_results import CSV, FleetResults
-from hygrokf.fleet.job import DONE, Row, number, text_of
-from hygrokf.fleet.outliers import DRAWS, FEWEST_JUDGED, LEVEL, Scatter, spreads
+from hygrokf.fleet.job import DONE, Row, cell_number, cell_text
+from hygrokf.fleet.outliers import FEWEST_JUDGED, SIMULATED_FLEETS, Scatter, spreads
 from hygrokf.fleet.tasks import TASKS, Compared, Tally, Task
 from hygrokf.report.blocks import (
     Banner,
@@ -39,7 +40,7 @@ RANKED = 50
 """Rows of the ranking on the page; fleet.csv has all."""
 TALLIED = 12
 """Values of a column that the page counts, those of most turbines first."""
-NAMED = 20
+MOST_NAMED_TURBINES = 20
 """Turbines that are named; of more the first."""
 LEFT_OUT = "Left out, because they differ from the others by more than chance:"
 FAILURE = ("turbine", "status", "reason")
@@ -61,15 +62,15 @@ def write_fleet_report(out: Path) -> Path:
 
 def outcome_text(row: Row, known: bool) -> str:
     """A line on the outcome of one turbine; known: whether it was on disk already."""
-    turbine, status = text_of(row, "turbine"), text_of(row, "status")
+    turbine, status = cell_text(row, "turbine"), cell_text(row, "status")
     if status != DONE:
-        return f"{turbine}: {status}: {text_of(row, 'reason')}"
+        return f"{turbine}: {status}: {cell_text(row, 'reason')}"
     values = (
         f"{quantity.title} {WORDS[REJECT]}"
         if quantity.rejected(row)
         else f"{quantity.title} {value:.3g} {quantity.unit}"
-        for quantity in TASKS[text_of(row, "task")].compared[:2]
-        if math.isfinite(value := number(row, quantity.column))
+        for quantity in TASKS[cell_text(row, "task")].compared[:2]
+        if math.isfinite(value := cell_number(row, quantity.column))
     )
     return f"{turbine}: {', '.join([*values, 'done before' if known else 'done'])}"
 
@@ -182,7 +183,7 @@ def _pictures(found: Sequence[Scatter]) -> list[Figure]:
 def _failures(fleet: FleetResults) -> tuple[Block, ...]:
     if not fleet.missing:
         return ()
-    cells = tuple(tuple(text_of(row, name) for name in FAILURE) for row in fleet.missing)
+    cells = tuple(tuple(cell_text(row, name) for name in FAILURE) for row in fleet.missing)
     return section(
         "Without a result",
         Table("Turbines and reasons", FAILURE, cells, left=(0, 1, 2)),
@@ -195,7 +196,7 @@ def _outliers(found: Sequence[Scatter]) -> Block | None:
     judged = [scatter for scatter in found if len(scatter.turbines) >= FEWEST_JUDGED]
     if not judged:
         return None
-    least = 2.0 * len(found) / DRAWS
+    least = 2.0 * len(found) / SIMULATED_FLEETS
     rows = tuple(
         (
             scatter.turbines[i],
@@ -224,7 +225,7 @@ def _tallies(tallies: Sequence[Tally], done: Sequence[Row]) -> Table:
             cell = row.get(tally.column)
             for part in cell if isinstance(cell, tuple) else (cell,):
                 if value := "" if part is None else one_line(str(part)):
-                    having.setdefault(value, []).append(text_of(row, "turbine"))
+                    having.setdefault(value, []).append(cell_text(row, "turbine"))
         kinds = sorted(having.items(), key=lambda pair: -len(pair[1]))
         rows += [(tally.title, _in_words(v), str(len(who)), _some(who)) for v, who in kinds[:TALLIED]]
         if kinds[TALLIED:]:
@@ -242,7 +243,7 @@ def _in_words(value: str) -> str:
 
 
 def _some(turbines: Sequence[str]) -> str:
-    return f"{', '.join(turbines[:NAMED])}{' …' if turbines[NAMED:] else ''}"
+    return f"{', '.join(turbines[:MOST_NAMED_TURBINES])}{' …' if turbines[MOST_NAMED_TURBINES:] else ''}"
 
 
 def _set_aside(found: Sequence[Scatter]) -> list[Prose]:
@@ -267,11 +268,11 @@ def _ranking(task: Task, done: Sequence[Row], found: Sequence[Scatter]) -> Table
     ]
     if not shown:
         return None
-    key = [(-v if math.isfinite(v := number(row, task.ranking)) else math.inf) for row in done]
+    key = [(-v if math.isfinite(v := cell_number(row, task.ranking)) else math.inf) for row in done]
     order = sorted(range(len(done)), key=lambda i: (key[i], str(done[i]["turbine"])))
     odd = {scatter.turbines[i] for scatter in found for i in scatter.outliers}
     rows = tuple(
-        (str(place), text_of(done[i], "turbine"), *(_value(done[i], quantity) for quantity in shown))
+        (str(place), cell_text(done[i], "turbine"), *(_value(done[i], quantity) for quantity in shown))
         for place, i in enumerate(order[:RANKED], 1)
     )
     marked = tuple(k for k, i in enumerate(order[:RANKED]) if str(done[i]["turbine"]) in odd)
@@ -281,7 +282,7 @@ def _ranking(task: Task, done: Sequence[Row], found: Sequence[Scatter]) -> Table
         *(f"{quantity.title} [{quantity.unit}]" if quantity.unit else quantity.title for quantity in shown),
     )
     by = next((quantity.title for quantity in task.compared if quantity.column == task.ranking), task.ranking)
-    shares = [share for row in done if math.isfinite(share := number(row, "bounds_hold"))]
+    shares = [share for row in done if math.isfinite(share := cell_number(row, "bounds_hold"))]
     bounds = f"bounds that hold {percent(min(shares))} of single years" if shares else "95 % bounds"
     more = f" The first {RANKED} of {len(done)}; {CSV} has all." if len(done) > RANKED else ""
     note = f"In brackets {bounds}. Bold: outliers.{more}"
@@ -290,16 +291,16 @@ def _ranking(task: Task, done: Sequence[Row], found: Sequence[Scatter]) -> Table
 
 
 def _value(row: Row, one: Compared) -> str:
-    value = number(row, one.column)
+    value = cell_number(row, one.column)
     if not math.isfinite(value):
-        return text_of(row, one.column) or NONE
+        return cell_text(row, one.column) or NONE
     if one.rejected(row):
         return WORDS[REJECT]
     if not one.lower:
         return fixed(value)
-    low, high = number(row, one.lower), number(row, one.upper)
+    low, high = cell_number(row, one.lower), cell_number(row, one.upper)
     if one.column.endswith("value_h") and not 0 < low < high:
-        return text_of(row, one.column.replace("value_h", "statement")) or "open"
+        return cell_text(row, one.column.replace("value_h", "statement")) or "open"
     if plain_number(low) == plain_number(high):
         return plain_number(value)
     return f"{plain_number(value)} ({interval(low, high, plain_number)})"
@@ -312,10 +313,10 @@ def _method(fleet: FleetResults) -> tuple[Block, ...]:
         f"Each turbine was treated alone, with the same options{options}.",
         "Outliers: the distance of the logarithm of a turbine’s value from the median, in median absolute "
         "deviations (the turbines’ own bounds taken out, and those of the turbine added again), is compared "
-        f"with the largest distance in as many normal numbers ({DRAWS} simulated fleets at most). If "
-        f"turbines differ normally, the chance of any false outlier is {percent(LEVEL)} for the whole fleet "
-        f"and all quantities together; fewer than {FEWEST_JUDGED} turbines are not judged. An outlier need "
-        "not be faulty: the turbine may have another site, operation or design.",
+        f"with the largest distance in as many normal numbers ({SIMULATED_FLEETS} simulated fleets at most). "
+        f"If turbines differ normally, the chance of any false outlier is {percent(SIGNIFICANCE)} for the "
+        f"whole fleet and all quantities together; fewer than {FEWEST_JUDGED} turbines are not judged. An "
+        "outlier need not be faulty: the turbine may have another site, operation or design.",
         f"{CSV} has all numbers, and each turbine’s folder its results.",
         f"Done by {versions(fleet.version)}.",
     )

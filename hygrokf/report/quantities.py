@@ -14,10 +14,11 @@ from functools import partial
 from hygrokf.data.record import Site
 from hygrokf.identification.fit_results import ParameterRow
 from hygrokf.physics.psychrometrics import ZERO_CELSIUS_K
+from hygrokf.texts.parts import BOTH_PARTS
 from hygrokf.texts.wording import (
     MOST_DECIMALS,
     NONE,
-    QUANTITIES,
+    QUANTITY_NAMES,
     decimals_for,
     fixed,
     minus,
@@ -73,13 +74,10 @@ class QuantityTerms:
         return f"{fixed(value)} {self.unit}"
 
 
-LEVELS = {"temperature_K": ("°C", ZERO_CELSIUS_K)}
+LEVEL_UNITS = {"temperature_K": ("°C", ZERO_CELSIUS_K)}
 """Unit and zero of levels, where they are not those of the errors."""
-NAMES = {
-    "temperature": "temperature_K",
-    "humidity": "absolute_humidity_g_m3",
-    "vapour": "absolute_humidity_g_m3",
-    "absolute_humidity": "absolute_humidity_g_m3",
+NAMED_QUANTITY = {
+    name: part.scored for part in BOTH_PARTS for name in (part.output, part.balance, part.series)
 }
 """Quantity of series, of residuals or of a search → scored quantity."""
 COLDEST_K = 150.0
@@ -88,10 +86,10 @@ COLDEST_K = 150.0
 
 def quantity(name: str) -> QuantityTerms:
     """The quantity of a name; of an unknown name its words alone."""
-    scored = NAMES.get(name, name)
-    if scored not in QUANTITIES:
+    scored = NAMED_QUANTITY.get(name, name)
+    if scored not in QUANTITY_NAMES:
         return QuantityTerms("", spoken(name) or "error", "")
-    return QuantityTerms(scored, *QUANTITIES[scored], *LEVELS.get(scored, ()))
+    return QuantityTerms(scored, *QUANTITY_NAMES[scored], *LEVEL_UNITS.get(scored, ()))
 
 
 # --- words -----------------------------------------------------------------------------------

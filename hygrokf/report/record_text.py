@@ -21,14 +21,14 @@ if TYPE_CHECKING:
     from hygrokf.drafting.draft import Draft
     from hygrokf.drafting.mapping import DraftedSignal
 
-NONE = "-"
-WIDTH = 1000
+NO_ENTRY = "-"
+UNCUT_WIDTH = 1000
 """Lines are not cut: the paths of files may be long."""
 
 
 def describe_text(found: RecordSummary) -> str:
     """A summary as tables for the terminal."""
-    return "\n\n".join(blocks_text(record_blocks(found), WIDTH))
+    return "\n\n".join(blocks_text(record_blocks(found), UNCUT_WIDTH))
 
 
 def record_blocks(found: RecordSummary) -> Iterator[Block]:
@@ -80,13 +80,13 @@ def _signal(one: SignalSummary) -> tuple[str, ...]:
     return (
         one.signal,
         str(one.readings),
-        f"{100 * one.missing_share:.1f} %" if math.isfinite(one.missing_share) else NONE,
-        duration_text(one.step_s) if math.isfinite(one.step_s) else NONE,
+        f"{100 * one.missing_share:.1f} %" if math.isfinite(one.missing_share) else NO_ENTRY,
+        duration_text(one.step_s) if math.isfinite(one.step_s) else NO_ENTRY,
         str(one.gaps),
-        duration_text(one.longest_gap_s) if one.gaps else NONE,
+        duration_text(one.longest_gap_s) if one.gaps else NO_ENTRY,
         hold,
-        f"{one.resolution:g}{step_unit}" if one.resolution > 0.0 else NONE,
-        values if math.isfinite(one.mean) else NONE,
+        f"{one.resolution:g}{step_unit}" if one.resolution > 0.0 else NO_ENTRY,
+        values if math.isfinite(one.mean) else NO_ENTRY,
     )
 
 
@@ -94,9 +94,9 @@ def _sources(found: RecordSummary) -> Table:
     rows = tuple(
         (
             signal.signal,
-            signal.start or NONE,
-            signal.end or NONE,
-            f"±{duration_text(signal.clock_uncertainty_s)}" if signal.clock_uncertainty_s > 0.0 else NONE,
+            signal.start or NO_ENTRY,
+            signal.end or NO_ENTRY,
+            f"±{duration_text(signal.clock_uncertainty_s)}" if signal.clock_uncertainty_s > 0.0 else NO_ENTRY,
             signal.source,
         )
         for signal in found.signals
@@ -108,14 +108,14 @@ def _comparison(one: Alignment) -> tuple[str, ...]:
     signal = signal_named(one.signal)
     unit = "K" if signal.display == "degC" else signal.display
     offset = f"{difference_from_si(one.offset.value, signal.display, signal):+.2g} {unit}".rstrip(" 1")
-    wave = f"{100 * one.amplitude / one.other_amplitude:.0f} %" if one.other_amplitude else NONE
+    wave = f"{100 * one.amplitude / one.other_amplitude:.0f} %" if one.other_amplitude else NO_ENTRY
     lags = (_lag(season or one.whole) for season in (one.winter, one.summer))
     return (one.signal, one.one, one.other, offset, *lags, wave)
 
 
 def _lag(lag: Lag) -> str:
     if not lag.weather.known:
-        return NONE
+        return NO_ENTRY
     value, low, high = (n / MINUTE_S for n in (lag.weather.value, lag.weather.low, lag.weather.high))
     return f"{value:+.0f} min ({interval(low, high, '{:+.0f}'.format)})"
 
@@ -125,7 +125,7 @@ def _lag(lag: Lag) -> str:
 
 def draft_text(found: Draft) -> str:
     """A draft as tables for the terminal."""
-    return "\n\n".join(blocks_text(draft_blocks(found), WIDTH))
+    return "\n\n".join(blocks_text(draft_blocks(found), UNCUT_WIDTH))
 
 
 def draft_blocks(found: Draft) -> Iterator[Block]:

@@ -13,7 +13,6 @@ from typing import Literal
 from hygrokf.data.files import REPORT, TRANSFER, TRANSFER_SERIES, TYPE, write_text_whole
 from hygrokf.data.record import least_measured
 from hygrokf.data.result_file import read_result, result_text
-from hygrokf.evaluation.scoring import SCORED
 from hygrokf.identification.fit import write_fit
 from hygrokf.identification.turbine_type import TurbineType, write_type
 from hygrokf.report.blocks import (
@@ -35,15 +34,17 @@ from hygrokf.report.blocks import (
     unmeasured,
 )
 from hygrokf.report.figures.comparison_figures import (
-    SETS,
+    SET_LABELS,
     figure_course,
     figure_parameters,
     figure_sets,
     figure_type,
 )
 from hygrokf.report.fit_page import write_report
+from hygrokf.report.fit_tables import RegimeRow, regimes_table
 from hygrokf.report.page import page_html
 from hygrokf.report.quantities import interval, quantity, versions
+from hygrokf.texts.parts import SCORED
 from hygrokf.texts.transfer_codes import TransferVerdict
 from hygrokf.texts.wording import NONE, fixed, p_value, percent, plain_number, sentence
 from hygrokf.transfer.transfer_results import (
@@ -56,14 +57,14 @@ from hygrokf.transfer.transfer_results import (
     write_courses,
 )
 
-COMMAND = "hygrokf transfer"
+TRANSFER_COMMAND = "hygrokf transfer"
 SETS_NOTE = (
     f"{FREE_RUN} As it is: every parameter of the fit. Own loggers: sensor offsets and disturbances "
     "estimated on this record. Re-estimated: also the groups that differ. All its own: every parameter "
     "estimated on this record. All rows score the same instants; the fit's own page scores more where it "
     "can. The rule of the temperature was fitted to this record's identification period."
 )
-METHOD = (
+TRANSFER_METHOD = (
     f"{INNOVATIONS} All parameters were estimated from them on the record's identification period, with the "
     "fit's own model. A group of parameters differs if the estimates are further apart than both covariances "
     "explain (forward selection, corrected for the number of groups) and if the difference matters: 10 % of "
@@ -74,7 +75,7 @@ METHOD = (
     "bound, if the record's own estimate errs by far more than the fit did on its own record, or if the "
     "re-estimated model is worse than a rule without a model, or than the fit as it is.",
 )
-TONES: dict[TransferVerdict, Literal["plain", "open", "reject"]] = {
+TRANSFER_TONES: dict[TransferVerdict, Literal["plain", "open", "reject"]] = {
     TransferVerdict.TRANSFERS: "plain",
     TransferVerdict.PARTLY: "open",
     TransferVerdict.CANNOT_BE_JUDGED: "open",
@@ -119,8 +120,8 @@ def rewrite_transfer(directory: str | os.PathLike[str]) -> Path:
 def read_transfer(directory: str | os.PathLike[str]) -> tuple[TransferResults, tuple[RecordCourse, ...]]:
     """The results and courses in a directory.  Raises ResultFault with all faults."""
     folder = Path(directory)
-    found = read_result(TransferResults, folder / TRANSFER, COMMAND)
-    return found, read_courses(folder / TRANSFER_SERIES, len(found.records), COMMAND)
+    found = read_result(TransferResults, folder / TRANSFER, TRANSFER_COMMAND)
+    return found, read_courses(folder / TRANSFER_SERIES, len(found.records), TRANSFER_COMMAND)
 
 
 def folders(names: Sequence[str]) -> list[str]:
@@ -165,7 +166,7 @@ def transfer_blocks(found: TransferResults, courses: Sequence[RecordCourse] = ()
         (f"The {kind} of {source}, tried on the record{'s' if names[1:] else ''} of {', '.join(names)}.",),
         (*unmeasured(provenance, OF_RECORDS), cards, *pictures[:1]),
         tuple(body),
-        method("Method", *METHOD, f"Judged by {versions(found.version)}."),
+        method("Method", *TRANSFER_METHOD, f"Judged by {versions(found.version)}."),
     )
 
 
@@ -179,7 +180,7 @@ def _card(found: TransferResults, one: TransferResult) -> Card:
         lines=reasons if alone else reasons[:1],
         wide=alone,
         words=True,
-        tone=TONES[one.verdict],
+        tone=TRANSFER_TONES[one.verdict],
     )
 
 
@@ -213,7 +214,7 @@ def _record(found: TransferResults, place: int, course: Figure | None) -> tuple[
         Details(
             "All parameters, and likelihood ratios",
             (
-                table_or(parameters_table(one), "There are no parameters."),
+                table_or(transfer_parameters_table(one), "There are no parameters."),
                 table_or(ratios_table(one), "No likelihood ratio was needed."),
             ),
         ),
@@ -255,23 +256,16 @@ def errors_tables(one: TransferResult) -> tuple[Table, ...]:
     where = "held out" if held_out else "identification period: nothing is held out"
     tables = []
     for scored, by_set in one.rmse.items():
-        rows = []
-        for name in (n for n in SETS if n in by_set):
+        rows: list[RegimeRow] = []
+        for name in (n for n in SET_LABELS if n in by_set):
             row = by_set[name]
-            bounds = NONE if row.bounds is None else interval(*row.bounds)
-            numbers = (fixed(v) for v in (row.operation, row.standstill, row.total))
-            rows.append((SETS[name], *numbers, bounds, str(row.n.total)))
-        tables.append(
-            Table(
-                f"{quantity(scored).rmse}, {where}",
-                ("", "operation", "standstill", "total", "total, 95 %", "n"),
-                tuple(rows),
-            )
-        )
+            values = (row.operation, row.standstill, row.total)
+            rows.append(((SET_LABELS[name],), values, row.bounds, row.n.total))
+        tables.append(regimes_table(f"{quantity(scored).rmse}, {where}", rows))
     return tuple(tables)
 
 
-def parameters_table(one: TransferResult) -> Table:
+def transfer_parameters_table(one: TransferResult) -> Table:
     """Every parameter of the cabinet: original, own, difference."""
     rows = []
     for name, row in one.parameters.items():

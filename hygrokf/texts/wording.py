@@ -9,7 +9,7 @@ from datetime import UTC, datetime, timedelta
 
 NONE = "–"
 UNBOUNDED = "not identifiable"
-QUANTITIES = {
+QUANTITY_NAMES = {
     "temperature_K": ("temperature", "K"),
     "absolute_humidity_g_m3": ("absolute humidity", "g/m³"),
     "relative_humidity": ("relative humidity", "1"),
@@ -22,7 +22,7 @@ BASELINES = {
     },
 }
 """Rules that need no model, by the quantity that they predict."""
-RULES = {key: words for group in BASELINES.values() for key, words in group.items()}
+RULE_NAMES = {key: words for group in BASELINES.values() for key, words in group.items()}
 
 
 def plain_number(value: float, digits: int = 3) -> str:
@@ -50,8 +50,11 @@ def chance_text(probability: float) -> str:
 
 
 def signed(value: float, decimals: int = 2) -> str:
-    """A difference with its sign and `decimals` decimals."""
-    return minus(f"{value:+.{decimals}f}") if math.isfinite(value) else NONE
+    """A difference with its sign and `decimals` decimals; what rounds to zero has no sign."""
+    if not math.isfinite(value):
+        return NONE
+    text = f"{value:+.{decimals}f}"
+    return minus(text) if float(text) else text[1:]
 
 
 def minus(text: str) -> str:
@@ -100,15 +103,15 @@ def ends(value: float, low: float, high: float) -> tuple[str, str]:
     return fixed(value, decimals), f"{fixed(low, decimals)} … {fixed(high, decimals)}"
 
 
-NAMED = 5
+NAMES_SHOWN = 5
 """Names of a list that are shown; further names are only counted."""
 
 
 def several(names: Iterable[str]) -> str:
-    """The first `NAMED` names in one line, and the number of further ones."""
+    """The first `NAMES_SHOWN` names in one line, and the number of further ones."""
     found = list(names)
-    more = f" and {len(found) - NAMED} more" if len(found) > NAMED else ""
-    return f"{', '.join(found[:NAMED])}{more}"
+    more = f" and {len(found) - NAMES_SHOWN} more" if len(found) > NAMES_SHOWN else ""
+    return f"{', '.join(found[:NAMES_SHOWN])}{more}"
 
 
 def bytes_text(count: float) -> str:

@@ -26,6 +26,7 @@ import numpy as np
 
 from hygrokf.data.record import Record
 from hygrokf.estimation.confidence import Uncertainty, normal_quantile, positive_inverse
+from hygrokf.estimation.conventions import CONFIDENCE, SIGNIFICANCE
 from hygrokf.estimation.likelihood import Likelihood
 from hygrokf.estimation.optimiser import Estimate, Objective
 from hygrokf.evaluation.simulation import measured, settled
@@ -35,25 +36,25 @@ from hygrokf.identification.identify import expect_readings
 from hygrokf.identification.turbine_type import TurbineType
 from hygrokf.identification.verdict import inherited
 from hygrokf.identification.verdict_terms import Inherited
-from hygrokf.modelling.design import HUMIDITIES, Design, read_as
+from hygrokf.modelling.design import Design, read_as
 from hygrokf.modelling.inputs import Run, model_inputs
 from hygrokf.physics.model import Model
 from hygrokf.physics.parameters import Coordinates
+from hygrokf.physics.signal_names import CABINET_HUMIDITIES
 from hygrokf.texts.reasons import Reason
 from hygrokf.texts.statement import Statement
 from hygrokf.texts.transfer_codes import TransferCode
 from hygrokf.texts.wording import iso_time
 
-THERMAL = "thermal time constant"
-HEAT = "heat release"
-HYGRIC = "hygric exchange"
+THERMAL_GROUP = "thermal time constant"
+HEAT_GROUP = "heat release"
+HYGRIC_GROUP = "hygric exchange"
 OFFSETS = "sensor offsets"
 DISTURBANCES = "disturbances"
-UNKNOWN = "not known to the type"
-OF_THE_RECORD = (OFFSETS, DISTURBANCES, UNKNOWN)
+UNKNOWN_GROUP = "not known to the type"
+OF_THE_RECORD = (OFFSETS, DISTURBANCES, UNKNOWN_GROUP)
 """Groups that belong to a logger, a site and a season, not to a type of cabinet: every record has its own."""
-LEVEL = 0.05
-_BASE = {"thermal_network": THERMAL, "heat_release": HEAT, "hygric_exchange": HYGRIC}
+_BASE = {"thermal_network": THERMAL_GROUP, "heat_release": HEAT_GROUP, "hygric_exchange": HYGRIC_GROUP}
 _OFFSETS = ("_bias", "_offset")
 
 
@@ -93,7 +94,7 @@ class Difference:
             tuple(self.names[i] for i in place), self.value[place], self.covariance[np.ix_(place, place)]
         )
 
-    def bounds(self, name: str, level: float = 0.95) -> tuple[float, float, float]:
+    def bounds(self, name: str, level: float = CONFIDENCE) -> tuple[float, float, float]:
         """Difference of one parameter in its coordinate: (value, lower, upper)."""
         i = self.names.index(name)
         reach = normal_quantile(level) * math.sqrt(max(self.covariance[i, i], 0.0))
@@ -112,7 +113,7 @@ class GroupTest:
     @property
     def significant(self) -> bool:
         """Whether the group is selected."""
-        return self.p_adjusted < LEVEL
+        return self.p_adjusted < SIGNIFICANCE
 
 
 def unexplained(found: Difference, differing: Sequence[str]) -> float:
@@ -240,7 +241,7 @@ def baseline_of(origin: Origin, record: Record) -> tuple[Baseline, list[Statemen
     """
     statements: list[Statement] = []
     if (until_s := record.until_s) is None:
-        cabinet = [record[n] for n in ("cabinet_temperature", *HUMIDITIES) if n in record]
+        cabinet = [record[n] for n in ("cabinet_temperature", *CABINET_HUMIDITIES) if n in record]
         first, last = min(s.time[0] for s in cabinet), max(s.time[-1] for s in cabinet)
         until_s = float(first + EARLY_SHARE * (last - first))
         record = replace(record, until_s=until_s)
@@ -259,7 +260,7 @@ def baseline_of(origin: Origin, record: Record) -> tuple[Baseline, list[Statemen
         )
     unknown = [n for n, g in groups.items() if g not in OF_THE_RECORD and n not in origin.names]
     if origin.kind == "type" and unknown:
-        groups |= dict.fromkeys(unknown, UNKNOWN)
+        groups |= dict.fromkeys(unknown, UNKNOWN_GROUP)
         statements.append(TransferCode.UNKNOWN_TO_THE_TYPE(names=tuple(unknown)))
     held = _unknowable(origin, base, early_run)
     if held:

@@ -24,7 +24,7 @@ import numpy as np
 from hygrokf.data.record import Provenance, Record, least_measured
 from hygrokf.data.timestamps import DAY_S, WEEK_S
 from hygrokf.evaluation.bootstrap import resampled
-from hygrokf.evaluation.scoring import PERIODS, REGIMES, guesses, period_masks, rmse
+from hygrokf.evaluation.scoring import REGIMES, SCORED_PERIODS, guesses, period_masks, rmse
 from hygrokf.identification.fit import Fit
 from hygrokf.identification.fit_on_record import mismatches, simulate_fit
 from hygrokf.identification.verdict import inherited
@@ -38,11 +38,11 @@ from hygrokf.version import __version__
 if TYPE_CHECKING:
     import pandas
 
-ALL_PERIODS = (*PERIODS, "whole")
-SAME = 1e-6
+ALL_PERIODS = (*SCORED_PERIODS, "whole")
+SAME_READING = 1e-6
 """Readings of one instant that differ by less [K], [g/m³] are the same reading."""
 UNSCORED = TransferCode.NOTHING_TO_SCORE()
-UNITS = {"temperature_K": "K", "absolute_humidity_g_m3": "g/m3"}
+COMPARED_UNITS = {"temperature_K": "K", "absolute_humidity_g_m3": "g/m3"}
 
 
 # --- what a comparison finds -----------------------------------------------------------------
@@ -138,8 +138,8 @@ class ComparisonResults:
         rows = [
             (
                 r.kind, r.column, r.against, *(("", "") if r.kind == "difference" else fits[r.column]),
-                r.quantity, "1" if r.kind == "skill" else UNITS[r.quantity], r.period, r.regime, r.n, r.value,
-                r.lower, r.upper,
+                r.quantity, "1" if r.kind == "skill" else COMPARED_UNITS[r.quantity], r.period, r.regime, r.n,
+                r.value, r.lower, r.upper,
             )
             for r in self.rows
         ]  # fmt: skip
@@ -267,7 +267,7 @@ def _differences(a: ComparisonColumn, b: ComparisonColumn) -> Iterator[ErrorRow]
         if drawn is not None:
             apart = np.abs(a.course.measured[quantity][i] - b.course.measured[quantity][j])[there]
             ends = drawn.difference(0, 1) or (float(drawn.value[0] - drawn.value[1]), math.nan, math.nan)
-            same = bool(apart.max() <= SAME)
+            same = bool(apart.max() <= SAME_READING)
             yield ErrorRow(
                 "difference", a.label, b.label, quantity, period, regime, drawn.n, *ends, same_readings=same
             )

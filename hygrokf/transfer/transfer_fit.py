@@ -26,18 +26,20 @@ import numpy as np
 from hygrokf.data.progress import Progress, reporting
 from hygrokf.data.record import Record
 from hygrokf.estimation.confidence import Bounds, Uncertainty, normal_quantile, uncertainty
+from hygrokf.estimation.conventions import CONFIDENCE
 from hygrokf.estimation.optimiser import Estimate, Objective, fit_mle
 from hygrokf.evaluation.bootstrap import Resampled, resampled
-from hygrokf.evaluation.scoring import SCORED, guesses, period_masks, rmse
+from hygrokf.evaluation.scoring import guesses, period_masks, rmse
 from hygrokf.evaluation.simulation import Prediction, free_run, measured
-from hygrokf.identification.estimation import TIME_CONSTANTS, Stage
+from hygrokf.identification.estimation import Stage
 from hygrokf.identification.fit import Fit
 from hygrokf.identification.identify import Basis, assemble_fit
 from hygrokf.identification.turbine_type import TurbineType
 from hygrokf.identification.verdict import inherited, with_reasons
-from hygrokf.modelling.design import JOINT, PARTS
+from hygrokf.modelling.design import JOINT
 from hygrokf.physics.parameters import within_limits
 from hygrokf.texts.fit_codes import FitCode
+from hygrokf.texts.parts import PARTS, SCORED, TIME_CONSTANTS
 from hygrokf.texts.statement import Statement
 from hygrokf.texts.transfer_codes import TransferVerdict
 from hygrokf.texts.wording import iso_time
@@ -61,7 +63,7 @@ from hygrokf.transfer.transfer_results import (
     TransferResult,
     TransferSource,
 )
-from hygrokf.transfer.transferability import groups_of, matters, parameters_of, ratios_of, with_verdict
+from hygrokf.transfer.transferability import group_parameters, groups_of, matters, ratios_of, with_verdict
 
 SETS = ("as_is", "own_loggers", "re_estimated", "all_own")
 
@@ -176,7 +178,7 @@ def _results(
         reasons=(),
         re_estimate=found.differing,
         statements=tuple(statements),
-        parameters=parameters_of(baseline, found.apart, found.values(baseline), found.spread, found.own),
+        parameters=group_parameters(baseline, found.apart, found.values(baseline), found.spread, found.own),
         groups=groups_of(baseline, found.apart, found.tests, found.effects, found.differing),
         likelihood_ratios=ratios_of(baseline, *estimates, found.spread, found.differing),
         period=period,
@@ -298,11 +300,12 @@ def _fit(baseline: Baseline, estimate: Estimate, spread: Uncertainty) -> Fit:
     for name in TIME_CONSTANTS:
         i = wider.place(name)
         if i is not None:
-            reach = min(normal_quantile(0.95) * math.sqrt(max(wider.wald[i, i], wider.sandwich[i, i])), 50.0)
+            log_variance = max(wider.wald[i, i], wider.sandwich[i, i])
+            reach = min(normal_quantile(CONFIDENCE) * math.sqrt(log_variance), 50.0)
             value = estimate.values[name]
             ends = (value * math.exp(-reach), value * math.exp(reach))
             method = "taken over" if name in kept else "wald"
-            bounds[name] = Bounds(value, *ends, 0.95, method)
+            bounds[name] = Bounds(value, *ends, CONFIDENCE, method)
     stage = Stage(baseline.base, baseline.early_run, estimate, wider, bounds)
     basis = Basis(JOINT, (stage,), heat_release_regression(baseline.early_run.record))
     made = assemble_fit(baseline.run.record, basis, {})

@@ -11,14 +11,14 @@ import numpy as np
 
 from hygrokf.estimation.confidence import Uncertainty
 from hygrokf.estimation.optimiser import Estimate
-from hygrokf.evaluation.scoring import SCORED
+from hygrokf.texts.parts import SCORED
 from hygrokf.texts.statement import Statement, Value
 from hygrokf.texts.transfer_codes import TransferCode, TransferVerdict
-from hygrokf.texts.wording import QUANTITIES, RULES
+from hygrokf.texts.wording import QUANTITY_NAMES, RULE_NAMES
 from hygrokf.transfer.baseline import (
-    HYGRIC,
+    HYGRIC_GROUP,
     OF_THE_RECORD,
-    THERMAL,
+    THERMAL_GROUP,
     Baseline,
     Difference,
     GroupTest,
@@ -44,8 +44,8 @@ MATERIAL_DIFFERENCE = {
 of R_AT/(R_AT+R_IC), and for the simulated readings the accuracy of the paper's loggers (0.3 K; 2 % relative
 humidity, which is 0.26 g/m³ at 15 °C)."""
 DECISIVE_PARAMETERS = {
-    THERMAL: {"thermal_time_constant": "ln_time_constant", "resistance_ratio": "resistance_ratio"},
-    HYGRIC: {"hygric_k": "ln_time_constant"},
+    THERMAL_GROUP: {"thermal_time_constant": "ln_time_constant", "resistance_ratio": "resistance_ratio"},
+    HYGRIC_GROUP: {"hygric_k": "ln_time_constant"},
 }
 """Parameters that decide whether the difference of a group matters, with their keys of
 `MATERIAL_DIFFERENCE`; for other groups the effect on the simulated readings decides."""
@@ -64,7 +64,7 @@ def matters(group: str, apart: Difference, effect: Mapping[str, float]) -> bool:
     )
 
 
-def parameters_of(
+def group_parameters(
     baseline: Baseline,
     apart: Difference,
     values: Mapping[str, Mapping[str, float]],
@@ -221,7 +221,11 @@ def _against_the_rules(result: TransferResult) -> tuple[list[Statement], list[St
     """Objections and doubts where a rule without a model errs less than the re-estimated model."""
     objections, doubts = [], []
     for quantity, gain in _gains(result, "over_rule"):
-        values = {**_terms(quantity), "excess": -gain.gain, "rule": RULES.get(gain.against, gain.against)}
+        values = {
+            **_terms(quantity),
+            "excess": -gain.gain,
+            "rule": RULE_NAMES.get(gain.against, gain.against),
+        }
         if math.isnan(gain.upper) and gain.gain < 0.0:
             doubts.append(TransferCode.RULE_BETTER_UNBOUNDED(**values, readings=result.n_readings))
         if gain.upper < 0.0:
@@ -257,7 +261,7 @@ def _errors_before_and_after(result: TransferResult) -> list[Statement]:
 
 def _terms(quantity: str) -> dict[str, Value]:
     """The name and the unit of a scored quantity, for a statement."""
-    name, unit = QUANTITIES[quantity]
+    name, unit = QUANTITY_NAMES[quantity]
     return {"quantity": name, "unit": unit}
 
 

@@ -39,7 +39,8 @@ T = TypeVar("T")
 class FileContent:
     """One file, or one member of an archive.
 
-    member: its name in the archive, "" for the file itself. kind: as in `kind_of`. data: all of its bytes.
+    member: its name in the archive, "" for the file itself. kind: as in `archive_kind`. data: all of its
+    bytes.
     """
 
     member: str
@@ -64,7 +65,7 @@ def contents(path: Path) -> tuple[tuple[FileContent, ...], str]:
                 data = _bounded(stream, len(packed), MOST_BYTES)
         except (OSError, EOFError, zlib.error) as broken:
             raise TableFault(f"cannot be unpacked: {broken}; fetch it again") from None
-    return (FileContent("", kind_of(data), data),), digest
+    return (FileContent("", archive_kind(data), data),), digest
 
 
 def read_each(file_contents: Sequence[FileContent], read: Callable[[FileContent], T]) -> list[T]:
@@ -97,7 +98,7 @@ def only_content(path: Path, kinds: Sequence[str], what: str) -> tuple[FileConte
     return matching[0], digest
 
 
-def kind_of(data: bytes) -> str:
+def archive_kind(data: bytes) -> str:
     """Kind of a file by its first bytes: "netcdf4", "netcdf3", "epw", "json" or "csv" (any table of text).
 
     Raises TableFault for another kind, which it names.
@@ -168,7 +169,7 @@ def _members(packed: bytes) -> tuple[FileContent, ...]:
         for member in members:
             try:
                 data = _member(archive, member, bytes_left)
-                file_contents.append(FileContent(member.filename, kind_of(data), data))
+                file_contents.append(FileContent(member.filename, archive_kind(data), data))
                 bytes_left -= len(data)
             except TableFault as broken:
                 faults += [f"{member.filename}: {fault}" for fault in broken.faults]

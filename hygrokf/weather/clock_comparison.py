@@ -35,11 +35,11 @@ GRID_S = 600.0
 """[s] grid on which both series are compared; a parabola gives lags between its points."""
 REACH_H = 14.0
 """[h] largest lag searched: the widest difference between two time zones in use."""
-BRIDGE_H = 3.0
+COMPARISON_BRIDGE_H = 3.0
 BLOCK_D = 5.0
-FEWEST_D = 20.0
+FEWEST_COMPARED_D = 20.0
 """[d] fewest common days for a comparison."""
-DRAWS = 400
+LAG_DRAWS = 400
 LEAST_CORRELATION = 0.25
 """Highest correlation below which the two series are not of the same weather and have no lag."""
 WIDEST_H = 3.0
@@ -59,7 +59,7 @@ class Bounded:
         return math.isfinite(self.value)
 
 
-UNKNOWN = Bounded(math.nan, math.nan, math.nan)
+UNKNOWN_BOUNDS = Bounded(math.nan, math.nan, math.nan)
 
 
 @dataclass(frozen=True)
@@ -112,21 +112,21 @@ def align(one: Series, other: Series, *, america: bool = False) -> Alignment | N
         return None
     start = math.ceil(max(first.known[0][0], second.known[0][0]) / GRID_S) * GRID_S
     end = min(first.known[0][-1], second.known[0][-1])
-    if not end - start >= FEWEST_D * DAY_S:
+    if not end - start >= FEWEST_COMPARED_D * DAY_S:
         return None
     time = np.arange(start, end, GRID_S)
-    x, y = (at_times(each, time, bridge_h(each, BRIDGE_H)) for each in (first, second))
+    x, y = (at_times(each, time, bridge_h(each, COMPARISON_BRIDGE_H)) for each in (first, second))
     both = np.isfinite(x) & np.isfinite(y)
-    if both.sum() * GRID_S < FEWEST_D * DAY_S:
+    if both.sum() * GRID_S < FEWEST_COMPARED_D * DAY_S:
         return None
     sums = _sums(time, x, y, america)
     random = np.random.default_rng(0)
     everything = np.ones(len(sums.days), dtype=bool)
     lags, draws = dict[str, Lag](), dict[str, tuple[np.ndarray, np.ndarray]]()
     for part, inside in (("whole", everything), ("winter", ~sums.summer), ("summer", sums.summer)):
-        if part == "whole" or sums.days[inside].sum() >= FEWEST_D:
+        if part == "whole" or sums.days[inside].sum() >= FEWEST_COMPARED_D:
             lags[part], draws[part] = _lag(sums, inside, random)
-    change = mean_day_change = UNKNOWN
+    change = mean_day_change = UNKNOWN_BOUNDS
     if {"winter", "summer"} <= set(lags):
         winter, summer = lags["winter"], lags["summer"]
         # estimates from disjoint blocks
@@ -229,16 +229,16 @@ def _without_mean_day(value: np.ndarray, time: np.ndarray, group: np.ndarray) ->
 def _weights(days: np.ndarray, inside: np.ndarray, random: np.random.Generator) -> np.ndarray:
     """How often each block occurs in each draw (draws, B); never, if it lies outside."""
     blocks = np.flatnonzero(inside & (days > 0.0))
-    weights = np.zeros((DRAWS, len(days)))
+    weights = np.zeros((LAG_DRAWS, len(days)))
     if len(blocks):
         weights[:, blocks] = random.multinomial(
-            len(blocks), np.full(len(blocks), 1.0 / len(blocks)), size=DRAWS
+            len(blocks), np.full(len(blocks), 1.0 / len(blocks)), size=LAG_DRAWS
         )
     return weights
 
 
 def _change(winter: Bounded, summer: Bounded, draws: np.ndarray) -> Bounded:
-    return _bounded(summer.value - winter.value, draws) if winter.known and summer.known else UNKNOWN
+    return _bounded(summer.value - winter.value, draws) if winter.known and summer.known else UNKNOWN_BOUNDS
 
 
 def _lag(
@@ -256,10 +256,10 @@ def _lag(
     weather = _bounded(float(peaks[0]), peaks[1:])
     at_edge = abs(peaks[0]) >= sums.lags[-1] - GRID_S
     if highest[0] < LEAST_CORRELATION or weather.high - weather.low > WIDEST_H * 3600.0 or at_edge:
-        weather = UNKNOWN
+        weather = UNKNOWN_BOUNDS
     mean_day = _bounded(float(phase[0]), phase[1:])
     if mean_day.high - mean_day.low > WIDEST_H * 3600.0:
-        mean_day = UNKNOWN
+        mean_day = UNKNOWN_BOUNDS
     return Lag(weather, mean_day), (peaks[1:], phase[1:])
 
 
@@ -375,11 +375,13 @@ def _clock_error(one: str, other: str, found: tuple[Alignment, ...]) -> ClockErr
         lags: list[Lag | None] = [getattr(each, name) for each in found]
         weather[name] = _combined([lag.weather for lag in lags if lag is not None])
         lags = [getattr(each, name) for each in judges]
-        day[name] = next((lag.mean_day for lag in lags if lag is not None and lag.mean_day.known), UNKNOWN)
+        day[name] = next(
+            (lag.mean_day for lag in lags if lag is not None and lag.mean_day.known), UNKNOWN_BOUNDS
+        )
     change = _combined([each.change for each in found])
-    day_change = next((each.mean_day_change for each in judges if each.mean_day_change.known), UNKNOWN)
+    day_change = next((each.mean_day_change for each in judges if each.mean_day_change.known), UNKNOWN_BOUNDS)
     if not weather["whole"].known and not (weather["winter"].known and weather["summer"].known):
-        return ClockError(one, other, "unclear", UNKNOWN, UNKNOWN, found)
+        return ClockError(one, other, "unclear", UNKNOWN_BOUNDS, UNKNOWN_BOUNDS, found)
     seasonal = _beyond(change) and (
         not day_change.known
         or (day_change.value * change.value > 0 and abs(day_change.value) > 0.75 * TOLERANCE_S)
@@ -398,7 +400,7 @@ def _combined(estimates: Sequence[Bounded]) -> Bounded:
     """Mean of estimates of the same lag, weighted by inverse variance; its bounds include their spread."""
     known = [one for one in estimates if one.known]
     if len(known) < 2:
-        return known[0] if known else UNKNOWN
+        return known[0] if known else UNKNOWN_BOUNDS
     spread = [max((one.high - one.low) / 3.92, MINUTE_S) for one in known]
     weights = [1.0 / one**2 for one in spread]
     total = sum(weights)

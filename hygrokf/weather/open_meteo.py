@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from hygrokf.data.columns import Notation, Places, TableFault, table_of
-from hygrokf.data.numbers import UNKNOWN
+from hygrokf.data.columns import Notation, Places, TableFault, frame_table
+from hygrokf.data.numbers import UNKNOWN_MEANING
 from hygrokf.data.record import Record, Site
 from hygrokf.data.table_readers import csv_rows
 from hygrokf.data.timestamps import HOUR_S
@@ -168,7 +168,7 @@ def _weather(
     frame = pd.DataFrame({name: columns[name] for name in used}, index=range(len(stamps)))
     places = Places("row", lambda rows: [int(row) + 1 for row in rows])
     notation = Notation(timezone="UTC", decimal=".")
-    table = table_of(frame, dict.fromkeys(used, UNKNOWN), stamps, "time", places, notation)
+    table = frame_table(frame, dict.fromkeys(used, UNKNOWN_MEANING), stamps, "time", places, notation)
     fields = {
         short: WeatherField(table.values[name], name, unit.get(name, "")) for name, short in used.items()
     }

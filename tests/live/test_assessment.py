@@ -16,7 +16,7 @@ from hygrokf.live.assessment import Facts, Outlook, assess
 from hygrokf.live.batch import Alarm, Batch, stated_content, stated_text
 from hygrokf.live.condition import Condition
 from hygrokf.live.forecast import Forecast
-from hygrokf.live.plan import AMBIENT_HUMIDITIES, Need
+from hygrokf.live.plan import Need
 from hygrokf.live.sources.local import record_messages
 from hygrokf.live.sources.payload import PayloadMapping
 from hygrokf.live.sources.stream import Delivery
@@ -25,6 +25,7 @@ from hygrokf.live.tracker import Reading, Tracker
 from hygrokf.live.turbine import Turbine
 from hygrokf.live.turbines import Fleet
 from hygrokf.live.web.views import fleet_view, turbine_view
+from hygrokf.physics.signal_names import AMBIENT_HUMIDITIES
 from hygrokf.texts.live_codes import AlarmCode, BasisCode
 
 RECORD = {"seed": 7, "days": 2.0}

@@ -226,7 +226,7 @@ def test_forecasts_give_way_while_anything_waits(
         service._put(stream.url, one)
     while service.round():
         pass
-    assert service.fleet.forecast_due(module.EVERY_S) == "T1"
+    assert service.fleet.forecast_due(module.FORECAST_EVERY_S) == "T1"
     if behind:
         service._put(stream.url, first[500])
     try:

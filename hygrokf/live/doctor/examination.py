@@ -35,7 +35,7 @@ from hygrokf.live.doctor.check import (
 )
 from hygrokf.live.doctor.sources import examine_sources
 from hygrokf.live.notification.channel import Channel, ChannelFault, NoticeMessage
-from hygrokf.live.plan import AMBIENT_HUMIDITIES, Plan
+from hygrokf.live.plan import Plan
 from hygrokf.live.sources.stream import Stream
 from hygrokf.live.storage.database import StoreUnready, one_line
 from hygrokf.live.storage.schema import VERSION, observation

@@ -11,17 +11,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hygrokf.data.timestamps import DAY_S, WEEK_S
-from hygrokf.evaluation.scoring import SCORED
-from hygrokf.fleet.outliers import REACH, Scatter
+from hygrokf.fleet.outliers import INTERVAL_SD, Scatter
 from hygrokf.identification.turbine_type import TurbineType
 from hygrokf.report.figures.drawing import (
-    AMBIENT,
+    AMBIENT_COLOUR,
     INK,
     MEASURED,
     QUIET,
     RULE,
     SHADE,
-    SIMULATED,
+    SIMULATED_COLOUR,
     NothingToShow,
 )
 from hygrokf.report.figures.panels import (
@@ -39,16 +38,17 @@ from hygrokf.report.figures.panels import (
     strokes,
 )
 from hygrokf.report.quantities import quantity, spoken
+from hygrokf.texts.parts import SCORED
 from hygrokf.transfer.comparison import ComparisonResults
 from hygrokf.transfer.transfer_results import RecordCourse, TransferResult
 from hygrokf.transfer.transferability import MATERIAL_DIFFERENCE
 
-REGIMES = {"operation": ("o", 3.4), "standstill": ("s", 3.4), "total": ("D", 4.0)}
+REGIME_MARKERS = {"operation": ("o", 3.4), "standstill": ("s", 3.4), "total": ("D", 4.0)}
 """Regime → its marker and size [pt]."""
 BEST = ("|", INK, 9.0)
 """Marker of the best rule."""
-COLOURS = (SIMULATED, "#1d7a3a", "#7a3a9a", AMBIENT, QUIET)
-LONGEST = 30
+COLOURS = (SIMULATED_COLOUR, "#1d7a3a", "#7a3a9a", AMBIENT_COLOUR, QUIET)
+LONGEST_LABEL = 30
 """Characters of a label beyond which it is cut."""
 MOST_RECORDS = 3
 """Records whose courses fit side by side."""
@@ -64,7 +64,9 @@ def colour_of(place: int) -> str:
 def short_labels(labels: Sequence[str]) -> list[str]:
     """Labels that fit beside a picture and can still be told apart: long ones are cut in the middle."""
     cut = [
-        label if len(label) <= LONGEST else f"{label[: LONGEST // 2]}…{label[1 - LONGEST // 2 :]}"
+        label
+        if len(label) <= LONGEST_LABEL
+        else f"{label[: LONGEST_LABEL // 2]}…{label[1 - LONGEST_LABEL // 2 :]}"
         for label in labels
     ]
     return [label if cut.count(label) == 1 else f"{i + 1}: {label}" for i, label in enumerate(cut)]
@@ -149,7 +151,9 @@ def figure_errors(found: ComparisonResults, period: str) -> Picture:
         marks: list[Mark] = []
         for place, column in enumerate(columns):
             colour = colour_of(found.columns.index(column))
-            for offset, (regime, (mark, size)) in zip((-0.22, 0.0, 0.22), REGIMES.items(), strict=True):
+            for offset, (regime, (mark, size)) in zip(
+                (-0.22, 0.0, 0.22), REGIME_MARKERS.items(), strict=True
+            ):
                 row = found.row("rmse", column.label, period, name, regime)
                 if not row.n:
                     continue
@@ -165,7 +169,7 @@ def figure_errors(found: ComparisonResults, period: str) -> Picture:
         panels.append(Panel(tuple(marks), _rmse(name), labels))
     key = tuple(
         replace(point(0.0, 0.0, mark, INK, size), label=words)
-        for words, (mark, size) in {**REGIMES, "best rule": ("|", 9.0)}.items()
+        for words, (mark, size) in {**REGIME_MARKERS, "best rule": ("|", 9.0)}.items()
     )
     return Picture(tuple(panels), 1.1 + 0.34 * len(columns), columns=len(scored), shared="y", key=key)
 
@@ -200,7 +204,7 @@ def figure_weeks(found: ComparisonResults) -> Picture:
     return Picture(tuple(panels), height_in=0.6 + 1.5 * len(shown), shared="x")
 
 
-NAMED = 45
+MOST_NAMED_ROWS = 45
 """Turbines up to which every one has its name beside its row."""
 
 
@@ -214,25 +218,27 @@ def figure_spreads(found: Sequence[Scatter]) -> Picture:
     if not shown:
         raise NothingToShow("No turbine has a value with bounds.")
     most = max(len(scatter.turbines) for scatter in shown)
-    height = 0.95 + (0.155 * most if most <= NAMED else min(0.155 * NAMED, 0.03 * most + 3.0))
+    height = 0.95 + (
+        0.155 * most if most <= MOST_NAMED_ROWS else min(0.155 * MOST_NAMED_ROWS, 0.03 * most + 3.0)
+    )
     panels = tuple(_spread(scatter, most) for scatter in shown)
     return Picture(panels, height_in=max(height, 1.9), columns=len(shown))
 
 
 def _spread(one: Scatter, most: int) -> Panel:
-    named = most <= NAMED
+    named = most <= MOST_NAMED_ROWS
     order = np.argsort(one.x)
     value, error = np.exp(one.x[order]), one.error[order]
     place = np.arange(len(order))
     odd = np.isin(order, one.outliers)
-    low, high = np.exp([one.center - REACH * one.between, one.center + REACH * one.between])
+    low, high = np.exp([one.center - INTERVAL_SD * one.between, one.center + INTERVAL_SD * one.between])
     bounded = np.isfinite(error).all()
     marks: list[Mark] = []
-    for chosen, colour, words in ((~odd, MEASURED, "turbine"), (odd, SIMULATED, "outlier")):
+    for chosen, colour, words in ((~odd, MEASURED, "turbine"), (odd, SIMULATED_COLOUR, "outlier")):
         if not chosen.any():
             continue
         if bounded:
-            ends = value[chosen] * np.exp(np.outer([-REACH, REACH], error[chosen]))
+            ends = value[chosen] * np.exp(np.outer([-INTERVAL_SD, INTERVAL_SD], error[chosen]))
             width = 1.1 if named else 0.5
             marks.append(strokes(ends[0], place[chosen], ends[1], place[chosen], colour, width))
             words = f"{words}, 95 % bounds" if words == "turbine" else words
@@ -250,7 +256,7 @@ def _spread(one: Scatter, most: int) -> Panel:
         cut = [name if len(name) <= 18 else f"{name[:17]}…" for name in names]
         y = Axis(limits=limits, at=place, words=cut, grid=False)
     label = f"{one.compared.title} [{one.compared.unit}]"
-    ends = value * np.exp(np.outer([-REACH, REACH], error if bounded else np.zeros(len(error))))
+    ends = value * np.exp(np.outer([-INTERVAL_SD, INTERVAL_SD], error if bounded else np.zeros(len(error))))
     left, right = 0.97 * float(min(ends.min(), low)), 1.03 * float(max(ends.max(), high))
     if left <= 0 or right / left < 5.0:  # a decade's marks would leave such a narrow axis empty
         return Panel(tuple(marks), Axis(label, most=7), y)
@@ -259,7 +265,7 @@ def _spread(one: Scatter, most: int) -> Panel:
 
 
 TICKS = (0.05, 0.1, 0.25, 0.5, 0.67, 0.8, 1.0, 1.25, 1.5, 2.0, 4.0, 10.0, 20.0)
-SETS = {
+SET_LABELS = {
     "as_is": "as it is",
     "own_loggers": "own loggers",
     "re_estimated": "re-estimated",
@@ -268,20 +274,27 @@ SETS = {
     "ambient": "rule: c = c_amb",
     "ambient_pressure_balance": "rule: c = c_amb T_amb/T",
 }
-SET_COLOURS = {"as_is": SIMULATED, "own_loggers": AMBIENT, "re_estimated": COLOURS[1], "all_own": MEASURED}
+SET_COLOURS = {
+    "as_is": SIMULATED_COLOUR,
+    "own_loggers": AMBIENT_COLOUR,
+    "re_estimated": COLOURS[1],
+    "all_own": MEASURED,
+}
 
 
 def figure_course(found: RecordCourse, re_estimated: bool) -> Picture:
     """Twelve held-out days: readings, the model as it is, and the re-estimated one, or that with its own
     loggers where nothing was re-estimated."""
     chosen = ("as_is", "re_estimated" if re_estimated else "own_loggers")
-    lines = {name: (f"simulated, {SETS[name]}", SET_COLOURS[name]) for name in chosen}
+    lines = {name: (f"simulated, {SET_LABELS[name]}", SET_COLOURS[name]) for name in chosen}
     return figure_courses([Shown("", found, lines)])
 
 
 def figure_sets(found: TransferResult) -> Picture:
     """Errors of the four sets of values and of the rules in the scored period, with bounds."""
-    tables = {q: {n: by_set[n] for n in SETS if n in by_set} for q, by_set in found.rmse.items() if by_set}
+    tables = {
+        q: {n: by_set[n] for n in SET_LABELS if n in by_set} for q, by_set in found.rmse.items() if by_set
+    }
     if not tables:
         raise NothingToShow("Nothing was scored.")
     panels = []
@@ -293,7 +306,7 @@ def figure_sets(found: TransferResult) -> Picture:
                 marks.append(bounds(*row.bounds, place, colour))
             mark, size = ("D", 4.5) if name in SET_COLOURS else ("|", 9.0)
             marks.append(point(row.total, place, mark, colour, size))
-        panels.append(Panel(tuple(marks), _rmse(scored), rows([SETS[name] for name in table])))
+        panels.append(Panel(tuple(marks), _rmse(scored), rows([SET_LABELS[name] for name in table])))
     return Picture(tuple(panels), 0.75 + 0.2 * max(map(len, tables.values())), columns=len(tables))
 
 
@@ -313,7 +326,7 @@ def figure_parameters(found: TransferResult) -> Picture:
         most = max(most, len(changes))
         marks: list[Mark] = [CrossLine(1.0 if ratio else 0.0, "x", QUIET, 0.8)]
         for place, (change, differs) in enumerate(changes.values()):
-            colour = SIMULATED if differs else MEASURED
+            colour = SIMULATED_COLOUR if differs else MEASURED
             marks.append(bounds(change.lower, change.upper, place, colour))
             marks.append(point(change.value, place, "o", colour, 4.0))
         x = Axis("own value less the fit's")

@@ -16,7 +16,8 @@ from typing import Literal
 import numpy as np
 
 from hygrokf.data.result_file import array, instants, scalar
-from hygrokf.evaluation.diagnosis import (
+from hygrokf.estimation.conventions import CONFIDENCE
+from hygrokf.evaluation.innovation_tests import (
     Autocorrelation,
     CrossCorrelation,
     CumulativePeriodogram,
@@ -40,7 +41,7 @@ from hygrokf.report.figures.drawing import (
     INK,
     MEASURED,
     QUIET,
-    SIMULATED,
+    SIMULATED_COLOUR,
     WARM_TO_COLD,
     NothingToShow,
 )
@@ -62,13 +63,14 @@ from hygrokf.report.figures.panels import (
     strokes,
 )
 from hygrokf.report.quantities import spoken
+from hygrokf.texts.parts import PARTS
 from hygrokf.texts.wording import one_line, p_equation
 
-THRESHOLD = 3.8415
+CHI_SQUARE_95 = 3.8415
 """95 % quantile of χ² with one degree of freedom."""
-PRODUCT = {"thermal": "(R_AT+R_IC)·C", "hygric": "R_D*·V*"}
+PRODUCT = dict(zip(PARTS, ("(R_AT+R_IC)·C", "R_D*·V*"), strict=True))
 """Symbols of the time constants."""
-POINTS = 500
+CLOUD_POINTS = 500
 """Points of one cloud; more of them only hide each other."""
 LABELS = {
     "profile": "profile likelihood",
@@ -139,7 +141,7 @@ class _Points:
 
     def cloud(self, edges: np.ndarray) -> tuple[Curve, ...]:
         """The points, thinned, in the colours of their classes of ambient temperature."""
-        kept = np.unique(np.linspace(0, len(self.power) - 1, min(POINTS, len(self.power))).astype(int))
+        kept = np.unique(np.linspace(0, len(self.power) - 1, min(CLOUD_POINTS, len(self.power))).astype(int))
         x = (self.power if self.regime == "operation" else self.ambient)[kept]
         y, place = self.difference[kept], _classes(self.ambient[kept], edges)
         return tuple(
@@ -223,7 +225,7 @@ def _profile(name: str, found: TimeConstant) -> Panel:
     # the likelihood's own bounds, where they stand beside the headline interval
     own = found.profile if found.profile is not None and found.profile.value_h > 0 else found
     value, low, high = own.value_h, own.lower_h, own.upper_h
-    threshold = found.threshold if found.threshold > 0 else THRESHOLD
+    threshold = found.threshold if found.threshold > 0 else CHI_SQUARE_95
     top = 2.1 * threshold
     good = np.isfinite(found.curve).all(axis=1) & (found.curve[:, 0] > 0)
     points = found.curve[good][np.argsort(found.curve[good][:, 0])]
@@ -250,15 +252,17 @@ def _profile(name: str, found: TimeConstant) -> Panel:
     if math.isfinite(simulated[0]):
         height = 1.62 * threshold
         first, last = (s if math.isfinite(s) else simulated[0] for s in simulated[1:])
-        marks.append(bounds(first, last, height, SIMULATED, alpha=1.0))
-        marks.append(point(simulated[0], height, "D", SIMULATED, 4.0))
+        marks.append(bounds(first, last, height, SIMULATED_COLOUR, alpha=1.0))
+        marks.append(point(simulated[0], height, "D", SIMULATED_COLOUR, 4.0))
         middle = min(max(simulated[0], left), right)
         third = math.log(middle / left) / math.log(right / left)
         side: Literal["left", "center", "right"] = (
             "left" if third < 0.3 else "right" if third > 0.7 else "center"
         )
         words = "by simulation (free run)"
-        marks.append(Note(words, middle, 1.04 * height, SIMULATED, side, "bottom", bold=True, boxed=True))
+        marks.append(
+            Note(words, middle, 1.04 * height, SIMULATED_COLOUR, side, "bottom", bold=True, boxed=True)
+        )
     kind: Literal["logarithmic", "linear"] = "logarithmic" if right / left > 3.0 else "linear"
     return Panel(
         tuple(marks),
@@ -311,7 +315,7 @@ def _composed(name: str, found: TimeConstant, steps: list[CompositionStep]) -> P
         if form.form != "base" and form.weight >= SHOWN_WEIGHT
     ]
     if found.simulation is not None:
-        others.append(("free run", found.simulation.value_h, SIMULATED, 4.5))
+        others.append(("free run", found.simulation.value_h, SIMULATED_COLOUR, 4.5))
     places = {row.source: place for place, row in enumerate(steps)}
     for source, value, colour, size in others:
         if source in places and math.isfinite(value):
@@ -329,9 +333,8 @@ def figure_of(name: str, fit: FitResults, series: Mapping[str, np.ndarray]) -> F
 # -- innovations ---------------------------------------------------------------------------------------------
 QUANTILES = 160
 """Points of the quantile plot, evenly spread over the normal distribution's quantiles."""
-INPUTS = 4
+MOST_INPUTS = 4
 """Inputs that are shown; of more of them those with the smallest p."""
-LEVEL = 0.95
 
 
 def figure_innovations(
@@ -377,7 +380,7 @@ def _stems(lag: np.ndarray, value: np.ndarray, limit: float) -> list[Mark]:
     beyond = np.abs(value) > limit
     return [
         strokes(lag[chosen], np.zeros(chosen.sum()), lag[chosen], value[chosen], colour, width)
-        for chosen, colour, width in ((~beyond, MEASURED, 0.7), (beyond, SIMULATED, 1.3))
+        for chosen, colour, width in ((~beyond, MEASURED, 0.7), (beyond, SIMULATED_COLOUR, 1.3))
     ]
 
 
@@ -427,7 +430,7 @@ def _cumulative(data: CumulativePeriodogram) -> Panel:
     marks = (
         Band(line, line / end - data.limit, line / end + data.limit, QUIET),
         Curve(line, line / end, QUIET, 0.6),
-        Curve(frequency, value, SIMULATED if data.statistic > data.limit else MEASURED, 1.2),
+        Curve(frequency, value, SIMULATED_COLOUR if data.statistic > data.limit else MEASURED, 1.2),
         Note(f"Kolmogorov–Smirnov\n{words}", 0.03, 0.98, INK, "left", "top", "xy"),
     )
     limits = (0.0, end)
@@ -461,7 +464,7 @@ def _shown_inputs(found: OutputDiagnosis) -> list[tuple[str, CrossCorrelation]]:
         for name, one in found.cross_correlation.items()
         if len(_columns(one.lag_h, one.value)[0]) > 1
     ]
-    first = sorted(rows, key=lambda row: math.inf if math.isnan(row[1].p) else row[1].p)[:INPUTS]
+    first = sorted(rows, key=lambda row: math.inf if math.isnan(row[1].p) else row[1].p)[:MOST_INPUTS]
     return [row for row in rows if row in first]
 
 
@@ -476,7 +479,7 @@ def _quantiles(e: np.ndarray) -> Panel:
     x = np.array([normal.inv_cdf(float(p)) for p in share])
     # standard error of an order statistic: √(p(1−p)/n) over the density
     spread = np.sqrt(share * (1 - share) / n) / (np.exp(-0.5 * x**2) / math.sqrt(2.0 * math.pi))
-    reach = normal.inv_cdf(0.5 + 0.5 * LEVEL)
+    reach = normal.inv_cdf(0.5 + 0.5 * CONFIDENCE)
     marks = (
         Band(x, x - reach * spread, x + reach * spread, QUIET),
         Curve(x, x, QUIET, 0.6),

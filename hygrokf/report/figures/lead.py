@@ -20,7 +20,7 @@ from hygrokf.report.blocks import Figure
 from hygrokf.report.climate_tables import share_held
 from hygrokf.report.discovery_text import what_it_is
 from hygrokf.report.figures.climate_figures import figure_duration, figure_joint, figure_regions
-from hygrokf.report.figures.drawing import AMBIENT, INK, MEASURED, SIMULATED, NothingToShow
+from hygrokf.report.figures.drawing import AMBIENT_COLOUR, INK, MEASURED, SIMULATED_COLOUR, NothingToShow
 from hygrokf.report.figures.fit_figures import figure_of
 from hygrokf.report.figures.panels import (
     Axis,
@@ -35,7 +35,12 @@ from hygrokf.report.figures.panels import (
     course,
     courses,
 )
-from hygrokf.report.figures.residual_structure import AFTER, figure_drivers, held_out, telling_drivers
+from hygrokf.report.figures.residual_structure import (
+    EXTENDED_COLOUR,
+    figure_drivers,
+    held_out,
+    telling_drivers,
+)
 from hygrokf.report.quantities import quantity
 from hygrokf.texts.wording import percent, sentence
 
@@ -45,7 +50,7 @@ AMBIENT_NAME: Mapping[str, str] = {TEMPERATURE: "ambient_temperature", HUMIDITY:
 EPISODES = 3
 AROUND_H = (18.0, 42.0)
 """[h] shown on either side of an episode: at least, at most; in between half of the episode."""
-LONGEST_H = 120.0
+LONGEST_STRETCH_H = 120.0
 NARROW = 200
 """Stretches of time over the width of a panel."""
 Span: TypeAlias = tuple[float, float]
@@ -126,8 +131,8 @@ def _largest(residuals: Residuals, name: str, start_s: float, end_s: float) -> f
 def _before_after(residuals: Residuals, after: Residuals | None) -> list[tuple[Residuals, str, str]]:
     """The models with the colours and the ends of the labels that they have."""
     if after is None:
-        return [(residuals, SIMULATED, "")]
-    return [(residuals, SIMULATED, ", before"), (after, AFTER, ", after")]
+        return [(residuals, SIMULATED_COLOUR, "")]
+    return [(residuals, SIMULATED_COLOUR, ", before"), (after, EXTENDED_COLOUR, ", after")]
 
 
 def _windows(finding: Finding | CauseEpisodes, residuals: Residuals) -> list[tuple[Span, list[Span]]]:
@@ -136,7 +141,7 @@ def _windows(finding: Finding | CauseEpisodes, residuals: Residuals) -> list[tup
     chosen: list[tuple[float, float]] = []
     for first, last in finding.spans:
         around = 3600.0 * float(np.clip(0.5 * (last - first) / 3600.0, *AROUND_H))
-        last = min(last, first + 3600.0 * LONGEST_H)
+        last = min(last, first + 3600.0 * LONGEST_STRETCH_H)
         start, end = max(low, first - around), min(high, last + around)
         if all(end <= a or start >= b for a, b in chosen):
             chosen.append((start, end))
@@ -154,11 +159,11 @@ def _course(
     first, *later = _before_after(residuals, after)
     shown = [
         ("readings", residuals.measured[name] - shift, MEASURED, 1.3),
-        (f"simulated{first[2]}", residuals.simulated[name] - shift, SIMULATED, 1.0),
+        (f"simulated{first[2]}", residuals.simulated[name] - shift, SIMULATED_COLOUR, 1.0),
     ]
     ambient = residuals.drivers.get(AMBIENT_NAME[name])
     if ambient is not None:
-        shown.insert(0, ("ambient", ambient - shift, AMBIENT, 0.9))
+        shown.insert(0, ("ambient", ambient - shift, AMBIENT_COLOUR, 0.9))
     marks, limits = courses(residuals.time_s, shown, residuals.sd.get(name), span, NARROW)
     extended = (
         course(one.time_s, one.simulated[name] - shift, span, colour, 1.2, f"simulated{end}", NARROW)

@@ -22,7 +22,7 @@ from hygrokf.report.figures.drawing import (
     INK,
     LEVEL_SD,
     QUIET,
-    SIMULATED,
+    SIMULATED_COLOUR,
     band,
     calendar_ticks,
     envelope,
@@ -317,7 +317,7 @@ def _scaled(axis: Axis, axes: Axes, which: Literal["x", "y"]) -> None:
 
 # --- the picture -----------------------------------------------------------------------------
 
-LETTER_EM, WIDE_EM, LINE_EM = 0.67, 1.0, 1.25
+PANEL_LETTER_EM, WIDE_EM, LINE_EM = 0.67, 1.0, 1.25
 """Width of a letter, of an M or W ("WT03"), and height of a line in sizes of its letters; wide enough for the
 page's fonts."""
 SIGN_EM, KEY_LETTER_EM, KEY_LINE_EM = 3.7, 0.6, 1.75
@@ -479,15 +479,17 @@ def _ticks_in(axes: Axes, which: Literal["x", "y"]) -> float:
     words, size = _words(axis), _points(f"{which}tick.labelsize") * POINT_IN
     if which == "x":
         return 0.085 + LINE_EM * size * max((1 + word.count("\n") for word in words.values()), default=1)
-    widths = (sum(WIDE_EM if letter in "MW" else LETTER_EM for letter in word) for word in words.values())
-    return 0.08 + size * max(widths, default=LETTER_EM)
+    widths = (
+        sum(WIDE_EM if letter in "MW" else PANEL_LETTER_EM for letter in word) for word in words.values()
+    )
+    return 0.08 + size * max(widths, default=PANEL_LETTER_EM)
 
 
 def _beyond(axes: Axes) -> float:
     """Space [in] right of the axes into which the label of the last tick extends."""
     words = _words(axes.xaxis) if axes.xaxis.get_tick_params()["labelbottom"] else {}
     last = max(words, default=0.0)
-    size = LETTER_EM * _points("xtick.labelsize") * POINT_IN
+    size = PANEL_LETTER_EM * _points("xtick.labelsize") * POINT_IN
     return max(0.04, 0.5 * size * len(words.get(last, "").split("\n")[0]) * (last > 0.97))
 
 
@@ -554,7 +556,7 @@ def courses(
     if sd is not None:
         simulated = shown[-1][1]
         t, low, high = band(time, simulated - LEVEL_SD * sd, simulated + LEVEL_SD * sd, span, bins)
-        marks.append(Band(t, low, high, SIMULATED, label="95 % band" if np.isfinite(sd).any() else ""))
+        marks.append(Band(t, low, high, SIMULATED_COLOUR, label="95 % band" if np.isfinite(sd).any() else ""))
     inside = (time >= span[0]) & (time <= span[1])
     values = np.concatenate([value[inside & np.isfinite(value)] for _, value, _, _ in shown])
     if not len(values):

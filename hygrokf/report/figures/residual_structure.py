@@ -14,7 +14,7 @@ import numpy as np
 
 from hygrokf.data.timestamps import DAY_S, HOUR_S
 from hygrokf.discovery.residuals import (
-    QUANTITIES,
+    RESIDUAL_QUANTITIES,
     TEMPERATURE,
     Quantity,
     Residuals,
@@ -22,7 +22,7 @@ from hygrokf.discovery.residuals import (
     displayed,
     words,
 )
-from hygrokf.report.figures.drawing import INK, SIMULATED, NothingToShow, means
+from hygrokf.report.figures.drawing import INK, SIMULATED_COLOUR, NothingToShow, means
 from hygrokf.report.figures.panels import (
     Axis,
     Band,
@@ -37,20 +37,20 @@ from hygrokf.report.figures.panels import (
 )
 from hygrokf.report.quantities import quantity
 
-AFTER = "#00796b"
+EXTENDED_COLOUR = "#00796b"
 """Colour of the extended model; the base keeps that of the simulation."""
 DIVERGING = ("#16365c", "#4f8fbf", "#f7f7f5", "#dd8a4a", "#8f1d14")
 FEWEST_IN_BIN = 10
 """Hours that a bin needs to be drawn."""
-FEWEST_READINGS = 100
-DRIVERS = 4
+FEWEST_SHOWN = 100
+MOST_DRIVERS = 4
 
 
 def _known(residuals: Residuals) -> list[Quantity]:
     early = ~residuals.validation
-    found = [q for q in QUANTITIES if np.isfinite(residuals.error[q][early]).sum() >= FEWEST_READINGS]
+    found = [q for q in RESIDUAL_QUANTITIES if np.isfinite(residuals.error[q][early]).sum() >= FEWEST_SHOWN]
     if not found:
-        raise NothingToShow(f"Fewer than {FEWEST_READINGS} readings can be compared with the simulation.")
+        raise NothingToShow(f"Fewer than {FEWEST_SHOWN} readings can be compared with the simulation.")
     return found
 
 
@@ -80,7 +80,7 @@ def figure_drivers(residuals: Residuals, drivers: Sequence[str], after: Residual
             if marks and late is not None and name in late.drivers:
                 other, _ = displayed(name, late.drivers[name])
                 line = _medians(other, -late.error[one], edges)
-                marks.append(Curve(*line, AFTER, 1.4, "after", "o", 2.4))
+                marks.append(Curve(*line, EXTENDED_COLOUR, 1.4, "after", "o", 2.4))
             short = unit.replace("% of the rated power", "% of rated")
             x = Axis(textwrap.fill(f"{words(name)} [{short or '1'}]", 27), most=5)
             title = terms.title if name == chosen[0] else ""
@@ -107,7 +107,7 @@ def telling_drivers(residuals: Residuals, first: Sequence[str] = ()) -> list[str
             rank[name] = max(spreads)
     best = dict.fromkeys([name for name in first if name in rank])
     best |= dict.fromkeys(sorted(rank, key=lambda name: -rank[name]))
-    return [name for name in hours.drivers if name in list(best)[:DRIVERS]]
+    return [name for name in hours.drivers if name in list(best)[:MOST_DRIVERS]]
 
 
 def _shares(value: np.ndarray, count: int = 12) -> np.ndarray:
@@ -139,9 +139,9 @@ def _bands(value: np.ndarray, error: np.ndarray, edges: np.ndarray, label: str) 
     x, least, low, middle, high, most = np.array(rows).T
     return [
         CrossLine(0.0, "y", INK, 0.7),
-        Curve(x, middle, SIMULATED, 1.4, label, "o", 2.4),
-        Band(x, low, high, SIMULATED, 0.20, "25 to 75 %"),
-        Band(x, least, most, SIMULATED, 0.10, "10 to 90 %"),
+        Curve(x, middle, SIMULATED_COLOUR, 1.4, label, "o", 2.4),
+        Band(x, low, high, SIMULATED_COLOUR, 0.20, "25 to 75 %"),
+        Band(x, least, most, SIMULATED_COLOUR, 0.10, "10 to 90 %"),
     ]
 
 
@@ -158,19 +158,26 @@ def figure_error_course(before: Residuals, after: Residuals) -> Picture:
     day = np.arange(numbers.min(), numbers.max() + 1.0)
     # a step of its own for each day, so that the areas end where the days do
     time = DAY_S * (np.repeat(day, 2) + np.tile((0.0, 1.0), len(day)))
-    every = {q: [np.repeat(_daily_rms(one, q, day), 2) for one in (before, after)] for q in QUANTITIES}
+    every = {
+        q: [np.repeat(_daily_rms(one, q, day), 2) for one in (before, after)] for q in RESIDUAL_QUANTITIES
+    }
     panels = []
     for one, (base, extended) in every.items():
         if not (np.isfinite(base).any() and np.isfinite(extended).any()):
             continue
         better, worse = np.minimum(base, extended), np.maximum(base, extended)
         marks = (
-            Curve(time, base, SIMULATED, 1.2, "base model"),
-            Curve(time, extended, AFTER, 1.2, "extended model"),
+            Curve(time, base, SIMULATED_COLOUR, 1.2, "base model"),
+            Curve(time, extended, EXTENDED_COLOUR, 1.2, "extended model"),
             Band(
-                time, np.where(extended < base, better, np.nan), base, AFTER, 0.14, "smaller with the cause"
+                time,
+                np.where(extended < base, better, np.nan),
+                base,
+                EXTENDED_COLOUR,
+                0.14,
+                "smaller with the cause",
             ),
-            Band(time, base, np.where(extended > base, worse, np.nan), SIMULATED, 0.14, "larger"),
+            Band(time, base, np.where(extended > base, worse, np.nan), SIMULATED_COLOUR, 0.14, "larger"),
         )
         top = 1.08 * float(np.nanmax([base, extended])) or 1.0
         x = Axis(limits=(time[0], time[-1]), kind="time")

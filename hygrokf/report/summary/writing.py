@@ -59,7 +59,9 @@ def plan_summaries(results: Sequence[Path], directory: Path | None) -> list[Plan
         beside_summary = file.name == FIT and (folder / DISCOVERY).exists() and directory is None
         names.append(folder.resolve().name)
         out = folder if directory is None else directory if len(results) == 1 else directory / names[-1]
-        plans.append((partial(KINDS[file.name], folder), out, BESIDE_SUMMARY if beside_summary else SUMMARY))
+        plans.append(
+            (partial(SUMMARY_OF[file.name], folder), out, BESIDE_SUMMARY if beside_summary else SUMMARY)
+        )
     if directory is not None:
         faults += [
             f"--out {directory}: expected directories of results with different names, found {name} twice"
@@ -120,7 +122,7 @@ def _discovery(folder: Path) -> Summary:
     return summary_of_discovery(read.results, read.before, read.after)
 
 
-KINDS: Mapping[str, Callable[[Path], Summary]] = {
+SUMMARY_OF: Mapping[str, Callable[[Path], Summary]] = {
     DISCOVERY: _discovery,
     CLIMATE: lambda folder: summary_of_climate(read_climate(folder)),
     FIT: lambda folder: summary_of_fit(*read_results(folder)),
@@ -131,12 +133,12 @@ KINDS: Mapping[str, Callable[[Path], Summary]] = {
 def _file_of(path: Path) -> Path | None:
     """The file of a result in a directory, or `path` itself if it is such a file; None without one."""
     if path.is_dir():
-        return next((path / name for name in KINDS if (path / name).is_file()), None)
-    return path if path.name in KINDS and path.is_file() else None
+        return next((path / name for name in SUMMARY_OF if (path / name).is_file()), None)
+    return path if path.name in SUMMARY_OF and path.is_file() else None
 
 
 def _refused(path: Path) -> str:
-    others = [name for name in RESULTS if name not in KINDS]
+    others = [name for name in RESULTS if name not in SUMMARY_OF]
     expected = f"expected {FIT}, {DISCOVERY} or {CLIMATE}, or a directory that holds one"
     other_result = next((name for name in others if path.name == name or (path / name).exists()), "")
     if other_result:
