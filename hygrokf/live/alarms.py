@@ -26,21 +26,22 @@ from hygrokf.live.frozen import Frozen
 from hygrokf.live.plan import Need
 from hygrokf.live.properties import MOIST, TrackedState, relative_shift
 from hygrokf.live.sources.stream import Reach
-from hygrokf.live.tracker import SAME_S, TrackedCourse
-from hygrokf.physics.signal_names import CABINET_RELATIVE_HUMIDITY
+from hygrokf.live.traces import CABINET_RELATIVE_HUMIDITY, SAME_S
+from hygrokf.live.tracker import TrackedCourse
+from hygrokf.modelling.design import PARTS
 from hygrokf.texts.live_codes import AlarmCode, CauseCode
 from hygrokf.texts.parts import PARTS
 from hygrokf.texts.statement import Statement
 
 ESTIMATES, SHIFTS, INNOVATION_KIND = "estimates", "shifts", "innovations"
 SILENCE, CLOCKS, REACH_KIND = "silence", "clocks", "reach"
+"""Origins of the levels of alarms (`AlarmRule.follows`)."""
 DELIVERY = (SILENCE, CLOCKS, REACH_KIND)
-"""What the levels of alarms about delivery follow from; no alarm about delivery begins in a replay."""
+"""Origins of the levels of alarms about delivery; no alarm about delivery begins in a replay."""
 FROZEN_S = 6 * HOUR_S
 """[s] for which a signal must have repeated a value, beyond its longest repetition before."""
 CONTRADICTION_SD = 8.0
-"""Standard deviations √S of the prediction ŷ beyond which a reading y contradicts it: |y − ŷ| >
-`CONTRADICTION_SD` √S.
+"""Standard deviations √S of the prediction ŷ beyond which a reading y contradicts it: |y − ŷ| > `CONTRADICTION_SD` √S.
 
 On ordinary data of simulated cabinets the innovations have heavier tails than a normal distribution, so that
 the bound is wider than a normal distribution would need: docs/validation/live_trials.md has the shares
@@ -48,7 +49,7 @@ of false and of correct flags.
 """
 HUMIDITY_SENSOR = "humidity_sensor"
 UNDECIDED_LEVEL = 0.75
-"""Level of a change whose bounds contain zero, between `off` and `on`: no alarm begins or ends."""
+"""Level, between `off` and `on`, at which no alarm begins or ends: of a change whose bounds contain zero."""
 CHANGES = {
     ("thermal_time_constant", True): AlarmCode.HEAT_LOSS_LOWER,
     ("thermal_time_constant", False): AlarmCode.HEAT_LOSS_HIGHER,
@@ -86,7 +87,8 @@ RESTS_ON = {
 
 @dataclass(frozen=True)
 class Level:
-    """A level that the rule of its kind judges, and the `statements` of the alarm.
+    """How close an alarm of a `kind` is: its `level`, which the rule of the kind compares with its
+    thresholds, and the `statements` that the alarm would make.
 
     `subject` distinguishes alarms of one kind; `severity`, if any, replaces that of the rule.
     """
@@ -99,13 +101,14 @@ class Level:
 
     @property
     def key(self) -> str:
+        """Kind and subject, which identify the state of the alarm."""
         return f"{self.kind} {self.subject}".strip()
 
 
 @dataclass(frozen=True)
-class Standing:
-    """State of an alarm of a kind: the open `alarm`, if any, and the time `since` [s] when the level has been
-    past the threshold at which the alarm begins or, if it is open, ends."""
+class AlarmState:
+    """The state of an alarm of a `kind`: the open `alarm`, None while it is not open, and the time `since`
+    [s] from which the level has been past the threshold for its beginning or, if it is open, for its end."""
 
     kind: str
     since: float | None = None
@@ -114,47 +117,60 @@ class Standing:
 
 def judge(
     turbine: str,
-    previous: Mapping[str, Standing],
+    previous: Mapping[str, AlarmState],
     now: float,
     levels: Iterable[Level],
     kinds: Collection[str],
-) -> tuple[dict[str, Standing], list[Alarm]]:
-    """The standings after judging the levels at `now` [s], and the alarms that began, changed or ended.
+) -> tuple[dict[str, AlarmState], list[Alarm]]:
+    """Judge levels at `now` [s]; returns `Level.key` → state of the alarm, and the alarms that began, changed
+    or ended.
 
-    A missing level of these `kinds` counts as 0; standings of other kinds stay as they are.  `now` may go
-    back after a late delivery; a level before the beginning of an alarm does not end the alarm.
+    previous: the states before.  A missing level of these `kinds` counts as 0; states of other kinds stay as
+    they are.  `now` may go back after a late delivery; a level before the beginning of an alarm does not end
+    the alarm.
     """
     level_by_key = {level.key: level for level in levels}
-    standings = {key: standing for key, standing in previous.items() if standing.kind not in kinds}
+    states = {key: state for key, state in previous.items() if state.kind not in kinds}
+    judged_before = [key for key in previous if key not in states]
     alarms: list[Alarm] = []
-    for key in dict.fromkeys((*(key for key in previous if key not in standings), *level_by_key)):
-        before = previous[key] if key in previous else Standing(level_by_key[key].kind)
+    for key in dict.fromkeys((*judged_before, *level_by_key)):
+        before = previous[key] if key in previous else AlarmState(level_by_key[key].kind)
         level = level_by_key.get(key, Level(before.kind, 0.0))
-        standing, alarm = _judge_level(turbine, before, now, level)
+        state, alarm = _judge_level(turbine, before, now, level)
         if alarm is not None:
             alarms.append(alarm)
-        if standing != Standing(before.kind):
-            standings[key] = standing
-    return standings, alarms
+        if state != AlarmState(before.kind):
+            states[key] = state
+    return states, alarms
 
 
-def _judge_level(turbine: str, before: Standing, now: float, level: Level) -> tuple[Standing, Alarm | None]:
+def _judge_level(
+    turbine: str, before: AlarmState, now: float, level: Level
+) -> tuple[AlarmState, Alarm | None]:
+    """Judge one level at `now` [s]; returns the new state of its alarm, and the alarm if it began, changed or
+    ended."""
     rule, alarm = ALARM_RULES[level.kind], before.alarm
     severity = "alarm" if level.level >= rule.severe else level.severity or rule.severity
-    is_past = level.level >= rule.on if alarm is None else level.level < rule.off and now >= alarm.began
-    since = None if not is_past else now if before.since is None else min(now, before.since)
+    if alarm is None:
+        is_past_threshold = level.level >= rule.on
+    else:
+        is_past_threshold = level.level < rule.off and now >= alarm.began
+    since = None
+    if is_past_threshold:
+        since = now if before.since is None else min(now, before.since)
     if since is not None and now - since >= rule.hold_s:
         if alarm is not None:
-            return Standing(level.kind), replace(alarm, ended=since)
+            return AlarmState(level.kind), replace(alarm, ended=since)
         begun = _alarm(turbine, since, severity, level)
-        return Standing(level.kind, None, begun), begun
+        return AlarmState(level.kind, None, begun), begun
     if alarm is not None and severity == "alarm" and alarm.severity != "alarm":
         worsened = _alarm(turbine, alarm.began, severity, level)
-        return Standing(level.kind, since, worsened), worsened
-    return Standing(level.kind, since, alarm), None
+        return AlarmState(level.kind, since, worsened), worsened
+    return AlarmState(level.kind, since, alarm), None
 
 
 def _alarm(turbine: str, began: float, severity: str, level: Level) -> Alarm:
+    """Return the alarm of a level, with an id of turbine, kind, subject and beginning [s]."""
     return Alarm(
         id=f"{turbine}:{level.key}:{began:.0f}",
         turbine=turbine,
@@ -171,31 +187,31 @@ def _alarm(turbine: str, began: float, severity: str, level: Level) -> Alarm:
 # -- levels that follow from estimates -----------------------------------------------------------------------
 @dataclass(frozen=True)
 class Estimated:
-    """A turbine's condition, of which the instant at index `place` is judged, and its frozen signals."""
+    """A turbine's condition, of which the instant at index `index` is judged, and its frozen signals."""
 
     condition: Condition
-    place: int
+    index: int
     frozen: Sequence[Frozen] = ()
 
 
 def condensation_levels(estimated: Estimated) -> list[Level]:
-    """The probability that water condenses, because the coldest surface is below the dew point."""
+    """Return the level of condensation: its probability, if the model gives one."""
     probabilities, margin = estimated.condition.condensation, estimated.condition.margin_K
     if probabilities is None or margin is None:
         return []
-    probability = float(probabilities[estimated.place])
+    probability = float(probabilities[estimated.index])
     if probability < CONDENSATION.off:
         return [Level(CONDENSATION.kind, probability)]
-    place, columns = estimated.place, (margin.value, margin.lower, margin.upper)
-    value, lower, upper = (float(column[place]) for column in columns)
+    index, columns = estimated.index, (margin.value, margin.lower, margin.upper)
+    value, lower, upper = (float(column[index]) for column in columns)
     code = AlarmCode.WATER_CONDENSES
     statement = code(probability=probability, margin_K=value, lower_K=lower, upper_K=upper)
     return [Level(CONDENSATION.kind, probability, (statement,))]
 
 
 def frozen_levels(estimated: Estimated) -> list[Level]:
-    """One level for each signal that repeats a value: the duration as a multiple of `FROZEN_S`."""
-    time, levels = float(estimated.condition.time_s[estimated.place]), []
+    """Return a level for each signal that repeats a value: the duration as a multiple of `FROZEN_S`."""
+    time, levels = float(estimated.condition.time_s[estimated.index]), []
     for run in estimated.frozen:
         if run.known_s <= time < run.end:
             (value,), unit = _in_display_unit(run.signal, run.value)
@@ -205,51 +221,54 @@ def frozen_levels(estimated: Estimated) -> list[Level]:
 
 
 def _in_display_unit(signal: str, *values: float) -> tuple[list[float], str]:
-    """Values [SI unit] of a signal in the unit that messages show, and the unit with a blank before it."""
+    """Convert values [SI unit] of a signal to its display unit; returns them and " UNIT"."""
     row = signal_named(signal)
     unit = {"degC": " °C", "1": ""}.get(row.display, f" {row.display}")
     return [float(from_si(value, row.display, row)) for value in values], unit
 
 
 def estimate_levels(estimated: Estimated, verdicts: Mapping[str, Inherited]) -> list[Level]:
-    """All levels that follow from a turbine's estimates, with the doubts about its fit (`verdicts`)."""
+    """Return all levels from a turbine's estimates, with the doubts about its fit (`verdicts`)."""
     functions = (rule.levels for rule in ALARM_RULES.values() if rule.levels is not None)
     return with_doubts((level for levels_of in functions for level in levels_of(estimated)), verdicts)
 
 
 def with_doubts(levels: Iterable[Level], verdicts: Mapping[str, Inherited]) -> list[Level]:
-    """The levels; a level that rests on a number of the fit also states the doubt if one of the fit's
-    `verdicts` rejects this number."""
-    with_statements = []
+    """Add to each level the doubt about a number of the fit on which it rests, if one of the fit's `verdicts`
+    rejects this number."""
+    completed = []
     for level in levels:
         doubts = rests_on(verdicts, RESTS_ON.get(level.subject, ALARM_RULES[level.kind].rests_on))
         if doubts and level.statements:
             level = replace(level, statements=(*level.statements, *doubts))
-        with_statements.append(level)
-    return with_statements
+        completed.append(level)
+    return completed
 
 
 # -- levels of lasting shifts --------------------------------------------------------------------------------
 def shift_levels(step: ShiftStep, finding: CauseFinding | None) -> list[Level]:
-    """Levels that follow from the tracked properties and, for lasting shifts, from fault isolation.
+    """Return the levels that follow from the tracked properties and from the `finding` of fault isolation.
 
-    There is no level of a shift before fault isolation has a finding; a finding without a cause gives one
-    level for each property.  No alarm begins while the bounds of its size contain zero.  An alarm states
-    moister air unless another sensor explains the readings better; before the finding it neither begins
-    nor ends.
+    Without a finding there is no level of a shift; a finding without a cause gives one level for each lasting
+    shift.  No alarm begins while the bounds of its size contain zero.  Moister air has a level unless fault
+    isolation names another sensor; before the finding its alarm neither begins nor ends.
     """
     lasting = {shift.name: shift for shift in step.lasting}
     relevant = finding if lasting else None  # a finding explains lasting shifts alone
     deviations = step.deviations
-    moist = deviations.get(MOIST)
+    humidity_deviation = deviations.get(MOIST)
     causes = () if relevant is None else (relevant.cause, *relevant.alike)
     levels = []
-    if moist is not None and (HUMIDITY_SENSOR in causes or not causes or causes[0] not in PAIRED_SENSORS):
+    if humidity_deviation is not None and (
+        HUMIDITY_SENSOR in causes or not causes or causes[0] not in PAIRED_SENSORS
+    ):
         may_be_ambient = bool(set(PAIRS) & set(causes))
         code = AlarmCode.EITHER_SENSOR_OR_WATER if may_be_ambient else AlarmCode.HUMIDITY_SENSOR_OR_WATER
-        level = relative_shift(MOIST, moist)
+        level = relative_shift(MOIST, humidity_deviation)
         level = level if relevant is not None and MOIST in lasting else min(level, UNDECIDED_LEVEL)
-        levels.append(Level(SENSOR_OR_WATER.kind, level, (code(**_size(MOIST, moist)),)))
+        levels.append(
+            Level(SENSOR_OR_WATER.kind, level, (code(**_size_with_bounds(MOIST, humidity_deviation)),))
+        )
     if relevant is None:
         return levels
     if relevant.cause in PAIRED_SENSORS:
@@ -263,8 +282,8 @@ def shift_levels(step: ShiftStep, finding: CauseFinding | None) -> list[Level]:
 
 
 def _sensor_levels(finding: CauseFinding) -> list[Level]:
-    """The level of a sensor that fault isolation names; a humidity sensor that reads too high may be right,
-    and is part of `SENSOR_OR_WATER`."""
+    """Return the level of a sensor that fault isolation names; none for a humidity sensor that reads too
+    high, which may be right (`SENSOR_OR_WATER`)."""
     if finding.cause == HUMIDITY_SENSOR and finding.value > 0.0:
         return []
     factor = 1.0 if "temperature" in finding.state else 100.0  # [K] or [%]
@@ -277,19 +296,22 @@ def _sensor_levels(finding: CauseFinding) -> list[Level]:
         upper=high,
         side=side,
         either=AlarmCode.OR_AMBIENT(side=other_side) if is_in_pair else "",
-        others=_others(finding),
+        others=_other_causes(finding),
     )
     return [Level(SUSPECT.kind, 1.0 if low > 0.0 else UNDECIDED_LEVEL, (statement,), finding.cause)]
 
 
 def _shift_level(name: str, deviation: TrackedState, finding: CauseFinding) -> Level:
+    """Return the level of a property whose shift fault isolation has explained."""
     level = 1.0 if abs(deviation.x) > Z95 * deviation.sd else UNDECIDED_LEVEL
-    statement = CHANGES[name, deviation.x > 0.0](**_size(name, deviation), others=_others(finding))
+    statement = CHANGES[name, deviation.x > 0.0](
+        **_size_with_bounds(name, deviation), others=_other_causes(finding)
+    )
     return Level(CABINET_CHANGED.kind, level, (statement,), name)
 
 
-def _size(name: str, deviation: TrackedState) -> dict[str, float]:
-    """The size of a deviation with its bounds, in the unit that its alarm shows: [K] or [%]."""
+def _size_with_bounds(name: str, deviation: TrackedState) -> dict[str, float]:
+    """Return the size of a deviation with its 95 % bounds, in the unit that its alarm shows: [K] or [%]."""
     x, sd = deviation
     change_and_bounds = np.array([x, x - Z95 * sd, x + Z95 * sd])
     if name != "heat_release_change":
@@ -297,9 +319,9 @@ def _size(name: str, deviation: TrackedState) -> dict[str, float]:
     return dict(zip(("change", "lower", "upper"), change_and_bounds.tolist(), strict=True))
 
 
-def _others(finding: CauseFinding) -> Statement | str:
-    """The causes that explain the readings as well as the finding's cause, without the other sensor of its
-    pair."""
+def _other_causes(finding: CauseFinding) -> Statement | str:
+    """Return the statement of the causes that explain the readings as well as the finding's cause, without
+    the other sensor of its pair; "" without such causes."""
     causes = [CAUSE_CODES[cause]() for cause in finding.alike if PAIRS.get(cause) != finding.cause]
     return AlarmCode.OR_OTHERS(causes=tuple(causes)) if causes else ""
 
@@ -330,7 +352,7 @@ class Innovation:
 
 
 def innovations(course: TrackedCourse, final_s: float = math.inf) -> list[Innovation]:
-    """The innovations of a course up to the time `final_s` [s], sorted by time and signal."""
+    """Return the innovations of a course up to the time `final_s` [s], sorted by time and signal."""
     timeline, trace = course.run.timeline, course.trace
     is_final = course.seconds <= final_s + SAME_S
     arrays = timeline.y, trace.prediction, np.sqrt(trace.variance)
@@ -343,7 +365,7 @@ def innovations(course: TrackedCourse, final_s: float = math.inf) -> list[Innova
 
 
 def contradiction_level(innovation: Innovation) -> Level:
-    """The level of a contradiction: 1 at `CONTRADICTION_SD` standard deviations of the prediction."""
+    """Return how much a reading contradicts the estimate: 1 at `CONTRADICTION_SD` standard deviations."""
     level = abs(innovation.deviations) / CONTRADICTION_SD
     if level < CONTRADICTS.off:
         return Level(CONTRADICTS.kind, level, subject=innovation.signal)
@@ -360,9 +382,10 @@ def contradiction_level(innovation: Innovation) -> Level:
 def stale_levels(
     ages_s: Mapping[str, float], limit_s: float, departure: Statement | None = None
 ) -> list[Level]:
-    """The level of stale data: age [s] of a turbine's oldest signal as a multiple of the limit [s].
+    """Return the level of stale data: the age of a turbine's oldest signal as a multiple of the limit [s].
 
-    departure: statement that the sender has left, so that its signals are stale at once.
+    ages_s: signal → time [s] since its last reading.  departure: statement that the sender is offline, so
+    that its signals are stale at once.
     """
     silent = {signal: age for signal, age in ages_s.items() if age > limit_s}
     age_s = max(silent.values(), default=0.0)
@@ -378,8 +401,9 @@ def stale_levels(
 
 
 def missing_levels(missing: Iterable[Need], since: float, now: float, limit_s: float) -> list[Level]:
-    """The levels of signals that never came: the time from `since`, when the tracker first knew the turbine,
-    to `now` [s] as a multiple of the limit [s]; a notice if the model does not require the signal."""
+    """Return the levels of signals that never came: the time from `since`, when the tracker first knew the
+    turbine, to `now` [s] as a multiple of the limit [s]; a notice if the model does not require the
+    signal."""
     level, levels = (now - since) / limit_s, []
     for need in missing:
         code = AlarmCode.REQUIRED_NEVER_CAME if need.required else AlarmCode.SIGNAL_NEVER_CAME
@@ -389,18 +413,14 @@ def missing_levels(missing: Iterable[Need], since: float, now: float, limit_s: f
 
 
 def source_levels(reaches: Mapping[str, Reach], now: float) -> list[Level]:
-    """One level for each source that is not reached: the duration until `now` [s] as a multiple of the
-    source's limit."""
-    lost = {url: (reach, reach.since) for url, reach in reaches.items() if reach.since is not None}
-    return [
-        Level(
-            SOURCE_LOST.kind,
-            reach.share(now),
-            (AlarmCode.SOURCE_NOT_REACHED(source=url, since=since, reason=reach.words),),
-            url,
-        )
-        for url, (reach, since) in lost.items()
-    ]
+    """Return a level for each source (URL) that is not reached: the duration until `now` [s] as a multiple of
+    the source's limit."""
+    levels = []
+    for url, reach in reaches.items():
+        if reach.since is not None:
+            statement = AlarmCode.SOURCE_NOT_REACHED(source=url, since=reach.since, reason=reach.reason)
+            levels.append(Level(SOURCE_LOST.kind, reach.share(now), (statement,), url))
+    return levels
 
 
 # -- the table of alarms -------------------------------------------------------------------------------------
@@ -457,5 +477,5 @@ SOURCE_LOST = ALARM_RULES["source lost"]
 
 
 def kinds_of(*follows: str) -> tuple[str, ...]:
-    """Kinds of alarms whose levels follow from one of `follows`."""
+    """Return the kinds of alarms whose levels follow from one of `follows`, such as `ESTIMATES`."""
     return tuple(rule.kind for rule in ALARM_RULES.values() if rule.follows in follows)

@@ -40,9 +40,9 @@ class Outlook:
     condensation: np.ndarray
 
     def likely_s(self, now: float) -> float | None:
-        """First time [s] after `now` at which condensation is likely; None if it is not."""
-        likely = (self.time_s > now) & (self.condensation >= CONDENSATION.on)
-        return float(self.time_s[np.argmax(likely)]) if likely.any() else None
+        """Return the first time [s] after `now` at which condensation is likely; None without such a time."""
+        is_likely = (self.time_s > now) & (self.condensation >= CONDENSATION.on)
+        return float(self.time_s[np.argmax(is_likely)]) if is_likely.any() else None
 
 
 @dataclass(frozen=True)
@@ -77,13 +77,13 @@ class Facts:
 
 
 def assess(facts: Facts, now: float) -> tuple[str, Reasons]:
-    """The state at `now` [s], one of `batch.STATES`, and its reason, with what the estimate lacks."""
-    state, reason = _assess(facts, now)
-    return state, (*reason, *_lacking(facts))
+    """Return the state at `now` [s], one of `batch.STATES`, and its reason with the silent sensors."""
+    state, reason = _first_state(facts, now)
+    return state, (*reason, *_silent_sensors(facts))
 
 
-def _lacking(facts: Facts) -> Iterator[Statement]:
-    """Statements about the sensors of the cabinet that are silent while estimates go on."""
+def _silent_sensors(facts: Facts) -> Iterator[Statement]:
+    """Yield a statement for each sensor of the cabinet that is silent while estimates continue."""
     if facts.estimate_s is None:
         return
     if facts.silent_s is not None:
@@ -94,7 +94,8 @@ def _lacking(facts: Facts) -> Iterator[Statement]:
             yield StateCode.WITHOUT_SIGNAL(signal=signal, since=at)
 
 
-def _assess(facts: Facts, now: float) -> tuple[str, Reasons]:
+def _first_state(facts: Facts, now: float) -> tuple[str, Reasons]:
+    """Return the first state that applies at `now` [s], and why."""
     for state, judge in _JUDGES:
         if reasons := judge(facts, now):
             return state, reasons
@@ -108,11 +109,12 @@ def _assess(facts: Facts, now: float) -> tuple[str, Reasons]:
 
 
 def _old(facts: Facts, now: float) -> bool:
-    """Whether the newest estimate is too old to describe the present."""
+    """Return whether the newest estimate is too old to describe the present."""
     return facts.estimate_s is not None and now - facts.estimate_s > facts.stale_s
 
 
 def _at_risk(facts: Facts, now: float) -> Reasons:
+    """Return the reasons for "at risk": condensation is likely now or in the forecast."""
     chance = facts.condensation
     if chance is not None and chance >= CONDENSATION.on and not _old(facts, now):
         return (StateCode.CONDENSATION_LIKELY_NOW(),)
@@ -121,12 +123,17 @@ def _at_risk(facts: Facts, now: float) -> Reasons:
 
 
 def _alarm(facts: Facts, now: float) -> Reasons:
+    """Return the reasons for "alarm": the kinds of the open alarms."""
+    # alarms that other states report
     other_states = {STALE.kind} if facts.estimate_s is not None else {STALE.kind, SIGNAL_MISSING.kind}
-    kinds = [a.kind for a in facts.alarms if a.kind not in other_states and a.severity != "notice"]
+    kinds = [
+        alarm.kind for alarm in facts.alarms if alarm.kind not in other_states and alarm.severity != "notice"
+    ]
     return (StateCode.ALARMS_OPEN(kinds=tuple(dict.fromkeys(kinds))),) if kinds else ()
 
 
 def _stale(facts: Facts, now: float) -> Reasons:
+    """Return the reasons for "stale": an old estimate or silent signals."""
     if facts.estimate_s is None:
         return ()
     if _old(facts, now):
@@ -137,12 +144,13 @@ def _stale(facts: Facts, now: float) -> Reasons:
 
 
 def _no_estimate(facts: Facts, now: float) -> Reasons:
-    reason = _why_none(facts)
+    """Return the reasons for "no estimate"."""
+    reason = _why_no_probability(facts)
     return () if reason is None else (reason,)
 
 
-def _why_none(facts: Facts) -> Statement | None:
-    """Why there is no probability of condensation; None if there is one."""
+def _why_no_probability(facts: Facts) -> Statement | None:
+    """Return why there is no probability of condensation; None if there is one."""
     if facts.estimate_s is not None and facts.condensation is not None:
         return None if math.isfinite(facts.condensation) else StateCode.ESTIMATE_NOT_A_NUMBER()
     if not facts.with_humidity:

@@ -17,8 +17,11 @@ from hygrokf.texts.statement import Statement
 
 @dataclass(frozen=True)
 class Observation:
-    """A reading of a turbine, the time [s] at which it was `received`, whether it came too `late` to be used,
-    and whether it is a `revision`: a value that differs from earlier values of its stamp."""
+    """A reading of a turbine, received at the time `received` [s].
+
+    `late`: whether it came too late to be used; `revision`: whether its value differs from earlier values
+    with the same time stamp.
+    """
 
     turbine: str
     reading: Reading
@@ -29,8 +32,8 @@ class Observation:
 
 @dataclass(frozen=True)
 class Loss:
-    """A span in which the connection of a turbine's signal was lost: times [s] at which it was `lost` and
-    `regained`, None while it is lost."""
+    """A loss of the connection of a turbine's signal: times [s] at which the connection was `lost` and
+    `regained` (None while it is lost)."""
 
     turbine: str
     signal: str
@@ -50,17 +53,17 @@ STATED_CAUSES = ("defect", "settings changed", "false alarm", "unexplained", "lo
 
 
 def stated_content(statements: Sequence[Statement]) -> str:
-    """The statements of a row, as the JSON of its column `content`."""
+    """Return statements as JSON for the column `content`."""
     return json.dumps(plain(list(statements)), ensure_ascii=False)
 
 
 def stated_text(statements: Sequence[Statement]) -> str:
-    """The statements of a row, as the text of the column that people read."""
+    """Return statements as one text for people."""
     return "; ".join(statement.text for statement in statements)
 
 
 def pieces_of(statements: Sequence[Statement]) -> list[str | float]:
-    """The text of statements in pieces; numbers are instants [s], which the page writes in its own zone."""
+    """Return the text of statements in pieces; numbers are times [s] to be shown in the page's time zone."""
     pieces: list[str | float] = []
     for statement in statements:
         pieces += ["; ", *statement.pieces] if pieces else statement.pieces
@@ -73,8 +76,8 @@ class Alarm:
     distinguishes alarms of one kind.
 
     `content` holds its statements, `statement` is their text, and `remedy` tells what to do.  Whoever
-    acknowledges the alarm states a `cause` (one of `STATED_CAUSES`) and may add a `note`; `look_again` [s] is
-    the time at which the alarm is due again.
+    acknowledges the alarm states a `cause` (one of `STATED_CAUSES`) and may add a `note`; `look_again` [s] is the
+    time at which the alarm is due again.
     """
 
     id: str
@@ -95,18 +98,17 @@ class Alarm:
 
     @property
     def statements(self) -> tuple[Statement, ...]:
-        """The statement of the alarm, and doubts about it."""
+        """The statement of the alarm, and doubts about the fit on which it rests."""
         return structured(tuple[Statement, ...], json.loads(self.content))
 
     def served(self) -> JsonObject:
-        """The alarm as programs receive it."""
+        """Return the alarm as JSON for other programs."""
         return {**asdict(self), "content": json.loads(self.content)}
 
 
 @dataclass(frozen=True)
 class Assessment:
-    """The `state` of a turbine (one of `TURBINE_STATES`) `since` a time [s]; `reason` is the text of
-    `content`."""
+    """The `state` of a turbine (one of `TURBINE_STATES`) `since` a time [s]; `reason` is the text of `content`."""
 
     turbine: str
     state: str
@@ -116,13 +118,17 @@ class Assessment:
 
     @property
     def statements(self) -> tuple[Statement, ...]:
-        """The reason of the state, and the sensors that the estimate lacks."""
+        """The reason of the state, and which sensors are silent."""
         return structured(tuple[Statement, ...], json.loads(self.content))
 
 
 @dataclass(frozen=True)
 class Shelf:
-    """Shelved alarms of one kind and turbine: they are stored, but nobody is notified `until` a time [s]."""
+    """A shelf: alarms of one kind at one turbine are stored, but nobody is notified of them `until` a time
+    [s].
+
+    `made`: time [s] at which `made_by` shelved them.
+    """
 
     turbine: str
     kind: str
@@ -134,9 +140,9 @@ class Shelf:
 
 @dataclass(frozen=True)
 class Event:
-    """A change at a turbine at `time` [s] that a person stated at `made` [s].
+    """A change at a turbine at `time` [s], entered at `made` [s] by the person `made_by`.
 
-    kind: one of `traces.KINDS`.
+    `kind`: one of `traces.KINDS`.
     """
 
     id: str
@@ -150,10 +156,11 @@ class Event:
 
 @dataclass(frozen=True)
 class Notice:
-    """A message about an alarm to a `channel`: `content` is JSON, sent after `due` [s].
+    """A message about an alarm to a `channel`, written at `made` [s] and sent from `due` [s] on.
 
-    `attempts` to send it so far, the `failure` of the last one, and when it was `sent` [s].  Its id consists
-    of channel, alarm and event, so that a message is written once.
+    `content`: JSON; `attempts`: number of attempts to send it; `failure`: why the last one failed; `sent`:
+    time [s] at which it was sent.  The id consists of channel, alarm and event, so that a notice is written
+    once.
     """
 
     id: str
@@ -168,10 +175,8 @@ class Notice:
 
 @dataclass(frozen=True)
 class Estimates:
-    """The condition at new instants, of which the first `final` are final.
-
-    It replaces provisional estimates from `since` [s] on.
-    """
+    """The condition at new instants, of which the first `final` are final; they replace the provisional
+    estimates from `since` [s] on."""
 
     condition: Condition
     final: int
@@ -209,4 +214,5 @@ class Batch:
 
     @property
     def empty(self) -> bool:
+        """Whether the store has nothing to write."""
         return not any(vars(self).values())

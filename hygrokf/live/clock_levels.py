@@ -1,7 +1,7 @@
 """Comparison of stamps with this machine's clock: readings ahead of the clock, wrong clocks, and backlogs.
 
-A reading that is ahead by more than `STAMP_AHEAD_S` is acknowledged and held back in the store until the
-clock reaches its stamp minus `STAMP_AHEAD_S` or is set right.
+A reading that is ahead by more than `STAMP_AHEAD_S` is acknowledged and held back in the store until the clock
+reaches its stamp minus `STAMP_AHEAD_S` or is set right.
 
 A backlog consists of readings that were kept while source or tracker were away.  While a backlog is
 delivered, a turbine whose readings have not come yet looks silent although it is not.  A source delivers a
@@ -58,8 +58,7 @@ class Ahead:
             self._ahead_s[turbine][observed.reading.signal] = ahead_s if ahead_s > STAMP_AHEAD_S else 0.0
 
     def hold(self, turbine: str, ahead: Sequence[Observation], batch: Batch) -> None:
-        """Put readings that are ahead into the batch; readings beyond `HELD_MOST` are counted and
-        discarded."""
+        """Put readings that are ahead into the batch; count and discard those beyond `HELD_MOST`."""
         if not ahead:
             return
         held_count = sum(held.turbine == turbine for held in batch.held)
@@ -72,7 +71,7 @@ class Ahead:
         self._held.add(turbine)
 
     def release(self, turbine: str, now: float, batch: Batch) -> list[Observation]:
-        """The readings of a turbine that are no longer ahead at `now` [s]; the batch releases them."""
+        """Return the held readings of a turbine that are due at `now` [s]; the batch releases them."""
         if self._store is None or turbine not in self._held:
             return []
         due = self._store.held(turbine, now + STAMP_AHEAD_S)
@@ -84,13 +83,14 @@ class Ahead:
         return due
 
     def by_turbine(self) -> dict[str, float]:
-        """Time [s] by which each turbine's newest readings were ahead, 0 up to `STAMP_AHEAD_S`."""
+        """Return turbine → time [s] by which its newest readings were ahead, 0 up to `STAMP_AHEAD_S`."""
         return {turbine: max(by_signal.values()) for turbine, by_signal in self._ahead_s.items()}
 
 
 def clock_levels(ahead_s: Mapping[str, float]) -> dict[str, list[Level]]:
-    """The levels of wrong clocks by turbine, `MACHINE` for this machine's clock, from the time [s] by which
-    each turbine is ahead of this clock.
+    """Return turbine → levels of alarms about wrong clocks; `MACHINE` stands for this machine's clock.
+
+    ahead_s: turbine → time [s] by which its stamps are ahead of this machine's clock.
 
     Several turbines that are ahead by the same time share the cause, this machine's clock, if they are at
     least the share `AHEAD_SHARE` of all turbines; the clock of any other turbine that is ahead is fast.
@@ -100,7 +100,7 @@ def clock_levels(ahead_s: Mapping[str, float]) -> dict[str, list[Level]]:
     if not positive:
         return levels
     median = positive[(len(positive) - 1) // 2]
-    alike = {name for name, s in ahead_s.items() if s > 0.0 and abs(s - median) <= ALIKE_S}
+    alike = {name for name, seconds in ahead_s.items() if seconds > 0.0 and abs(seconds - median) <= ALIKE_S}
     if len(alike) < max(2.0, AHEAD_SHARE * len(ahead_s)):
         alike = set()
     else:
@@ -114,7 +114,7 @@ def clock_levels(ahead_s: Mapping[str, float]) -> dict[str, list[Level]]:
 
 
 def _rounded(seconds: float) -> float | Statement:
-    """A duration [s] rounded to minutes, or a statement in years from one year on."""
+    """Return a duration [s] rounded to minutes, or a statement in years from one year on."""
     years = seconds / (365.25 * DAY_S)
     return AlarmCode.YEARS(count=years) if years >= 1.0 else 60.0 * round(seconds / 60.0)
 
@@ -132,8 +132,11 @@ class Backlogs:
 
     def __init__(self) -> None:
         self._anchors: dict[tuple[str, str, str], tuple[float, float]] = {}
+        """(source, turbine, signal) -> stamp and arrival [s] from which the advance of stamps is measured."""
         self._gained: dict[str, float] = {}
+        """Source -> time [s] at which its stamps last advanced faster than the clock."""
         self._sources: dict[str, set[str]] = defaultdict(set)
+        """Turbine -> sources that have delivered its readings."""
 
     def note(self, source: str, turbine: str, readings: Iterable[Reading], received: float) -> None:
         """Note readings of a turbine that a source delivered up to the time `received` [s]."""
@@ -144,19 +147,19 @@ class Backlogs:
         for signal, times in stamps.items():
             key, stamp = (source, turbine, signal), max(times)
             anchor_stamp, anchor_received = self._anchors.setdefault(key, (min(times), received))
-            passed = max(received - anchor_received, 0.0)  # negative if the clock was set back
-            if stamp - anchor_stamp - passed >= GAINED_S:
+            passed_s = max(received - anchor_received, 0.0)  # negative if the clock was set back
+            if stamp - anchor_stamp - passed_s >= GAINED_S:
                 self._gained[source] = received
-            elif passed <= WINDOW_S and received >= anchor_received:
+            elif passed_s <= WINDOW_S and received >= anchor_received:
                 continue
             self._anchors[key] = (max(stamp, anchor_stamp), received)
 
     def delivering(self, source: str, now: float) -> bool:
-        """Whether a source delivers a backlog at `now` [s]."""
+        """Return whether a source is delivering a backlog at `now` [s]."""
         return abs(now - self._gained.get(source, -math.inf)) < QUIET_S
 
     def awaited(self, turbine: str, now: float) -> bool:
-        """Whether a backlog may still bring readings of a turbine: a backlog of a source that has delivered
-        readings of the turbine or, if no source has, of any source."""
+        """Return whether a backlog may still bring readings of a turbine at `now` [s]: from a source that has
+        delivered readings of the turbine or, if none has, from any source."""
         sources = self._sources.get(turbine) or set(self._gained)
         return any(self.delivering(source, now) for source in sources)

@@ -35,21 +35,24 @@ from hygrokf.physics.psychrometrics import (
 from hygrokf.physics.psychrometrics import Surface as Surface
 
 Z95 = 1.959964
+"""Number of standard deviations from the mean to a 95 % bound of a normal distribution."""
 
 
 @dataclass(frozen=True)
 class Quantity:
-    """Values (T,) with standard deviations (T,)."""
+    """Values (T,) of a quantity with their standard deviations (T,)."""
 
     value: np.ndarray
     sd: np.ndarray
 
     @property
     def lower(self) -> np.ndarray:
+        """95 % lower bounds (T,)."""
         return self.value - Z95 * self.sd
 
     @property
     def upper(self) -> np.ndarray:
+        """95 % upper bounds (T,)."""
         return self.value + Z95 * self.sd
 
 
@@ -61,7 +64,7 @@ class Condition:
     surface's temperature above the dew point or, below freezing, above the frost point; `condensation` (T,)
     [1] is the probability that the margin is negative; `surface_humidity` [1] is the relative humidity of the
     air at that surface; `excess_g_m3` (T,) is the vapour by which the newest reading exceeds the estimate
-    (`on_the_safe_side`), NaN without one.  Quantities that the model lacks are None.
+    (`safer_condition`), NaN without one.  Quantities that the model lacks are None.
     """
 
     time_s: np.ndarray
@@ -76,14 +79,14 @@ class Condition:
     excess_g_m3: np.ndarray | None = None
 
     def mapped(self, change: Callable[[str, Quantity], Quantity], **others: np.ndarray | None) -> Condition:
-        """The condition with each quantity replaced by `change(name, quantity)`, and with other fields."""
+        """Return the condition with `change(name, quantity)` for each quantity, and with other fields."""
         changed = {name: change(name, q) for name, q in vars(self).items() if isinstance(q, Quantity)}
         return replace(self, **changed, **others)  # type: ignore[arg-type]
 
 
 @dataclass(frozen=True)
 class DisplayedQuantity:
-    """A quantity of `Condition` for the store and the page: displayed value = factor × value + offset [unit].
+    """How the store and the page show a quantity of `Condition`: factor × value + offset [unit].
 
     `column`: name of the quantity in `Condition` and in the store's tables.
     """
@@ -111,7 +114,7 @@ DISPLAYED_QUANTITIES = (
 
 
 def inputs_of(model: Model, t: Timeline) -> dict[str, np.ndarray]:
-    """A model's inputs (T,) at the instants of a timeline."""
+    """Return input of a model → values (T,) at the instants of a timeline."""
     return {name: t.input(name) for name in model.inputs}
 
 
@@ -124,17 +127,17 @@ def air_condition(
     covariance: np.ndarray,
     surface: Surface,
 ) -> Condition:
-    """The condition at instants (T,) [s], from inputs `u` (T,) and the state's means (T, n) and covariances
-    (T, n, n).
+    """Return the condition at the instants `seconds` (T,) [s], from the mean (T, n) and covariance (T, n, n)
+    of the model's states.
 
-    Parameter values and the surface may differ between instants (T,), so that many cabinets of one model are
-    evaluated at once.
+    values: parameter → value, or values (T,).  u: input → values (T,).  Parameters and surface may differ
+    between instants, so that many cabinets of one model are evaluated at once.
     """
     without_quantities = Condition(seconds, *[None] * 8)
-    air, air_row = _air(model, values, u, mean)
+    air, air_gradient = _air_temperature(model, values, u, mean)
     if air is None:
         return without_quantities
-    air_var = np.einsum("ti,tij,tj->t", air_row, covariance, air_row)
+    air_var = np.einsum("ti,tij,tj->t", air_gradient, covariance, air_gradient)
     temperature = Quantity(air, np.sqrt(np.maximum(air_var, 0.0)))
     if "vapour" not in model.states:
         return Condition(seconds, temperature, *[None] * 7)
@@ -144,9 +147,10 @@ def air_condition(
     # the filter's vapour state is linear and may become negative in almost dry air
     vapour_pressure = np.maximum(mean[:, vapour_index], 1e-3) * scale
     vapour_var = scale**2 * np.maximum(covariance[:, vapour_index, vapour_index], 0.0)
-    cross_var = scale * np.einsum("ti,ti->t", air_row, covariance[:, :, vapour_index])
+    cross_var = scale * np.einsum("ti,ti->t", air_gradient, covariance[:, :, vapour_index])
 
     def derived(value: np.ndarray, by_air: np.ndarray | float, by_vapour: np.ndarray | float) -> Quantity:
+        """Return a quantity with its derivatives by air temperature and by vapour pressure."""
         variance = by_air**2 * air_var + by_vapour**2 * vapour_var + 2.0 * by_air * by_vapour * cross_var
         return Quantity(value, np.sqrt(np.maximum(variance, 0.0)))
 
@@ -158,33 +162,37 @@ def air_condition(
     density = 1e3 * absolute_humidity_from_vapour_pressure(vapour_pressure, air)
     absolute = derived(density, -density / air, density / vapour_pressure)
     dew = dew_point(vapour_pressure)
-    by_dew = 1.0 / saturation_pressure_water_slope(dew)
+    dew_by_vapour = 1.0 / saturation_pressure_water_slope(dew)
     frost = np.where(dew < ZERO_CELSIUS_K, frost_point(vapour_pressure), np.nan)
-    by_frost = 1.0 / saturation_pressure_ice_slope(np.clip(frost, ICE_RANGE[0], ZERO_CELSIUS_K))
+    frost_by_vapour = 1.0 / saturation_pressure_ice_slope(np.clip(frost, ICE_RANGE[0], ZERO_CELSIUS_K))
     surface_K = surface.temperature(ambient, air)
     # on a surface below freezing vapour deposits as frost, slightly above the dew point
-    frosty = (surface_K < ZERO_CELSIUS_K) & np.isfinite(frost)
+    is_frost = (surface_K < ZERO_CELSIUS_K) & np.isfinite(frost)
     margin = derived(
-        surface_K - np.where(frosty, frost, dew), surface.follows, -np.where(frosty, by_frost, by_dew)
+        surface_K - np.where(is_frost, frost, dew),
+        surface.follows,
+        -np.where(is_frost, frost_by_vapour, dew_by_vapour),
     )
-    at_surface = saturation_pressure_water(surface_K)
-    humidity_there = vapour_pressure / at_surface
-    by_cold = -humidity_there * saturation_pressure_water_slope(surface_K) / at_surface
+    surface_saturated = saturation_pressure_water(surface_K)
+    surface_humidity = vapour_pressure / surface_saturated
+    humidity_by_surface = -surface_humidity * saturation_pressure_water_slope(surface_K) / surface_saturated
     return Condition(
         time_s=seconds,
         temperature_K=temperature,
         relative_humidity=relative,
         absolute_humidity_g_m3=absolute,
-        dew_point_K=derived(dew, 0.0, by_dew),
-        frost_point_K=derived(frost, 0.0, by_frost),
+        dew_point_K=derived(dew, 0.0, dew_by_vapour),
+        frost_point_K=derived(frost, 0.0, frost_by_vapour),
         margin_K=margin,
         condensation=probability_below(margin, 0.0),
-        surface_humidity=derived(humidity_there, surface.follows * by_cold, 1.0 / at_surface),
+        surface_humidity=derived(
+            surface_humidity, surface.follows * humidity_by_surface, 1.0 / surface_saturated
+        ),
     )
 
 
-def only(condition: Condition, selected: np.ndarray | slice) -> Condition:
-    """The condition at a selection of its instants."""
+def at_instants(condition: Condition, selected: np.ndarray | slice) -> Condition:
+    """Return the condition at some of its instants; `selected`: their indices, a mask (T,) or a slice."""
     probability, excess = (
         values if values is None else values[selected]
         for values in (condition.condensation, condition.excess_g_m3)
@@ -196,7 +204,7 @@ def only(condition: Condition, selected: np.ndarray | slice) -> Condition:
 
 
 def probability_below(quantity: Quantity, limit: float) -> np.ndarray:
-    """Probability (T,) that a quantity is below a limit."""
+    """Return the probability (T,) that a quantity is below a limit."""
     from scipy.special import ndtr
 
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -205,15 +213,15 @@ def probability_below(quantity: Quantity, limit: float) -> np.ndarray:
 
 
 def probability_above(quantity: Quantity, limit: float) -> np.ndarray:
-    """Probability (T,) that a quantity is above a limit."""
+    """Return the probability (T,) that a quantity is above a limit."""
     return 1.0 - probability_below(quantity, limit)
 
 
-def _air(
+def _air_temperature(
     model: Model, values: Mapping[str, float | np.ndarray], u: Mapping[str, np.ndarray], mean: np.ndarray
 ) -> tuple[np.ndarray | None, np.ndarray]:
-    """Temperature (T,) of the cabinet air [K], None without it, and its exact gradient (T, n) with respect to
-    the states."""
+    """Return the temperature (T,) of the cabinet air [K], None if the model has none, and its gradient (T, n)
+    with respect to the states."""
     name, columns = "cabinet_air_temperature", list(mean.T)
     temperature = model.quantities(columns, u, values).get(name)
     if temperature is None:
@@ -224,16 +232,18 @@ def _air(
 
 # -- water in the cabinet, or a humidity sensor that errs ----------------------------------------------------
 SHOWN_DIFFERENCE = 0.005
-"""Difference of the probabilities [1] from which the condition by the sensor is shown instead of that by the
-model: half a percent."""
+"""By how much condensation must be likelier by the sensor [1] for its condition to be shown, not the
+model's."""
 
 
-def vapour_read(readings: Mapping[str, np.ndarray], air_K: np.ndarray, ambient_K: np.ndarray) -> np.ndarray:
-    """Equivalent vapour concentration (T,) [g/m³] c* = e/(R_v T_amb) (equation 5) by the readings of a
-    cabinet, NaN without a reading.
+def vapour_from_readings(
+    readings: Mapping[str, np.ndarray], air_K: np.ndarray, ambient_K: np.ndarray
+) -> np.ndarray:
+    """Return the equivalent vapour concentration (T,) [g/m³] c* = e/(R_v T_amb) (equation 5) by the readings
+    of a cabinet; NaN without a reading.
 
-    readings: signal -> values (T,) [K], [1] or [g/m³]; air_K: (T,) the estimated temperature, used where
-    there is no reading of it.  Of two sensors the moister one counts.
+    readings: signal -> values (T,) [SI unit], NaN without a reading.  air_K: estimated temperature (T,) [K],
+    used where its reading is missing.  ambient_K: (T,) [K].  Of two humidity sensors the moister one counts.
     """
     nothing = np.full(len(air_K), np.nan)
     kelvin = readings.get("cabinet_temperature", nothing)
@@ -244,16 +254,15 @@ def vapour_read(readings: Mapping[str, np.ndarray], air_K: np.ndarray, ambient_K
     return np.fmax(pressure / (1e-3 * GAS_CONSTANT_VAPOUR * ambient_K), absolute * kelvin / ambient_K)
 
 
-def carried(excess: np.ndarray, before: float = np.nan) -> np.ndarray:
-    """The excess (T,) [g/m³] of each instant's newest reading, from the excess at readings, NaN elsewhere;
-    `before`: the excess of the newest earlier reading."""
+def carry_forward(excess: np.ndarray, before: float = np.nan) -> np.ndarray:
+    """Fill NaN in `excess` (T,) [g/m³] with the value before it, at the beginning with `before`."""
     padded = np.append(before, excess)
-    newest = np.maximum.accumulate(np.where(np.isfinite(padded), np.arange(len(padded)), 0))
-    return padded[newest][1:]
+    newest_index = np.maximum.accumulate(np.where(np.isfinite(padded), np.arange(len(padded)), 0))
+    return padded[newest_index][1:]
 
 
 def accuracy_sd(model: Model, air_K: np.ndarray, ambient_K: np.ndarray) -> np.ndarray:
-    """Standard deviation (T,) [g/m³] of the vapour concentration that follows from the sensor's accuracy."""
+    """Return the standard deviation (T,) [g/m³] of the vapour concentration due to the sensor's accuracy."""
     sd = np.zeros(len(air_K))
     for mechanism in model.mechanisms:
         scale = {
@@ -265,7 +274,7 @@ def accuracy_sd(model: Model, air_K: np.ndarray, ambient_K: np.ndarray) -> np.nd
     return sd
 
 
-def on_the_safe_side(
+def safer_condition(
     by_model: Condition,
     model: Model,
     values: Mapping[str, float | np.ndarray],
@@ -275,12 +284,12 @@ def on_the_safe_side(
     surface: Surface,
     excess: np.ndarray,
 ) -> Condition:
-    """The condition by the model or, at instants where condensation is likelier, by the sensor.
+    """Return the condition by the model or, at instants where condensation is likelier, by the sensor.
 
-    The arguments are the arguments and the result of `air_condition`.  By the sensor the vapour is higher by
-    the excess (T,) [g/m³], NaN where it is unknown, and the variance of the sensor's accuracy is added.  The
-    probability is the larger of the two; the quantities are those by the sensor where the probability by the
-    sensor is larger by more than `SHOWN_DIFFERENCE`.
+    by_model: result of `air_condition` for the other arguments.  excess: vapour (T,) [g/m³] by which the
+    newest reading exceeds the estimate, NaN if unknown.  By the sensor the vapour is higher by the excess,
+    and the variance of the sensor's accuracy is added.  The probability is the larger of the two; the
+    quantities are those by the sensor where its probability is larger by more than `SHOWN_DIFFERENCE`.
     """
     if by_model.condensation is None or by_model.temperature_K is None:
         return by_model
@@ -295,6 +304,7 @@ def on_the_safe_side(
     wetter = larger > by_model.condensation + SHOWN_DIFFERENCE
 
     def chosen(name: str, quantity: Quantity) -> Quantity:
+        """Return the quantity, taken from `by_sensor` where that is wetter."""
         other = getattr(by_sensor, name)
         sd = np.where(wetter, other.sd, quantity.sd)
         return Quantity(np.where(wetter, other.value, quantity.value), sd)

@@ -46,27 +46,29 @@ from hygrokf.live.sources.postgres_source import PostgresForm
 from hygrokf.live.sources.sparkplug import MqttForm
 from hygrokf.live.sources.stream import SourceKeys, Stream
 from hygrokf.live.storage.postgres import SCHEMES, url_fault
-from hygrokf.live.turbines import STALE_S, Turbine
+from hygrokf.live.turbine import STALE_S, Turbine
 from hygrokf.live.web.page_settings import PAGE_ADDRESS, PageSettings, page_settings
 from hygrokf.modelling.library import LIBRARY, Library
 from hygrokf.physics.holds import MEAN, PREVIOUS, hold_named
 
 PATHS = ("turbine", "time", "quality", "tag", "value")
+"""Keys of [mapping] that are paths in a payload."""
 ON_CHANGE = ("mqtt", "opc.tcp:")
-"""Beginnings of the URLs of sources that report a value when it changes."""
+"""Beginnings of the URLs of sources that report a value only when it changes."""
 SAMPLE = datetime.datetime(2026, 11, 23, 17, 48)
-"""A time whose parts differ, with which a form of stamps is tested."""
+"""A time whose parts all differ, to test whether a strptime format keeps all of them."""
 
 
 def texts(value: object) -> tuple[str, ...]:
-    """A list as texts.  Raises ValueError."""
+    """Convert a list to a tuple of texts.  Raises ValueError."""
     if not isinstance(value, list):
         raise ValueError(f"expected a list, found {value!r}")
     return tuple(str(item) for item in value)
 
 
 def _time_form(value: object) -> str:
-    """A strptime form that holds a date and a time to the minute; empty for ISO 8601.  Raises ValueError."""
+    """Check a strptime format, which must hold date and time to the minute; "" stands for ISO 8601.  Raises
+    ValueError."""
     if value in ("", EXCEL):
         return str(value)
     if isinstance(value, str):
@@ -88,12 +90,14 @@ class SignalForm(StatedSensor):
 
     field: str = entry_name()
     signal: Signal = setting(help="a signal of docs/reference/signals.md", read=stated_signal)
-    stamp: str = setting("instant", "an instant, or a position in the interval", choices=STAMPS)
-    interval_s: float = setting(0.0, "length averaged over", read=duration)
+    stamp: str = setting(
+        "instant", "what the time stamp marks: an instant, or a part of the interval", choices=STAMPS
+    )
+    interval_s: float = setting(0.0, "averaging interval of a mean", read=duration)
     hold: str | None = setting(None, HOLD_HELP, read=hold_named)
     longest_hold_s: float | None = setting(None, LONGEST_HELP, read=longest_hold, above=0.0)
     scale: float = setting(
-        1.0, "by which the number is multiplied", fits=bool, expected="a number other than 0"
+        1.0, "factor of the number in the payload", fits=bool, expected="a number other than 0"
     )
     offset: float = setting(0.0, "added to the scaled number [unit]")
 
@@ -101,16 +105,18 @@ class SignalForm(StatedSensor):
     def mean(self) -> str | None:
         if (self.stamp == "instant") == (self.interval_s == 0.0):
             return None
-        return 'a mean needs both, stamp = "start", "middle" or "end" and its interval'
+        return 'a mean needs both: stamp = "start", "middle" or "end", and interval'
 
     @across("hold", "stamp", "interval")
     def hold_of_stamp(self) -> str | None:
         if self.hold is None or (self.hold == MEAN) == (self.stamp != "instant"):
             return None
-        return f'hold = "{self.hold}" with stamp = "{self.stamp}": a mean has both, "mean" and its stamp'
+        return (
+            f'hold = "{self.hold}" contradicts stamp = "{self.stamp}": a mean needs hold = "mean" and a stamp'
+        )
 
     def to_field(self) -> Field:
-        """The field of a payload."""
+        """Return the field of payloads that the row configures."""
         hold = self.hold or (MEAN if self.interval_s > 0 else self.signal.hold)
         form = SignalReporting(hold, self.interval_s, **self.settings, longest_hold_s=self.longest_hold_s)
         return Field(self.signal.name, self.unit, form, self.stamp, self.scale, self.offset, self.one or "")
@@ -120,31 +126,33 @@ class SignalForm(StatedSensor):
 class MappingForm:
     """The table [mapping]."""
 
-    format: str = setting(JSON, "of payloads that are not rows of a table", choices=PAYLOAD_FORMATS)
+    format: str = setting(
+        JSON, "format of payloads that are texts, not rows of a table", choices=PAYLOAD_FORMATS
+    )
     records: str = setting("", "path to the objects that hold the values")
     turbine: str = setting("turbine", "field with the turbine's name", empty=True)
     time: str = setting("time", "field with the time")
-    timezone: datetime.tzinfo | None = setting(None, "of stamps without an offset", read=zone_named)
-    time_format: str = setting("", "strptime form of stamps that are not ISO 8601", read=_time_form)
-    quality: str = setting("", "field with a quality")
+    timezone: datetime.tzinfo | None = setting(None, "time zone of stamps without an offset", read=zone_named)
+    time_format: str = setting("", "strptime format of stamps that are not ISO 8601", read=_time_form)
+    quality: str = setting("", "field with the quality of the values")
     vocabulary: QualityVocabulary = setting(
-        UNSTATED_VOCABULARY, "of quality, or its good marks", read=stated_vocabulary
+        UNSTATED_VOCABULARY, "vocabulary of the quality, or a list of its good marks", read=stated_vocabulary
     )
     good: QualityVocabulary | None = setting(
         None, "marks of good quality, instead of a vocabulary", read=stated_vocabulary
     )
-    use_uncertain: bool = setting(True, "use readings of uncertain quality")
-    tag: str = setting("", "field with the name, where a record is one reading")
-    value: str = setting("", "field with the value, where a record is one reading")
-    tag_pattern: str = setting("", "of tags or, without tag, of the names of the fields")
-    decimal: str | None = setting(None, "mark of numbers in texts", choices=(".", ","))
-    signals: Mapping[str, SignalForm] = setting(dict, "fields that are signals")
+    use_uncertain: bool = setting(True, "whether readings of uncertain quality are used")
+    tag: str = setting("", "field with the name of the value, if each record is one reading")
+    value: str = setting("", "field with the value, if each record is one reading")
+    tag_pattern: str = setting("", "pattern of the tags or, without tag, of the names of the fields")
+    decimal: str | None = setting(None, "decimal mark of numbers in texts", choices=(".", ","))
+    signals: Mapping[str, SignalForm] = setting(dict, "field of a payload → its signal")
 
     @across("tag", "value")
     def one_reading(self) -> str | None:
         if bool(self.tag) == bool(self.value):
             return None
-        return "tag and value belong together: one reading a record needs both"
+        return "tag and value belong together: state both or neither"
 
     @across(*PATHS)
     def paths(self) -> Iterator[str]:
@@ -158,7 +166,7 @@ class MappingForm:
         steps = self.records.split(".")
         if not self.records or (all(steps) and "{" not in self.records):
             return None
-        return f'records: expected names with points between, "*" for every one, found {self.records!r}'
+        return f'records: expected names separated by points, "*" for any name, found {self.records!r}'
 
     @across("tag_pattern", "turbine")
     def pattern(self) -> str | None:
@@ -175,12 +183,13 @@ class MappingForm:
     def rows(self) -> Iterator[str]:
         name_by_signal: dict[str, str] = {}
         for name, row in self.signals.items():
-            if row.signal.name in name_by_signal:
-                yield f"{name} and {name_by_signal[row.signal.name]} are both {row.signal.name}"
-            name_by_signal[row.signal.name] = name
+            signal = row.signal.name
+            if signal in name_by_signal:
+                yield f"{name} and {name_by_signal[signal]} are both {signal}: keep one of them"
+            name_by_signal[signal] = name
 
     def to_mapping(self) -> PayloadMapping:
-        """The mapping, without rows that cannot be used and without turbines yet."""
+        """Return the mapping, without rows that have faults, and without turbines yet."""
         usable = {name: row for name, row in self.signals.items() if row.signal and not row.unit_of_signal()}
         zone = zone_in_header(self.time) if self.timezone is None else None
         return PayloadMapping(
@@ -203,9 +212,9 @@ class MappingForm:
 def source_mappings(
     common: MappingForm, stated: object, sources: Sequence[Mapping[str, object]], place: Place
 ) -> tuple[PayloadMapping, ...]:
-    """The mapping of each [[source]]: the common mapping, with keys replaced by those of [source.mapping].
+    """Return the mapping of each [[source]]: the common one, with keys replaced by those of [source.mapping].
 
-    stated: the common table as it stands in the file; `place` has its faults already.
+    common: the common table [mapping], whose faults `place` has already.  stated: the same as in the file.
     """
     common_faults = {_without_place(fault) for fault in place.faults}
     common_table = stated if isinstance(stated, Mapping) else {}
@@ -230,16 +239,15 @@ def source_mappings(
 
 
 def _without_place(fault: str) -> str:
-    """A fault of a mapping without the name of its table."""
+    """Return the message of a fault of a mapping without the name of its table."""
     return fault.partition("mapping")[2].lstrip("] ")
 
 
 def expect_one_place(
     mappings: Iterable[PayloadMapping], sources: Sequence[Mapping[str, Any]], place: Place
 ) -> None:
-    """Add a fault to `place` for each tag of a server or file that two [[source]] tables read as different
-    signals."""
-    first_readers: dict[tuple[str, ...], tuple[str, int]] = {}
+    """Report at `place` each tag of a server or file that two [[source]] tables read as different signals."""
+    first_readers: dict[tuple[str, ...], tuple[str, int]] = {}  # address -> meaning, number of the source
     for number, (mapping, source) in enumerate(zip(mappings, sources, strict=True)):
         nodes, topics = source.get("nodes"), source.get("topics")
         tags: dict[tuple[str, ...], str] = {}
@@ -259,14 +267,14 @@ def expect_one_place(
                 first_place = place.inside("source", first_number).at()
                 place.inside("source", number).fault(
                     f"{tag[-1]} of {address[0]} is {meaning} here and {first_meaning} in {first_place}: a "
-                    "tag has one place; name the right one alone"
+                    "tag has one meaning; keep the right one"
                 )
 
 
 def source_forms(
     mappings: Iterable[PayloadMapping], sources: Sequence[Mapping[str, object]], place: Place
 ) -> dict[str, SignalReporting]:
-    """Signal → how its sources report it; all sources but weather forecasts must report it alike.
+    """Return signal → how its sources report it; all sources except weather forecasts must report it alike.
 
     By default a switched signal of a source that reports changes is held while the source is connected.
     """
@@ -301,7 +309,7 @@ SOURCE_FORMS: Mapping[str, type[SourceKeys]] = {
     "postgresql": PostgresForm,
     "postgres": PostgresForm,
 }
-"""Scheme of a URL -> form of the table."""
+"""Scheme of a source's URL -> form of its [[source]] table."""
 
 
 class ConfigFault(FormFault):
@@ -326,8 +334,8 @@ class Config:
 def stream_of(
     table: Mapping[str, object], place: Place, folder: Path, mapping: PayloadMapping
 ) -> Stream | None:
-    """The stream of a `[[source]]` table, not connected or opened yet; None if the table has faults, which
-    are added to `place`.
+    """Return the stream of a `[[source]]` table, which is not connected yet; None if the table has faults,
+    which are reported at `place`.
 
     Paths are relative to `folder`.  With `weather = true` the source delivers weather forecasts.
     """
@@ -351,13 +359,15 @@ def stream_of(
 
 
 def _names(value: object) -> dict[str, str]:
+    """Check a table of texts.  Raises ValueError."""
     if not isinstance(value, dict) or not all(isinstance(name, str) for name in value.values()):
         raise ValueError(f'expected a table such as {{ TT101 = "Tcab" }}, found {value!r}')
     return value
 
 
 def store_url(value: object) -> str:
-    """The URL of a store, which messages do not show because it may hold a password.  Raises ValueError."""
+    """Check the URL of a store, which messages never show, because it may hold a password.  Raises
+    ValueError."""
     if not isinstance(value, str):
         raise ValueError(f"expected text in quotes, found {value!r}")
     fault = url_fault(value)
@@ -373,8 +383,13 @@ def store_url(value: object) -> str:
 class SurfaceForm:
     """The table cold_surface of a [[turbine]]."""
 
-    follows: float = setting(Surface().follows, "share of the cabinet air in it", least=0.0, most=1.0)
-    offset_K: float = setting(Surface().offset_K, "by which it is warmer")
+    follows: float = setting(
+        Surface().follows,
+        "share of the cabinet air's temperature [1]; the rest is ambient",
+        least=0.0,
+        most=1.0,
+    )
+    offset_K: float = setting(Surface().offset_K, "by how much it is warmer than this mean [K]")
 
 
 @dataclass(frozen=True)
@@ -397,18 +412,16 @@ class TurbineForm:
         fits=lambda name: len(name) <= 100 and name.isprintable(),
         expected="text of 1 to 100 printable characters",
     )
-    fit: str = setting(help="its model: fit.json, or the directory of it")
-    known_as: tuple[str, ...] | None = setting(None, "names that stand for it in payloads", read=texts)
-    names: Mapping[str, Any] = setting(
-        dict, "its own names of fields in payloads: NAME = FIELD of [mapping.signals]", read=_names
-    )
+    fit: str = setting(help="its model: fit.json, or the directory with it")
+    known_as: tuple[str, ...] | None = setting(None, "names of the turbine in payloads", read=texts)
+    names: Mapping[str, Any] = setting(dict, "NAME in its payloads = FIELD of [mapping.signals]", read=_names)
     cold_surface: SurfaceForm = setting(SurfaceForm, "its coldest surface")
-    site: SiteForm | None = setting(None, "for models that read the sun")
-    rated_power_kW: float | None = setting(None, "of the turbine", above=0.0)
-    lateness_s: float | None = setting(None, "as in the file", read=duration)
-    humidity_limit: float = setting(LIMIT, "relative humidity that forecasts ask for", above=0.0, most=1.0)
+    site: SiteForm | None = setting(None, "its site, for models with solar radiation")
+    rated_power_kW: float | None = setting(None, "rated power of the turbine [kW]", above=0.0)
+    lateness_s: float | None = setting(None, "lateness of its readings, instead of the file's", read=duration)
+    humidity_limit: float = setting(LIMIT, "limit of relative humidity in forecasts", above=0.0, most=1.0)
     stale_s: float = setting(
-        STALE_S, "age of stale data", read=duration, above=0.0, expected="longer than nothing"
+        STALE_S, "age above which data are stale", read=duration, above=0.0, expected="a duration above 0 s"
     )
 
 
@@ -416,7 +429,7 @@ _RATE = "a rate above 0 and at most 1 a day^0.5"
 WanderingForm = make_dataclass(
     "WanderingForm",
     [
-        (name, float | None, setting(None, "for a day^0.5", above=0.0, most=1.0, expected=_RATE))
+        (name, float | None, setting(None, "drift rate per day^0.5", above=0.0, most=1.0, expected=_RATE))
         for name in TRACKED_PROPERTIES
     ],
     frozen=True,
@@ -430,19 +443,21 @@ class TrackForm:
 
     store: str = setting("sqlite:live.db", "URL of the store", read=store_url)
     page: Any = setting(PAGE_ADDRESS, "HOST:PORT, or a table")
-    lateness_s: float = setting(LATENESS_S, "of a reading behind the newest one", read=duration)
+    lateness_s: float = setting(
+        LATENESS_S, "how much older than the newest reading one may be", read=duration
+    )
     retention_s: float = setting(
         RETENTION_S,
-        "history that is kept",
+        "how long history is kept",
         read=duration,
         least=LEAST_RETENTION_S,
         expected="at least 7 d: a restart needs what was read before",
     )
     turbine: tuple[TurbineForm, ...] = setting((), "the turbines")
     mapping: MappingForm = setting(MappingForm, "how payloads are read")
-    source: tuple[Mapping[str, Any], ...] = setting((), "where payloads come from")
-    wandering: Mapping[str, Any] | None = setting(None, "what may change slowly")
-    notify: tuple[Mapping[str, Any], ...] = setting((), "who is told of alarms")
+    source: tuple[Mapping[str, Any], ...] = setting((), "sources of payloads")
+    wandering: Mapping[str, Any] | None = setting(None, "drift rates of the tracked properties")
+    notify: tuple[Mapping[str, Any], ...] = setting((), "channels for notices of alarms")
 
     @across("turbine")
     def any_turbine(self) -> Iterator[str]:
@@ -458,7 +473,7 @@ class TrackForm:
 def read_config(path: str | os.PathLike[str], library: Library = LIBRARY) -> Config:
     """Read a tracker's file; paths in it are relative to its folder.  Raises ConfigFault.
 
-    library: with the mechanisms of the models.
+    library: of the mechanisms that the models may contain.
     """
     file = Path(path)
     text, stated = read_toml(file, ConfigFault)
@@ -475,13 +490,14 @@ def read_config(path: str | os.PathLike[str], library: Library = LIBRARY) -> Con
     for number, (table, layout) in enumerate(zip(form.source, mappings, strict=True)):
         source_place = place.inside("source", number)
         mapping = replace(layout, turbines=names, names=names_by_turbine)
-        stream = stream_of(
-            {k: v for k, v in table.items() if k != "mapping"}, source_place, file.parent, mapping
-        )
+        source_keys = {key: value for key, value in table.items() if key != "mapping"}
+        stream = stream_of(source_keys, source_place, file.parent, mapping)
         if stream is None:
             continue
         if stream.url in [other.url for other in streams]:
-            source_place.fault(f"{stream.url} is a source already; two of one broker need a client_id each")
+            source_place.fault(
+                f"{stream.url} is already a source; several sources of one broker need different client_ids"
+            )
         streams.append(stream)
     channels = _channels(form, file.parent, place)
     page = page_settings(form.page, file.parent, place)
@@ -494,13 +510,14 @@ def read_config(path: str | os.PathLike[str], library: Library = LIBRARY) -> Con
 
 
 def _channels(form: TrackForm, folder: Path, place: Place) -> tuple[Channel, ...]:
+    """Return the channels of the [[notify]] tables; report faults at `place`."""
     channels: list[Channel] = []
     turbines = [turbine.name for turbine in form.turbine]
     for number, table in enumerate(form.notify):
         channel_place = place.inside("notify", number)
         channel = channel_of(table, channel_place, folder, turbines)
         if channel is not None and channel.name in [other.name for other in channels]:
-            channel_place.fault(f"a second channel named {channel.name!r}")
+            channel_place.fault(f"a second channel is named {channel.name!r}: names must differ")
         elif channel is not None:
             channels.append(channel)
     return tuple(channels)
@@ -509,7 +526,7 @@ def _channels(form: TrackForm, folder: Path, place: Place) -> tuple[Channel, ...
 def _own_names(
     turbines: Sequence[TurbineForm], fields: Collection[str], place: Place
 ) -> dict[str, dict[str, str]]:
-    """Turbine → its own names of fields; a field that no mapping has is a fault."""
+    """Return turbine → its own names of fields; report a field that no mapping has at `place`."""
     for number, turbine in enumerate(turbines):
         for name, field_ in turbine.names.items():
             if field_ not in fields:
@@ -523,7 +540,10 @@ def _own_names(
 def _turbines(
     form: TrackForm, folder: Path, forms: Mapping[str, SignalReporting], place: Place, library: Library
 ) -> tuple[dict[str, Turbine], dict[str, str]]:
-    """Turbines by name, and the turbine of each name that stands for a turbine in payloads."""
+    """Return name → turbine, and name in payloads → name of the turbine; report faults at `place`.
+
+    forms: signal → how its sources report it.
+    """
     rates = None
     if form.wandering is not None:
         stated = vars(read_form(WanderingForm, form.wandering, place.inside("wandering")))
@@ -533,10 +553,12 @@ def _turbines(
     for number, row in enumerate(form.turbine):
         turbine_place = place.inside("turbine", number)
         if row.name in turbines:
-            turbine_place.fault(f"a second turbine named {row.name!r}")
+            turbine_place.fault(f"a second turbine is named {row.name!r}: names must differ")
         for payload_name in (row.name,) if row.known_as is None else row.known_as:
             if turbine_by_name.setdefault(payload_name, row.name) != row.name:
-                turbine_place.fault(f"{payload_name!r} already stands for {turbine_by_name[payload_name]!r}")
+                turbine_place.fault(
+                    f"known_as: {payload_name!r} already stands for {turbine_by_name[payload_name]!r}"
+                )
         if not row.fit:
             continue
         turbine = read_turbine(
@@ -559,10 +581,10 @@ def _turbines(
 
 
 def read_turbine(path: Path, place: Place, library: Library, **options: Any) -> Turbine | None:
-    """A turbine with the model in a file or folder; None if the model cannot be used, with a fault in
+    """Return a turbine with the model in a file or folder; None if the model cannot be used, with a fault at
     `place`.
 
-    library: with the mechanisms of the model.  options: of `plan`.
+    library: of the mechanisms that the model may contain.  options: arguments of `plan`.
     """
     try:
         fit = read_fit(path, library=library)
@@ -575,6 +597,6 @@ def read_turbine(path: Path, place: Place, library: Library, **options: Any) -> 
 
 
 def turbine_of(fit: Fit, plan_: Plan) -> Turbine:
-    """A turbine tracked by a plan, with standard errors and verdicts of the plan's fit."""
+    """Return a turbine that is tracked by a plan, with standard errors and verdicts of the plan's fit."""
     errors, verdicts = standard_errors(fit), inherited(fit.results)
     return Turbine(plan_, errors=errors, verdicts=verdicts, heating_sd_K=heating_sd(fit))

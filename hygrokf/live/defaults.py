@@ -29,7 +29,7 @@ from hygrokf.live.config import Config, ConfigFault, read_turbine, store_url, st
 from hygrokf.live.plan import SignalReporting, plan
 from hygrokf.live.sources.local import Playback, line_form, record_mapping, record_messages
 from hygrokf.live.sources.payload import Field, PayloadMapping
-from hygrokf.live.turbines import Turbine
+from hygrokf.live.turbine import Turbine
 from hygrokf.live.web.page_settings import PAGE_ADDRESS, PageSettings, page_settings
 from hygrokf.modelling.library import LIBRARY, Library
 
@@ -38,7 +38,7 @@ TURBINE_NAMES = {
     "Synthetic 2, temperature only": ("cabinet_relative_humidity",),
     "Synthetic 3, no sensor": ("cabinet_relative_humidity", "cabinet_temperature"),
 }
-"""Turbine -> signals that are left out."""
+"""Turbine of the demonstration -> signals that its tracker does not get."""
 FIRST = next(iter(TURBINE_NAMES))
 TURBINE_SEED = 1
 """Seed of the synthetic turbine."""
@@ -61,14 +61,14 @@ PLAYED = (
 
 
 def default_mapping() -> PayloadMapping:
-    """The mapping with all signals under their own names, in display units (°C, %, kW, g/m³)."""
+    """Return the mapping with all signals under their own names, in display units (°C, %, kW, g/m³)."""
     return PayloadMapping(
         {name: Field(name, row.display, SignalReporting(row.hold)) for name, row in SIGNALS.items()}
     )
 
 
 def page_at(address: str | None) -> PageSettings:
-    """Settings of a page at an address (None: the default).  Raises ConfigFault."""
+    """Return the settings of a page at an address, by default `PAGE_ADDRESS`.  Raises ConfigFault."""
     place = Place()
     settings = page_settings(address or PAGE_ADDRESS, Path(), place)
     if place.faults:
@@ -77,7 +77,7 @@ def page_at(address: str | None) -> PageSettings:
 
 
 def store_at(url: str) -> str:
-    """A store's URL from the command line.  Raises ConfigFault."""
+    """Check a store's URL from the command line.  Raises ConfigFault."""
     try:
         return store_url(url)
     except ValueError as fault:
@@ -91,7 +91,10 @@ def default_config(
     page: PageSettings,
     library: Library = LIBRARY,
 ) -> Config:
-    """A configuration with one turbine per model.  Raises ConfigFault with all faults."""
+    """Return a configuration with one turbine per model.  Raises ConfigFault with all faults.
+
+    fits: files or folders of the models.  sources: URLs.  store: URL.
+    """
     place = Place()
     mapping = default_mapping()
     forms = {field.signal: field.form for field in mapping.fields.values()}
@@ -123,7 +126,7 @@ def default_config(
 
 
 def default_table(url: str) -> dict[str, str | list[str]]:
-    """The `[[source]]` table equivalent to a URL; the path of an MQTT URL is the topic filter."""
+    """Return the `[[source]]` table equivalent to a URL; the path of an MQTT URL is the topic filter."""
     scheme, _, rest = url.partition("://")
     broker, _, topic = rest.partition("/")
     if scheme in ("mqtt", "mqtts") and topic:
@@ -135,25 +138,29 @@ def default_table(url: str) -> dict[str, str | list[str]]:
 def demo_turbines(
     folder: Path, progress: Callable[[str], None] = lambda text: None
 ) -> tuple[dict[str, Turbine], Record, float]:
-    """The turbines with their model, the record to play back, and the start of its live part [s].
+    """Return the turbines with their model, the record to play back, and the start of its live part [s].
 
     Files of an earlier demonstration in `folder` are reused.
     """
     folder.mkdir(parents=True, exist_ok=True)
     record = _record(folder / "turbine", SyntheticParameters())
     live_s = record.start_s + LIVE_DAYS * DAY_S
-    date_s = live_s + CHANGED_DAYS * DAY_S
+    changed_s = live_s + CHANGED_DAYS * DAY_S
     model = folder / f"model-{TURBINE_SEED}"
     if not (model / "fit.json").is_file():
-        until_s = min(date_s, live_s)
+        until_s = min(changed_s, live_s)
         history = record.window(until_s - IDENTIFIED_DAYS * DAY_S, until_s)
         fit = identify(history, starts=1, progress=progress)
         write_fit(replace(fit, name=FIRST), model)
     fit = read_fit(model)
     changed = _record(folder / "changed", CHANGED_CABINET)
-    series = tuple(_splice(s, changed[s.signal], date_s) for s in record.series if s.signal in PLAYED)
+    series = tuple(
+        _splice(before, changed[before.signal], changed_s)
+        for before in record.series
+        if before.signal in PLAYED
+    )
     played = replace(record, series=series).window(live_s - KNOWN_DAYS * DAY_S, record.end_s)
-    forms = {s.signal: line_form(s) for s in series}
+    forms = {course.signal: line_form(course) for course in series}
     turbines = {
         name: turbine_of(
             fit, plan(fit, name=name, forms=forms, site=record.site, rated_power_W=record.rated_power_W)
@@ -164,10 +171,12 @@ def demo_turbines(
 
 
 def demo_stream(record: Record, live_s: float, speed: float) -> Playback:
-    """The record as messages, played at once before `live_s` [s] and at `speed` times real time after it."""
+    """Return the playback of a record: at once before `live_s` [s], then at `speed` times real time."""
     messages = []
     for name, left_out in TURBINE_NAMES.items():
-        sensed = replace(record, series=tuple(s for s in record.series if s.signal not in left_out))
+        sensed = replace(
+            record, series=tuple(series for series in record.series if series.signal not in left_out)
+        )
         messages += record_messages(sensed, name)
     mapping = replace(record_mapping(record, FIRST), turbines={name: name for name in TURBINE_NAMES})
     label = f"Demo: synthetic turbines, played back at {speed:,.0f} times real time"
@@ -177,16 +186,17 @@ def demo_stream(record: Record, live_s: float, speed: float) -> Playback:
 
 
 def _record(folder: Path, parameters: SyntheticParameters) -> Record:
+    """Write the case of the synthetic turbine to a folder and read its record."""
     return read_case(
         write_case(synthetic_turbine(seed=TURBINE_SEED, days=RECORD_DAYS, parameters=parameters), folder)
     )
 
 
-def _splice(before: Series, after: Series, date_s: float) -> Series:
-    """A cabinet signal that switches from one series to another at a date [s]."""
+def _splice(before: Series, after: Series, changed_s: float) -> Series:
+    """Return a series that switches from `before` to `after` at a time [s]; only cabinet signals switch."""
     if not before.signal.startswith("cabinet_"):
         return before
-    early, late = before.time < date_s, after.time >= date_s
+    early, late = before.time < changed_s, after.time >= changed_s
     return replace(
         before,
         time=np.concatenate([before.time[early], after.time[late]]),

@@ -27,8 +27,8 @@ from hygrokf.data.timestamps import DAY_S
 from hygrokf.estimation.likelihood import Gaussian
 from hygrokf.live.plan import Plan
 from hygrokf.live.properties import ParameterShift, TrackedState, lasting_s
-from hygrokf.live.traces import censored_end, censored_trace
-from hygrokf.live.tracker import SAME_S, Point
+from hygrokf.live.traces import SAME_S, censored_end, censored_trace
+from hygrokf.live.tracker import Point
 from hygrokf.modelling.design import extended
 from hygrokf.modelling.inputs import model_inputs
 from hygrokf.physics.signal_names import AMBIENT_HUMIDITIES
@@ -65,10 +65,12 @@ ISOLATION_EVERY_S = DAY_S
 
 @dataclass(frozen=True)
 class CauseFinding:
-    """How well a `cause` explains the readings, or the most likely cause, "" if no cause explains them.
+    """The most likely `cause` of lasting shifts, "" if no cause explains the readings, or the best
+    explanation by one cause.
 
-    `state`, `value`, `sd`: the drifting state, its present value and its standard deviation; `gain`: increase
-    of ln L over an unchanged cabinet; `alike`: causes that cannot be distinguished from this one.
+    `time_s`: time [s] up to which readings were used; `state`, `value`, `sd`: the drifting state, its present
+    value and standard deviation; `gain`: increase of ln L over an unchanged cabinet; `alike`: causes that
+    cannot be distinguished from this one.
     """
 
     time_s: float
@@ -97,10 +99,11 @@ class ShiftStep:
 def shift_step(
     time: float, shifts: Mapping[str, ParameterShift], deviations: Mapping[str, TrackedState], last_s: float
 ) -> ShiftStep:
-    """The step at a time [s].  Isolation is due when a shift becomes lasting and then once per
+    """Return the step at a time [s]; fault isolation is due when a shift becomes lasting, and then once per
     `ISOLATION_EVERY_S`.
 
-    last_s: time [s] of the last isolation."""
+    last_s: time [s] of the last fault isolation.
+    """
     lasting = tuple(shift for shift in shifts.values() if shift.lasting)
     newest_s = max((shift.since + lasting_s(shift) for shift in lasting), default=-np.inf)
     due = bool(lasting) and (last_s < newest_s or last_s <= time - ISOLATION_EVERY_S)
@@ -110,86 +113,100 @@ def shift_step(
 def isolate(
     plan: Plan, record: Record, reference: Point | None = None, sisters: Sequence[Record] = ()
 ) -> Iterator[CauseFinding | None]:
-    """Search for the cause in a record, step by step: yields None after each step and the finding at the end.
+    """Search for the cause of shifts in a record; yields None after each drift rate tried, and finally the
+    finding.
 
-    `reference`: the state from which shifts count after a stated change, None for the fit's values; the
-    record then begins before it.  `sisters`: the ambient's readings of other turbines over the same time.
+    reference: state against which shifts are judged after a stated change, None for the fit's values; the
+    record must begin before it.  sisters: ambient readings of other turbines over the same time.
     Raises ValueError if the record cannot be filtered.
     """
     # with errors of the ambient's readings among the states
-    relative = "ambient_absolute_humidity" in plan.model.inputs and AMBIENT_HUMIDITIES[0] in record
-    additions: list[tuple[str, dict[str, Any]]] = [("wandering_ambient_temperature", {"relative": relative})]
+    is_relative = "ambient_absolute_humidity" in plan.model.inputs and AMBIENT_HUMIDITIES[0] in record
+    additions: list[tuple[str, dict[str, Any]]] = [
+        ("wandering_ambient_temperature", {"relative": is_relative})
+    ]
     if "ambient_absolute_humidity" in plan.model.inputs:
         additions.append(("wandering_ambient_humidity", {}))
-    wide = replace(plan, design=extended(plan.design, additions))
-    timeline = model_inputs(wide.design, record).timeline
+    wide_plan = replace(plan, design=extended(plan.design, additions))
+    timeline = model_inputs(wide_plan.design, record).timeline
     # the smallest drift rates that the model allows hold every state constant
     wandering = {f"{state}_rate" for options in CHANGED_STATES.values() for state, _ in options}
-    constant = {**wide.values, **{p.name: p.lower for p in wide.model.parameters if p.name in wandering}}
+    constant_values = {
+        **wide_plan.values,
+        **{
+            parameter.name: parameter.lower
+            for parameter in wide_plan.model.parameters
+            if parameter.name in wandering
+        },
+    }
     start = None
     if reference is not None:
         first = int(np.searchsorted(timeline.seconds, reference.time + SAME_S, side="right"))
         timeline = timeline.window(first, len(timeline))
         if not len(timeline):
             raise ValueError("no readings since the stated change")
-        start = _widened_state(plan, wide, reference.state)
-    likelihood = wide.likelihood(timeline)
-    base_loglik, end_s = censored_end(likelihood, constant, start).loglik, float(timeline.seconds[-1])
-    gains: dict[str, CauseFinding] = {}
-    evidence: dict[str, float] = {}
+        start = _widened_state(plan, wide_plan, reference.state)
+    likelihood = wide_plan.likelihood(timeline)
+    base_loglik, end_s = censored_end(likelihood, constant_values, start).loglik, float(timeline.seconds[-1])
+    best_findings: dict[str, CauseFinding] = {}
+    sister_support: dict[str, float] = {}
     for cause, options in CHANGED_STATES.items():
         best: tuple[Mapping[str, float], Gaussian | None, int] | None = None
         for state, rates in options:
-            if state not in wide.model.states:
+            if state not in wide_plan.model.states:
                 continue
-            state_index = wide.model.states.index(state)
+            state_index = wide_plan.model.states.index(state)
             for rate in rates:
                 prior = None if start is None else _with_variance(start, state_index, rate**2)
-                values = {**constant, f"{state}_rate": rate}
-                end = censored_end(likelihood, values, prior)
-                gain = end.loglik - base_loglik
-                if cause not in gains or gain > gains[cause].gain:
-                    sd = float(np.sqrt(max(end.last.covariance[state_index, state_index], 0.0)))
-                    gains[cause] = CauseFinding(
-                        end_s, cause, state, float(end.last.mean[state_index]), gain, sd=sd
+                values = {**constant_values, f"{state}_rate": rate}
+                result = censored_end(likelihood, values, prior)
+                gain = result.loglik - base_loglik
+                if cause not in best_findings or gain > best_findings[cause].gain:
+                    sd = float(np.sqrt(max(result.last.covariance[state_index, state_index], 0.0)))
+                    best_findings[cause] = CauseFinding(
+                        end_s, cause, state, float(result.last.mean[state_index]), gain, sd=sd
                     )
                     best = values, prior, state_index
                 yield None
-        departures_ = departures(record, sisters, SISTERS_SIGNAL.get(cause, ""))
-        if departures_ is not None and best is not None:
-            error = censored_trace(likelihood, *best[:2]).mean[:, best[2]]
-            evidence[cause] = departures_.support(timeline.seconds, error, gains[cause].sd)
-    yield finding_from(gains, end_s, evidence)
+        deviations = sister_deviations(record, sisters, SISTERS_SIGNAL.get(cause, ""))
+        if deviations is not None and best is not None:
+            best_values, best_prior, error_index = best
+            error = censored_trace(likelihood, best_values, best_prior).mean[:, error_index]
+            sister_support[cause] = deviations.support(timeline.seconds, error, best_findings[cause].sd)
+    yield decide_cause(best_findings, end_s, sister_support)
 
 
 def _widened_state(plan: Plan, wide: Plan, state: Gaussian) -> Gaussian:
-    """A state of the plan as a state of the wider plan, whose wandering properties are known exactly."""
-    places, size = [wide.model.states.index(name) for name in plan.model.states], len(wide.model.states)
+    """Extend a state of the plan to the plan `wide`, with variance 0 for all drifting states."""
+    indices = [wide.model.states.index(name) for name in plan.model.states]
+    size = len(wide.model.states)
     mean, covariance = np.zeros(size), np.zeros((size, size))
-    mean[places], covariance[np.ix_(places, places)] = state.mean, state.covariance
+    mean[indices], covariance[np.ix_(indices, indices)] = state.mean, state.covariance
     state = replace(state, mean=mean, covariance=covariance)
-    for name in (name for options in CHANGED_STATES.values() for name, _ in options):
-        if name in wide.model.states:
-            state = _with_variance(state, wide.model.states.index(name), 0.0)
+    for options in CHANGED_STATES.values():
+        for name, _ in options:
+            if name in wide.model.states:
+                state = _with_variance(state, wide.model.states.index(name), 0.0)
     return state
 
 
-def _with_variance(state: Gaussian, place: int, variance: float) -> Gaussian:
-    """A state with another variance at a place, uncorrelated with the others."""
+def _with_variance(state: Gaussian, index: int, variance: float) -> Gaussian:
+    """Return the state with this variance at an index, uncorrelated with the other states."""
     covariance = state.covariance.copy()
-    covariance[place, :] = covariance[:, place] = 0.0
-    covariance[place, place] = variance
+    covariance[index, :] = covariance[:, index] = 0.0
+    covariance[index, index] = variance
     return replace(state, covariance=covariance)
 
 
-def finding_from(
+def decide_cause(
     gains: Mapping[str, CauseFinding], time_s: float, evidence: Mapping[str, float] | None = None
 ) -> CauseFinding:
-    """The finding at `time_s` [s] from the best explanation by each cause.
+    """Choose the cause at `time_s` [s] from the best explanation by each cause.
 
-    `evidence`: cause, an error of an ambient sensor -> gain in ln L by which the sister turbines support it.
-    If the sisters decide, one error of each of the `PAIRS` remains.  Else both errors get the same gain: the
-    larger one where the cause may be water, the smaller one where the larger would rule water out.
+    gains: cause → its best explanation.  evidence: error of an ambient sensor → gain in ln L by which the
+    sister turbines support it. If the sisters decide, one error of each of the `PAIRS` remains.  Else both
+    errors get the same gain: the larger one where the cause may be water, the smaller one where the larger
+    would rule water out.
     """
     remaining = dict(gains)
     for ambient, sensor in PAIRS.items():
@@ -214,14 +231,15 @@ SISTERS_SIGNAL = {
 }
 """Cause in `CHANGED_STATES` -> signal that is compared with the signal of the sisters."""
 USUAL = 10
-"""Days at the beginning of a record, before a shift was noticed, that give the usual difference."""
+"""Number of days at the beginning of a record, before the shift, that give the usual difference to
+sisters."""
 FEWEST_COMMON_DAYS = 5
 """Smallest number of these days on which both turbines must have readings."""
 
 
 @dataclass(frozen=True)
-class Departures:
-    """Deviation of a turbine's reading from its sisters' readings on each day before `end_s` [s], newest
+class SisterDeviations:
+    """Deviations of a turbine's readings from those of its sisters, on each day before `end_s` [s], newest
     first.
 
     `size` (D,) [SI unit]: deviation minus its mean on the oldest `USUAL` days, NaN for an unknown day; `sd`:
@@ -234,22 +252,25 @@ class Departures:
     end_s: float
 
     def support(self, seconds: np.ndarray, error: np.ndarray, sd: float) -> float:
-        """Gain in ln L by an error (T,) [SI unit] of the turbine's reading at times (T,) [s] with the
-        standard deviation `sd`, by Student's t, because few days determine the standard deviation of a
-        day."""
-        expected = _daily(seconds, error, self.end_s, len(self.size))
+        """Return the gain in ln L if the turbine's sensor errs by `error` (T,) [SI unit] at times (T,) [s],
+        with the standard deviation `sd`.
+
+        By Student's t distribution, because few days determine the standard deviation of a day.
+        """
+        expected = _daily_means(seconds, error, self.end_s, len(self.size))
         expected = expected - np.nanmean(expected[-USUAL:])
         gain = self._log_density(self.size - expected, sd) - self._log_density(self.size, 0.0)
         return float(np.nansum(gain[:-USUAL]))
 
     def _log_density(self, deviation: np.ndarray, sd: float) -> np.ndarray:
+        """Return ln of Student's t density (D,) of deviations, whose variance grows by sd² [SI unit]."""
         variance, freedom = self.sd**2 + sd**2, self.count - 1
         return -0.5 * np.log(variance) - 0.5 * self.count * np.log1p(deviation**2 / (freedom * variance))
 
 
-def departures(record: Record, sisters: Sequence[Record], signal: str) -> Departures | None:
-    """The deviations of a turbine's reading of a signal from its sisters' readings; None if too little is
-    known.
+def sister_deviations(record: Record, sisters: Sequence[Record], signal: str) -> SisterDeviations | None:
+    """Return the deviations of a turbine's readings of a signal from those of its sisters; None if too little
+    is known.
 
     The usual difference is subtracted for each sister, so that a sister may miss days.  A sister with the
     same readings as the turbine, from a common mast, is left out.
@@ -258,14 +279,12 @@ def departures(record: Record, sisters: Sequence[Record], signal: str) -> Depart
         return None
     series, end_s = record[signal], record.end_s
     days = int((end_s - record.start_s) // DAY_S) + 1
-    mean = _daily(*series.known, end_s, days)
+    mean = _daily_means(*series.known, end_s, days)
     differences = []
-    for other in (
-        sister[signal]
-        for sister in sisters
-        if signal in sister and not _is_same_sensor(series, sister[signal])
-    ):
-        difference = mean - _daily(*other.known, end_s, days)
+    for sister in sisters:
+        if signal not in sister or _is_same_sensor(series, sister[signal]):
+            continue
+        difference = mean - _daily_means(*sister[signal].known, end_s, days)
         if np.isfinite(difference[-USUAL:]).sum() >= FEWEST_COMMON_DAYS:
             differences.append(difference - np.nanmedian(difference[-USUAL:]))
     if not differences or days < 2 * USUAL:
@@ -275,11 +294,11 @@ def departures(record: Record, sisters: Sequence[Record], signal: str) -> Depart
     if not usual.std() > 0.0:
         return None
     sd = float(usual.std(ddof=1) * np.sqrt(1.0 + 1.0 / len(usual)))
-    return Departures(size - usual.mean(), sd, len(usual), end_s)
+    return SisterDeviations(size - usual.mean(), sd, len(usual), end_s)
 
 
-def _daily(time: np.ndarray, value: np.ndarray, end_s: float, days: int) -> np.ndarray:
-    """Means (days,) of the values of each day, counted back from the end; NaN without any."""
+def _daily_means(time: np.ndarray, value: np.ndarray, end_s: float, days: int) -> np.ndarray:
+    """Return the mean value (days,) of each day before `end_s` [s], newest first; NaN without values."""
     day = ((end_s - time) // DAY_S).astype(int)
     within = (day >= 0) & (day < days)
     count = np.bincount(day[within], minlength=days)
@@ -288,7 +307,7 @@ def _daily(time: np.ndarray, value: np.ndarray, end_s: float, days: int) -> np.n
 
 
 def _is_same_sensor(series: Series, other: Series) -> bool:
-    """Whether two series are readings of one sensor: equal at all stamps that they share."""
+    """Return whether two series are readings of one sensor: equal at all stamps that they share."""
     shared, first, second = np.intersect1d(series.time, other.time, return_indices=True)
     difference = np.abs(series.value[first] - other.value[second])
     return len(shared) > 0 and bool(np.all(difference <= max(series.resolution, other.resolution, 1e-9)))

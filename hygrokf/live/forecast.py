@@ -26,15 +26,16 @@ from hygrokf.live.condition import (
     Quantity,
     Surface,
     air_condition,
+    at_instants,
     inputs_of,
-    on_the_safe_side,
-    only,
     probability_above,
     probability_below,
+    safer_condition,
 )
 from hygrokf.live.plan import Plan
 from hygrokf.live.scenarios import OPERATION_SIGNALS, Scenarios
-from hygrokf.live.tracker import SAME_S, Point
+from hygrokf.live.traces import SAME_S
+from hygrokf.live.tracker import Point
 from hygrokf.modelling.inputs import model_inputs
 from hygrokf.physics.holds import LINEAR, MEAN
 from hygrokf.physics.model import Model
@@ -42,7 +43,7 @@ from hygrokf.texts.live_codes import AdviceCode, StateCode
 from hygrokf.texts.statement import Statement, Value
 
 LIMIT = 0.8
-"""Default limit of relative humidity [1]; a forecast gives the probability of exceeding it."""
+"""Default limit of relative humidity [1]; a forecast gives the probability that it is exceeded."""
 
 
 class NoForecast(Exception):
@@ -51,7 +52,7 @@ class NoForecast(Exception):
 
 @dataclass(frozen=True)
 class Forecast:
-    """The condition at future instants (T,).
+    """The forecast condition at future instants (T,).
 
     `made_s`: time [s] of the state it starts from; `above` (T,): probability [1] that relative humidity
     exceeds `limit`; `basis`: what the scenarios are based on.
@@ -66,9 +67,11 @@ class Forecast:
 
 @dataclass(frozen=True)
 class ForecastMade:
-    """What the store keeps of a forecast beside its courses: time [s] of the state it starts from, what the
-    scenarios are based on or why there are none, the limit of relative humidity [1], and the advice for a
-    restart at standstill."""
+    """What the store keeps of a forecast beside its courses.
+
+    `made`: time [s] of the state from which it starts; `basis`: what the scenarios are based on, or why there
+    are none; `limit`: of relative humidity [1]; `advice`: for a restart, None while the turbine runs.
+    """
 
     made: float
     basis: Statement
@@ -84,12 +87,11 @@ def forecast(
     limit: float = LIMIT,
     excess: float = np.nan,
 ) -> Forecast:
-    """The forecast from the newest state under scenarios.
+    """Forecast the condition from the newest state under scenarios.
 
-    `excess` [g/m³]: vapour by which the newest reading exceeds the estimate (`live.condition`), assumed to
-    remain constant.
-    Raises NoForecast if the model uses the cabinet's own readings as inputs, because future readings do not
-    exist.
+    `limit` [1]: relative humidity whose exceedance is forecast; `excess` [g/m³]: vapour by which the newest
+    reading exceeds the estimate (`live.condition`), assumed to remain constant. Raises NoForecast if the
+    model uses the cabinet's own readings as inputs, because future readings do not exist.
     """
     members = conditions_by_member(plan, state, scenarios, surface, excess)
     condition = mixture(members)
@@ -103,25 +105,25 @@ def forecast(
 def conditions_by_member(
     plan: Plan, state: Point, scenarios: Scenarios, surface: Surface, excess: float = np.nan
 ) -> list[Condition]:
-    """The condition of each member at the state's time and at the scenarios' later instants, on the safe side
-    of model and sensor.
+    """Return the condition of each member of the scenarios at the state's time and at their later instants.
 
-    The state's time must equal the scenarios' `now_s`.  Raises NoForecast as `forecast` does.
+    The state's time must equal the scenarios' `now_s`.  `excess` as of `forecast`.  Raises NoForecast as
+    `forecast` does.
     """
     conditions = []
     for t, mean, covariance in moments_by_member(plan, state, scenarios):
         excesses, u = np.full(len(t), excess), inputs_of(plan.model, t)
         by_model = air_condition(plan.model, plan.values, t.seconds, u, mean, covariance, surface)
-        safe = on_the_safe_side(by_model, plan.model, plan.values, u, mean, covariance, surface, excesses)
-        conditions.append(only(safe, np.isin(np.round(safe.time_s), np.round(scenarios.time_s))))
+        safe = safer_condition(by_model, plan.model, plan.values, u, mean, covariance, surface, excesses)
+        conditions.append(at_instants(safe, np.isin(np.round(safe.time_s), np.round(scenarios.time_s))))
     return conditions
 
 
 def moments_by_member(
     plan: Plan, state: Point, scenarios: Scenarios
 ) -> Iterator[tuple[Timeline, np.ndarray, np.ndarray]]:
-    """For each member: the timeline from the state's time on, and the means (T, n) and covariances (T, n, n)
-    of the state at its instants."""
+    """Yield for each member of the scenarios the timeline from the state's time on, and the means (T, n) and
+    covariances (T, n, n) of the model's states at its instants."""
     if abs(state.time - scenarios.now_s) > SAME_S:
         raise NoForecast(
             f"the scenarios must begin at the state's time; they begin {scenarios.now_s - state.time:+.0f} s "
@@ -145,8 +147,8 @@ def moments_by_member(
 
 
 def _series(plan: Plan, signal: str, scenarios: Scenarios, values: np.ndarray) -> Series:
-    """A driver of a member; a signal that is not interpolated linearly is constant over each step of the
-    scenarios."""
+    """Return a signal of a member with its values (H,) as a series; a signal that is not interpolated
+    linearly is constant over each step of the scenarios."""
     is_stepwise = signal in OPERATION_SIGNALS or (
         plan.form(signal).hold != LINEAR and not signal.startswith("ambient_")
     )
@@ -156,9 +158,10 @@ def _series(plan: Plan, signal: str, scenarios: Scenarios, values: np.ndarray) -
 
 
 def mixture(conditions: Sequence[Condition]) -> Condition:
-    """The mixture of equally likely conditions at the same instants: means and standard deviations."""
+    """Return the mixture of equally likely conditions at the same instants, with its moments."""
 
     def mixed(name: str, _: Quantity) -> Quantity:
+        """Return mean and standard deviation of one quantity over all conditions."""
         values = np.array([getattr(condition, name).value for condition in conditions])
         spreads = np.array([getattr(condition, name).sd for condition in conditions])
         return Quantity(values.mean(axis=0), np.sqrt(values.var(axis=0) + np.mean(spreads**2, axis=0)))
@@ -174,7 +177,9 @@ DRY_ENOUGH = 0.95
 LONGEST_HEATING_H = 24.0
 """Longest pre-heating that is considered [h]."""
 STAYS_H = 1.0
-"""[h] the air must stay dry: the peak of vapour that the heat drives out of materials must have passed."""
+"""[h] for which the air must stay dry: the peak of the vapour driven out of materials must have passed."""
+LEVEL = 0.95
+"""Confidence level of the bounds of the heaters' effect (`Heating.bounds_K`)."""
 PREHEATING, PREHEATING_HEAT = "preheating", "preheating_heat"
 LOGGED_HEATER, LOGGED_HEATER_HEAT = "logged_heater", "logged_heater_heat"
 
@@ -200,42 +205,45 @@ class Heating:
 
     @property
     def signals(self) -> dict[str, float]:
-        """Signal of each heater, and its value at full power [SI unit]."""
+        """Signal of each heater → its value at full power [SI unit]."""
         return {heater.signal: heater.full for heater in self.heaters}
 
     @property
     def bounds_K(self) -> tuple[float, float]:
-        """Bounds of the effect [K]; a heater does not cool."""
-        half_width_K = normal_quantile(CONFIDENCE) * self.sd_K
+        """Bounds of the effect [K] at the confidence level `LEVEL`; the lower one is not negative."""
+        half_width_K = normal_quantile(LEVEL) * self.sd_K
         return max(self.effect_K - half_width_K, 0.0), self.effect_K + half_width_K
 
     def values_at(self, effect_K: float, values: Mapping[str, float]) -> dict[str, float]:
-        """Parameter values with another effect, to which the heaters contribute in the same proportions."""
+        """Return parameter values with another effect [K]; the heaters keep their proportions."""
         ratio = effect_K / self.effect_K
         return {**values, **{heater.parameter: ratio * values[heater.parameter] for heater in self.heaters}}
 
 
 def heaters(model: Model) -> tuple[Heater, ...]:
-    """The heaters among a model's inputs: a logged heater, the pre-heating flag, or both."""
+    """Return the heaters among a model's inputs: a logged heater, the pre-heating flag, or both."""
     model_heaters = []
     for mechanism in model.mechanisms:
         if mechanism.name == LOGGED_HEATER:
             settings = mechanism.settings
             model_heaters.append(Heater(settings["signal"], float(settings["full"]), LOGGED_HEATER_HEAT))
-        elif PREHEATING in mechanism.inputs and PREHEATING_HEAT in [p.name for p in mechanism.parameters]:
+        elif PREHEATING in mechanism.inputs and PREHEATING_HEAT in [
+            parameter.name for parameter in mechanism.parameters
+        ]:
             model_heaters.append(Heater(PREHEATING, 1.0, PREHEATING_HEAT))
     return tuple(model_heaters)
 
 
 def heating(plan: Plan, sd_K: float = 0.0) -> Heating | None:
-    """All heaters of a plan at full power, with the standard error of their effect; None without a heater."""
+    """Return all heaters of a plan at full power, None without one; `sd_K`: standard error of their
+    effect."""
     all_heaters = heaters(plan.model)
     effect_K = sum(plan.values[heater.parameter] for heater in all_heaters)
     return Heating(all_heaters, effect_K, sd_K) if all_heaters else None
 
 
 def heating_sd(fit: Fit) -> float:
-    """A fit's standard error [K] of the effect of all its heaters together; 0 without a covariance."""
+    """Return a fit's standard error [K] of the effect of all its heaters together; 0 without a covariance."""
     if fit.results.covariance is None:
         return 0.0
     names, covariance = fit.covariance
@@ -248,9 +256,8 @@ def heating_sd(fit: Fit) -> float:
 class Advice:
     """How long to pre-heat before a restart.
 
-    `hours` [h] of pre-heating until the air is dry enough, None if `LONGEST_HEATING_H` is not enough or the
-    time is unknown; `probability` [1] of dry air after `hours` or, without them, its maximum within
-    `LONGEST_HEATING_H`.
+    `hours` [h] of pre-heating until the air is dry enough, None if `LONGEST_HEATING_H` is not enough or the time is
+    unknown; `probability` [1] of dry air after `hours` or, without them, its maximum within `LONGEST_HEATING_H`.
     """
 
     statement: Statement
@@ -267,23 +274,23 @@ def restart(
     heating_sd_K: float = 0.0,
     excess: float = np.nan,
 ) -> Advice:
-    """How long to pre-heat from now on, at standstill and with all heaters of the model at full power.
+    """Return how long to pre-heat from now on, at standstill and with all heaters of the model at full power.
 
     The advice is the shortest time after which the relative humidity at the coldest surface is below `limit`
     with a probability of at least `DRY_ENOUGH`, and stays so for `STAYS_H`.  The probability includes the
     standard error `heating_sd_K` of the heaters' effect.  `excess` as in `forecast`.
     """
-    heating_ = heating(plan, heating_sd_K)
-    if heating_ is None:
+    all_heaters = heating(plan, heating_sd_K)
+    if all_heaters is None:
         return Advice(AdviceCode.HEATING_UNKNOWN())
-    effect: dict[str, Value] = {"heaters": tuple(heating_.signals), "effect_K": heating_.effect_K}
-    if not heating_.effect_K > 0.0:
+    effect: dict[str, Value] = {"heaters": tuple(all_heaters.signals), "effect_K": all_heaters.effect_K}
+    if not all_heaters.effect_K > 0.0:
         return Advice(AdviceCode.HEATING_COOLS(**effect))
-    heated = scenarios.with_preheating(LONGEST_HEATING_H + STAYS_H, heating_.signals)
-    effects = sorted({heating_.effect_K, *heating_.bounds_K})
+    heated = scenarios.with_preheating(LONGEST_HEATING_H + STAYS_H, all_heaters.signals)
+    effects = sorted({all_heaters.effect_K, *all_heaters.bounds_K})
     dry_by_effect = []
     for effect_K in effects:
-        changed_plan = replace(plan, values=heating_.values_at(effect_K, plan.values))
+        changed_plan = replace(plan, values=all_heaters.values_at(effect_K, plan.values))
         conditions = conditions_by_member(changed_plan, state, heated, surface, excess)
         humidities = [
             condition.surface_humidity for condition in conditions if condition.surface_humidity is not None
@@ -299,7 +306,7 @@ def restart(
     weak, estimated, strong = dry_by_effect
     advice = advice_from(hours, outer * (weak + strong) + (1.0 - 2.0 * outer) * estimated, limit)
     longest_h, shortest_h = _hours_until_dry(hours, weak), _hours_until_dry(hours, strong)
-    lower, upper = heating_.bounds_K
+    lower, upper = all_heaters.bounds_K
     needed_hours: Statement | str = ""
     if shortest_h is not None and advice.hours != 0.0:
         code = AdviceCode.NEEDED_HOURS_OPEN if longest_h is None else AdviceCode.NEEDED_HOURS
@@ -312,8 +319,11 @@ def restart(
 
 
 def _hours_until_dry(hours: np.ndarray, probability: np.ndarray) -> float | None:
-    """The first of `hours` (T,) [h] from which the air is dry for `STAYS_H` with a probability of
-    `DRY_ENOUGH`; None if `LONGEST_HEATING_H` is not enough."""
+    """Return the first of `hours` (T,) [h] from which the air stays dry for `STAYS_H` with a probability of
+    at least `DRY_ENOUGH`; None if it does not within `LONGEST_HEATING_H`.
+
+    probability: of dry air (T,) [1].
+    """
     for start_h in hours[hours <= LONGEST_HEATING_H].tolist():
         if np.all(probability[_while_restarting(hours, start_h)] >= DRY_ENOUGH):
             return float(start_h)
@@ -321,11 +331,12 @@ def _hours_until_dry(hours: np.ndarray, probability: np.ndarray) -> float | None
 
 
 def _while_restarting(hours: np.ndarray, start_h: float) -> np.ndarray:
+    """Return which of `hours` (T,) [h] lie within `STAYS_H` from `start_h` [h] on."""
     return (hours >= start_h) & (hours <= start_h + STAYS_H)
 
 
 def advice_from(hours: np.ndarray, probability: np.ndarray, limit: float) -> Advice:
-    """The advice from the probability `chance` (T,) of dry air after `hours` (T,) [h] of pre-heating."""
+    """Return the advice from the probability (T,) [1] of dry air after `hours` (T,) [h] of pre-heating."""
     start_h = _hours_until_dry(hours, probability)
     if start_h is not None:
         at_start = float(probability[hours == start_h][0])

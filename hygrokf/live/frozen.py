@@ -33,28 +33,28 @@ def frozen_runs(
     still_s: float,
     context_s: float,
     after_s: float,
-    known: Frozen | None,
+    known_run: Frozen | None,
 ) -> Iterator[Frozen]:
-    """The runs of identical readings that are longer than `still_s` [s], for which the signal may stay still,
-    and that last beyond `after_s` [s].
+    """Yield the runs of identical readings of a signal that are too long and last beyond `after_s` [s].
 
-    readings: times [s] (T,) and values [SI unit] (T,).  In the range of saturated air, where the gate accepts
-    readings, the value must be below a value that was read within `context_s` [s] before the run became too
-    long, because a sensor at its ceiling is not frozen.  A run that became too long up to `after_s` must be
-    `known`, because older readings may have been dropped.
+    readings: times [s] (T,) and values [SI unit] (T,).  still_s: time [s] for which the signal may keep a
+    value. In the range of saturated air, where the gate accepts readings, the value must be below a value
+    that was read within `context_s` [s] before the run became too long, because a sensor at its ceiling is
+    not frozen.  A run that became too long up to `after_s` must be `known_run`, because older readings may
+    have been dropped.
     """
     time, value = readings
     if not len(time):
         return
     starts, lengths = runs_of(value)
     lasts = starts + lengths - 1
-    for place in np.flatnonzero(time[lasts] - time[starts] > still_s):
-        start, last = int(starts[place]), int(lasts[place])
+    for run_index in np.flatnonzero(time[lasts] - time[starts] > still_s):
+        start, last = int(starts[run_index]), int(lasts[run_index])
         end = float(time[last + 1]) if last + 1 < len(time) else math.inf
         too_long_s = float(time[start:][time[start:] - time[start] > still_s][0])
         if too_long_s <= after_s:
-            if known is not None and known.value == value[start] and end > after_s:
-                yield replace(known, end=end)
+            if known_run is not None and known_run.value == value[start] and end > after_s:
+                yield replace(known_run, end=end)
             continue
         earlier = value[np.searchsorted(time, too_long_s - context_s) : start]
         may_rest = resting(signal, value[start : start + 1], math.inf)[0]

@@ -24,8 +24,10 @@ from hygrokf.physics.model import Model
 from hygrokf.physics.signal_names import AMBIENT_HUMIDITIES
 
 FEATURES_H = 48.0
+"""[h] before an instant on which derived inputs (features) may depend."""
 BEFORE = USUAL_STEPS + 1
-"""Readings of each signal kept from before the context, which give its usual step, to recognise long gaps."""
+"""Number of readings kept from before the context; they give a signal's usual step, to recognise long
+gaps."""
 LATENESS_S = 1800.0
 """[s] by which a reading may be older than the newest reading and still be used."""
 TRACKED_PROPERTIES = {
@@ -92,34 +94,36 @@ class Plan:
 
     @property
     def model(self) -> Model:
+        """The model of the cabinet."""
         return self.design.model
 
     def likelihood(self, t: Timeline) -> Likelihood:
-        """The likelihood on a timeline, of the plan's model."""
+        """Return the likelihood of the plan's model on a timeline."""
         return Likelihood(self.model, t)
 
     def form(self, signal: str) -> SignalReporting:
-        """The form of a signal; by default instantaneous readings."""
+        """Return how a source reports a signal; by default as instantaneous readings."""
         return self.forms.get(signal) or SignalReporting(SIGNALS[signal].hold_of_instants)
 
     def looks_back(self, signal: str) -> bool:
-        """Whether an input at a time depends on readings up to that time alone."""
+        """Return whether an input at a time depends only on readings up to that time."""
         return self.form(signal).hold == PREVIOUS and INPUT_HOLDS[signal] == MEAN
 
     @cached_property
     def held_while_connected(self) -> tuple[str, ...]:
         """Signals whose values are held until the next reading, as long as their source is connected."""
-        forms = self.forms.items()
         return tuple(
-            name for name, form in forms if form.hold == PREVIOUS and form.longest_hold_s == math.inf
+            signal
+            for signal, form in self.forms.items()
+            if form.hold == PREVIOUS and form.longest_hold_s == math.inf
         )
 
     def scale(self, signal: str) -> Scale | None:
-        """The scale by which the gate judges readings of a signal; None where the fit has none."""
+        """Return the scale by which the gate judges readings of a signal; None if the fit has none."""
         return Scale(*self.design.scales[signal]) if signal in self.design.scales else None
 
     def readings_ahead(self, signal: str) -> int:
-        """Number of readings after the next reading on which an input's path depends; 0 for a step signal."""
+        """Return the number of readings after the next one on which an input depends; 0 for a step signal."""
         form = self.form(signal)
         if INPUT_HOLDS[signal] == MEAN:
             return 0
@@ -140,27 +144,26 @@ class Plan:
         return max(intervals, default=0.0)
 
     @cached_property
-    def further(self) -> tuple[str, ...]:
-        """Signals of the signal table that an added mechanism uses directly as inputs."""
+    def extra_signals(self) -> tuple[str, ...]:
+        """Signals that only an added mechanism reads, such as wind speed or a heater's power."""
         basic = {"ambient_temperature", "ambient_absolute_humidity", "cabinet_temperature", "preheating"}
         return tuple(sorted((set(self.model.inputs) & set(SIGNALS)) - basic))
 
     @cached_property
     def needs(self) -> tuple[Need, ...]:
-        """The quantities that the model reads: first the required ones, then those that improve the
-        estimate."""
+        """The quantities that the model reads: the required ones first, then those that help."""
         inputs, outputs = set(self.model.inputs), self.model.outputs
         required: list[tuple[str, ...]] = [("ambient_temperature",)]
-        required += [(signal,) for signal in self.further]
+        required += [(signal,) for signal in self.extra_signals]
         if "ambient_absolute_humidity" in inputs:
             required.append(AMBIENT_HUMIDITIES)
         if "cabinet_temperature" in inputs:
             required.append(("cabinet_temperature",))
-        optional = [
-            *((name,) for name in outputs if name in SIGNALS),
-            *((("active_power",),) if self.design.power_order or "operating" in inputs else ()),
-            *((("preheating",),) if "preheating" in inputs else ()),
-        ]
+        optional = [(name,) for name in outputs if name in SIGNALS]
+        if self.design.power_order or "operating" in inputs:
+            optional.append(("active_power",))
+        if "preheating" in inputs:
+            optional.append(("preheating",))
         return (
             *(Need(signals, True) for signals in dict.fromkeys(required)),
             *(Need(signals) for signals in dict.fromkeys(optional) if signals not in required),
@@ -168,7 +171,7 @@ class Plan:
 
     @property
     def expected(self) -> tuple[Need, ...]:
-        """The quantities that must come: those that the model requires or that a source states to deliver."""
+        """The quantities whose absence is an alarm: required by the model, or configured for a source."""
         return tuple(need for need in self.needs if need.required or set(need.signals) & set(self.forms))
 
 
@@ -182,26 +185,33 @@ def plan(
     site: Site | None = None,
     rated_power_W: float | None = None,
 ) -> Plan:
-    """The plan for a turbine with an identified model.
+    """Return the plan for tracking a turbine with an identified model.
 
-    `wandering`: drift rate of each tracked property, by default all properties of the model at the rates of
-    `TRACKED_PROPERTIES`. The ambient's readings are used without smoothing, because smoothing would need
+    wandering: tracked property → drift rate [per day^0.5], by default all properties of the model at the
+    rates of `TRACKED_PROPERTIES`.  The ambient's readings are used without smoothing, because smoothing would need
     later readings.
     """
     model = fit.design.model
-    rates = {m: rate for m, (_, rate) in TRACKED_PROPERTIES.items()} if wandering is None else dict(wandering)
+    rates = (
+        {mechanism: rate for mechanism, (_, rate) in TRACKED_PROPERTIES.items()}
+        if wandering is None
+        else dict(wandering)
+    )
     unknown = sorted(set(rates) - set(TRACKED_PROPERTIES))
     if unknown:
         raise ValueError(f"wandering: expected names of {sorted(TRACKED_PROPERTIES)}, found {unknown}")
     additions = [
-        (m, {"rate": rate})
-        for m, rate in rates.items()
-        if TRACKED_PROPERTIES[m][0] in (*model.states, *model.outputs)
+        (mechanism, {"rate": rate})
+        for mechanism, rate in rates.items()
+        if TRACKED_PROPERTIES[mechanism][0] in (*model.states, *model.outputs)
     ]
     # a fit of an earlier version lacks these means: an unknown actuator is off, whatever the earlier readings
     means = {name: 0.0 for name in ACTUATORS if name in model.inputs} | dict(fit.design.actuator_means)
     design = replace(extended(fit.design, additions), ambient_noise={}, actuator_means=means)
-    values = {p.name: fit.values.get(p.name, p.start) for p in design.model.parameters}
+    values = {
+        parameter.name: fit.values.get(parameter.name, parameter.start)
+        for parameter in design.model.parameters
+    }
     return Plan(
         name=name or fit.name,
         design=design,

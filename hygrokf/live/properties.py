@@ -18,7 +18,7 @@ from hygrokf.physics.signal_names import CABINET_HUMIDITIES
 
 @dataclass(frozen=True)
 class Watched:
-    """A tracked property with its state x.
+    """A tracked property and the model's state x that represents it.
 
     `parameter`: parameter of the fit that e^x multiplies, None if the property is x; `least`: smallest shift
     of x that matters; `blind`: standard deviation of x from which the property is not observable; `shown_by`:
@@ -35,6 +35,7 @@ class Watched:
 
 
 TEMPERATURES = ("cabinet_temperature",)
+CABINET_HUMIDITIES = ("cabinet_relative_humidity", "cabinet_absolute_humidity")
 WATCHED = (
     Watched(
         "thermal_time_constant", "log_thermal_change", "thermal_time_constant", "h", math.log(1.15), 0.25,
@@ -46,7 +47,7 @@ WATCHED = (
 )  # fmt: skip
 """The tracked properties; the smallest shifts that matter are 15 %, 1 K and 4 % relative humidity."""
 SURE_SD = 4.0
-"""Number of standard deviations by which a property must differ from the fit's value."""
+"""Number of standard deviations by which a property must differ from its reference to have shifted."""
 UNOBSERVABLE_S = 3.0 * DAY_S
 """[s] without a reading in `shown_by` after which a property is not observable."""
 LASTING_S = 2.0 * DAY_S
@@ -55,7 +56,7 @@ MOIST = "humidity_offset"
 MOIST_S = 6.0 * HOUR_S
 """[s] after which a rise of the humidity offset counts as lasting; shorter, because it may be water."""
 BACK = 0.5
-"""Share of the largest shift below which a shift has ended."""
+"""Share of its largest change [1] below which a shift has ended."""
 
 
 class TrackedState(NamedTuple):
@@ -65,10 +66,12 @@ class TrackedState(NamedTuple):
     sd: float
 
     def to_json(self) -> list[float]:
+        """Return [x, sd]."""
         return list(self)
 
     @classmethod
     def from_json(cls, data: Sequence[float]) -> TrackedState:
+        """Return the state of [x, sd]."""
         return cls(*map(float, data))
 
 
@@ -101,7 +104,7 @@ class ParameterShift:
 
 
 def standard_errors(fit: Fit) -> dict[str, float]:
-    """The fit's own standard error of each watched property, in units of its state."""
+    """Return watched property → its standard error by the fit, in the unit of its state."""
     if fit.results.covariance is None:
         return {}
     names, covariance = fit.covariance
@@ -116,24 +119,23 @@ def standard_errors(fit: Fit) -> dict[str, float]:
 def states_of(
     model: Model, mean: np.ndarray, covariance: np.ndarray, time: float, heard: Mapping[str, float]
 ) -> dict[str, TrackedState]:
-    """The state of each watched property that the model has, from the mean (n,) and
-    covariance (n, n) of the state.
+    """Return watched property → its state, from the mean (n,) and covariance (n, n) of the model's states.
 
-    `heard`: signal → time [s] of its newest reading.  The standard deviation is infinite if no recent reading
+    heard: signal → time [s] of its newest reading.  The standard deviation is infinite if no recent reading
     shows the property at `time` [s].
     """
     states = {}
     for watched in WATCHED:
         if watched.state in model.states:
             i = model.states.index(watched.state)
-            newest = max((heard.get(signal, -math.inf) for signal in watched.shown_by), default=-math.inf)
-            sd = math.sqrt(max(float(covariance[i, i]), 0.0)) if time - newest < UNOBSERVABLE_S else math.inf
+            heard_s = max((heard.get(signal, -math.inf) for signal in watched.shown_by), default=-math.inf)
+            sd = math.sqrt(max(float(covariance[i, i]), 0.0)) if time - heard_s < UNOBSERVABLE_S else math.inf
             states[watched.name] = TrackedState(float(mean[i]), sd)
     return states
 
 
 def observable(states: Mapping[str, TrackedState]) -> dict[str, TrackedState]:
-    """The states of the observable properties."""
+    """Return the observable ones of the tracked properties."""
     blind = {watched.name: watched.blind for watched in WATCHED}
     return {name: state for name, state in states.items() if state.sd < blind[name]}
 
@@ -141,8 +143,10 @@ def observable(states: Mapping[str, TrackedState]) -> dict[str, TrackedState]:
 def properties(
     states: Mapping[str, TrackedState], values: Mapping[str, float], errors: Mapping[str, float]
 ) -> list[Property]:
-    """The present properties; the bounds include the uncertainty of the filter and, for time constants, of
-    the fit."""
+    """Return the present properties; their bounds include the uncertainty of the filter and of the fit.
+
+    values: parameter of the fit → value.  errors: property → standard error by the fit.
+    """
     present = []
     for watched in WATCHED:
         if watched.name not in states:
@@ -166,11 +170,11 @@ def deviations(
     errors: Mapping[str, float],
     references: Mapping[str, TrackedState] | None = None,
 ) -> dict[str, TrackedState]:
-    """The deviation of each observable property from its reference, with the standard deviation of the
+    """Return observable property → its deviation from its reference, with the standard deviation of the
     difference.
 
-    `references`: the states against which shifts are judged after a stated change, None for the fit's values;
-    a property without a reference is not judged.
+    errors: property → standard error by the fit.  references: the states against which shifts are judged
+    after a stated change, None for the fit's values; a property without a reference is not judged.
     """
     if references is None:
         references = {name: TrackedState(0.0, errors.get(name, 0.0)) for name in states}
@@ -182,20 +186,20 @@ def deviations(
 
 
 def relative_shift(name: str, deviation: TrackedState) -> float:
-    """A deviation of a property as a multiple of the smallest deviation that counts as a shift."""
+    """Return a deviation of a property as a multiple of the smallest deviation that counts as a shift."""
     (least,) = (watched.least for watched in WATCHED if watched.name == name)
     return deviation.x / max(least, SURE_SD * deviation.sd)
 
 
 def lasting_s(shift: ParameterShift) -> float:
-    """The time [s] after which a shift counts as lasting."""
+    """Return the time [s] after which a shift counts as lasting."""
     return MOIST_S if shift.name == MOIST and shift.change > 0.0 else LASTING_S
 
 
 def parameter_shifts(
     previous: Mapping[str, ParameterShift], time: float, present: Mapping[str, TrackedState]
 ) -> dict[str, ParameterShift]:
-    """The parameter shifts at `time` [s], updated from the `previous` shifts by the present deviations.
+    """Return property → its shift at `time` [s], from the `previous` shifts and the present deviations.
 
     A shift begins when a property differs from its reference by more than the smallest change that matters
     and by `SURE_SD` standard deviations.  It is lasting after `lasting_s`.  It ends when less than the share

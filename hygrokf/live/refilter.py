@@ -16,7 +16,8 @@ from hygrokf.live.storage import schema, statements
 from hygrokf.live.storage.statements import delete_rows
 from hygrokf.live.storage.store import Store
 from hygrokf.live.tracker import Tracker
-from hygrokf.live.turbines import Fleet, Turbine, digest
+from hygrokf.live.turbine import Turbine, digest
+from hygrokf.live.turbines import Fleet
 from hygrokf.texts.wording import stamp_text
 
 KEPT_MEMORIES = ("alarms", "known_s", "forecast")
@@ -39,8 +40,9 @@ class Refiltered:
 def refilter(
     store: Store, turbines: Mapping[str, Turbine], names: Collection[str] | None = None
 ) -> list[Refiltered]:
-    """Filter the turbines with these `names` anew, by default all, in one transaction; the others are
-    sisters.
+    """Filter the stored readings of turbines anew, in one transaction.
+
+    names: turbines to filter, by default all; the others serve as sisters for fault isolation.
 
     Estimates, properties and the tracker's state are replaced; alarms stay as they were raised.  Raises
     StoreFault if a tracker is running.
@@ -52,11 +54,12 @@ def refilter(
 
 
 def _refilter_turbine(store: Store, name: str, turbines: Mapping[str, Turbine]) -> Refiltered:
+    """Filter one turbine anew within a transaction, and compare its alarms."""
     ((late,),) = store.rows(statements.LATE_VERSIONS, turbine=name)
     store.execute(statements.USE_LATE_VERSIONS, turbine=name)
     late += store.execute(statements.USE_LATE, turbine=name)
     for versions in store.revised(name).values():
-        store.use(name, versions)
+        store.use_version(name, versions)
     store.execute(statements.CHANGE_MODEL, name=name, digest=digest(turbines[name].plan))
     store.execute(statements.FORGET_MEMORIES, turbine=name, kept=KEPT_MEMORIES)
     begin, after = math.inf, {}
@@ -74,27 +77,28 @@ def _refilter_turbine(store: Store, name: str, turbines: Mapping[str, Turbine]) 
 
 
 def _batches(store: Store, name: str, turbines: Mapping[str, Turbine]) -> Iterator[Batch]:
+    """Yield the batches of filtering a turbine anew, day by day, with its changes and isolated causes."""
     fleet, turbine = Fleet({name: turbines[name]}), turbines[name]
     fleet.tracked[name].tracker = Tracker(turbine.plan, lost=store.losses(name))
     points = {other: store.point(other) for other in turbines if other != name}
     yield fleet.take_events(store.events(name))
     readings = sorted(store.readings(name, -math.inf), key=lambda reading: reading.time)
-    for _, day in groupby(readings, key=lambda reading: reading.time // DAY_S):
-        fleet.tracked[name].tracker.take(reading for reading in day if not math.isnan(reading.value))
+    for _, readings_of_day in groupby(readings, key=lambda reading: reading.time // DAY_S):
+        known_readings = (reading for reading in readings_of_day if not math.isnan(reading.value))
+        fleet.tracked[name].tracker.take(known_readings)
         fleet.waiting[name] = None
         yield fleet.filter_waiting(Batch())
         while (due := fleet.isolation_due()) is not None:
-            final = [n for n, point in points.items() if point and point.time >= due[1].time]
+            _, step = due
+            final = [other for other, point in points.items() if point and point.time >= step.time]
             sisters = {other: turbines[other].plan for other in final}
-            steps = isolation_steps(
-                name, turbine, due[1], store, fleet.tracked[name].reference_point, sisters
-            )
+            steps = isolation_steps(name, turbine, step, store, fleet.tracked[name].reference_point, sisters)
             yield fleet.keep_finding(name, next(finding for finding in steps if finding is not None))
 
 
 def _differences(before: Mapping[str, Alarm], after: Mapping[str, Alarm]) -> Iterator[str]:
-    """The differences between the alarms `before` and `after` filtering anew, in words, by their
-    beginnings."""
+    """Yield the differences between the alarms `before` and `after` filtering anew (id → alarm), as texts
+    sorted by the beginnings of the alarms."""
     raised = {key: alarm for key, alarm in before.items() if alarm.kind not in kinds_of(*DELIVERY)}
     for key, alarm in sorted({**raised, **after}.items(), key=lambda item: (item[1].began, item[0])):
         about = f"{alarm.kind} from {stamp_text(alarm.began)}"

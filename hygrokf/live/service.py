@@ -30,7 +30,9 @@ from hygrokf.live.notification.notices import look_again, notices_of
 from hygrokf.live.sources.stream import Delivery, Reach, Stream, pause_s
 from hygrokf.live.storage.database import REPLACED, StoreReplaced
 from hygrokf.live.storage.store import MOST_DELETED, Store, StoreFault, open_store, prune
-from hygrokf.live.turbines import SOURCE, Fleet, Turbine
+from hygrokf.live.turbine import Turbine
+from hygrokf.live.turbines import SOURCE, Fleet
+from hygrokf.texts.statement import Statement
 
 LOG = logging.getLogger("hygrokf.track")
 T = TypeVar("T")
@@ -45,9 +47,9 @@ FILTER_S = 0.2
 TICK_S = 10.0
 """[s] between two checks for stale data and lost sources."""
 FORECAST_SHARE = 0.3
-"""Largest share of time spent on forecasts while deliveries come."""
+"""Largest share of time [1] for forecasts and fault isolation while deliveries come."""
 BUSY_SHARE = 0.05
-"""Largest share of time spent on forecasts while deliveries or unfiltered turbines wait."""
+"""Largest share of time [1] for them while deliveries or unfiltered turbines wait."""
 PRUNED_S = 6.0 * HOUR_S
 """[s] between two passes over the fleet that delete old history."""
 REOPEN_S = (0.5, 10.0)
@@ -89,11 +91,12 @@ class Health:
     sources: dict[str, SourceTimes] = field(default_factory=dict)
     store: str = ""
 
-    def note(self, waits: Sequence[float]) -> None:
-        self.waits_s = [*self.waits_s, *waits][-10_000:]
-        for wait in waits:
-            self.wait_counts[bisect_left(WAIT_CLASSES_S, wait)] += 1
-        self.wait_sum_s += sum(waits)
+    def note_waits(self, waits_s: Sequence[float]) -> None:
+        """Count the times [s] from some deliveries to their commits."""
+        self.waits_s = [*self.waits_s, *waits_s][-10_000:]
+        for wait_s in waits_s:
+            self.wait_counts[bisect_left(WAIT_CLASSES_S, wait_s)] += 1
+        self.wait_sum_s += sum(waits_s)
 
     def note_source(self, url: str, batch: Batch) -> None:
         """Note that deliveries of a source were committed, and the lag of their newest reading."""
@@ -105,7 +108,7 @@ class Health:
         self.sources[url] = SourceTimes(time.time(), lag_s)
 
     def wait_s(self, share: float) -> float | None:
-        """The wait [s] that a share [1] of the deliveries did not exceed; None without deliveries."""
+        """Return the wait [s] that a share [1] of the deliveries did not exceed; None without deliveries."""
         waits = sorted(self.waits_s)
         return waits[int(share * (len(waits) - 1))] if waits else None
 
@@ -113,9 +116,9 @@ class Health:
 class Service:
     """Streams, a fleet and a store, run by one thread.
 
-    `settle` is called after each commit with its batch, and publishes it outside the store (the page).  The
-    store keeps `retention_s` [s] of history before each turbine's newest final estimate.  Alarms are written
-    together with notices for the `channels` that cover them.  `clock` gives this machine's time [s].
+    on_commit: called with each batch after its commit, to publish it on the page.  retention_s: history [s]
+    that the store keeps before each turbine's newest final estimate.  channels: for whose receivers alarms
+    are written together with notices.  clock: gives this machine's time [s].
     """
 
     def __init__(
@@ -123,7 +126,7 @@ class Service:
         turbines: Mapping[str, Turbine],
         streams: Sequence[Stream],
         store_url: str,
-        settle: Callable[[Batch], None] = lambda batch: None,
+        on_commit: Callable[[Batch], None] = lambda batch: None,
         retention_s: float = math.inf,
         channels: Sequence[Channel] = (),
         clock: Callable[[], float] = time.time,
@@ -135,13 +138,17 @@ class Service:
         self.ending = threading.Event()
         self.retention = Retention(retention_s)
         self.channels = tuple(channels)
-        self._settle = settle
+        self._on_commit = on_commit
         self._clock = clock
         self._next_tick = self._next_work = self._next_work_behind = 0.0
-        self._words: dict[str, str] = {}
-        self._marks: dict[str, str] = {}
+        self._logged_states: dict[str, str] = {}
+        """Source → state (`SourceState.word`) that was logged last."""
+        self._batch_marks: dict[str, str] = {}
+        """Source → mark of its last committed batch."""
         self._isolation: tuple[str, Iterator[CauseFinding | None]] | None = None
+        """Turbine and steps of the fault isolation in progress."""
         self._waiting: queue.Queue[tuple[str, Delivery, float]] = queue.Queue(WAITING)
+        """(source, delivery, monotonic time of its arrival [s])"""
         self.store: Store | None = None
         self.fleet: Fleet | None = None
 
@@ -158,7 +165,7 @@ class Service:
         return self.fleet
 
     def stop(self) -> None:
-        """Drain and end: deliveries that have arrived are filtered and committed first."""
+        """End, after the deliveries that have arrived are filtered and committed."""
         self.ending.set()
 
     def run(self, until_ended: bool = False, begun: Callable[[], None] = lambda: None) -> None:
@@ -173,7 +180,9 @@ class Service:
             for url, stream in self.streams.items():
                 stream.recall(self._open_store.memories(url))
                 stream.start(self._open_store.place(url), partial(self._put, url))
-                stream.tell(self._open_fleet.open_alarms())  # alarms told before a crash may not have arrived
+                stream.publish_alarms(
+                    self._open_fleet.open_alarms()
+                )  # alarms told before a crash may not have arrived
             while not self.ending.is_set():
                 self.health.looped = time.monotonic()
                 idle = not self.round()
@@ -195,6 +204,7 @@ class Service:
             LOG.info("ended", extra={"deliveries": self.health.deliveries, "rounds": self.health.rounds})
 
     def _open(self) -> None:
+        """Open the store, claim what this tracker tracks, and restore the fleet.  Raises StoreFault."""
         store = open_store(self.store_url)
         try:
             store.claim("turbine", self.turbines)
@@ -204,7 +214,7 @@ class Service:
             # connections first: the filter needs them for the readings that came meanwhile
             if not (batch := self._connections(self.fleet, begins=begins)).empty:
                 store.commit(batch)
-            self._marks.clear()
+            self._batch_marks.clear()
         except BaseException:
             store.close()
             raise
@@ -219,14 +229,15 @@ class Service:
                 return
 
     def _sources_ended(self) -> bool:
+        """Return whether all sources have ended and all their deliveries are processed."""
         # states before the queue: then the queue holds everything that an ended source delivered
         words = [stream.state.word for stream in self.streams.values()]
         return all(word in ("ended", "lost", "stopped") for word in words) and self._waiting.empty()
 
     def round(self) -> bool:
-        """Run one round of deliveries or, without deliveries, of waiting turbines; returns whether anything
-        was done."""
-        arrived = take_from(
+        """Process the deliveries that have arrived or, without any, filter waiting turbines; returns whether
+        anything was done."""
+        arrived = take_from_queue(
             self._waiting, MOST_PER_ROUND, 0.0 if self._open_fleet.waiting else FIRST_DELIVERY_S
         )
         self.retention.delete_portion(self._open_store, self._open_fleet)
@@ -240,12 +251,13 @@ class Service:
             self._process(url, deliveries)
         if arrived:
             committed_at = time.monotonic()
-            self.health.note([committed_at - arrived_at for _, _, arrived_at in arrived])
+            self.health.note_waits([committed_at - arrived_at for _, _, arrived_at in arrived])
             self.health.rounds += 1
             self.health.deliveries += len(arrived)
         return bool(arrived)
 
     def _process(self, url: str, deliveries: Sequence[Delivery]) -> None:
+        """Commit the results of a source's deliveries, then acknowledge and publish them."""
         stream = self.streams[url]
         batch = self._commit(lambda: self._open_fleet.round(deliveries, stream.mapping, url, FILTER_S), url)
         stream.acknowledge(deliveries)
@@ -253,7 +265,7 @@ class Service:
         self._publish(batch)
 
     def _forecast(self, name: str) -> Batch:
-        """Forecast a turbine; the next forecast is due an hour later, even if none could be made."""
+        """Forecast a turbine; the next forecast is due an hour later, even if this one failed."""
         fleet = self._open_fleet
         forecast_batch = make_forecast(
             name, self.turbines[name], fleet.tracked[name].tracker, self._open_store
@@ -265,15 +277,19 @@ class Service:
         return batch
 
     def _commit(self, make: Callable[[], Batch], source: str = "") -> Batch:
-        """Make a batch and commit it; reopens the store, and with it the fleet, as often as necessary."""
-        attempt, mark, replaced = 0, secrets.token_hex(8), False
+        """Make a batch by `make` and commit it; reopens store and fleet, and makes the batch again, as often
+        as necessary.
+
+        source: URL of the source whose deliveries the batch contains, "" for other batches.
+        """
+        attempt, mark, is_replaced = 0, secrets.token_hex(8), False
         while True:
             try:
                 self._expect_own_batch(source)
                 # if the mark is stored, the commit succeeded and only its answer was lost
                 if not attempt or not source or self._open_store.memory(SOURCE, f"batch of {source}") != mark:
                     batch = make()
-                    if replaced:
+                    if is_replaced:
                         batch.counters[SOURCE, "store replaced"] = 1
                     batch.notices += notices_of(batch.alarms, self.channels, time.time(), self.now)
                     if source:
@@ -283,7 +299,7 @@ class Service:
                         self._open_store.commit(batch)
                 break
             except StoreFault as fault:
-                replaced = replaced or isinstance(fault, StoreReplaced)
+                is_replaced = is_replaced or isinstance(fault, StoreReplaced)
                 self.health.store = str(fault).strip()
                 self.health.failures += 1  # after the message: whoever sees the new count finds the message
                 LOG.warning("the store failed", extra={"fault": self.health.store, "attempt": attempt + 1})
@@ -291,45 +307,51 @@ class Service:
                     raise
                 attempt = self._reopen(attempt)
         if source:
-            self._marks[source] = mark
+            self._batch_marks[source] = mark
         self.health.store = ""
         self.health.committed_s = self._clock()
         return batch
 
     def _expect_own_batch(self, source: str) -> None:
-        """Raise StoreReplaced if the store does not hold the batch of a source that was last committed."""
-        store, mark = self._open_store, self._marks.get(source)
+        """Raise StoreReplaced if the store does not hold the source's batch that was last committed."""
+        store, mark = self._open_store, self._batch_marks.get(source)
         missing = mark is not None and store.memory(SOURCE, f"batch of {source}") != mark
         if missing or store.database.is_replaced():
             raise StoreReplaced(f"{self.store_url}: {REPLACED}")
 
     def _publish(self, batch: Batch) -> None:
+        """Publish a committed batch: alarms at the sources, changes on the page."""
         if batch.empty:
             return
         if batch.alarms:
             for stream in self.streams.values():
-                stream.tell(batch.alarms)
-        self._settle(batch)
+                stream.publish_alarms(batch.alarms)
+        self._on_commit(batch)
 
     @property
     def now(self) -> float:
-        """The time [s] against which the age of data is judged; if all streams are played back, the time of
-        their records."""
+        """Time [s] against which the age of data is judged; of the records if all streams play back
+        records."""
         streams = [stream for stream in self.streams.values() if not stream.mapping.weather]
         live = [stream for stream in streams if not stream.played_back]
         return min((stream.now() for stream in live or streams), default=self._clock())
 
     def _work_between_rounds(self, idle: bool) -> None:
-        """Check for missing data, make forecasts and isolate faults, for a limited share of the time."""
+        """Check for missing data, make forecasts and isolate faults, for a limited share of the time.
+
+        idle: whether the last round had nothing to do.
+        """
         begin_s = time.monotonic()
         if begin_s >= self._next_tick:
             self._next_tick = begin_s + TICK_S
             for url, stream in self.streams.items():
-                word, words = stream.state
-                if self._words.get(url) != word:
-                    self._words[url] = word
-                    LOG.info("source", extra={"source": url, "state": word, "behind": words})
-            left = {name: why for stream in self.streams.values() for name, why in stream.left().items()}
+                word, explanation = stream.state
+                if self._logged_states.get(url) != word:
+                    self._logged_states[url] = word
+                    LOG.info("source", extra={"source": url, "state": word, "behind": explanation})
+            left: dict[str, Statement] = {}
+            for stream in self.streams.values():
+                left |= stream.departed_senders()
             now, reaches = self.now, self.reaches()
             quiet = self._quiet(reaches, now)
             self._publish(self._commit(lambda: self._open_fleet.tick(now, reaches, left, quiet)))
@@ -348,39 +370,54 @@ class Service:
             )
 
     def reaches(self) -> dict[str, Reach]:
-        """Source URL -> since when the source is not reached, without sources that play back a record."""
+        """Return source URL -> how long it has been unreachable, without played-back records."""
         return {url: stream.reach() for url, stream in self.streams.items() if not stream.played_back}
 
     def _quiet(self, reaches: Mapping[str, Reach], now: float) -> list[str]:
-        """Turbines whose silence raises no alarm: all their sources are played back or have an alarm."""
-        reached = [s for url, s in self.streams.items() if url in reaches and reaches[url].share(now) < 1.0]
-        served = [name for name in self.turbines if any(s.signals(name) for s in self.streams.values())]
-        return [name for name in served if not any(stream.signals(name) for stream in reached)]
+        """Return the turbines whose silence raises no alarm: all their sources are played back, or have an
+        alarm because they are not reached."""
+        reached = [
+            stream for url, stream in self.streams.items() if url in reaches and reaches[url].share(now) < 1.0
+        ]
+        quiet = []
+        for name in self.turbines:
+            has_source = any(stream.signals(name) for stream in self.streams.values())
+            if has_source and not any(stream.signals(name) for stream in reached):
+                quiet.append(name)
+        return quiet
 
     def _connections(self, fleet: Fleet, left: Collection[str] = (), begins: bool = False) -> Batch:
+        """Let the fleet note lost and regained connections; arguments as of `Fleet.note_connections`."""
         now = self.now
         return fleet.note_connections(now, self._unreached(self.reaches(), now), left, begins)
 
     def _unreached(self, reaches: Mapping[str, Reach], now: float) -> dict[str, dict[str, float | None]]:
-        """Turbine -> signal that is held while connected -> time [s] since when all its sources are lost,
-        None while one is reached, ∞ before their limit; signals from played-back records alone are left
-        out."""
+        """Return turbine -> signal that is held while connected -> time [s] since when all its sources are
+        lost.
+
+        The time is None while one source is reached, and ∞ before the limits of all sources have passed.
+        Signals that only played-back records deliver are left out.
+        """
         lost_by_turbine: dict[str, dict[str, float | None]] = {}
         for name, turbine in self.turbines.items():
             if not (held := turbine.plan.held_while_connected):
                 continue
             senders = [(reaches[url], self.streams[url].signals(name)) for url in reaches]
             for signal in held:
-                of_signal = [reach for reach, sent in senders if signal in sent]
-                since = [reach.since for reach in of_signal if reach.since is not None]
-                if of_signal:
-                    lost_s = max(since) if all(reach.share(now) >= 1.0 for reach in of_signal) else math.inf
-                    is_lost = len(since) == len(of_signal)
+                reaches_of_signal = [reach for reach, sent in senders if signal in sent]
+                lost_times = [reach.since for reach in reaches_of_signal if reach.since is not None]
+                if reaches_of_signal:
+                    lost_s = (
+                        max(lost_times)
+                        if all(reach.share(now) >= 1.0 for reach in reaches_of_signal)
+                        else math.inf
+                    )
+                    is_lost = len(lost_times) == len(reaches_of_signal)
                     lost_by_turbine.setdefault(name, {})[signal] = lost_s if is_lost else None
         return lost_by_turbine
 
     def _isolate(self) -> None:
-        """Take one step of the current fault isolation, or start the next one."""
+        """Do one step of the fault isolation in progress, or of the next one that is due."""
         if self._isolation is None:
             due = self._open_fleet.isolation_due()
             if due is None:
@@ -401,9 +438,9 @@ class Service:
             self._publish(self._commit(lambda: self._open_fleet.keep_finding(name, finding)))
 
     def _reopen(self, attempt: int) -> int:
-        """Reopen the store, trying until it succeeds or, once the service is ending, only once.
+        """Reopen the store, trying until it succeeds or, once the service is ending, only once more.
 
-        Returns the number of the attempt that succeeded.
+        attempt: number of failed attempts so far; returns the number of the attempt that succeeded.
         """
         while True:
             self._open_store.close()
@@ -435,8 +472,8 @@ class Retention:
         self._next = -math.inf
 
     def delete_portion(self, store: Store, fleet: Fleet) -> int:
-        """Delete a portion of the old rows if a pass is due; returns the number of rows.  A failure of the
-        store is left to the next commit."""
+        """Delete a portion of the old rows if a pass is due; returns their number.  The next commit handles a
+        failure of the store."""
         if not self._due and time.monotonic() >= self._next and math.isfinite(self.seconds):
             self._due, self._next = list(fleet.tracked), time.monotonic() + PRUNED_S
         while self._due:
@@ -446,9 +483,9 @@ class Retention:
             if point is None:  # nothing is final yet, so a restart needs all readings
                 self._due.pop()
                 continue
-            needed = point.time - state.turbine.plan.context_s
+            needed_from_s = point.time - state.turbine.plan.context_s
             try:
-                count = prune(store, name, point.time - self.seconds, needed)
+                count = prune(store, name, point.time - self.seconds, needed_from_s)
             except StoreFault as fault:
                 LOG.warning("old rows were not deleted", extra={"fault": str(fault)})
                 self._due.clear()
@@ -459,8 +496,8 @@ class Retention:
         return 0
 
 
-def take_from(waiting: queue.Queue[T], most: int, patience_s: float) -> list[T]:
-    """Take at most `most` items from a queue; waits up to `patience_s` [s] for the first one."""
+def take_from_queue(waiting: queue.Queue[T], most: int, patience_s: float) -> list[T]:
+    """Take at most `most` items from a queue, waiting up to `patience_s` [s] for the first one."""
     items: list[T] = []
     with suppress(queue.Empty):
         items.append(waiting.get(timeout=patience_s))

@@ -30,88 +30,101 @@ from hygrokf.data.timestamps import DAY_S
 from hygrokf.estimation.likelihood import End, Gaussian, Likelihood, Trace
 from hygrokf.live.properties import WATCHED, TrackedState, observable
 from hygrokf.physics.model import Model
-from hygrokf.physics.signal_names import CABINET_RELATIVE_HUMIDITY
+
+CABINET_RELATIVE_HUMIDITY = "cabinet_relative_humidity"
 
 
 def censored_trace(
     likelihood: Likelihood, values: Mapping[str, float], start: Gaussian | None = None
 ) -> Trace:
-    """The filter's trace with relative humidity censored from `SATURATED` on, starting from a state or from
-    the prior.
+    """Run the filter with relative humidity censored from `SATURATED` on; returns its trace.
+
+    start: state before the first instant, None for the prior.
 
     A timeline may be filtered in pieces: starting each piece from the last state of the previous piece gives
     the same bits.
     """
-    pieces = list(_pieces(likelihood, start, lambda piece, begin: piece.trace(values, start=begin), values))
+    pieces = list(
+        _filter_pieces(likelihood, start, lambda piece, begin: piece.trace(values, start=begin), values)
+    )
     return pieces[0] if len(pieces) == 1 else joined(pieces)
 
 
 def censored_end(likelihood: Likelihood, values: Mapping[str, float], start: Gaussian | None = None) -> End:
-    """ln L and the last state of the `censored_trace`, without the moments at the other instants."""
+    """Return ln L and the last state of the `censored_trace`, without the moments at the other instants."""
 
     def run(piece: Likelihood, begin: Gaussian | None) -> End:
+        """Run the filter over a piece without keeping its moments."""
         started = piece if begin is None else replace(piece, initial=begin)
         return started.end(values)
 
-    ends = list(_pieces(likelihood, start, run, values))
+    ends = list(_filter_pieces(likelihood, start, run, values))
     return End(sum(end.loglik for end in ends), ends[-1].last)
 
 
 Ended = TypeVar("Ended", End, Trace)
 
 
-def _pieces(
+def _filter_pieces(
     likelihood: Likelihood, start: Gaussian | None, run: Callable[[Likelihood, Gaussian | None], Ended],
     values: Mapping[str, float],
 ) -> Iterator[Ended | Trace]:  # fmt: skip
-    """The results of `run` for the pieces between censored readings, and the traces of the censored readings,
-    in the order of time."""
+    """Yield the results of `run(piece, start)` for the pieces between censored readings, and the traces of
+    the censored readings, in the order of time."""
     t = likelihood.timeline
     humidity = t.reading(CABINET_RELATIVE_HUMIDITY) if CABINET_RELATIVE_HUMIDITY in t.outputs else np.zeros(0)
-    places: list[int] = np.flatnonzero(humidity >= SATURATED).tolist()
+    censored_indices: list[int] = np.flatnonzero(humidity >= SATURATED).tolist()
     first = 0
-    for place in (*places, len(t)):
-        if place > first:
-            is_complete = place - first == len(t)
+    for index in (*censored_indices, len(t)):
+        if index > first:
+            is_complete = index - first == len(t)
             piece = run(
-                likelihood if is_complete else replace(likelihood, timeline=t.window(first, place)), start
+                likelihood if is_complete else replace(likelihood, timeline=t.window(first, index)), start
             )
             yield piece
             start = piece.last
-        if place < len(t):
-            censored = _censored(replace(likelihood, timeline=t.window(place, place + 1)), values, start)
+        if index < len(t):
+            censored = _censored(replace(likelihood, timeline=t.window(index, index + 1)), values, start)
             yield censored
-            start, first = censored.last, place + 1
+            start, first = censored.last, index + 1
 
 
 def _censored(likelihood: Likelihood, values: Mapping[str, float], start: Gaussian | None) -> Trace:
+    """Run the filter over one instant with a censored humidity reading (see the module)."""
     t = likelihood.timeline
     column = t.outputs.index(CABINET_RELATIVE_HUMIDITY)
 
     def read(humidity: float) -> Trace:
+        """Run the filter with this value as an ordinary humidity reading; NaN for no reading."""
         y = t.y.copy()
         y[:, column] = humidity
         return replace(likelihood, timeline=t.with_readings(y)).trace(values, start=start)
 
-    without = read(np.nan)
-    prediction, spread = float(without.prediction[0, column]), float(np.sqrt(without.variance[0, column]))
-    mean, share, log_probability = truncated_moments((SATURATED - prediction) / spread)
-    expected = read(prediction + mean * spread)
+    unread_trace = read(np.nan)
+    prediction, spread = (
+        float(unread_trace.prediction[0, column]),
+        float(np.sqrt(unread_trace.variance[0, column])),
+    )
+    expected_z, share, log_probability = truncated_moments((SATURATED - prediction) / spread)
+    mean_trace = read(prediction + expected_z * spread)
 
-    def reduced(unread: np.ndarray, read_: np.ndarray) -> np.ndarray:
-        return unread + share * (read_ - unread)
+    def reduced(before: np.ndarray, after: np.ndarray) -> np.ndarray:
+        """Reduce a covariance by the share of the reduction that an ordinary reading gives."""
+        return before + share * (after - before)
 
     return replace(
-        without,
-        mean=expected.mean,
-        covariance=reduced(without.covariance, expected.covariance),
-        loglik=without.loglik + log_probability,
-        last=replace(expected.last, covariance=reduced(without.last.covariance, expected.last.covariance)),
+        unread_trace,
+        mean=mean_trace.mean,
+        covariance=reduced(unread_trace.covariance, mean_trace.covariance),
+        loglik=unread_trace.loglik + log_probability,
+        last=replace(
+            mean_trace.last, covariance=reduced(unread_trace.last.covariance, mean_trace.last.covariance)
+        ),
     )
 
 
 def truncated_moments(z: float) -> tuple[float, float, float]:
-    """λ, δ and ln Φ(−z) for a standard normal x: E(x | x > z), 1 − var(x | x > z), and ln P(x > z)."""
+    """Return λ = E(x | x > z), δ = 1 − var(x | x > z) and ln P(x > z) for a standard normal x."""
     from scipy.special import erfcx, log_ndtr
 
     mean = float(np.sqrt(2.0 / np.pi) / erfcx(z / np.sqrt(2.0)))
@@ -120,7 +133,7 @@ def truncated_moments(z: float) -> tuple[float, float, float]:
 
 
 def joined(traces: list[Trace]) -> Trace:
-    """The joined trace of consecutive pieces."""
+    """Join the traces of consecutive pieces of a timeline."""
     arrays = {
         name: np.concatenate([getattr(trace, name) for trace in traces])
         for name, value in vars(traces[0]).items()
@@ -131,7 +144,7 @@ def joined(traces: list[Trace]) -> Trace:
 
 # -- changes that people state -------------------------------------------------------------------------------
 SENSOR_WRONG = "humidity sensor wrong"
-"""From this event to the next event the humidity sensor's readings are no evidence of condensation."""
+"""Kind of event from which on, until the next event, humidity readings are no evidence of condensation."""
 EVENT_KINDS = ("settings changed", "defect repaired", SENSOR_WRONG)
 """Kinds of events."""
 SETTLED_S = 7.0 * DAY_S
@@ -142,7 +155,8 @@ SAME_S = 1e-3
 
 @dataclass(frozen=True)
 class StatedChange:
-    """The event with an id and a kind, and the `time` [s] from which it is taken into account.
+    """A change at a cabinet that a person stated: id of the `event`, its kind, and the `time` [s] from which
+    the filter takes it into account.
 
     This is the event's time or, if the event became known later, the time of the newest final estimate,
     because final estimates are not changed.
@@ -154,7 +168,7 @@ class StatedChange:
 
 
 def jump_variance(model: Model) -> np.ndarray:
-    """Variance (n,) by which a stated change widens the states."""
+    """Return the variance (n,) that a stated change adds to the states."""
     blind = {watched.state: watched.blind for watched in WATCHED}
     return np.array([blind.get(state, 0.0) ** 2 for state in model.states])
 
@@ -165,7 +179,9 @@ def changed_trace(
     start: Gaussian | None,
     changes: Iterable[float],
 ) -> Trace:
-    """The filter's trace with stated changes at times [s], from a state or from the prior.
+    """Run the filter with stated changes at the times `changes` [s]; returns its trace.
+
+    start: state before the first instant, None for the prior.
 
     A change acts between the last instant up to its time and the next instant; a change before the first
     instant acts on `start`, and a change after the last instant does not act yet.
@@ -174,13 +190,13 @@ def changed_trace(
     traces: list[Trace] = []
     first = 0
     for time in sorted(changes):
-        place = int(np.searchsorted(t.seconds, time + SAME_S, side="right"))
-        if place == len(t):
+        index = int(np.searchsorted(t.seconds, time + SAME_S, side="right"))
+        if index == len(t):
             break
-        if place > first:
-            piece = replace(likelihood, timeline=t.window(first, place))
+        if index > first:
+            piece = replace(likelihood, timeline=t.window(first, index))
             traces.append(censored_trace(piece, values, start))
-            start, first = traces[-1].last, place
+            start, first = traces[-1].last, index
         if start is not None:  # without `start` the prior applies, which a change does not affect
             start = replace(start, covariance=start.covariance + np.diag(variance))
     if not traces:
@@ -189,19 +205,21 @@ def changed_trace(
     return joined([*traces, censored_trace(rest, values, start)])
 
 
-def settled(
+def references_after(
     references: Mapping[str, TrackedState], changed_s: float, time: float, states: Mapping[str, TrackedState]
 ) -> dict[str, TrackedState]:
-    """The references of properties at `time` [s] after a change at `changed_s` [s].
+    """Return property → reference at `time` [s], against which shifts after a change at `changed_s` [s] are
+    judged.
 
-    A property gets a reference as soon as `SETTLED_S` have passed and the property is observable.
+    A property keeps its earlier reference (`references`).  Otherwise its present state (`states`) becomes the
+    reference once `SETTLED_S` have passed and the property is observable.
     """
     return {**(observable(states) if time >= changed_s + SETTLED_S else {}), **references}
 
 
-def believed(changes: Sequence[StatedChange], seconds: np.ndarray) -> np.ndarray:
-    """Whether the humidity sensor may be right (T,) at times [s]: False from a statement that it is wrong to
-    the next stated change."""
-    place = np.searchsorted([change.time for change in changes], seconds + SAME_S, side="right")
-    wrong = np.array([False, *(change.kind == SENSOR_WRONG for change in changes)])
-    return ~wrong[place]
+def humidity_sensor_trusted(changes: Sequence[StatedChange], seconds: np.ndarray) -> np.ndarray:
+    """Return whether the humidity sensor is trusted (T,) at times [s]: not from a statement that it is wrong
+    to the next stated change."""
+    change_count = np.searchsorted([change.time for change in changes], seconds + SAME_S, side="right")
+    is_wrong = np.array([False, *(change.kind == SENSOR_WRONG for change in changes)])
+    return ~is_wrong[change_count]

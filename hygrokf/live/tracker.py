@@ -26,18 +26,18 @@ from hygrokf.data.timestamps import DAY_S, HOUR_S, whole_microseconds
 from hygrokf.engine.timeline import Timeline
 from hygrokf.estimation.likelihood import Gaussian, Trace
 from hygrokf.live.frozen import Frozen, frozen_runs
-from hygrokf.live.plan import BEFORE, Plan
-from hygrokf.live.traces import SAME_S as SAME_S
-from hygrokf.live.traces import changed_trace
+from hygrokf.live.plan import AMBIENT_HUMIDITIES, BEFORE, Plan
+from hygrokf.live.traces import SAME_S, changed_trace
 from hygrokf.modelling.inputs import Run, longest_gap_h, model_inputs
 from hygrokf.physics.signal_names import AMBIENT_HUMIDITIES
 
 PROVISIONAL_S = 7 * DAY_S
-"""[s] for which estimates from the inputs alone stay provisional, because silent cabinet sensors may still
-deliver readings."""
+"""[s] for which estimates without cabinet readings stay provisional, because silent sensors may still deliver
+readings."""
 Losses = Mapping[str, Sequence[tuple[float, float]]]
-"""Signal → spans [s] in which its connection was lost; ∞ is the end of a loss that continues."""
+"""Signal → spans (begin, end) [s] without connection; the end is ∞ while it is lost."""
 Column = Sequence[float] | np.ndarray
+"""Times [s] or values [SI unit] of a signal's readings."""
 Readings = tuple[np.ndarray, np.ndarray]
 """Times [s] (T,) and values [SI unit] (T,) of a signal's readings."""
 KEPT_OUT = {DEPARTED: "departed", FROZEN: "frozen"}
@@ -61,22 +61,22 @@ class Reading:
     mark: float = field(default=math.nan, compare=False)
 
     def as_stored(self, mark: float = math.nan) -> Reading:
-        """The reading with its time rounded to microseconds, as every store gives it back, and a mark."""
+        """Return the reading with a mark and its time in whole microseconds, as every store keeps it."""
         time = whole_microseconds(self.time)
         return self if time == self.time and math.isnan(mark) else replace(self, time=time, mark=mark)
 
 
 NEITHER = math.inf
-"""Mark of a source of which no version of a value is used once there are two."""
+"""`Reading.mark` of a source that states no order: of two values with one time stamp neither is used."""
 Versions = dict[tuple[str, float], list[Reading]]
 """Versions of values by signal and time [s], in the order of their arrival."""
 REVISIONS = ("revised", "revised late", "contradicting")
-"""Counts of new values at stamps that already had another value (`Tracker.counts`)."""
+"""Names in `Tracker.counts` of new values at stamps that already had another value."""
 
 
 def used_value(versions: Sequence[Reading]) -> float:
-    """The value that is used of the versions of a stamp, given in the order of their arrival: the version
-    with the greatest mark, else the last one; NaN if none is used."""
+    """Return the value that the filter uses of the versions of a stamp, given in the order of their arrival:
+    that with the greatest mark, else the last one; NaN if none is used."""
     if any(version.mark == NEITHER for version in versions):
         return math.nan
     return reduce(lambda used, version: used if version.mark < used.mark else version, versions).value
@@ -92,8 +92,7 @@ class Point:
 
 @dataclass(frozen=True)
 class TrackedCourse:
-    """Estimates after the point or, while the cabinet's sensors are silent, after `Tracker.ahead`: the run,
-    and the filter's moments at its instants.
+    """The new estimates of a tracker: the run, and the filter's moments (`trace`) at its instants.
 
     `after_s`: time [s] after which the estimates begin, −∞ for the first course; `read`: times [s] of each
     signal's accepted readings.  Alarms are to be judged at instants in (`judged_s`, `final_s`] [s], which no
@@ -110,17 +109,17 @@ class TrackedCourse:
 
     @property
     def seconds(self) -> np.ndarray:
-        """The instants (T,) [s since 1970], rounded to microseconds, so that they do not depend on where the
-        run begins."""
+        """The instants (T,) [s since 1970] in whole microseconds, wherever the run begins."""
         return np.round(self.run.timeline.seconds * 1e6) / 1e6
 
-    def state(self, place: int) -> Gaussian:
-        """The state after an instant; the accumulator of a mean that begins there is not reset."""
-        time_h = float(self.run.timeline.time[place])
-        return Gaussian(self.trace.mean[place].copy(), self.trace.covariance[place].copy(), time_h)
+    def state(self, index: int) -> Gaussian:
+        """Return the state after the instant with this index; the accumulator of a mean that begins there is
+        not reset."""
+        time_h = float(self.run.timeline.time[index])
+        return Gaussian(self.trace.mean[index].copy(), self.trace.covariance[index].copy(), time_h)
 
     def heard(self, signal: str) -> np.ndarray:
-        """Time (T,) [s] of the newest reading of a cabinet signal up to each instant, −∞ before the first."""
+        """Return the time (T,) [s] of a signal's newest reading up to each instant, −∞ before the first."""
         times = np.append(-math.inf, self.read.get(signal, ()))
         return times[np.searchsorted(times, self.seconds + SAME_S, side="right") - 1]
 
@@ -139,9 +138,9 @@ class Tracker:
     final, "departed" and "frozen" (rejected by `data.gate`).
 
     While all sensors of the cabinet are silent, estimates follow from the inputs alone.  These estimates are
-    provisional for `PROVISIONAL_S`, because a late delivery replaces them; `ahead` is the last estimate that
-    only a late delivery can change, and the filter continues from it.  Alarms do not wait: they are judged up
-    to `judged_s` [s], and again from the point on if a late delivery changes their estimates.
+    provisional for `PROVISIONAL_S`, because a late delivery replaces them; `provisional_point` is the last estimate
+    that only a late delivery can change, and the filter continues from it.  Alarms do not wait: they are
+    judged up to `judged_s` [s], and again from the point on if a late delivery changes their estimates.
 
     plan: what the tracker needs of a fit (`live.plan.plan`).
     point: the final estimate to begin from, or None.
@@ -167,7 +166,7 @@ class Tracker:
         self.plan = plan
         self.changes = tuple(changes)
         self.point = point
-        self.ahead: Point | None = None
+        self.provisional_point: Point | None = None
         self.judged_s = -math.inf
         self.newest_state = point
         self.running = False
@@ -187,16 +186,17 @@ class Tracker:
 
     # -- readings --------------------------------------------------------------------------------------------
     def take(self, readings: Iterable[Reading], stored: Versions | None = None) -> list[str]:
-        """Add readings in any order; values must be finite.  Returns the name of the count for each reading,
-        "" for the first value of a stamp that is not late.
+        """Add readings in any order; returns for each reading its name in `counts`, "" for a first value in
+        time.
 
-        stored: known versions of stamps whose estimates are final; new versions are added to them.
+        readings: with finite values.  stored: versions in the store of stamps whose estimates are final; new
+        versions are added to them.
         """
         stored, outcomes = {} if stored is None else stored, []
         for reading in readings:
             if not math.isfinite(reading.value):
                 raise ValueError(
-                    f"{reading.signal}: expected a number, found {reading.value}; a missing reading is none"
+                    f"{reading.signal}: expected a finite number, found {reading.value}; omit missing ones"
                 )
             if not self.is_late(reading):
                 outcomes.append(self._insert(reading))
@@ -213,21 +213,21 @@ class Tracker:
         return outcomes
 
     def note_change(self, time: float) -> float:
-        """Take a stated change at `time` [s] into account; returns the time [s] at which it takes effect,
-        which is not before the newest final estimate."""
+        """Take a change that a person stated for `time` [s] into account; returns the time [s] at which it
+        takes effect, which is not before the newest final estimate."""
         if self.point is not None:
             time = max(time, self.point.time)
-        self._doubt(time)
+        self._judge_again_from(time)
         self.changes = (*self.changes, time)
         return time
 
     def note_connection(self, signal: str, lost_s: float | None, now: float) -> tuple[float, float] | None:
-        """Note at `now` [s] the time `lost_s` [s] since which the connection of a signal is lost: None if it
-        is not lost, ∞ if this is not known yet.
+        """Note at `now` [s] whether the connection of a signal is lost; returns the span (begin, end) [s] of
+        a loss that has begun (its end is ∞) or ended, else None.
 
-        Returns the span of a loss that has begun (its end is ∞) or ended, else None.  The edges of the span
-        are not before the newest final estimate or an earlier edge, and are whole seconds, as files keep
-        them.
+        lost_s: time [s] since which it is lost, None if it is not, ∞ if this is not decided yet.  The edges
+        of the span are whole seconds, as in files, and not before the newest final estimate or an earlier
+        edge.
         """
         spans = self.lost.get(signal, ())
         is_open = bool(spans) and spans[-1][1] == math.inf
@@ -238,52 +238,55 @@ class Tracker:
         edge = float(math.ceil(max(edge, previous_edge + 1.0)))
         span = (spans[-1][0], edge) if is_open else (edge, math.inf)
         self.lost[signal] = (*(spans[:-1] if is_open else spans), span)
-        self._doubt(edge)
+        self._judge_again_from(edge)
         return span
 
-    def _doubt(self, time: float) -> None:
-        """Filter and judge anew from the point on if something new acts at a `time` [s] that was judged."""
+    def _judge_again_from(self, time: float) -> None:
+        """Filter and judge again from the point on if `time` [s] was judged before."""
         if time <= self.judged_s + SAME_S:
-            self.ahead, self.judged_s = None, -math.inf
+            self.provisional_point, self.judged_s = None, -math.inf
 
     def is_late(self, reading: Reading) -> bool:
-        """Whether the estimate at a reading's time is already final."""
+        """Return whether the estimate at a reading's time is already final."""
         return self.point is not None and reading.time <= self.point.time + SAME_S
 
     def _versions_at(self, signal: str, time: float) -> list[Reading]:
-        """The kept versions of a stamp, in the order of their arrival."""
+        """Return the versions of the value at a stamp [s], in the order of their arrival."""
         times = self._times.get(signal, array("d"))
-        place = bisect.bisect_left(times, time)
-        if place == len(times) or times[place] != time:
+        index = bisect.bisect_left(times, time)
+        if index == len(times) or times[index] != time:
             return []
-        only_version = Reading(signal, time, self._values[signal][place], self._marks[signal][place])
+        only_version = Reading(signal, time, self._values[signal][index], self._marks[signal][index])
         return list(self._versions.get((signal, time), [only_version]))
 
     def _insert(self, reading: Reading) -> str:
-        """Insert a reading; returns the name of its count, "" for the first value of its stamp."""
-        self._doubt(reading.time)
-        kept = (self._times, self._values, self._marks)
-        columns = times, values, _ = [by_signal.setdefault(reading.signal, array("d")) for by_signal in kept]
+        """Insert a reading; returns its name in `counts`, "" for the first value of its stamp."""
+        self._judge_again_from(reading.time)
+        times, values, marks = (
+            by_signal.setdefault(reading.signal, array("d"))
+            for by_signal in (self._times, self._values, self._marks)
+        )
         # most readings come in order
         in_order = not times or reading.time > times[-1]
-        place = len(times) if in_order else bisect.bisect_left(times, reading.time)
-        if in_order or times[place] != reading.time:
-            for column, number in zip(columns, (reading.time, reading.value, reading.mark), strict=True):
-                column.insert(place, number)
+        index = len(times) if in_order else bisect.bisect_left(times, reading.time)
+        if in_order or times[index] != reading.time:
+            times.insert(index, reading.time)
+            values.insert(index, reading.value)
+            marks.insert(index, reading.mark)
             self.newest = max(self.newest, reading.time)
             return ""
         versions = self._versions_at(reading.signal, reading.time)
         if any(reading.value == version.value for version in versions):
             return "repeated"
         self._versions[reading.signal, reading.time] = versions = [*versions, reading]
-        values[place] = used_value(versions)
-        if not math.isnan(values[place]):
+        values[index] = used_value(versions)
+        if not math.isnan(values[index]):
             return "revised"
         self.counts["contradicting"] += len(versions) == 2  # the first version is not used either
         return "contradicting"
 
     def readings(self) -> list[Reading]:
-        """All stored readings, sorted by signal and time; NaN where no version of a value is used."""
+        """Return all readings in memory by signal and time; NaN where no version of a value is used."""
         return [
             Reading(signal, time, value)
             for signal in sorted(self._times)
@@ -291,11 +294,11 @@ class Tracker:
         ]
 
     def heard(self) -> dict[str, float]:
-        """Time [s] of the newest reading of each signal."""
+        """Return signal → time [s] of its newest reading."""
         return {signal: times[-1] for signal, times in self._times.items() if times}
 
     def stands_still(self, for_s: float) -> bool:
-        """Whether the turbine has fed no power in the last `for_s` [s] before its newest power reading; False
+        """Return whether the turbine has fed no power for `for_s` [s] before its newest power reading; False
         if the readings of power do not cover this time."""
         times, values = self._times.get("active_power"), self._values.get("active_power")
         if not times or not values or times[0] > times[-1] - for_s:
@@ -303,15 +306,16 @@ class Tracker:
         return not any(value > 0.0 for value in values[bisect.bisect_left(times, times[-1] - for_s) :])
 
     def history_until(self) -> float | None:
-        """Time [s] up to which readings of ambient and cabinet are needed for the first estimate; None with
-        an estimate, and while signals are missing."""
+        """Return the time [s] up to which readings of ambient and cabinet are needed for the first estimate;
+        None once there are enough, and while required signals are missing."""
         if self.point is not None or self.awaited():
             return None
-        first, last, longest = self._overlap()
-        return first + longest if last - first <= longest else None
+        first_s, last_s, longest_interval_s = self._common_span()
+        has_history = last_s - first_s > longest_interval_s
+        return None if has_history else first_s + longest_interval_s
 
     def awaited(self) -> tuple[str, ...]:
-        """Signals that the model needs but that are still missing; a missing ambient humidity is named by its
+        """Return the signals that the model requires but that never came; ambient humidity is named by its
         first variant."""
         present = {signal for signal, values in self._values.items() if any(map(math.isfinite, values))}
         variants = (need.signals for need in self.plan.needs if need.required)
@@ -319,10 +323,10 @@ class Tracker:
 
     # -- the filter ------------------------------------------------------------------------------------------
     def advance(self) -> TrackedCourse | None:
-        """Filter the readings after the point and advance the point; returns the course after the old point.
+        """Filter the new readings and advance the point; returns the new estimates.
 
-        Returns None without new instants, while `awaited` names signals, and while `history_until` gives a
-        time.
+        Returns None without new instants, and while required signals (`awaited`) or the history for the first
+        estimate (`history_until`) are missing.
         """
         if self.awaited() or self.history_until() is not None:
             return None
@@ -337,10 +341,10 @@ class Tracker:
         silent_s = silent_since(self._times, self.plan.lateness_s)
         is_provisional = silent_s is not None and self.newest - silent_s <= PROVISIONAL_S
         # a course that moves the point begins at it, so that all estimates that it passes become final
-        if self.ahead is not None and not (
-            is_provisional and silent_s is not None and silent_s <= self.ahead.time
+        if self.provisional_point is not None and not (
+            is_provisional and silent_s is not None and silent_s <= self.provisional_point.time
         ):
-            self.ahead = None
+            self.provisional_point = None
         course = self._course(run)
         if course is None:
             return None
@@ -362,68 +366,72 @@ class Tracker:
             for readings in judged.values():
                 self.counts.update(readings.rejected(point_before_s + SAME_S, point.time + SAME_S))
             self.frozen = {spell.signal: spell for spell in frozen if spell.known_s <= point.time < spell.end}
-            self._forget()
+            self._drop_old_readings()
         if newest_final is not None:
-            self.ahead = newest_final if is_provisional else None
+            self.provisional_point = newest_final if is_provisional else None
             self.judged_s = newest_final.time
         return course
 
     def _state_until(self, course: TrackedCourse, time: float) -> Point | None:
+        """Return the last estimate of a course up to `time` [s]; None if the course begins later."""
         last = int(np.searchsorted(course.seconds, time + SAME_S, side="right")) - 1
         return None if last < 0 else Point(float(course.seconds[last]), self._state_at(course, last))
 
     def silent_since(self) -> float | None:
-        """Time [s] of the cabinet's newest accepted reading if estimates follow from the inputs alone; None
-        else."""
-        return silent_since({s: times for s, (times, _) in self._accepted.items()}, self.plan.lateness_s)
+        """Return the time [s] of the cabinet's newest accepted reading if its sensors are silent, so that
+        estimates follow from the inputs alone; otherwise None."""
+        accepted_times = {signal: times for signal, (times, _) in self._accepted.items()}
+        return silent_since(accepted_times, self.plan.lateness_s)
 
     def _frozen(self, judged: Mapping[str, JudgedReadings]) -> tuple[Frozen, ...]:
+        """Return the ambient and cabinet signals that have repeated a value for too long since the point."""
         after_s = -math.inf if self.point is None else self.point.time
         runs: list[Frozen] = []
         for signal, readings in judged.items():
             scale = self.plan.scale(signal)
             if scale is not None and signal.startswith(("ambient_", "cabinet_")):
-                before = self.frozen.get(signal)
-                runs += frozen_runs(
-                    signal, readings.readings, scale.still_s, self.plan.context_s, after_s, before
-                )
+                known, context_s = self.frozen.get(signal), self.plan.context_s
+                runs += frozen_runs(signal, readings.readings, scale.still_s, context_s, after_s, known)
         return tuple(runs)
 
-    def _overlap(self) -> tuple[float, float, float]:
-        """First and last time [s] at which the readings of ambient and, if any, cabinet are known, and the
-        longest averaging interval [s]."""
-        known_times = {
-            signal: [t for t, v in zip(times, self._values[signal], strict=True) if not math.isnan(v)]
-            for signal, times in self._times.items()
-        }
-        ambient = [known_times[s] for s in ("ambient_temperature", *AMBIENT_HUMIDITIES) if known_times.get(s)]
-        cabinet = [times for s, times in known_times.items() if s.startswith("cabinet_") and times] or ambient
-        first = max(min(times[0] for times in cabinet), *(times[0] for times in ambient))
-        last = min(max(times[-1] for times in cabinet), *(times[-1] for times in ambient))
+    def _common_span(self) -> tuple[float, float, float]:
+        """Return the first and last time [s] that readings of ambient and cabinet cover, and the longest
+        averaging interval [s]."""
+        known_times: dict[str, np.ndarray] = {}
+        for signal, stamps in self._times.items():
+            times = np.array(stamps)[np.isfinite(self._values[signal])]
+            if len(times):
+                known_times[signal] = times
+        ambient = [known_times[s] for s in ("ambient_temperature", *AMBIENT_HUMIDITIES) if s in known_times]
+        cabinet = [times for signal, times in known_times.items() if signal.startswith("cabinet_")]
+        first_s = max(min(times[0] for times in cabinet or ambient), *(times[0] for times in ambient))
+        last_s = min(max(times[-1] for times in cabinet or ambient), *(times[-1] for times in ambient))
         longest_interval_s = max((form.interval_s for form in self.plan.forms.values()), default=0.0)
-        return first, last, longest_interval_s
+        return float(first_s), float(last_s), longest_interval_s
 
     def _course(self, run: Run) -> TrackedCourse | None:
-        timeline, start = run.timeline, self.ahead or self.point
-        after = -math.inf if start is None else start.time + SAME_S
-        first = int(np.searchsorted(timeline.seconds, after, side="right"))
+        """Filter the instants of a run after the estimate to continue from; None without new instants."""
+        timeline, start = run.timeline, self.provisional_point or self.point
+        after_s = -math.inf if start is None else start.time + SAME_S
+        first = int(np.searchsorted(timeline.seconds, after_s, side="right"))
         # the run goes on to the assumed end of a gap (`GAP_END_S`)
         end = int(np.searchsorted(timeline.seconds, self.newest + SAME_S, side="right"))
         if first >= end:
             return None
         new_run = run.window(first, end)
         read = {signal: times for signal, (times, _) in self._accepted.items()}
-        return TrackedCourse(new_run, self._filter(new_run.timeline, start), after - SAME_S, read)
+        return TrackedCourse(new_run, self._filter(new_run.timeline, start), after_s - SAME_S, read)
 
-    def _state_at(self, course: TrackedCourse, place: int) -> Gaussian:
-        """The state from which the filter continues after an instant; the accumulator of a mean that begins
-        there is reset."""
+    def _state_at(self, course: TrackedCourse, index: int) -> Gaussian:
+        """Return the state from which the filter continues after the instant with this index; the accumulator
+        of a mean that begins there is reset."""
         timeline = course.run.timeline
-        if timeline.reset[place]:
-            return self._filter(timeline.window(0, place + 1), self.ahead or self.point).last
-        return course.state(place)
+        if timeline.reset[index]:
+            return self._filter(timeline.window(0, index + 1), self.provisional_point or self.point).last
+        return course.state(index)
 
     def _filter(self, timeline: Timeline, start: Point | None) -> Trace:
+        """Run the filter over a timeline from an estimate or, with None, from the prior."""
         since, state = (-math.inf, None) if start is None else (start.time, start.state)
         later_changes = [time for time in self.changes if time + SAME_S >= since]
         return changed_trace(self.plan.likelihood(timeline), self.plan.values, state, later_changes)
@@ -434,11 +442,11 @@ class Tracker:
         return self.newest - self.plan.lateness_s
 
     def _final_s(self) -> float:
-        """Time [s] up to which no future reading can change the estimates.
+        """Return the time [s] up to which no future reading can change the estimates.
 
-        Between two readings a driver depends on both of them, unless the first one is held.  A path through
-        means, or a path corrected for a sensor's response, depends on further readings, too.  Whether a gap
-        is bridged is known once the gap ends or is too long.
+        Between two readings an input depends on both of them, unless the first one is held.  An input from
+        means, or corrected for a sensor's response, depends on further readings, too.  Whether a gap is
+        bridged is known once the gap ends or is too long.
         """
         final_s = self._complete_s
         for signal, (times, _) in self._accepted.items():
@@ -455,10 +463,10 @@ class Tracker:
         return min(final_s, self._complete_s - self.plan.longest_mean_s)
 
     def _stale(self, signal: str) -> bool:
-        """Whether a driver's last reading is so old that the gap after it will not be bridged."""
+        """Return whether an input's last reading is so old that the gap after it will not be bridged."""
         times, _ = self._accepted[signal]
-        place = int(times.searchsorted(self._complete_s, side="right"))
-        if place < len(times) or not place or self.plan.looks_back(signal):
+        index = int(times.searchsorted(self._complete_s, side="right"))
+        if index < len(times) or not index or self.plan.looks_back(signal):
             return False
         age, bridge_s = self._complete_s - times[-1], HOUR_S * longest_gap_h(signal)
         if age <= bridge_s or len(times) < 2:
@@ -467,35 +475,39 @@ class Tracker:
         return age > max(bridge_s, 1.5 * usual_step_s - self.plan.form(signal).interval_s)
 
     def _record_with_ended_gaps(self) -> Record:
-        """The accepted readings, with an additional one at the newest time + `GAP_END_S` for each stale
-        driver, so that its gap is recognised as too long."""
-        with_readings = {s for s, (times, _) in self._accepted.items() if len(times)}
-        stale = {s for s in with_readings if not s.startswith("cabinet_") and self._stale(s)}
-        if any(s.startswith("ambient_") for s in stale):
-            stale |= {s for s in with_readings if s.startswith("ambient_")}
-        ahead = self.newest + GAP_END_S
-        readings = {
-            s: (np.append(times, ahead), np.append(values, values[-1])) if s in stale else (times, values)
-            for s, (times, values) in self._accepted.items()
+        """Return the accepted readings, with an additional one `GAP_END_S` after the newest for each stale
+        input, so that its gap is recognised as too long."""
+        with_readings = {signal for signal, (times, _) in self._accepted.items() if len(times)}
+        stale = {
+            signal for signal in with_readings if not signal.startswith("cabinet_") and self._stale(signal)
         }
+        if any(signal.startswith("ambient_") for signal in stale):
+            stale |= {signal for signal in with_readings if signal.startswith("ambient_")}
+        readings = dict(self._accepted)
+        for signal in stale:
+            times, values = self._accepted[signal]
+            readings[signal] = np.append(times, self.newest + GAP_END_S), np.append(values, values[-1])
         return _record(self.plan, readings, self.lost)
 
-    def _forget(self) -> None:
+    def _drop_old_readings(self) -> None:
         """Drop readings that no later instant needs, but keep `BEFORE` older readings to delimit gaps."""
         assert self.point is not None
         oldest_s = self.point.time - self.plan.context_s
         for signal, times in self._times.items():
-            place = bisect.bisect_left(times, oldest_s) - BEFORE
-            if place > 0:
+            index = bisect.bisect_left(times, oldest_s) - BEFORE
+            if index > 0:
                 for columns in (self._times, self._values, self._marks):
-                    del columns[signal][:place]
+                    del columns[signal][:index]
         first_s = {signal: times[0] for signal, times in self._times.items() if times}
         self._versions = {
             (signal, time): versions
             for (signal, time), versions in self._versions.items()
             if time >= first_s[signal]
         }
-        self.lost = {s: tuple((a, b) for a, b in spans if b >= oldest_s) for s, spans in self.lost.items()}
+        self.lost = {
+            signal: tuple(span for span in spans if span[1] >= oldest_s)
+            for signal, spans in self.lost.items()
+        }
 
 
 @dataclass(frozen=True)
@@ -507,21 +519,24 @@ class JudgedReadings:
 
     @property
     def accepted(self) -> Readings:
+        """The accepted readings: times [s] (T,) and values [SI unit] (T,)."""
         time, value = self.readings
         is_accepted = self.judgement.verdict == ACCEPTED
         return (time, value) if is_accepted.all() else (time[is_accepted], value[is_accepted])
 
     def rejected(self, after_s: float, until_s: float) -> dict[str, int]:
-        """Numbers of readings in (after_s, until_s] [s] that the gate rejected, by verdict."""
+        """Return name of a verdict → number of readings in (after_s, until_s] [s] that the gate rejected."""
         time, verdict = self.readings[0], self.judgement.verdict
-        within = verdict[(time > after_s) & (time <= until_s)]
-        return {name: n for code, name in KEPT_OUT.items() if (n := int(np.sum(within == code)))}
+        verdicts = verdict[(time > after_s) & (time <= until_s)]
+        counts = {name: int(np.sum(verdicts == code)) for code, name in KEPT_OUT.items()}
+        return {name: count for name, count in counts.items() if count}
 
 
 def judged_readings(
     plan: Plan, signal: str, times: Column, values: Column, known_until_s: float = math.inf
 ) -> JudgedReadings:
-    """The readings of a signal of the plan's turbine that are not missing, judged by the gate."""
+    """Judge the readings of a signal by the gate, without NaN; all up to the time `known_until_s` [s] have
+    arrived."""
     time, value = np.array(times, dtype=float), np.array(values, dtype=float)
     is_finite = np.isfinite(value)
     if not is_finite.all():
@@ -535,12 +550,14 @@ def judged_readings(
 def tracked_record(
     plan: Plan, times: Mapping[str, Column], values: Mapping[str, Column], lost: Losses | None = None
 ) -> Record:
-    """A record of the plan's turbine from times [s] and values [SI unit] by signal, judged by the gate."""
+    """Return a record of the plan's turbine with the accepted ones of the readings: signal → `times` [s],
+    `values` [SI unit]; `lost`: signal → spans [s] without connection."""
     judged = {signal: judged_readings(plan, signal, times[signal], values[signal]) for signal in times}
     return _record(plan, {signal: readings.accepted for signal, readings in judged.items()}, lost or {})
 
 
 def _record(plan: Plan, readings: Mapping[str, Readings], lost: Losses) -> Record:
+    """Return a record of the plan's turbine with these readings; signals without readings are left out."""
     series = [
         Series(
             signal=signal,
@@ -556,11 +573,8 @@ def _record(plan: Plan, readings: Mapping[str, Readings], lost: Losses) -> Recor
 
 
 def offline_course(plan: Plan, record: Record, changes: Iterable[float] = ()) -> TrackedCourse:
-    """The course of the offline filter on a complete record, with the tracker's model and steps; missing
-    readings are skipped.
-
-    `changes`: times [s] of stated changes.
-    """
+    """Filter a complete record offline, with the tracker's model and steps and with stated changes at the
+    times `changes` [s]; missing readings are skipped."""
     times = {series.signal: series.time for series in record.series}
     values = {series.signal: series.value for series in record.series}
     accepted = tracked_record(plan, times, values, {series.signal: series.lost for series in record.series})
@@ -571,11 +585,9 @@ def offline_course(plan: Plan, record: Record, changes: Iterable[float] = ()) ->
 
 
 def silent_since(times: Mapping[str, Column], lateness_s: float) -> float | None:
-    """Time [s] of the cabinet's newest reading if the ambient is known for more than the lateness [s] after
-    this reading; None else, and without any reading of the cabinet.
-
-    times: signal → times [s] of its readings.
-    """
+    """Return the time [s] of the cabinet's newest reading if its sensors are silent, that is if the ambient
+    is known for more than the lateness [s] after it; otherwise None.  times: signal → times [s] of its
+    readings."""
     newest = {signal: float(stamps[-1]) for signal, stamps in times.items() if len(stamps)}
     cabinet_s = max((at for signal, at in newest.items() if signal.startswith("cabinet_")), default=math.inf)
     vapour_s = max((newest[signal] for signal in AMBIENT_HUMIDITIES if signal in newest), default=math.inf)

@@ -52,7 +52,7 @@ def track(
         config.turbines,
         config.streams,
         config.store,
-        settle=hub.settle,
+        on_commit=hub.announce_batch,
         retention_s=config.retention_s,
         channels=config.channels,
     )
@@ -72,10 +72,13 @@ def track(
                 stack.callback(act, sender)
 
         def begin() -> None:
+            """Start the senders and log doubts, once the store is open."""
             for sender in senders:  # the store exists now
                 sender.start()
             for name, doubt in record_doubts(config.turbines):
-                LOG.warning("its model rests on a doubted record", extra={"turbine": name, "why": doubt})
+                LOG.warning(
+                    "the model was identified on a doubtful record", extra={"turbine": name, "why": doubt}
+                )
             begun(service, page)
 
         service.run(until_ended, begin)
@@ -86,7 +89,7 @@ def track(
 
 
 def record_doubts(turbines: Mapping[str, Turbine]) -> Iterator[tuple[str, str]]:
-    """(turbine, sentence) of each doubt about a record that a turbine's model was identified on."""
+    """Yield (turbine, sentence) for each doubt about the record that identified a turbine's model."""
     for name, turbine in turbines.items():
         reasons = (reason for verdict in turbine.verdicts.values() for reason in verdict.reasons)
         doubts = (reason.text for reason in reasons if reason.code is ReasonCode.RECORD_DOUBTED)
@@ -95,13 +98,14 @@ def record_doubts(turbines: Mapping[str, Turbine]) -> Iterator[tuple[str, str]]:
 
 @contextmanager
 def ended_by_signals(service: Service) -> Iterator[None]:
-    """Within this context SIGTERM and SIGINT let the service drain and end; a second signal ends it at
-    once."""
+    """Within this context SIGTERM and SIGINT let the service commit its deliveries and end; a second signal
+    ends it at once."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
 
     def handle(number: int, frame: object) -> None:
+        """End the service at the first signal, raise KeyboardInterrupt at the second."""
         if service.ending.is_set():
             raise KeyboardInterrupt
         LOG.info(
@@ -120,13 +124,14 @@ def ended_by_signals(service: Service) -> Iterator[None]:
 
 # -- the log on standard error -----------------------------------------------------------------------------
 class LogLines(logging.Formatter):
-    """Formats time (UTC), level, logger, message and extra fields."""
+    """Formats a log record as "text" or "json" (`form`), with time (UTC) and extra fields."""
 
     def __init__(self, form: str = "text") -> None:
         super().__init__()
         self.form = form
 
     def format(self, record: logging.LogRecord) -> str:
+        """Return a log record as one line."""
         at = datetime.fromtimestamp(record.created, UTC).isoformat(timespec="milliseconds")
         extra = {key: value for key, value in vars(record).items() if key not in _STANDARD_FIELDS}
         if record.exc_info:
@@ -146,6 +151,7 @@ class LogLines(logging.Formatter):
 
 
 def _message(record: logging.LogRecord) -> str:
+    """Return the message of a log record, also if its arguments do not fit."""
     try:
         return record.getMessage()
     except Exception:
@@ -153,6 +159,7 @@ def _message(record: logging.LogRecord) -> str:
 
 
 def _plain(value: object) -> str | int | float | bool | None:
+    """Convert a value for JSON."""
     if isinstance(value, float):
         return value if math.isfinite(value) else str(value)
     return value if isinstance(value, str | int | bool | None) else str(value)

@@ -15,31 +15,32 @@ import numpy as np
 from hygrokf.data.structured import JsonObject, structured
 from hygrokf.data.timestamps import HOUR_S
 from hygrokf.identification.verdict_terms import Inherited
-from hygrokf.live.alarms import Standing
+from hygrokf.live.alarms import AlarmState
 from hygrokf.live.condition import (
     Condition,
     Surface,
     air_condition,
-    carried,
+    at_instants,
+    carry_forward,
     inputs_of,
-    on_the_safe_side,
-    only,
-    vapour_read,
+    safer_condition,
+    vapour_from_readings,
 )
 from hygrokf.live.fault_isolation import CauseFinding, ShiftStep
 from hygrokf.live.forecast import LIMIT
 from hygrokf.live.frozen import Frozen
 from hygrokf.live.plan import Plan
 from hygrokf.live.properties import ParameterShift, TrackedState
-from hygrokf.live.traces import StatedChange, believed
-from hygrokf.live.tracker import SAME_S, Point, TrackedCourse
+from hygrokf.live.traces import SAME_S, StatedChange, humidity_sensor_trusted
+from hygrokf.live.tracker import Point, TrackedCourse
 
 THIN_S = 600.0
-"""[s] between two stored estimates of a cabinet whose sensors have been silent for `SENSOR_SILENT_S`, or that
-has none."""
+"""[s] between two stored estimates of a cabinet whose sensors have been silent for `SENSOR_SILENT_S`, or that has
+none."""
 SENSOR_SILENT_S = 0.5 * HOUR_S
+"""[s] without a reading after which a cabinet's sensors count as silent for `THIN_S`."""
 STALE_S = 2.0 * HOUR_S
-"""[s] age above which data are stale, unless the turbine states another age."""
+"""Age [s] above which data are stale, unless the configuration of the turbine states another age."""
 
 
 @dataclass(frozen=True)
@@ -61,8 +62,9 @@ class Turbine:
 
 
 @dataclass(kw_only=True)
-class Kept:
-    """The memories that the store keeps of a turbine, or of the alarms and counts that belong to no turbine.
+class TurbineMemory:
+    """What the store keeps of a turbine beside its readings and estimates, as JSON by the names of the
+    fields; the same for the alarms that belong to no turbine.
 
     `excess`: vapour [g/m³] by which the newest humidity reading exceeds the final estimate; `references` and
     `reference_point`: the states of properties and the complete state against which shifts are judged after a
@@ -78,25 +80,27 @@ class Kept:
     reference_point: Point | None = None
     finding: CauseFinding | None = None
     shift_steps: list[ShiftStep] = field(default_factory=list)
-    alarms: dict[str, Standing] = field(default_factory=dict)
+    alarms: dict[str, AlarmState] = field(default_factory=dict)
     excess: float = math.nan
     judged: float = -math.inf
     frozen: dict[str, Frozen] = field(default_factory=dict)
     known_s: float = math.inf
 
     @classmethod
-    def of(cls, memories: JsonObject) -> Kept:
-        """The memories as a store holds them; memories with other names are ignored."""
-        names = {field_.name for field_ in fields(Kept)}
-        return structured(Kept, {k: v for k, v in memories.items() if k in names and v is not None})
+    def from_memories(cls, memories: JsonObject) -> TurbineMemory:
+        """Return what the store's `memories` (name → JSON) hold; memories with other names are ignored."""
+        names = {field_.name for field_ in fields(TurbineMemory)}
+        known = {name: data for name, data in memories.items() if name in names and data is not None}
+        return structured(TurbineMemory, known)
 
 
 def conditions(
-    courses: Mapping[str, tuple[Turbine, TrackedCourse]], kept: Mapping[str, Kept] = MappingProxyType({})
+    courses: Mapping[str, tuple[Turbine, TrackedCourse]],
+    kept: Mapping[str, TurbineMemory] = MappingProxyType({}),
 ) -> dict[str, Condition]:
-    """The condition of each turbine at the instants of its course that the store keeps, on the safe side of
-    model and humidity sensor (`live.condition`).
+    """Return turbine → its condition at the instants of its course that the store keeps.
 
+    courses: turbine → its configuration and its course.  kept: turbine → what the store keeps of it.
     Turbines of one model are evaluated together, because numpy's overhead exceeds the work for the few
     instants of a single turbine.
     """
@@ -105,19 +109,22 @@ def conditions(
         by_model[id(turbine.plan.model)].append(name)
     by_name: dict[str, Condition] = {}
     for names in by_model.values():
-        turbines, runs = zip(*(courses[name] for name in names), strict=True)
+        turbines, model_courses = zip(*(courses[name] for name in names), strict=True)
         model = turbines[0].plan.model
-        stored = [instants_kept(course) for course in runs]
-        counts = [len(places) for places in stored]
-        inputs = [inputs_of(model, course.run.timeline) for course in runs]
+        stored_indices = [instants_kept(course) for course in model_courses]
+        counts = [len(places) for places in stored_indices]
+        inputs = [inputs_of(model, course.run.timeline) for course in model_courses]
         values = {
-            p.name: np.repeat([turbine.plan.values[p.name] for turbine in turbines], counts)
-            for p in model.parameters
+            parameter.name: np.repeat([turbine.plan.values[parameter.name] for turbine in turbines], counts)
+            for parameter in model.parameters
         }
-        u = {name: _joined((u[name] for u in inputs), stored) for name in model.inputs}
-        mean = _joined((course.trace.mean for course in runs), stored)
-        covariance = _joined((course.trace.covariance for course in runs), stored)
-        seconds = _joined((course.seconds for course in runs), stored)
+        u = {
+            name: _joined((inputs_of_run[name] for inputs_of_run in inputs), stored_indices)
+            for name in model.inputs
+        }
+        mean = _joined((course.trace.mean for course in model_courses), stored_indices)
+        covariance = _joined((course.trace.covariance for course in model_courses), stored_indices)
+        seconds = _joined((course.seconds for course in model_courses), stored_indices)
         surface = Surface(
             np.repeat([turbine.surface.follows for turbine in turbines], counts),
             np.repeat([turbine.surface.offset_K for turbine in turbines], counts),
@@ -126,34 +133,40 @@ def conditions(
         ends = np.cumsum(counts)
         if condition.condensation is not None and condition.temperature_K is not None:
             readings = {
-                name: _joined((course.run.timeline.reading(name) for course in runs), stored)
+                name: _joined((course.run.timeline.reading(name) for course in model_courses), stored_indices)
                 for name in model.outputs
             }
-            vapour = vapour_read(readings, condition.temperature_K.value, u["ambient_temperature"])
+            vapour = vapour_from_readings(readings, condition.temperature_K.value, u["ambient_temperature"])
             excess_of_readings = np.split(vapour - mean[:, model.states.index("vapour")], ends[:-1])
-            kept_by_turbine = [kept.get(name, Kept()) for name in names]
+            kept_by_turbine = [kept.get(name, TurbineMemory()) for name in names]
             pieces = zip(excess_of_readings, np.split(seconds, ends[:-1]), kept_by_turbine, strict=True)
             excess = np.concatenate([_excess(*piece) for piece in pieces])
-            condition = on_the_safe_side(condition, model, values, u, mean, covariance, surface, excess)
+            condition = safer_condition(condition, model, values, u, mean, covariance, surface, excess)
         for name, count, end in zip(names, counts, ends.tolist(), strict=True):
-            by_name[name] = only(condition, slice(end - count, end))
+            by_name[name] = at_instants(condition, slice(end - count, end))
     return by_name
 
 
-def _excess(excess_of_readings: np.ndarray, seconds: np.ndarray, kept: Kept) -> np.ndarray:
-    """The excess (T,) [g/m³] of each instant's newest reading; NaN while a person says that the sensor is
-    wrong."""
-    trusted = believed(kept.changes, seconds)
-    return np.where(trusted, carried(np.where(trusted, excess_of_readings, np.nan), kept.excess), np.nan)
+def _excess(excess_of_readings: np.ndarray, seconds: np.ndarray, kept: TurbineMemory) -> np.ndarray:
+    """Return the vapour (T,) [g/m³] by which the newest reading exceeds the estimate at each instant; NaN
+    while the humidity sensor is stated to be wrong.
+
+    excess_of_readings: the same at instants with a reading, NaN at others.  kept: of the turbine.
+    """
+    trusted = humidity_sensor_trusted(kept.changes, seconds)
+    return np.where(
+        trusted, carry_forward(np.where(trusted, excess_of_readings, np.nan), kept.excess), np.nan
+    )
 
 
 def _joined(arrays: Iterable[np.ndarray], kept: Sequence[np.ndarray]) -> np.ndarray:
-    return np.concatenate([array[places] for array, places in zip(arrays, kept, strict=True)])
+    """Concatenate the elements of each array at the indices that are kept of it."""
+    return np.concatenate([array[indices] for array, indices in zip(arrays, kept, strict=True)])
 
 
 def instants_kept(course: TrackedCourse) -> np.ndarray:
-    """Indices of the instants that the store keeps: instants with cabinet readings, one instant per `THIN_S`
-    while the cabinet's sensors are silent, and the last instant while it may change."""
+    """Return the indices of the instants that the store keeps: with cabinet readings, one per `THIN_S` while
+    the cabinet's sensors are silent, and the last one while it may change."""
     outputs = course.run.timeline.outputs
     heard = np.max([course.heard(signal) for signal in outputs], axis=0) if outputs else -np.inf
     slot = np.floor(np.append(course.after_s, course.seconds) / THIN_S)
@@ -165,7 +178,7 @@ def instants_kept(course: TrackedCourse) -> np.ndarray:
 
 
 def digest(plan: Plan) -> str:
-    """Digest of what a point depends on: the model, its parameter values and the forms of the readings."""
+    """Return a digest of what a point depends on: model, parameter values and forms of the readings."""
     content = {
         "design": plan.design.to_json(),
         "values": dict(plan.values),

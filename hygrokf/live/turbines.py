@@ -27,7 +27,6 @@ from hygrokf.live.alarms import (
     SILENCE,
     Estimated,
     Level,
-    Standing,
     contradiction_level,
     estimate_levels,
     innovations,
@@ -70,34 +69,31 @@ from hygrokf.live.sources.stream import Delivery, Reach
 from hygrokf.live.storage.schema import assessment, property_
 from hygrokf.live.storage.statements import select_newest, select_rows
 from hygrokf.live.storage.store import Store
-from hygrokf.live.traces import StatedChange, settled
-from hygrokf.live.tracker import NEITHER, REVISIONS, SAME_S, Point, TrackedCourse, Tracker
-from hygrokf.live.turbine import STALE_S as STALE_S
-from hygrokf.live.turbine import Kept as Kept
-from hygrokf.live.turbine import Turbine as Turbine
-from hygrokf.live.turbine import conditions as conditions
-from hygrokf.live.turbine import digest as digest
+from hygrokf.live.traces import SAME_S, StatedChange, references_after
+from hygrokf.live.tracker import NEITHER, REVISIONS, Point, TrackedCourse, Tracker
+from hygrokf.live.turbine import Turbine, TurbineMemory, conditions, digest
 from hygrokf.texts.statement import Statement
 
 PROPERTY_S = HOUR_S
 """[s] between two stored rows of a property."""
 SISTERS_S = DAY_S
-"""[s] for which fault isolation waits for the readings of other turbines."""
+"""[s] for which fault isolation waits for the readings of other turbines (sisters)."""
 DOWN_S = MINUTE_S
 """[s] without a running tracker after which all connections count as lost."""
 CONNECTED = "connected"
-"""Name of the memory that holds the time at which a tracker last noted its connections."""
+"""Name in the store of the time [s] at which a tracker last noted its connections."""
 SOURCE = ""
 """Name under which counts, alarms and memories that belong to no turbine are kept."""
 
 
 @dataclass(kw_only=True)
-class TurbineState(Kept):
-    """What a turbine carries from round to round.
+class TurbineState(TurbineMemory):
+    """The state of a tracked turbine between rounds.
 
     `newest`: time [s] of its newest estimate and the probability of condensation [1]; `outlook`: forecast of
-    this probability; `fault`: why its readings cannot be filtered; `slot`: number of the hour of its newest
-    properties; `turn`: number of the last fault isolation.
+    this probability; `forecast_made_s`: time [s] of the state from which it was made; `fault`: why its
+    readings cannot be filtered; `slot`: number of the hour of its newest properties; `turn`: number of its
+    last fault isolation.
     """
 
     turbine: Turbine
@@ -112,11 +108,18 @@ class TurbineState(Kept):
 
     @classmethod
     def from_store(cls, name: str, turbine: Turbine, store: Store) -> TurbineState:
-        """The state that the store holds."""
+        """Restore the state from the store."""
         point, memories = store.point(name), store.memories(name)
         since = -math.inf if point is None else point.time - turbine.plan.context_s
-        kept = Kept.of(memories)
-        kept.alarms = _without_pending(kept.alarms)
+        kept = TurbineMemory.from_memories(memories)
+        # a signal must again be silent for the full time before its alarm begins, because its source may have
+        # kept readings while no tracker ran
+        begins_anew = kinds_of(SILENCE, CLOCKS)
+        kept.alarms = {
+            key: alarm_state
+            for key, alarm_state in kept.alarms.items()
+            if alarm_state.alarm is not None or alarm_state.kind not in begins_anew
+        }
         tracker = Tracker(
             turbine.plan,
             point,
@@ -141,7 +144,7 @@ class TurbineState(Kept):
         return state
 
     def facts(self, now: float, catching_up: bool) -> Facts:
-        """The facts about the turbine at `now` [s]; `catching_up`: whether a backlog is being delivered."""
+        """Return the facts at `now` [s]; `catching_up`: whether a backlog is being delivered."""
         plan, tracker, awaited = self.turbine.plan, self.tracker, self.tracker.awaited()
         return Facts(
             known_s=min(self.known_s, now),
@@ -151,7 +154,9 @@ class TurbineState(Kept):
             condensation=self.newest[1],
             with_humidity="vapour" in plan.model.states,
             outlook=self.outlook,
-            alarms=[standing.alarm for standing in self.alarms.values() if standing.alarm is not None],
+            alarms=[
+                alarm_state.alarm for alarm_state in self.alarms.values() if alarm_state.alarm is not None
+            ],
             standstill=tracker.stands_still(STANDSTILL_S),
             history_until_s=tracker.history_until(),
             fault=self.fault,
@@ -172,27 +177,28 @@ class Fleet:
             name: TurbineState(turbine=turbine, tracker=Tracker(turbine.plan))
             for name, turbine in turbines.items()
         }
-        self._shared = Kept()
+        self._shared = TurbineMemory()
         self._turn_numbers = count(1)
         self._store = store
         self.ahead = Ahead(store)
         self.backlogs = Backlogs()
-        # turbines with readings that are not yet filtered, longest waiting first
         self.waiting: dict[str, None] = {}
+        """Turbines with readings that are not filtered yet, longest waiting first (an ordered set)."""
         self._orders: dict[str, Order] = defaultdict(dict)
+        """Source → order in which its local stamps arrive."""
         self._now = -math.inf
         self._began = math.inf
 
     @classmethod
     def from_store(cls, turbines: Mapping[str, Turbine], store: Store) -> Fleet:
-        """The fleet in the state that the store holds."""
+        """Restore the fleet from the store."""
         store.add_turbines({name: digest(turbine.plan) for name, turbine in turbines.items()})
         fleet = cls(turbines, store)
         fleet.tracked = {
             name: TurbineState.from_store(name, turbine, store) for name, turbine in turbines.items()
         }
         fleet.waiting = dict.fromkeys(turbines)  # committed readings may not have been filtered yet
-        fleet._shared = Kept.of(store.memories(SOURCE))
+        fleet._shared = TurbineMemory.from_memories(store.memories(SOURCE))
         return fleet
 
     def round(
@@ -202,10 +208,10 @@ class Fleet:
         source: str = "",
         filter_s: float = math.inf,
     ) -> Batch:
-        """Read the deliveries of a source by its mapping, and filter the turbines whose readings they
-        contain.
+        """Read the deliveries of a source (URL) by its mapping and filter their turbines; returns the batch
+        to be stored.
 
-        The batch contains all deliveries; turbines that are not filtered within `filter_s` [s] wait for the
+        The batch contains all readings; turbines that cannot be filtered within `filter_s` [s] wait for the
         next round.
         """
         batch = Batch()
@@ -230,9 +236,9 @@ class Fleet:
                     by_turbine[turbine] += observations
         for name, observations in by_turbine.items():
             self.ahead.note(name, observations)
-            limit = self._now + STAMP_AHEAD_S
-            ahead = [observed for observed in observations if observed.reading.time > limit]
-            present = [observed for observed in observations if observed.reading.time <= limit]
+            latest_s = self._now + STAMP_AHEAD_S
+            ahead = [observed for observed in observations if observed.reading.time > latest_s]
+            present = [observed for observed in observations if observed.reading.time <= latest_s]
             self.backlogs.note(source, name, (observed.reading for observed in present), self._now)
             # the filter takes readings that were held back before those that came after them
             due = self.ahead.release(name, self._now, batch)
@@ -250,6 +256,7 @@ class Fleet:
         return batch
 
     def _take(self, name: str, observations: Sequence[Observation], batch: Batch) -> None:
+        """Give observations to the turbine's tracker and put them into the batch."""
         if not observations:
             return
         state = self.tracked[name]
@@ -263,19 +270,19 @@ class Fleet:
         ]
         self._note_rejudgement(name, batch)
         self.waiting.setdefault(name)
-        batch.counters.update({(name, kind): n for kind, n in tracker.counts.items() if n})
+        batch.counters.update({(name, kind): count for kind, count in tracker.counts.items() if count})
         tracker.counts.clear()
 
     def _note_rejudgement(self, name: str, batch: Batch) -> None:
-        """Let the store remember that the turbine's alarms will be judged anew from the point on."""
+        """If the turbine's alarms will be judged again from the point on, let the store keep this."""
         tracker = self.tracked[name].tracker
         if tracker.point is not None and tracker.judged_s == -math.inf:
             self._keep(name, batch, judged=-math.inf)
 
     def filter_waiting(self, batch: Batch, filter_s: float = math.inf) -> Batch:
-        """Filter waiting turbines for `filter_s` [s], longest waiting first and at least one; returns the
-        batch."""
-        end = time.monotonic() + filter_s
+        """Filter waiting turbines for `filter_s` [s], the longest waiting first and at least one; returns the
+        batch, to which the results are added."""
+        end_s = time.monotonic() + filter_s
         courses: dict[str, TrackedCourse] = {}
         filtered: list[str] = []
         while self.waiting:
@@ -285,7 +292,7 @@ class Fleet:
             course = self._advance(name)
             if course is not None:
                 courses[name] = course
-            if time.monotonic() >= end:
+            if time.monotonic() >= end_s:
                 break
         states = {name: self.tracked[name] for name in courses}
         tracked = {name: (states[name].turbine, course) for name, course in courses.items()}
@@ -297,6 +304,7 @@ class Fleet:
         return batch
 
     def _advance(self, name: str) -> TrackedCourse | None:
+        """Filter the new readings of a turbine; returns the new estimates, None without any."""
         state, course = self.tracked[name], None
         try:
             course, state.fault = state.tracker.advance(), ""
@@ -305,6 +313,7 @@ class Fleet:
         return course
 
     def _add_results(self, name: str, course: TrackedCourse, condition: Condition, batch: Batch) -> None:
+        """Add estimates, properties and alarms of a new course to the batch."""
         state = self.tracked[name]
         tracker, point = state.tracker, state.tracker.point
         final_count = 0 if point is None else int(np.sum(condition.time_s <= point.time + SAME_S))
@@ -320,40 +329,42 @@ class Fleet:
         if point is None:
             return
         batch.points[name] = point
-        if tracker.ahead is not None:
+        if tracker.provisional_point is not None:
             self._keep(name, batch, judged=tracker.judged_s)
         if tracker.frozen != state.frozen:
             self._keep(name, batch, frozen=tracker.frozen)
         self._watch_properties(name, course, point.time, batch)
         for innovation in innovations(course, point.time):
-            # for the other signals a level between the two thresholds, which changes no alarm
+            # the other signals get a level between the two thresholds, which changes no alarm
             others = [signal for signal in course.run.timeline.outputs if signal != innovation.signal]
             unchanged = [Level(CONTRADICTS.kind, CONTRADICTS.off, subject=signal) for signal in others]
             levels = [*unchanged, contradiction_level(innovation)]
             self._judge(name, innovation.time_s, levels, INNOVATION_KIND, batch)
         due = (condition.time_s > course.judged_s + SAME_S) & (condition.time_s <= course.final_s + SAME_S)
-        for i in np.flatnonzero(due):
-            levels = estimate_levels(Estimated(condition, int(i), course.frozen), state.turbine.verdicts)
-            self._judge(name, float(condition.time_s[i]), levels, ESTIMATES, batch)
+        for index in np.flatnonzero(due):
+            estimated = Estimated(condition, int(index), course.frozen)
+            levels = estimate_levels(estimated, state.turbine.verdicts)
+            self._judge(name, float(condition.time_s[index]), levels, ESTIMATES, batch)
 
     def _watch_properties(self, name: str, course: TrackedCourse, final_s: float, batch: Batch) -> None:
-        """Update properties and parameter shifts once per hour of final estimates, for each hour of the
-        course."""
+        """Update properties and parameter shifts at the first final estimate of each hour of the course."""
         state = self.tracked[name]
         plan, errors = state.turbine.plan, state.turbine.errors
         slots = np.floor(course.seconds / PROPERTY_S)
         begins_slot = (slots > np.append(state.slot, slots[:-1])) & (course.seconds <= final_s + SAME_S)
         heard = {signal: course.heard(signal) for signal in course.run.timeline.outputs}
-        for i in np.flatnonzero(begins_slot):
-            time_s = float(course.seconds[i])
-            mean, covariance = course.trace.mean[i], course.trace.covariance[i]
-            newest = {signal: float(times[i]) for signal, times in heard.items()}
+        for index in np.flatnonzero(begins_slot):
+            time_s = float(course.seconds[index])
+            mean, covariance = course.trace.mean[index], course.trace.covariance[index]
+            newest = {signal: float(times[index]) for signal, times in heard.items()}
             states = states_of(plan.model, mean, covariance, time_s, newest)
             if not states:
                 return
-            state.slot = slots[i]
+            state.slot = slots[index]
             batch.properties.append((name, time_s, properties(states, plan.values, errors)))
-            references = self._references(name, time_s, states, Point(time_s, course.state(int(i))), batch)
+            references = self._references(
+                name, time_s, states, Point(time_s, course.state(int(index))), batch
+            )
             present = deviations(states, errors, references)
             latest = state.deviations | present  # a deviation that cannot be observed keeps its last value
             shifts = parameter_shifts(state.parameter_shifts, time_s, present)
@@ -364,6 +375,7 @@ class Fleet:
             self._judge_shifts(name, batch)
 
     def _judge_shifts(self, name: str, batch: Batch) -> None:
+        """Judge the steps of shifts in order, up to the first one that still waits for fault isolation."""
         state = self.tracked[name]
         steps, finding = state.shift_steps, state.finding
         while steps and (not steps[0].due or (finding is not None and finding.time_s == steps[0].time)):
@@ -375,12 +387,12 @@ class Fleet:
     def _references(
         self, name: str, time_s: float, states: Mapping[str, TrackedState], point: Point, batch: Batch
     ) -> Mapping[str, TrackedState] | None:
-        """The states against which shifts are judged at a time [s]; None for the fit's values."""
+        """Return property → state against which its shift is judged; None for the fit's values."""
         state = self.tracked[name]
         if not state.changes or time_s < state.changes[-1].time:
             return None
         previous = state.references
-        references = settled(previous, state.changes[-1].time, time_s, states)
+        references = references_after(previous, state.changes[-1].time, time_s, states)
         if references != previous:
             self._keep(name, batch, references=references)
         if references and not previous:
@@ -388,13 +400,13 @@ class Fleet:
         return references
 
     def take_events(self, events: Iterable[Event]) -> Batch:
-        """Take new stated changes into account: the present shifts are expected, and alarms about shifts
-        end."""
+        """Take new changes that people stated into account: the present shifts become expected, and the
+        alarms about shifts end."""
         batch = Batch()
         for event in events:
             name = event.turbine
             state = self.tracked.get(name)
-            if state is None or event.id in [known.event for known in state.changes]:
+            if state is None or event.id in [change.event for change in state.changes]:
                 continue
             tracker = state.tracker
             change = StatedChange(event.id, tracker.note_change(event.time), event.kind)
@@ -417,11 +429,12 @@ class Fleet:
         left: Mapping[str, Statement] | None = None,
         quiet: Collection[str] = (),
     ) -> Batch:
-        """Judge alarms about delivery at `now` [s], release readings that the clock has reached, assess every
-        turbine.
+        """Release held readings that the clock has reached, judge alarms about delivery, and assess every
+        turbine, at `now` [s]; returns the batch to be stored.
 
-        left: turbine -> statement that its sender has left.  quiet: turbines whose silence raises no alarm,
-        because other alarms explain it or a record is played back.
+        sources: URL -> how long the source has been unreachable.  left: turbine -> statement that its sender
+        is offline.  quiet: turbines whose silence raises no alarm, because other alarms explain it or a
+        record is played back.
         """
         batch, left = Batch(), left or {}
         self._began, self._now = min(self._began, now), now
@@ -445,11 +458,11 @@ class Fleet:
         left: Collection[str] = (),
         begins: bool = False,
     ) -> Batch:
-        """Note at `now` [s] which connections are lost or regained.
+        """Note at `now` [s] which connections are lost or regained; returns the batch to be stored.
 
         unreached: turbine -> signal that is held while connected -> time [s] since which its sources are
-        lost.  left: turbines whose sender has left.  begins: whether the tracker begins; all connections were
-        lost if none ran for longer than `DOWN_S`.
+        lost, None while they are reached.  left: turbines whose sender is offline.  begins: whether the
+        tracker has just started: all connections were lost if no tracker ran for longer than `DOWN_S`.
         """
         batch, noted_s = Batch(), self._store.memory(SOURCE, CONNECTED) if begins and self._store else None
         lost_while_down = [noted_s] if isinstance(noted_s, float) and now - noted_s > DOWN_S else []
@@ -468,7 +481,7 @@ class Fleet:
 
     def _judge_missing(self, name: str, now: float, left: Statement | None, batch: Batch) -> None:
         """Judge alarms about signals that became silent or never came; not while a backlog may still bring
-        the signals, unless their sender has left (statement `left`)."""
+        them, unless their sender is offline (statement `left`)."""
         state = self.tracked[name]
         turbine, heard = state.turbine, state.tracker.heard()
         if state.known_s > now:  # new, or this machine's clock was ahead
@@ -482,23 +495,23 @@ class Fleet:
         self._judge(name, now, levels, SILENCE, batch)
 
     def isolation_due(self) -> tuple[str, ShiftStep] | None:
-        """The turbine that has waited longest for fault isolation, and the step whose cause is to be
-        isolated; None if none is due or all of these await readings of the other turbines (sisters)."""
+        """Return the turbine that has waited longest for fault isolation, and the step whose cause is to be
+        isolated; None if no turbine is due, or all due ones wait for readings of other turbines (sisters)."""
         by_turn = sorted(self.tracked.items(), key=lambda item: item[1].turn)
         due = ((name, state.shift_steps[0]) for name, state in by_turn if state.shift_steps)
         return next(((name, step) for name, step in due if not self._awaits_sisters(name, step.time)), None)
 
     def sisters(self, name: str, time: float) -> dict[str, Plan]:
-        """The plans of the other turbines whose readings up to a time [s] are final."""
+        """Return other turbine → its plan, for the turbines whose estimates up to a time [s] are final."""
         others = {other: state for other, state in self.tracked.items() if other != name}
         return {
             other: state.turbine.plan for other, state in others.items() if state.tracker.judged_s >= time
         }
 
     def _awaits_sisters(self, name: str, time: float) -> bool:
-        """Whether to wait until the readings of sisters up to a time [s] are final.
+        """Return whether a turbine must wait until the estimates of its sisters up to a time [s] are final.
 
-        The turbine waits for at most `SISTERS_S`, measured by stamps, so that the order of deliveries does
+        It waits for at most `SISTERS_S`, measured by stamps, so that the order of deliveries does
         not matter.
         """
         newest_s = self.tracked[name].tracker.newest
@@ -510,21 +523,23 @@ class Fleet:
     def open_alarms(self) -> list[Alarm]:
         """The open alarms."""
         owners = (*self.tracked.values(), self._shared)
-        alarms = (standing.alarm for owner in owners for standing in owner.alarms.values())
+        alarms = (alarm_state.alarm for owner in owners for alarm_state in owner.alarms.values())
         return [alarm for alarm in alarms if alarm is not None]
 
     def keep_forecast(self, name: str, made_s: float, batch: Batch) -> None:
-        """Keep the forecast of a turbine in the batch, from its state at `made_s` [s], and assess the
-        turbine."""
-        state, forecast_ = self.tracked[name], batch.forecasts[name]
+        """Keep the forecast of a turbine that the batch contains, and assess the turbine.
+
+        made_s: time [s] of the state from which the forecast was made.
+        """
+        state, forecast = self.tracked[name], batch.forecasts[name]
         state.forecast_made_s, state.outlook = made_s, None
-        if forecast_ is not None and forecast_.condition.condensation is not None:
-            state.outlook = Outlook(forecast_.condition.time_s, forecast_.condition.condensation)
+        if forecast is not None and forecast.condition.condensation is not None:
+            state.outlook = Outlook(forecast.condition.time_s, forecast.condition.condensation)
         self._assess(name, batch)
 
     def keep_finding(self, name: str, finding: CauseFinding) -> Batch:
         """Keep the finding of fault isolation, unless a change was stated meanwhile, and judge the alarms
-        that it explains."""
+        about shifts; returns the batch to be stored."""
         state, batch = self.tracked[name], Batch()
         state.turn = next(self._turn_numbers)  # the other turbines come first from now on
         if state.shift_steps and state.shift_steps[0].time == finding.time_s:
@@ -534,18 +549,22 @@ class Fleet:
         return batch
 
     def forecast_due(self, every_s: float) -> str | None:
-        """The turbine whose forecast is oldest, if it is at least `every_s` [s] old in the turbine's own
-        time."""
-        oldest_name, greatest_age = None, every_s
+        """Return the turbine whose forecast is oldest, if it is at least `every_s` [s] older than the
+        turbine's newest estimate; otherwise None."""
+        oldest_name, greatest_age_s = None, every_s
         for name, state in self.tracked.items():
             newest = state.tracker.newest_state
             if newest is not None:
-                age = newest.time - state.forecast_made_s
-                if age >= greatest_age:
-                    oldest_name, greatest_age = name, age
+                age_s = newest.time - state.forecast_made_s
+                if age_s >= greatest_age_s:
+                    oldest_name, greatest_age_s = name, age_s
         return oldest_name
 
     def _judge(self, name: str, now: float, levels: list[Level], follows: str, batch: Batch) -> None:
+        """Judge levels at `now` [s] and put changed alarms into the batch.
+
+        name: turbine or `SOURCE`.  follows: origin of the levels, such as `ESTIMATES`.
+        """
         before = self.tracked.get(name, self._shared).alarms
         after, changed = judge(name, before, now, levels, kinds_of(follows))
         if after != before:
@@ -553,8 +572,10 @@ class Fleet:
         batch.alarms += changed
 
     def _assess(self, name: str, batch: Batch) -> None:
-        """Assess a turbine, and put a changed assessment into the batch.  Before the first round or tick the
-        time is not known yet, and the stored assessment stays valid."""
+        """Assess a turbine, and put a changed assessment into the batch.
+
+        Before the first round or tick the time is not known yet, and the stored assessment stays valid.
+        """
         if not math.isfinite(self._now):
             return
         state, now = self.tracked[name], self._now
@@ -567,18 +588,8 @@ class Fleet:
             batch.assessments = [*others, state.assessment]
 
     def _keep(self, name: str, batch: Batch, **attributes: object) -> None:
-        """Set attributes of a turbine's state, or of the shared state for `SOURCE`, and store them."""
+        """Set attributes of a turbine's state, or of the shared one for `SOURCE`, and store them."""
         owner = self.tracked.get(name, self._shared)
         for key, value in attributes.items():
             setattr(owner, key, value)
             batch.memories[name, key] = plain(value)
-
-
-def _without_pending(standings: Mapping[str, Standing]) -> dict[str, Standing]:
-    """The standings without those of silence and clocks that have no alarm yet.
-
-    After a restart a signal must be silent for the full time before its alarm begins, because the source may
-    have kept its readings for the tracker.
-    """
-    kinds = kinds_of(SILENCE, CLOCKS)
-    return {key: s for key, s in standings.items() if s.alarm is not None or s.kind not in kinds}

@@ -13,7 +13,7 @@ DOUBT: Final = "doubt"
 FAULT: Final = "fault"
 CHECK_LEVELS = (OK, DOUBT, FAULT)
 ASK_REBIRTH = 'publish the command "Node Control/Rebirth" to spBv1.0/GROUP/NCMD/NODE'
-"""What to do where the tracker may not ask."""
+"""What to do if the tracker must not ask an edge node for its birth certificates."""
 _COMPARE_PAYLOADS = "compare [mapping] and known_as of each [[turbine]] with the delivered payloads"
 _COMPARE_CLOCKS = "compare both clocks; stamps in local time need their offset from UTC"
 _SET_CLOCK = "synchronise this machine's clock by NTP (timedatectl set-ntp true, or chrony)"
@@ -158,12 +158,12 @@ class CheckCode(Code):
     TURBINES_TRACKED = (OK, "{who} tracks {names:several} now")
     TURBINES_NOT_TRACKED = (OK, "no process tracks these turbines now")
     TURBINES_LEFT = (
-        DOUBT, "no process tracks {names:several}, which it contains",
+        DOUBT, "it contains {names:several}, which no process tracks",
         "add a [[turbine]], or delete their rows by hand",
     )
     TURBINES_MISS_THE_PAST = (
-        DOUBT, "it does not contain {names:several} yet, but its sources were read for others: only what "
-        "comes after that is read for these",
+        DOUBT, "it does not contain {names:several} yet, but the sources were already read for other "
+        "turbines: only new readings are read for these",
         f"{_STATED}; name a new store to read a file from its start",
     )
     TURBINES_NEW = (OK, "it does not contain {names:several} yet: their first readings add them")
@@ -232,17 +232,18 @@ class CheckCode(Code):
         DOUBT, "granted, but no message arrived within {wait:duration}: a broker may grant and deliver "
         "nothing", _TOPIC,
     )
-    NODES_EXPLAINED = (OK, "every message is explained, of edge nodes {names:several}")
+    NODES_EXPLAINED = (OK, "all messages of the edge nodes {names:several} can be read")
     SEQUENCE_BROKEN = (
         DOUBT, "messages are missing in the sequence of {names:several}",
-        "look for a bad connection of the edge node, and for two that bear one name",
+        "check the connection of the edge node, and look for two edge nodes with the same name",
     )
     BIRTH_MISSING = (
-        DOUBT, "values came by aliases, but no birth certificate within {wait:duration}, of {names:several}",
-        f"if the tracker does not know these either: {ASK_REBIRTH}, or set rebirth_requests = true",
+        DOUBT, "values by aliases, but no birth certificate within {wait:duration}, came from "
+        "{names:several}",
+        f"if the tracker has none of them either: {ASK_REBIRTH}, or set rebirth_requests = true",
     )
     NODES_DIED = (
-        DOUBT, "a death certificate came within {wait:duration}, of {names:several}", "check the edge node",
+        DOUBT, "a death certificate came within {wait:duration} from {names:several}", "check the edge node",
     )
     # OPC UA servers
     SERVER_FAILS = (
@@ -311,8 +312,8 @@ class ExaminedCode(Code):
 
 @dataclass(frozen=True)
 class Check(Statement):
-    """The result of one check: what it is `about`, its `level` (see `CHECK_LEVELS`), and what to do unless it
-    is "ok"."""
+    """The result of one check: what it is `about`, its `level` (see `CHECK_LEVELS`), and what to do unless it is
+    "ok"."""
 
     about: str = ""
     level: str = OK

@@ -71,15 +71,16 @@ class AlarmCode(Code):
         "({lower:+.1} … {upper:+.1}) K{others}",
         "check the heater and its thermostat, and the temperature sensor against another one",
     )
-    # a sensor errs
+    # a sensor is wrong
     HUMIDITY_SENSOR_OR_WATER = (
         "the humidity sensor reads {change:+.0} ({lower:+.0} … {upper:+.0}) % relative humidity more than "
-        "air exchange and heat release explain: it errs, or there is water in the cabinet",
+        "air exchange and heat release explain: it is wrong, or there is water in the cabinet",
         _SENSOR_OR_WATER,
     )
     EITHER_SENSOR_OR_WATER = (
         "the humidity sensor reads {change:+.0} ({lower:+.0} … {upper:+.0}) % relative humidity more than "
-        "air exchange and heat release explain: it or the ambient's errs, or there is water in the cabinet",
+        "air exchange and heat release explain: it or the ambient's is wrong, or there is water in the "
+        "cabinet",
         _SENSOR_OR_WATER,
     )
     TEMPERATURE_SENSOR_SUSPECT = (
@@ -109,15 +110,15 @@ class AlarmCode(Code):
     )
     # readings do not come, or with wrong stamps
     NOTHING_ARRIVES = ("no signal has arrived for {age_h:.1} h", _DATA_PATH)
-    SIGNALS_SILENT = ("{signals:words} has not arrived for {age_h:.1} h", _DATA_PATH)
+    SIGNALS_SILENT = ("no reading of {signals:words} has arrived for {age_h:.1} h", _DATA_PATH)
     SENDER_LEFT = (
-        "{sender} has left by its death certificate of {at:stamp}: its signals are stale until it is born "
-        "again",
+        "{sender} is offline by its death certificate of {at:stamp}: its signals are stale until its next "
+        "birth certificate",
         _DATA_PATH,
     )
-    SIGNAL_NEVER_CAME = ("{quantity:words} never came since {since:stamp}", _MAPPING)
+    SIGNAL_NEVER_CAME = ("no reading of {quantity:words} has arrived since {since:stamp}", _MAPPING)
     REQUIRED_NEVER_CAME = (
-        "{quantity:words} never came since {since:stamp}: without it there is no estimate",
+        "no reading of {quantity:words} has arrived since {since:stamp}: without it there is no estimate",
         _MAPPING,
     )
     SOURCE_NOT_REACHED = (
@@ -148,13 +149,13 @@ class AlarmCode(Code):
 class NoticeCode(Code):
     """Why a notice is never sent."""
 
-    ALARM_NOT_STORED = "the alarm is no longer stored"
-    BEGINNING_NOT_SENT = "its beginning was not sent"
-    ACKNOWLEDGED_BEFORE = "it was acknowledged before the notice was due"
-    ENDED_WHILE_SHELVED = "it ended while shelved"
-    ENDED_IN_HOLD_OFF = "it ended within the hold-off"
-    OVER_BEFORE_CAUGHT_UP = "it was over before the tracker had caught up"
-    SEVERER_SENT = "a severer notice was sent"
+    ALARM_NOT_STORED = "the alarm is no longer in the store"
+    BEGINNING_NOT_SENT = "no notice of the alarm's beginning was sent"
+    ACKNOWLEDGED_BEFORE = "the alarm was acknowledged before the notice was due"
+    ENDED_WHILE_SHELVED = "the alarm ended while it was shelved"
+    ENDED_IN_HOLD_OFF = "the alarm ended within the channel's hold-off"
+    OVER_BEFORE_CAUGHT_UP = "the alarm was over long before the tracker read it"
+    SEVERER_SENT = "a notice of this or a higher severity was already sent"
     GIVEN_UP = "given up after {attempts:.0} attempts: {failure}"
 
 
@@ -165,13 +166,13 @@ _DRY = (
 
 
 class AdviceCode(Code):
-    """How long to pre-heat before a restart, or why nobody knows."""
+    """How long to pre-heat before a restart, or why this is unknown."""
 
     HEATING_UNKNOWN = (
         "the record that identified the model has no pre-heating and no logged heater: its heating power is "
         "unknown"
     )
-    HEATING_COOLS = "the identified effect of {heaters:words with} is no heat ({effect_K:+.1} K)"
+    HEATING_COOLS = "the identified effect of {heaters:words with} is {effect_K:+.1} K: it does not heat"
     PREHEAT = f"pre-heat for {{hours:.1}} h: relative humidity is then {_DRY}"
     NO_PREHEATING = f"no pre-heating is needed: relative humidity is {_DRY}"
     PREHEATING_TOO_WEAK = (
@@ -193,11 +194,11 @@ class BasisCode(Code):
     PERSISTENCE = "persistence of the weather, drawn from {days:.0} days; {operation}"
     WEATHER_FORECAST = "a weather forecast; {operation}"
     NO_FORECAST = "{fault}"
-    OPERATION_UNKNOWN = "no power is known"
+    OPERATION_UNKNOWN = "no readings of power: operation unknown"
     PRESENT_POWER_UNKNOWN = "the present power is unknown: operation as on other days"
     OPERATION_AS_NOW = "operation as now"
     OPERATION_OF_ALIKE_DAYS = "operation as on days that began similarly"
-    STANDSTILL_MAY_END = "standstill that may end, as {count:.0} earlier ones of this length did"
+    STANDSTILL_MAY_END = "a standstill that may end as {count:.0} earlier ones of this length did"
 
 
 class CauseCode(Code):
@@ -221,17 +222,17 @@ class StateCode(Code):
     CONDENSATION_UNLIKELY_AHEAD = "condensation is unlikely now and within the forecast"
     FEEDS_NO_POWER = "the turbine feeds no power"
     ALARMS_OPEN = "{kinds}"
-    ESTIMATE_OLD = "the estimate is from {at:stamp}"
+    ESTIMATE_OLD = "the newest estimate is from {at:stamp}"
     ESTIMATE_OLD_IN_BACKLOG = "the estimate is old; a backlog is being delivered"
     ESTIMATE_NOT_A_NUMBER = "the estimate is not a number"
     MODEL_WITHOUT_HUMIDITY = "the model has no humidity"
-    NO_READING_YET = "no reading has come since {since:stamp}"
-    INPUTS_NEVER_CAME = "{quantities:words and} never came since {since:stamp}"
+    NO_READING_YET = "no reading has arrived since {since:stamp}"
+    INPUTS_NEVER_CAME = "no reading of {quantities:words and} has arrived since {since:stamp}"
     FILTER_FAILS = "the filter cannot run: {fault}"
-    HISTORY_AWAITED = "waiting for history until {until:stamp}"
+    HISTORY_AWAITED = "waiting for readings until {until:stamp}, which the first estimate needs"
     NOT_FILTERED_YET = "its readings are not filtered yet"
     NO_PROBABILITY = "the estimate gives no probability of condensation"
     NOT_ASSESSED_YET = "not assessed yet"
     # what the estimate lacks
-    FROM_INPUTS_ALONE = "from the inputs alone since {since:stamp}"
-    WITHOUT_SIGNAL = "without {signal:words} since {since:stamp}"
+    FROM_INPUTS_ALONE = "estimated from the inputs alone since {since:stamp}"
+    WITHOUT_SIGNAL = "estimated without {signal:words} since {since:stamp}"

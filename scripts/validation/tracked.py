@@ -74,7 +74,7 @@ class Tracked:
     def scenarios(self, now_s: float) -> Scenarios:
         """What may come, from the readings up to a time [s].  Raises NoScenarios."""
         history = self.record.window(now_s - HISTORY_S, now_s)
-        return persistence(history, self.point(now_s).time, self.plan.further)
+        return persistence(history, self.point(now_s).time, self.plan.extra_signals)
 
 
 def tracked(

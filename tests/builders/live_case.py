@@ -20,7 +20,7 @@ from hygrokf.live.sources.local import Playback
 from hygrokf.live.sources.stream import Delivery
 from hygrokf.live.storage.store import open_store
 from hygrokf.live.tracker import Point, TrackedCourse, offline_course
-from hygrokf.live.turbines import Turbine
+from hygrokf.live.turbine import Turbine
 from hygrokf.modelling.design import CASCADE, design, merged
 
 SIGNALS = (

@@ -82,7 +82,7 @@ def filled(
     folder: Path,
     cases: Sequence[Case],
     days: float = 3.0,
-    settle: Callable[[object], None] = lambda batch: None,
+    on_commit: Callable[[object], None] = lambda batch: None,
     url: str = "",
 ) -> Service:
     """A service that has run over the records of turbines, up to now; without a `url` its store is a file."""
@@ -98,7 +98,7 @@ def filled(
         if case.silent_h:
             kept = kept.window(kept.start_s, end_s - HOUR_S * case.silent_h)
         streams.append(played(kept, case.name))
-    service = Service(turbines, streams, url or f"sqlite:{folder / 'live.db'}", settle)
+    service = Service(turbines, streams, url or f"sqlite:{folder / 'live.db'}", on_commit)
     service.run(until_ended=True)
     return service
 

@@ -210,7 +210,7 @@ def test_the_design_comes_back_from_its_json(all_logged) -> None:
 
 def test_the_tracker_awaits_what_the_model_reads(all_logged) -> None:
     _, fit, _ = all_logged
-    assert set(plan(fit).further) == {"heater_duty", "fan_duty", "dehumidifier_duty", "door_open"}
+    assert set(plan(fit).extra_signals) == {"heater_duty", "fan_duty", "dehumidifier_duty", "door_open"}
 
 
 def test_a_climate_has_actuators_off_or_as_the_power_s_record_has_them(all_logged) -> None:

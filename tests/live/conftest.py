@@ -14,7 +14,7 @@ from hygrokf.data.record import Record
 from hygrokf.live.sources.local import record_mapping
 from hygrokf.live.sources.payload import PayloadMapping
 from hygrokf.live.storage.store import Store, open_store
-from hygrokf.live.turbines import Turbine
+from hygrokf.live.turbine import Turbine
 
 
 @pytest.fixture(scope="module")

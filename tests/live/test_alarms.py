@@ -19,9 +19,9 @@ from hygrokf.live.alarms import (
     SENSOR_OR_WATER,
     STUCK,
     SUSPECT,
+    AlarmState,
     Estimated,
     Level,
-    Standing,
     condensation_levels,
     estimate_levels,
     frozen_levels,
@@ -53,7 +53,7 @@ def condensing(probability: float) -> Statement:
 
 def course(levels: list[tuple[float, float | None]], kind: str = "condensation") -> tuple[dict, list[Alarm]]:
     """Standings and all changes after (minute, level) pairs; None: nothing is told."""
-    known: dict[str, Standing] = {}
+    known: dict[str, AlarmState] = {}
     changes: list[Alarm] = []
     for minute, level in levels:
         told = [] if level is None else [Level(kind, level, (condensing(level),))]

@@ -22,7 +22,8 @@ from hygrokf.live.sources.payload import PayloadMapping
 from hygrokf.live.sources.stream import Delivery
 from hygrokf.live.storage.store import Store
 from hygrokf.live.tracker import Reading, Tracker
-from hygrokf.live.turbines import Fleet, Turbine
+from hygrokf.live.turbine import Turbine
+from hygrokf.live.turbines import Fleet
 from hygrokf.live.web.views import fleet_view, turbine_view
 from hygrokf.physics.signal_names import AMBIENT_HUMIDITIES
 from hygrokf.texts.live_codes import AlarmCode, BasisCode
@@ -70,10 +71,14 @@ def coming(*chances: float) -> Outlook:
         ({"condensation": None}, "no estimate", "no probability"),
         ({"condensation": math.nan}, "no estimate", "not a number"),
         ({"condensation": None, "with_humidity": False}, "no estimate", "the model has no humidity"),
-        ({**NOTHING, "heard": {}}, "no estimate", "no reading has come"),
-        ({**NOTHING, "awaited": [NEED]}, "no estimate", "ambient humidity never came since 1970-01-01T"),
+        ({**NOTHING, "heard": {}}, "no estimate", "no reading has arrived"),
+        (
+            {**NOTHING, "awaited": [NEED]},
+            "no estimate",
+            "no reading of ambient humidity has arrived since 1970-01-01T",
+        ),
         ({**NOTHING, "alarms": [alarm("signal missing")]}, "no estimate", "not filtered yet"),
-        ({**NOTHING, "history_until_s": NOW}, "no estimate", "waiting for history until 2020-09-13T12:26"),
+        ({**NOTHING, "history_until_s": NOW}, "no estimate", "waiting for readings until 2020-09-13T12:26"),
         ({**NOTHING, "fault": "no time"}, "no estimate", "cannot run: no time"),
         ({"standstill": True}, "off", "feeds no power"),
         ({"silent_s": NOW - 600.0}, "ok", "from the inputs alone since 2020-09-13T12:16:40Z"),
@@ -125,7 +130,9 @@ def test_ambient_humidity_that_never_comes(
     assert (row["state"], row["reason"], row["since"]) == ("no estimate", "not assessed yet", None)
     rounds(fleet, store, record, mapping, without="ambient_relative_humidity")
     (row,) = fleet_view(store, ["T1"], record.end_s)
-    assert row["state"] == "no estimate" and row["reason"].startswith("ambient humidity never came since")
+    assert row["state"] == "no estimate" and row["reason"].startswith(
+        "no reading of ambient humidity has arrived since"
+    )
     assert [(a.kind, a.severity) for a in row["alarms"]] == [("signal missing", "warning")]
     assert "without it there is no estimate" in row["alarms"][0].statement
     view = turbine_view(store, "T1", record.start_s, record.end_s, needs=turbine.plan.needs)

@@ -14,7 +14,8 @@ from hygrokf.live.sources.local import record_mapping, record_messages
 from hygrokf.live.sources.stream import Delivery
 from hygrokf.live.storage.store import Store
 from hygrokf.live.tracker import Reading
-from hygrokf.live.turbines import Fleet, Turbine
+from hygrokf.live.turbine import Turbine
+from hygrokf.live.turbines import Fleet
 
 RECORD = {"seed": 6, "days": 2.0}
 

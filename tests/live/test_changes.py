@@ -22,9 +22,10 @@ from hygrokf.live.service import Service
 from hygrokf.live.sources.local import record_mapping, record_messages
 from hygrokf.live.sources.stream import Delivery
 from hygrokf.live.storage.store import open_store
-from hygrokf.live.traces import SETTLED_S, jump_variance, settled
+from hygrokf.live.traces import SETTLED_S, jump_variance, references_after
 from hygrokf.live.tracker import Tracker, offline_course
-from hygrokf.live.turbines import Fleet, Turbine
+from hygrokf.live.turbine import Turbine
+from hygrokf.live.turbines import Fleet
 
 
 def expect_same(tracker: Tracker, record: Record, changes: list[float]) -> None:
@@ -76,10 +77,13 @@ def test_only_the_tracked_properties_jump(record: Record) -> None:
 
 def test_shifts_count_from_the_settled_property() -> None:
     x = {"hygric_k": TrackedState(0.5, 0.02)}
-    assert settled({}, 0.0, SETTLED_S - 1.0, x) == {}
-    assert settled({}, 0.0, SETTLED_S, {"hygric_k": TrackedState(0.5, 0.3)}) == {}
-    found = settled({}, 0.0, SETTLED_S, x)
-    assert found == x and settled(found, 0.0, SETTLED_S + 1.0, {"hygric_k": TrackedState(0.9, 0.02)}) == x
+    assert references_after({}, 0.0, SETTLED_S - 1.0, x) == {}
+    assert references_after({}, 0.0, SETTLED_S, {"hygric_k": TrackedState(0.5, 0.3)}) == {}
+    found = references_after({}, 0.0, SETTLED_S, x)
+    assert (
+        found == x
+        and references_after(found, 0.0, SETTLED_S + 1.0, {"hygric_k": TrackedState(0.9, 0.02)}) == x
+    )
     assert parameter_shifts({}, 0.0, deviations(x, {}, {})) == {}
     assert parameter_shifts({}, 0.0, deviations(x, {}, found)) == {}
     assert list(parameter_shifts({}, 0.0, deviations(x, {}))) == ["hygric_k"]

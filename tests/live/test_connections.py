@@ -25,7 +25,8 @@ from hygrokf.live.sources.stream import Delivery, SourceState, Stream
 from hygrokf.live.storage.export import export
 from hygrokf.live.storage.store import Store, open_store, prune
 from hygrokf.live.tracker import TrackedCourse, Tracker, offline_course
-from hygrokf.live.turbines import CONNECTED, SOURCE, Fleet, Turbine
+from hygrokf.live.turbine import Turbine
+from hygrokf.live.turbines import CONNECTED, SOURCE, Fleet
 
 HOUR_S = 3600.0
 DOOR = "door_open"
@@ -160,7 +161,7 @@ def test_what_is_not_tracked_is_not_connected(tmp_path: Path, record: Record, do
     store.close()
 
 
-class Kept(Stream):
+class TurbineMemory(Stream):
     """A source whose state is set by hand."""
 
     def __init__(self, url: str, *given: object) -> None:
@@ -171,7 +172,7 @@ class Kept(Stream):
 def test_a_signal_is_lost_when_all_its_sources_are(tmp_path: Path, record: Record, door_plan: Plan) -> None:
     now = record.end_s
     mapping = record_mapping(record, "T1")
-    sources = [Kept(f"mqtt://{name}", mapping, lambda: now) for name in "ab"]
+    sources = [TurbineMemory(f"mqtt://{name}", mapping, lambda: now) for name in "ab"]
     service = Service({"T1": Turbine(door_plan)}, sources, f"sqlite:{tmp_path / 'live.db'}")
 
     def unreached(later: float) -> dict[str, dict[str, float | None]]:

@@ -412,7 +412,7 @@ def test_turbines_of_the_store_and_of_the_file(folder: Path) -> None:
     text = 'name = "T07"\nfit = "T07"\n'
     changed(folder, (text, text.replace('name = "T07"', 'name = "T08"')))
     found = looked(folder)
-    said(found, "doubt", "no process tracks T07", "add a [[turbine]]")
+    said(found, "doubt", "it contains T07, which no process tracks", "add a [[turbine]]")
     said(found, "doubt", "it does not contain T08 yet", "name a new store")
     said(found, "doubt", "it has no estimate yet", "start the tracker")
     said(found, "doubt", "no reading of T08", "known_as")

@@ -93,9 +93,9 @@ PLAIN = 'url = "mqtt://h"\ntopics = ["a"]\n'
 @pytest.mark.parametrize(
     ("text", "fault"),
     [
-        (TABLE + 'topics = ["spBv1.0/Farm/DDATA/#"]', "births, data and deaths are needed"),
+        (TABLE + 'topics = ["spBv1.0/Farm/DDATA/#"]', "must include births, data and deaths"),
         (TABLE + 'topics = ["scada/#"]', "spBv1.0/GROUP/#"),
-        (TABLE + 'topics = ["$share/g/spBv1.0/#"]', "a share has gaps"),
+        (TABLE + 'topics = ["$share/g/spBv1.0/#"]', "a shared subscription misses messages"),
         (TABLE + 'topics = ["spBv1.0/#"]\nweather = true', "weather: not with format"),
         (TABLE + 'topics = ["spBv1.0/#"]\nrebirth_requests = "yes"', "rebirth_requests"),
         (PLAIN + "rebirth_requests = true", 'only with format = "sparkplug-b"'),
@@ -169,7 +169,7 @@ def test_the_doctor_examines_edge_nodes(broker: Mosquitto, look: Callable[[str],
 
     with publishing(node, by_name):
         checks = look("payloads gave readings")
-    assert found(checks, "every message is explained").level == "ok"
+    assert found(checks, "can be read").level == "ok"
     assert found(checks, "payloads gave readings").level == "ok"
     assert "queue_qos0_messages" in found(checks, "published at QoS 0").remedy
     with publishing(node, by_alias):

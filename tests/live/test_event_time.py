@@ -28,7 +28,8 @@ from hygrokf.live.sources.payload_formats import Content
 from hygrokf.live.sources.stream import Delivery, Reach
 from hygrokf.live.storage.store import Store, open_store
 from hygrokf.live.tracker import Point
-from hygrokf.live.turbines import Fleet, Turbine
+from hygrokf.live.turbine import Turbine
+from hygrokf.live.turbines import Fleet
 
 HUMIDITY = "cabinet_relative_humidity"
 Messages = Sequence[tuple[float, Content]]

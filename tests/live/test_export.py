@@ -175,7 +175,7 @@ def test_a_store_that_fails_on_the_way_leaves_the_old_files(
 def test_mistakes_are_told(filled: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     out = tmp_path / "out"
     for line, words in (
-        (f"--store {filled} --turbine T9", "expected a turbine of T1, T2, the second, found 'T9'"),
+        (f"--store {filled} --turbine T9", "expected one of the turbines T1, T2, the second, found 'T9'"),
         (f"--store {filled} --since 2024-01-01 --until 2023-01-01", "since must be earlier than until"),
         (f"--store sqlite:{tmp_path / 'none.db'}", "there is no such store"),
         ("--store live.db", "expected a store as sqlite:PATH"),

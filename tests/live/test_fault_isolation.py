@@ -21,7 +21,7 @@ from hygrokf.live.fault_isolation import (
     EXPLAINING_GAIN,
     USUAL,
     CauseFinding,
-    finding_from,
+    decide_cause,
     isolate,
     shift_step,
 )
@@ -240,17 +240,17 @@ def test_a_stated_change_is_followed_at_once_and_is_the_reference(
 
 
 def test_judgement_at_its_edges() -> None:
-    assert finding_from({}, 5.0) == CauseFinding(5.0, "")
+    assert decide_cause({}, 5.0) == CauseFinding(5.0, "")
     little = CauseFinding(5.0, "hygric_k", "log_hygric_change", 0.4, EXPLAINING_GAIN - 0.01)
-    assert finding_from({"hygric_k": little}, 5.0) == CauseFinding(5.0, "")
+    assert decide_cause({"hygric_k": little}, 5.0) == CauseFinding(5.0, "")
     two = {
         "hygric_k": CauseFinding(5.0, "hygric_k", "log_hygric_change", 0.4, 20.0),
         "humidity_sensor": CauseFinding(5.0, "humidity_sensor", "humidity_scale_change", 0.1, 18.0),
     }
-    found = finding_from(two, 5.0)
+    found = decide_cause(two, 5.0)
     assert (found.cause, found.alike) == ("hygric_k", ("humidity_sensor",))
     far = {**two, "humidity_sensor": replace(two["humidity_sensor"], gain=20.0 - CLOSE - 0.01)}
-    assert finding_from(far, 5.0).alike == ()
+    assert decide_cause(far, 5.0).alike == ()
 
 
 def test_sisters_decide_between_two_and_water_is_not_ruled_out_without_them() -> None:
@@ -264,13 +264,13 @@ def test_sisters_decide_between_two_and_water_is_not_ruled_out_without_them() ->
         ),
         "ambient_humidity": CauseFinding(5.0, "ambient_humidity", "ambient_humidity_change", -0.1, 95.0),
     }
-    alone = finding_from(gains, 5.0)
+    alone = decide_cause(gains, 5.0)
     assert (alone.cause, alone.state, alone.gain) == ("humidity_sensor", "humidity_reading_change", 95.0)
     assert alone.alike == ("ambient_humidity",)
     both = {"ambient_temperature": -CLOSE, "ambient_humidity": -CLOSE}
-    cleared = finding_from(gains, 5.0, both)
+    cleared = decide_cause(gains, 5.0, both)
     assert (cleared.cause, cleared.alike) == ("temperature_sensor", ())
-    one = finding_from(gains, 5.0, {"ambient_temperature": CLOSE, "ambient_humidity": -CLOSE})
+    one = decide_cause(gains, 5.0, {"ambient_temperature": CLOSE, "ambient_humidity": -CLOSE})
     assert (one.cause, one.alike) == ("ambient_temperature", ())
 
 

@@ -24,7 +24,8 @@ from hygrokf.live.sources.payload_values import Clock
 from hygrokf.live.sources.stream import Delivery, Reach
 from hygrokf.live.storage.store import Store, open_store
 from hygrokf.live.tracker import offline_course
-from hygrokf.live.turbines import Fleet, Turbine, conditions
+from hygrokf.live.turbine import Turbine, conditions
+from hygrokf.live.turbines import Fleet
 from hygrokf.texts.live_codes import AlarmCode
 
 RECORD = {"seed": 6, "days": 2.0}

@@ -27,7 +27,7 @@ from hygrokf.live.service import Service
 from hygrokf.live.sources.local import Playback, record_mapping, record_messages
 from hygrokf.live.storage.store import open_store
 from hygrokf.live.tracker import Tracker, offline_course
-from hygrokf.live.turbines import Turbine
+from hygrokf.live.turbine import Turbine
 from hygrokf.modelling.design import Design, design
 
 HOUR_S = 3600.0

@@ -22,7 +22,8 @@ from hygrokf.live.sources.payload_values import STAMP_AHEAD_S
 from hygrokf.live.sources.stream import Delivery
 from hygrokf.live.storage.store import Store, StoreFault, open_store
 from hygrokf.live.tracker import Reading
-from hygrokf.live.turbines import Fleet, Turbine
+from hygrokf.live.turbine import Turbine
+from hygrokf.live.turbines import Fleet
 from hygrokf.texts.live_codes import AlarmCode
 
 HOUR_S = 3600.0

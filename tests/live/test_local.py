@@ -17,7 +17,7 @@ from builders.stream_case import Collected
 from builders.waiting import eventually
 
 from hygrokf.data.record import Record, Series
-from hygrokf.live.service import take_from
+from hygrokf.live.service import take_from_queue
 from hygrokf.live.sources import local
 from hygrokf.live.sources import stream as streams
 from hygrokf.live.sources.local import (
@@ -166,7 +166,7 @@ def test_a_source_that_cannot_go_on_stays_lost(tmp_path: Path, monkeypatch: pyte
     monkeypatch.setattr(stream._lines, "content", broken)
     stream.start(None, Collected())
     eventually(lambda: len(calls) >= 3)
-    assert stream.state.word == "lost" and "MemoryError: no more" in stream.state.words
+    assert stream.state.word == "lost" and "MemoryError: no more" in stream.state.explanation
     stream.stop()
 
 
@@ -327,6 +327,6 @@ def test_deliveries_are_taken_in_bounded_rounds() -> None:
     waiting: queue.Queue = queue.Queue()
     for number in range(7):
         waiting.put(Delivery(str(number), 0.0))
-    assert [one.content for one in take_from(waiting, 5, 0.1)] == list("01234")
-    assert [one.content for one in take_from(waiting, 5, 0.1)] == list("56")
-    assert take_from(waiting, 5, 0.01) == []
+    assert [one.content for one in take_from_queue(waiting, 5, 0.1)] == list("01234")
+    assert [one.content for one in take_from_queue(waiting, 5, 0.1)] == list("56")
+    assert take_from_queue(waiting, 5, 0.01) == []

@@ -429,7 +429,7 @@ FAULTS = [
     ("[mapping]\ntime = '{recieved}'", "time: expected a field, or one of"),
     ("[mapping]\nturbine = '{received}'", "turbine: expected a field"),
     ("[mapping]\nturbine = 'a | '", "both sides of |"),
-    ("[mapping]\nrecords = 'a..b'", "records: expected names with points between"),
+    ("[mapping]\nrecords = 'a..b'", "records: expected names separated by points"),
     ("[mapping]\nformat = 'influxdb'", 'format must be one of json, plain, influx, found "influxdb"'),
     ("[mapping]\nformat = 'plain'", "a plain value has no field 'time'"),
     ("[mapping]\ntimezone = 'Europe/Berlyn'", "Europe/Berlin"),
@@ -573,7 +573,7 @@ def test_a_tag_that_two_sources_read_as_different_signals_names_both(folder: Pat
     own = '[source.mapping.signals]\nTcab = { signal = "ambient_temperature", unit = "degC" }\n'
     broker = SOURCE.replace("[[source]]", '[[source]]\nclient_id = "b"')
     twice = r"2: Tcab of mqtt://127.0.0.1:1 is ambient_temperature here and cabinet_temperature in"
-    with pytest.raises(ConfigFault, match=rf"{twice} .*\[\[source\]\] 1: a tag has one place"):
+    with pytest.raises(ConfigFault, match=rf"{twice} .*\[\[source\]\] 1: a tag has one meaning"):
         config(folder, "", SOURCE + broker + own)
     assert len(config(folder, "", SOURCE + broker).streams) == 2
     elsewhere = broker.replace('"#"', '"mast"')

@@ -44,7 +44,7 @@ from hygrokf.live.sources.payload import Field, PayloadMapping
 from hygrokf.live.sources.payload_formats import LARGEST_PAYLOAD, Refused
 from hygrokf.live.sources.stream import Delivery
 from hygrokf.live.storage.store import open_store
-from hygrokf.live.turbines import Turbine
+from hygrokf.live.turbine import Turbine
 
 pytestmark = needs_mosquitto
 
@@ -599,13 +599,13 @@ def test_alarms_are_published_retained_and_nothing_else_ever_is(
     some = messages[:300]
     with peer(broker) as watching, serving(turbine, stream, store) as service, peer(broker) as other:
         heard = overheard(watching, "#")
-        stream.tell([ALARM])
+        stream.publish_alarms([ALARM])
         eventually(lambda: heard)
         publish(other, some[:150])
-        stream.tell(
+        stream.publish_alarms(
             [changed(ALARM, severity="alarm"), changed(ALARM, turbine="a/b +#", id="x", kind="data stale")]
         )
-        stream.tell([changed(ALARM, severity="alarm", ended=1.7e9)])
+        stream.publish_alarms([changed(ALARM, severity="alarm", ended=1.7e9)])
         eventually(lambda: len(heard) == 150 + 4)
         publish(other, some[150:])
         eventually(lambda: len(heard) == len(some) + 4 and service.health.deliveries == len(some))
@@ -629,8 +629,10 @@ def test_alarms_of_one_kind_have_a_topic_each(broker: Mosquitto) -> None:
     subjects = ("thermal_time_constant", "hygric_k")
     stream = stream_of(broker, alarms="alarms")
     with running(stream):
-        stream.tell(changed(ALARM, kind="cabinet changed", subject=one) for one in subjects)
-        stream.tell(changed(ALARM, turbine=f"N{i}") for i in range(60))  # more than paho sends at once
+        stream.publish_alarms(changed(ALARM, kind="cabinet changed", subject=one) for one in subjects)
+        stream.publish_alarms(
+            changed(ALARM, turbine=f"N{i}") for i in range(60)
+        )  # more than paho sends at once
         eventually(lambda: not stream._has_pending())
     assert set(kept(broker, "alarms/#")) == {
         "alarms/T1/cabinet_changed_thermal_time_constant",
@@ -645,7 +647,7 @@ def test_alarms_told_without_a_connection_are_published_later_the_last_word_last
         broker.stop()
         eventually(lambda: stream.state[0] == "lost")
         for severity in ("notice", "warning", "alarm"):
-            stream.tell([changed(ALARM, severity=severity)])
+            stream.publish_alarms([changed(ALARM, severity=severity)])
         broker.start()
         eventually(lambda: stream.state[0] == "connected")
         stream.stop()  # waits until they are confirmed
@@ -658,7 +660,7 @@ def test_alarms_are_off_unless_a_topic_is_named(broker: Mosquitto) -> None:
     with peer(broker) as other:
         heard = overheard(other, "#")
         with running(stream):
-            stream.tell([ALARM])
+            stream.publish_alarms([ALARM])
         publish(other, [("end", b"")])
         eventually(lambda: heard)
         assert [one.topic for one in heard] == ["end"]
@@ -670,6 +672,6 @@ def test_alarms_that_the_broker_does_not_take_are_told(tmp_path: Path) -> None:
     with mosquitto(tmp_path, "allow_anonymous true", f"acl_file {rights}") as found:
         stream = stream_of(found, alarms="alarms")
         with running(stream):
-            stream.tell([ALARM])
+            stream.publish_alarms([ALARM])
             eventually(lambda: "the broker refuses alarms below alarms: not authorised" in stream.state[1])
             assert stream.state[0] == "connected"

@@ -38,7 +38,7 @@ from hygrokf.live.notification.transports import Mail, Webhook, secret_bytes
 from hygrokf.live.sources.local import Playback, record_mapping, record_messages
 from hygrokf.live.storage.store import Store, StoreFault, open_store
 from hygrokf.live.tracking import track
-from hygrokf.live.turbines import Turbine
+from hygrokf.live.turbine import Turbine
 from hygrokf.texts.doctor_codes import Check
 from hygrokf.texts.live_codes import NoticeCode
 from hygrokf.texts.statement import Code, Statement
@@ -261,16 +261,16 @@ def test_an_accepted_message_is_not_sent_again_when_the_store_fails(
         real(*given)
 
     monkeypatch.setattr(outbox, "mark_sent", mark)
-    sender._pass()
-    sender._pass()
+    sender._send_and_recover()
+    sender._send_and_recover()
     assert outbox.channel_states(store)["ops"].waiting == 1
     again = Sender(channel, url)  # as after a crash before the commit
-    again._pass()
+    again._send_and_recover()
     assert channel.messages[0] == channel.messages[1]
     again._close()
     del channel.messages[1:]
     fails[0] = False
-    sender._pass()
+    sender._send_and_recover()
     assert all_sent(store) and len(channel.messages) == 1
     sender._close()
     store.close()
@@ -455,14 +455,14 @@ def test_channels_of_a_tracker_s_file(folder: Path) -> None:
         ("smtp://127.0.0.1:{mail}", "smtp://me:geheim@mail", "a password must not be in this file"),
         ("smtp://127.0.0.1:{mail}", "ftp://mail", "url must begin with one of smtp:"),
         ("smtp://127.0.0.1:{mail}", "smtp://me@mail", "user and password belong together"),
-        ("smtp://127.0.0.1:{mail}", "smtps://mail", "unencrypted does not go with smtps"),
+        ("smtp://127.0.0.1:{mail}", "smtps://mail", "unencrypted contradicts smtps"),
         ('to = ["ops@farm.example"]', 'to = ["ops"]', "to must be a list of addresses"),
-        ('to = ["ops@farm.example"]', "", "needs to, receivers"),
+        ('to = ["ops@farm.example"]', "", "needs to, addresses of the receivers"),
         ('kinds = ["condensation"]', 'kinds = ["condensations"]', "found ['condensations']"),
         ('severities = ["warning", "alarm"]', 'severities = ["worst"]', "found ['worst']"),
         ('turbines = ["T07"]', 'turbines = ["T08"]', "no turbine is named 'T08'"),
         ('"10min"', '"10d"', "hold_off must be at most 7 d"),
-        ('"control room"', '"duty"', "a second channel named 'duty'"),
+        ('"control room"', '"duty"', "a second channel is named 'duty'"),
         ("/alarms?key=geheim", '"\nsecret = "geheim', "a secret must not be in this file"),
         ('secret_file = "hook.secret"', 'secret_file = "no.secret"', "No such file"),
         ('secret_file = "hook.secret"', 'secret_file = "T07/fit.json"', "secret_file"),

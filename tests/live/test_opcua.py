@@ -40,7 +40,7 @@ from hygrokf.live.sources.opcua_form import Node, Server
 from hygrokf.live.sources.payload import Field, PayloadMapping
 from hygrokf.live.sources.stream import BackOff, SourceFault, SourceKeys
 from hygrokf.live.storage.store import open_store
-from hygrokf.live.turbines import Turbine
+from hygrokf.live.turbine import Turbine
 
 pytest.importorskip("asyncua", reason="asyncua is not installed: pip install 'hygrokf[test]'")
 
@@ -292,9 +292,9 @@ def test_samples_of_data_values() -> None:
         return sample_of(node, ua.DataValue(ua.Variant(value), ua.StatusCode(status), **stamps), T0 + 9.0)
 
     both = sample(SourceTimestamp=then, ServerTimestamp=then + timedelta(seconds=5))
-    assert (both.time, both.quality, both.word, both.overflowed) == (T0, "good", "Good", False)
-    assert both.served == T0 + 5.0  # by which corrected values are ordered
-    assert sample(ServerTimestamp=then).time == T0 and math.isnan(sample(SourceTimestamp=then).served)
+    assert (both.time, both.quality, both.status, both.overflowed) == (T0, "good", "Good", False)
+    assert both.server_time == T0 + 5.0  # by which corrected values are ordered
+    assert sample(ServerTimestamp=then).time == T0 and math.isnan(sample(SourceTimestamp=then).server_time)
     assert sample().time is None
     never = datetime(1601, 1, 1, tzinfo=UTC)
     assert sample(SourceTimestamp=never).time is None
@@ -304,7 +304,7 @@ def test_samples_of_data_values() -> None:
     assert qualities == ["good", "uncertain", "bad", "bad"]
     assert sample(value=None).quality == "bad"
     assert sample_of(node, ua.DataValue(), T0).quality == "bad"
-    assert sample(status=BAD | OVERFLOWED).word == "BadSensorFailure"
+    assert sample(status=BAD | OVERFLOWED).status == "BadSensorFailure"
     overflowed = [sample(status=s).overflowed for s in (0x480, 0x80, 0x400, 0x40000480)]
     assert overflowed == [True, False, False, True]
 
@@ -736,12 +736,12 @@ def test_a_whole_table(papers: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         ({"nodes": {"i=5": {"turbine": "T7", "field": "Tcab"}}}, 'has no \'T7\'; did you mean "T07"?'),
         ({"nodes": {"i=5": {"turbine": "T07", "field": "Tcap"}}}, 'has no \'Tcap\'; did you mean "Tcab"?'),
         ({"nodes": {"i=5": {"turbine": "T07", "feld": "Tcab"}}}, 'unknown key "feld"'),
-        ({"nodes": {**NODES, "i=5": {"turbine": "T07", "field": "Tcab"}}}, "already is Tcab of T07"),
+        ({"nodes": {**NODES, "i=5": {"turbine": "T07", "field": "Tcab"}}}, "is already Tcab of T07"),
         ({"queue": 1}, "queue must be a whole number within 2 … 20000"),
         ({"publishing": "0s"}, "publishing must be within"),
         ({"sampling": "fast"}, "sampling: expected a duration"),
         ({"uncertain": "yes"}, "uncertain must be true or false"),
-        ({"security": "some"}, 'security must be "none" where it is stated'),
+        ({"security": "some"}, 'security must be "none", or left out'),
         ({**PAPERS, "security": "none"},
             'security = "none" contradicts certificate, key, server_certificate'),
         ({"certificate": "tracker.pem"}, "key, server_certificate missing"),
@@ -759,9 +759,9 @@ def test_a_whole_table(papers: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         ({"user": "me", "password_file": "gone"}, "gone: No such file or directory"),
         ({"user": "me", "password_file": "empty"}, "expected one line, the password"),
         ({"user": "me", "password_env": "HYGROKF_NOT_THERE"}, "HYGROKF_NOT_THERE is not set"),
-        (AWAY, 'needs certificate, key, server_certificate; state security = "none"'),
+        (AWAY, 'needs certificate, key, server_certificate, or state security = "none"'),
         ({**AWAY, "security": "none", "user": "me", "password_file": "password"},
-            "it would be sent readable"),
+            "otherwise it is sent unencrypted"),
     ],
 )  # fmt: skip
 def test_what_is_wrong_in_the_table_is_told(papers: Path, changes: dict, said: str) -> None:

@@ -235,7 +235,7 @@ def test_what_is_old_is_shown_as_old(tab: Tab, live: tuple[str, Hub]) -> None:
     page = tab.open(live[0])
     silent, fresh = row_of(page, "silent"), row_of(page, "T2")
     expect(silent.locator(".badge")).to_have_text("stale")
-    expect(silent.locator(".reason")).to_contain_text("the estimate is from ")
+    expect(silent.locator(".reason")).to_contain_text("the newest estimate is from ")
     expect(silent).to_have_class("stale")
     assert plain(silent.locator("td.heard").inner_text()).startswith("5 h")
     expect(fresh).not_to_have_class("stale")
@@ -487,7 +487,7 @@ def test_an_alarm_appears_by_itself_and_is_acknowledged(
     source = Fed("fed:", record_mapping(record, "wet"))
     cold = replace(live_turbine(record), surface=Surface(0.0, -20.0))
     hub = Hub()
-    service = Service({"wet": cold}, [source], f"sqlite:{tmp_path / 'live.db'}", hub.settle)
+    service = Service({"wet": cold}, [source], f"sqlite:{tmp_path / 'live.db'}", hub.announce_batch)
     page_of = LivePage(service, hub, PageSettings(port=0))
     with serve(page_of.app(), PageSettings(port=0), hub) as server, running(service):
         eventually(lambda: service.store)
@@ -611,7 +611,7 @@ def test_it_comes_back_after_the_server_was_gone(tab: Tab, service: Service) -> 
         for alarm, there in ((stale, True), (replace(stale, ended=time.time()), False)):
             batch = Batch(alarms=[alarm])
             store.commit(batch)
-            hub.settle(batch)
+            hub.announce_batch(batch)
             reason = expect(row_of(page, "T2").locator(".reason"))
             reason.to_contain_text("data stale") if there else reason.not_to_contain_text("data stale")
         store.close()

@@ -61,7 +61,7 @@ def test_a_whole_table(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         ({"token_file": "short"}, "at least 16 printable characters"),
         ({"token_env": "HYGROKF_NOT_SET"}, "the environment variable HYGROKF_NOT_SET is not set"),
         ({"token_env": "X", "token_file": "token"}, "not both"),
-        ({"certificate": "page.pem"}, "the page does no TLS itself: give this file to a proxy"),
+        ({"certificate": "page.pem"}, "the page does not use TLS itself: give this file to a proxy"),
         ({"key": "page.key"}, "docs/live_files/nginx.conf), and set behind_proxy = true"),
     ],
 )  # fmt: skip

@@ -22,7 +22,7 @@ from hygrokf.live.service import Service
 from hygrokf.live.storage.schema import POSTGRESQL, VIEWS, view_creation
 from hygrokf.live.storage.store import open_store, prune
 from hygrokf.live.tracker import Reading
-from hygrokf.live.turbines import Turbine
+from hygrokf.live.turbine import Turbine
 
 LARGE = ("observation", "estimate", "property", "forecast", "weather")
 

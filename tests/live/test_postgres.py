@@ -29,7 +29,7 @@ from hygrokf.live.storage import database, postgres
 from hygrokf.live.storage.postgres import NO_SECRET, url_fault
 from hygrokf.live.storage.schema import VERSION
 from hygrokf.live.storage.store import Store, StoreFault, open_store
-from hygrokf.live.turbines import Turbine
+from hygrokf.live.turbine import Turbine
 
 
 @pytest.fixture

@@ -36,7 +36,7 @@ from hygrokf.live.sources.payload_formats import Refused
 from hygrokf.live.sources.payload_values import Clock
 from hygrokf.live.sources.postgres_source import PostgresForm, PostgresQuery, number_of
 from hygrokf.live.sources.stream import Delivery
-from hygrokf.live.turbines import Turbine
+from hygrokf.live.turbine import Turbine
 
 NARROW = "SELECT * FROM reading WHERE {0} > %(after)s ORDER BY {0}, time, id"
 TABLE = """CREATE TABLE reading (
@@ -238,7 +238,7 @@ def test_an_outage_of_the_server_and_restarts_end_in_the_offline_filter(
         eventually(lambda: service.health.deliveries >= share // 2)
         postgresql.kill()
         eventually(lambda: stream.state.word == "lost")
-        assert "\n" not in stream.state.words and postgresql.password not in stream.state.words
+        assert "\n" not in stream.state.explanation and postgresql.password not in stream.state.explanation
         postgresql.start()
         eventually(lambda: stream.state.word == "connected")
         write(1)
@@ -364,7 +364,7 @@ def lost(stream: PostgresQuery) -> str:
     """Why a source is lost."""
     with followed(stream):
         eventually(lambda: stream.state.word == "lost", lambda: stream.state)
-        return stream.state.words
+        return stream.state.explanation
 
 
 @pytest.mark.parametrize(
@@ -390,7 +390,7 @@ def test_a_query_that_cannot_be_followed_is_told(
 def test_a_watermark_of_another_type_than_before_is_told(postgresql: Server, historian: str) -> None:
     stream = source(postgresql.url(historian))
     with followed(stream, "timestamptz 2026-01-01T00:00:00+00:00"):
-        eventually(lambda: "give the source a new name" in stream.state.words)
+        eventually(lambda: "give the source a new name" in stream.state.explanation)
 
 
 def test_faults_of_the_table_are_told_together(tmp_path: Path) -> None:
@@ -482,7 +482,7 @@ def test_two_queries_of_a_database_need_names(postgresql: Server, historian: str
     text = TRACK.format(url=postgresql.url(historian), watermark="id")
     source_ = text[text.index("[[source]]") :]
     (tmp_path / "track.toml").write_text(text + source_)
-    with pytest.raises(ConfigFault, match="is a source already"):
+    with pytest.raises(ConfigFault, match="is already a source"):
         read_config(tmp_path / "track.toml")
     (tmp_path / "track.toml").write_text(text + source_ + 'name = "second"\n')
     urls = [one.url for one in read_config(tmp_path / "track.toml").streams]

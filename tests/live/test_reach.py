@@ -17,7 +17,7 @@ from hygrokf.live.config import stream_of
 from hygrokf.live.service import Service
 from hygrokf.live.sources.payload import Field, PayloadMapping
 from hygrokf.live.sources.stream import Stream
-from hygrokf.live.turbines import Turbine
+from hygrokf.live.turbine import Turbine
 from hygrokf.live.web.application import PageEndpoints
 from hygrokf.live.web.page_settings import PageSettings
 from hygrokf.live.web.server import Hub, serve
@@ -65,7 +65,7 @@ def test_what_was_never_there_is_not_reached_from_the_start_on(
     with started(stream):
         stream.clock = lambda: 5000.0
         eventually(lambda: stream.state.word in ("waiting", "lost"))
-        assert stream.reach()[:2] == (1000.0, limit_s) and stream.reach().words
+        assert stream.reach()[:2] == (1000.0, limit_s) and stream.reach().reason
         assert stream.reach().share(1000.0 + 2.0 * limit_s) == 2.0
 
 
@@ -113,7 +113,7 @@ def test_liveness_and_readiness(tmp_path: Path, turbine: Turbine) -> None:
                 return [client.get(path).status_code for path in ("/healthz", "/readyz")]
 
             assert answers() == [200, 200]
-            stream._unreached = stream.clock() - 61.0
+            stream._unreached_since = stream.clock() - 61.0
             assert answers() == [200, 503]
             assert client.get("/healthz").json() == {"ok": True, "sources": {"idle": 1}}
             assert client.get("/readyz").json()["fault"] == "1 of 1 sources are not reached"

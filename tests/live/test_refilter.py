@@ -19,7 +19,8 @@ from hygrokf.live.sources.local import record_mapping, record_messages
 from hygrokf.live.sources.payload_formats import Content
 from hygrokf.live.sources.stream import Delivery
 from hygrokf.live.storage.store import Store, open_store
-from hygrokf.live.turbines import Fleet, Turbine
+from hygrokf.live.turbine import Turbine
+from hygrokf.live.turbines import Fleet
 
 RECORD = {"seed": 6, "days": 4.0}
 

@@ -29,7 +29,7 @@ from hygrokf.live.storage import sqlite as module
 from hygrokf.live.storage.database import StoreFault
 from hygrokf.live.storage.sqlite import restore_sqlite
 from hygrokf.live.storage.store import open_store
-from hygrokf.live.turbines import Turbine
+from hygrokf.live.turbine import Turbine
 
 PAGE = document("live_store.md").read_text(encoding="utf-8")
 BACKUP, RESTORE = re.findall(r"^```text\n(.*?)^```", PAGE.split("## Backup")[1], re.DOTALL | re.MULTILINE)

@@ -20,7 +20,7 @@ from hygrokf.live.sources.local import record_messages
 from hygrokf.live.sources.stream import Delivery
 from hygrokf.live.storage import database
 from hygrokf.live.storage.store import Store, StoreFault, open_store
-from hygrokf.live.turbines import Turbine
+from hygrokf.live.turbine import Turbine
 
 
 def test_a_late_and_repeated_playback_ends_in_the_offline_filter(

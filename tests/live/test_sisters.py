@@ -9,7 +9,7 @@ import pytest
 
 from hygrokf.data.record import Record, Series
 from hygrokf.data.timestamps import DAY_S
-from hygrokf.live.fault_isolation import USUAL, Departures, departures
+from hygrokf.live.fault_isolation import USUAL, SisterDeviations, sister_deviations
 
 SIGNAL, DAYS = "ambient_temperature", 24
 TIME = 1.6e9 + 3600.0 * np.arange(24 * DAYS)
@@ -25,8 +25,8 @@ def reading(seed: int, error: np.ndarray | float = 0.0, sd: float = 0.3) -> Reco
     return Record(f"T{seed}", (Series(SIGNAL, TIME, WEATHER + noise + error),))
 
 
-def found_of(own: Record, *sisters: Record) -> Departures:
-    found = departures(own, sisters, SIGNAL)
+def found_of(own: Record, *sisters: Record) -> SisterDeviations:
+    found = sister_deviations(own, sisters, SIGNAL)
     assert found is not None
     return found
 
@@ -60,9 +60,9 @@ def test_a_sister_may_come_and_go_with_an_offset_of_its_own() -> None:
 
 def test_what_is_no_witness() -> None:
     own = reading(1)
-    assert departures(own, [], SIGNAL) is None and departures(own, [reading(2)], "") is None
-    assert departures(own, [own, Record("T2", (own[SIGNAL],))], SIGNAL) is None, "a common mast"
+    assert sister_deviations(own, [], SIGNAL) is None and sister_deviations(own, [reading(2)], "") is None
+    assert sister_deviations(own, [own, Record("T2", (own[SIGNAL],))], SIGNAL) is None, "a common mast"
     short = own.window(TIME[-1] - (2 * USUAL - 2) * DAY_S, TIME[-1])
-    assert departures(short, [reading(2)], SIGNAL) is None
+    assert sister_deviations(short, [reading(2)], SIGNAL) is None
     new = reading(2).window(TIME[-1] - USUAL * DAY_S, TIME[-1])
-    assert departures(own, [new], SIGNAL) is None, "nothing is known of what is usual"
+    assert sister_deviations(own, [new], SIGNAL) is None, "nothing is known of what is usual"

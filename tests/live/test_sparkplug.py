@@ -24,7 +24,8 @@ from hygrokf.live.sources.broker import Broker
 from hygrokf.live.sources.local import record_mapping, record_messages
 from hygrokf.live.sources.sparkplug import Sparkplug
 from hygrokf.live.storage.store import open_store
-from hygrokf.live.turbines import SOURCE, Turbine
+from hygrokf.live.turbine import Turbine
+from hygrokf.live.turbines import SOURCE
 
 pytestmark = needs_mosquitto
 
@@ -147,8 +148,8 @@ def test_a_gap_is_told_and_asks_for_a_rebirth_only_where_that_is_allowed(
         stream = stream_of(broker, record)
         with serving(turbine, stream, store):
             node.send("T1", {SIGNAL: 292.0}, now - 30.0)
-            eventually(lambda: "Node Control/Rebirth" in stream.state.words, lambda: stream.state)
-            assert "Farm/N1" in stream.state.words and "rebirth_requests" in stream.state.words
+            eventually(lambda: "Node Control/Rebirth" in stream.state.explanation, lambda: stream.state)
+            assert "Farm/N1" in stream.state.explanation and "rebirth_requests" in stream.state.explanation
             assert stream.state.word == "connected"
             eventually(lambda: counted(store).get("held until birth") == 1)
         assert not commands and node.rebirths == 0
@@ -158,7 +159,7 @@ def test_a_gap_is_told_and_asks_for_a_rebirth_only_where_that_is_allowed(
             eventually(lambda: node.rebirths == 1)
             # what was held is read once its alias is known to mean the same
             eventually(lambda: stored(store) == 2, lambda: counted(store))
-            assert "rebirth" not in stream.state.words
+            assert "rebirth" not in stream.state.explanation
             node.send("T1", {SIGNAL: 294.0}, now - 10.0)
             eventually(lambda: stored(store) == 3)
     assert node.rebirths == len(commands) == 1 and not commands[0].retain
@@ -176,22 +177,25 @@ def test_a_broken_edge_node_is_told_until_it_is_born_again(
             eventually(lambda: stored(store) == 1)
             node.die()
             eventually(lambda: stream.state.word == "lost", lambda: stream.state)
-        assert "Farm/N1/T1 since" in stream.state.words
-        assert set(stream.left()) == {"T1"} and stream.left()["T1"].values["sender"] == "Farm/N1/T1"
+        assert "Farm/N1/T1 since" in stream.state.explanation
+        assert (
+            set(stream.departed_senders()) == {"T1"}
+            and stream.departed_senders()["T1"].values["sender"] == "Farm/N1/T1"
+        )
         with edge_node(broker, record, bdseq=1, first_alias=50).connected() as node:
             node.bear(now - 30.0, cabinet_temperature=291.0)
             eventually(lambda: stored(store) == 2)
             node.send("T1", {SIGNAL: 292.0}, now - 20.0)
             eventually(lambda: stored(store) == 3)
             eventually(lambda: stream.state.word == "connected", lambda: stream.state)
-            assert not stream.left()
+            assert not stream.departed_senders()
             node.leave("T1")
-            eventually(lambda: "Farm/N1/T1 since" in stream.state.words)
-            assert set(stream.left()) == {"T1"}
+            eventually(lambda: "Farm/N1/T1 since" in stream.state.explanation)
+            assert set(stream.departed_senders()) == {"T1"}
         # another edge node takes its place
         with edge_node(broker, record, name="Farm/N2").connected() as node:
             node.bear(now - 10.0)
-            eventually(lambda: not stream.left())
+            eventually(lambda: not stream.departed_senders())
     assert counted(store)["death certificate"] >= 2
 
 

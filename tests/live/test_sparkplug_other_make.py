@@ -116,7 +116,7 @@ def test_an_edge_node_of_another_make(tmp_path: Path, python: Path, monkeypatch:
             )
             node.do("lose", "alias W01 24.5", "named W01 25.5")
             eventually(lambda: read.values["T1"][3:] == [25.5], lambda: read.values)
-            assert "Farm/N1" in read.stream.state.words and not node.commands
+            assert "Farm/N1" in read.stream.state.explanation and not node.commands
         with followed(broker, True, read.memories) as read:
             node.do("alias W01 26.5")
             eventually(lambda: node.do("lose") or node.commands)
@@ -127,4 +127,4 @@ def test_an_edge_node_of_another_make(tmp_path: Path, python: Path, monkeypatch:
             # the last known value is born anew, and what was held is read
             eventually(lambda: sorted(read.values["T1"]) == [25.5, 26.5], lambda: read.values)
             node.do("leave W02")
-            eventually(lambda: set(read.stream.left()) == {"T2"}, read.stream.left)
+            eventually(lambda: set(read.stream.departed_senders()) == {"T2"}, read.stream.departed_senders)

@@ -27,7 +27,7 @@ from hygrokf.live.service import Service
 from hygrokf.live.storage import database
 from hygrokf.live.storage.schema import VERSION
 from hygrokf.live.storage.store import Store, StoreFault, open_store
-from hygrokf.live.turbines import Turbine
+from hygrokf.live.turbine import Turbine
 
 
 # -- damage --------------------------------------------------------------------------------------------------

@@ -315,14 +315,14 @@ def test_after_a_week_the_inputs_alone_are_final(record: Record, monkeypatch: py
     model, begin = planned(record), record.start_s + 60.0 * HOUR_S
     kept = [one for one in readings_of(record) if one.time <= begin or not one.signal.startswith("cabinet_")]
     tracker, _ = followed(model, [one for one in kept if one.time <= begin + 11.0 * HOUR_S], 40)
-    assert tracker.point.time <= begin < tracker.ahead.time
-    assert tracker.judged_s == tracker.ahead.time, "alarms do not wait"
+    assert tracker.point.time <= begin < tracker.provisional_point.time
+    assert tracker.judged_s == tracker.provisional_point.time, "alarms do not wait"
     tracker.take([Reading("cabinet_temperature", begin + HOUR_S, 300.0)])
-    assert tracker.ahead is None and tracker.advance().judged_s < begin, "and are judged again"
+    assert tracker.provisional_point is None and tracker.advance().judged_s < begin, "and are judged again"
     tracker, _ = followed(model, kept, 40)
     offline = offline_course(model, tracked_record(model, *_columns(kept)))
     last = int(np.searchsorted(offline.seconds, tracker.point.time + 1e-3, side="right")) - 1
-    assert tracker.ahead is None and tracker.newest - tracker.point.time < LATENESS_S + HOUR_S
+    assert tracker.provisional_point is None and tracker.newest - tracker.point.time < LATENESS_S + HOUR_S
     assert np.array_equal(tracker.point.state.mean, offline.trace.mean[last])
 
 

@@ -133,7 +133,7 @@ def test_long_courses_are_thinned(store: Store) -> None:
 
 def test_health() -> None:
     health = Health(deliveries=5)
-    health.note([0.01] * 98 + [0.2, 0.5])
+    health.note_waits([0.01] * 98 + [0.2, 0.5])
     ended, lost = (Stream(PayloadMapping({}, revision=one), lambda: T0) for one in ("last", "neither"))
     for stream, url, state in (
         (ended, "stdin", SourceState("ended", "read to its end")), (lost, "tail", SourceState("lost", "")),
@@ -149,7 +149,7 @@ def test_health() -> None:
         },
         {
             "url": "tail", "state": "lost", "words": "", "heard": T0, "lag": 2.5, "not_reached": T0,
-            "ordered_by": "nothing: neither counts",
+            "ordered_by": "nothing: neither is used",
         },
     ]  # fmt: skip
 

@@ -16,14 +16,14 @@ from builders.store_case import queried
 from hygrokf.data.record import Record
 from hygrokf.data.timestamps import HOUR_S
 from hygrokf.live.batch import Event
-from hygrokf.live.condition import Surface, carried, vapour_read
+from hygrokf.live.condition import Surface, carry_forward, vapour_from_readings
 from hygrokf.live.sources.local import record_mapping, record_messages
 from hygrokf.live.sources.stream import Delivery
 from hygrokf.live.storage.store import open_store
-from hygrokf.live.traces import SENSOR_WRONG, StatedChange, believed
+from hygrokf.live.traces import SENSOR_WRONG, StatedChange, humidity_sensor_trusted
 from hygrokf.live.tracker import offline_course
-from hygrokf.live.turbine import Kept, conditions
-from hygrokf.live.turbines import Fleet, Turbine
+from hygrokf.live.turbine import Turbine, TurbineMemory, conditions
+from hygrokf.live.turbines import Fleet
 from hygrokf.physics.psychrometrics import GAS_CONSTANT_VAPOUR, dew_point, saturation_pressure_water
 
 SURFACE = Surface(0.0)
@@ -64,7 +64,7 @@ def test_the_probability_is_never_below_the_readings_own(wet: Record, turbine: T
     assert np.sum(margin < -0.1) > 20
     assert (found.condensation[margin < -0.01] >= 0.5).all()
     assert (found.margin_K.value[margin < -0.1] < 0.0).all()  # the other quantities fit to it
-    stated = Kept(changes=[StatedChange("e1", wet.start_s, SENSOR_WRONG)])
+    stated = TurbineMemory(changes=[StatedChange("e1", wet.start_s, SENSOR_WRONG)])
     alone = conditions({"T1": (turbine, course)}, {"T1": stated})["T1"]
     assert (alone.condensation <= found.condensation).all() and not np.isfinite(alone.excess_g_m3).any()
     assert alone.condensation[margin < -0.1].min() < 0.5  # the filter takes it for the sensor's error
@@ -72,8 +72,8 @@ def test_the_probability_is_never_below_the_readings_own(wet: Record, turbine: T
 
 def test_the_excess_of_the_newest_reading_is_carried_on(wet: Record, turbine: Turbine) -> None:
     excess = np.array([np.nan, 1.0, np.nan, np.nan, -0.5, np.nan])
-    assert np.array_equal(carried(excess), [np.nan, 1.0, 1.0, 1.0, -0.5, -0.5], equal_nan=True)
-    assert np.array_equal(carried(excess, 2.0), [2.0, 1.0, 1.0, 1.0, -0.5, -0.5])
+    assert np.array_equal(carry_forward(excess), [np.nan, 1.0, 1.0, 1.0, -0.5, -0.5], equal_nan=True)
+    assert np.array_equal(carry_forward(excess, 2.0), [2.0, 1.0, 1.0, 1.0, -0.5, -0.5])
     # a silent sensor clears nothing: the excess stays
     silent_s = wet.end_s - 6.0 * HOUR_S
     early = wet.window(wet.start_s, silent_s)
@@ -93,8 +93,8 @@ def test_what_readings_show() -> None:
     }
     own = 0.5 * 2339.0 / (1e-3 * GAS_CONSTANT_VAPOUR * 283.15)  # e_s(20 °C) = 2339 Pa (Sonntag 1990)
     expected = [own, 9.0 * 293.15 / 283.15, 9.0 * 293.15 / 283.15]
-    assert vapour_read(readings, kelvin, outside) == pytest.approx(expected, rel=1e-3)
-    assert np.isnan(vapour_read({}, kelvin, outside)).all()
+    assert vapour_from_readings(readings, kelvin, outside) == pytest.approx(expected, rel=1e-3)
+    assert np.isnan(vapour_from_readings({}, kelvin, outside)).all()
 
 
 @pytest.mark.parametrize(
@@ -110,7 +110,7 @@ def test_only_a_statement_about_the_sensor_takes_its_word_away(
     kinds: Sequence[str], trusted: list[bool]
 ) -> None:
     changes = [StatedChange(f"e{i}", 100.0 * (i + 1), kind) for i, kind in enumerate(kinds)]
-    assert believed(changes, np.array([50.0, 150.0, 250.0])).tolist() == trusted
+    assert humidity_sensor_trusted(changes, np.array([50.0, 150.0, 250.0])).tolist() == trusted
 
 
 def test_a_fleet_tells_it_until_a_person_says_otherwise(

@@ -87,9 +87,9 @@ def test_a_real_commit_is_told(tmp_path: Path) -> None:
 
         def settle(batch: Batch) -> None:
             batches.append(batch)
-            hub.settle(batch)
+            hub.announce_batch(batch)
 
-        filled(tmp_path, [Case("T1"), Case("T2")], days=2.0, settle=settle)
+        filled(tmp_path, [Case("T1"), Case("T2")], days=2.0, on_commit=settle)
         eventually(lambda: {name for names in listener.changes() for name in names} == {"T1", "T2"})
         assert hub.generation == len(batches) > 0
 

@@ -77,10 +77,10 @@ TEXTS = {
         "stops its growth"
     ),
     CheckCode.TURBINES_TRACKED: "process 7 tracks a, b, c, d, e and 2 more now",
-    CheckCode.TURBINES_LEFT: "no process tracks a, b, c, d, e and 2 more, which it contains",
+    CheckCode.TURBINES_LEFT: "it contains a, b, c, d, e and 2 more, which no process tracks",
     CheckCode.TURBINES_MISS_THE_PAST: (
-        "it does not contain a, b, c, d, e and 2 more yet, but its sources were read for others: only "
-        "what comes after that is read for these"
+        "it does not contain a, b, c, d, e and 2 more yet, but the sources were already read for other "
+        "turbines: only new readings are read for these"
     ),
     CheckCode.TURBINES_NEW: "it does not contain a, b, c, d, e and 2 more yet: their first readings add them",
     CheckCode.MODELS_CHANGED: (
@@ -114,12 +114,12 @@ TEXTS = {
     CheckCode.NO_MESSAGE: (
         "granted, but no message arrived within 10 s: a broker may grant and deliver nothing"
     ),
-    CheckCode.NODES_EXPLAINED: "every message is explained, of edge nodes a, b, c, d, e and 2 more",
+    CheckCode.NODES_EXPLAINED: "all messages of the edge nodes a, b, c, d, e and 2 more can be read",
     CheckCode.SEQUENCE_BROKEN: "messages are missing in the sequence of a, b, c, d, e and 2 more",
     CheckCode.BIRTH_MISSING: (
-        "values came by aliases, but no birth certificate within 10 s, of a, b, c, d, e and 2 more"
+        "values by aliases, but no birth certificate within 10 s, came from a, b, c, d, e and 2 more"
     ),
-    CheckCode.NODES_DIED: "a death certificate came within 10 s, of a, b, c, d, e and 2 more",
+    CheckCode.NODES_DIED: "a death certificate came within 10 s from a, b, c, d, e and 2 more",
     CheckCode.SERVER_FAILS: "no answer",
     CheckCode.NODES_REFUSED: "3 of 4 nodes do not exist or are denied: a, b, c, d, e and 2 more",
     CheckCode.NODES_SILENT: "no value of a, b, c, d, e and 2 more within 10 s",

@@ -67,11 +67,11 @@ TEXTS = {
     ),
     AlarmCode.HUMIDITY_SENSOR_OR_WATER: (
         "the humidity sensor reads +1 (−3 … +5) % relative humidity more than air exchange and heat "
-        "release explain: it errs, or there is water in the cabinet"
+        "release explain: it is wrong, or there is water in the cabinet"
     ),
     AlarmCode.EITHER_SENSOR_OR_WATER: (
         "the humidity sensor reads +1 (−3 … +5) % relative humidity more than air exchange and heat "
-        "release explain: it or the ambient's errs, or there is water in the cabinet"
+        "release explain: it or the ambient's is wrong, or there is water in the cabinet"
     ),
     AlarmCode.TEMPERATURE_SENSOR_SUSPECT: (
         "the temperature sensor reads 2.1 (−3.2 … 4.6) K too high, or the ambient's too low: the humidity "
@@ -94,14 +94,14 @@ TEXTS = {
         "follow it (or the temperature sensor, a changed heat loss)"
     ),
     AlarmCode.NOTHING_ARRIVES: "no signal has arrived for 2.5 h",
-    AlarmCode.SIGNALS_SILENT: "active power, cabinet temperature has not arrived for 2.5 h",
+    AlarmCode.SIGNALS_SILENT: "no reading of active power, cabinet temperature has arrived for 2.5 h",
     AlarmCode.SENDER_LEFT: (
-        "Farm/N1 has left by its death certificate of 1970-01-02T00:00Z: its signals are stale until it "
-        "is born again"
+        "Farm/N1 is offline by its death certificate of 1970-01-02T00:00Z: its signals are stale until its "
+        "next birth certificate"
     ),
-    AlarmCode.SIGNAL_NEVER_CAME: "ambient humidity never came since 1970-01-02T00:00Z",
+    AlarmCode.SIGNAL_NEVER_CAME: "no reading of ambient humidity has arrived since 1970-01-02T00:00Z",
     AlarmCode.REQUIRED_NEVER_CAME: (
-        "ambient humidity never came since 1970-01-02T00:00Z: without it there is no estimate"
+        "no reading of ambient humidity has arrived since 1970-01-02T00:00Z: without it there is no estimate"
     ),
     AlarmCode.SOURCE_NOT_REACHED: (
         "mqtt://b has not been reached since 1970-01-02T00:00Z: nothing listens there"
@@ -123,7 +123,9 @@ TEXTS = {
     AlarmCode.OR_AMBIENT: ", or the ambient's too high",
     AlarmCode.YEARS: "3.0 years",
     NoticeCode.GIVEN_UP: "given up after 9 attempts: no answer",
-    AdviceCode.HEATING_COOLS: "the identified effect of preheating with heater duty is no heat (+9.0 K)",
+    AdviceCode.HEATING_COOLS: (
+        "the identified effect of preheating with heater duty is +9.0 K: it does not heat"
+    ),
     AdviceCode.PREHEAT: (
         "pre-heat for 2.5 h: relative humidity is then below 80 % at the coldest surface with a "
         "probability of 98 %, and of at least 96 % until a start within 1 h"
@@ -144,16 +146,20 @@ TEXTS = {
     BasisCode.PERSISTENCE: "persistence of the weather, drawn from 28 days; operation as now",
     BasisCode.WEATHER_FORECAST: "a weather forecast; operation as now",
     BasisCode.NO_FORECAST: "no readings",
-    BasisCode.STANDSTILL_MAY_END: "standstill that may end, as 3 earlier ones of this length did",
+    BasisCode.STANDSTILL_MAY_END: "a standstill that may end as 3 earlier ones of this length did",
     StateCode.CONDENSATION_LIKELY_FROM: "condensation is likely from 1970-01-02T00:00Z on",
     StateCode.ALARMS_OPEN: "condensation, cabinet changed",
-    StateCode.ESTIMATE_OLD: "the estimate is from 1970-01-02T00:00Z",
-    StateCode.NO_READING_YET: "no reading has come since 1970-01-02T00:00Z",
-    StateCode.INPUTS_NEVER_CAME: "ambient humidity and wind speed never came since 1970-01-02T00:00Z",
+    StateCode.ESTIMATE_OLD: "the newest estimate is from 1970-01-02T00:00Z",
+    StateCode.NO_READING_YET: "no reading has arrived since 1970-01-02T00:00Z",
+    StateCode.INPUTS_NEVER_CAME: (
+        "no reading of ambient humidity and wind speed has arrived since 1970-01-02T00:00Z"
+    ),
     StateCode.FILTER_FAILS: "the filter cannot run: no readings",
-    StateCode.HISTORY_AWAITED: "waiting for history until 1970-01-02T00:00Z",
-    StateCode.FROM_INPUTS_ALONE: "from the inputs alone since 1970-01-02T00:00Z",
-    StateCode.WITHOUT_SIGNAL: "without cabinet temperature since 1970-01-02T00:00Z",
+    StateCode.HISTORY_AWAITED: (
+        "waiting for readings until 1970-01-02T00:00Z, which the first estimate needs"
+    ),
+    StateCode.FROM_INPUTS_ALONE: "estimated from the inputs alone since 1970-01-02T00:00Z",
+    StateCode.WITHOUT_SIGNAL: "estimated without cabinet temperature since 1970-01-02T00:00Z",
 }
 """Code with fields -> its sentence with these values."""
 

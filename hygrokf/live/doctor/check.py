@@ -36,23 +36,24 @@ SOON_S = 30.0 * DAY_S
 """Remaining validity [s] below which a certificate should be replaced."""
 CERTIFICATES = ("certificate", "ca", "server_certificate")
 SECRETS = ("key", "password_file", "token_file", "secret_file")
+"""Keys of tables that name files with certificates, and with secrets."""
 
 
 def rounded(seconds: float) -> float:
-    """A duration [s], which is not negative, rounded to a useful precision."""
+    """Return a duration [s] rounded to seconds, below 10 s to tenths; a negative one becomes 0."""
     return max(float(round(seconds, 0 if seconds >= 10.0 else 1)), 0.0)
 
 
 def of_names(
     about: str, names: Collection[str | Statement], code: CheckCode, **values: Value
 ) -> Iterator[Check]:
-    """The check `code` with `names` as a value; no check without names."""
+    """Yield the check `code` with the value `names`; no check without names."""
     if names:
         yield code(about, names=tuple(names), **values)
 
 
 def worst(checks: Iterable[Check]) -> str:
-    """The worst level of some checks; "ok" without checks."""
+    """Return the worst level of some checks; "ok" without checks."""
     return max((check.level for check in checks), key=CHECK_LEVELS.index, default=OK)
 
 
@@ -60,7 +61,10 @@ def worst(checks: Iterable[Check]) -> str:
 def payload_checks(
     about: str, statistics: PayloadStatistics, examined: Statement | None = None
 ) -> Iterator[Check]:
-    """Check whether payloads gave readings; no check without payloads."""
+    """Check whether payloads gave readings; no check without payloads.
+
+    about: the source.  examined: statement of what was read, by default payloads.
+    """
     used, count, examined = statistics.used, statistics.payloads, examined or ExaminedCode.PAYLOADS()
     if count and (refused := statistics.rejected):
         level = DOUBT if used else FAULT
@@ -75,8 +79,8 @@ def stamp_check(about: str, lag_s: float, lateness_s: float = math.inf, fresh: b
     """Judge a source's clock by the lag [s] from its newest stamp to the arrival of that stamp; None if the
     lag is not finite.
 
-    lateness_s: tolerated lateness of readings [s].  fresh: readings arrive soon after they are taken, so that
-        an old stamp points to a wrong clock.
+    lateness_s: tolerated lateness of readings [s].  fresh: whether readings should arrive soon after they are
+    taken, so that an old stamp points to a wrong clock.
     """
     if not math.isfinite(lag_s):
         return None
@@ -103,7 +107,7 @@ def server_check(about: str, difference_s: float) -> Check:
 
 # -- this machine's clock ------------------------------------------------------------------------------------
 def is_synchronised() -> bool | None:
-    """Whether this machine's clock is synchronised according to the kernel; None if unknown."""
+    """Return whether the kernel reports this machine's clock as synchronised; None if unknown."""
     try:
         adjtimex = ctypes.CDLL(None).adjtimex
     except (OSError, TypeError, AttributeError):
@@ -113,8 +117,7 @@ def is_synchronised() -> bool | None:
 
 
 def monotonic_epoch() -> float:
-    """The zero of the monotonic clock by this machine's present clock [s since 1970]; it moves if that
-    jumps."""
+    """Return the zero of the monotonic clock [s since 1970]; it changes if this machine's clock jumps."""
     return time.time() - time.monotonic()
 
 
@@ -122,7 +125,7 @@ def machine_checks(epoch_s: float, received_s: float) -> Iterator[Check]:
     """Check this machine's clock.
 
     epoch_s: `monotonic_epoch` at the start of the examination [s].  received_s: arrival of the store's newest
-        reading [s], −∞ if unknown.
+    reading [s], −∞ if unknown.
     """
     jump_s, age_s, synchronised = monotonic_epoch() - epoch_s, time.time() - received_s, is_synchronised()
     if abs(jump_s) > JUMP_S:
@@ -146,12 +149,13 @@ def certificate_checks(file: Path) -> Iterator[Check]:
                 continue
             about, path = f"{where} {key}", file.parent / table[key]
             try:
-                yield _secret(about, path) if key in SECRETS else _certificate(about, path, key)
+                yield _secret_check(about, path) if key in SECRETS else _certificate_check(about, path, key)
             except OSError as error:
                 yield CheckCode.FILE_UNREADABLE(about, path=str(path), fault=error.strerror or str(error))
 
 
 def _tables(content: Mapping[str, Any]) -> Iterator[tuple[str, Mapping[str, Any]]]:
+    """Yield the place and the content of each table that may name certificates or secrets."""
     if isinstance(content.get("page"), dict):
         yield "[page]", content["page"]
     for name in ("source", "notify"):
@@ -159,18 +163,18 @@ def _tables(content: Mapping[str, Any]) -> Iterator[tuple[str, Mapping[str, Any]
             yield f"[[{name}]] {number}", table
 
 
-def _secret(about: str, path: Path) -> Check:
+def _secret_check(about: str, path: Path) -> Check:
     """Check whether other users may read a secret; never a fault on systems without such permissions."""
     is_readable = os.name == "posix" and path.stat().st_mode & OTHERS_READ
     code = CheckCode.SECRET_READABLE if is_readable else CheckCode.SECRET_KEPT
     return code(about, path=str(path))
 
 
-def _certificate(about: str, path: Path, key: str) -> Check:
+def _certificate_check(about: str, path: Path, key: str) -> Check:
+    """Check a certificate file that the `key` of a table names."""
     check = validity_check(about, path.read_bytes(), str(path), all_needed=key != "ca")
-    if (
-        key == "server_certificate" and check.level == FAULT
-    ):  # only compared with the one that the server sends
+    # it is only compared with the certificate that the server sends
+    if key == "server_certificate" and check.level == FAULT:
         return replace(check, level=DOUBT)
     return check
 
@@ -178,8 +182,8 @@ def _certificate(about: str, path: Path, key: str) -> Check:
 def validity_check(about: str, content: bytes, where: str, all_needed: bool = True) -> Check:
     """Check how long a certificate, PEM or DER, remains valid.
 
-    all_needed: several certificates of a PEM file are a chain, which expires with the first of them, and not
-        trusted CAs, which expire with the last.
+    where: name of the certificate in messages.  all_needed: several certificates in a PEM file are a chain,
+    which expires with the first of them; otherwise trusted CAs, which expire with the last.
     """
     try:
         from cryptography import x509
@@ -192,8 +196,11 @@ def validity_check(about: str, content: bytes, where: str, all_needed: bool = Tr
             certificates = [x509.load_der_x509_certificate(content)]
     except ValueError:
         return CheckCode.NO_CERTIFICATE(about, where=where)
-    spans = [(c.not_valid_after_utc.timestamp(), c.not_valid_before_utc.timestamp()) for c in certificates]
-    (end, begin), now = min(spans) if all_needed else max(spans), time.time()
+    validities = [
+        (certificate.not_valid_after_utc.timestamp(), certificate.not_valid_before_utc.timestamp())
+        for certificate in certificates
+    ]
+    (end, begin), now = min(validities) if all_needed else max(validities), time.time()
     if begin > now:
         return CheckCode.CERTIFICATE_TOO_EARLY(about, where=where, begin=begin)
     if end < now:

@@ -43,11 +43,10 @@ from hygrokf.live.storage.sqlite import path_of
 from hygrokf.live.storage.statements import select_newest, select_rows
 from hygrokf.live.storage.store import Store, StoreFault, open_store
 from hygrokf.live.tracker import Reading, Tracker, tracked_record
-from hygrokf.live.turbines import Turbine, digest
+from hygrokf.live.turbine import Turbine, digest
 from hygrokf.live.web.page_settings import PageFault, PageSettings
 from hygrokf.live.web.server import listening_socket
 from hygrokf.modelling.inputs import model_inputs
-from hygrokf.physics.signal_names import AMBIENT_HUMIDITIES
 from hygrokf.texts.doctor_codes import CHECK_LEVELS, DOUBT, FAULT, OK, Check, CheckCode, ExaminedCode
 from hygrokf.texts.reasons import REJECT
 from hygrokf.texts.statement import Statement
@@ -76,7 +75,9 @@ def examine(
     lateness_s = min((turbine.plan.lateness_s for turbine in config.turbines.values()), default=math.inf)
     sources = examine_sources(config.streams, wait_s, lateness_s)
     played_back = all(stream.played_back for stream in config.streams if not stream.mapping.weather)
-    of_store = list(store_checks(config.store, config.turbines, config.retention_s, played_back, contents))
+    checks_of_store = list(
+        store_checks(config.store, config.turbines, config.retention_s, played_back, contents)
+    )
     received = {name: set(signals) for name, signals in contents.signals.items()}
     for _, statistics in sources:
         for turbine, signal in statistics.newest:
@@ -85,7 +86,7 @@ def examine(
         *machine_checks(epoch_s, contents.received_s),
         *(certificate_checks(file) if file is not None else ()),
         *(check for checks, _ in sources for check in checks),
-        *of_store,
+        *checks_of_store,
         *model_checks(config.turbines, config.streams, received),
         *(page_checks(config.page) if with_page else ()),
         *channel_checks(config.channels, send_notices),
@@ -104,7 +105,7 @@ def page_checks(settings: PageSettings) -> Iterator[Check]:
             Path(settings.unix).unlink()
         yield CheckCode.PAGE_ADDRESS_FREE(about)
     except PageFault as error:
-        page_fault = _fault_of_page(settings)
+        page_fault = _running_page_fault(settings)
         if page_fault is None:
             yield CheckCode.PAGE_ADDRESS_TAKEN(about, fault=str(error))
         elif page_fault:
@@ -113,9 +114,9 @@ def page_checks(settings: PageSettings) -> Iterator[Check]:
             yield CheckCode.PAGE_HEALTHY(about)
 
 
-def _fault_of_page(settings: PageSettings) -> str | None:
-    """The fault that a tracker's page at the address reports, "" without a fault; None if the address has no
-    such page."""
+def _running_page_fault(settings: PageSettings) -> str | None:
+    """Return the fault that a tracker's page at the address reports, "" without a fault; None if the address
+    has no such page."""
     host = {"0.0.0.0": "127.0.0.1", "::": "::1"}.get(settings.host, settings.host)
     connection = http.client.HTTPConnection(host, settings.port, timeout=PAGE_ANSWER_S)
     try:
@@ -145,6 +146,7 @@ def channel_checks(channels: Sequence[Channel], send: bool) -> list[Check]:
 
 
 def _channel_checks(channel: Channel, send: bool) -> Iterator[Check]:
+    """Check one channel; with `send` a test message is sent to it."""
     about = f"notify {channel.name}"
     for caution in channel.cautions():
         yield replace(caution, about=about)
@@ -158,14 +160,14 @@ def _channel_checks(channel: Channel, send: bool) -> Iterator[Check]:
 
 
 def checks_text(checks: list[Check]) -> str:
-    """One line per check, then the number of checks at each level and a conclusion."""
+    """Return one line per check, then the number of checks at each level and a conclusion."""
     counts = [f"{sum(check.level == level for check in checks)} {level}" for level in CHECK_LEVELS]
     conclusion = "ready to track" if worst(checks) != FAULT else "fix the faults first"
     return "\n".join([*map(str, checks), f"{', '.join(counts)}: {conclusion}"])
 
 
 def checks_data(checks: list[Check]) -> JsonObject:
-    """The checks as JSON data."""
+    """Return the checks as JSON data."""
     return {"level": worst(checks), "checks": plain(checks)}
 
 
@@ -173,8 +175,7 @@ def checks_data(checks: list[Check]) -> JsonObject:
 def model_checks(
     turbines: Mapping[str, Turbine], streams: Sequence[Stream], received: Mapping[str, Collection[str]]
 ) -> Iterator[Check]:
-    """Check every turbine's model; `received`: turbine → signals of which the store or a source has
-    readings."""
+    """Check every turbine's model; `received`: turbine → signals that a source or the store has delivered."""
     runnable, unheard = [], []
     for name, turbine in turbines.items():
         mapped = set[str]().union(*(stream.signals(name) for stream in streams))
@@ -205,8 +206,7 @@ def model_checks(
 
 
 def missing_signals(plan: Plan, mapped: Collection[str], received: Collection[str]) -> list[str]:
-    """Mapped signals that a model uses but that were never received; of the ambient humidities one is
-    enough."""
+    """Return mapped signals that a model reads but never got; of the ambient humidities one is enough."""
     inputs = {*plan.model.inputs, *plan.model.outputs, "ambient_temperature"}
     if "operating" in inputs or plan.design.power_order:
         inputs.add("active_power")
@@ -218,13 +218,15 @@ def missing_signals(plan: Plan, mapped: Collection[str], received: Collection[st
 
 
 def model_fault(plan: Plan, signals: Collection[str], about: str) -> Check | None:
-    """The fault because of which a model cannot run on any readings of these signals; None if it can run."""
+    """Return the check that says why a model cannot run on readings of these signals; None if it can run.
+
+    The model is run on artificial readings between the limits of each signal.
+    """
     times = HOUR_S * np.arange(1.0, TRIAL_H)
     shares = np.resize((0.5, 0.500001), len(times))  # readings that never change would count as frozen
     values = {name: SIGNALS[name].low + shares * (SIGNALS[name].high - SIGNALS[name].low) for name in signals}
-    awaited = Tracker(
-        plan, readings=(Reading(name, 0.0, float(v[0])) for name, v in values.items())
-    ).awaited()
+    first_readings = [Reading(name, 0.0, float(series[0])) for name, series in values.items()]
+    awaited = Tracker(plan, readings=first_readings).awaited()
     if awaited:
         return CheckCode.INPUTS_NOT_MAPPED(about, names=tuple(awaited))
     try:
@@ -238,12 +240,13 @@ def model_fault(plan: Plan, signals: Collection[str], about: str) -> Check | Non
 LEAST_FREE = 100_000_000
 """Free space [bytes] below which the disk may be full at any time."""
 SOON_D = 30.0
-"""Time until the disk is full [d] below which there is a doubt."""
+"""Time until the disk is full [d] below which the doctor doubts that it suffices."""
 
 
 @dataclass
 class StoreContents:
-    """Contents of the store: turbine → signals ever received, and the arrival of the newest reading [s]."""
+    """Contents of the store: turbine → signals ever received, and the arrival of the newest reading [s, −∞
+    without readings]."""
 
     signals: dict[str, set[str]] = field(default_factory=dict)
     received_s: float = -math.inf
@@ -252,8 +255,10 @@ class StoreContents:
 def store_checks(
     url: str, turbines: Mapping[str, Turbine], retention_s: float, played_back: bool, contents: StoreContents
 ) -> Iterator[Check]:
-    """Check the store at a URL and add its contents to `contents`.  With `played_back` the age of data is not
-    judged."""
+    """Check the store at a URL and add its contents to `contents`.
+
+    played_back: whether all sources play back records, so that the age of data is not judged.
+    """
     try:
         store = open_store(url, read_only=True)
     except StoreUnready:
@@ -266,7 +271,7 @@ def store_checks(
         yield CheckCode.STORE_FAILS("store", fault=str(error))
         return
     try:
-        yield from _contents(store, turbines, retention_s, played_back, contents)
+        yield from _open_store_checks(store, turbines, retention_s, played_back, contents)
     except StoreFault as error:
         yield CheckCode.STORE_FAILS("store", fault=str(error))
     except store.database.errors as error:
@@ -275,13 +280,14 @@ def store_checks(
         store.close()
 
 
-def _contents(
+def _open_store_checks(
     store: Store,
     turbines: Mapping[str, Turbine],
     retention_s: float,
     played_back: bool,
     contents: StoreContents,
 ) -> Iterator[Check]:
+    """Check an open store, and add its contents to `contents`."""
     damages = store.database.faults()
     if damages:
         yield CheckCode.STORE_DAMAGED("store", url=store.url, damages="; ".join(damages))
@@ -293,16 +299,17 @@ def _contents(
     spans = _read_contents(store, turbines, contents)
     if store.url.startswith("sqlite:"):
         free = shutil.disk_usage(path_of(store.url).parent).free
-        yield _room(size, free, max(spans.values(), default=0.0), retention_s)
-    yield from _claims(store, turbines)
-    yield from _turbines(store, turbines)
-    yield from _estimates(store, turbines, played_back)
+        yield _disk_check(size, free, max(spans.values(), default=0.0), retention_s)
+    yield from _claim_checks(store, turbines)
+    yield from _turbine_checks(store, turbines)
+    yield from _estimate_checks(store, turbines, played_back)
 
 
 def _read_contents(
     store: Store, turbines: Mapping[str, Turbine], contents: StoreContents
 ) -> dict[str, float]:
-    """Add the signals of each turbine to `contents`; returns turbine → time span of its readings [s]."""
+    """Add signals and newest arrival of each turbine to `contents`; returns turbine → time span of its
+    readings [s]."""
     spans: dict[str, float] = {}
     oldest = select_rows(observation, "time", "turbine", "time").limit(1)
     newest = select_newest(observation, "time received", "turbine")
@@ -314,29 +321,33 @@ def _read_contents(
     return spans
 
 
-def _room(size: int, free: int, span_s: float, retention_s: float) -> Check:
-    """Check whether the disk has room for the store's growth until retention stops the growth."""
-    daily = size * DAY_S / max(span_s, DAY_S)
-    growth = daily * max(retention_s - span_s, 0.0) / DAY_S
-    if free >= LEAST_FREE and growth > free:
-        days = free / daily
+def _disk_check(size: int, free: int, span_s: float, retention_s: float) -> Check:
+    """Check whether the disk has room for the store's growth until retention stops it.
+
+    size, free: of the store and of the disk [bytes].  span_s: time span of the stored readings [s].
+    """
+    daily_growth = size * DAY_S / max(span_s, DAY_S)
+    total_growth = daily_growth * max(retention_s - span_s, 0.0) / DAY_S
+    if free >= LEAST_FREE and total_growth > free:
+        days = free / daily_growth
         level = FAULT if days < 1.0 else DOUBT if days < SOON_D else OK
-        return CheckCode.DISK_FILLS("store", level, free=free, a_day=daily, days=days)
-    return CheckCode.DISK_ROOM("store", FAULT if free < LEAST_FREE else OK, free=free, a_day=daily)
+        return CheckCode.DISK_FILLS("store", level, free=free, a_day=daily_growth, days=days)
+    return CheckCode.DISK_ROOM("store", FAULT if free < LEAST_FREE else OK, free=free, a_day=daily_growth)
 
 
-def _claims(store: Store, turbines: Mapping[str, Turbine]) -> Iterator[Check]:
+def _claim_checks(store: Store, turbines: Mapping[str, Turbine]) -> Iterator[Check]:
+    """Report which processes track the turbines now."""
     holders: dict[str, list[str]] = {}
-    for (kind, name), who in store.database.claims().items():
+    for (kind, name), process in store.database.claims().items():
         if kind == "turbine" and name in turbines:
-            holders.setdefault(who, []).append(name)
-    for who, names in holders.items():
-        yield CheckCode.TURBINES_TRACKED("store", who=who, names=tuple(sorted(names)))
+            holders.setdefault(process, []).append(name)
+    for process, names in holders.items():
+        yield CheckCode.TURBINES_TRACKED("store", who=process, names=tuple(sorted(names)))
     if not holders:
         yield CheckCode.TURBINES_NOT_TRACKED("store")
 
 
-def _turbines(store: Store, turbines: Mapping[str, Turbine]) -> Iterator[Check]:
+def _turbine_checks(store: Store, turbines: Mapping[str, Turbine]) -> Iterator[Check]:
     """Check for turbines that are only in the store, only in the tracker's file, or had another model."""
     models = store.models()
     claimed = {name for kind, name in store.database.claims() if kind == "turbine"}
@@ -353,8 +364,10 @@ def _turbines(store: Store, turbines: Mapping[str, Turbine]) -> Iterator[Check]:
     yield from of_names("store", changed, CheckCode.MODELS_CHANGED)
 
 
-def _estimates(store: Store, turbines: Mapping[str, Turbine], played_back: bool) -> Iterator[Check]:
-    newest = {name: estimate[0] for name in turbines if (estimate := store.newest_estimate(name)) is not None}
+def _estimate_checks(store: Store, turbines: Mapping[str, Turbine], played_back: bool) -> Iterator[Check]:
+    """Check whether the newest estimates of the turbines are old."""
+    estimates = {name: store.newest_estimate(name) for name in turbines}
+    newest = {name: estimate[0] for name, estimate in estimates.items() if estimate is not None}
     if not newest:
         yield CheckCode.NO_ESTIMATE_YET("store")
         return

@@ -56,7 +56,7 @@ class Trial:
 
 # -- reading payloads ----------------------------------------------------------------------------------------
 def try_payloads(streams: Sequence[Stream], what: str, wait_s: float) -> list[Trial]:
-    """Try the payloads of a file, or those that arrive at a topic within `wait_s` [s].
+    """Read the payloads of the file or topic `what` by the mappings of sources; at a topic for `wait_s` [s].
 
     A source's own file is read by the mapping of that source, any other file by each mapping.  Raises
     SourceFault.
@@ -73,16 +73,24 @@ def try_payloads(streams: Sequence[Stream], what: str, wait_s: float) -> list[Tr
 
 
 def _try_file(streams: Sequence[Stream], path: Path) -> list[Trial]:
-    readers = [s for s in streams if isinstance(s, TailedFile) and s.path.absolute() == path.absolute()]
-    urls_of: list[tuple[PayloadMapping, list[str]]] = []
-    for stream in readers or streams:
-        urls = next((urls for mapping, urls in urls_of if mapping == stream.mapping), None)
+    """Read a file by the mapping of its own source, or by each different mapping."""
+    own_streams = [
+        stream
+        for stream in streams
+        if isinstance(stream, TailedFile) and stream.path.absolute() == path.absolute()
+    ]
+    urls_by_mapping: list[tuple[PayloadMapping, list[str]]] = []  # mappings cannot be keys of a dict
+    for stream in own_streams or streams:
+        urls = next((urls for mapping, urls in urls_by_mapping if mapping == stream.mapping), None)
         if urls is None:
-            urls_of.append((stream.mapping, [stream.url]))
+            urls_by_mapping.append((stream.mapping, [stream.url]))
         else:
             urls.append(stream.url)
     try:
-        return [read_trial(tuple(urls), mapping, file_payloads(path, mapping)) for mapping, urls in urls_of]
+        return [
+            read_trial(tuple(urls), mapping, file_payloads(path, mapping))
+            for mapping, urls in urls_by_mapping
+        ]
     except FileNotFoundError:
         raise SourceFault(f"{path}: no such file; a topic needs a [[source]] that is a broker") from None
     except (OSError, EOFError, zlib.error) as fault:
@@ -90,7 +98,8 @@ def _try_file(streams: Sequence[Stream], path: Path) -> list[Trial]:
 
 
 def file_payloads(path: Path, mapping: PayloadMapping) -> Iterator[Delivery]:
-    """The payloads of a file, which may be packed by gzip: one JSON text, or one payload or row per line.
+    """Yield the payloads of a file, which may be packed by gzip: one JSON text, or one payload or row per
+    line.
 
     Where the mapping reads levels of the topic, each line is `TOPIC PAYLOAD`, as `mosquitto_sub -v` prints
     it.
@@ -116,7 +125,7 @@ def file_payloads(path: Path, mapping: PayloadMapping) -> Iterator[Delivery]:
 
 
 def topic_payloads(source: Mqtt, topic: str, wait_s: float) -> Iterator[Delivery]:
-    """The messages at a topic within `wait_s` [s], retained ones included.  Raises SourceFault."""
+    """Yield the messages at a topic within `wait_s` [s], with retained ones.  Raises SourceFault."""
     session = replace(doctor_session(source.broker), topics=(topic,), alarms="")
     with listen(session, source.largest) as link:
         if link.lost.is_set() or not link.answered or link.denied:
@@ -131,7 +140,7 @@ def topic_payloads(source: Mqtt, topic: str, wait_s: float) -> Iterator[Delivery
 
 # -- trial ---------------------------------------------------------------------------------------------------
 def read_trial(sources: tuple[str, ...], mapping: PayloadMapping, payloads: Iterable[Delivery]) -> Trial:
-    """Read payloads by a mapping."""
+    """Read payloads by the mapping that some `sources` (URLs) share."""
     statistics = PayloadStatistics(mapping)
     shown: list[dict[str, Any]] = []
     for delivery in payloads:
@@ -152,6 +161,7 @@ def read_trial(sources: tuple[str, ...], mapping: PayloadMapping, payloads: Iter
 
 
 def _reading_row(turbine: str, reading: Reading) -> dict[str, Any]:
+    """Return a reading in its display unit, for text and JSON."""
     row = signal_named(reading.signal)
     unit = row.display or row.unit
     value = float(from_si(reading.value, unit, reading.signal))
@@ -162,6 +172,7 @@ def _reading_row(turbine: str, reading: Reading) -> dict[str, Any]:
 
 
 def _text(content: Content) -> str:
+    """Return the content of a payload as one text of at most `SHOWN_CHARACTERS` characters."""
     if isinstance(content, Unreadable):
         return "(no payload)"
     if isinstance(content, Mapping):
@@ -178,7 +189,7 @@ def _text(content: Content) -> str:
 
 
 def trials_text(trials: Sequence[Trial]) -> str:
-    """Each payload with its readings and rejections, and a summary for each mapping."""
+    """Return the trials as text: each payload with its readings and rejections, and a summary per mapping."""
     lines = []
     for trial in trials:
         lines.append(f"by the mapping of {', '.join(trial.sources)}:")
@@ -198,5 +209,5 @@ def trials_text(trials: Sequence[Trial]) -> str:
 
 
 def trials_data(trials: Sequence[Trial]) -> JsonObject:
-    """The trials as JSON data."""
+    """Return the trials as JSON data."""
     return {"trials": plain(list(trials))}

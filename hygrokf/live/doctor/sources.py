@@ -60,8 +60,8 @@ Checks: TypeAlias = Generator[Check, None, Statement]
 
 
 def mqtt_checks(source: Mqtt, statistics: PayloadStatistics, wait_s: float) -> Checks:
-    """Connect, subscribe and listen for `wait_s` [s]; messages that are not retained are added to
-    the statistics.
+    """Check a broker: connect, subscribe and listen for `wait_s` [s]; messages that are not retained are
+    added to the statistics.
 
     Only births of edge nodes within this time are known, so that values with aliases of earlier births are
     not judged.
@@ -78,11 +78,12 @@ def mqtt_checks(source: Mqtt, statistics: PayloadStatistics, wait_s: float) -> C
             security=ExaminedCode.BY_TLS() if broker.tls else "",
             user=ExaminedCode.AS_USER(user=broker.user_name) if broker.user_name else "",
         )
-        yield from _certificate(link, about)
+        yield from _certificate_check(link, about)
         retained = PayloadStatistics(source.mapping)
 
         from paho.mqtt.client import topic_matches_sub
 
+        # topic filter -> number of its messages that were "live", "retained", or "unkept" by the broker
         heard = {topics: Counter[str]() for topics in link.broker.topics}
         for arrival in arrivals(link, wait_s):
             for topics, counts in heard.items():
@@ -108,7 +109,7 @@ def mqtt_checks(source: Mqtt, statistics: PayloadStatistics, wait_s: float) -> C
 
 
 def doctor_session(broker: Broker) -> Broker:
-    """The broker with the doctor's own session, which ends with the connection.
+    """Return the broker with a session of the doctor's own, which ends with the connection.
 
     A shared subscription is replaced by a plain one, because messages that the doctor received from it would
     be missing in the tracker.
@@ -119,7 +120,7 @@ def doctor_session(broker: Broker) -> Broker:
 
 
 def plain_filter(topics: str) -> str:
-    """The FILTER in a shared subscription $share/GROUP/FILTER; any other filter is returned as it is."""
+    """Return the FILTER in a shared subscription $share/GROUP/FILTER; any other filter unchanged."""
     return topics.split("/", 2)[2] if topics.startswith("$share/") else topics
 
 
@@ -130,15 +131,16 @@ def listen(broker: Broker, largest: int) -> Iterator[BrokerLink]:
     link = BrokerLink(broker, largest)
     try:
         link.open()
-        end = time.monotonic() + BROKER_ANSWER_S
-        while not (link.answered or link.lost.is_set()) and time.monotonic() < end:
+        deadline_s = time.monotonic() + BROKER_ANSWER_S
+        while not (link.answered or link.lost.is_set()) and time.monotonic() < deadline_s:
             link.lost.wait(0.02)
         yield link
     finally:
         link.close()
 
 
-def _certificate(link: BrokerLink, about: str) -> Iterator[Check]:
+def _certificate_check(link: BrokerLink, about: str) -> Iterator[Check]:
+    """Check the validity of the certificate that the broker has sent."""
     socket = link.client.socket()
     certificate = socket.getpeercert(binary_form=True) if isinstance(socket, ssl.SSLSocket) else None
     if certificate:
@@ -146,12 +148,12 @@ def _certificate(link: BrokerLink, about: str) -> Iterator[Check]:
 
 
 def arrivals(link: BrokerLink, wait_s: float) -> Iterator[Arrival]:
-    """The messages of the doctor's session within `wait_s` [s], or until the link is lost.
+    """Yield the messages of the doctor's session for `wait_s` [s], or until the link is lost.
 
     They are acknowledged at once, because no other program uses this session.
     """
-    end = time.monotonic() + wait_s
-    while (remaining_s := end - time.monotonic()) > 0.0:
+    deadline_s = time.monotonic() + wait_s
+    while (remaining_s := deadline_s - time.monotonic()) > 0.0:
         with suppress(queue.Empty):
             arrival = link.arrived.get(timeout=remaining_s)
             if arrival is None:
@@ -163,6 +165,11 @@ def arrivals(link: BrokerLink, wait_s: float) -> Iterator[Arrival]:
 def _filter_check(
     about: str, counts: Counter[str], denied: str | None, wait_s: float, unkept: CheckCode
 ) -> Check:
+    """Report whether messages arrive by one topic filter.
+
+    counts: number of "live", "retained" and "unkept" messages.  denied: why the broker denies the filter,
+    None if it does not.  unkept: check for messages that the broker does not keep.
+    """
     if denied is not None:
         return CheckCode.SUBSCRIPTION_DENIED(about, fault=denied)
     if counts["live"] and counts["unkept"]:
@@ -175,6 +182,7 @@ def _filter_check(
 
 
 def _edge_node_checks(about: str, nodes: EdgeNodes, wait_s: float) -> Iterator[Check]:
+    """Report edge nodes with gaps, without birth certificates, and with death certificates."""
     for node in nodes.nodes.values():
         node.release_overdue(time.time())
     gaps = [name for name, node in nodes.nodes.items() if node.gap_s is not None]
@@ -195,22 +203,23 @@ MOST_HISTORIES = 20
 
 
 def opcua_checks(source: OpcUa, statistics: PayloadStatistics, wait_s: float) -> Checks:
-    """Connect, subscribe, and wait up to `wait_s` [s] for the first values, which are added to the
-    statistics."""
-    yield from asyncio.run(_examine(source, statistics, wait_s))
+    """Check an OPC UA server: connect, subscribe, and wait up to `wait_s` [s] for the first values, which are
+    added to the statistics."""
+    yield from asyncio.run(_examine_server(source, statistics, wait_s))
     return ExaminedCode.VALUES()
 
 
-async def _examine(source: OpcUa, statistics: PayloadStatistics, wait_s: float) -> list[Check]:
+async def _examine_server(source: OpcUa, statistics: PayloadStatistics, wait_s: float) -> list[Check]:
+    """Check connection, clock, nodes and histories of a server."""
     about, connection = f"source {source.url}", source.connection()
     try:
         await connection.open()
-        checks = [CheckCode.SERVER_CONNECTED(about), *await _clock(connection, about)]
+        checks = [CheckCode.SERVER_CONNECTED(about), *await _server_clock_checks(connection, about)]
         refused = await connection.subscribe(source.nodes)
         accepted = [node for node in source.nodes if node not in refused]
         first = await _first_samples(connection, set(accepted), wait_s)
         checks += _node_checks(about, source.nodes, refused, first, wait_s)
-        checks += await _histories(connection, about, accepted)
+        checks += await _history_checks(connection, about, accepted)
     finally:
         await connection.close()
     for sample in first.values():
@@ -219,7 +228,8 @@ async def _examine(source: OpcUa, statistics: PayloadStatistics, wait_s: float) 
     return checks
 
 
-async def _clock(connection: Connection, about: str) -> list[Check]:
+async def _server_clock_checks(connection: Connection, about: str) -> list[Check]:
+    """Compare the server's clock with this machine's clock."""
     before = time.time()
     try:
         server_s = await connection.server_time()
@@ -229,10 +239,10 @@ async def _clock(connection: Connection, about: str) -> list[Check]:
 
 
 async def _first_samples(connection: Connection, awaited: set[Node], wait_s: float) -> dict[Node, Sample]:
-    """The newest sample of each node, once all nodes have a sample or `wait_s` [s] have passed."""
+    """Return the newest sample of each node, once all nodes have a sample or `wait_s` [s] have passed."""
     newest: dict[Node, Sample] = {}
-    end = time.monotonic() + wait_s
-    while awaited - set(newest) and time.monotonic() < end:
+    deadline_s = time.monotonic() + wait_s
+    while awaited - set(newest) and time.monotonic() < deadline_s:
         connection.check()
         newest.update({sample.node: sample for sample in await connection.samples(POLL_PAUSE_S)})
     return newest
@@ -241,12 +251,18 @@ async def _first_samples(connection: Connection, awaited: set[Node], wait_s: flo
 def _node_checks(
     about: str, nodes: Sequence[Node], refused: dict[Node, str], first: dict[Node, Sample], wait_s: float
 ) -> Iterator[Check]:
+    """Check the first samples of the nodes.
+
+    refused: node → reason of the server.  first: node → its sample.
+    """
     now, wait_s = time.time(), rounded(wait_s)
     silent = [node.id for node in nodes if node not in refused and node not in first]
-    bad = {node: sample.word for node, sample in first.items() if sample.quality != "good"}
-    old = {n: sample.time for n, sample in first.items() if sample.time and now - sample.time > OLD_S}
+    bad = {node: sample.status for node, sample in first.items() if sample.quality != "good"}
+    old = {node: sample.time for node, sample in first.items() if sample.time and now - sample.time > OLD_S}
     aged = [ExaminedCode.NODE_SINCE(node=node.id, at=at) for node, at in old.items()]
-    unstamped = {n: "no stamp" for n, s in first.items() if s.time is None and s.quality == "good"}
+    unstamped = {
+        node: "no stamp" for node, sample in first.items() if sample.time is None and sample.quality == "good"
+    }
     count = {"count": len(refused), "of": len(nodes)}
     yield from of_names(about, _with_reasons(refused), CheckCode.NODES_REFUSED, **count)
     yield from of_names(about, silent, CheckCode.NODES_SILENT, wait=wait_s)
@@ -259,10 +275,11 @@ def _node_checks(
 
 
 def _with_reasons(nodes: Mapping[Node, str]) -> list[Statement]:
+    """Return the statement "NODE (REASON)" of each node."""
     return [ExaminedCode.NODE(node=node.id, why=why) for node, why in nodes.items()]
 
 
-async def _histories(connection: Connection, about: str, nodes: Sequence[Node]) -> list[Check]:
+async def _history_checks(connection: Connection, about: str, nodes: Sequence[Node]) -> list[Check]:
     """Check whether the server keeps the history of nodes; without it samples during an outage are lost."""
     examined, now = list(nodes)[:MOST_HISTORIES], time.time()
     without = await connection.without_history(examined)
@@ -290,12 +307,16 @@ SPANS_S = (600.0, 2.0 * HOUR_S, DAY_S, 30.0 * DAY_S)
 def examine_sources(
     streams: Sequence[Stream], wait_s: float, lateness_s: float
 ) -> list[tuple[tuple[Check, ...], PayloadStatistics]]:
-    """The checks of every source and the statistics of its payloads; sources that send by themselves are
-    observed for `wait_s` [s]."""
+    """Return the checks of every source and the statistics of its payloads.
+
+    Sources that send by themselves are observed for `wait_s` [s]; lateness_s: tolerated lateness of readings
+    [s].
+    """
     results: dict[int, tuple[tuple[Check, ...], PayloadStatistics]] = {}
     errors: list[BaseException] = []
 
     def examine(number: int, stream: Stream) -> None:
+        """Check one source in its own thread."""
         statistics = PayloadStatistics(stream.mapping)
         try:
             results[number] = tuple(_checks(stream, statistics, wait_s, lateness_s)), statistics
@@ -319,6 +340,7 @@ def examine_sources(
 def _checks(
     stream: Stream, statistics: PayloadStatistics, wait_s: float, lateness_s: float
 ) -> Iterator[Check]:
+    """Check one source, and the stamps of its readings against the clock."""
     about = f"source {stream.url}"
     kind = next((kind for kind in SOURCE_CHECKS if isinstance(stream, kind)), None)
     if kind is None:
@@ -376,7 +398,7 @@ def tailed_file_checks(stream: TailedFile, statistics: PayloadStatistics, wait_s
     except OSError as error:
         raise SourceFault(f"cannot be read: {error.strerror}") from None
     if stream.follow:
-        yield _growth(about, path, size, written_s, wait_s)
+        yield _growth_check(about, path, size, written_s, wait_s)
     if not statistics.payloads:
         yield CheckCode.FILE_EMPTY(about)
     if statistics.newest:  # the lag of a file ends at the time at which it was last written
@@ -384,9 +406,11 @@ def tailed_file_checks(stream: TailedFile, statistics: PayloadStatistics, wait_s
     return examined
 
 
-def _growth(about: str, path: Path, size: int, written_s: float, wait_s: float) -> Check:
-    end = time.monotonic() + wait_s
-    while time.monotonic() < end:
+def _growth_check(about: str, path: Path, size: int, written_s: float, wait_s: float) -> Check:
+    """Check whether a file grows within `wait_s` [s]; it had `size` [bytes] and was last written at
+    `written_s` [s]."""
+    deadline_s = time.monotonic() + wait_s
+    while time.monotonic() < deadline_s:
         try:
             present_size = path.stat().st_size
         except FileNotFoundError:
@@ -425,6 +449,7 @@ def postgres_checks(source: PostgresQuery, statistics: PayloadStatistics, wait_s
 
 
 def _postgres_checks(source: PostgresQuery, statistics: PayloadStatistics, about: str) -> Checks:
+    """Check connection, columns, clock and newest rows of a query."""
     with closing(source.open()) as connection:
         columns = source.columns(connection)
         yield CheckCode.QUERY_ANSWERED(about, columns=tuple(columns.names))
@@ -451,7 +476,8 @@ def _postgres_checks(source: PostgresQuery, statistics: PayloadStatistics, about
 def _newest_rows(
     source: PostgresQuery, kind: str, connection: psycopg.Connection[Row]
 ) -> tuple[list[Row], Statement, float]:
-    """Rows of the shortest span that has rows, a statement of what they are, and the query's duration [s]."""
+    """Return the rows of the shortest span with rows, a statement of what they are, and the query's duration
+    [s]."""
     rows: list[Row] = []
     examined, took_s = ExaminedCode.ROWS(), 0.0
     for after, examined in _watermarks(kind):  # noqa: B007
@@ -465,6 +491,7 @@ def _newest_rows(
 
 
 def _watermarks(kind: str) -> Iterator[tuple[str, Statement]]:
+    """Yield the watermarks above which rows are looked for, each with the statement of what they are."""
     if kind in TIMES:
         for span in SPANS_S:
             since = datetime.fromtimestamp(time.time() - span, UTC)

@@ -61,7 +61,8 @@ class Content:
 
 @dataclass(frozen=True)
 class NoticeMessage:
-    """A message: id of a notice → its content.
+    """A message to a receiver; `contents`: id of a notice → its content; `attempts`: number of failed
+    attempts.
 
     `key` is the same at every attempt, so that a receiver can drop a repeat; a message without contents is a
     test.
@@ -73,13 +74,13 @@ class NoticeMessage:
 
     @classmethod
     def of(cls, contents: dict[str, Content]) -> NoticeMessage:
-        """A new message, whose key is a digest of its notices' ids."""
+        """Return a new message, whose key is a digest of its notices' ids."""
         key = hashlib.sha256("\n".join(sorted(contents)).encode()).hexdigest()[:32]
         return cls(key, {name: replace(content, message=key) for name, content in contents.items()})
 
 
 def subject(message: NoticeMessage) -> str:
-    """The subject of a message in one line."""
+    """Return the subject of a message in one line."""
     contents = list(message.contents.values())
     if not contents:
         return f"[hygrokf] {TEST}"
@@ -87,12 +88,14 @@ def subject(message: NoticeMessage) -> str:
         summary = headline(contents[0])
     else:
         events = Counter(content.event for content in contents)
-        summary = f"{len(contents)} notices: {', '.join(f'{n} {event}' for event, n in events.items())}"
+        summary = (
+            f"{len(contents)} notices: {', '.join(f'{count} {event}' for event, count in events.items())}"
+        )
     return one_line(f"[hygrokf] {summary}")[:LONGEST_SUBJECT]
 
 
 def headline(content: Content) -> str:
-    """One line about one alarm."""
+    """Return one line about one alarm and what happened to it."""
     alarm = content.alarm
     origin = alarm.turbine or "tracker"
     severity = "" if content.event == ACKNOWLEDGED else f"{alarm.severity}, "
@@ -100,7 +103,7 @@ def headline(content: Content) -> str:
 
 
 def text(message: NoticeMessage) -> str:
-    """The message as text for people; its contents are sorted by the beginning of their alarms."""
+    """Return the message as text for people, with its contents sorted by the beginning of their alarms."""
     if not message.contents:
         return f"{TEST}\n"
     in_order = sorted(message.contents.values(), key=lambda content: (content.alarm.began, content.alarm.id))
@@ -108,6 +111,7 @@ def text(message: NoticeMessage) -> str:
 
 
 def _paragraph(content: Content) -> str:
+    """Return the lines about one alarm: what happened, since when, and what to do."""
     alarm = content.alarm
     lines = [headline(content), f"  {one_line(alarm.statement)}"]
     if content.event == ENDED and alarm.ended is not None:
@@ -125,7 +129,7 @@ def _paragraph(content: Content) -> str:
 
 
 def data(message: NoticeMessage) -> JsonObject:
-    """The message as data for programs, the same at every attempt."""
+    """Return the message as JSON for programs, the same at every attempt."""
     return {
         "type": "hygrokf.alarms" if message.contents else "hygrokf.test",
         "text": text(message),
@@ -157,20 +161,24 @@ class Channel(UrlKeys, FolderKeys):
     )
     hold_off_s: float = setting(
         0.0,
-        "time that an alarm must stand",
+        "time for which an alarm must last before it is sent",
         read=duration,
         least=0.0,
         most=MOST_HOLD_OFF_S,
         expected="at most 7 d",
     )
     digest_s: float = setting(
-        0.0, "interval of collected messages", read=duration, least=0.0, most=MOST_DIGEST_S,
+        0.0, "interval of messages that collect notices", read=duration, least=0.0, most=MOST_DIGEST_S,
         expected="at most 1 d",
     )  # fmt: skip
-    kinds: tuple[str, ...] = setting((), "kinds of alarms", choices=tuple(ALARM_RULES))
-    severities: tuple[str, ...] = setting((), "severities of alarms", choices=SEVERITIES)
-    turbines: tuple[str, ...] = setting((), "names of turbines", empty=True)
-    ca: str = setting("", "certificates of the CAs to trust, PEM")
+    kinds: tuple[str, ...] = setting(
+        (), "kinds of alarms that are sent; by default all", choices=tuple(ALARM_RULES)
+    )
+    severities: tuple[str, ...] = setting(
+        (), "severities of alarms that are sent; by default all", choices=SEVERITIES
+    )
+    turbines: tuple[str, ...] = setting((), "turbines whose alarms are sent; by default all", empty=True)
+    ca: str = setting("", "file with the certificates of the trusted CAs (PEM)")
     url: str
 
     @across("url")
@@ -188,24 +196,24 @@ class Channel(UrlKeys, FolderKeys):
         raise NotImplementedError
 
     def cautions(self) -> Iterator[Check]:
-        """Warnings about settings that work but are unsafe."""
+        """Yield a check for each setting that works but is unsafe."""
         raise NotImplementedError
 
     def concerns(self, alarm: Alarm) -> bool:
-        """Whether the channel sends this alarm at some severity; an alarm without a turbine (a lost source)
-        concerns the channels of all turbines."""
+        """Return whether the channel sends this alarm at some severity; an alarm without a turbine (a lost
+        source) concerns the channels of all turbines."""
         return (not self.kinds or alarm.kind in self.kinds) and (
             not self.turbines or not alarm.turbine or alarm.turbine in self.turbines
         )
 
     def covers(self, alarm: Alarm) -> bool:
-        """Whether the channel sends the beginning of an alarm."""
+        """Return whether the channel sends the beginning of an alarm."""
         return self.concerns(alarm) and (not self.severities or alarm.severity in self.severities)
 
     def collects(self, alarm: Alarm) -> bool:
-        """Whether notices of an alarm wait for the next digest."""
+        """Return whether notices of an alarm wait for the next digest."""
         return self.digest_s > 0.0 and alarm.severity != URGENT
 
     def due_s(self, alarm: Alarm, from_s: float) -> float:
-        """Time [s] at which a notice that may be sent from `from_s` [s] on is due."""
+        """Return the time [s] at which a notice is due that may be sent from `from_s` [s] on."""
         return self.digest_s * math.ceil(from_s / self.digest_s) if self.collects(alarm) else from_s

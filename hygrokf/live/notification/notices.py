@@ -53,8 +53,9 @@ LOOK_AGAIN = "look again"
 def notices_of(
     alarms: Iterable[Alarm], channels: Iterable[Channel], now: float, record_now: float
 ) -> list[Notice]:
-    """Notices, made at `now` [s], of alarms that began, became worse or ended; `record_now` [s] is the time
-    of the readings.
+    """Return the notices of alarms that began, became worse or ended, written at `now` [s].
+
+    record_now: time [s] of the newest readings, which lags behind `now` while a backlog is read.
 
     An end is written whatever the final severity is, because it is sent if the beginning was sent.
     """
@@ -98,8 +99,7 @@ def acknowledge(
 
 
 def look_again(store: Store, now: float, channels: Sequence[Channel]) -> Batch:
-    """A batch that reopens the open alarms that are due again at `now` [s]: without acknowledgement, with
-    notices."""
+    """Return a batch that reopens the acknowledged alarms that are due again at `now` [s], with notices."""
     batch, at = Batch(), time.time()
     for alarm in store.records(Alarm, statements.DUE_ALARMS, now=now):
         assert alarm.look_again is not None, "the query selects alarms with that time"
@@ -118,6 +118,7 @@ def look_again(store: Store, now: float, channels: Sequence[Channel]) -> Batch:
 
 
 def _notice(channel: Channel, alarm: Alarm, event: str, now: float, record_now: float) -> Notice:
+    """Return the notice of an `event` of an alarm for a channel; times as in `notices_of`."""
     wait_s = channel.hold_off_s if event == BEGAN else 0.0
     if event == BEGAN and record_now - alarm.began > PAST_S:
         wait_s = max(wait_s, CATCH_UP_S)
@@ -133,17 +134,17 @@ def _notice(channel: Channel, alarm: Alarm, event: str, now: float, record_now: 
 
 
 def id_prefix(channel: str, alarm: str) -> str:
-    """The common beginning of the ids of a channel's notices about an alarm."""
+    """Return the beginning of the ids of a channel's notices about an alarm (id)."""
     return f"{channel}:{alarm}:"
 
 
 def content_text(content: Content) -> str:
-    """The content of a notice as JSON."""
+    """Return the content of a notice as JSON."""
     return json.dumps(asdict(content), ensure_ascii=False)
 
 
 def notice_content(notice: Notice) -> Content:
-    """The content of a stored notice."""
+    """Return the content of a stored notice."""
     return structured(Content, json.loads(notice.content))
 
 
@@ -162,8 +163,8 @@ def decide(
     Returns the content to send now, the reason to send nothing, or the time [s] at which to decide again.
 
     alarm: the alarm in the store, None if it was deleted.  others: the channel's other notices about the
-    alarm.
-    shelved: whether the alarm is shelved.  record_now: time of the readings [s].
+    alarm. shelved: whether the alarm is shelved.  now: this machine's time [s].  record_now: time of the
+    newest readings [s].
     """
     content = notice_content(notice)
     if alarm is None:
@@ -194,13 +195,13 @@ def decide(
 
 
 def is_delivered(notice: Notice) -> bool:
-    """Whether a receiver has accepted a notice; a dropped notice has the reason as its failure."""
+    """Return whether a receiver has accepted a notice; a dropped notice has a failure, the reason."""
     return notice.sent is not None and not notice.failure
 
 
 # -- the outbox ----------------------------------------------------------------------------------------------
 def due(store: Store, channel: str, now: float, most: int) -> list[Notice]:
-    """A channel's unsent notices that are due at `now` [s], the earliest first."""
+    """Return at most `most` unsent notices of a channel that are due at `now` [s], the earliest first."""
     return store.records(Notice, statements.DUE, channel=channel, now=now, most=most)
 
 
@@ -216,7 +217,7 @@ class ChannelState:
 
 
 def channel_states(store: Store) -> dict[str, ChannelState]:
-    """Channel → state of its outbox."""
+    """Return channel → state of its outbox."""
     return {
         channel: ChannelState(int(count), *rest)
         for channel, count, *rest in store.rows(statements.CHANNEL_STATES)
@@ -224,7 +225,7 @@ def channel_states(store: Store) -> dict[str, ChannelState]:
 
 
 def with_prefix(store: Store, channel: str, prefix: str) -> list[Notice]:
-    """A channel's notices whose ids begin with `prefix`."""
+    """Return a channel's notices whose ids begin with `prefix`."""
     return store.records(Notice, statements.NOTICES_ABOUT, channel=channel, length=len(prefix), prefix=prefix)
 
 
@@ -261,13 +262,12 @@ def mark_failed(store: Store, notices: Iterable[str], failure: str, due: float) 
 
 
 def forget(store: Store, before: float) -> None:
-    """Delete notices that were sent or dropped before a time [s], and unsent notices that were made
-    before."""
+    """Delete notices sent or dropped before a time [s], and unsent notices made before it."""
     store.execute(statements.FORGET_NOTICES, before=before)
 
 
 def alarm_of(store: Store, alarm: str) -> Alarm | None:
-    """The alarm with this id; None if the store has no such alarm."""
+    """Return the alarm with this id; None if the store has no such alarm."""
     return next(iter(store.records(Alarm, select_rows(schema.alarm, same="id"), id=alarm)), None)
 
 

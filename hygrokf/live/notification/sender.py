@@ -46,8 +46,9 @@ STOPPED_SENDING_S = 5.0
 class Sender:
     """Sends the notices of one channel until it is stopped.
 
-    `record_now` gives the time [s] of the readings, against which shelves are judged.  `failures`: number of
-    failed attempts; `failure`: why the last attempt failed, "" if it succeeded.
+    record_now: gives the time [s] of the newest readings, against which shelves are judged.
+
+    `failures`: number of failed attempts; `failure`: why the last attempt failed, "" if it succeeded.
     """
 
     def __init__(self, channel: Channel, store_url: str, record_now: Callable[[], float] = time.time) -> None:
@@ -60,8 +61,11 @@ class Sender:
         self._ending = threading.Event()
         self._thread: threading.Thread | None = None
         self._accepted: list[tuple[tuple[str, ...], float]] = []
+        """(ids of notices, time [s]) of accepted messages that are not marked as sent yet."""
         self._paused_until = 0.0
+        """Time [s] before which nothing is attempted, after a failure."""
         self._end_by = math.inf
+        """Monotonic time [s] after which a stopped sender attempts nothing."""
         self._refusals = 0
         self._next_tidy = 0.0
         self._store_fault = ""
@@ -86,15 +90,16 @@ class Sender:
 
     # -- the sender's own thread -----------------------------------------------------------------------------
     def _run(self) -> None:
+        """Send due notices every `POLL_S`, once more at the end."""
         while True:
             is_last = self._ending.is_set()
-            self._pass()
+            self._send_and_recover()
             if is_last:
                 break
             self._ending.wait(POLL_S)
         self._close()
 
-    def _pass(self) -> None:
+    def _send_and_recover(self) -> None:
         """Send the notices that are due now; after any failure the next pass tries again."""
         try:
             if self._store is None:
@@ -112,6 +117,7 @@ class Sender:
             self._close()
 
     def _close(self) -> None:
+        """Close the store; the next pass opens it again."""
         if self._store is not None:
             with suppress(Exception):
                 self._store.close()
@@ -133,8 +139,8 @@ class Sender:
                 return
 
     def _messages(self, store: Store, due: Sequence[Notice], now: float) -> list[tuple[NoticeMessage, float]]:
-        """Messages to attempt now, each with the time [s] at which its first notice was made."""
-        messages: dict[str, list[Notice]] = {}
+        """Return the messages to attempt now, each with the time [s] at which its first notice was made."""
+        messages: dict[str, list[Notice]] = {}  # key of a message that was attempted before -> its notices
         fresh: list[Notice] = []
         for notice in due:
             key = notice_content(notice).message
@@ -144,25 +150,20 @@ class Sender:
                 fresh.append(notice)
         if len(due) == NOTICES_AT_ONCE and len(messages) > 1:
             messages.popitem()  # the last message may be incomplete
-        repeated = [
-            (
-                NoticeMessage(
-                    key,
-                    {notice.id: notice_content(notice) for notice in group},
-                    max(notice.attempts for notice in group),
-                ),
-                min(notice.made for notice in group),
-            )
-            for key, group in messages.items()
-        ]
+        repeated = []
+        for key, group in messages.items():
+            contents = {notice.id: notice_content(notice) for notice in group}
+            message = NoticeMessage(key, contents, max(notice.attempts for notice in group))
+            repeated.append((message, min(notice.made for notice in group)))
         new = [NoticeMessage.of(contents) for contents in self._group(self._decide(store, fresh, now))]
         notices.keep_contents(
-            store, [(name, content_text(content)) for m in new for name, content in m.contents.items()]
+            store,
+            [(name, content_text(content)) for message in new for name, content in message.contents.items()],
         )
         return repeated + [(message, now) for message in new]
 
     def _decide(self, store: Store, fresh: Sequence[Notice], now: float) -> dict[str, Content]:
-        """Decide about new notices; returns the contents to send now by id of the notice."""
+        """Decide about notices not attempted before; returns id of a notice → content to send now."""
         if not fresh:
             return {}
         record_now = self._record_now()
@@ -189,13 +190,11 @@ class Sender:
         return sent
 
     def _group(self, contents: dict[str, Content]) -> list[dict[str, Content]]:
-        """Group contents into messages: one message per urgent content, digests of the others."""
-        digest = {name: c for name, c in contents.items() if self.channel.collects(c.alarm)}
-        names = list(digest)
-        digests = [names[i : i + LARGEST_DIGEST] for i in range(0, len(names), LARGEST_DIGEST)]
-        return [{name: content} for name, content in contents.items() if name not in digest] + [
-            {name: digest[name] for name in group} for group in digests
-        ]
+        """Group contents (id of a notice → content) into messages: urgent ones alone, others in digests."""
+        collected = [name for name, content in contents.items() if self.channel.collects(content.alarm)]
+        groups = [[name] for name in contents if name not in collected]
+        groups += [collected[i : i + LARGEST_DIGEST] for i in range(0, len(collected), LARGEST_DIGEST)]
+        return [{name: contents[name] for name in group} for group in groups]
 
     def _attempt(self, store: Store, message: NoticeMessage) -> bool:
         """Attempt a message; returns whether other messages should be attempted now.
@@ -221,7 +220,7 @@ class Sender:
         self._refusals = 0
         self._accepted.append((names, now))
         if self.failure:
-            LOG.info("notices pass again", extra={"channel": self.channel.name})
+            LOG.info("notices are sent again", extra={"channel": self.channel.name})
         self.failure = ""
         self._mark_accepted(store)
         return True
@@ -234,9 +233,10 @@ class Sender:
             del self._accepted[0]
 
     def _give_up(self, store: Store, message: NoticeMessage) -> None:
+        """Drop a message that was never accepted, with an error in the log."""
         reason = NoticeCode.GIVEN_UP(attempts=message.attempts, failure=self.failure)
         notices.drop(store, [(name, reason) for name in message.contents], time.time())
         LOG.error(
-            "a message was given up",
+            "a message was dropped after too many failures",
             extra={"channel": self.channel.name, "notices": len(message.contents), "reason": reason.text},
         )

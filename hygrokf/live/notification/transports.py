@@ -49,7 +49,7 @@ addresses."""
 
 @contextmanager
 def _faults_of(where: str) -> Iterator[None]:
-    """Raise ChannelFault in place of the exceptions of an exchange with a server."""
+    """Turn exceptions of an exchange with the server `where` into ChannelFault within this context."""
     try:
         yield
     except ChannelFault:
@@ -64,7 +64,7 @@ def _faults_of(where: str) -> Iterator[None]:
     except (smtplib.SMTPServerDisconnected, http.client.IncompleteRead, ConnectionResetError):
         raise ChannelFault(f"{where}: it closed the connection, or did not answer in time") from None
     except http.client.HTTPException as fault:
-        raise ChannelFault(f"{where}: its answer is no HTTP ({type(fault).__name__})") from None
+        raise ChannelFault(f"{where}: its answer is not HTTP ({type(fault).__name__})") from None
     except smtplib.SMTPException as fault:
         raise ChannelFault(f"{where}: {fault}") from None
     except (OSError, ValueError) as fault:
@@ -77,6 +77,7 @@ def _time_limit(seconds: float, connection: smtplib.SMTP | http.client.HTTPConne
     stay within their timeout."""
 
     def shut_down() -> None:
+        """Break the connection."""
         with suppress(OSError, AttributeError):
             if connection.sock is not None:
                 connection.sock.shutdown(socket.SHUT_RDWR)
@@ -91,11 +92,13 @@ def _time_limit(seconds: float, connection: smtplib.SMTP | http.client.HTTPConne
 
 
 def _security_text(connection: smtplib.SMTP | http.client.HTTPConnection) -> str:
+    """Return whether a connection is encrypted, for the description of a server."""
     sock = connection.sock
     return f" over TLS ({sock.version()})" if isinstance(sock, ssl.SSLSocket) else ", unencrypted"
 
 
 def _is_address(text: str) -> bool:
+    """Return whether a text is a mail address in ASCII, with or without a name."""
     address = parseaddr(text)[1]
     user, at, host = address.rpartition("@")
     return bool(user and at and host) and text.isprintable() and text.isascii() and " " not in address
@@ -108,11 +111,11 @@ class Mail(PasswordKeys, Channel):
     url: str = setting(help="smtp://[USER@]HOST[:PORT] for STARTTLS, or smtps:// for TLS from the start")
     sender: str = setting(help="the sender's address", fits=_is_address, expected=_ADDRESS)
     to: tuple[str, ...] = setting(
-        help="receivers", expected='a list of addresses such as ["ops@farm.example"]',
+        help="addresses of the receivers", expected='a list of addresses such as ["ops@farm.example"]',
         fits=lambda to: bool(to) and all(map(_is_address, to)),
     )  # fmt: skip
-    unencrypted: bool = setting(False, "whether the server is reached without TLS")
-    timeout_s: float = setting(60.0, "of one message", read=duration, least=1.0, most=600.0,
+    unencrypted: bool = setting(False, "whether mail may be sent without TLS")
+    timeout_s: float = setting(60.0, "time limit of one message", read=duration, least=1.0, most=600.0,
                                expected="1 s to 10 min")  # fmt: skip
 
     @across("password_file", "password_env", "url")
@@ -124,16 +127,17 @@ class Mail(PasswordKeys, Channel):
                 return None
         except SourceFault as fault:
             return str(fault)
-        return "user and password must be ASCII, as Python's SMTP client sends no other"
+        return "user and password must be ASCII: Python's SMTP client sends nothing else"
 
     @across("unencrypted", "url", "password_file", "password_env")
     def secured(self) -> Iterator[str]:
         if self.unencrypted and self.tls:
-            yield "unencrypted does not go with smtps://: keep one"
+            yield "unencrypted contradicts smtps://: keep one"
         if self.unencrypted and self.password.is_stated:
             yield "unencrypted: a password is only sent over TLS"
 
     def cautions(self) -> Iterator[Check]:
+        """Yield a check if mail leaves this machine unencrypted."""
         if self.unencrypted and self.leaves_machine:
             yield CheckCode.MAIL_UNENCRYPTED(where=self.where)
 
@@ -166,6 +170,7 @@ class Mail(PasswordKeys, Channel):
                     smtp.close()
 
     def _open(self) -> smtplib.SMTP:
+        """Connect to the server."""
         name = re.sub(r"[^A-Za-z0-9.-]", "", socket.gethostname()) or "hygrokf"
         host, port = self.address.host, self.address.port
         if not self.tls:
@@ -175,6 +180,7 @@ class Mail(PasswordKeys, Channel):
         )
 
     def _log_in(self, smtp: smtplib.SMTP) -> None:
+        """Encrypt by STARTTLS, if needed, and log in.  Raises ChannelFault."""
         smtp.ehlo_or_helo_if_needed()
         if not self.tls and not self.unencrypted:
             if not smtp.has_extn("starttls"):
@@ -189,6 +195,7 @@ class Mail(PasswordKeys, Channel):
             smtp.login(self.address.user, self.password.read() or "")
 
     def _deliver(self, smtp: smtplib.SMTP, message: NoticeMessage) -> None:
+        """Send a message to all receivers.  Raises ChannelFault if the server refuses it."""
         code, answer = smtp.mail(parseaddr(self.sender)[1])
         if code != 250:
             raise ChannelFault(
@@ -219,6 +226,7 @@ class Mail(PasswordKeys, Channel):
 
 
 def _answer_text(code: int, answer: bytes | str) -> str:
+    """Return code and text of a server's answer."""
     text = answer.decode("utf-8", "replace") if isinstance(answer, bytes) else answer
     return f"{code} {text}"
 
@@ -246,9 +254,9 @@ class Webhook(Channel):
         "variable as secret_env"
     }
     url: str = setting(help="https://HOST[:PORT]/PATH")
-    secret_file: str = setting("", "file with the secret that signs, as its only line")
-    secret_env: str = setting("", "environment variable with the secret")
-    timeout_s: float = setting(10.0, "of one message", read=duration, least=1.0, most=120.0,
+    secret_file: str = setting("", "file with the signing secret as its only line")
+    secret_env: str = setting("", "environment variable with the signing secret")
+    timeout_s: float = setting(10.0, "time limit of one message", read=duration, least=1.0, most=120.0,
                                expected="1 s to 2 min")  # fmt: skip
 
     @across("url")
@@ -267,13 +275,14 @@ class Webhook(Channel):
         return None
 
     def cautions(self) -> Iterator[Check]:
+        """Yield a check if notices are unencrypted, and if they are unsigned."""
         if not self.tls and self.leaves_machine:
             yield CheckCode.NOTICES_UNENCRYPTED(where=self.where)
         if not (self.secret_file or self.secret_env):
             yield CheckCode.NOTICES_UNSIGNED(where=self.where)
 
     def signing_key(self) -> bytes | None:
-        """The present secret, None without a secret.  Raises SourceFault, ChannelFault."""
+        """Return the present signing secret; None without one.  Raises SourceFault, ChannelFault."""
         text = Secret(self.path("secret_file"), self.secret_env, "secret").read()
         return None if text is None else secret_bytes(text, self.secret_env or self.secret_file)
 
@@ -315,7 +324,7 @@ class Webhook(Channel):
 
 
 def signature(key: str, body: bytes, now: float, secret: bytes | None) -> dict[str, str]:
-    """The headers that identify and sign a body at a time [s]; without a secret they only identify it."""
+    """Return the headers that identify a body sent at `now` [s] by its key and, with a secret, sign it."""
     stamp = f"{now:.0f}"
     headers = {"webhook-id": key, "webhook-timestamp": stamp}
     if secret is not None:
@@ -325,7 +334,7 @@ def signature(key: str, body: bytes, now: float, secret: bytes | None) -> dict[s
 
 
 def secret_bytes(text: str, place: str) -> bytes:
-    """The bytes of a secret such as `whsec_…`; `place` names its file or variable.  Raises ChannelFault."""
+    """Decode a secret such as `whsec_…`; `place` names its file or variable.  Raises ChannelFault."""
     with suppress(binascii.Error, ValueError):
         secret = base64.b64decode(text.removeprefix(SECRET_PREFIX), validate=True)
         if text.startswith(SECRET_PREFIX) and len(secret) >= SHORTEST_SECRET:
@@ -344,15 +353,15 @@ TRANSPORTS: Mapping[str, type[Mail] | type[Webhook]] = {
 def channel_of(
     table: Mapping[str, object], place: Place, folder: Path, turbines: Collection[str]
 ) -> Channel | None:
-    """The channel of a `[[notify]]` table; None if the table is faulty, with the faults in `place`.
+    """Return the channel of a `[[notify]]` table; None if the table has faults, which are reported at
+    `place`.
 
     Nothing is connected yet.  Paths are relative to `folder`.
     """
     url = table.get("url")
     scheme = url.partition(":")[0] if isinstance(url, str) else ""
     if scheme not in TRANSPORTS:
-        schemes = ", ".join(f"{kind}:" for kind in TRANSPORTS)
-        place.fault(f"url must begin with one of {schemes}, found {scheme!r}")
+        place.fault(f"url must begin with one of {', '.join(f'{kind}:' for kind in KINDS)}, found {scheme!r}")
         return None
     table_place = replace(place, faults=[])
     channel: Mail | Webhook = read_form(TRANSPORTS[scheme], table, table_place, folder=folder)

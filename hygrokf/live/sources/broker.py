@@ -87,6 +87,7 @@ class _ClosingSocket(ssl.SSLSocket):
     """A socket that closes itself if the handshake fails, because paho then loses its reference to it."""
 
     def do_handshake(self, block: bool = False) -> None:
+        """Do the TLS handshake; close the socket if it fails."""
         try:
             super().do_handshake(block)
         except BaseException:
@@ -96,14 +97,14 @@ class _ClosingSocket(ssl.SSLSocket):
 
 # -- topics --------------------------------------------------------------------------------------------------
 def filter_fault(text: str) -> str | None:
-    """An error message for an invalid topic filter, else None; $share/GROUP/FILTER is valid, too."""
+    """Return an error message for an invalid MQTT topic filter, else None; $share/GROUP/FILTER is valid."""
     if not text.isprintable() or not 0 < len(text.encode("utf-8", "surrogatepass")) <= LONGEST_TOPIC:
         return f"a topic filter has 1 to {LONGEST_TOPIC} bytes of printable characters"
     if text.split("/")[0] == "$share":
-        _, group, rest = (*text.split("/", 2), "", "")[:3]
-        if not group or "+" in group or "#" in group or not rest:
+        _, group, shared_filter = (*text.split("/", 2), "", "")[:3]
+        if not group or "+" in group or "#" in group or not shared_filter:
             return "a shared subscription is $share/GROUP/FILTER"
-        return filter_fault(rest)
+        return filter_fault(shared_filter)
     levels = text.split("/")
     if any("#" in level for level in levels[:-1]) or ("#" in levels[-1] and levels[-1] != "#"):
         return '"#" must be alone, as the last level'
@@ -127,30 +128,30 @@ class Broker(UrlKeys, PasswordKeys, SourceKeys):
     """A [[source]] of `mqtt://[USER@]HOST[:PORT]`, or `mqtts://` for TLS: a broker and a session on it."""
 
     url: str = setting(help="mqtt://[USER@]HOST[:PORT], or mqtts:// for TLS; never with a password")
-    topics: tuple[str, ...] = setting((), "topic filters", expected=_TOPICS, empty=True)
+    topics: tuple[str, ...] = setting((), "topic filters to subscribe to", expected=_TOPICS, empty=True)
     alarms: str = setting("", "topic below which alarms are published")
     client_id: str | None = setting(
         None,
-        "name of the session at the broker",
+        "MQTT client id, which names the session at the broker",
         fits=lambda name: len(name) <= LONGEST_CLIENT_NAME and name.isprintable(),
         expected=f"text of 1 to {LONGEST_CLIENT_NAME} printable characters",
     )
     session_expiry_s: float = setting(
         EXPIRY_S,
-        "for how long the broker keeps the session of an absent tracker",
+        "how long the broker keeps the session of a disconnected tracker",
         read=duration,
         least=LEAST_EXPIRY_S,
         most=MOST_EXPIRY_S,
-        expected="1 min or more (and fit into 32 bits): for so long the broker keeps what comes while the "
+        expected="1 min or more (and fit into 32 bits): for this time the broker keeps messages while the "
         "tracker is away",
     )
-    user: str | None = setting(None, "if it is not in the url", empty=True)
-    ca: str = setting("", "certificates of the CAs to trust, PEM")
-    certificate: str = setting("", "of this client, PEM")
-    key: str = setting("", "of the certificate, PEM, without a passphrase")
+    user: str | None = setting(None, "user name, if the url does not state it", empty=True)
+    ca: str = setting("", "file with the certificates of the trusted CAs (PEM)")
+    certificate: str = setting("", "file with the certificate of this client (PEM)")
+    key: str = setting("", "file with the key of the certificate (PEM, without a passphrase)")
 
-    format: str = setting(MAPPED, "of the messages", choices=MESSAGE_FORMATS)
-    rebirth_requests: bool = setting(False, "whether edge nodes are asked for their birth certificates")
+    format: str = setting(MAPPED, "format of the messages", choices=MESSAGE_FORMATS)
+    rebirth_requests: bool = setting(False, "whether the tracker asks edge nodes for birth certificates")
 
     @across("url")
     def url_form(self) -> str | None:
@@ -178,7 +179,7 @@ class Broker(UrlKeys, PasswordKeys, SourceKeys):
     def user_stated_once(self) -> str | None:
         if self.user is None or not self.address.user:
             return None
-        return "user stands in the url and as a key: keep one"
+        return "user is stated in the url and as a key: keep one"
 
     @across("password_file", "password_env", "user")
     def password_of_user(self) -> str | None:
@@ -189,7 +190,7 @@ class Broker(UrlKeys, PasswordKeys, SourceKeys):
     @across(*_TLS)
     def tls_files(self) -> Iterator[str]:
         if not self.tls and (tls_keys := [key for key in _TLS if getattr(self, key)]):
-            yield f"{', '.join(tls_keys)}: only with TLS; write mqtts:// or take this away"
+            yield f"{', '.join(tls_keys)}: only for TLS: write mqtts://, or remove these keys"
         if bool(self.certificate) != bool(self.key):
             yield "certificate and key belong together: both, or neither"
 
@@ -209,20 +210,21 @@ class Broker(UrlKeys, PasswordKeys, SourceKeys):
         for topic in self.topics if self.format == SPARKPLUG else ():
             levels = topic.split("/")
             if levels[0] == "$share":
-                yield f"topics: a share has gaps in the sequence of every edge node, found {topic!r}"
+                yield f"topics: a shared subscription misses messages of edge nodes, found {topic!r}"
             elif levels[0] != NAMESPACE or ("#" not in levels[1:3] and levels[2:3] != ["+"]):
                 yield (
-                    f"topics: births, data and deaths are needed: write {NAMESPACE}/GROUP/# or "
+                    f"topics: the filter must include births, data and deaths: write {NAMESPACE}/GROUP/# or "
                     f"{NAMESPACE}/GROUP/+/NODE/#, found {topic!r}"
                 )
 
     @property
     def user_name(self) -> str:
+        """The user at the broker, from the key `user` or the URL; "" without one."""
         return self.user or self.address.user
 
     @property
     def session(self) -> str:
-        """The name of the session, by default `hygrokf-HOST-DIGEST`.
+        """The MQTT client id, by default `hygrokf-HOST-DIGEST`.
 
         The default stays the same across restarts on this machine, but differs between folders and between
         brokers.
@@ -238,7 +240,7 @@ class Broker(UrlKeys, PasswordKeys, SourceKeys):
 
     @property
     def session_url(self) -> str:
-        """The source's URL with broker and session, but without user and password."""
+        """The URL of broker and session, without user and password."""
         return f"{self.address.scheme}://{self.where}?client_id={quote(self.session)}"
 
     def context(self) -> ssl.SSLContext | None:
@@ -251,7 +253,7 @@ class Broker(UrlKeys, PasswordKeys, SourceKeys):
         return context
 
     def cautions(self) -> Iterator[Check]:
-        """Settings that work but are unsafe."""
+        """Yield a check for each setting that works but is unsafe."""
         for name in ("password_file", "key"):
             path = self.path(name)
             if path is not None and os.name == "posix" and path.exists():

@@ -21,7 +21,7 @@ PORTS = {
 WITH_PATH = ("opc.tcp", "http", "https")
 """Schemes whose URLs have a path."""
 OTHERS_READ = 0o004
-"""Mode bit of a file that every user of the machine may read."""
+"""Permission bit of a file that every user of the machine may read."""
 NO_PASSWORD_HERE = (
     "a password must not be in this file: put it into a separate file and name that as password_file, "
     "or into an environment variable and name that as password_env"
@@ -59,27 +59,27 @@ class UrlKeys:
 
     @property
     def address(self) -> Address:
-        """The parts of the url; its fault never quotes the url, because the url may contain a secret."""
-        scheme, rest = self.url.partition(":")[0], self.url.partition("://")[2]
-        default, has_path = PORTS.get(scheme, 0), scheme in WITH_PATH
+        """The parts of the URL.  The error message never quotes the URL, which may contain a secret."""
+        scheme, after_scheme = self.url.partition(":")[0], self.url.partition("://")[2]
+        default_port, has_path = PORTS.get(scheme, 0), scheme in WITH_PATH
         expected = f"url must be {scheme}://" + (
-            "HOST[:PORT]/PATH" if has_path else "[USER@]HOST[:PORT] and no more"
+            "HOST[:PORT]/PATH" if has_path else "[USER@]HOST[:PORT] without a path"
         )
-        login = (rest.partition("/")[0] if has_path else rest).rpartition("@")[0]
+        login = (after_scheme.partition("/")[0] if has_path else after_scheme).rpartition("@")[0]
         if ":" in login:
-            return Address(scheme, "", default, fault=f"url: {NO_PASSWORD_HERE}")
+            return Address(scheme, "", default_port, fault=f"url: {NO_PASSWORD_HERE}")
         try:
             parts = urlsplit(self.url)
             host, port = parts.hostname or "", parts.port
         except ValueError:
             port = 0
         if port == 0:
-            return Address(scheme, "", default, fault=f"{expected}, with a port of 1 to 65535")
+            return Address(scheme, "", default_port, fault=f"{expected}, with a port of 1 to 65535")
         query = f"?{parts.query}" if parts.query else ""
-        is_valid = host and self.url.isprintable() and " " not in self.url and not parts.fragment
-        if not is_valid or (not has_path and (query or parts.path not in ("", "/"))):
-            return Address(scheme, host, default, fault=expected)
-        return Address(scheme, host, port or default, unquote(login), (parts.path or "/") + query)
+        is_well_formed = host and self.url.isprintable() and " " not in self.url and not parts.fragment
+        if not is_well_formed or (not has_path and (query or parts.path not in ("", "/"))):
+            return Address(scheme, host, default_port, fault=expected)
+        return Address(scheme, host, port or default_port, unquote(login), (parts.path or "/") + query)
 
     @property
     def tls(self) -> bool:
@@ -93,7 +93,7 @@ class UrlKeys:
 
     @property
     def where(self) -> str:
-        """HOST:PORT as in a URL."""
+        """HOST:PORT, as it is written in the URL."""
         return f"{bracketed(self.address.host)}:{self.address.port}"
 
 
@@ -119,6 +119,7 @@ def tls_context(ca: Path | None, certificate: Path | None = None, key: Path | No
 
 
 def _file_fault_text(fault: OSError, expected: str) -> str:
+    """Return why a certificate file cannot be used: what was `expected` in it, or the error of the system."""
     if isinstance(fault, ssl.SSLError):
         return f"expected {expected}, found {fault.reason or 'nothing of the kind'}"
     return fault.strerror or str(fault)
@@ -174,5 +175,5 @@ class PasswordKeys(FolderKeys):
 
     @property
     def password(self) -> Secret:
-        """The place of the password: its file or its environment variable."""
+        """The secret that holds the password: a file or an environment variable."""
         return Secret(self.path("password_file"), self.password_env)

@@ -36,19 +36,20 @@ from hygrokf.live.sources.stream import (
 )
 
 GROWTHS = 16
-"""Number of the latest growths of a file from whose times its usual interval is estimated."""
+"""Number of a file's latest growths from which the usual interval between growths is estimated."""
 LONGEST_LINE = LARGEST_PAYLOAD
 """Longest line that is read [bytes]."""
 INPUT_READ_SIZE = 65_536
 """Number of bytes read at once from standard input."""
 _JSON_LINE = re.compile(r"\s*(\{|\[\s*[{\]])")
+"""Beginning of a line that holds a JSON object or an array of objects."""
 
 
 class Lines:
-    """Interprets lines of text: JSON unchanged, CSV by its header; a repeated header is skipped.
+    """Converts lines of text to contents: a JSON line stays text, a CSV row becomes column name -> cell by
+    the header; a repeated header is skipped.
 
-    form: format of the payloads; lines of another format than `JSON`, such as line protocol, are delivered
-    unchanged.
+    form: format of the payloads (`payload_formats.FORMATS`); lines of other formats than JSON stay text.
     """
 
     def __init__(self, form: str = JSON) -> None:
@@ -58,14 +59,14 @@ class Lines:
         self._in_long_line = False
 
     def read_header(self, file: IO[bytes]) -> None:
-        """Read a file up to its header, which later rows need, or to its first content without one."""
+        """Read a file up to its CSV header, which later rows need, or to its first content without one."""
         while not self.header:
             line = next_line(file)
             if not line or self.content(line) is not None:
                 break
 
     def content(self, line: bytes | str) -> Content | None:
-        """Content of a line; None for an empty line, a comment or a header."""
+        """Return the content of a line; None for an empty line, a comment or a header."""
         encoded = line.encode("utf-8", "replace") if isinstance(line, str) else line
         was_in_long_line = self._in_long_line
         self._in_long_line = not encoded.endswith(b"\n") and (was_in_long_line or len(encoded) > LONGEST_LINE)
@@ -85,26 +86,28 @@ class Lines:
         return text if self._form != JSON or _is_json(text) else self._row(text)
 
     def _row(self, text: str) -> Content | None:
-        """Column name -> cell; None for a header."""
+        """Return column name -> cell of a CSV row; None for the header."""
         if not self.header:
             self._separator = max(",;\t", key=text.count)
         try:
             if "\0" in text:
                 raise csv.Error("it holds a NUL")
-            cells = [c.strip() for c in next(csv.reader([text], delimiter=self._separator), [])]
+            cells = [cell.strip() for cell in next(csv.reader([text], delimiter=self._separator), [])]
         except csv.Error as fault:
-            return Unreadable("malformed", f"a row that is no CSV: {fault}")
+            return Unreadable("malformed", f"a row that is not valid CSV: {fault}")
         if not self.header:
             self.header = cells
         if cells == self.header:
             return None
-        count = len(self.header)
-        if len(cells) < count or any(cells[count:]):  # additional separators at the end of a row are common
-            return Unreadable("malformed", f"a row of {len(cells)} cells below a header of {count}")
+        column_count = len(self.header)
+        # additional separators at the end of a row are common
+        if len(cells) < column_count or any(cells[column_count:]):
+            return Unreadable("malformed", f"a row of {len(cells)} cells below a header of {column_count}")
         return dict(zip(self.header, cells, strict=False))
 
 
 def _is_json(text: str) -> bool:
+    """Whether a line holds a JSON object or an array of objects."""
     return _JSON_LINE.match(text) is not None
 
 
@@ -128,8 +131,8 @@ def contents(file: IO[AnyStr], lines: Lines) -> Iterator[Content]:
 class TailedFile(Stream):
     """A growing CSV or NDJSON file, read again from its start if it was replaced or truncated.
 
-    The place is "identity offset", so that a different file of the same name is read from its start.  A last
-    line without a line end is incomplete and is read again when the file has grown.
+    The place is the text "DEVICE.INODE OFFSET", so that a different file of the same name is read from its
+    start.  A last line without a line end is incomplete and is read again when the file has grown.
     """
 
     ordered_by = "position in the file"
@@ -152,6 +155,7 @@ class TailedFile(Stream):
         self.follow = False
 
     def _deliver(self, place: str | None, put: Callable[[Delivery], None]) -> None:
+        """Read the file whenever it exists, from the stored offset or, if it was replaced, from its start."""
         while not self._ended.is_set():
             try:
                 with self.path.open("rb") as file:
@@ -168,8 +172,10 @@ class TailedFile(Stream):
             place = None
 
     def _read(self, file: IO[bytes], identity: str, offset: int, put: Callable[[Delivery], None]) -> bool:
-        """Deliver the lines of a file from an offset [bytes] on; returns True if the stream has ended, False
-        if the file was removed, replaced or truncated."""
+        """Deliver the lines of a file from an offset [bytes] on.
+
+        Returns True if the stream has ended, False if the file was removed, replaced or truncated.
+        """
         self._state = SourceState("connected", self.url)
         lines = Lines(self.mapping.form)
         if offset:
@@ -215,6 +221,7 @@ class StandardInput(Stream):
         self._buffer = bytearray()
 
     def _deliver(self, place: str | None, put: Callable[[Delivery], None]) -> None:
+        """Deliver the lines of standard input until its end."""
         file: IO[Any] = getattr(sys.stdin, "buffer", sys.stdin) if self._file is None else self._file
         descriptor = _descriptor(file)
         while line := next_line(file) if descriptor is None else self._next_line(descriptor):
@@ -225,9 +232,10 @@ class StandardInput(Stream):
                 put(Delivery(content, self.clock()))
 
     def _next_line(self, descriptor: int) -> bytes:
-        """The next line as `next_line` returns it; empty when the stream is stopped.
+        """Return the next line as `next_line` does; empty at the end of the input or when the stream is
+        stopped.
 
-        It waits with `select`, because a thread that blocks in a buffered read would keep the process alive.
+        Waits with `select`, because a thread that blocks in a buffered read would keep the process alive.
         """
         searched = 0
         while (end := self._buffer.find(b"\n", searched) + 1) == 0 and len(self._buffer) <= LONGEST_LINE:
@@ -257,11 +265,11 @@ def _descriptor(file: IO[Any]) -> int | None:
 
 
 class Playback(Stream):
-    """Plays back messages in real time or faster by a factor.
+    """Plays back recorded messages in real time or faster.
 
-    messages: (arrival [s], content), sorted by arrival. speed: factor, 0 for as fast as possible. live_s:
-    messages before this time [s] are always played as fast as possible. label: text about these data on the
-    page.  The place is the number of delivered messages.
+    messages: (arrival [s], content), sorted by arrival. speed: multiple of real time, 0 for as fast as
+    possible. live_s: messages before this time [s] are always played as fast as possible. label: text about
+    these data on the page.  The place is the number of delivered messages.
     """
 
     played_back = True
@@ -281,63 +289,67 @@ class Playback(Stream):
         self.speed = speed
         self._live_s = live_s
         self.messages = messages
-        self._played = (messages[0][0] if messages else 0.0, math.inf)
+        self._last_committed = (messages[0][0] if messages else 0.0, math.inf)
         """(arrival of the last committed message [s], monotonic time of its commit [s])"""
 
     def acknowledge(self, deliveries: Iterable[Delivery]) -> None:
         """Set the record's clock to the arrival of the last committed message."""
         for delivery in deliveries:
-            self._played = (delivery.received, time.monotonic())
+            self._last_committed = (delivery.received, time.monotonic())
 
     def now(self) -> float:
-        """The time [s] that playback has reached in the record."""
-        arrival, committed = self._played
-        if arrival < self._live_s:
-            return arrival
-        return arrival + self.speed * max(time.monotonic() - committed, 0.0)
+        """Return the time [s] that playback has reached in the record."""
+        arrival_s, committed_s = self._last_committed
+        if arrival_s < self._live_s:
+            return arrival_s
+        return arrival_s + self.speed * max(time.monotonic() - committed_s, 0.0)
 
     def _deliver(self, place: str | None, put: Callable[[Delivery], None]) -> None:
+        """Deliver the messages that follow the first `place` ones, each at its time."""
         first = int(place or 0)
         if first >= len(self.messages):
             return
-        began, origin = math.nan, 0.0
+        began_s, first_live_s = math.nan, 0.0  # monotonic time of the first timed message, and its arrival
         for number in range(first, len(self.messages)):
             arrival, content = self.messages[number]
             if self.speed > 0.0 and arrival >= self._live_s:
-                if math.isnan(began):
-                    began, origin = time.monotonic(), arrival
-                self._ended.wait(max((arrival - origin) / self.speed - (time.monotonic() - began), 0.0))
+                if math.isnan(began_s):
+                    began_s, first_live_s = time.monotonic(), arrival
+                due_s = began_s + (arrival - first_live_s) / self.speed
+                self._ended.wait(max(due_s - time.monotonic(), 0.0))
             if self._ended.is_set():
                 return
             put(Delivery(content, arrival, place=str(number + 1)))
 
 
 def record_mapping(record: Record, turbine: str) -> PayloadMapping:
-    """The mapping for the messages of a record: each field has the name of its signal, in SI units."""
-    fields = {s.signal: Field(s.signal, SIGNALS[s.signal].unit, line_form(s)) for s in record.series}
+    """Return the mapping for `record_messages`: each field has the name of its signal, in SI units."""
+    fields = {
+        series.signal: Field(series.signal, SIGNALS[series.signal].unit, line_form(series))
+        for series in record.series
+    }
     return PayloadMapping(fields, turbines={turbine: turbine})
 
 
 def line_form(series: Series) -> SignalReporting:
-    """The form of readings in a series."""
+    """Return how a source would report the readings of a series."""
     return SignalReporting(**{field.name: getattr(series, field.name) for field in fields(SignalReporting)})
 
 
 def record_messages(record: Record, turbine: str) -> list[tuple[float, Content]]:
-    """(time [s], content) of every reading of a record, sorted by time and signal."""
-    rows = [
-        (t, s.signal, v)
-        for s in record.series
-        for t, v in zip(s.time[~s.missing].tolist(), s.value[~s.missing].tolist(), strict=True)
-    ]
-    return [(t, {"turbine": turbine, "time": t, signal: v}) for t, signal, v in sorted(rows)]
+    """Return (time [s], payload) of every reading of a record, sorted by time and signal."""
+    readings: list[tuple[float, str, float]] = []
+    for series in record.series:
+        times, values = (array[~series.missing].tolist() for array in (series.time, series.value))
+        readings += [(at, series.signal, value) for at, value in zip(times, values, strict=True)]
+    return [(at, {"turbine": turbine, "time": at, signal: value}) for at, signal, value in sorted(readings)]
 
 
 def delay_and_repeat(
     messages: Iterable[tuple[float, Content]], late_s: float = 0.0, repeated: float = 0.0, seed: int = 0
 ) -> list[tuple[float, Content]]:
-    """Messages with random delays up to `late_s` [s] and a share `repeated` [1] of duplicates, sorted by
-    arrival.
+    """Delay messages (arrival [s], content) randomly by up to `late_s` [s] and duplicate the share `repeated`
+    [1] of them; returns them sorted by arrival.
 
     The same seed gives the same messages.
     """
@@ -359,24 +371,27 @@ class FileForm(SourceKeys):
     """
 
     url: str = setting(help="file:PATH")
-    follow: bool = setting(True, "false: read to its end")
-    speed: float | None = setting(None, "of playback over real time; 0: as fast as possible", least=0.0)
-    late_s: float = setting(0.0, "by which a row may be delayed", read=duration)
-    repeated: float = setting(0.0, "share of rows that come twice", least=0.0, most=1.0)
-    seed: int = setting(0, "of what is delayed and repeated", least=0)
+    follow: bool = setting(True, "whether the file is followed as it grows, or read once to its end")
+    speed: float | None = setting(
+        None, "playback as a multiple of real time; 0: as fast as possible", least=0.0
+    )
+    late_s: float = setting(0.0, "largest random delay of a row", read=duration)
+    repeated: float = setting(0.0, "share of rows that are delivered twice", least=0.0, most=1.0)
+    seed: int = setting(0, "seed of the random delays and repetitions", least=0)
 
     @across("repeated", "late", "speed")
     def of_playback(self) -> str | None:
         if self.speed is not None or not (self.late_s or self.repeated):
             return None
-        return "late and repeated need a speed: they are for playing back"
+        return "late and repeated need a speed: they apply to playback only"
 
     def stream(self, mapping: PayloadMapping, place: Place) -> Stream | None:
-        """The stream; None, with a fault at `place`, if a file that is played back has no rows."""
+        """Return the stream; None, with a fault at `place`, if a file to be played back cannot be read or has
+        no rows."""
         if RECEIVED in mapping.time:
             place.fault(
                 f'time = "{RECEIVED}" is for sources that send by themselves; rows of a file need a time: '
-                "state another time in its [source.mapping]"
+                "state the field with the time in its [source.mapping]"
             )
         path = self.folder / self.url.removeprefix("file:").removeprefix("//")
         if self.speed is None:
@@ -384,10 +399,12 @@ class FileForm(SourceKeys):
         try:
             rows = file_messages(path, mapping)
         except OSError as fault:
-            place.fault(f"{path}: {fault.strerror}; a file that is played back must be there")
+            place.fault(f"{path}: {fault.strerror}; a file that is played back must exist at the start")
             return None
         if not rows:
-            place.fault(f"{path}: no row with a time that can be read")
+            place.fault(
+                f"{path}: no row has a time that can be read; check time and time_format in [mapping]"
+            )
             return None
         url = f"file:{path}?late={self.late_s:g}&repeated={self.repeated:g}&seed={self.seed}"
         messages = delay_and_repeat(rows, self.late_s, self.repeated, self.seed)
@@ -405,7 +422,11 @@ class InputForm(SourceKeys):
 
 
 def file_messages(path: Path, mapping: PayloadMapping) -> list[tuple[float, Content]]:
-    """(time [s], content) of a file's rows with a readable time, sorted by time."""
+    """Return (time [s], content) of a file's rows with a readable time, sorted by time."""
+    rows: list[tuple[float, Content]] = []
     with path.open("rb") as file:
-        stamped = [(mapping.stamp(content), content) for content in contents(file, Lines(mapping.form))]
-    return sorted(((at, content) for at, content in stamped if at is not None), key=lambda row: row[0])
+        for content in contents(file, Lines(mapping.form)):
+            stamp_s = mapping.stamp(content)
+            if stamp_s is not None:
+                rows.append((stamp_s, content))
+    return sorted(rows, key=lambda row: row[0])

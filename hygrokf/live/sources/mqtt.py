@@ -39,7 +39,7 @@ LOG = logging.getLogger("hygrokf.track")
 RESUBSCRIBE_S = 60.0
 """Time [s] after which the source subscribes to denied filters again."""
 LINGER_S = 10.0
-"""Longest time [s] that a stopped source waits for its deliveries to be committed."""
+"""Longest time [s] that a stopped source waits until the store has committed its deliveries."""
 
 
 class Mqtt(Stream):
@@ -66,23 +66,24 @@ class Mqtt(Stream):
         self._closing = threading.Event()
 
     def start(self, place: str | None, put: Callable[[Delivery], None]) -> None:
+        """Log unsafe settings and start; a stored `place` means that the broker should have a session."""
         for caution in self.broker.cautions():
             LOG.warning(f"{caution.text}: {caution.remedy}", extra={"source": self.url})
         self._had_session = bool(place)
         super().start(place, put)
 
     def acknowledge(self, deliveries: Iterable[Delivery]) -> None:
-        count = 0
-        for delivery in deliveries:
+        """Acknowledge committed deliveries to the broker."""
+        committed = list(deliveries)
+        for delivery in committed:
             if delivery.acknowledge is not None:
                 delivery.acknowledge()
-            count += 1
         with self._lock:
-            self._uncommitted -= count
+            self._uncommitted -= len(committed)
 
-    def tell(self, alarms: Iterable[Alarm]) -> None:
-        """Publish each alarm as a retained message under its own topic, at once or when connected; a later
-        state of an alarm replaces an earlier one."""
+    def publish_alarms(self, alarms: Iterable[Alarm]) -> None:
+        """Publish each alarm as a retained message under its own topic, now or once connected; a later state
+        of an alarm replaces an earlier one."""
         if not self.broker.alarms:
             return
         with self._lock:
@@ -93,8 +94,7 @@ class Mqtt(Stream):
                 self._publish(self._link)
 
     def stop(self) -> None:
-        """Stop delivering; the connection ends when all deliveries are acknowledged, or at once at the second
-        call."""
+        """Stop delivering; disconnect once all deliveries are acknowledged, or at once at the second call."""
         if self._ended.is_set() or not self._has_pending():
             self._closing.set()
         self._ended.set()
@@ -105,6 +105,7 @@ class Mqtt(Stream):
 
     @property
     def state(self) -> SourceState:
+        """The state of the present link, or of the source while there is no link."""
         link, source_state = self._link, self._state
         if link is None or source_state.word == "stopped":
             return source_state
@@ -114,9 +115,10 @@ class Mqtt(Stream):
 
     # -- the source's own thread -----------------------------------------------------------------------------
     def _deliver(self, place: str | None, put: Callable[[Delivery], None]) -> None:
+        """Open a link and hand over its messages; raises SourceFault if the link is lost."""
         former_filters = (place or "").split("\n")
-        dropped = [name for name in former_filters if name and name not in self.broker.topics]
-        link = self._link = BrokerLink(self.broker, self.largest, dropped, self._on_accepted)
+        removed_filters = [name for name in former_filters if name and name not in self.broker.topics]
+        link = self._link = BrokerLink(self.broker, self.largest, removed_filters, self._on_accepted)
         try:
             link.open()
             self._hand_over(link, put)
@@ -153,15 +155,16 @@ class Mqtt(Stream):
                 break
 
     def read(self, arrival: Arrival) -> Sequence[Content]:
-        """The payloads of a message that another session, such as the doctor's, has received."""
+        """Return the payloads of a message that another session, such as the doctor's, has received."""
         return [arrival.payload]
 
     def _take(self, link: BrokerLink, arrival: Arrival, put: Callable[[Delivery], None]) -> None:
+        """Deliver one received message."""
         acknowledge = partial(link.acknowledge, arrival.identifier)
         self._put([arrival.payload], arrival.time, arrival.topic, acknowledge, put)
 
     def _do_periodic_work(self, link: BrokerLink, put: Callable[[Delivery], None]) -> None:
-        """Called after every message and at least every second, for work that no message causes."""
+        """Do work that does not depend on messages; called after every message and at least every second."""
 
     def _put(
         self,
@@ -172,7 +175,8 @@ class Mqtt(Stream):
         put: Callable[[Delivery], None],
         memories: JsonObject | None = None,
     ) -> None:
-        """Put the deliveries of a message; the last one carries the acknowledgement and the memories."""
+        """Deliver the contents of a message that arrived at `received` [s]; the last delivery carries the
+        call that acknowledges the message, and the `memories`."""
         with self._lock:
             self._uncommitted += len(contents)
         for content in contents[:-1]:
@@ -186,10 +190,10 @@ class Mqtt(Stream):
 
     # -- alarms ----------------------------------------------------------------------------------------------
     def _on_accepted(self, link: BrokerLink) -> None:
-        """Called when the broker has accepted the link: publish the alarms that former links could not."""
+        """Publish the alarms that former links could not; called when the broker has accepted a link."""
         if self._had_session and not link.resumed:
             LOG.warning(
-                "the broker no longer has a session of this client_id: messages of the meantime are lost",
+                "the broker no longer has a session of this client_id: messages sent meanwhile are lost",
                 extra={"source": self.url},
             )
         self._had_session = True
@@ -258,18 +262,19 @@ class BrokerLink:
     Its network thread only queues messages, so that it sends keep-alives in time however busy the tracker is.
     The tracker reads the messages from `arrived`, which ends with None when the link is lost.
 
-    dropped: filters of former runs from which the session is unsubscribed. on_accepted: called when the
-    broker has accepted the connection. largest: largest payload [bytes]; a longer one is cut off.
+    largest: largest payload [bytes]; a longer one is cut off.  removed_filters: topic filters of former runs,
+    from which the session is unsubscribed.  on_accepted: called when the broker has accepted the connection.
 
     `answered`: whether the broker has answered the subscription; `denied`: filter that the broker denied ->
-    its reason; `overrun`: number of dropped messages of QoS 0.
+    its reason; `overflow_count`: number of QoS 0 messages that were dropped
+    because they came too fast.
     """
 
     def __init__(
         self,
         broker: Broker,
         largest: int = LARGEST_PAYLOAD,
-        dropped: Sequence[str] = (),
+        removed_filters: Sequence[str] = (),
         on_accepted: Callable[[BrokerLink], None] = lambda link: None,
     ) -> None:
         self.broker = broker
@@ -278,8 +283,8 @@ class BrokerLink:
         self.reason = ""
         self.accepted = False
         self.resumed = False
-        self.overrun = 0
-        self._dropped = tuple(dropped)
+        self.overflow_count = 0
+        self._removed_filters = tuple(removed_filters)
         self._on_accepted = on_accepted
         self._largest = largest
         self._requested_filters: tuple[str, ...] = broker.topics
@@ -328,6 +333,7 @@ class BrokerLink:
             self.lose(unreachable_text(fault, self.broker.where))
 
     def _connect(self) -> None:
+        """Connect with user, TLS and the requested session, and start the network thread."""
         from paho.mqtt.packettypes import PacketTypes
         from paho.mqtt.properties import Properties
 
@@ -348,13 +354,12 @@ class BrokerLink:
         self._thread.start()
 
     def acknowledge(self, identifier: int | None) -> None:
-        """Acknowledge a committed message to the broker, unless the link is lost.  Callable from any
-        thread."""
+        """Acknowledge a committed message, unless the link is lost.  Callable from any thread."""
         if identifier is not None and not self.lost.is_set():
             self.client.ack(identifier, 1)
 
     def publish(self, topic: str, payload: bytes) -> MQTTMessageInfo:
-        """Publish a retained message; see `is_confirmed`.  Callable from any thread."""
+        """Publish a retained message (see `is_confirmed`).  Callable from any thread."""
         return self.client.publish(topic, payload, qos=1, retain=True)
 
     def request(self, topic: str, payload: bytes) -> None:
@@ -380,6 +385,7 @@ class BrokerLink:
 
     @property
     def state(self) -> SourceState:
+        """The state of the link, with denied subscriptions and refused alarms."""
         where = self.broker.where
         if self.lost.is_set():
             return SourceState("lost", self.reason)
@@ -395,14 +401,17 @@ class BrokerLink:
                 "; no message has arrived yet: if this lasts, check topics and rights, because a broker may "
                 "grant a subscription and deliver nothing"
             )
-        if self.overrun:
-            text += f"; {self.overrun} messages of QoS 0 arrived too fast and were dropped: publish at QoS 1"
+        if self.overflow_count:
+            text += (
+                f"; {self.overflow_count} messages of QoS 0 came too fast and were dropped: publish at QoS 1"
+            )
         if self._alarms_denied:
             text += f"; the broker refuses alarms below {self.broker.alarms}: {self._alarms_denied}"
         return SourceState("connected", text)
 
     # -- the network thread ----------------------------------------------------------------------------------
     def _run(self) -> None:
+        """Process packets until the connection ends or the link has been closing for `CLOSING_S`."""
         reason = ""
         try:
             while self._process_packets(1.0) and time.monotonic() < self._close_by:
@@ -426,6 +435,7 @@ class BrokerLink:
             self.arrived.put(None)
 
     def _subscribe(self, filters: tuple[str, ...]) -> None:
+        """Request a subscription to topic filters at QoS 1."""
         from paho.mqtt.subscribeoptions import SubscribeOptions
 
         self._requested_filters = filters
@@ -436,6 +446,7 @@ class BrokerLink:
     def _on_connect(
         self, client: Client, _: object, flags: ConnectFlags, code: ReasonCode, properties: Properties | None
     ) -> None:
+        """Subscribe once the broker has accepted the connection; called by paho."""
         if code.is_failure:
             self.lose(f"{self.broker.where}: {reason_text(code)}")
             return
@@ -447,14 +458,15 @@ class BrokerLink:
                 "the broker keeps the session for less time than requested",
                 extra={"source": self.broker.session_url, "requested_s": requested_s, "kept_s": granted_s},
             )
-        if self._dropped and self.resumed:
-            client.unsubscribe(list(self._dropped))
+        if self._removed_filters and self.resumed:
+            client.unsubscribe(list(self._removed_filters))
         self._subscribe(self.broker.topics)
         self._on_accepted(self)
 
     def _on_subscribe(
         self, client: Client, userdata: object, identifier: int, codes: Sequence[ReasonCode], *_: object
     ) -> None:
+        """Record which of the requested filters the broker denies; called by paho."""
         for topic_filter, code in zip(self._requested_filters, codes, strict=False):
             if code.is_failure:
                 self.denied[topic_filter] = reason_text(code)
@@ -463,6 +475,7 @@ class BrokerLink:
         self.answered = True
 
     def _on_message(self, client: Client, userdata: object, message: MQTTMessage) -> None:
+        """Queue a received message; called by paho."""
         identifier = message.mid if message.qos else None
         try:
             topic = message.topic
@@ -471,7 +484,7 @@ class BrokerLink:
         if self.is_alarm_topic(topic):
             self.acknowledge(identifier)  # the tracker's own alarms are not readings
         elif identifier is None and self.arrived.qsize() >= MOST_QUEUED_QOS_0:
-            self.overrun += 1
+            self.overflow_count += 1
         else:
             self._has_received = True
             # an oversized payload keeps one byte too many, so that the mapping refuses and counts it
@@ -484,6 +497,7 @@ class BrokerLink:
     def _on_disconnect(
         self, client: Client, userdata: object, flags: DisconnectFlags, code: ReasonCode, *_: object
     ) -> None:
+        """Mark the link as lost, with the most specific reason that is known; called by paho."""
         where = self.broker.where
         if flags.is_disconnect_packet_from_server:
             self.lose(f"{where}: {reason_text(code)}")
@@ -545,8 +559,8 @@ def piecewise_client_class() -> type[Any]:
         _buffer, _position = b"", 0
 
         def process_packets(self, timeout: float) -> bool:
-            """Wait up to `timeout` [s] for incoming or outgoing packets and process them; returns whether the
-            connection still exists."""
+            """Process packets, waiting up to `timeout` [s] for the first; returns whether the link still
+            exists."""
             if self.loop(timeout if self._position == len(self._buffer) else 0.0) != 0:
                 return False
             for _ in range(PACKETS_PER_ROUND):

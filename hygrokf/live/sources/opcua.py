@@ -28,11 +28,11 @@ from hygrokf.texts.wording import several
 
 LOG = logging.getLogger("hygrokf.track")
 FIRST_SAMPLES_S = 2.0
-"""Time [s] to wait for the first samples of a subscription, in addition to its publishing interval."""
+"""Time [s] to wait for a subscription's first samples, beyond its publishing interval."""
 REQUEST_AGAIN_S = 60.0
 """Time [s] after which refused nodes and pending histories are requested again."""
 DELIVERED_TOGETHER = 500
-"""Largest number of samples that are delivered together; only their last delivery carries a place."""
+"""Largest number of samples delivered together; only the last of these deliveries carries a place."""
 
 
 class OpcUa(Stream):
@@ -53,9 +53,12 @@ class OpcUa(Stream):
         self._security = security
         self._put: Callable[[Delivery], None] = lambda delivery: None
         self._delivered_until: dict[str, float] = {}
+        """Node id -> time [s] of its last delivered sample."""
         self._start_s = 0.0
         self._last: dict[Node, tuple[float | None, object, str]] = {}
+        """Node -> time [s], value and status of its last sample."""
         self._pending: set[Node] = set()
+        # node -> reason: refused by the server, of bad quality now, history unreadable, history not kept
         self._refused: dict[Node, str] = {}
         self._bad: dict[Node, str] = {}
         self._unread: dict[Node, str] = {}
@@ -65,6 +68,7 @@ class OpcUa(Stream):
 
     @property
     def state(self) -> SourceState:
+        """The state of the connection, with what is wrong with single nodes."""
         word, explanation = self._state
         if word != "connected":
             return self._state
@@ -74,11 +78,16 @@ class OpcUa(Stream):
             _nodes_text("bad now", self._bad),
             _nodes_text("no history, missed samples are lost", self._unread),
             "the server reports changes only" if self._changes_only else "",
-            *(f"the queue {where} overflowed {n} times" for where, n in self._overflows.items() if n),
+            *(
+                f"the queue {where} overflowed {count} times"
+                for where, count in self._overflows.items()
+                if count
+            ),
         ]
         return SourceState(word, "; ".join([explanation, *filter(None, notes)]))
 
     def _deliver(self, place: str | None, put: Callable[[Delivery], None]) -> None:
+        """Deliver samples from the stored times on, until the connection is lost or the source is stopped."""
         self._put = put
         self._delivered_until = self._delivered_until or self._stored_times(place)
         self._start_s = self._start_s or time.time() - self.server.look_back_s
@@ -94,11 +103,11 @@ class OpcUa(Stream):
             parsed = {}
         stored = parsed if isinstance(parsed, dict) else {}
         times = {node.id: stored.get(node.id) for node in self.nodes}
-        latest = time.time() + STAMP_AHEAD_S
+        latest_s = time.time() + STAMP_AHEAD_S
         return {
             node_id: float(time_s)
             for node_id, time_s in times.items()
-            if isinstance(time_s, int | float) and EARLIEST_STAMP_S <= time_s <= latest
+            if isinstance(time_s, int | float) and EARLIEST_STAMP_S <= time_s <= latest_s
         }
 
     # -- connections -----------------------------------------------------------------------------------------
@@ -107,6 +116,7 @@ class OpcUa(Stream):
         return Connection(self.server, self._security)
 
     async def _follow(self) -> None:
+        """Open a connection and serve it; raises SourceFault if it fails or is lost."""
         connection = self.connection()
         try:
             await connection.open()
@@ -141,23 +151,23 @@ class OpcUa(Stream):
                 await self._begin(connection, tuple(self._refused))
 
     async def _begin(self, connection: Connection, nodes: Sequence[Node]) -> None:
-        """Subscribe to nodes; deliver their history first, then the subscription's initial samples."""
+        """Subscribe to nodes; deliver their missed history first, then the subscription's first samples."""
         if not nodes:
             return
         self._refused = await connection.subscribe(nodes)
         self._changes_only = connection.unfiltered
         self._state = SourceState("connected", self.url)
-        first: dict[Node, float | None] = {}
+        first_times: dict[Node, float | None] = {}  # node -> time [s] of its first sample
         samples: list[Sample] = []
         awaited = set(nodes) - set(self._refused)
-        end = time.monotonic() + self.server.publishing_s + FIRST_SAMPLES_S
-        while awaited - set(first) and time.monotonic() < end and not self._ended.is_set():
+        deadline_s = time.monotonic() + self.server.publishing_s + FIRST_SAMPLES_S
+        while awaited - set(first_times) and time.monotonic() < deadline_s and not self._ended.is_set():
             received = await connection.samples(POLL_PAUSE_S)
             samples += received
             for sample in received:
-                first.setdefault(sample.node, sample.time)
+                first_times.setdefault(sample.node, sample.time)
         self._without_history |= await connection.without_history(tuple(awaited))
-        await self._read_back(connection, {node: first.get(node) for node in awaited})
+        await self._read_back(connection, {node: first_times.get(node) for node in awaited})
         await self._hand_over(samples)
 
     # -- missed samples --------------------------------------------------------------------------------------
@@ -170,7 +180,7 @@ class OpcUa(Stream):
         histories = [self._missed_samples(connection, node, until_s) for node, until_s in nodes.items()]
         batch: list[Sample] = []
         self._reading = bool(histories)
-        async for sample in in_order(histories):
+        async for sample in merged_by_time(histories):
             batch.append(sample)
             if len(batch) == DELIVERED_TOGETHER:
                 await self._hand_over(batch, from_history=True)
@@ -215,8 +225,7 @@ class OpcUa(Stream):
 
     # -- deliveries ------------------------------------------------------------------------------------------
     async def _hand_over(self, samples: Sequence[Sample], from_history: bool = False) -> None:
-        """Deliver samples in the order of time, from a separate thread, so that a busy service does not block
-        the connection."""
+        """Deliver samples in the order of time, in another thread: the tracker may block."""
         ordered = sorted(samples, key=lambda sample: sample.received if sample.time is None else sample.time)
         for start in range(0, len(ordered), DELIVERED_TOGETHER):
             batch = ordered[start : start + DELIVERED_TOGETHER]
@@ -228,13 +237,15 @@ class OpcUa(Stream):
                 await asyncio.to_thread(self._put_all, deliveries)
 
     def _put_all(self, deliveries: Iterable[Delivery]) -> None:
+        """Hand deliveries to the tracker, which may block."""
         for delivery in deliveries:
             self._put(delivery)
 
     def _is_new(self, sample: Sample) -> bool:
         """Whether a sample differs from the node's last one, which every new subscription repeats."""
-        last, self._last[sample.node] = self._last.get(sample.node), (sample.time, sample.value, sample.word)
-        return last != self._last[sample.node]
+        previous = self._last.get(sample.node)
+        self._last[sample.node] = (sample.time, sample.value, sample.status)
+        return previous != self._last[sample.node]
 
     def _note(self, sample: Sample, from_history: bool) -> None:
         """Record a node's quality and, unless its history is pending, its last delivered time."""
@@ -244,7 +255,7 @@ class OpcUa(Stream):
                     sample.time, self._delivered_until.get(sample.node.id, 0.0)
                 )
         if sample.quality == "bad":
-            self._bad[sample.node] = sample.word
+            self._bad[sample.node] = sample.status
         else:
             self._bad.pop(sample.node, None)
 
@@ -258,11 +269,11 @@ class OpcUa(Stream):
         content: JsonObject = {"turbine": sample.node.turbine, "time": sample.time, "quality": sample.quality}
         if sample.quality != "bad":
             content[sample.node.field] = self._number(sample)
-        return Delivery(content, sample.received, mark=sample.served)
+        return Delivery(content, sample.received, mark=sample.server_time)
 
     def _number(self, sample: Sample) -> Json:
-        """The value if it is a number; 1 or 0 for a boolean in a field with the unit "1"; otherwise the name
-        of its type, which the mapping refuses."""
+        """Return the value of a sample for the mapping: a number as it is, a boolean as 1 or 0 if the unit of
+        its field is "1"; otherwise the name of its type, which the mapping refuses."""
         if isinstance(sample.value, bool) and self.mapping.fields[sample.node.field].unit == "1":
             return int(sample.value)
         if isinstance(sample.value, int | float) and not isinstance(sample.value, bool):
@@ -270,24 +281,25 @@ class OpcUa(Stream):
         return type(sample.value).__name__
 
 
-async def in_order(histories: Iterable[AsyncIterator[Sample]]) -> AsyncIterator[Sample]:
-    """Merge the histories of several nodes, each of them sorted by time, into one sorted sequence."""
-    heads: list[tuple[float, int, Sample, AsyncIterator[Sample]]] = []
-    for number, history in enumerate(histories):
+async def merged_by_time(histories: Iterable[AsyncIterator[Sample]]) -> AsyncIterator[Sample]:
+    """Merge the histories of several nodes, each sorted by time, into one sequence sorted by time."""
+    next_samples: list[tuple[float, int, Sample, AsyncIterator[Sample]]] = []
+    for history_number, history in enumerate(histories):
         sample = await anext(history, None)
         if sample is not None:
-            heapq.heappush(heads, (sample.time or 0.0, number, sample, history))
-    while heads:
-        _, number, sample, history = heads[0]
+            heapq.heappush(next_samples, (sample.time or 0.0, history_number, sample, history))
+    while next_samples:
+        _, history_number, sample, history = next_samples[0]
         yield sample
-        following = await anext(history, None)
-        if following is None:
-            heapq.heappop(heads)
+        next_sample = await anext(history, None)
+        if next_sample is None:
+            heapq.heappop(next_samples)
         else:
-            heapq.heapreplace(heads, (following.time or 0.0, number, following, history))
+            heapq.heapreplace(next_samples, (next_sample.time or 0.0, history_number, next_sample, history))
 
 
 def _nodes_text(heading: str, nodes: Mapping[Node, str]) -> str:
+    """Return "HEADING: NODE (REASON), …", or "" without nodes."""
     # the copy is needed because another thread may change the nodes meanwhile
     texts = [f"{node.id} ({reason})" for node, reason in tuple(nodes.items())]
     return f"{heading}: {several(texts)}" if texts else ""
@@ -303,11 +315,11 @@ class OpcUaForm(Server):
     """A [[source]] of `opc.tcp://HOST:PORT/PATH`."""
 
     def stream(self, mapping: PayloadMapping, place: Place) -> OpcUa:
-        """The stream; faults of its nodes and files are reported at `place`."""
+        """Return the stream; faults of its nodes and files are reported at `place`."""
         security = self.security_from(place)
         self.expect(place, self.password.read, lambda: _check_nodes(self.nodes, mapping, place))
         turbines = {node.turbine: node.turbine for node in self.nodes.values()}
-        flat = mapping.of_own_payloads(self.uncertain and mapping.use_uncertain, turbines)
+        flat = mapping.for_flat_payloads(self.uncertain and mapping.use_uncertain, turbines)
         return OpcUa(self, flat, security)
 
 
@@ -332,4 +344,4 @@ def _check_nodes(nodes: Mapping[str, Node], mapping: PayloadMapping, place: Plac
             entry.fault(f"a field must not be named {node.field!r} here: rename it in [mapping.signals]")
         other = taken.setdefault((node.turbine, node.field), node_id)
         if other != node_id:
-            entry.fault(f"{other!r} already is {node.field} of {node.turbine}")
+            entry.fault(f"{other!r} is already {node.field} of {node.turbine}: remove one of them")

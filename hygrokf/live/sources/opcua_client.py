@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from asyncua.common.subscription import DataChangeNotif, Subscription
 
 OVERFLOW = 0x0480
-"""Status code bits of a data value before which the server's full queue lost others (InfoType, Overflow)."""
+"""Status bits (InfoType, Overflow) of a value before which the server's full queue lost other values."""
 OVERFLOW_MASK = 0x0C80
 """Bits of a status code that hold the InfoType (DataValue) and the overflow flag."""
 NAME_MASK = 0xFFFF0000
@@ -59,7 +59,7 @@ STATUS_REMEDIES = {
 
 
 class HistoryFault(HygrokfError):
-    """A node's history could not be read; the message is the server's reason; `final`: a retry is useless."""
+    """A node's history could not be read, for the server's reason; `final`: whether a retry is useless."""
 
     def __init__(self, reason: str) -> None:
         super().__init__(reason)
@@ -71,23 +71,23 @@ class Sample:
     """A value of a node.
 
     `time`: time stamp [s] of the source, otherwise of the server, None without either; `quality`: "good",
-    "uncertain" or "bad" (also for a missing value); `word`: name of the status code; `overflowed`: whether
-    values before this one were lost in the server's queue; `received`: time of arrival [s]; `served`: the
-    server's time stamp [s], NaN without one.
+    "uncertain" or "bad" (also for a missing value); `status`: name of the status code; `overflowed`: whether
+    values before this one were lost in the server's queue; `received`: time of arrival [s]; `server_time`:
+    the server's time stamp [s], NaN without one.
     """
 
     node: Node
     time: float | None
     value: object
     quality: str
-    word: str
+    status: str
     overflowed: bool
     received: float
-    served: float = math.nan
+    server_time: float = math.nan
 
 
 def library() -> ModuleType:
-    """The module asyncua, an optional dependency.  Raises SourceFault if it is missing."""
+    """Import asyncua, an optional dependency; returns the module.  Raises SourceFault if it is missing."""
     try:
         import asyncua
     except ImportError:
@@ -112,7 +112,7 @@ def node_fault(text: str) -> str | None:
 
 
 def sample_of(node: Node, data: ua.DataValue, received: float) -> Sample:
-    """A sample from asyncua's DataValue, received at a time [s]."""
+    """Convert asyncua's DataValue of a node, received at a time [s], to a sample."""
     status, value = data.StatusCode, None if data.Value is None else data.Value.Value
     quality = "good"
     if value is None or (status is not None and status.is_bad()):
@@ -120,8 +120,10 @@ def sample_of(node: Node, data: ua.DataValue, received: float) -> Sample:
     elif status is not None and status.is_uncertain():
         quality = "uncertain"
     source_time, server_time = (
-        None if t is None or t.year <= NO_TIME_YEAR else t.replace(tzinfo=t.tzinfo or UTC).timestamp()
-        for t in (data.SourceTimestamp, data.ServerTimestamp)
+        None
+        if stamp is None or stamp.year <= NO_TIME_YEAR
+        else stamp.replace(tzinfo=stamp.tzinfo or UTC).timestamp()
+        for stamp in (data.SourceTimestamp, data.ServerTimestamp)
     )
     return Sample(
         node,
@@ -207,16 +209,18 @@ class Connection:
             assert client.uaclient.protocol is not None
             client.uaclient.protocol.timeout = HISTORY_ANSWER_S
         except Exception as fault:  # asyncua raises many exceptions, also while decoding
-            reason = await self._explanation(fault)
+            reason = await self._failure_text(fault)
             await self.close()
             raise SourceFault(reason) from None
 
     @property
     def _open_client(self) -> Client:
+        """The client of the open connection."""
         assert self._client is not None
         return self._client
 
     async def _new_client(self) -> Client:
+        """Return a client with security and user, which is not connected yet."""
         from asyncua.crypto import security_policies
         from asyncua.crypto.uacrypto import CertProperties
 
@@ -272,9 +276,9 @@ class Connection:
         await asyncio.sleep(0.0)
 
     def check(self) -> None:
-        """Raises SourceFault if the connection is lost or the server has stopped publishing."""
-        last = self._subscription.last_publish_at
-        silent_s = 0.0 if last is None else time.monotonic() - last
+        """Raise SourceFault if the connection is lost or the server has stopped publishing."""
+        published_at = self._subscription.last_publish_at
+        silent_s = 0.0 if published_at is None else time.monotonic() - published_at
         if not self._lost and silent_s > self._stale_s:
             self._lost = f"the server has not published for {silent_s:.0f} s"
         if self._lost:
@@ -292,15 +296,15 @@ class Connection:
             raise SourceFault(fault_text(fault)) from None
 
     async def _note_loss(self, fault: Exception) -> None:
+        """Record that the connection is lost; called by asyncua."""
         self._lost = self._lost or f"the connection is lost ({fault_text(fault)})"
 
-    async def _explanation(self, fault: Exception) -> str:
-        """Message that says why a connection failed; it compares the configuration with the endpoints that
-        the server offers."""
+    async def _failure_text(self, fault: Exception) -> str:
+        """Return why a connection failed, from the exception and the endpoints that the server offers."""
         text = fault_text(fault)
         if isinstance(fault, ConnectionRefusedError | socket.gaierror | SourceFault):
             return text
-        text = await self._mismatch() or text
+        text = await self._endpoint_mismatch() or text
         if self._security is not None and self._security.valid_until < time.time():
             text += (
                 f"; this client's certificate was valid until {stamp_text(self._security.valid_until)}: "
@@ -308,9 +312,9 @@ class Connection:
             )
         return text
 
-    async def _mismatch(self) -> str:
-        """A message if policy, mode or certificate of the server differ from the configuration; "" if they
-        agree or are unknown."""
+    async def _endpoint_mismatch(self) -> str:
+        """Return the message that policy, mode or certificate of the server differ from the configuration; ""
+        if they agree or are unknown."""
         security, client = (
             self._security,
             library().Client(self._server.endpoint, timeout=0.4 * SERVER_ANSWER_S),
@@ -329,13 +333,13 @@ class Connection:
         if security is not None and not offered[configured].startswith(security.server_certificate):
             return (
                 "the server's certificate is not the one in server_certificate: find out whether it was "
-                "replaced, and state the new one only then"
+                "replaced; only then state the new one"
             )
         return ""
 
     # -- the subscription ------------------------------------------------------------------------------------
     async def subscribe(self, nodes: Sequence[Node]) -> dict[Node, str]:
-        """Subscribe to nodes; returns refused node -> the server's reason.  Raises SourceFault."""
+        """Subscribe to nodes; returns refused node -> reason of the server.  Raises SourceFault."""
         try:
             refused = await self._look_up_ids(nodes)
             for filtered in (True, False):  # without the filter if the server does not support it
@@ -345,11 +349,11 @@ class Connection:
                     if node in self._ids and (filtered or refused.get(node) in NO_FILTER)
                 ]
                 for start in range(0, len(requested), NODES_PER_REQUEST):
-                    part = requested[start : start + NODES_PER_REQUEST]
+                    chunk = requested[start : start + NODES_PER_REQUEST]
                     results = await self._subscription.create_monitored_items(
-                        [self._item(node, filtered) for node in part]
+                        [self._monitoring_request(node, filtered) for node in chunk]
                     )
-                    for node, result in zip(part, results, strict=True):
+                    for node, result in zip(chunk, results, strict=True):
                         refused.pop(node, None)
                         if isinstance(result, self._ua.StatusCode):
                             refused[node] = result.name
@@ -359,10 +363,8 @@ class Connection:
         return refused
 
     async def _look_up_ids(self, nodes: Iterable[Node]) -> dict[Node, str]:
-        """Look up the ids of nodes, because some servers renumber their namespaces at a restart.
-
-        Returns node with an unknown namespace -> reason.
-        """
+        """Set the server's ids of nodes, looked up anew because some servers renumber their namespaces at a
+        restart; returns node with an unknown namespace -> reason."""
         ua = self._ua
         refused: dict[Node, str] = {}
         parsed = {node: ua.NodeId.from_string(node.id) for node in nodes}
@@ -378,9 +380,11 @@ class Connection:
             self._ids[node] = node_id
         return refused
 
-    def _item(self, node: Node, filtered: bool) -> ua.MonitoredItemCreateRequest:
-        """The request to monitor a node; `filtered`: with the filter that reports also an equal value with a
-        new time stamp."""
+    def _monitoring_request(self, node: Node, filtered: bool) -> ua.MonitoredItemCreateRequest:
+        """Return the request to monitor a node.
+
+        filtered: with the filter by which the server also reports an equal value with a new time stamp.
+        """
         ua = self._ua
         parameters = ua.MonitoringParameters()
         parameters.ClientHandle = len(self._handles) + 1
@@ -414,7 +418,7 @@ class Connection:
         self._lost = self._lost or f"the server ended the subscription ({notification.Status.name})"
 
     async def samples(self, patience_s: float) -> list[Sample]:
-        """Samples since the last call; waits up to `patience_s` [s] for the first one."""
+        """Return the samples since the last call; waits up to `patience_s` [s] for the first one."""
         with suppress(TimeoutError):
             await asyncio.wait_for(self._arrived.wait(), patience_s)
         self._arrived.clear()
@@ -423,7 +427,8 @@ class Connection:
 
     # -- history ---------------------------------------------------------------------------------------------
     async def without_history(self, nodes: Sequence[Node]) -> dict[Node, str]:
-        """Subscribed node whose access level excludes reading its history -> reason.  Raises SourceFault.
+        """Return subscribed node whose access level excludes reading its history -> reason.  Raises
+        SourceFault.
 
         The access level is needed because a server without a history may answer a history request with an
         empty one.  Nodes whose access level the server does not tell are omitted.
@@ -437,11 +442,11 @@ class Connection:
             for name, reason in attributes.items():
                 requested = [node for node in nodes if node in self._ids and node not in reasons]
                 for start in range(0, len(requested), NODES_PER_REQUEST):
-                    part = requested[start : start + NODES_PER_REQUEST]
+                    chunk = requested[start : start + NODES_PER_REQUEST]
                     levels = await self._open_client.uaclient.read_attributes(
-                        [self._ids[node] for node in part], ua.AttributeIds[name]
+                        [self._ids[node] for node in chunk], ua.AttributeIds[name]
                     )
-                    for node, level in zip(part, levels, strict=True):
+                    for node, level in zip(chunk, levels, strict=True):
                         value = level.Value.Value if level.Value is not None else None
                         if isinstance(value, int) and not value & (1 << ua.AccessLevel.HistoryRead):
                             reasons[node] = reason
@@ -452,8 +457,7 @@ class Connection:
         return reasons
 
     async def history(self, node: Node, since_s: float, until_s: float) -> AsyncIterator[Sample]:
-        """A node's samples in since_s < time ≤ until_s [s], sorted by time.  Raises HistoryFault,
-        SourceFault."""
+        """Yield samples with since_s < time ≤ until_s [s] by time.  Raises HistoryFault, SourceFault."""
         ua = self._ua
         details = ua.ReadRawModifiedDetails(
             NumValuesPerNode=SAMPLES_AT_ONCE, ReturnBounds=False, IsReadModified=False
@@ -461,17 +465,17 @@ class Connection:
         details.EndTime = datetime.fromtimestamp(until_s, UTC)
         while True:
             details.StartTime = datetime.fromtimestamp(since_s, UTC)
-            page, more = await self._page(node, details)
-            timed = ((s.time, s) for s in page if s.time is not None and since_s < s.time <= until_s)
-            new = sorted(timed, key=lambda pair: pair[0])
+            page, has_more = await self._page(node, details)
+            stamped = [(sample.time, sample) for sample in page if sample.time is not None]
+            new = sorted((pair for pair in stamped if since_s < pair[0] <= until_s), key=lambda pair: pair[0])
             for _, sample in new:
                 yield sample
-            if not new or (len(page) < SAMPLES_AT_ONCE and not more):
+            if not new or (len(page) < SAMPLES_AT_ONCE and not has_more):
                 return
             since_s = new[-1][0]
 
     async def _page(self, node: Node, details: ua.ReadRawModifiedDetails) -> tuple[list[Sample], bool]:
-        """A page of a node's history, and whether the server has more.
+        """Return a page of a node's history, and whether the server has more.
 
         The next page is requested by time instead of a continuation point, because many nodes are read at
         once and servers offer few continuation points.
@@ -481,9 +485,9 @@ class Connection:
         request = ua.HistoryReadParameters(details, ua.TimestampsToReturn.Both, False, [value])
         try:
             (result,) = await self._open_client.uaclient.history_read(request)
-            more = result.ContinuationPoint
-            if more:
-                value.ContinuationPoint = more
+            continuation = result.ContinuationPoint
+            if continuation:
+                value.ContinuationPoint = continuation
                 request.ReleaseContinuationPoints = True
                 with suppress(ua.UaStatusCodeError):
                     await self._open_client.uaclient.history_read(request)
@@ -497,9 +501,10 @@ class Connection:
             raise SourceFault(fault_text(fault)) from None
         now = time.time()
         values = getattr(result.HistoryData, "DataValues", None) or ()
-        return [sample_of(node, value, now) for value in values], bool(more)
+        return [sample_of(node, value, now) for value in values], bool(continuation)
 
 
 def _security_name(offer: ua.EndpointDescription) -> str:
+    """Return policy and mode of an endpoint, such as "Basic256Sha256 SignAndEncrypt"."""
     policy = offer.SecurityPolicyUri.rpartition("#")[2].replace("_", "")
     return "no security" if policy == "None" else f"{policy} {offer.SecurityMode.name}"

@@ -29,8 +29,8 @@ class Node:
     """A variable of the server, an entry of `nodes`: its id as text, its turbine, and its field."""
 
     id: str = entry_name()
-    turbine: str = setting(help="its turbine")
-    field: str = setting(help="its field of [mapping.signals]")
+    turbine: str = setting(help="name of the turbine")
+    field: str = setting(help="field of [mapping.signals]")
 
 
 @dataclass(frozen=True)
@@ -51,39 +51,46 @@ class Security:
 
 @dataclass(frozen=True)
 class Server(UrlKeys, PasswordKeys, SourceKeys):
-    """A [[source]] of `opc.tcp://HOST:PORT/PATH`: a server, its nodes, the security of the connection and
-    the user."""
+    """A [[source]] of `opc.tcp://HOST:PORT/PATH`: a server, its nodes, security and user."""
 
     url: str = setting(help="opc.tcp://HOST:PORT/PATH")
-    nodes: Mapping[str, Node] = setting(dict, "node ids, each with turbine and field")
-    sampling_s: float = setting(1.0, "how often the server looks at a value", read=duration)
+    nodes: Mapping[str, Node] = setting(dict, "node ids, each with its turbine and its field")
+    sampling_s: float = setting(1.0, "interval at which the server samples a value", read=duration)
     publishing_s: float = setting(
         1.0,
-        "how often it sends what has come",
+        "interval at which the server sends its samples",
         read=duration,
         least=0.01,
         most=60.0,
         expected='within "0.01s" … "1min"',
     )
-    queue: int = setting(100, "values of one node that it keeps in between", least=2, most=QUEUE_SIZE)
-    look_back_s: float = setting(0.0, "how far back the history of a new node is read", read=duration)
+    queue: int = setting(
+        100, "number of samples of one node that the server queues", least=2, most=QUEUE_SIZE
+    )
+    look_back_s: float = setting(
+        0.0, "time before the first start from which a node's history is read", read=duration
+    )
     uncertain: bool = setting(True, "whether values with an uncertain status are used")
     security: str = setting(
         "",
-        '"none": a plain connection to another host',
+        '"none" permits an unsecured connection to another host',
         fits="none".__eq__,
-        expected='"none" where it is stated',
+        expected='"none", or left out',
     )
-    policy: str | None = setting(None, f"of the signatures, by default {POLICIES[0]}", choices=POLICIES)
-    mode: str | None = setting(None, f"what is secured, by default {MODES[0]}", choices=MODES)
-    certificate: str | None = setting(None, "of the tracker, PEM or DER")
-    key: str | None = setting(None, "of the certificate, PEM or DER, RSA, without a password")
-    server_certificate: str | None = setting(None, "of the one server that is trusted, PEM or DER")
-    user: str = setting("", "with password_file or password_env")
+    policy: str | None = setting(None, f"security policy, by default {POLICIES[0]}", choices=POLICIES)
+    mode: str | None = setting(None, f"message security mode, by default {MODES[0]}", choices=MODES)
+    certificate: str | None = setting(None, "file with the certificate of the tracker (PEM or DER)")
+    key: str | None = setting(
+        None, "file with the RSA key of the certificate (PEM or DER, without a password)"
+    )
+    server_certificate: str | None = setting(
+        None, "file with the certificate of the only trusted server (PEM or DER)"
+    )
+    user: str = setting("", "user name; needs password_file or password_env")
 
     @property
     def endpoint(self) -> str:
-        """The url with the port; "" if the url is invalid."""
+        """The URL with its port; "" if the URL is invalid."""
         return f"opc.tcp://{self.where}{self.address.path}" if self.address.host else ""
 
     @across("url")
@@ -107,7 +114,7 @@ class Server(UrlKeys, PasswordKeys, SourceKeys):
     def security_not_contradicted(self) -> str | None:
         if self.security != "none" or not self.security_keys:
             return None
-        return f'security = "none" contradicts {", ".join(self.security_keys)}: leave out one or the other'
+        return f'security = "none" contradicts {", ".join(self.security_keys)}; remove one or the other'
 
     @across(*FILES)
     def files_complete(self) -> str | None:
@@ -129,14 +136,15 @@ class Server(UrlKeys, PasswordKeys, SourceKeys):
         needed = ", ".join(FILES)
         if self.security != "none":
             yield (
-                f"a connection to another host needs {needed}; "
-                'state security = "none" where it shall be readable and open to change on its way'
+                f"a connection to another host needs {needed}, "
+                'or state security = "none" if others may read and change the data on their way'
             )
         if self.user:
-            yield f"a password to another host needs {needed}: it would be sent readable"
+            yield f"a password to another host needs {needed}: otherwise it is sent unencrypted"
 
     def security_from(self, place: Place) -> Security | None:
-        """The security, read from files whose faults are reported at `place`; None for a plain connection."""
+        """Return the security, read from its files; None for an unsecured connection or with faults, which
+        are reported at `place`."""
         if not self.security_keys or self.security == "none":
             return None
         try:
@@ -169,9 +177,9 @@ class Server(UrlKeys, PasswordKeys, SourceKeys):
         )
 
     def _read(self, key: str, place: Place) -> Any:
-        """The private key or certificate in the file that the setting `key` names.
+        """Return the private key or certificate in the file that the setting `key` names.
 
-        None without a file, or with a fault reported at `place` if the file cannot be read.
+        None without a file, or if the file cannot be read, with a fault at `place`.
         """
         from cryptography import x509
         from cryptography.hazmat.primitives import serialization
@@ -204,6 +212,7 @@ class Server(UrlKeys, PasswordKeys, SourceKeys):
 
 
 def _application_uri(certificate: Certificate) -> str:
+    """Return the first URI among the alternative names of a certificate; "" without one."""
     from cryptography import x509
 
     try:

@@ -67,7 +67,7 @@ EARLIEST_STAMP_S = 631_152_000.0
 LATEST_STAMP_S = 4_102_444_800.0
 """2100 [s since 1970]: later stamps are not times of a turbine."""
 FORECAST_S = 20 * DAY_S
-"""[s] a weather forecast's stamp may be ahead of this machine's clock."""
+"""Largest time [s] by which a stamp of a weather forecast may be ahead of this machine's clock."""
 EVERYONE = ""
 """Turbine name of a weather forecast that applies to all turbines."""
 NOBODY = ""
@@ -81,8 +81,8 @@ class Field:
     """A value in a payload: its signal, its unit, and the form of its readings.
 
     `stamp`: what the time stamp marks: "instant", or "start", "middle" or "end" of the averaging interval.
-    The value in `unit` is `scale` times the number in the payload plus `offset`.  `one`: the text of a flag
-    that means 1, such as "open".
+    The value in `unit` is `scale` times the number in the payload plus `offset`.  `one`: text of a flag that
+    stands for 1, such as "open".
     """
 
     signal: str
@@ -95,25 +95,25 @@ class Field:
 
     @property
     def shift_s(self) -> float:
-        """Time [s] from the stamp to the end of the averaging interval."""
+        """Time [s] from a stamp to the end of its averaging interval."""
         return {"start": 1.0, "middle": 0.5}.get(self.stamp, 0.0) * self.form.interval_s
 
     @property
     def conversion(self) -> Conversion:
-        """The conversion of the field's numbers to SI units.  Raises ValueError for a unit that does not fit
-        the signal."""
+        """The conversion to SI units.  Raises ValueError for a unit that does not fit the signal."""
         # the conversion is affine, so that its values at the numbers 0 and 1 determine it
         at_0, at_1 = to_si(np.array([self.offset, self.scale + self.offset]), self.unit, self.signal).tolist()
-        row = signal_named(self.signal)
-        slack = 1e-9 * (row.high - row.low)  # rounding must not reject a value at the limit
+        limits = signal_named(self.signal)
+        slack = 1e-9 * (limits.high - limits.low)  # rounding must not reject a value at the limit
         meaning = Meaning(self.signal, self.unit, self.one)
         return Conversion(
-            self.signal, at_1 - at_0, at_0, self.shift_s, row.low - slack, row.high + slack, meaning
+            self.signal, at_1 - at_0, at_0, self.shift_s, limits.low - slack, limits.high + slack, meaning
         )
 
 
 class Conversion(NamedTuple):
-    """Converts a field to a reading: value = factor * number + offset [SI unit], valid within `low` … `high`.
+    """Converts a number in a payload to a reading: factor * number + offset [SI unit], valid in `low` …
+    `high`.
 
     `shift_s` [s] is added to the stamp; `meaning`: how a text with a unit or a flag is interpreted.
     """
@@ -143,7 +143,7 @@ class TurbineReadings(NamedTuple):
 
 
 class ReadingsByTurbine(dict[str, TurbineReadings]):
-    """The readings and rejections of a payload by turbine; an absent turbine is added without any."""
+    """Turbine → readings and rejections of a payload; looking up a new turbine adds it with empty lists."""
 
     def __missing__(self, turbine: str) -> TurbineReadings:
         empty = self[turbine] = TurbineReadings(turbine, [], [])
@@ -219,7 +219,7 @@ class PayloadMapping:
         return tables
 
     def table(self, turbine: str) -> Mapping[str, Conversion]:
-        """Name in the payloads of a turbine → conversion."""
+        """Return name in the payloads of a turbine → conversion."""
         return self.conversions.get(turbine, self.conversions[EVERYONE])
 
     @cached_property
@@ -228,8 +228,8 @@ class PayloadMapping:
         field_names = {name for table in self.conversions.values() for name in table}
         return tag_reader(self.tag_pattern, self.turbines, field_names) if self.tag_pattern else None
 
-    def of_own_payloads(self, use_uncertain: bool, turbines: Mapping[str, str]) -> PayloadMapping:
-        """The mapping for a source that makes its payloads itself, each of them a flat object with `turbine`,
+    def for_flat_payloads(self, use_uncertain: bool, turbines: Mapping[str, str]) -> PayloadMapping:
+        """Return the mapping for a source that composes its payloads itself: flat objects with `turbine`,
         `time`, `quality` ("good", "uncertain" or "bad") and the fields by their common names."""
         return PayloadMapping(
             self.fields,
@@ -250,13 +250,13 @@ class PayloadMapping:
     def read(
         self, content: Content, received: float, topic: str = "", order: Order | None = None
     ) -> Sequence[TurbineReadings]:
-        """The readings of a payload received at a time [s], by turbine.
+        """Return the readings and rejections of a payload that was received at a time [s], by turbine.
 
-        order: order of the source's local stamps, updated by this payload; None: the order is unknown.
+        order: order of the source's local stamps so far, updated by this payload; None: unknown.
 
         Raises Refused if the payload cannot be read, or if nothing of its only record can be used.  Stamps
-        before `EARLIEST_STAMP_S` or after `LATEST_STAMP_S` are refused; stamps of weather forecasts are
-        refused if they are ahead of the arrival by more than `FORECAST_S`.
+        before `EARLIEST_STAMP_S` or after `LATEST_STAMP_S` are refused; stamps of weather forecasts are refused if they
+        are ahead of the arrival by more than `FORECAST_S`.
         """
         result, fault = ReadingsByTurbine(), None
         for record in records(content, self.form, self.steps, topic, received):
@@ -265,14 +265,14 @@ class PayloadMapping:
             except Refused as refusal:
                 fault = refusal
                 result[NOBODY].rejections.append(Rejection(refusal.kind, str(refusal)))
-        if fault is not None and len(result) == 1:
+        if fault is not None and len(result) == 1:  # perhaps the payload has nothing but this fault
             ((_, readings, rejections),) = result.values()
             if not readings and len(rejections) == 1:
                 raise fault
         return list(result.values())
 
     def stamp(self, content: Content) -> float | None:
-        """The first time [s] in a payload; None if the payload has no time that can be read."""
+        """Return the first time [s] in a payload; None if the payload has no readable time."""
         try:
             for record in records(content, self.form, self.steps):
                 time = seconds(self.readers["time"](record), self.clock) if record.scopes else None
@@ -286,7 +286,7 @@ class PayloadMapping:
     def _read_record(self, record: PayloadRecord, result: ReadingsByTurbine) -> None:
         """Add the readings and rejections of a record.  Raises Refused if nothing of it can be used."""
         if not record.scopes:
-            raise Refused("malformed", "expected an object as a record, found something else")
+            raise Refused("malformed", "expected a JSON object as a record")
         if self.tag:
             self._read_tagged_value(record, result)
         elif self.read_tag is not None:
@@ -338,7 +338,7 @@ class PayloadMapping:
             if raw is not None and raw != "":
                 self._convert(record, name, raw, conversion, time, result[turbine])
         if not has_field:
-            reason = f"no field like {self.tag_pattern} is among {_names(record.scopes)}"
+            reason = f"no field matching {self.tag_pattern} is among {_names(record.scopes)}"
             raise Refused("no known field", reason)
 
     def _read_tagged_value(self, record: PayloadRecord, result: ReadingsByTurbine) -> None:
@@ -350,7 +350,7 @@ class PayloadMapping:
         if self.read_tag is not None:
             tag = self.read_tag(name)
             if tag is None:
-                raise Refused("unknown tag", f"tag {quoted(stated_tag)} is not like {self.tag_pattern}")
+                raise Refused("unknown tag", f"tag {quoted(stated_tag)} does not match {self.tag_pattern}")
             name, stated_turbine = tag.field, stated_turbine if tag.turbine is None else tag.turbine
         turbine = self._turbine(stated_turbine)
         time, target = self._time(record, turbine, name), result[turbine]
@@ -358,7 +358,9 @@ class PayloadMapping:
             return
         conversion = self.table(turbine).get(name)
         if conversion is None:
-            target.rejections.append(Rejection("unknown tag", f"tag {quoted(stated_tag)} is no field"))
+            target.rejections.append(
+                Rejection("unknown tag", f"tag {quoted(stated_tag)} is not a field of the mapping")
+            )
             return
         raw = self.readers["value"](inner)
         if raw is not None and raw != "":
@@ -377,7 +379,7 @@ class PayloadMapping:
         time: float,
         target: TurbineReadings,
     ) -> None:
-        """Add the reading of a value, or its rejection, to those of its turbine.
+        """Convert the value `raw` named `name` in a record, and add the reading or the rejection to `target`.
 
         time: time [s] of the record, for values without a time of their own.
         """
@@ -389,20 +391,26 @@ class PayloadMapping:
                 time = self._time(record, target.turbine, name) if has_own_time else time
                 if has_own_quality and not self._has_usable_quality(record, target.rejections, f"{name}: "):
                     return
-            read = number(raw, self.marks or POINT)
-            if read is None:
-                read = quantity_or_flag(raw, meaning, self.marks or POINT)
+            parsed = number(raw, self.marks or POINT)
+            if parsed is None:
+                parsed = quantity_or_flag(raw, meaning, self.marks or POINT)
             if self.marks is None and isinstance(raw, str) and PARTED.match(raw):
                 # the point may divide thousands: the signal's range decides if only one of the two is in it
-                possible = [x for x in (read, 1e3 * read) if low <= factor * x + offset <= high]
-                if len(possible) > 1:
-                    reason = f'{quoted(raw)} may be {read:g} or {1e3 * read:g}: state decimal = "." or ","'
+                in_range = [
+                    candidate
+                    for candidate in (parsed, 1e3 * parsed)
+                    if low <= factor * candidate + offset <= high
+                ]
+                if len(in_range) > 1:
+                    reason = (
+                        f'{quoted(raw)} may be {parsed:g} or {1e3 * parsed:g}: state decimal = "." or ","'
+                    )
                     raise Refused("ambiguous number", reason)
-                read = possible[0] if possible else read
+                parsed = in_range[0] if in_range else parsed
         except Unread as refusal:
             target.rejections.append(Rejection(refusal.kind, f"{name}: {refusal}"))
             return
-        value = factor * read + offset
+        value = factor * parsed + offset
         if low <= value <= high:
             target.readings.append(Reading(signal, time + shift_s, value))
         else:
@@ -410,7 +418,7 @@ class PayloadMapping:
             target.rejections.append(Rejection("impossible value", reason))
 
     def _turbine(self, name: Json) -> str:
-        """The turbine that payloads call `name`.  Raises Refused for an unknown one."""
+        """Return the turbine that payloads call `name`.  Raises Refused for an unknown name."""
         if name is None and self.weather:
             return EVERYONE
         if not self.turbine and self.only_turbine is not None:
@@ -421,7 +429,10 @@ class PayloadMapping:
         return turbine
 
     def _time(self, record: PayloadRecord, *series: str) -> float:
-        """The time [s] of a record or its value, whose stamps belong to a `series`.  Raises Refused."""
+        """Return the time [s] of a record or of one of its values.  Raises Refused.
+
+        series: name of the series of stamps to which this one belongs, for the order of local times.
+        """
         stamp = self.readers["time"](record)
         if stamp is None and RECEIVED in alternatives(self.time):
             return record.received
@@ -450,7 +461,7 @@ class PayloadMapping:
 
 
 def _names(scopes: Scopes) -> str:
-    """The first three names of a record, for messages."""
+    """Return the first three names of a record, for messages."""
     return ", ".join(quoted(name) for name in list(scopes[0])[:3]) or "nothing"
 
 
@@ -463,6 +474,7 @@ class _RecordingVocabulary(QualityVocabulary):
     marks: dict[str, None] = field(default_factory=dict)
 
     def judge(self, mark: object) -> str:
+        """Record a mark and return what it means: "good", "uncertain" or "bad"."""
         self.marks[str(mark)] = None
         return self.wrapped.judge(mark)
 
@@ -514,6 +526,7 @@ class PayloadStatistics:
         return results
 
     def _update_lag(self, stamp: float | None, received: float) -> None:
+        """Keep the smallest delay from a stamp [s] to its arrival `received` [s]."""
         if stamp is not None:
             lag_s = received - stamp
             self.lag_s = lag_s if math.isnan(self.lag_s) else min(lag_s, self.lag_s)
@@ -524,16 +537,20 @@ class PayloadStatistics:
         with suppress(Refused):
             for record in records(content, mapping.form, mapping.steps, topic):
                 payload = record.scopes[0] if record.scopes else {}
-                columns = [mapping.value] if mapping.tag else [n for n in payload if n in mapping.fields]
+                columns = (
+                    [mapping.value] if mapping.tag else [name for name in payload if name in mapping.fields]
+                )
                 for column, quality_column in quality_columns(list(payload), columns).items():
                     marks = self._unstated_marks.setdefault((column, quality_column), {})
                     marks[str(payload[quality_column])] = None
 
     @property
     def rejected(self) -> tuple[Statement, ...]:
-        """The numbers of rejections by kind, and doubts about quality marks."""
+        """How many values were rejected, by kind, and doubts about quality marks."""
         kinds = self.counts.most_common()
-        counts = (ExaminedCode.REFUSED(count=n, kind=kind, why=self.reasons[kind]) for kind, n in kinds)
+        counts = (
+            ExaminedCode.REFUSED(count=count, kind=kind, why=self.reasons[kind]) for kind, count in kinds
+        )
         doubts = [misfit(self._vocabulary.wrapped, list(self._vocabulary.marks))]
         doubts += [unstated(*columns, list(marks)) for columns, marks in self._unstated_marks.items()]
         return (*counts, *filter(None, doubts))

@@ -30,7 +30,7 @@ DEEPEST_NESTING = 6
 JSON, PLAIN, INFLUX = "json", "plain", "influx"
 PAYLOAD_FORMATS = (JSON, PLAIN, INFLUX)
 EACH = "*"
-"""Step of a path that stands for every member of an object."""
+"""Step of the path to the records that stands for every member of an object."""
 PLAIN_NAME = "value"
 """Name of the value of a plain payload."""
 _GZIP = b"\x1f\x8b"
@@ -38,7 +38,7 @@ _NO_BRACKETS = bytes(set(range(256)) - set(b"{}[]"))
 
 
 class Refused(Unread):
-    """A payload or record that is not used."""
+    """Raised for a payload or record that cannot be used; it is counted by its kind."""
 
 
 Order = dict[tuple[str, ...], tuple[float, float]]
@@ -48,10 +48,11 @@ its predecessor) [s].  After a restart the order is unknown until stamps are una
 
 @dataclass(frozen=True)
 class Unreadable:
-    """Content that a source could not split into a payload, such as a damaged row; it is always refused."""
+    """Content that a source could not read as a payload, such as a damaged row; it is always refused, by the
+    `kind` and with the `reason`."""
 
     kind: str
-    words: str
+    reason: str
 
 
 Content = bytes | str | Payload | Unreadable
@@ -75,10 +76,9 @@ class PayloadRecord(NamedTuple):
 def records(
     content: Content, form: str, steps: Sequence[str], topic: str = "", received: float = math.inf
 ) -> Iterable[PayloadRecord]:
-    """The records of a payload: the payload itself, the objects of its array, or those at the path `steps`.
+    """Return the records of a payload: itself, the objects of its array, or the objects at the path `steps`.
 
-    form: format of content that is text, one of `PAYLOAD_FORMATS`. Raises Refused for a payload without the
-    path.
+    form: format of content that is text, one of `PAYLOAD_FORMATS`. Raises Refused for a payload without the path.
     """
     parsed: Json = content if isinstance(content, Mapping) else parsed_text(content, form)
     if isinstance(parsed, Mapping):
@@ -94,7 +94,10 @@ def records(
 def _walk(
     content: Json, steps: Sequence[str], index: int, around: Scopes, name: str
 ) -> Iterator[tuple[Scopes, str]]:
-    """The scopes and the name of each record below `content`, along the path from step `index` on."""
+    """Yield the scopes and the name of each record below `content`, along the path from step `index` on.
+
+    around: the objects around `content`, from the innermost to the outermost.  name: key of `content`.
+    """
     if isinstance(content, list):  # an array stands for each of its elements
         for element in content:
             yield from _walk(element, steps, index, around, name)
@@ -109,13 +112,15 @@ def _walk(
     elif steps[index] in content:
         yield from _walk(content[steps[index]], steps, index + 1, (content, *around), name)
     else:
-        raise Refused("no records", f"there is no {steps[index]!r} of records = {'.'.join(steps)!r}")
+        raise Refused(
+            "no records", f"the payload has no {steps[index]!r} on the path records = {'.'.join(steps)!r}"
+        )
 
 
 def parsed_text(content: bytes | str | Unreadable, form: str) -> Json:
-    """The parsed content of a payload's text, which may be compressed by gzip.  Raises Refused."""
+    """Parse the text of a payload, which may be compressed by gzip.  Raises Refused."""
     if isinstance(content, Unreadable):
-        raise Refused(content.kind, content.words)
+        raise Refused(content.kind, content.reason)
     if len(content) > LARGEST_PAYLOAD:
         raise Refused("too large", f"a payload of {len(content)} bytes; at most {LARGEST_PAYLOAD} are read")
     text = content.encode("utf-8", "replace") if isinstance(content, str) else content
@@ -131,6 +136,7 @@ def parsed_text(content: bytes | str | Unreadable, form: str) -> Json:
 
 
 def _unpacked(packed: bytes) -> bytes:
+    """Unpack gzip.  Raises Refused for damaged data or more than `UNPACKED` bytes."""
     unpacking = zlib.decompressobj(zlib.MAX_WBITS | 16)
     try:
         unpacked = unpacking.decompress(packed, UNPACKED + 1)
@@ -145,12 +151,13 @@ def _unpacked(packed: bytes) -> bytes:
 
 # -- JSON ----------------------------------------------------------------------------------------------------
 def _json(text: bytes) -> Json:
+    """Parse JSON up to the depth `DEEPEST_NESTING`.  Raises Refused."""
     if _depth(text) > DEEPEST_NESTING:
         raise Refused("too deep", f"a payload nested deeper than {DEEPEST_NESTING} levels")
     try:
         return decoded(text)
     except (ValueError, RecursionError) as fault:
-        raise Refused("malformed", f"no JSON: {str(fault)[:80]}") from None
+        raise Refused("malformed", f"not valid JSON: {str(fault)[:80]}") from None
 
 
 _NOT_FINITE = re.compile(
@@ -161,7 +168,7 @@ _NOT_FINITE = re.compile(
 
 
 def decoded(text: bytes) -> Json:
-    """The parsed JSON text; an unquoted nan or inf of any spelling becomes NaN, which no field accepts.
+    """Parse a JSON text; an unquoted nan or inf of any spelling becomes NaN, which no field accepts.
 
     Raises ValueError and RecursionError.
     """
@@ -177,7 +184,7 @@ def decoded(text: bytes) -> Json:
 
 
 def _object(pairs: list[tuple[str, Json]]) -> JsonObject:
-    """The JSON object of (key, value) pairs.  Raises ValueError for a repeated, thus ambiguous key."""
+    """Return the JSON object of (key, value) pairs.  Raises ValueError for a repeated, thus ambiguous key."""
     members = dict(pairs)
     if len(members) < len(pairs):
         raise ValueError("a key occurs twice")
@@ -188,8 +195,7 @@ _DECODER = json.JSONDecoder(object_pairs_hook=_object)
 
 
 def _depth(text: bytes) -> int:
-    """Largest number of simultaneously open brackets; brackets within strings count too, which is
-    harmless."""
+    """Return the largest depth of brackets; those within strings count, too, which is harmless."""
     if text.count(b"{") + text.count(b"[") <= DEEPEST_NESTING:
         return 0  # most payloads are flat
     deepest = level = 0
@@ -219,13 +225,14 @@ _FLAGS = {"t": True, "T": True, "f": False, "F": False}
 
 
 def _lines(text: str) -> list[Json]:
-    """One object for each line, with its tags, its fields, `measurement` and, if stated, `time`; None for an
-    invalid line."""
+    """Parse line protocol: one object per line with its tags, its fields, `measurement` and, if stated,
+    `time`; None for an invalid line."""
     lines = (line.strip() for line in text.splitlines())
     return [_line(line) for line in lines if line and not line.startswith("#")]
 
 
 def _line(line: str) -> JsonObject | None:
+    """Parse one line of line protocol; None if it is invalid."""
     match = _LINE.fullmatch(line)
     if match is None:
         return None
@@ -249,6 +256,7 @@ def _line(line: str) -> JsonObject | None:
 
 
 def _field_value(text: str) -> Json:
+    """Return the value of a field in line protocol: text, whole number, flag, or text of a number."""
     if text.startswith('"'):
         return _unescaped(text[1:-1])
     if _INTEGER.fullmatch(text):
@@ -257,4 +265,5 @@ def _field_value(text: str) -> Json:
 
 
 def _unescaped(text: str) -> str:
+    """Remove the backslashes before escaped characters of line protocol."""
     return _ESCAPED.sub(r"\1", text)

@@ -37,7 +37,7 @@ Reader = Callable[[PayloadRecord], Json]
 
 
 def value_at(scopes: Scopes, path: str) -> Json:
-    """The value at a path, taken from the innermost object that has the path; None if no object has it."""
+    """Return the value at a path, from the innermost object that has the path; None if none has it."""
     for scope in scopes:
         if path in scope:
             return scope[path]
@@ -56,7 +56,7 @@ def value_at(scopes: Scopes, path: str) -> Json:
 
 
 def alternatives(text: str) -> list[str]:
-    """The alternative paths of a text; the first path that is present in a record counts."""
+    """Split a text "a | b" into its alternative paths, of which the first one present in a record counts."""
     return [path.strip() for path in text.split("|")]
 
 
@@ -68,23 +68,26 @@ def has_any_path(scopes: Scopes, text: str) -> bool:
 
 
 def reader(text: str) -> Reader:
-    """The reader of the alternative paths of a text; it returns the first value that is not None."""
+    """Return the reader of the alternative paths of a text, which gives the first value that is not None."""
     readers = [_path_reader(path) for path in alternatives(text) if path and path != RECEIVED]
     if len(readers) == 1:
         return readers[0]
 
     def first_value(record: PayloadRecord) -> Json:
+        """Return the value at the first path that has one."""
         return next((value for value in (read(record) for read in readers) if value is not None), None)
 
     return first_value
 
 
 def _path_reader(path: str) -> Reader:
+    """Return the reader of one path: a level of the topic, the name of the value, or a field."""
     level = _LEVEL.fullmatch(path)
     if level is not None:
         index = int(level[1])
 
         def topic_level(record: PayloadRecord) -> Json:
+            """Return the level of the topic; None if the topic is shorter."""
             levels = record.topic.split("/")
             return levels[index] if -len(levels) <= index < len(levels) else None
 
@@ -139,35 +142,42 @@ def pattern_fault(text: str) -> str | None:
 def tag_reader(
     pattern: str, turbines: Collection[str], fields: Collection[str]
 ) -> Callable[[str], Tag | None]:
-    """The reader of tags of a pattern; it returns None for a tag that does not match the pattern.
+    """Return the function that reads tags by a pattern; it gives None for a tag that does not match.
 
     Known turbines and fields are preferred, so that a tag is split correctly even if their names contain the
     pattern's text between turbine and field.
     """
-    turbine, field, any_text = _any_of(turbines), _any_of(fields), ".+?"
-    # if only one part is known, that part tells best why the tag is not known
-    parts = ((turbine, field), (turbine, any_text), (any_text, field), (any_text, any_text))
-    expressions = [_expression(pattern, *pair) for pair in parts]
+    known_turbine, known_field, any_text = _any_of(turbines), _any_of(fields), ".+?"
+    # a tag is split by its known part, so that the message about the unknown part is right
+    expressions = [
+        _expression(pattern, known_turbine, known_field),
+        _expression(pattern, known_turbine, any_text),
+        _expression(pattern, any_text, known_field),
+        _expression(pattern, any_text, any_text),
+    ]
 
     @lru_cache(maxsize=CACHED_TAGS)
     def read(tag: str) -> Tag | None:
-        matches = (expression.fullmatch(tag) for expression in expressions if len(tag) <= LONGEST_TEXT)
-        rank, match = next(((k, match) for k, match in enumerate(matches) if match is not None), (-1, None))
-        if match is None:
+        """Split a tag into turbine and field; None if it does not match the pattern."""
+        if len(tag) > LONGEST_TEXT:
             return None
-        groups = match.groupdict()
-        return Tag(groups.get("turbine"), groups["field"], is_known=rank == 0)
+        for expression in expressions:
+            match = expression.fullmatch(tag)
+            if match is not None:
+                groups = match.groupdict()
+                return Tag(groups.get("turbine"), groups["field"], is_known=expression is expressions[0])
+        return None
 
     return read
 
 
 def _any_of(names: Collection[str]) -> str:
-    """A regular expression that matches any of the names, the longest first; without names it fails."""
+    """Return a regular expression for any of the names, the longest first; without names it never matches."""
     return "|".join(re.escape(name) for name in sorted(names, key=len, reverse=True)) or "(?!)"
 
 
 def _expression(pattern: str, turbine: str, field: str) -> re.Pattern[str]:
-    """A pattern of tags as a regular expression, with the expressions for its turbine and its field."""
+    """Compile a pattern of tags, with the regular expressions for its turbine and its field."""
     groups = {TURBINE: f"(?P<turbine>{turbine})", FIELD: f"(?P<field>{field})", ANY: ".*?"}
     pieces = re.split(r"(\{turbine\}|\{field\}|\*)", pattern)
     return re.compile("".join(groups.get(piece, re.escape(piece)) for piece in pieces), re.DOTALL)
@@ -176,7 +186,7 @@ def _expression(pattern: str, turbine: str, field: str) -> re.Pattern[str]:
 STAMP_AHEAD_S = 900.0
 """Largest time [s] by which a stamp may be ahead of this machine's clock."""
 NEXT_STAMP_STEPS = 1.5
-"""A stamp continues its series if it follows the newest one within so many steps of the series."""
+"""Number of steps of a series within which a stamp must follow the newest one to continue the series."""
 UNIX_UNITS = ((1e11, 1.0), (1e14, 1e3), (1e17, 1e6), (math.inf, 1e9))
 """(upper limit of the number, units per second) of Unix times in s, ms, µs and ns.
 
@@ -186,8 +196,8 @@ For times from 1990 to 5138 the numbers in these four units do not overlap.
 
 # -- numbers -------------------------------------------------------------------------------------------------
 def number(raw: Json, marks: Marks = POINT) -> float | None:
-    """A finite number; a text is read with the decimal and thousands `marks`.  None for anything else, even
-    a boolean."""
+    """Return a finite number; a text is read with the decimal and thousands `marks`.  None for anything else,
+    also for a boolean."""
     if isinstance(raw, float):
         return raw if math.isfinite(raw) else None
     if isinstance(raw, str):
@@ -201,10 +211,10 @@ def number(raw: Json, marks: Marks = POINT) -> float | None:
 
 
 def quantity_or_flag(raw: Json, meaning: Meaning, marks: Marks = POINT) -> float:
-    """The value of a number with its unit, or of a flag, which `number` does not read.  Raises Unread."""
+    """Return the value of a text with a unit, or of a flag, which `number` cannot read.  Raises Unread."""
     text = raw if isinstance(raw, str) else str(raw) if isinstance(raw, bool) else ""
     if not text or len(text) > LONGEST_TEXT:
-        raise Unread("no number", f"{quoted(raw)} is no number")
+        raise Unread("no number", f"{quoted(raw)} is not a number")
     return value_in(text, marks, meaning)
 
 
@@ -240,7 +250,7 @@ def seconds(
     order: Order | None = None,
     series: tuple[str, ...] = (),
 ) -> float | None:
-    """Seconds since 1970 of a stamp; None if the stamp is not a time.
+    """Return the seconds since 1970 of a stamp; None if the stamp is not a time.
 
     A stamp is written in ISO 8601, in the clock's own form, or as a Unix time in s, ms, µs or ns.  In the
     hour that occurs twice at the end of summer time, the `order` of its `series` and the time of arrival
@@ -250,7 +260,8 @@ def seconds(
     if not clock.form and not (isinstance(stamp, str) and ":" in stamp):
         unix = number(stamp)
         if unix is not None:
-            return unix if unix < 1e11 else unix / next(units for limit, units in UNIX_UNITS if unix < limit)
+            units_per_s = next(units for limit, units in UNIX_UNITS if unix < limit) if unix >= 1e11 else 1.0
+            return unix / units_per_s
     elif clock.form and isinstance(stamp, int) and not isinstance(stamp, bool):
         stamp = str(stamp)  # such as 20260301121000
     days = number(stamp) if clock.form == EXCEL else None
@@ -269,7 +280,7 @@ def seconds(
 
 
 def _parsed_time(text: str, form: str) -> datetime:
-    """The time that a text states; 24:00 is 00:00 of the next day.  Raises ValueError."""
+    """Parse a time; 24:00 is 00:00 of the next day.  Raises ValueError."""
     try:
         return datetime.strptime(text, form) if form else datetime.fromisoformat(text)
     except ValueError:
@@ -282,7 +293,8 @@ def _parsed_time(text: str, form: str) -> datetime:
 def _local_seconds(
     local: datetime, zone: tzinfo, received: float, order: Order | None, series: tuple[str, ...]
 ) -> float:
-    """Seconds since 1970 of a local time in a zone.  Raises Refused."""
+    """Return the seconds since 1970 of a local time in a zone; arguments as of `seconds`.  Raises Refused."""
+    # the two occurrences of the time, which differ at the end of summer time only
     first, second = (local.replace(tzinfo=zone, fold=fold).timestamp() for fold in (0, 1))
     if first > second:
         raise Refused(
@@ -298,8 +310,8 @@ def _local_seconds(
         if len(continuing) != 1:
             raise Refused(
                 "ambiguous time",
-                f"{local} comes twice in {zone}, and the order of its source does not tell which: stamps "
-                "with an offset would",
+                f"{local} occurs twice in {zone}, and the order of the stamps does not tell which one is "
+                "meant; send stamps with their offset",
             )
         first = continuing[0]
     if order is not None and not first <= newest:

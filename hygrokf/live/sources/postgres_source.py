@@ -74,26 +74,27 @@ Watermark: TypeAlias = datetime | date | int | float | Decimal
 class PostgresForm(PasswordKeys, SourceKeys):
     """A [[source]] of `postgresql://USER@HOST/NAME`: a query and how it is repeated.
 
-    `query` contains `AFTER_PARAMETER` and sorts by the column `watermark`; `poll_s`: time [s] between two
-    queries; `lag_s`: longest time [s] from a row's watermark to its commit; `look_back_s`: time [s] before
-    the first start from which rows are read, None for all rows; `name`: distinguishes several queries of a
-    database.
+    `query` contains `AFTER_PARAMETER` and sorts by the column `watermark`; `poll_s`: time [s] between two queries;
+    `lag_s`: longest time [s] from a row's watermark to its commit; `look_back_s`: time [s] before the first
+    start from which rows are read, None for all rows; `name`: distinguishes several queries of a database.
     """
 
     url: str = setting(help="postgresql://USER@HOST:PORT/NAME")
     query: str = setting(help=f"SELECT … WHERE received > {AFTER_PARAMETER} ORDER BY received")
-    watermark: str = setting(help="column that grows as rows come in")
+    watermark: str = setting(help="column whose values grow as rows are added")
     poll_s: float = setting(
-        10.0, "between two queries", read=duration, least=0.1, expected='"0.1s" or longer'
+        10.0, "interval between two queries", read=duration, least=0.1, expected='"0.1s" or longer'
     )
-    lag_s: float = setting(60.0, "by which a row may be committed late", read=duration)
-    look_back_s: float | None = setting(None, "read at the first start; without it all rows", read=duration)
-    name: str = setting("", "of this query, where a database has several")
+    lag_s: float = setting(60.0, "largest delay from a row's watermark to its commit", read=duration)
+    look_back_s: float | None = setting(
+        None, "time before the first start from which rows are read; by default all rows", read=duration
+    )
+    name: str = setting("", "name of this query, needed for several queries of one database")
 
     @across("url")
     def no_secret(self) -> str | None:
         if "#" in self.url:
-            return "a # does not belong in the url: give the query a name"
+            return "a # does not belong in the url: state name to distinguish queries"
         return url_fault(self.url)
 
     @across("query")
@@ -101,10 +102,11 @@ class PostgresForm(PasswordKeys, SourceKeys):
         if AFTER_PARAMETER not in self.query:
             return f"query must ask for new rows: … WHERE received > {AFTER_PARAMETER} ORDER BY received"
         if re.search(r"%(?!%|\(after\)s)", self.query.replace("%%", "")):
-            return f"query: write a % other than that of {AFTER_PARAMETER} as %%"
+            return f"query: write every % except that of {AFTER_PARAMETER} as %%"
         return None
 
     def stream(self, mapping: PayloadMapping, place: Place) -> Stream:
+        """Return the stream; the connection is opened later, so that no fault is reported at `place`."""
         return PostgresQuery(self, mapping)
 
 
@@ -117,21 +119,21 @@ class Columns:
     kind: str
 
     def watermark(self, row: Row) -> Watermark:
-        """The watermark of a row; infinity for NaN, which the server sorts above all numbers.
+        """Return the watermark of a row; infinity for NaN, which the server sorts above all numbers.
 
         Raises SourceFault for a row without a watermark.
         """
         watermark: Watermark | None = row[self.watermark_index]
         if watermark is None:
             raise SourceFault(
-                f"a row has no {self.names[self.watermark_index]}, the watermark; select rows that have one"
+                f"a row has no {self.names[self.watermark_index]}, the watermark; select only rows with one"
             )
         if isinstance(watermark, float | Decimal) and math.isnan(watermark):
             return type(watermark)("inf")
         return watermark
 
     def payload(self, row: Row) -> Payload:
-        """The payload of a row: name of the column -> value."""
+        """Return the payload of a row: name of the column -> value."""
         return {name: _plain(value) for name, value in zip(self.names, row, strict=True)}
 
 
@@ -165,6 +167,7 @@ class PostgresQuery(Stream):
         self._follow = False
 
     def stop(self) -> None:
+        """Stop, and cancel a query that is running."""
         self._ended.set()
         connection = self._connection
         if connection is not None:
@@ -174,7 +177,7 @@ class PostgresQuery(Stream):
 
     # -- connection ------------------------------------------------------------------------------------------
     def open(self) -> psycopg.Connection[Row]:
-        """A read-only session.  Raises SourceFault."""
+        """Open a read-only session.  Raises SourceFault."""
         try:
             import_psycopg("a PostgreSQL source")
             connection = connect(self.form.url, self.form.password.read())
@@ -186,10 +189,10 @@ class PostgresQuery(Stream):
         return connection
 
     def columns(self, connection: psycopg.Connection[Row]) -> Columns:
-        """The columns of the query.  Raises SourceFault if the watermark is missing or unusable."""
+        """Return the columns of the query.  Raises SourceFault if the watermark is missing or unusable."""
         cursor = connection.execute(self.form.query, {"after": None})  # gives no rows: none is above NULL
         if cursor.description is None:
-            raise SourceFault("the query gives no rows; write a SELECT")
+            raise SourceFault("the query returns no rows; write a SELECT")
         names = tuple(column.name for column in cursor.description)
         if self.form.watermark not in names:
             raise SourceFault(
@@ -206,7 +209,7 @@ class PostgresQuery(Stream):
         return Columns(names, index, kind)
 
     def first_after(self, columns: Columns, place: str | None) -> str:
-        """Text of the watermark above which the source begins or resumes.  Raises SourceFault."""
+        """Return the text of the watermark above which the source begins or resumes.  Raises SourceFault."""
         if place:
             kind, _, text = place.partition(" ")
             if kind != columns.kind:
@@ -234,6 +237,7 @@ class PostgresQuery(Stream):
                     connection.close()
 
     def _follow_query(self, place: str | None, put: Callable[[Delivery], None]) -> None:
+        """Connect and poll until the source is stopped or, after `end_when_read`, once."""
         connection = self._connection = self.open()
         columns = self.columns(connection)
         self._state = SourceState("connected", self.url)
@@ -255,15 +259,17 @@ class PostgresQuery(Stream):
         A row that was committed after the last poll received its watermark at most `lag_s` before that poll.
         Its watermark is therefore above every watermark that was read `lag_s` or more before the last poll.
         """
-        settled = [mark for read_s, mark in self._highest_read if read_s <= self._polled_s - self.form.lag_s]
+        settled_by_s = self._polled_s - self.form.lag_s
+        settled = [mark for read_s, mark in self._highest_read if read_s <= settled_by_s]
         if settled:
             del self._highest_read[: len(settled) - 1]
             self._settle(settled[-1])
         self._polled_s = began = time.monotonic()
-        after, count = self._read(connection, columns, self._after, began, put), 1
+        after, query_count = self._read(connection, columns, self._after, began, put), 1
         while after is not None and not self._ended.is_set():
-            after, count = self._read(connection, columns, after, time.monotonic(), put), count + 1
-        return count > 1
+            after = self._read(connection, columns, after, time.monotonic(), put)
+            query_count += 1
+        return query_count > 1
 
     def _read(
         self,
@@ -273,43 +279,50 @@ class PostgresQuery(Stream):
         began: float,
         put: Callable[[Delivery], None],
     ) -> str | None:
-        """Deliver the rows of one query that began at the monotonic time `began` [s].
+        """Deliver the rows above the watermark `after`, by one query that began at the monotonic time `began`
+        [s].
 
         Returns the text of the watermark above which rows remain, None if no row remains.  The highest
         watermark is never settled, because further rows may have the same watermark.
         """
         (now,) = connection.execute("SELECT clock_timestamp()").fetchone() or (None,)
         settled_until = now - timedelta(seconds=self.form.lag_s) if columns.kind == "timestamptz" else None
-        ahead = now + timedelta(days=1)
-        latest = {"timestamptz": ahead, "timestamp": ahead.replace(tzinfo=None), "date": ahead.date()}
-        complete: Any = None  # highest watermark whose rows are all read
-        last: Any = None  # watermark of the last row
+        tomorrow = now + timedelta(days=1)
+        latest_by_kind = {
+            "timestamptz": tomorrow, "timestamp": tomorrow.replace(tzinfo=None), "date": tomorrow.date(),
+        }  # fmt: skip
+        complete_mark: Any = None  # highest watermark whose rows are all read
+        last_mark: Any = None  # watermark of the last row
         with closing(rows_above(connection, self.form.query, after)) as rows:
-            for count, row in enumerate(rows):
+            for row_number, row in enumerate(rows):
                 mark: Any = columns.watermark(row)
-                if columns.kind in latest and mark > latest[columns.kind]:
+                if columns.kind in latest_by_kind and mark > latest_by_kind[columns.kind]:
                     # if a wrong time in the future were settled, it would hide all later rows
                     mark = EDGES[columns.kind][1]
-                if last is not None and mark < last:
+                if last_mark is not None and mark < last_mark:
                     raise SourceFault(f"the rows are not sorted; add ORDER BY {self.form.watermark}")
-                if mark != last:
-                    complete, last = last, mark
-                    if complete is not None and settled_until is not None and complete <= settled_until:
-                        self._after = watermark_text(complete)
-                    if count >= ROWS_PER_QUERY and complete is not None:
+                if mark != last_mark:
+                    complete_mark, last_mark = last_mark, mark
+                    if (
+                        complete_mark is not None
+                        and settled_until is not None
+                        and complete_mark <= settled_until
+                    ):
+                        self._after = watermark_text(complete_mark)
+                    if row_number >= ROWS_PER_QUERY and complete_mark is not None:
                         break
                 if self._ended.is_set():
                     return None
                 self._put(columns, row, mark, put)
-            else:
-                last = None
-        if complete is None:
+            else:  # no row remains
+                last_mark = None
+        if complete_mark is None:
             return None
-        if settled_until is not None and complete <= settled_until:
-            self._settle(complete)
-        if not self._highest_read or complete > self._highest_read[-1][1]:
-            self._highest_read.append((began, complete))
-        return None if last is None else watermark_text(complete)
+        if settled_until is not None and complete_mark <= settled_until:
+            self._settle(complete_mark)
+        if not self._highest_read or complete_mark > self._highest_read[-1][1]:
+            self._highest_read.append((began, complete_mark))
+        return None if last_mark is None else watermark_text(complete_mark)
 
     def _put(self, columns: Columns, row: Row, mark: Watermark, put: Callable[[Delivery], None]) -> None:
         """Deliver a row unless it is remembered as delivered."""
@@ -328,7 +341,7 @@ class PostgresQuery(Stream):
 
 
 def rows_above(connection: psycopg.Connection[Row], text: str, after: str) -> Generator[Row, None, None]:
-    """The rows of the query `text` above the watermark `after`, fetched by a server-side cursor."""
+    """Yield the rows of the query `text` above the watermark `after`, fetched by a server-side cursor."""
     with connection.transaction():
         connection.execute(f"DECLARE hygrokf NO SCROLL CURSOR FOR {text}", {"after": after})
         while rows := connection.execute(f"FETCH FORWARD {ROWS_PER_FETCH} FROM hygrokf").fetchall():
@@ -336,7 +349,7 @@ def rows_above(connection: psycopg.Connection[Row], text: str, after: str) -> Ge
 
 
 def _read_all_times(connection: psycopg.Connection[Row]) -> None:
-    """Let the driver read times that Python cannot represent, which otherwise make a whole fetch fail.
+    """Let the driver read times that Python cannot represent, which would otherwise make a whole fetch fail.
 
     Such a date or time stamp becomes one of the `EDGES`, a time of day (24:00) or an interval becomes text.
     """
@@ -344,6 +357,9 @@ def _read_all_times(connection: psycopg.Connection[Row]) -> None:
     from psycopg.types import datetime as loaders
 
     def tolerant(kind: type[Any], edges: tuple[date, date] | None) -> type[Any]:
+        """Return a loader like `kind` that replaces a time beyond Python's range by the nearer of `edges`, or
+        by its text without edges."""
+
         def load(self: Any, data: Any) -> Any:
             try:
                 return kind.load(self, data)
@@ -352,6 +368,7 @@ def _read_all_times(connection: psycopg.Connection[Row]) -> None:
                 if edges is None:
                     return text
                 earliest, latest = edges
+                # "-infinity", or a year before Christ
                 return earliest if text.startswith("-") or "BC" in text else latest
 
         return type(kind.__name__, (kind,), {"load": load})
@@ -362,19 +379,19 @@ def _read_all_times(connection: psycopg.Connection[Row]) -> None:
 
 
 def watermark_text(mark: Watermark) -> str:
-    """A watermark as text that the server reads as the same value."""
+    """Return a watermark as text that the server reads as the same value."""
     return mark.isoformat() if isinstance(mark, date) else str(mark)
 
 
 def number_of(mark: Watermark) -> float:
-    """A watermark as a finite number; a higher watermark never has a smaller number."""
+    """Return a watermark as a finite number; a higher watermark never has a smaller number."""
     if isinstance(mark, datetime):
         return mark.replace(tzinfo=mark.tzinfo or UTC).timestamp()
     return min(float(mark.toordinal() if isinstance(mark, date) else mark), sys.float_info.max)
 
 
 def _plain(value: Any) -> Json:
-    """A value of a row in the form of payloads: times in ISO 8601, exact numbers as floating point."""
+    """Convert a value of a row for a payload: times to ISO 8601, exact numbers to floating point."""
     if isinstance(value, date):
         return value.isoformat()
     if isinstance(value, Decimal):
@@ -387,7 +404,7 @@ def _plain(value: Any) -> Json:
 
 
 def postgres_reason(fault: Exception) -> str:
-    """The reason why a source is lost, in one line: the server's own message and hint, if it sent any."""
+    """Return why a source was lost, in one line: the server's own message and hint, if it sent any."""
     message = getattr(getattr(fault, "diag", None), "message_primary", None)
     hint = getattr(getattr(fault, "diag", None), "message_hint", None)
     if message is None:

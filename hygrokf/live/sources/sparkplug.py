@@ -38,7 +38,7 @@ DEVICE_INDEX = 4
 """Index of the device among the levels of a topic."""
 DEVICE_LEVEL = f"{{{DEVICE_INDEX}}}"
 """Path of the turbine in a mapping where each device is a turbine."""
-_OF_NO_DEVICE = Unreadable("of no device", "metrics of an edge node itself, while turbines are devices")
+_OF_NO_DEVICE = Unreadable("of no device", "metrics of an edge node itself, although turbines are devices")
 
 
 class EdgeNodes:
@@ -55,9 +55,10 @@ class EdgeNodes:
         acknowledge: Callable[[], None] | None = None,
         repeated: bool = False,
     ) -> tuple[EdgeNode | None, list[Released]]:
-        """The edge node of a message received at a time [s], and what the message releases.
+        """Process a message received at a time [s]; returns its edge node and the messages that it releases.
 
-        Commands, and states of host applications, have neither an edge node nor contents.
+        acknowledge: call that acknowledges the message to the broker.  repeated: whether the broker marks it
+        as sent again.  Commands, and states of host applications, have neither an edge node nor contents.
         """
         try:
             address = address_of(topic)
@@ -75,7 +76,7 @@ class EdgeNodes:
         return node, node.take(Arrived(address, topic, message, payload, received, acknowledge, repeated))
 
     def recall(self, memories: JsonObject) -> None:
-        """Resume from the stored `EdgeNode.memories` of all edge nodes."""
+        """Restore all edge nodes from their stored `EdgeNode.memories`."""
         prefix = "edge node "
         for key, content in memories.items():
             if key.startswith(prefix) and len(self.nodes) < MOST_NODES:
@@ -83,13 +84,14 @@ class EdgeNodes:
                 self.nodes[name] = EdgeNode.recalled(name, memories.get(f"sequence of {name}"), content)
 
     def without_birth(self) -> list[str]:
-        """Names of edge nodes whose aliases only a birth certificate can explain."""
+        """Return the names of edge nodes with aliases that only a birth certificate can define."""
         nodes = tuple(self.nodes.items())
         return [name for name, node in nodes if node.gap_s is not None or node.unborn]
 
 
 def data_topic(name: str, device: str) -> str:
-    """The topic of the data of a device, or of the edge node (GROUP/NODE) itself if `device` is ""."""
+    """Return the topic of a device's data, or of the edge node `name` (GROUP/NODE) itself if `device` is
+    ""."""
     group, _, node = name.partition("/")
     return f"{NAMESPACE}/{group}/DDATA/{node}/{device}" if device else f"{NAMESPACE}/{group}/NDATA/{node}"
 
@@ -100,7 +102,7 @@ class Sparkplug(Mqtt):
     largest = LARGEST_MESSAGE
 
     def __init__(self, broker: Broker, mapping: PayloadMapping) -> None:
-        flat = mapping.of_own_payloads(mapping.use_uncertain, mapping.turbines)
+        flat = mapping.for_flat_payloads(mapping.use_uncertain, mapping.turbines)
         named = replace(flat, turbine=mapping.turbine, tag_pattern=mapping.tag_pattern, names=mapping.names)
         super().__init__(broker, named)
         self.edge_nodes = EdgeNodes()
@@ -108,10 +110,12 @@ class Sparkplug(Mqtt):
         self._checked_s = 0.0
 
     def recall(self, memories: JsonObject) -> None:
+        """Restore the edge nodes from the store."""
         self.edge_nodes.recall(memories)
 
     # -- the source's own thread -----------------------------------------------------------------------------
     def _take(self, link: BrokerLink, arrival: Arrival, put: Callable[[Delivery], None]) -> None:
+        """Process a message and deliver what it releases; acknowledge it at once if it has no contents."""
         acknowledge = partial(link.acknowledge, arrival.identifier)
         node, released = self.edge_nodes.take(
             arrival.topic, arrival.payload, arrival.time, acknowledge, arrival.repeated
@@ -139,6 +143,7 @@ class Sparkplug(Mqtt):
     def _put_released(
         self, node: EdgeNode | None, released: list[Released], put: Callable[[Delivery], None]
     ) -> None:
+        """Deliver released messages; the last one carries the state of the edge node for the store."""
         for number, message in enumerate(released, 1):
             # the stored data describe the edge node after the last of the released messages
             memories = node.memories() if node is not None and number == len(released) else None
@@ -147,19 +152,19 @@ class Sparkplug(Mqtt):
             )
 
     def read(self, arrival: Arrival) -> Sequence[Content]:
+        """Return the contents that a message releases, without delivering them."""
         _, released = self.edge_nodes.take(arrival.topic, arrival.payload, arrival.time)
         return [content for message in released for content in self.contents(message)]
 
     def contents(self, message: Released) -> Sequence[Payload | Unreadable]:
-        """The contents for the mapping; if devices are turbines, an edge node's own metrics are refused."""
+        """Return the contents; if devices are turbines, an edge node's own metrics are refused."""
         if self.mapping.turbine != DEVICE_LEVEL or message.topic.count("/") >= DEVICE_INDEX:
             return message.contents
-        return [c if isinstance(c, Unreadable) else _OF_NO_DEVICE for c in message.contents]
+        return [content if isinstance(content, Unreadable) else _OF_NO_DEVICE for content in message.contents]
 
     # -- state -----------------------------------------------------------------------------------------------
     def _absences(self) -> list[tuple[str, str, float]]:
-        """(name, topic of its data, time [s] of its death certificate) of each edge node or device that is
-        absent."""
+        """Return (name, data topic, time of death [s]) of each offline edge node or device."""
         nodes = tuple(self.edge_nodes.nodes.items())
         return [
             (f"{name}/{device}" if device else name, data_topic(name, device), since)
@@ -167,9 +172,9 @@ class Sparkplug(Mqtt):
             for device, since in tuple(node.left_s.items())
         ]
 
-    def left(self) -> dict[str, Statement]:
-        """Turbine -> statement that its edge node or device has left; only for turbines that the topic names
-        and that no present edge node or device sends for."""
+    def departed_senders(self) -> dict[str, Statement]:
+        """Return turbine -> statement that its edge node or device is offline; only for turbines that the
+        topic names and that no present edge node or device sends for."""
         statements: dict[str, Statement] = {}
         nodes = tuple(self.edge_nodes.nodes.items())
         present = {
@@ -182,7 +187,7 @@ class Sparkplug(Mqtt):
         return statements
 
     def _turbine(self, topic: str) -> str | None:
-        """The turbine that a level of the topic names, or the only turbine; None for an unknown name."""
+        """Return the turbine that the topic names, or the only turbine; None for an unknown name."""
         mapping = self.mapping
         if not mapping.turbine:
             return mapping.only_turbine
@@ -190,28 +195,32 @@ class Sparkplug(Mqtt):
 
     @property
     def state(self) -> SourceState:
+        """The state of the link; "lost" also if all edge nodes are offline."""
         link_state = super().state
         if link_state.word != "connected":
             return link_state
         nodes = tuple(self.edge_nodes.nodes.values())
-        all_left = bool(nodes) and all("" in node.left_s for node in nodes)
-        notes = [link_state.words, *self._notes()]
-        return SourceState("lost" if all_left else "connected", "; ".join(notes))
+        all_offline = bool(nodes) and all("" in node.left_s for node in nodes)
+        notes = [link_state.explanation, *self._notes()]
+        return SourceState("lost" if all_offline else "connected", "; ".join(notes))
 
     def _notes(self) -> list[str]:
+        """Return remarks about offline edge nodes, and about those that need a birth certificate."""
         absent = [f"{sender} since {stamp_text(since)}" for sender, _, since in self._absences()]
         notes = (
-            [f"left, so that its signals are stale until it is born again: {several(absent)}"]
+            [f"offline by a death certificate; signals stay stale until the next birth: {several(absent)}"]
             if absent
             else []
         )
         if waiting := self.edge_nodes.without_birth():
             remedy = (
-                "it has been asked for a rebirth"
+                "the tracker has asked for a rebirth"
                 if self.broker.rebirth_requests
                 else (f"ask for a rebirth: {ASK_REBIRTH}, or set rebirth_requests = true")
             )
-            notes.append(f"gap or no birth certificate, aliases are not read: {several(waiting)}: {remedy}")
+            notes.append(
+                f"aliases without a valid birth certificate are not read: {several(waiting)}: {remedy}"
+            )
         return notes
 
 
@@ -220,7 +229,7 @@ class MqttForm(Broker):
     """A [[source]] of a broker: payloads for the mapping, or Sparkplug B."""
 
     def stream(self, mapping: PayloadMapping, place: Place) -> Mqtt:
-        """The stream; unreadable secrets and certificates are reported as faults of `place`."""
+        """Return the stream; unreadable secrets and certificates are reported as faults at `place`."""
         if (missing := libraries_fault()) is not None:
             place.fault(missing)
         if not place.faults:

@@ -48,13 +48,13 @@ class EdgeAddress(NamedTuple):
 
     @property
     def where(self) -> str:
-        """The sender as text."""
+        """The sender: GROUP/NODE or GROUP/NODE/DEVICE."""
         return f"{self.edge_node}/{self.device}" if self.device else self.edge_node
 
 
 def address_of(topic: str) -> EdgeAddress | None:
-    """The address of a message from an edge node; None for commands and for states of host applications.
-    Raises Refused for a topic outside of Sparkplug B."""
+    """Return the address of a message from an edge node; None for commands and for states of host
+    applications. Raises Refused for a topic outside of Sparkplug B."""
     levels = topic.split("/")
     if not topic.isprintable():
         raise Refused("no Sparkplug topic", f"expected printable characters, found {topic[:80]!r}")
@@ -69,9 +69,10 @@ def address_of(topic: str) -> EdgeAddress | None:
 
 
 class Arrived(NamedTuple):
-    """A message from an address: decoded, as its undecoded `payload`, and with its time of arrival [s].
+    """A received message, decoded (`message`) and undecoded (`payload`).
 
-    `repeated`: the broker marks the message as sent again.
+    `received`: time of arrival [s]; `acknowledge`: call that acknowledges it to the broker, None if that is
+    not needed; `repeated`: whether the broker marks it as sent again.
     """
 
     address: EdgeAddress
@@ -84,7 +85,10 @@ class Arrived(NamedTuple):
 
 
 class Released(NamedTuple):
-    """The contents of a message: payloads for the mapping, and the reasons why other parts are not used."""
+    """A message that is ready for the mapping: its payloads, and the reasons why other parts are not used.
+
+    `received`: time of arrival [s]; `acknowledge`: call that acknowledges it to the broker.
+    """
 
     contents: tuple[Payload | Unreadable, ...]
     topic: str
@@ -106,15 +110,17 @@ class BirthTable:
 
     @classmethod
     def of(cls, message: SparkplugMessage) -> BirthTable:
-        """The table of a birth certificate."""
-        named = [(m.name, m) for m in message.metrics if m.name and len(m.name) <= LONGEST_METRIC_NAME]
-        return cls(
-            {name: metric.datatype for name, metric in named},
-            {name: metric.alias for name, metric in named if metric.alias is not None},
-        )
+        """Return the table of a birth certificate."""
+        types, aliases = dict[str, int](), dict[str, int]()
+        for metric in message.metrics:
+            if metric.name and len(metric.name) <= LONGEST_METRIC_NAME:
+                types[metric.name] = metric.datatype
+                if metric.alias is not None:
+                    aliases[metric.name] = metric.alias
+        return cls(types, aliases)
 
     def name_of(self, metric: Metric) -> str | None:
-        """The name of a metric; None for an alias that is not defined."""
+        """Return the name of a metric; None for an alias that is not defined."""
         return metric.name or (None if metric.alias is None else self.names.get(metric.alias))
 
     def agrees(self, other: BirthTable, metric: Metric) -> bool:
@@ -124,52 +130,58 @@ class BirthTable:
 
 
 def contents_of(arrived: Arrived, table: BirthTable) -> list[Payload | Unreadable]:
-    """Payloads of the metrics that a table can name, one for each time and quality, in the order of time.
+    """Return the payloads of the metrics that a table can name, one per time and quality, sorted by time.
 
     Each payload holds "time" [s], "quality" ("good", "uncertain" or "bad") and the values by the metrics'
     names.  Metrics whose alias is not in the table are not treated here.
     """
-    groups: dict[tuple[float | None, str], list[JsonObject]] = {}
-    reasons: dict[str, list[Metric]] = {}
+    values_by_time_and_quality: dict[tuple[float | None, str], list[JsonObject]] = {}
+    unused_metrics: dict[str, list[Metric]] = {}
     for metric in arrived.message.metrics:
         name = table.name_of(metric)
         if name is None or name.startswith(_CONTROL):
             if name is None and metric.alias is None:
-                reasons.setdefault("no name", []).append(metric)
+                unused_metrics.setdefault("no name", []).append(metric)
             continue
         value = metric.reading(metric.datatype or table.types.get(name, 0))
         if not metric.is_scalar:
-            reasons.setdefault("no single value", []).append(metric)
+            unused_metrics.setdefault("no single value", []).append(metric)
         elif metric.is_transient:
-            reasons.setdefault("transient", []).append(metric)
+            unused_metrics.setdefault("transient", []).append(metric)
         elif len(name) > LONGEST_METRIC_NAME:
-            reasons.setdefault("name too long", []).append(metric)
+            unused_metrics.setdefault("name too long", []).append(metric)
         elif value is not None:
             # the time of the message does not apply to a historical value without a time of its own
             time = arrived.message.time if metric.time is None and not metric.is_historical else metric.time
             quality = GOOD if metric.quality is None else BAD
             if metric.quality is not None and metric.quality <= LARGEST_QUALITY:
                 quality = VOCABULARIES["opc-da"].judge(metric.quality)
-            group = groups.setdefault((time, quality), [{}])
-            if name in group[-1]:  # a second value of a name needs a payload of its own
-                group.append({})
-            group[-1][name] = value
-    ordered = sorted(groups.items(), key=lambda item: -1.0 if item[0][0] is None else item[0][0])
+            payloads_of_group = values_by_time_and_quality.setdefault((time, quality), [{}])
+            if name in payloads_of_group[-1]:  # a second value of a name needs a payload of its own
+                payloads_of_group.append({})
+            payloads_of_group[-1][name] = value
+    ordered = sorted(
+        values_by_time_and_quality.items(), key=lambda item: -1.0 if item[0][0] is None else item[0][0]
+    )
     payloads = [
-        {**values, "time": time, "quality": quality} for (time, quality), group in ordered for values in group
+        {**values, "time": time, "quality": quality}
+        for (time, quality), payloads_of_group in ordered
+        for values in payloads_of_group
     ]
-    unused = (Unreadable(kind, metrics_text(arrived, metrics, kind)) for kind, metrics in reasons.items())
+    unused = (
+        Unreadable(kind, metrics_text(arrived, metrics, kind)) for kind, metrics in unused_metrics.items()
+    )
     return [*payloads, *unused]
 
 
 def refused(arrived: Arrived, kind: str, reason: str) -> Released:
-    """The contents of a message of which nothing is used: the reason alone."""
+    """Return a message of which nothing is used, with the reason."""
     text = f"{arrived.address.kind} of {arrived.address.where}: {reason}"
     return Released((Unreadable(kind, text),), arrived.topic, arrived.received, arrived.acknowledge)
 
 
 def metrics_text(arrived: Arrived, metrics: Sequence[Metric], reason: str) -> str:
-    """Message with the number of some metrics of a message and the reason why they are not used."""
+    """Return the text "N metrics in TYPE of SENDER: REASON" about metrics of a message that are not used."""
     count = f"{len(metrics)} metric{'s' * (len(metrics) > 1)}"
     return f"{count} in {arrived.address.kind} of {arrived.address.where}: {reason}"
 
@@ -205,7 +217,7 @@ class NodeMemory:
 
 
 class HeldMessages:
-    """Messages whose aliases await a birth certificate, in the order of their arrival.
+    """Messages whose aliases wait for a birth certificate, in the order of arrival.
 
     They are kept undecoded, because the backlog after an outage is long and decoded messages need much more
     memory.
@@ -267,18 +279,19 @@ class EdgeNode:
         is_last = last is not None and (last.address, last.message) == (arrived.address, arrived.message)
         # sequence numbers wrap at 256; one that is 128 or more ahead is taken as one in the past
         if is_last or (arrived.repeated and (sequence - (self._expected or 0)) % 256 >= 128):
-            return [refused(arrived, "repeated", "it came before")]
+            return [refused(arrived, "repeated", "it was received before")]
         self._waiting.append(arrived)
         return self.release_overdue(arrived.received)
 
     def release_overdue(self, now: float) -> list[Released]:
-        """Release waiting messages whose predecessors are overdue at the time `now` [s]."""
+        """Release waiting messages whose missing predecessors are overdue at the time `now` [s]."""
         waiting = self._waiting
         if not waiting or (now - waiting[0].received < REORDER_S and len(waiting) <= MOST_WAITING):
             return []
         return self._apply_despite_gap(now, waiting)
 
     def _apply_next(self, arrived: Arrived) -> list[Released]:
+        """Process the message that continues the sequence."""
         if arrived.message.sequence is not None:
             self._expected = (arrived.message.sequence + 1) % 256
         self._last = arrived
@@ -299,7 +312,7 @@ class EdgeNode:
         self._former |= self._tables
         self._tables, self._changed = {}, True
         expected = self._expected or 0
-        ordered = sorted(messages, key=lambda m: ((m.message.sequence or 0) - expected) % 256)
+        ordered = sorted(messages, key=lambda message: ((message.message.sequence or 0) - expected) % 256)
         self._waiting = [waiting for waiting in self._waiting if waiting not in messages]
         return [released for message in ordered for released in self._apply_next(message)]
 
@@ -322,14 +335,14 @@ class EdgeNode:
         """Process the death certificate of the edge node."""
         number = arrived.message.session
         if number is not None and self._bdseq is not None and (number - self._bdseq) % 256 >= 128:
-            return [refused(arrived, "former death certificate", "it belongs to a former session")]
+            return [refused(arrived, "former death certificate", "it belongs to an earlier session")]
         released = self._apply_despite_gap(arrived.received, self._waiting) if self._waiting else []
         self._former |= self._tables
         self.left_s |= dict.fromkeys(("", *self._former), arrived.received)
         self.present.clear()
         self._tables, self._expected, self._last = {}, None, None
         self.gap_s, self.unborn, self._changed = None, False, True
-        return [*released, refused(arrived, "death certificate", "it has left")]
+        return [*released, refused(arrived, "death certificate", "the sender is offline")]
 
     def _apply(self, arrived: Arrived) -> list[Released]:
         """Process a message that is next in the sequence, except a death certificate of the edge node."""
@@ -339,7 +352,7 @@ class EdgeNode:
                 self._former[device] = self._tables.pop(device)
             self.present.discard(device)
             self.left_s[device], self._changed = arrived.received, True
-            return [refused(arrived, "death certificate", "it has left")]
+            return [refused(arrived, "death certificate", "the sender is offline")]
         # a message shows that its device and the edge node are present
         self.present.add(device)
         for returned in {"", device} & set(self.left_s):
@@ -354,19 +367,23 @@ class EdgeNode:
 
     # -- metrics ---------------------------------------------------------------------------------------------
     def _read(self, arrived: Arrived) -> Released:
-        """The payloads of a message by the valid birth table; a message with aliases in doubt is held."""
+        """Return a message's payloads by the valid birth table; hold it if its aliases are in doubt."""
         table = self._tables.get(arrived.address.device, BirthTable())
         contents = contents_of(arrived, table)
         former = self._former.get(arrived.address.device, BirthTable())
-        unknown = [m for m in arrived.message.metrics if m.alias is not None and table.name_of(m) is None]
-        held = tuple(m for m in unknown if former.name_of(m) is not None)
+        unknown = [
+            metric
+            for metric in arrived.message.metrics
+            if metric.alias is not None and table.name_of(metric) is None
+        ]
+        held = tuple(metric for metric in unknown if former.name_of(metric) is not None)
         if held:
             self._held.add(arrived)
             contents.append(
                 Unreadable(UNEXPLAINED[0], metrics_text(arrived, held, "wait for a birth certificate"))
             )
         if len(unknown) > len(held):
-            undefined = [m for m in unknown if former.name_of(m) is None]
+            undefined = [metric for metric in unknown if former.name_of(metric) is None]
             contents.append(
                 Unreadable(UNEXPLAINED[1], metrics_text(arrived, undefined, "no birth certificate has come"))
             )
@@ -378,12 +395,16 @@ class EdgeNode:
         return Released(tuple(contents), arrived.topic, arrived.received, arrived.acknowledge)
 
     def _released_by_birth(self, device: str) -> list[Released]:
-        """The held metrics of a device whose aliases have the same meaning in the new birth certificate."""
+        """Return the held metrics of a device whose aliases mean the same in the new birth certificate."""
         former, table = self._former.pop(device, BirthTable()), self._tables[device]
         released = []
         for arrived in self._held.release(device):
-            held = [m for m in arrived.message.metrics if not m.name and former.name_of(m) is not None]
-            unchanged = tuple(m for m in held if table.agrees(former, m))
+            held = [
+                metric
+                for metric in arrived.message.metrics
+                if not metric.name and former.name_of(metric) is not None
+            ]
+            unchanged = tuple(metric for metric in held if table.agrees(former, metric))
             message = replace(arrived.message, metrics=unchanged)
             contents = contents_of(arrived._replace(message=message), table)
             if len(unchanged) < len(held):
@@ -396,7 +417,7 @@ class EdgeNode:
 
     # -- memories --------------------------------------------------------------------------------------------
     def memories(self) -> JsonObject:
-        """Data for the store by name: the next sequence number, and the `NodeMemory` if it has changed."""
+        """Return data for the store, by name: the next sequence number, and a changed `NodeMemory`."""
         memories: JsonObject = {f"sequence of {self.name}": self._expected}
         if self._changed:
             self._changed = False
@@ -406,7 +427,7 @@ class EdgeNode:
 
     @classmethod
     def recalled(cls, name: str, sequence: Json, content: Json) -> EdgeNode:
-        """The edge node with the state of its `memories`; without a state if they cannot be read."""
+        """Return the edge node with the state that `memories` gave; without a state if it cannot be read."""
         node = cls(name)
         try:
             memory = structured(NodeMemory, content)

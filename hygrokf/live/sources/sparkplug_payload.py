@@ -93,7 +93,7 @@ class Metric:
     is_scalar: bool = True
 
     def reading(self, datatype: int) -> int | float | str | None:
-        """The value interpreted by a data type: integers with their sign, booleans as 1 and 0."""
+        """Return the value as its data type demands: an integer with its sign, a boolean as 1 or 0."""
         value = None if self.is_null else self.value
         if isinstance(value, int):
             if datatype in SIGNED:
@@ -114,12 +114,14 @@ class SparkplugMessage:
     @property
     def session(self) -> int | None:
         """The session number (bdSeq, 0 … 255) in a birth or death certificate; None without one."""
-        number = next((m.reading(m.datatype) for m in self.metrics if m.name == "bdSeq"), None)
+        number = next(
+            (metric.reading(metric.datatype) for metric in self.metrics if metric.name == "bdSeq"), None
+        )
         return number % 256 if isinstance(number, int) else None
 
 
 def decode(payload: bytes) -> SparkplugMessage:
-    """The message in a payload.  Raises Refused for bytes that are not a Sparkplug B payload."""
+    """Decode a payload.  Raises Refused for bytes that are not a Sparkplug B payload."""
     message, uuid, body = _decode(payload)
     if uuid != COMPRESSED:
         return message
@@ -131,7 +133,7 @@ def decode(payload: bytes) -> SparkplugMessage:
 
 
 def rebirth_request(now: float) -> bytes:
-    """Payload of the command that asks an edge node for its birth certificates, sent at time `now` [s]."""
+    """Return the payload that asks an edge node for its birth certificates, sent at `now` [s]."""
     command = _payload_class()(timestamp=int(1000.0 * now))
     command.metrics.add(
         name=REBIRTH.encode(), timestamp=command.timestamp, datatype=BOOLEAN, boolean_value=True
@@ -166,7 +168,7 @@ def _payload_class() -> Any:
 
 
 def _decode(payload: bytes) -> tuple[SparkplugMessage, str, bytes]:
-    """The message of a payload, with its fields `uuid` and `body`, which may hold a compressed payload."""
+    """Decode a payload; returns the message, `uuid`, and `body`, which may be a compressed payload."""
     from google.protobuf.message import DecodeError
 
     if len(payload) > LARGEST_MESSAGE:
@@ -183,12 +185,13 @@ def _decode(payload: bytes) -> tuple[SparkplugMessage, str, bytes]:
         )
         return message, decoded.uuid.decode(), decoded.body
     except DecodeError:
-        raise Refused("malformed", "no protobuf, or cut short") from None
+        raise Refused("malformed", "not protobuf, or cut short") from None
     except UnicodeDecodeError:
         raise Refused("malformed", "a text that is not in UTF-8") from None
 
 
 def _metric(raw: Any) -> Metric:
+    """Convert a protobuf metric."""
     kind = raw.WhichOneof(_VALUE)
     is_scalar = kind not in _NO_SCALAR_FIELDS and raw.datatype not in NO_SCALAR
     return Metric(
@@ -206,12 +209,14 @@ def _metric(raw: Any) -> Metric:
 
 
 def _scalar(value: bool | float | bytes) -> int | float | str:
+    """Convert a protobuf value: bytes to text, a boolean to 1 or 0."""
     if isinstance(value, bytes):
         return value.decode()
     return int(value) if isinstance(value, bool) else value
 
 
 def _quality(properties: Any) -> int | None:
+    """Return the value of the property `QUALITY`; None without one."""
     names = [key.decode() for key in properties.keys]
     for name, value in zip(names, properties.values, strict=False):
         if name == QUALITY and (kind := value.WhichOneof(_VALUE)) is not None:
@@ -220,6 +225,7 @@ def _quality(properties: Any) -> int | None:
 
 
 def _decompressed(body: bytes) -> bytes:
+    """Decompress zlib or gzip, up to one byte beyond `LARGEST_MESSAGE`."""
     try:
         # wbits 47: the header decides between zlib and gzip; one byte too many shows that a limit is exceeded
         decompressed = zlib.decompressobj(wbits=47).decompress(body, LARGEST_MESSAGE + 1)

@@ -33,7 +33,7 @@ SOURCE_BACK_OFF_S = (1.0, 60.0)
 
 @dataclass(frozen=True)
 class Delivery:
-    """A payload that a source delivers.
+    """A payload that a source delivers to the tracker.
 
     `received`: time of arrival [s]; `topic`: MQTT topic; `place`: position from which the source resumes
     after this delivery; `memories`: name → JSON data of the source that the store keeps together with this
@@ -50,14 +50,14 @@ class Delivery:
     mark: float = field(default=math.nan, compare=False)
 
 
-def pause_s(failed: int, limits_s: tuple[float, float]) -> float:
-    """Pause [s] after `failed` ≥ 1 consecutive failed attempts.
+def pause_s(failures: int, limits_s: tuple[float, float]) -> float:
+    """Return the pause [s] after `failures` ≥ 1 consecutive failed attempts.
 
-    limits_s: shortest pause, which follows the first attempt, and longest pause. Each pause is twice as long
-    as the one before, up to the longest.
+    limits_s: shortest and longest pause [s].  The first failure gives the shortest pause; each further one
+    doubles the pause, up to the longest.
     """
-    shortest, longest = limits_s
-    return min(shortest * 2.0 ** min(failed - 1, 30), longest)  # 30: the power must not overflow
+    shortest_s, longest_s = limits_s
+    return min(shortest_s * 2.0 ** min(failures - 1, 30), longest_s)  # 30: the power must not overflow
 
 
 class BackOff:
@@ -77,12 +77,12 @@ class BackOff:
 
     @property
     def has_held(self) -> bool:
-        """Whether the present attempt has lasted longer than the longest pause."""
+        """Whether the present connection has lasted longer than the longest pause."""
         return time.monotonic() - self._began > SOURCE_BACK_OFF_S[1]
 
     @property
     def next_s(self) -> float:
-        """Longest time [s] until the next attempt."""
+        """Upper limit [s] of the pause before the next attempt."""
         return SOURCE_BACK_OFF_S[0] if self.has_held else pause_s(self._failed, SOURCE_BACK_OFF_S)
 
     def reset(self) -> None:
@@ -103,32 +103,34 @@ class SourceFault(HygrokfError):
 
 
 class SourceState(NamedTuple):
-    """The state of a source: one `word` ("connected", "waiting", "lost", "ended", "stopped", "idle") and its
-    explanation."""
+    """The state of a source: one `word` ("connected", "waiting", "lost", "ended", "stopped", "idle") and an
+    `explanation` for people."""
 
     word: str
-    words: str
+    explanation: str
 
 
 REACHED_STATES = ("connected", "ended", "stopped")
-"""Words of the states in which a source counts as reached."""
+"""States (`SourceState.word`) in which a source counts as reached."""
 ALARM_INTERVALS = 3.0
-"""Number of a source's usual intervals, or at least a minute, after which its absence is an alarm."""
+"""Number of usual delivery intervals, but at least a minute, after which an unreachable source raises an
+alarm."""
 
 
 class Reach(NamedTuple):
-    """How long a source has not been reached.
+    """How long a source has been unreachable.
 
-    `since`: beginning [s, this machine's clock], None while the source is reached; `limit_s`: time [s] after
-    which an alarm is raised; `words`: reason.
+    `since`: time [s, this machine's clock] at which the connection was lost, None while the source is
+    reached; `limit_s`: duration [s] after which an alarm is raised; `reason`: why the source cannot be
+    reached.
     """
 
     since: float | None
     limit_s: float
-    words: str = ""
+    reason: str = ""
 
     def share(self, now: float) -> float:
-        """The time without a connection, until `now` [s], as a multiple of the limit."""
+        """Return the time without a connection until `now` [s] as a multiple of the limit."""
         return 0.0 if self.since is None else (now - self.since) / self.limit_s
 
 
@@ -136,19 +138,22 @@ class Reach(NamedTuple):
 class SourceKeys(FolderKeys):
     """The keys of every [[source]] table; the subclass for each kind of source creates its stream."""
 
-    weather: bool = setting(False, "whether it brings weather forecasts, not readings")
-    revision: str = setting("last", "which of several values of a stamp counts", choices=("last", "neither"))
+    weather: bool = setting(False, "whether the source delivers weather forecasts instead of readings")
+    revision: str = setting(
+        "last", "which of several values with one time stamp is used", choices=("last", "neither")
+    )
     reach_limit_s: float | None = setting(
-        None, "after which a source that is not reached is an alarm", read=duration, above=0.0,
-        expected="longer than nothing",
+        None, "time after which an unreachable source raises an alarm", read=duration, above=0.0,
+        expected="a duration above 0 s",
     )  # fmt: skip
 
     def stream(self, mapping: PayloadMapping, place: Place) -> Stream | None:
-        """The stream; None if faults are reported at `place`."""
+        """Return the stream that the table configures; None if faults are reported at `place`."""
         raise NotImplementedError
 
     def expect(self, place: Place, *reads: Callable[[], object]) -> None:
-        """Read what a connection needs, such as secrets, by `reads`; report their faults at `place`."""
+        """Call each function of `reads`, which reads a secret or a certificate; report the SourceFaults that
+        they raise at `place`."""
         for read in reads:
             try:
                 read()
@@ -178,7 +183,7 @@ class Stream:
     reach_limit_s: float | None = None
     usual_interval_s = 0.0
     """Usual time [s] between two deliveries, 0 if unknown."""
-    _unreached: float | None = None
+    _unreached_since: float | None = None
 
     def __init__(self, mapping: PayloadMapping, clock: Callable[[], float] = time.time) -> None:
         self.mapping = mapping
@@ -188,16 +193,21 @@ class Stream:
         self._state = SourceState("idle", "not started")
 
     def start(self, place: str | None, put: Callable[[Delivery], None]) -> None:
-        """Resume after `place` (None: from the beginning, or from the position that the source itself
-        keeps)."""
+        """Start the thread, which resumes after the position `place` and hands each delivery to `put`.
+
+        place: position of the last committed delivery; None: from the beginning, or from the position that
+        the source itself keeps.
+        """
         self._thread = threading.Thread(target=self._run, args=(place, put), name=self.url, daemon=True)
         self._thread.start()
 
     def _run(self, place: str | None, put: Callable[[Delivery], None]) -> None:
+        """Run `_deliver` until it returns or the source is stopped, again after each failure."""
         back_off = BackOff()
         last_place, reason = place, ""
 
         def put_and_record(delivery: Delivery) -> None:
+            """Pass a delivery on, remember its place, and note that the source works."""
             nonlocal last_place
             put(delivery)
             last_place = delivery.place or last_place
@@ -228,35 +238,38 @@ class Stream:
             self._state = SourceState("stopped", "")
 
     def _deliver(self, place: str | None, put: Callable[[Delivery], None]) -> None:
+        """Deliver from the position `place` on until everything is read or `_ended` is set; raises an
+        exception if the source is lost."""
         raise NotImplementedError
 
     def recall(self, memories: JsonObject) -> None:
-        """Restore, before the start, the `memories` of former deliveries from the store: none by default."""
+        """Restore the `memories` of former deliveries before the start; by default there are none."""
 
     def end_when_read(self) -> None:
         """End at the present end of a growing source; other sources end by themselves."""
 
     def acknowledge(self, deliveries: Iterable[Delivery]) -> None:
-        """Called with the deliveries that the store has committed; most sources need only their places."""
+        """Tell the source that the store has committed these deliveries; by default it needs no notice."""
 
-    def tell(self, alarms: Iterable[Alarm]) -> None:
-        """Publish alarms that began, changed or ended, if the source can publish."""
+    def publish_alarms(self, alarms: Iterable[Alarm]) -> None:
+        """Publish alarms that began, changed or ended; by default a source cannot publish."""
 
     def now(self) -> float:
         """The time [s] against which the age of the data is judged."""
         return self.clock()
 
     def reach(self) -> Reach:
-        """Since when the source has not been reached: the first call that finds it so sets the time."""
-        word, words = self.state
+        """Return since when the source has been unreachable; the first call in that state sets the time."""
+        word, explanation = self.state
         if word in REACHED_STATES:
-            self._unreached = None
-        elif self._unreached is None:
-            self._unreached = self.clock()
+            self._unreached_since = None
+        elif self._unreached_since is None:
+            self._unreached_since = self.clock()
         limit_s = self.reach_limit_s or max(MINUTE_S, ALARM_INTERVALS * self.usual_interval_s)
-        return Reach(self._unreached, limit_s, words)
+        return Reach(self._unreached_since, limit_s, explanation)
 
     def stop(self) -> None:
+        """Tell the thread to end and wait for it for up to 10 s."""
         self._ended.set()
         if self._thread is not None:
             self._thread.join(timeout=10.0)
@@ -265,20 +278,21 @@ class Stream:
     def state(self) -> SourceState:
         return self._state
 
-    def left(self) -> dict[str, Statement]:
-        """Turbine -> statement that its sender has left; empty for senders that do not announce it."""
+    def departed_senders(self) -> dict[str, Statement]:
+        """Return turbine -> statement that its sender is offline; by default no sender tells."""
         return {}
 
     def signals(self, turbine: str) -> set[str]:
-        """Signals of a turbine that this source can deliver as readings."""
+        """Return the signals of a turbine that this source can deliver as readings."""
         if self.mapping.weather or turbine not in self.mapping.turbines.values():
             return set()
         return {field.signal for field in self.mapping.fields.values()}
 
 
 def _reason(fault: Exception, url: str) -> str:
+    """Return the message that says why a source with this URL was lost."""
     if isinstance(fault, SourceFault):
         return str(fault)
     if isinstance(fault, OSError):
         return f"{url}: {fault.strerror or fault}"
-    return f"{url}: unforeseen fault, {type(fault).__name__}: {fault}; please report it with the log"
+    return f"{url}: unexpected error, {type(fault).__name__}: {fault}; please report it with the log"

@@ -28,17 +28,17 @@ if TYPE_CHECKING:
     import psycopg
 
 CLAIM_S = 3.0
-"""[s] for which a claim waits until the previous holder releases it; the end of a process is noticed with a
+"""[s] for which a claim waits for the previous holder, because the end of a process is noticed with a
 delay."""
 REPLACED = (
-    "it was replaced while the tracker ran; the tracker goes on with the store that is there now. Restart "
-    "the tracker, so that its sources go on from the places of that store"
+    "another store replaced it while the tracker ran; the tracker continues with the new store. Restart the "
+    "tracker, so that its sources resume from the positions in the new store"
 )
 CLAIM_AGAIN_S = 0.1
-"""[s] between two attempts to claim."""
+"""[s] between two attempts to make a claim."""
 
 Row = tuple[Any, ...]
-"""A row of a query or the parameters of a statement: text, numbers and None, as the driver returns them."""
+"""A row of a query, or the parameters of a statement: text, numbers and None."""
 
 
 Cursor: TypeAlias = "sqlite3.Cursor | psycopg.Cursor[Row]"
@@ -46,7 +46,7 @@ Connection: TypeAlias = "sqlite3.Connection | psycopg.Connection[Row]"
 
 
 class StoreFault(HygrokfError):
-    """The store cannot be used; the message tells the operator why."""
+    """The store cannot be used, for the reason in the message; another attempt may succeed."""
 
 
 class StoreUnready(StoreFault):
@@ -73,23 +73,23 @@ class Database:
     def __init__(self, connection: Connection, url: str) -> None:
         self.connection = connection
         self.url = url
-        self._held: set[tuple[str, str]] = set()
+        self._claimed: set[tuple[str, str]] = set()
         self._compiled: WeakKeyDictionary[ClauseElement, SQLCompiler] = WeakKeyDictionary()
 
     # -- differences between databases --------------------------------------------------------------------
-    def is_trouble(self, error: Exception) -> bool:
-        """Whether an error has an external cause, so that another attempt may succeed."""
+    def is_external(self, error: Exception) -> bool:
+        """Whether a driver's exception has an external cause, so that another attempt may succeed."""
         raise NotImplementedError
 
     def has_tables(self) -> bool:
         """Whether the store's tables exist."""
         raise NotImplementedError
 
-    def take_turn(self) -> None:
-        """Within a transaction: wait until no other process creates tables or claims, and exclude other
-        processes until the transaction ends."""
+    def exclude_other_processes(self) -> None:
+        """Within a transaction: wait until no other process creates tables or claims, and let none begin to
+        until the transaction ends."""
 
-    def try_claim(self, wanted: Sequence[tuple[str, str]]) -> tuple[str, str, str] | None:
+    def try_claim(self, requested: Sequence[tuple[str, str]]) -> tuple[str, str, str] | None:
         """Claim all (kind, name) pairs, or none if another process holds one of them.
 
         Returns None, or (kind, name, holder) of a pair that is held.
@@ -97,11 +97,11 @@ class Database:
         raise NotImplementedError
 
     def claims(self) -> dict[tuple[str, str], str]:
-        """Current claims: (kind, name) → the process that holds the claim."""
+        """Return the current claims: (kind, name) → the process that holds the claim."""
         raise NotImplementedError
 
     def faults(self) -> list[str]:
-        """Damage that the database's own check reports."""
+        """Return the damage that the database's own check reports, as texts."""
         return []
 
     def may_write(self) -> bool:
@@ -113,17 +113,16 @@ class Database:
         return False
 
     def size(self) -> int:
-        """Size of the store [bytes]."""
+        """Return the size of the store [bytes]."""
         raise NotImplementedError
 
     def cursor(self) -> Cursor:
-        """A cursor that returns all times as seconds since 1970."""
+        """Return a cursor that gives all times as seconds since 1970."""
         return self.connection.cursor()
 
     # -- common to all databases -----------------------------------------------------------------------------
     def _compile(self, statement: ClauseElement) -> SQLCompiler:
-        """Compile a statement to this database's SQL; the result is cached as long as the statement
-        exists."""
+        """Compile a statement to this database's SQL; the result is cached with the statement."""
         compiled = self._compiled.get(statement)
         if compiled is None:
             compiler = statement.compile(dialect=self.dialect)
@@ -133,6 +132,7 @@ class Database:
 
     @contextmanager
     def _cursor_after(self, statement: ClauseElement, values: Mapping[str, Any]) -> Iterator[Cursor]:
+        """Provide the cursor after executing a statement; values: name of each parameter → its value."""
         # expand an IN clause to one parameter per value
         expanded = self._compile(statement).construct_expanded_state(values)
         with self._translate_errors(), closing(self.cursor()) as cursor:
@@ -140,12 +140,12 @@ class Database:
             yield cursor
 
     def rows(self, statement: ClauseElement, /, **values: Any) -> list[Row]:
-        """The rows that a query returns; `values` are the values of its parameters."""
+        """Return the rows of a query; `values`: name of each parameter → its value."""
         with self._cursor_after(statement, values) as cursor:
             return cursor.fetchall()
 
     def first(self, statement: ClauseElement, /, **values: Any) -> Row | None:
-        """The first row that a query returns; None if it returns no row."""
+        """Return the first row of a query; None without rows."""
         return next(iter(self.rows(statement, **values)), None)
 
     def execute(self, statement: ClauseElement, /, **values: Any) -> int:
@@ -154,8 +154,7 @@ class Database:
             return max(cursor.rowcount, 0)
 
     def execute_many(self, statement: ClauseElement, rows: Iterable[Row]) -> None:
-        """Execute a statement within a transaction once per row; a row holds the values of the statement's
-        parameters in their order."""
+        """Execute a statement within a transaction once per row of parameter values."""
         if parameters := list(rows):
             with self._translate_errors(), closing(self.cursor()) as cursor:
                 cursor.executemany(self._compile(statement).string, parameters)
@@ -174,6 +173,7 @@ class Database:
                 raise
 
     def _execute_text(self, text: str) -> None:
+        """Execute a statement that SQLAlchemy has no expression for."""
         with closing(self.cursor()) as cursor:
             cursor.execute(text)
 
@@ -186,7 +186,7 @@ class Database:
         try:
             yield
         except self.errors as error:
-            if self.is_trouble(error):
+            if self.is_external(error):
                 raise StoreFault(f"{self.url}: {one_line(error)}") from error
             raise
 
@@ -212,7 +212,7 @@ class Database:
     def _create(self) -> None:
         """Create the tables and views, unless another process has created them meanwhile."""
         with self.transaction():
-            self.take_turn()
+            self.exclude_other_processes()
             if self.has_tables():
                 return
             for text in creation(self.dialect):
@@ -223,29 +223,31 @@ class Database:
         """Claim turbines, sources or channels for this process alone, until the connection is closed or the
         process dies.
 
-        kind: "turbine", "source" or "channel".  Raises StoreFault, naming the holder, if another process has
-            claimed one of the names.
+        kind: "turbine", "source" or "channel".  Raises StoreFault, which names the holder, if another process
+        has claimed one of the names.
         """
-        wanted = sorted({(kind, name) for name in names} - self._held)
-        if not wanted:
+        requested = sorted({(kind, name) for name in names} - self._claimed)
+        if not requested:
             return
-        end = time.monotonic() + CLAIM_S
-        while (conflict := self.try_claim(wanted)) is not None:
-            if time.monotonic() > end:
+        give_up_s = time.monotonic() + CLAIM_S
+        while (conflict := self.try_claim(requested)) is not None:
+            if time.monotonic() > give_up_s:
                 kind, name, holder = conflict
                 raise StoreFault(
                     f"{self.url}: the {kind} {name} is already tracked by {holder}; "
-                    "end that process, or give this one its own turbines, sources and store"
+                    "end that process, or give this tracker other turbines, sources and another store"
                 )
             time.sleep(CLAIM_AGAIN_S)
-        self._held.update(wanted)
+        self._claimed.update(requested)
 
-    def insert_claims(self, wanted: Sequence[tuple[str, str]], holder: int) -> None:
-        """Write claims of this process within a transaction."""
-        who = f"process {os.getpid()} on {socket.gethostname()}"
-        self.execute_many(insert(claim), [(*pair, holder, who, time.time()) for pair in wanted])
+    def insert_claims(self, requested: Sequence[tuple[str, str]], holder: int) -> None:
+        """Write claims (kind, name) of this process within a transaction; `holder`: number that identifies
+        the session (PostgreSQL), 0 in SQLite."""
+        description = f"process {os.getpid()} on {socket.gethostname()}"
+        self.execute_many(insert(claim), [(*pair, holder, description, time.time()) for pair in requested])
 
     def close(self) -> None:
+        """Close the connection, which ends the claims of this process."""
         with suppress(Exception):
             self.connection.close()
 
@@ -260,5 +262,5 @@ def refuse_other_schema(place: object, version: int | None) -> None:
 
 
 def one_line(error: BaseException) -> str:
-    """The message of a driver's exception as one line."""
+    """Return the message of a driver's exception as one line."""
     return " ".join(str(error).split())

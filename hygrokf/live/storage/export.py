@@ -41,9 +41,9 @@ class ExportFault(HygrokfError):
 class Column:
     """A column of an exported file.
 
-    `name`: in the file; `source`: column of the store; `kind`: "text", "free" (text that people type on the
-    page), "number", "time" [s], "flag", or "unit", which is the SI unit of the signal named in the store's
-    column.
+    `name`: its name in the file; `source`: column of the store; `kind`: "text", "free" (text that people type
+    on the page), "number", "time" [s], "flag", or "unit", which is the SI unit of the signal named in the
+    store's column.
     """
 
     name: str
@@ -69,9 +69,8 @@ class ExportedTable:
 
 
 def _columns(*rows: str) -> tuple[Column, ...]:
-    """Columns from texts "name kind" or "name source kind"."""
-    parts = [row.split() for row in rows]
-    return tuple(Column(words[0], words[-2], words[-1]) for words in parts)
+    """Return columns from texts "name kind" or "name source kind"."""
+    return tuple(Column(words[0], words[-2], words[-1]) for words in map(str.split, rows))
 
 
 EXPORTED_TABLES = (
@@ -135,11 +134,12 @@ def export(
     ExportFault, StoreFault, OSError.
     """
     if form not in EXPORT_FORMATS:
-        raise ExportFault(f"expected a format of {', '.join(EXPORT_FORMATS)}, found {form!r}")
+        raise ExportFault(f"expected one of the formats {', '.join(EXPORT_FORMATS)}, found {form!r}")
     turbines = list(store.models())
     if turbine is not None and turbine not in turbines:
         raise ExportFault(
-            f"{store.url}: expected a turbine of {', '.join(turbines) or 'none yet'}, found {turbine!r}"
+            f"{store.url}: expected one of the turbines {', '.join(turbines) or '(none yet)'}, "
+            f"found {turbine!r}"
         )
     if not since < until:
         raise ExportFault("since must be earlier than until")
@@ -159,7 +159,7 @@ def export(
 
 
 def alarms_csv(store: Store) -> bytes:
-    """All alarms of the store as CSV, with the columns of the exported file."""
+    """Return all alarms of the store as CSV, with the columns of the exported file."""
     table = next(table for table in EXPORTED_TABLES if table.name == "alarm")
     file = io.BytesIO()
     write, close = _csv_writer(file, table.columns)
@@ -170,6 +170,7 @@ def alarms_csv(store: Store) -> bytes:
 
 
 def _by_column(table: ExportedTable, rows: Sequence[Row]) -> list[Values]:
+    """Convert rows of the store to the columns of a file."""
     values = zip(*rows, strict=True)
     return [_values(column.kind, cells) for column, cells in zip(table.columns, values, strict=True)]
 
@@ -177,8 +178,8 @@ def _by_column(table: ExportedTable, rows: Sequence[Row]) -> list[Values]:
 def chunks(
     store: Store, table: ExportedTable, turbine: str | None, since: float, until: float
 ) -> Iterator[list[Row]]:
-    """Rows of a table in the order of its key, at most `ROWS_AT_ONCE` per chunk; each chunk starts after the
-    last row of the previous chunk.
+    """Yield the rows of a table in the order of its key, at most `ROWS_AT_ONCE` at a time; each query starts after
+    the last row of the one before.
 
     No query stays open between chunks, so that the tracker can write and its log does not grow during an
     export.
@@ -208,41 +209,48 @@ def chunks(
 
 
 def _values(kind: str, cells: Sequence[Any]) -> Values:
-    """A column's values as written to a file; times are rounded to milliseconds, the resolution of the filter
-    (`SAME_S`)."""
+    """Convert a column's values for a file, by the column's kind; times are rounded to milliseconds, the
+    resolution of the filter (`SAME_S`)."""
     if kind == "time":
-        seconds = np.array([math.nan if v is None else v for v in cells], dtype=float)
+        seconds = np.array([math.nan if cell is None else cell for cell in cells], dtype=float)
         is_present = np.isfinite(seconds)
         milliseconds = np.round(np.where(is_present, seconds, 0.0) * 1e3).astype("datetime64[ms]")
         return np.where(is_present, milliseconds, np.datetime64("NaT", "ms"))
     if kind == "flag":
-        return [bool(v) for v in cells]
+        return [bool(cell) for cell in cells]
     if kind == "unit":
-        return [SIGNALS[v].unit if v in SIGNALS else None for v in cells]
+        return [SIGNALS[signal].unit if signal in SIGNALS else None for signal in cells]
     return list(cells)
 
 
 def _csv_writer(file: BinaryIO, columns: Sequence[Column]) -> tuple[Write, Callable[[], object]]:
-    """Writer of CSV in UTF-8 with a header; times are ISO 8601, flags true or false, missing values empty."""
+    """Return the functions that write a chunk, and that finish a CSV file.
+
+    The file is in UTF-8 with a header; times are ISO 8601, flags true or false, missing values empty.
+    """
     text = io.TextIOWrapper(file, encoding="utf-8", newline="", write_through=True)
     rows = csv.writer(text, lineterminator="\n")
     rows.writerow([column.name for column in columns])
 
     def texts(kind: str, values: Values) -> Values:
+        """Convert the values of a column to the texts of its cells."""
         if kind == "time":
             stamps = np.datetime_as_string(values, unit="ms").tolist()
             return ["" if stamp == "NaT" else f"{stamp}Z" for stamp in stamps]
         if kind == "free":  # a spreadsheet would take text with such a first character for a formula
-            return [f"'{v}" if v and v[0] in "=+-@\t\r" else v for v in values]
-        return [("false", "true")[v] for v in values] if kind == "flag" else values
+            return [f"'{text}" if text and text[0] in "=+-@\t\r" else text for text in values]
+        return ["true" if flag else "false" for flag in values] if kind == "flag" else values
 
     def write(values: list[Values]) -> None:
-        rows.writerows(zip(*(texts(c.kind, v) for c, v in zip(columns, values, strict=True)), strict=True))
+        """Write rows, given column by column."""
+        columns_of_texts = [texts(column.kind, cells) for column, cells in zip(columns, values, strict=True)]
+        rows.writerows(zip(*columns_of_texts, strict=True))
 
     return write, text.detach
 
 
 def _parquet_writer(file: BinaryIO, columns: Sequence[Column]) -> tuple[Write, Callable[[], object]]:
+    """Return the functions that write a chunk, and that finish a Parquet file."""
     try:
         import pyarrow
         from pyarrow import parquet
@@ -253,12 +261,12 @@ def _parquet_writer(file: BinaryIO, columns: Sequence[Column]) -> tuple[Write, C
     writer = parquet.ParquetWriter(file, schema)
 
     def write(values: list[Values]) -> None:
-        arrays = [
-            pyarrow.array(v, type=pyarrow.timestamp("ms")).cast(t)
-            if c.kind == "time"
-            else pyarrow.array(v, type=t)
-            for c, v, t in zip(columns, values, schema.types, strict=True)
-        ]
+        """Write rows, given column by column."""
+        arrays = []
+        for column, cells, file_type in zip(columns, values, schema.types, strict=True):
+            is_time = column.kind == "time"
+            array = pyarrow.array(cells, type=pyarrow.timestamp("ms") if is_time else file_type)
+            arrays.append(array.cast(file_type) if is_time else array)
         writer.write_batch(pyarrow.record_batch(arrays, schema=schema))
 
     return write, writer.close

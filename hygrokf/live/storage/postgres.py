@@ -32,7 +32,7 @@ DEFAULTS = {
     "connect_timeout": "10", "keepalives_idle": "30", "keepalives_interval": "10", "keepalives_count": "3",
     "tcp_user_timeout": "60000", "fallback_application_name": "hygrokf", "client_encoding": "UTF8",
 }  # fmt: skip
-"""Default connection parameters, which the URL may override; a lost server is detected within a minute."""
+"""Default connection parameters, which the URL may override; they detect a lost server within a minute."""
 # SQLAlchemy has no expression for SET
 STORE_SESSION = (
     f"SET lock_timeout = '{LOCK_S}s'",
@@ -97,7 +97,7 @@ class PostgresDatabase(Database):
     def cursor(self) -> Cursor:
         return self.connection.cursor(binary=True)  # the loader of timestamps reads the binary format
 
-    def is_trouble(self, error: Exception) -> bool:
+    def is_external(self, error: Exception) -> bool:
         import psycopg
 
         state = getattr(error, "sqlstate", None)
@@ -107,32 +107,35 @@ class PostgresDatabase(Database):
     def has_tables(self) -> bool:
         return bool(self.rows(POSTGRES_STORE_TABLES))
 
-    def take_turn(self) -> None:
+    def exclude_other_processes(self) -> None:
         self.rows(select(func.pg_advisory_xact_lock(CREATION_KEY)))
 
-    def try_claim(self, wanted: Sequence[tuple[str, str]]) -> tuple[str, str, str] | None:
-        """The session holds one advisory lock, and each claim stores the key of that lock, so that the claims
+    def try_claim(self, requested: Sequence[tuple[str, str]]) -> tuple[str, str, str] | None:
+        """Claim all names or none; the claims store the key of an advisory lock of this session, so that they
         end with the session.
 
         One lock per name would let a large fleet fill the server's lock table.
         """
         with self.transaction():
-            self.take_turn()
+            self.exclude_other_processes()
             if self._key is None:
                 key = secrets.randbits(63)
                 self.rows(select(func.pg_advisory_lock(key)))
                 self._key = key
             self.execute(delete(claim).where(claim.c.holder.not_in(HOLDERS)))
             rows = self.rows(CLAIMS.where(claim.c.holder != self._key))
-            holders = {(kind, name): who for kind, name, who in rows}
-            for kind, name in wanted:
+            holders = {(kind, name): process for kind, name, process in rows}
+            for kind, name in requested:
                 if (kind, name) in holders:
                     return kind, name, holders[kind, name]
-            self.insert_claims(wanted, self._key)
+            self.insert_claims(requested, self._key)
         return None
 
     def claims(self) -> dict[tuple[str, str], str]:
-        return {(kind, name): who for kind, name, who in self.rows(CLAIMS.where(claim.c.holder.in_(HOLDERS)))}
+        return {
+            (kind, name): process
+            for kind, name, process in self.rows(CLAIMS.where(claim.c.holder.in_(HOLDERS)))
+        }
 
     def may_write(self) -> bool:
         return bool(self.rows(select(func.has_table_privilege("observation", "INSERT")))[0][0])
@@ -159,11 +162,11 @@ def _load_times_as_seconds(connection: psycopg.Connection[Row]) -> None:
 
 
 def url_fault(url: str) -> str | None:
-    """The error message if a database's URL contains a secret, which the message does not repeat, else
-    None."""
-    rest = url.partition("://")[2]
-    keys = {part.partition("=")[0] for part in rest.partition("?")[2].split("&")}
-    return NO_SECRET if ":" in rest.rpartition("@")[0] or keys & set(SECRET_PARAMETERS) else None
+    """Return an error message if a URL contains a secret, which is not repeated, else None."""
+    after_scheme = url.partition("://")[2]
+    keys = {part.partition("=")[0] for part in after_scheme.partition("?")[2].split("&")}
+    has_password = ":" in after_scheme.rpartition("@")[0] or bool(keys & set(SECRET_PARAMETERS))
+    return NO_SECRET if has_password else None
 
 
 def import_psycopg(wanted_by: str) -> None:
@@ -175,7 +178,7 @@ def import_psycopg(wanted_by: str) -> None:
 
 
 def url_parameters(url: str) -> dict[str, Any]:
-    """The connection parameters of libpq in a URL.  Raises StoreFault."""
+    """Return libpq's connection parameters in a URL.  Raises StoreFault."""
     if (fault := url_fault(url)) is not None:
         raise StoreFault(fault)
     import_psycopg("a PostgreSQL store")
@@ -244,10 +247,8 @@ def open_postgres(url: str, read_only: bool = False) -> PostgresDatabase:
 
 
 def postgres_commands(copy: Path, url: str) -> list[str]:
-    """The shell commands that restore a `pg_dump` into a new database and give it the name of the store's
-    database, which is kept under another name.  Raises StoreFault.
-
-    """
+    """Return the shell commands that restore a `pg_dump` into a new database and give it the name of the
+    store's database, which is kept under another name.  Raises StoreFault."""
     parameters = url_parameters(url)
     from psycopg.conninfo import make_conninfo
 
@@ -269,4 +270,5 @@ def postgres_commands(copy: Path, url: str) -> list[str]:
 
 
 def _quoted(name: str) -> str:
+    """Quote the name of a database for SQL."""
     return '"' + name.replace('"', '""') + '"'

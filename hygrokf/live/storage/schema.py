@@ -64,18 +64,19 @@ class _ByDialect(FunctionElement[Any]):
 
 @compiles(_ByDialect)
 def _compile_by_dialect(element: _ByDialect, compiler: SQLCompiler, **options: Any) -> str:
+    """Write the text for the dialect that is compiled."""
     return compiler.process(element.by_dialect[compiler.dialect.name], **options)
 
 
 def _utc(time: sa.ColumnElement[Any]) -> sa.ColumnElement[Any]:
-    """A time as the database's timestamp or, in SQLite, which has no such type, as ISO 8601 text."""
+    """Return a time as the database's timestamp or, in SQLite, which has no such type, as ISO 8601 text."""
     stamp = time if isinstance(time.type, Instant) else func.to_timestamp(time)
     text = func.strftime("%Y-%m-%dT%H:%M:%fZ", time, "unixepoch")
     return _ByDialect(time, sqlite=text, postgresql=stamp)
 
 
 def _hour(time: sa.ColumnElement[Any]) -> sa.ColumnElement[Any]:
-    """The beginning of the hour of an `Instant`."""
+    """Return the beginning of the hour of an `Instant`."""
     hours = sa.cast(sa.type_coerce(time, NUMBER) / 3600.0, INTEGER)
     seconds = sa.type_coerce(hours, NUMBER) * 3600.0
     return _ByDialect(time, sqlite=seconds, postgresql=func.date_trunc("hour", time, "UTC"))
@@ -87,72 +88,76 @@ _TYPES: dict[type, TypeEngine[Any]] = {str: TEXT, int: INTEGER, float: NUMBER}
 
 
 def _key(name: str, kind: TypeEngine[Any] = TEXT) -> Column[Any]:
+    """Define a column of the primary key."""
     return Column(name, kind, primary_key=True, autoincrement=False)
 
 
-def _filled(name: str, kind: TypeEngine[Any] = TEXT) -> Column[Any]:
+def _required(name: str, kind: TypeEngine[Any] = TEXT) -> Column[Any]:
+    """Define a column that must not be NULL."""
     return Column(name, kind, nullable=False)
 
 
 def _readings(name: str, *more: Column[Any] | Index, keys: tuple[str, ...] = ()) -> Table:
-    """A table of readings, whose key holds turbine, signal, time and the further `keys`."""
+    """Define a table of readings with the primary key turbine, signal, time and the further `keys`."""
     columns = [_key("turbine"), _key("signal"), _key("time", Instant())]
-    value = _key("value", NUMBER) if "value" in keys else _filled("value", NUMBER)
-    return Table(name, METADATA, *columns, value, _filled("received", Instant()), *more)
+    value = _key("value", NUMBER) if "value" in keys else _required("value", NUMBER)
+    return Table(name, METADATA, *columns, value, _required("received", Instant()), *more)
 
 
-def _mark() -> Column[Any]:
+def _mark_column() -> Column[Any]:
+    """Define the column of `Reading.mark`, NULL without a mark."""
     return Column("mark", NUMBER)
 
 
 def _rows_of(kind: type[Any], name: str, *keys: str, index: tuple[str, ...] = ()) -> Table:
-    """A table whose columns are the fields of a dataclass; a column is nullable if its field may be None."""
+    """Define a table with the fields of a dataclass as columns, NULL where a field may be None."""
     columns = []
     for field, hint in get_type_hints(kind).items():
-        optional = isinstance(hint, UnionType)
-        type_ = Instant() if field == "time" else _TYPES[get_args(hint)[0] if optional else hint]
-        columns.append(Column(field, type_, primary_key=field in keys, nullable=optional))
+        is_optional = isinstance(hint, UnionType)
+        column_type = Instant() if field == "time" else _TYPES[get_args(hint)[0] if is_optional else hint]
+        columns.append(Column(field, column_type, primary_key=field in keys, nullable=is_optional))
     return Table(name, METADATA, *columns, *([Index(f"{name}_by_{index[-1]}", *index)] if index else ()))
 
 
 def _air(name: str, column: Column[Any], *more: str) -> Table:
-    """A table of conditions of the cabinet's air."""
+    """Define a table of the cabinet air's condition, with a further column and further numbers."""
     names = [*(name for q in DISPLAYED_QUANTITIES for name in (q.column, q.sd_column)), "condensation", *more]
     # unquoted, as people write them: PostgreSQL keeps them in lower case
-    numbers = [Column(quoted_name(each, quote=False), NUMBER) for each in names]
+    numbers = [Column(quoted_name(number_name, quote=False), NUMBER) for number_name in names]
     return Table(name, METADATA, _key("turbine"), _key("time", Instant()), column, *numbers)
 
 
-schema_version = Table("schema_version", METADATA, _key("version", INTEGER), _filled("applied", NUMBER))
-turbine = Table("turbine", METADATA, _key("name"), _filled("model"), _filled("added", NUMBER))
+schema_version = Table("schema_version", METADATA, _key("version", INTEGER), _required("applied", NUMBER))
+turbine = Table("turbine", METADATA, _key("name"), _required("model"), _required("added", NUMBER))
 observation = _readings(
-    "observation", _filled("late", INTEGER), _filled("contradicted", INTEGER), _mark(),
+    "observation", _required("late", INTEGER), _required("contradicted", INTEGER), _mark_column(),
     Index("observation_by_time", "turbine", "time"),
 )  # fmt: skip
-held = _readings("held", _mark(), keys=("value",))
+held = _readings("held", _mark_column(), keys=("value",))
 revision = _readings(
-    "revision", _mark(), _filled("late", INTEGER), _filled("number", INTEGER),
+    "revision", _mark_column(), _required("late", INTEGER), _required("number", INTEGER),
     Index("revision_by_time", "turbine", "time"), keys=("value",),
 )  # fmt: skip
 weather = _readings("weather")
 connection = _rows_of(Loss, "connection", "turbine", "signal", "lost")
-point = Table("point", METADATA, _key("turbine"), _filled("time", NUMBER), _filled("state"))
+point = Table("point", METADATA, _key("turbine"), _required("time", NUMBER), _required("state"))
 """The filter state.  Its time is a number in both databases, so that reading restores every bit."""
-estimate = _air("estimate", _filled("final", INTEGER))
-forecast = _air("forecast", _filled("made", Instant()), "above_limit")
+estimate = _air("estimate", _required("final", INTEGER))
+forecast = _air("forecast", _required("made", Instant()), "above_limit")
 property_ = Table(
-    "property", METADATA, _filled("turbine"), _filled("time", Instant()), _filled("name"), _filled("unit"),
+    "property", METADATA,
+    _required("turbine"), _required("time", Instant()), _required("name"), _required("unit"),
     Column("value", NUMBER), Column("lower_bound", NUMBER), Column("upper_bound", NUMBER),
-    _filled("reference", NUMBER), _filled("observable", INTEGER),
+    _required("reference", NUMBER), _required("observable", INTEGER),
     sa.PrimaryKeyConstraint("turbine", "name", "time"), Index("property_by_time", "turbine", "time"),
 )  # fmt: skip
 alarm = _rows_of(Alarm, "alarm", "id", index=("turbine", "began"))
-memory = Table("memory", METADATA, _key("turbine"), _key("name"), _filled("content"))
-counter = Table("counter", METADATA, _key("turbine"), _key("name"), _filled("count", sa.BIGINT()))
-source = Table("source", METADATA, _key("url"), _filled("place"))
+memory = Table("memory", METADATA, _key("turbine"), _key("name"), _required("content"))
+counter = Table("counter", METADATA, _key("turbine"), _key("name"), _required("count", sa.BIGINT()))
+source = Table("source", METADATA, _key("url"), _required("place"))
 claim = Table(
-    "claim", METADATA, _key("kind"), _key("name"), _filled("holder", sa.BIGINT()), _filled("who"),
-    _filled("since", NUMBER),
+    "claim", METADATA, _key("kind"), _key("name"), _required("holder", sa.BIGINT()), _required("who"),
+    _required("since", NUMBER),
 )  # fmt: skip
 assessment = _rows_of(Assessment, "assessment", "turbine")
 shelf = _rows_of(Shelf, "shelf", "turbine", "kind")
@@ -168,6 +173,7 @@ VIEWS: dict[str, sa.Select[Any]] = {}
 
 
 def _view(name: str, query: sa.Select[Any]) -> sa.TableClause:
+    """Register the query of a view; returns the view for other queries."""
     VIEWS[name] = query
     return sa.table(name, *(sa.column(column.name, column.type) for column in query.selected_columns))
 
@@ -184,13 +190,14 @@ class _CrossJoin(sa.Join):
 
 @compiles(_CrossJoin)
 def _compile_cross_join(join: _CrossJoin, compiler: SQLCompiler, **options: Any) -> str:
+    """Write "LEFT CROSS JOIN RIGHT"."""
     options = {**options, "asfrom": True}
     left, right = (compiler.process(side, **options) for side in (join.left, join.right))
     return f"{left} CROSS JOIN {right}"
 
 
 def named_columns(rows: sa.FromClause, names: str) -> list[sa.ColumnElement[Any]]:
-    """Columns by their names; NAME_utc, unless it is a column itself, is the column NAME as a timestamp."""
+    """Return columns by names separated by blanks; NAME_utc is the column NAME as a timestamp."""
     return [
         rows.c[name] if name in rows.c else _utc(rows.c[name.removesuffix("_utc")]).label(name)
         for name in names.split()
@@ -198,13 +205,13 @@ def named_columns(rows: sa.FromClause, names: str) -> list[sa.ColumnElement[Any]
 
 
 def newest_time(rows: Table) -> sa.ScalarSelect[Any]:
-    """The newest time of a turbine's rows, in a query of turbines."""
+    """Return the newest time of a turbine's rows, for a query of the table `turbine`."""
     alias = rows.alias()
     return select(func.max(alias.c.time)).where(alias.c.turbine == turbine.c.name).scalar_subquery()
 
 
 def _readable(air: Table) -> list[sa.ColumnElement[Any]]:
-    """The columns of a condition in display units with 95 % bounds."""
+    """Return the columns of a condition in display units with 95 % bounds."""
     columns: list[sa.ColumnElement[Any]] = []
     for q in DISPLAYED_QUANTITIES:
         value, half_width = q.factor * air.c[q.column] + q.offset, Z95 * q.factor * air.c[q.sd_column]
@@ -289,7 +296,7 @@ _view(
 
 
 def creation(dialect: sa.Dialect) -> list[str]:
-    """Statements that create all tables and views in one database's SQL dialect."""
+    """Return the statements that create all tables and views in an SQL dialect."""
     tables = METADATA.tables.values()
     created: list[sa.ClauseElement] = [*map(CreateTable, tables)]
     created += [CreateIndex(index) for table in tables for index in table.indexes]
@@ -297,7 +304,7 @@ def creation(dialect: sa.Dialect) -> list[str]:
 
 
 def view_creation(dialect: sa.Dialect) -> list[str]:
-    """Statements that create all views in one database's SQL dialect."""
+    """Return the statements that create all views in an SQL dialect."""
     literally = {"literal_binds": True}
     return [
         f"CREATE VIEW {name} AS {query.compile(dialect=dialect, compile_kwargs=literally)}"

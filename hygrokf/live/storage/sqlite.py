@@ -61,35 +61,34 @@ class SqliteDatabase(Database):
     def is_replaced(self) -> bool:
         return self.identity is not None and identity_of(self._path) != self.identity
 
-    def is_trouble(self, error: Exception) -> bool:
+    def is_external(self, error: Exception) -> bool:
         code = getattr(error, "sqlite_errorcode", None)
         return code is not None and code & 0xFF not in INTERNAL_ERRORS
 
     def has_tables(self) -> bool:
         return bool(self.rows(SQLITE_STORE_TABLES))
 
-    def take_turn(self) -> None:
+    def exclude_other_processes(self) -> None:
         """Mark the file as a store; BEGIN IMMEDIATE has already waited for other processes."""
         self.execute(text(f"PRAGMA application_id={APPLICATION_ID}"))
 
-    def try_claim(self, wanted: Sequence[tuple[str, str]]) -> tuple[str, str, str] | None:
-        """One file has one tracker: the lock file covers everything that it tracks."""
+    def try_claim(self, requested: Sequence[tuple[str, str]]) -> tuple[str, str, str] | None:
+        """Claim all names by locking the lock file: a file has only one writing tracker."""
         if self._lock is None:
             self._lock = lock_file(lock_path(self._path))
             if self._lock is None:
                 row = self.first(LAST_CLAIM)
-                return (*wanted[0], row[0] if row else "another process")
+                return (*requested[0], row[0] if row else "another process")
             self.execute(delete(claim))
         with self.transaction():
-            self.insert_claims(wanted, 0)
+            self.insert_claims(requested, 0)
         return None
 
     def claims(self) -> dict[tuple[str, str], str]:
-        """Claims count only while the file is locked, because those of a killed process remain in the
-        table."""
+        """Return the claims while the file is locked; those of a killed process remain in the table."""
         if self._lock is None and not is_locked(lock_path(self._path)):
             return {}
-        return {(kind, name): who for kind, name, who in self.rows(CLAIMS)}
+        return {(kind, name): process for kind, name, process in self.rows(CLAIMS)}
 
     def faults(self) -> list[str]:
         return [row[0] for row in self.rows(text("PRAGMA quick_check(5)")) if row[0] != "ok"]
@@ -109,7 +108,7 @@ class SqliteDatabase(Database):
 
 
 def identity_of(path: Path) -> tuple[int, int] | None:
-    """Device and inode of a file, which differ for another file of the same name; None without a file."""
+    """Return device and inode of a file, which identify it; None without a file."""
     try:
         status = path.stat()
     except OSError:
@@ -118,18 +117,18 @@ def identity_of(path: Path) -> tuple[int, int] | None:
 
 
 def path_of(url: str) -> Path:
-    """Path of the file of a store at `sqlite:PATH`."""
+    """Return the path of the store at `sqlite:PATH`."""
     return Path(url.removeprefix("sqlite:").removeprefix("//"))
 
 
 def lock_path(path: Path) -> Path:
-    """Path of the lock file beside a store's file."""
+    """Return the path of the lock file beside a store's file."""
     return Path(f"{os.path.realpath(path)}.lock")
 
 
 def restoring_path(path: Path) -> Path:
-    """Path of the copy that a restore renames to the store's path; it exists only if a restore was
-    interrupted."""
+    """Return the path of the copy that a restore finally renames to the store's path; the copy remains only
+    if a restore was interrupted."""
     return Path(f"{os.path.realpath(path)}.restoring")
 
 
@@ -180,7 +179,7 @@ def open_sqlite(path: Path, read_only: bool = False) -> SqliteDatabase:
     if read_only and not path.is_file():
         raise StoreUnready(f"{path}: there is no such store; check the name")
     if restoring_path(path).exists():
-        raise StoreFault(f"{path}: restoring it was interrupted; run hygrokf restore again")
+        raise StoreFault(f"{path}: a restore of this store was interrupted; run hygrokf restore again")
     database = None
     try:
         if path.exists():
@@ -201,13 +200,15 @@ def open_sqlite(path: Path, read_only: bool = False) -> SqliteDatabase:
 
 
 def _opening_fault(path: Path, fault: sqlite3.Error) -> str:
-    """The message that says why a file cannot be opened as a store, and what to do."""
+    """Return the message that says why a file cannot be opened as a store, and what to do."""
     if path.is_dir():
         return f"{path}: expected the file of a store, found a directory; name a file in it"
     if not os.access(path.parent, os.W_OK | os.X_OK):
-        return f"{path}: the folder {path.parent} is write-protected; change its rights or name another"
+        return (
+            f"{path}: the folder {path.parent} is write-protected; change its permissions or name another one"
+        )
     if path.exists() and not os.access(path, os.R_OK | os.W_OK):
-        return f"{path}: no right to read and write it; change its rights, or name a new file"
+        return f"{path}: this user may not read and write it; change its permissions, or name a new file"
     return (
         f"{path}: it cannot be read as a store ({fault}); nothing was written to it. "
         "Move it away and restore a copy, or name a new file"
@@ -215,6 +216,7 @@ def _opening_fault(path: Path, fault: sqlite3.Error) -> str:
 
 
 def connect(path: Path, mode: str) -> sqlite3.Connection:
+    """Open a file in autocommit mode; `mode`: "ro", "rw" or, to create the file, "rwc"."""
     return sqlite3.connect(
         f"{path.absolute().as_uri()}?mode={mode}",
         uri=True, timeout=BUSY_S, isolation_level=None, check_same_thread=False,
@@ -222,7 +224,7 @@ def connect(path: Path, mode: str) -> sqlite3.Connection:
 
 
 def _rows(connection: sqlite3.Connection, query: Select[Any]) -> list[Row]:
-    """The rows of a query on a connection that is not a `SqliteDatabase`."""
+    """Return the rows of a query on a bare connection, without a `SqliteDatabase`."""
     compiled = query.compile(dialect=SQLITE, compile_kwargs={"literal_binds": True})
     return connection.execute(str(compiled)).fetchall()
 
@@ -263,8 +265,8 @@ def refuse_unusable(path: Path, check_pages: bool) -> None:
 def _use_write_ahead_log(connection: sqlite3.Connection) -> None:
     """Switch to the write-ahead log, retrying while another process switches, for which SQLite itself does
     not wait."""
-    end = time.monotonic() + BUSY_S
-    while time.monotonic() <= end:
+    deadline_s = time.monotonic() + BUSY_S
+    while time.monotonic() <= deadline_s:
         with suppress(sqlite3.OperationalError):
             connection.execute("PRAGMA journal_mode=WAL")
             return
@@ -304,7 +306,7 @@ def restore_sqlite(copy: Path, store: Path) -> Restored:
     lock_is_new = not lock.exists()
     locked = lock_file(lock)
     if locked is None:
-        raise StoreFault(f"{path}: a tracker runs on it ({_holder(path)}); end it first, then restore")
+        raise StoreFault(f"{path}: a tracker uses this store ({_holder(path)}); end it first, then restore")
     with closing(locked):
         try:
             part = path.with_name(f"{path.name}.part")
@@ -317,7 +319,7 @@ def restore_sqlite(copy: Path, store: Path) -> Restored:
             os.replace(restoring_path(path), path)
             _sync(path.parent)
         except OSError as fault:
-            raise StoreFault(f"{path}: {fault.strerror or fault}; mend that and restore again") from fault
+            raise StoreFault(f"{path}: {fault.strerror or fault}; fix this and restore again") from fault
     return Restored(path, turbines, newest_s, kept)
 
 
@@ -349,11 +351,11 @@ def _copy_checked(copy: Path, part: Path) -> tuple[int, float | None]:
 
 
 def _rename_files(path: Path) -> tuple[Path, ...]:
-    """Rename the store's files alike, so that they remain a store of another name; returns the new paths."""
-    aside = f"{path.name}.before-{datetime.now(UTC):%Y%m%dT%H%M%S%fZ}"
+    """Rename the store's files together, so that they remain a complete store; returns the new paths."""
+    new_name = f"{path.name}.before-{datetime.now(UTC):%Y%m%dT%H%M%S%fZ}"
     kept = []
     for suffix in FILE_SUFFIXES:
-        old, new = Path(f"{path}{suffix}"), path.with_name(f"{aside}{suffix}")
+        old, new = Path(f"{path}{suffix}"), path.with_name(f"{new_name}{suffix}")
         if old.exists():
             os.rename(old, new)
             kept.append(new)
@@ -362,7 +364,7 @@ def _rename_files(path: Path) -> tuple[Path, ...]:
 
 
 def _holder(path: Path) -> str:
-    """The process that writes to a store, by its last claim if that still holds."""
+    """Return the process that writes to a store, by its last claim if that is still valid."""
     with suppress(sqlite3.Error), closing(connect(path, "ro")) as connection:
         rows = _rows(connection, LAST_CLAIM)
         if rows and is_locked(lock_path(path)):

@@ -19,18 +19,21 @@ from hygrokf.live.storage.schema import observation, revision
 ACKNOWLEDGED_COLUMNS = ("acknowledged", "acknowledged_by", "cause", "note", "look_again")
 """Columns of an alarm that the page writes and the tracker leaves as they are."""
 CLEARED: sa.ColumnElement[int] = sa.literal_column("0")
-"""A cleared flag as a literal, because a statement for many rows has no parameter for it."""
+"""The value of a cleared flag, as a literal, because a statement for many rows has only the rows'
+parameters."""
 
 
 # -- statements about any table ------------------------------------------------------------------------------
 def matches(rows: sa.FromClause, names: str) -> sa.ColumnElement[bool]:
-    """Condition: each named column equals the parameter of the same name."""
-    first, *others = (rows.c[name] == bindparam(name) for name in names.split())
-    return sa.and_(first, *others)
+    """Return the condition that each named column equals the parameter of the same name.
+
+    names: names of columns, separated by blanks.
+    """
+    return sa.and_(*(rows.c[name] == bindparam(name) for name in names.split()))
 
 
 def is_since(rows: sa.FromClause) -> sa.ColumnElement[bool]:
-    """Condition: the time of a row is `since` [s] or later."""
+    """Return the condition that the time of a row is the parameter `since` [s] or later."""
     return rows.c.time >= bindparam("since")
 
 
@@ -38,8 +41,11 @@ def is_since(rows: sa.FromClause) -> sa.ColumnElement[bool]:
 def select_rows(
     rows: sa.FromClause, names: str = "", same: str = "", order: str = "", since: bool = False
 ) -> Select[Any]:
-    """Select the columns `names` ("": all) of the rows whose columns `same` equal their parameters and, with
-    `since`, whose time [s] is not before the parameter of that name; sorted by the columns `order`."""
+    """Select columns of a table or view; names of columns are separated by blanks.
+
+    names: columns to select, "" for all. same: columns that must equal the parameters of their names. order:
+    columns by which the rows are sorted. since: only rows whose time [s] is the parameter `since` or later.
+    """
     query = select(*(rows.c[name] for name in names.split() or rows.c.keys()))
     query = query.where(matches(rows, same)) if same else query
     query = query.where(is_since(rows)) if since else query
@@ -48,7 +54,7 @@ def select_rows(
 
 @cache
 def select_newest(rows: Table, names: str, same: str = "") -> Select[Any]:
-    """Select columns of the newest row whose columns `same` equal their parameters."""
+    """Select columns of the newest row; arguments as of `select_rows`."""
     return select_rows(rows, names, same).order_by(rows.c.time.desc()).limit(1)
 
 
@@ -97,15 +103,15 @@ def delete_rows(table: Table, same: str, since: bool = False) -> sa.Delete:
 
 @cache
 def first_kept(time: sa.Column[Any], same: str) -> Select[Any]:
-    """Select the time of one row before `until` [s] whose columns `same` equal their parameters: the row
-    after the `first` oldest ones."""
+    """Select the time of the row that follows the `first` oldest ones, among the rows before `until` [s]
+    whose columns `same` equal the parameters of their names."""
     conditions = matches(time.table, same), time < bindparam("until")
     return select(time).where(*conditions).order_by(time).limit(1).offset(bindparam("first"))
 
 
 @cache
 def delete_before(time: sa.Column[Any], same: str) -> sa.Delete:
-    """Delete the rows before `until` [s] whose columns `same` equal their parameters."""
+    """Delete the rows before `until` [s] whose columns `same` equal the parameters of their names."""
     assert isinstance(time.table, Table), "the column belongs to a table"
     return delete_rows(time.table, same).where(time < bindparam("until"))
 
@@ -122,6 +128,7 @@ FIRST_VERSION = (
     )
     .on_conflict_do_nothing()
 )
+"""Copy an observation to the versions of its stamp, as version number 0, unless this was done before."""
 USE_VERSION = (
     sa.update(observation)
     .where(
@@ -132,7 +139,9 @@ USE_VERSION = (
     .values({name: revision.c[name] for name in ("value", "received", "mark")})
     .values(contradicted=bindparam("is_contradicted"))
 )
+"""Copy the version with the value `used` to the observation of its stamp."""
 PROVISIONAL = delete_rows(schema.estimate, "turbine", since=True).where(schema.estimate.c.final == CLEARED)
+"""Delete the provisional estimates of a turbine from `since` [s] on."""
 _ALARM = sa.update(schema.alarm).where(matches(schema.alarm, "id"))
 REOPEN = _ALARM.values(dict.fromkeys(("acknowledged", "acknowledged_by", "look_again"), sa.null()))
 ACKNOWLEDGE = _ALARM.where(schema.alarm.c.acknowledged.is_(None)).values(
@@ -143,7 +152,7 @@ OLD_WEATHER = delete(schema.weather).where(schema.weather.c.time < bindparam("un
 
 # -- readings ------------------------------------------------------------------------------------------------
 def _signals() -> sa.CTE:
-    """The signals of a turbine's readings, each by one index lookup; DISTINCT would scan all readings."""
+    """Query the signals of a turbine by one index lookup each; DISTINCT would scan all readings."""
     rows = observation.alias()
     first = select(func.min(observation.c.signal).label("signal")).where(matches(observation, "turbine"))
     known = first.cte("known", recursive=True)
@@ -161,6 +170,7 @@ BEFORE_TIME = (
     .order_by(observation.c.time.desc())
     .limit(bindparam("most"))
 )
+"""Times of a signal's last readings before `before` [s], the newest first."""
 READINGS = select_rows(
     observation, "time value mark contradicted", "turbine signal", "time", since=True
 ).where(observation.c.late == 0)

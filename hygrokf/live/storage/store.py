@@ -76,41 +76,52 @@ class Store:
         If a stamp has several values, the observation holds the one that the filter uses, and the table
         `revision` holds all versions.
         """
-        first = [(*_reading_row(o), int(o.late), 0, _mark(o)) for o in batch.observations if not o.revision]
-        self.execute_many(insert_new(schema.observation), first)
-        self._write_revisions([o for o in batch.observations if o.revision])
-        for statement, rows in _changes(batch):
+        first_values = [observed for observed in batch.observations if not observed.revision]
+        contradicted = 0
+        self.execute_many(
+            insert_new(schema.observation),
+            [
+                (*_reading_row(observed), int(observed.late), contradicted, _mark(observed))
+                for observed in first_values
+            ],
+        )
+        self._write_revisions([observed for observed in batch.observations if observed.revision])
+        for statement, rows in _statements_of(batch):
             self.execute_many(statement, rows)
 
     def _write_revisions(self, revisions: Sequence[Observation]) -> None:
-        """Add each revision to the versions of its stamp; unless it is late, choose the version to use
-        anew."""
-        stamps: dict[str, list[tuple[str, float]]] = {}
-        for o in revisions:
-            stamps.setdefault(o.turbine, []).append((o.reading.signal, o.reading.time))
-        stored = {turbine: self.versions(turbine, revised) for turbine, revised in stamps.items()}
-        self.execute_many(statements.FIRST_VERSION, [_reading_row(o)[:3] for o in revisions])
-        insertion = insert_new(schema.revision)
-        for o in revisions:
-            versions = stored[o.turbine][o.reading.signal, o.reading.time]
-            self.execute_many(insertion, [(*_reading_row(o), _mark(o), int(o.late), len(versions))])
-            versions.append(o.reading)
-            if not o.late:
-                self.use(o.turbine, versions)
+        """Add each revision to the versions of its stamp and, unless it is late, choose the one to use."""
+        stamps_by_turbine: dict[str, list[tuple[str, float]]] = {}
+        for revision in revisions:
+            stamp = revision.reading.signal, revision.reading.time
+            stamps_by_turbine.setdefault(revision.turbine, []).append(stamp)
+        stored = {turbine: self.versions(turbine, stamps) for turbine, stamps in stamps_by_turbine.items()}
+        self.execute_many(statements.FIRST_VERSION, [_reading_row(revision)[:3] for revision in revisions])
+        for revision in revisions:
+            versions = stored[revision.turbine][revision.reading.signal, revision.reading.time]
+            row = (*_reading_row(revision), _mark(revision), int(revision.late), len(versions))
+            self.execute_many(insert_new(schema.revision), [row])
+            versions.append(revision.reading)
+            if not revision.late:
+                self.use_version(revision.turbine, versions)
 
-    def use(self, turbine: str, versions: Sequence[Reading]) -> None:
-        """Write the version of a stamp that the filter uses as the observation."""
-        value, first = used_value(versions), versions[0]
+    def use_version(self, turbine: str, versions: Sequence[Reading]) -> None:
+        """Make the version that the filter uses the observation of its stamp.
+
+        versions: of one stamp, in the order of their arrival.  If none is used, the observation is marked as
+        contradicted.
+        """
+        first, value = versions[0], used_value(versions)
         is_contradicted = math.isnan(value)
         used = first.value if is_contradicted else value
         stamp = {"turbine": turbine, "signal": first.signal, "time": first.time}
         self.execute(statements.USE_VERSION, **stamp, used=used, is_contradicted=int(is_contradicted))
 
     def add_turbines(self, models: Mapping[str, str]) -> None:
-        """Register turbines; `models`: turbine → digest of the model that tracks it.
+        """Register turbines; `models`: turbine → digest of its model.
 
-        A turbine whose model has changed starts again from its observations, because its filter state belongs
-        to the old model.
+        The filter state of a turbine whose model has changed is deleted, so that its stored readings are
+        filtered again.
         """
         with self.transaction():
             registered = self.models()
@@ -147,21 +158,23 @@ class Store:
         self._put(upsert(schema.event), event)
 
     def _put(self, statement: ClauseElement, row: Shelf | Event) -> None:
+        """Write a row in a transaction of its own."""
         with self.transaction():
             self.execute_many(statement, [astuple(row)])
 
     # -- reading ---------------------------------------------------------------------------------------------
     def point(self, turbine: str) -> Point | None:
+        """Return the newest final estimate of a turbine; None before the first."""
         row = self.first(select_rows(schema.point, "time state", "turbine"), turbine=turbine)
         return Point(row[0], state_of(row[1])) if row else None
 
     def models(self) -> dict[str, str]:
-        """Turbine → digest of the model that tracks it."""
+        """Return turbine → digest of its model."""
         return dict(self.rows(select_rows(schema.turbine, "name model", order="name")))
 
     def readings(self, turbine: str, since: float) -> list[Reading]:
-        """Readings of a turbine that the filter may use: each signal's readings from `since` [s] on, and its
-        last `BEFORE` readings before `since`.
+        """Return the readings of a turbine that the filter may use: of each signal those from `since` [s] on
+        and the last `BEFORE` earlier ones.
 
         The value is NaN where two readings contradict each other.
         """
@@ -174,27 +187,25 @@ class Store:
         return readings
 
     def first_needed(self, turbine: str, signal: str, since: float) -> float:
-        """Time [s] of the earliest of a signal's last `BEFORE` readings before `since` [s]; `since` itself if
-        there are no earlier readings."""
-        query = statements.BEFORE_TIME
-        times = self.rows(query, turbine=turbine, signal=signal, before=since, most=BEFORE)
+        """Return the time [s] of the earliest of a signal's last `BEFORE` readings before `since` [s];
+        `since` itself without earlier readings."""
+        times = self.rows(statements.BEFORE_TIME, turbine=turbine, signal=signal, before=since, most=BEFORE)
         return float(times[-1][0]) if times else since
 
     def versions(self, turbine: str, stamps: Iterable[tuple[str, float]]) -> Versions:
-        """The versions of the values of some stamps (signal, time [s]); a stamp that is not stored is left
-        out."""
+        """Return the versions at stamps (signal, time [s]), without stamps that are not stored."""
         versions: Versions = {}
-        wanted = set(stamps)
-        times = sorted({at for _, at in wanted})
+        requested = set(stamps)
+        times = sorted({at for _, at in requested})
         for first in range(0, len(times), TIMES_PER_QUERY):
-            some = times[first : first + TIMES_PER_QUERY]
-            rows = self.rows(statements.AT_TIMES, turbine=turbine, times=some)
-            versions |= {(row[0], row[1]): [_reading(*row)] for row in rows if row[:2] in wanted}
+            chunk = times[first : first + TIMES_PER_QUERY]
+            rows = self.rows(statements.AT_TIMES, turbine=turbine, times=chunk)
+            versions |= {(row[0], row[1]): [_reading(*row)] for row in rows if row[:2] in requested}
         revised = self.revised(turbine, times[0]) if versions else {}
         return versions | {stamp: values for stamp, values in revised.items() if stamp in versions}
 
     def revised(self, turbine: str, since: float = -math.inf) -> Versions:
-        """The versions of all stamps from `since` [s] on that have several values."""
+        """Return the versions of all stamps with several values, from `since` [s] on."""
         versions: Versions = {}
         query = select_rows(
             schema.revision, "signal time value mark", "turbine", "signal time number", since=True
@@ -204,7 +215,7 @@ class Store:
         return versions
 
     def losses(self, turbine: str) -> dict[str, list[tuple[float, float]]]:
-        """Signal of a turbine → spans (begin, end) [s] without connection; the end is ∞ while it is lost."""
+        """Return signal → spans (begin, end) [s] without connection; the end is ∞ while it is lost."""
         losses: dict[str, list[tuple[float, float]]] = {}
         query = select_rows(schema.connection, "signal lost regained", "turbine", "signal lost")
         for signal, lost, regained in self.rows(query, turbine=turbine):
@@ -212,45 +223,44 @@ class Store:
         return losses
 
     def held(self, turbine: str, until: float = math.inf) -> list[Observation]:
-        """Readings of a turbine that are held back because they arrived with stamps ahead of the clock, up to
-        the time `until` [s], sorted by time."""
+        """Return the readings of a turbine that are held back because their stamps are ahead of the clock, up
+        to the stamp `until` [s], sorted by time."""
         rows = self.rows(statements.HELD, turbine=turbine, until=until)
         return [Observation(name, _reading(*reading), received) for name, received, *reading in rows]
 
     def held_ahead(self) -> list[tuple[str, str, float]]:
-        """(turbine, signal, time [s] from the last arrival to the latest stamp) of readings that are held
-        back."""
+        """Return (turbine, signal, time [s] from the last arrival to the latest stamp) of the readings that
+        are held back."""
         rows = self.rows(statements.HELD_AHEAD)
         return [(turbine, signal, latest - arrival) for turbine, signal, latest, arrival in rows]
 
     def held_count(self, turbine: str) -> int:
-        """Number of readings that are held back for one turbine."""
+        """Return the number of readings of a turbine that are held back."""
         return int(self.rows(count_rows(schema.held, "turbine"), turbine=turbine)[0][0])
 
     def newest_estimate(self, turbine: str) -> tuple[float, float | None] | None:
-        """Time [s] and probability of condensation [1] of a turbine's newest estimate; None without
-        estimates."""
+        """Return time [s] and probability of condensation [1] of the newest estimate; None without one."""
         row = self.first(select_newest(schema.estimate, "time condensation", "turbine"), turbine=turbine)
         return None if row is None else (row[0], row[1])
 
     def outlook(self, turbine: str) -> list[tuple[float, float]]:
-        """Times [s] and probabilities of condensation [1] of a turbine's forecast."""
+        """Return (time [s], probability of condensation [1]) of a turbine's forecast."""
         return self.rows(statements.OUTLOOK, turbine=turbine)
 
     def assessments(self) -> dict[str, Assessment]:
-        """Turbine → assessment of its state."""
+        """Return turbine → assessment of its state."""
         return {row.turbine: row for row in self.records(Assessment, select_rows(schema.assessment))}
 
     def shelves(self, now: float) -> list[Shelf]:
-        """Shelves that are in force at `now` [s]."""
+        """Return the shelves that are in force at `now` [s]."""
         return self.records(Shelf, statements.SHELVES, now=now)
 
     def all_events(self) -> list[Event]:
-        """Events at all turbines, in the order in which they were entered."""
+        """Return the events at all turbines, in the order in which they were entered."""
         return self.records(Event, select_rows(schema.event, order="made id"))
 
     def events(self, turbine: str) -> list[Event]:
-        """Events at a turbine, sorted by time."""
+        """Return the events at a turbine, sorted by time."""
         return self.records(
             Event, select_rows(schema.event, same="turbine", order="time id"), turbine=turbine
         )
@@ -258,54 +268,55 @@ class Store:
     def course(
         self, turbine: str, signals: Sequence[str], since: float, until: float
     ) -> list[tuple[str, float, float]]:
-        """(signal, time [s], value) of the readings of some signals that the filter used, from `since` to
-        `until` [s], sorted by signal and time."""
+        """Return (signal, time [s], value [SI unit]) of the readings that the filter used, of some signals,
+        from `since` to `until` [s], sorted by signal and time."""
         span = {"since": since, "until": until}
         return self.rows(statements.COURSE, turbine=turbine, signals=signals, **span)
 
     def weather(self, turbine: str, since: float) -> list[tuple[str, float, float]]:
-        """(signal, time [s], value) of the turbine's own weather forecast, or of the forecast for all
-        turbines if it has none, sorted by signal and time."""
+        """Return (signal, time [s], value [SI unit]) of the turbine's own weather forecast or, without one,
+        of that for all turbines, sorted by signal and time."""
         query = select_rows(schema.weather, "signal time value", "turbine", "signal time", since=True)
         return self.rows(query, turbine=turbine, since=since) or self.rows(query, turbine="", since=since)
 
     def memory(self, turbine: str, name: str) -> Json:
-        """JSON data of that name from which a turbine's tracker resumes; None if the store has none."""
+        """Return the JSON data stored under a name for a turbine's tracker; None without such data."""
         row = self.first(select_rows(schema.memory, "content", "turbine name"), turbine=turbine, name=name)
         return json.loads(row[0]) if row else None
 
     def memories(self, turbine: str) -> JsonObject:
-        """Name → JSON data from which a turbine's tracker resumes."""
+        """Return name → JSON data from which a turbine's tracker resumes."""
         rows = self.rows(select_rows(schema.memory, "name content", "turbine"), turbine=turbine)
         return {name: json.loads(content) for name, content in rows}
 
     def signals(self, turbine: str) -> list[str]:
-        """Signals of a turbine's readings."""
+        """Return the signals of which the turbine has readings."""
         return [signal for (signal,) in self.rows(statements.SIGNALS_READ, turbine=turbine)]
 
     def place(self, url: str) -> str | None:
-        """Position at which a source resumes; None if it was never read."""
+        """Return the position at which a source resumes; None if it was never read."""
         row = self.first(select_rows(schema.source, "place", "url"), url=url)
         return row[0] if row else None
 
     def counters(self) -> dict[tuple[str, str], int]:
+        """Return (turbine, name) → count."""
         return {(turbine, name): int(n) for turbine, name, n in self.rows(select_rows(schema.counter))}
 
     def size(self) -> dict[str, int]:
-        """Table → number of rows."""
+        """Return table → number of rows."""
         return {name: int(self.rows(count_rows(table))[0][0]) for name, table in schema.TABLES.items()}
 
 
-def _changes(batch: Batch) -> Iterator[tuple[ClauseElement, Iterable[Row]]]:
-    """The statements that write a batch except its observations, each with its rows of parameters."""
-    yield insert_new(schema.held), [(*_reading_row(o), _mark(o)) for o in batch.held]
-    yield delete_rows(schema.held, "turbine signal time"), [_reading_row(o)[:3] for o in batch.released]
+def _statements_of(batch: Batch) -> Iterator[tuple[ClauseElement, Iterable[Row]]]:
+    """Yield the statements that write a batch without its observations, each with its rows of parameters."""
+    yield insert_new(schema.held), [(*_reading_row(held), _mark(held)) for held in batch.held]
+    yield delete_rows(schema.held, "turbine signal time"), [_reading_row(held)[:3] for held in batch.released]
     yield upsert(schema.connection), map(astuple, batch.losses)
-    points = [(turbine, p.time, state_text(p.state)) for turbine, p in batch.points.items()]
+    points = [(turbine, point.time, state_text(point.state)) for turbine, point in batch.points.items()]
     yield upsert(schema.point), points
     # the new estimates replace the provisional ones
-    yield statements.PROVISIONAL, [(turbine, e.since) for turbine, e in batch.estimates.items()]
-    estimates = (estimate_rows(turbine, e.condition, e.final) for turbine, e in batch.estimates.items())
+    yield statements.PROVISIONAL, [(turbine, new.since) for turbine, new in batch.estimates.items()]
+    estimates = (estimate_rows(turbine, new.condition, new.final) for turbine, new in batch.estimates.items())
     yield upsert(schema.estimate), chain.from_iterable(estimates)
     properties = [
         (turbine, at, p.name, p.unit, p.value, p.lower, p.upper, p.reference, int(p.observable))
@@ -331,78 +342,85 @@ def _changes(batch: Batch) -> Iterator[tuple[ClauseElement, Iterable[Row]]]:
             forecast_rows = [(*row[:2], forecast.made_s, *row[3:], above) for row, above in rows]
             yield insert_new(schema.forecast), forecast_rows
     if batch.weather:  # forecast values of the past are of no use
-        old = min(o.received for o in batch.weather) - WEATHER_KEPT_S
-        yield statements.OLD_WEATHER, [(old,)]
+        kept_from_s = min(observed.received for observed in batch.weather) - WEATHER_KEPT_S
+        yield statements.OLD_WEATHER, [(kept_from_s,)]
     yield upsert(schema.weather, newer="received"), map(_reading_row, batch.weather)
 
 
 def _reading_row(observation: Observation) -> Row:
+    """Return (turbine, signal, time [s] from last arrival to latest stamp) of held readings."""
     reading = observation.reading
     return (observation.turbine, reading.signal, reading.time, reading.value, observation.received)
 
 
 def _mark(observation: Observation) -> float | None:
+    """Return the mark of a reading for the store: None without one."""
     mark = observation.reading.mark
     return None if math.isnan(mark) else mark
 
 
 def _reading(signal: str, time: float, value: float, mark: float | None) -> Reading:
+    """Return a reading from the columns of the store."""
     return Reading(signal, time, value, math.nan if mark is None else mark)
 
 
 def state_text(state: Gaussian) -> str:
-    """A Gaussian as JSON that restores every bit."""
+    """Return a Gaussian as JSON, from which `state_of` restores every bit."""
     return json.dumps({"mean": state.mean.tolist(), "covariance": np.asarray(state.covariance).tolist()})
 
 
 def state_of(text: str) -> Gaussian:
+    """Return the Gaussian of `state_text`."""
     data = json.loads(text)
     return Gaussian(np.array(data["mean"], dtype=float), np.array(data["covariance"], dtype=float))
 
 
 def estimate_rows(turbine: str, condition: Condition, final: int) -> list[Row]:
-    """Rows of the estimate table, in the order of its columns; the first `final` are final; NaN becomes
-    NULL."""
+    """Return rows of the table `estimate`, in the order of its columns; NaN becomes NULL.
+
+    final: number of instants, from the first on, whose estimates are final.
+    """
     count = len(condition.time_s)
     columns: list[list[Any]] = [
         [turbine] * count,
         condition.time_s.tolist(),
         [int(i < final) for i in range(count)],
     ]
-    for row in DISPLAYED_QUANTITIES:
-        quantity: Quantity | None = getattr(condition, row.column)
+    for displayed in DISPLAYED_QUANTITIES:
+        quantity: Quantity | None = getattr(condition, displayed.column)
         columns += [[None] * count] * 2 if quantity is None else [_plain(quantity.value), _plain(quantity.sd)]
     columns.append([None] * count if condition.condensation is None else _plain(condition.condensation))
     return list(zip(*columns, strict=True))
 
 
 def _plain(values: np.ndarray) -> list[float | None]:
+    """Return numbers as a list; NaN becomes None."""
     return [None if math.isnan(value) else value for value in values.tolist()]
 
 
 # -- retention -----------------------------------------------------------------------------------------------
 MOST_DELETED = 1_000
-"""Most rows deleted at once, so that a deletion delays the tracker's loop only briefly."""
+"""Largest number of rows deleted at once, so that a deletion delays the tracker's loop only briefly."""
 
 
 def prune(store: Store, turbine: str, before: float, needed: float, most: int = MOST_DELETED) -> int:
-    """Delete at most `most` rows of a turbine older than `before` [s]; returns the number of deleted rows,
-    which is less than `most` when none remain to be deleted.
+    """Delete at most `most` of a turbine's rows from before the time `before` [s]; returns the number of
+    deleted rows, which is less than `most` if none remain.
 
-    Readings from `needed` [s] on and each signal's last `BEFORE` readings before `needed` are kept, because a
-    restart needs them.  Open alarms are kept, too.
+    needed: time [s] from which a restart needs the readings; these, each signal's last `BEFORE` readings
+    before that time, and open alarms are kept.
     """
-    limit, count = min(before, needed), 0
+    limit_s, count = min(before, needed), 0
     with store.transaction():
         for signal in store.signals(turbine):
-            until = min(limit, store.first_needed(turbine, signal, needed))
+            until = min(limit_s, store.first_needed(turbine, signal, needed))
             same = {"turbine": turbine, "signal": signal}
             count += _delete_oldest(store, schema.observation.c.time, until, most - count, same)
         for time_column in (
             schema.revision.c.time, schema.estimate.c.time, schema.property_.c.time, schema.alarm.c.ended,
             schema.connection.c.regained,
         ):  # fmt: skip
-            count += _delete_oldest(store, time_column, limit, most - count, {"turbine": turbine})
+            count += _delete_oldest(store, time_column, limit_s, most - count, {"turbine": turbine})
     return count
 
 

@@ -53,7 +53,7 @@ STATIC = Path(__file__).parent / "static"
 HISTORY_DAYS = (1, 3, 7, 14)
 """Lengths of a turbine's history that may be requested [d]."""
 LOOP_S = 300.0
-"""[s] that one cycle of the tracker's loop may take before the loop counts as stuck."""
+"""Longest time [s] of one cycle of the tracker's loop; beyond it the loop counts as stuck."""
 FLEET_KEPT_S = 10.0
 """[s] after which the fleet's rows are read again even without a change."""
 
@@ -119,13 +119,14 @@ class PageEndpoints:
 
     # -- data of the page ------------------------------------------------------------------------------------
     def fleet(self, request: Request) -> Response:
+        """Answer with a row per turbine, and the number of turbines in each state."""
         now = self.service.now
         rows = self.rows(now)
         summary = dict.fromkeys(TURBINE_STATES, 0) | Counter(row["state"] for row in rows)
         return reply({"now": now, "summary": summary, "turbines": rows})
 
     def rows(self, now: float) -> list[View]:
-        """The fleet's rows, read again after a change or `FLEET_KEPT_S`."""
+        """Return the rows of `fleet_view` at `now` [s], read again after a change or `FLEET_KEPT_S`."""
         generation, read_s, rows = self._fleet
         current = self.hub.generation
         if generation != current or not 0.0 <= now - read_s < FLEET_KEPT_S:
@@ -135,10 +136,12 @@ class PageEndpoints:
         return rows
 
     def margins(self, request: Request) -> Response:
+        """Answer with the course of every turbine's margin to condensation."""
         now = self.service.now
         return reply({"now": now, **self._margins.view(self.reader, list(self.service.turbines), now)})
 
     def turbine(self, request: Request) -> Response:
+        """Answer with the data of one turbine over the requested days."""
         name, days = request.path_params["name"], request.query_params.get("days", "3")
         if name not in self.service.turbines:
             return refusal(404, "no such turbine is tracked")
@@ -152,11 +155,13 @@ class PageEndpoints:
         return reply({"now": now, **view})
 
     def alarms(self, request: Request) -> Response:
+        """Answer with the alarms of the last days, and all open ones."""
         now = self.service.now
         alarms = self.reader.read(lambda store: alarms_view(store, since=now - max(HISTORY_DAYS) * DAY_S))
         return reply({"now": now, "alarms": alarms})
 
     def health(self, request: Request) -> Response:
+        """Answer with the state of sources, store and channels, and counts of the tracker."""
         counters, ((open_count,),), channels = self.reader.read(
             lambda store: (store.counters(), store.rows(count_rows(alarm_open)), channel_states(store))
         )
@@ -179,6 +184,7 @@ class PageEndpoints:
 
     # -- login -----------------------------------------------------------------------------------------------
     async def login(self, request: Request) -> Response:
+        """Open a session if the posted token is right."""
         token = (await posted_json(request)).get("token")
         if not self.access.settings.token:
             return reply({})
@@ -188,10 +194,12 @@ class PageEndpoints:
         return reply({}, {"Set-Cookie": self.access.sessions.header(opens=True)})
 
     async def logout(self, request: Request) -> Response:
+        """Close the session."""
         return reply({}, {"Set-Cookie": self.access.sessions.header(opens=False)})
 
     # -- metrics and health checks ---------------------------------------------------------------------------
     def metrics(self, request: Request) -> Response:
+        """Answer with the metrics for Prometheus."""
         from starlette.responses import Response
 
         channels: dict[str, ChannelState] = {}
@@ -214,7 +222,7 @@ class PageEndpoints:
 
         The answer waits neither for other requests nor for the threads that answer them.
         """
-        return self._status(await self._fault())
+        return self._status(await self._tracker_fault())
 
     async def readyz(self, request: Request) -> Response:
         """Status 200 while readings can become estimates, else 503.
@@ -224,16 +232,17 @@ class PageEndpoints:
         now = self.service.now
         lost = sum(reach.share(now) >= 1.0 for reach in self.service.reaches().values())
         source_fault = f"{lost} of {len(self.service.streams)} sources are not reached" if lost else ""
-        return self._status(await self._fault() or source_fault)
+        return self._status(await self._tracker_fault() or source_fault)
 
     def _status(self, fault: str) -> Response:
-        """The answer to a health check, with the number of sources in each state but without names of sources
-        or turbines, because it needs no token."""
+        """Return the answer to a health check, with the number of sources in each state but without names,
+        because it needs no token."""
         states = Counter(stream.state.word for stream in self.service.streams.values())
         body = {"fault": fault} if fault else {"ok": True}
         return reply({**body, "sources": states}, status=503 if fault else 200)
 
-    async def _fault(self) -> str:
+    async def _tracker_fault(self) -> str:
+        """Return why the tracker does not work; "" if it does."""
         if self.service.ending.is_set():
             return "the tracker is ending"
         if self.service.health.store:
@@ -264,50 +273,55 @@ class StatementFault(HygrokfError):
 
 # -- statements of people ------------------------------------------------------------------------------------
 def acknowledgement_of(posted: Mapping[str, Json], now: float) -> dict[str, Any]:
-    """The acknowledgement in a posted object, as arguments of `acknowledge`.  Raises StatementFault."""
+    """Return the acknowledgement in a posted object as arguments of `acknowledge`; now: present time [s].
+    Raises StatementFault."""
     alarm, cause = posted.get("id"), posted.get("cause", "unexplained")
     if not isinstance(alarm, str) or not 0 < len(alarm) <= LONGEST_ID or not alarm.isprintable():
         raise StatementFault("expected the id of an alarm")
-    cause = _choice(cause, STATED_CAUSES, f"expected a cause of {', '.join(STATED_CAUSES)}")
+    cause = _choice(cause, STATED_CAUSES, f"expected one of the causes {', '.join(STATED_CAUSES)}")
     look_again_s = None
     if cause == LOOK_AGAIN:
-        look_again_s = now + DAY_S * _days(posted, MOST_POSTPONED_DAYS)
+        look_again_s = now + DAY_S * _posted_days(posted, MOST_POSTPONED_DAYS)
     elif posted.get("days") is not None:
-        raise StatementFault(f'days belong to the cause "{LOOK_AGAIN}" alone')
-    by, note = _name(posted), _note(posted)
+        raise StatementFault(f'days is only for the cause "{LOOK_AGAIN}"')
+    by, note = _posted_name(posted), _posted_note(posted)
     return {"alarm": alarm, "by": by, "cause": cause, "note": note, "look_again_s": look_again_s}
 
 
 def shelf_of(posted: Mapping[str, Json], turbines: Collection[str], now: float) -> Shelf:
-    """The shelf in a posted object.  Raises StatementFault."""
+    """Return the shelf in a posted object, made at `now` [s].  Raises StatementFault."""
     turbine, kind = shelf_key(posted, turbines)
-    until = now + DAY_S * _days(posted, MOST_SHELVED_DAYS)
-    return Shelf(turbine, kind, until, now, _name(posted), _note(posted))
+    until = now + DAY_S * _posted_days(posted, MOST_SHELVED_DAYS)
+    return Shelf(turbine, kind, until, now, _posted_name(posted), _posted_note(posted))
 
 
 def shelf_key(posted: Mapping[str, Json], turbines: Collection[str]) -> tuple[str, str]:
-    """Turbine ("" for the sources) and kind of alarms in a posted object.  Raises StatementFault."""
+    """Return turbine ("" for the sources) and kind of alarms in a posted object.  Raises StatementFault."""
     turbine = _choice(posted.get("turbine"), (SOURCE, *turbines), EXPECTED_TURBINE)
-    return turbine, _choice(posted.get("kind"), ALARM_RULES, f"expected a kind of {', '.join(ALARM_RULES)}")
+    return turbine, _choice(
+        posted.get("kind"), ALARM_RULES, f"expected one of the kinds {', '.join(ALARM_RULES)}"
+    )
 
 
 def event_of(posted: Mapping[str, Json], turbines: Collection[str], now: float) -> Event:
-    """The event in a posted object.  Raises StatementFault."""
+    """Return the event in a posted object, entered at `now` [s].  Raises StatementFault."""
     turbine = _choice(posted.get("turbine"), turbines, EXPECTED_TURBINE)
-    kind = _choice(posted.get("kind"), EVENT_KINDS, f"expected a kind of {', '.join(EVENT_KINDS)}")
+    kind = _choice(posted.get("kind"), EVENT_KINDS, f"expected one of the kinds {', '.join(EVENT_KINDS)}")
     at = _number(posted.get("time", now))
     if not -EVENT_PAST_S <= at - now <= EVENT_AHEAD_S:
         raise StatementFault("expected a time in seconds since 1970, within the last 400 days")
-    return Event(uuid.uuid4().hex, turbine, at, kind, _note(posted), now, _name(posted))
+    return Event(uuid.uuid4().hex, turbine, at, kind, _posted_note(posted), now, _posted_name(posted))
 
 
 def _choice(value: Json, choices: Collection[str], message: str) -> str:
+    """Return a value that is one of the choices.  Raises StatementFault with the message."""
     if not isinstance(value, str) or value not in choices:
         raise StatementFault(message)
     return value
 
 
-def _name(posted: Mapping[str, Json]) -> str:
+def _posted_name(posted: Mapping[str, Json]) -> str:
+    """Return the name of the person in a posted object.  Raises StatementFault."""
     by = posted.get("by")
     by = by.strip() if isinstance(by, str) else ""
     if not 0 < len(by) <= LONGEST_NAME or not by.isprintable():
@@ -315,7 +329,8 @@ def _name(posted: Mapping[str, Json]) -> str:
     return by
 
 
-def _note(posted: Mapping[str, Json]) -> str:
+def _posted_note(posted: Mapping[str, Json]) -> str:
+    """Return the note in a posted object, "" without one.  Raises StatementFault."""
     note = posted.get("note", "")
     note = note.strip() if isinstance(note, str) else None
     if note is None or len(note) > LONGEST_NOTE or not note.isprintable():
@@ -323,7 +338,8 @@ def _note(posted: Mapping[str, Json]) -> str:
     return note
 
 
-def _days(posted: Mapping[str, Json], most: float) -> float:
+def _posted_days(posted: Mapping[str, Json], most: float) -> float:
+    """Return the number of days in a posted object, up to `most`.  Raises StatementFault."""
     days = _number(posted.get("days"))
     if not HOUR_S / DAY_S <= days <= most:
         raise StatementFault(f"expected days from 1 hour (1/24) to {most:g}")
@@ -331,6 +347,7 @@ def _days(posted: Mapping[str, Json], most: float) -> float:
 
 
 def _number(value: Json) -> float:
+    """Convert a JSON number; NaN for anything else."""
     is_number = isinstance(value, int | float) and not isinstance(value, bool)
     try:
         return float(value) if is_number else math.nan  # type: ignore[arg-type]
@@ -340,7 +357,7 @@ def _number(value: Json) -> float:
 
 # -- endpoints -----------------------------------------------------------------------------------------------
 class Statements:
-    """The endpoints for statements of people: acknowledgements, shelves and events.
+    """The endpoints by which people acknowledge and shelve alarms and enter events.
 
     They share the page's connection to the store; the application turns a StatementFault into a refusal.
     """
@@ -351,6 +368,7 @@ class Statements:
         self.reader = reader
 
     def routes(self) -> list[Route]:
+        """Return the routes of the endpoints."""
         from starlette.routing import Route
 
         return [
@@ -365,6 +383,7 @@ class Statements:
         ]
 
     async def acknowledge(self, request: Request) -> Response:
+        """Acknowledge an alarm."""
         now, channels = self.service.now, self.service.channels
         statement = acknowledgement_of(await posted_json(request), now)
         turbine = await self._write(lambda store: acknowledge(store, now=now, channels=channels, **statement))
@@ -378,9 +397,11 @@ class Statements:
         return reply({"turbine": turbine})
 
     def labels(self, request: Request) -> Response:
+        """Answer how often the alarms of each kind were right."""
         return reply({"now": self.service.now, "kinds": self.reader.read(labels_view)})
 
     def csv(self, request: Request) -> Response:
+        """Answer with all alarms as a CSV file."""
         from starlette.responses import Response
 
         text = self.reader.read(alarms_csv)
@@ -388,10 +409,12 @@ class Statements:
         return Response(text, media_type="text/csv", headers=headers)
 
     def shelves(self, request: Request) -> Response:
+        """Answer with the shelves in force."""
         now = self.service.now
         return reply({"now": now, "shelves": self.reader.read(lambda store: store.shelves(now))})
 
     async def shelve(self, request: Request) -> Response:
+        """Shelve the alarms of a kind at a turbine."""
         shelf = shelf_of(await posted_json(request), self.service.turbines, self.service.now)
         await self._write(lambda store: store.shelve(shelf))
         LOG.info(
@@ -402,6 +425,7 @@ class Statements:
         return reply({"shelf": shelf})
 
     async def unshelve(self, request: Request) -> Response:
+        """End a shelf."""
         turbine, kind = shelf_key(await posted_json(request), self.service.turbines)
         if not await self._write(lambda store: store.unshelve(turbine, kind)):
             return refusal(404, "there is no such shelf")
@@ -410,6 +434,7 @@ class Statements:
         return reply({"turbine": turbine})
 
     def events(self, request: Request) -> Response:
+        """Answer with the newest events at one turbine or at all."""
         name = request.query_params.get("turbine")
         if name is not None and name not in self.service.turbines:
             return refusal(404, "no such turbine is tracked")
@@ -422,16 +447,18 @@ class Statements:
         return reply({"now": self.service.now, "events": self.reader.read(view)})
 
     async def note_event(self, request: Request) -> Response:
+        """Enter an event at a turbine."""
         event = event_of(await posted_json(request), self.service.turbines, self.service.now)
         await self._write(lambda store: store.note_event(event))
         LOG.info(
-            "an event was stated",
+            "an event was entered",
             extra={"turbine": event.turbine, "kind": event.kind, "at": event.time, "by": event.made_by},
         )
         self.hub.announce([event.turbine])
         return reply({"event": event})
 
     async def _write(self, change: Callable[[Store], T]) -> T:
+        """Write to the store without blocking the loop; returns the result of `change`."""
         from starlette.concurrency import run_in_threadpool
 
         return await run_in_threadpool(self.reader.read, change)

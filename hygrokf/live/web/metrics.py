@@ -36,7 +36,7 @@ def exposition(
     counters: Mapping[tuple[str, str], int],
     notices: Mapping[str, int],
 ) -> tuple[bytes, str]:
-    """The metrics as text, and its media type.  Raises PageFault if prometheus_client is missing.
+    """Return the metrics as text, and its media type.  Raises PageFault if prometheus_client is missing.
 
     clients: number of pages that are notified of changes.  fleet: rows of `fleet_view`, None if the store
     cannot be reached.  alarms: the open alarms.  counters: (turbine, kind) → count.  notices: channel →
@@ -50,10 +50,11 @@ def exposition(
 
     class Collector:
         def collect(self) -> Iterator[Metric]:
-            yield from _tracker(service.health, fleet is not None, clients)
-            yield from _sources(service)
-            yield from _unused(counters)
-            yield from _turbines(service.now, fleet or ())
+            """Yield all metrics; called by prometheus_client."""
+            yield from _tracker_metrics(service.health, fleet is not None, clients)
+            yield from _source_metrics(service)
+            yield from _rejection_metrics(counters)
+            yield from _turbine_metrics(service.now, fleet or ())
             yield _open_alarms([] if fleet is None else [SOURCE, *(row["turbine"] for row in fleet)], alarms)
             waiting = [((channel,), count) for channel, count in notices.items()]
             text = "Notices of alarms that are not sent yet"
@@ -68,7 +69,7 @@ def exposition(
 def _gauge(
     name: str, text: str, samples: Iterable[tuple[Sequence[str], float]], labels: Sequence[str] = ()
 ) -> Metric:
-    """A metric with its samples: (values of the labels, number)."""
+    """Return a gauge with its samples: (values of the labels, number)."""
     from prometheus_client.core import GaugeMetricFamily
 
     metric = GaugeMetricFamily(name, text, labels=labels)
@@ -77,7 +78,8 @@ def _gauge(
     return metric
 
 
-def _tracker(health: Health, store_reached: bool, clients: int) -> Iterator[Metric]:
+def _tracker_metrics(health: Health, store_reached: bool, clients: int) -> Iterator[Metric]:
+    """Yield the metrics of deliveries, commits, store and page."""
     from prometheus_client.core import CounterMetricFamily, HistogramMetricFamily
 
     build = [((__version__, platform.python_version()), 1)]
@@ -99,7 +101,8 @@ def _tracker(health: Health, store_reached: bool, clients: int) -> Iterator[Metr
     yield _gauge("hygrokf_page_clients", "Pages that are notified of changes", [((), clients)])
 
 
-def _sources(service: Service) -> Iterator[Metric]:
+def _source_metrics(service: Service) -> Iterator[Metric]:
+    """Yield the metrics of the sources."""
     yield _gauge(
         "hygrokf_source_state",
         "1 for the state that a source is in",
@@ -131,7 +134,8 @@ def _sources(service: Service) -> Iterator[Metric]:
     )
 
 
-def _unused(counters: Mapping[tuple[str, str], int]) -> Iterator[Metric]:
+def _rejection_metrics(counters: Mapping[tuple[str, str], int]) -> Iterator[Metric]:
+    """Yield the numbers of deliveries and readings that were not used."""
     from prometheus_client.core import CounterMetricFamily
 
     refused = CounterMetricFamily(
@@ -148,7 +152,8 @@ def _unused(counters: Mapping[tuple[str, str], int]) -> Iterator[Metric]:
     yield from (refused, unused)
 
 
-def _turbines(now: float, fleet: Sequence[View]) -> Iterator[Metric]:
+def _turbine_metrics(now: float, fleet: Sequence[View]) -> Iterator[Metric]:
+    """Yield the metrics of the turbines; `fleet`: rows of `fleet_view` at `now` [s]."""
     heard = [((row["turbine"],), now - row["heard"]) for row in fleet if row["heard"] is not None]
     yield _gauge("hygrokf_heard_age_seconds", "Time since a turbine was last heard", heard, ("turbine",))
     for key, name, text in (
@@ -166,8 +171,8 @@ def _turbines(now: float, fleet: Sequence[View]) -> Iterator[Metric]:
 
 
 def _open_alarms(names: Sequence[str], alarms: Sequence[Alarm]) -> Metric:
-    """Number of open alarms of every turbine and kind, zeros included, so that a rule sees an alarm begin and
-    end.
+    """Return the number of open alarms of every turbine and kind; zeros are included, so that an alerting
+    rule sees an alarm begin and end.
 
     Alarms that belong to no turbine have an empty label `turbine`.
     """

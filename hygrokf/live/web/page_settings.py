@@ -19,8 +19,8 @@ PAGE_ADDRESS = "127.0.0.1:8080"
 UNIX = "unix:"
 """Beginning of an address that is the path of a Unix socket."""
 NO_TLS = (
-    "the page does no TLS itself: give this file to a proxy such as nginx (docs/live_files/nginx.conf), and "
-    "set behind_proxy = true"
+    "the page does not use TLS itself: give this file to a proxy such as nginx "
+    "(docs/live_files/nginx.conf), and set behind_proxy = true"
 )
 SHORTEST_TOKEN = 16
 """Shortest token [characters]; tokens made by the command in the message of `_token` have 43."""
@@ -50,7 +50,7 @@ class PageSettings:
 
     @property
     def place(self) -> str:
-        """The address in the form of the tracker's file."""
+        """The address as in the tracker's file: HOST:PORT or unix:PATH."""
         return f"{UNIX}{self.unix}" if self.unix else f"{bracketed(self.host)}:{self.port}"
 
     @property
@@ -67,11 +67,13 @@ class PageForm:
     REFUSED: ClassVar = {"certificate": NO_TLS, "key": NO_TLS}
     address: str = setting(PAGE_ADDRESS, "HOST:PORT or unix:PATH")
     hosts: tuple[str, ...] = setting(
-        (), "further names that browsers ask for", expected='a list of names such as ["farm.example"]'
+        (),
+        "further host names by which browsers reach the page",
+        expected='a list of names such as ["farm.example"]',
     )
     token_file: str = setting("", "file with the token")
-    token_env: str = setting("", "variable of the environment with the token")
-    behind_proxy: bool = setting(False, "requests come through a proxy that does TLS")
+    token_env: str = setting("", "environment variable with the token")
+    behind_proxy: bool = setting(False, "whether requests come through a proxy that provides TLS")
 
     @across("address")
     def host_and_port(self) -> str | None:
@@ -86,7 +88,7 @@ class PageForm:
 
 
 def page_settings(value: object, folder: Path, place: Place) -> PageSettings:
-    """The page's settings from `page = "HOST:PORT"` or a table [page]; faults are added to `place`.
+    """Return the page's settings from `page = "HOST:PORT"` or a table [page]; faults are reported at `place`.
 
     Paths are relative to `folder`.  An address that other machines can reach needs a proxy, and a proxy needs
     a token.
@@ -102,18 +104,17 @@ def page_settings(value: object, folder: Path, place: Place) -> PageSettings:
     host, port = ("localhost", 0) if unix else address(form.address) or ("127.0.0.1", 0)
     if len(place.faults) == earlier_faults:
         if form.behind_proxy and not token:
-            inside.fault("behind_proxy needs token_file or token_env: the proxy lets others in")
+            inside.fault("behind_proxy needs token_file or token_env, because others can reach the proxy")
         if not is_loopback(host) and not form.behind_proxy:
             inside.fault(
-                f"other machines reach {host}: give an address such as {PAGE_ADDRESS}; or put a proxy that "
-                "does TLS in front of the page (docs/live_files/nginx.conf) and set behind_proxy = true, "
-                "token_file"
+                f"other machines reach {host}: give an address such as {PAGE_ADDRESS}; or put a proxy with TLS "
+                "in front of the page (docs/live_files/nginx.conf) and set behind_proxy = true, token_file"
             )
     return PageSettings(host, port, form.hosts, token, form.behind_proxy, unix)
 
 
 def address(text: str) -> tuple[str, int] | None:
-    """Host and port of a text `HOST:PORT`; None for any other text."""
+    """Return host and port of a text `HOST:PORT`; None for any other text."""
     host, _, port = text.rpartition(":")
     if not host or not port.isdecimal() or not 0 <= int(port) < 65536:
         return None
@@ -121,7 +122,7 @@ def address(text: str) -> tuple[str, int] | None:
 
 
 def _token(form: PageForm, folder: Path, place: Place) -> str:
-    """The token from its file or environment variable; no message contains it."""
+    """Return the token from its file or environment variable, "" without one; no message contains it."""
     if form.token_file and form.token_env:
         return ""
     try:

@@ -37,8 +37,7 @@ class Reader:
         self._failed = False
 
     def read(self, view: Callable[[Store], T]) -> T:
-        """Apply `view` to the store and return its result.  Raises StoreFault if the store cannot be
-        reached."""
+        """Return `view(store)`.  Raises StoreFault if the store cannot be reached."""
         with self._lock:
             if self._service.store is None:
                 raise StoreFault("the tracker has not opened its store yet")
@@ -65,6 +64,7 @@ class Reader:
             self._close()
 
     def _close(self) -> None:
+        """Close the connection; the caller holds the lock."""
         if self._store is not None:
             self._store.close()
             self._store = None
@@ -83,7 +83,7 @@ class StoreAnswers:
         self._fault = ""
 
     async def fault(self) -> str:
-        """Why the store does not answer, "" if it does; returns within `STORE_PATIENCE_S`."""
+        """Return why the store does not answer, "" if it does; takes at most `STORE_PATIENCE_S`."""
         if self._query is None or self._query.done():
             self._query, self._began = self._start_query(), time.monotonic()
         query = self._query
@@ -99,6 +99,7 @@ class StoreAnswers:
         answer: Future[str] = Future()
 
         def query() -> None:
+            """Query the store and pass its answer or fault on."""
             try:
                 self._reader.read(lambda store: store.rows(SCHEMA_NUMBER))
                 answer.set_result("")
@@ -111,4 +112,5 @@ class StoreAnswers:
         return asyncio.wrap_future(answer)
 
     def close(self) -> None:
+        """Close the connection to the store."""
         self._reader.close()

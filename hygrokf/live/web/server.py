@@ -105,8 +105,8 @@ def serve(app: ASGIApp, settings: PageSettings, hub: Hub) -> Iterator[PageServer
     )
     thread = threading.Thread(target=server.run, args=([listening],), name="page", daemon=True)
     thread.start()
-    end = time.monotonic() + START_S
-    while not server.started and thread.is_alive() and time.monotonic() < end:
+    deadline_s = time.monotonic() + START_S
+    while not server.started and thread.is_alive() and time.monotonic() < deadline_s:
         time.sleep(0.01)
     try:
         if not server.started:
@@ -122,7 +122,7 @@ def serve(app: ASGIApp, settings: PageSettings, hub: Hub) -> Iterator[PageServer
 
 
 def bounded_protocol() -> type[asyncio.Protocol]:
-    """uvicorn's protocol of a connection, of which there may be `MOST_CONNECTIONS`.
+    """Return uvicorn's class for a connection, limited to `MOST_CONNECTIONS` connections.
 
     Half-open connections must not take the file descriptors that the tracker needs; uvicorn's own limit
     refuses requests, but does not close a connection without requests.
@@ -131,6 +131,7 @@ def bounded_protocol() -> type[asyncio.Protocol]:
 
     class BoundedProtocol(H11Protocol):
         def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
+            """Close a connection beyond the limit, and later one that sends no request."""
             super().connection_made(transport)
             self._silence = self.loop.call_later(REQUEST_SILENT_S, self._end_if_silent)
             if len(self.connections) > MOST_CONNECTIONS:
@@ -141,6 +142,7 @@ def bounded_protocol() -> type[asyncio.Protocol]:
             self._silence.cancel()
 
         def shutdown(self) -> None:
+            """End the connection, at the latest after `GRACE_S`."""
             super().shutdown()
             # a client that reads nothing would keep the connection open for ever
             self.loop.call_later(GRACE_S, self.transport.abort)
@@ -153,7 +155,7 @@ def bounded_protocol() -> type[asyncio.Protocol]:
 
 
 def listening_socket(settings: PageSettings) -> socket.socket:
-    """A socket listening at the page's address.  Raises PageFault."""
+    """Return a socket that listens at the page's address.  Raises PageFault."""
     try:
         if settings.unix:
             return _unix_socket(settings.unix)
@@ -169,7 +171,7 @@ def listening_socket(settings: PageSettings) -> socket.socket:
 
 
 def _unix_socket(path: str) -> socket.socket:
-    """A listening Unix socket, which replaces a socket whose program has ended."""
+    """Return a listening Unix socket, which replaces a socket whose program has ended."""
     listening = socket.socket(socket.AF_UNIX)
     try:
         if os.path.exists(path) and stat.S_ISSOCK(os.stat(path).st_mode) and listening.connect_ex(path) != 0:
@@ -185,8 +187,9 @@ def _unix_socket(path: str) -> socket.socket:
 
 # -- events --------------------------------------------------------------------------------------------------
 def changed_turbines(batch: Batch) -> set[str]:
-    """Turbines for which a batch changes the page."""
-    names = {o.turbine for o in batch.observations} | {a.turbine for a in (*batch.alarms, *batch.reopened)}
+    """Return the turbines for which a batch changes the page."""
+    names = {observed.turbine for observed in batch.observations}
+    names |= {alarm.turbine for alarm in (*batch.alarms, *batch.reopened)}
     names |= set(batch.estimates)
     names |= {name for name, *_ in batch.properties}
     names |= {name for name, _ in (*batch.memories, *batch.counters)}
@@ -201,6 +204,7 @@ class Client:
         self.wake = asyncio.Event()
 
     def take(self) -> set[str]:
+        """Return the names that were not sent yet, and forget them."""
         names, self.names = self.names, set()
         self.wake.clear()
         return names
@@ -224,7 +228,7 @@ class Hub:
     def __len__(self) -> int:
         return len(self._clients)
 
-    def settle(self, batch: Batch) -> None:
+    def announce_batch(self, batch: Batch) -> None:
         """Announce a committed batch; called by the tracker."""
         self.announce(changed_turbines(batch))
 
@@ -241,7 +245,7 @@ class Hub:
         self._pass_on(frozenset())
 
     def join(self) -> Client | None:
-        """A new client in the running loop; None if there are too many or the hub is closed."""
+        """Add a client in the running loop and return it; None if there are too many or the hub is closed."""
         with self._lock:
             self._loop = asyncio.get_running_loop()
             if self.closed or len(self._clients) >= self.most:
@@ -251,14 +255,17 @@ class Hub:
         return client
 
     def leave(self, client: Client) -> None:
+        """Remove a client."""
         self._clients.discard(client)
 
     def _pass_on(self, names: frozenset[str]) -> None:
+        """Pass names to the clients in the page's loop."""
         if self._loop is not None:
             with suppress(RuntimeError):  # the page has stopped
                 self._loop.call_soon_threadsafe(self._add_to_clients, names)
 
     def _add_to_clients(self, names: frozenset[str]) -> None:
+        """Add names to those that each client has not received; called in the page's loop."""
         for client in self._clients:
             client.names |= names
             client.wake.set()
@@ -289,6 +296,7 @@ class EventStream:
             self.hub.leave(client)
 
     async def _messages(self, client: Client) -> AsyncIterator[bytes]:
+        """Yield the events for a client: changes, or heartbeats without changes."""
         yield f"retry: {RETRY_MS}\n\n".encode() + message("alive", now=self.hub.clock())
         while not self.hub.closed:
             with suppress(TimeoutError):
@@ -308,7 +316,7 @@ LARGEST_BODY = 4096
 
 
 async def posted_json(request: Request) -> JsonObject:
-    """The posted JSON object; empty if the body is too large or not a JSON object."""
+    """Return the posted JSON object; an empty one if the body is too large or not a JSON object."""
     from starlette.requests import ClientDisconnect
 
     body = b""
@@ -326,7 +334,7 @@ async def posted_json(request: Request) -> JsonObject:
 def reply(
     content: Mapping[str, Any], headers: Mapping[str, str] | None = None, status: int = 200
 ) -> Response:
-    """A JSON response."""
+    """Return a JSON response."""
     from starlette.responses import Response
 
     text = json.dumps(content, ensure_ascii=False, allow_nan=False, separators=(",", ":"), default=_json_of)
@@ -334,17 +342,17 @@ def reply(
 
 
 def _json_of(row: Any) -> JsonObject:
-    """A row of the store as the page receives it; an alarm also has its sentence in pieces (`pieces_of`)."""
+    """Return a row of the store for the page; an alarm also has its sentence in pieces (`pieces_of`)."""
     return {**row.served(), "pieces": pieces_of(row.statements)} if isinstance(row, Alarm) else asdict(row)
 
 
 def refusal(status: int, message: str, headers: Mapping[str, str] | None = None) -> Response:
-    """A JSON response that says why a request is refused."""
+    """Return a JSON response that says why a request is refused."""
     return reply({"fault": message}, headers, status)
 
 
 SESSION_S = 7 * DAY_S
-"""[s] a browser stays logged in."""
+"""[s] for which a browser stays logged in."""
 PUBLIC_PATHS = ("/", "/healthz", "/readyz", "/api/login")
 """Paths that need no token, because they reveal nothing about a turbine."""
 LOCAL_PATHS = ("/healthz", "/readyz", "/metrics")
@@ -377,14 +385,14 @@ class Sessions:
         self.name = f"{'__Host-' if self._encrypted else ''}hygrokf_{settings.port}"
 
     def header(self, opens: bool) -> str:
-        """The Set-Cookie header that opens a session or, if `opens` is false, closes it."""
+        """Return the Set-Cookie header that opens a session or, if `opens` is false, closes it."""
         content = f"{self._clock() + SESSION_S:.0f}.{secrets.token_hex(8)}"
         value, age_s = (f"{content}.{self._signature(content)}", SESSION_S) if opens else ("", 0.0)
         secure = "; Secure" if self._encrypted else ""
         return f"{self.name}={value}; Max-Age={age_s:.0f}; Path=/; HttpOnly; SameSite=Strict{secure}"
 
     def valid(self, cookies: str) -> bool:
-        """Whether a request's cookies contain an unexpired session."""
+        """Return whether a request's cookies contain a session that has not expired."""
         try:
             cookie = SimpleCookie(cookies).get(self.name)
         except CookieError:
@@ -395,6 +403,7 @@ class Sessions:
         return self._clock() < float(content.partition(".")[0])
 
     def _signature(self, content: str) -> str:
+        """Return the signature of a cookie's content."""
         return hmac.new(self._key, content.encode(), hashlib.sha256).hexdigest()
 
 
@@ -406,7 +415,7 @@ class Access:
         self.sessions = Sessions(settings)
 
     def refusal_of(self, scope: Scope) -> Response | None:
-        """The refusal of a request; None if it is permitted."""
+        """Return the response that refuses a request; None if the request is permitted."""
         headers = {name.decode("latin-1"): value.decode("latin-1") for name, value in scope["headers"]}
         # a foreign name may resolve to the page's address (DNS rebinding)
         if host_name(headers.get("host", "")) not in self.settings.names:
@@ -414,7 +423,9 @@ class Access:
             return refusal(421, message)
         path = scope["path"]
         if self.settings.behind_proxy and scope["scheme"] != "https" and path not in LOCAL_PATHS:
-            return refusal(403, "expected X-Forwarded-Proto: https; have the proxy set it, and do TLS")
+            return refusal(
+                403, "expected X-Forwarded-Proto: https; let the proxy use TLS and set this header"
+            )
         if scope["method"] not in READ_METHODS and not is_own_page(headers):
             message = (
                 "expected JSON from the page itself, found a request from another site or of another kind"
@@ -433,22 +444,24 @@ class Access:
         return refusal(401, message, {"WWW-Authenticate": "Bearer"})
 
     def is_token(self, text: str) -> bool:
-        """Whether a text is the token; the comparison takes the same time for every text."""
+        """Return whether a text is the token, by a comparison that takes the same time for every text."""
         # JSON may contain lone surrogates
         return hmac.compare_digest(text.encode(errors="surrogatepass"), self.settings.token.encode())
 
 
 def guard(app: ASGIApp, access: Access) -> ASGIApp:
-    """Wrap an ASGI application: refuse a request, or pass it on and add `HEADERS` to the response."""
+    """Wrap an ASGI application: refuse a request, or pass it on; `HEADERS` are added to each response."""
 
     async def guarded(scope: Scope, receive: Receive, send: Send) -> None:
+        """Answer one request."""
         if scope["type"] != "http":
-            raise RuntimeError(f"the page speaks http alone, found {scope['type']}")
+            raise RuntimeError(f"the page only serves http requests, found {scope['type']}")
         # browsers cache the page's own files, but ask each time whether they have changed
         is_cached = scope["path"] == "/" or scope["path"].startswith("/static/")
         cache = (b"cache-control", b"no-cache" if is_cached else b"no-store")
 
         async def send_with_headers(message: Message) -> None:
+            """Send a part of the response, with the additional headers."""
             if message["type"] == "http.response.start":
                 message = {**message, "headers": [*message.get("headers", []), *HEADERS, cache]}
             await send(message)
@@ -459,7 +472,7 @@ def guard(app: ASGIApp, access: Access) -> ASGIApp:
 
 
 def is_own_page(headers: Mapping[str, str]) -> bool:
-    """Whether a POST is JSON and, as far as the browser states its origin, comes from the page itself."""
+    """Return whether a POST is JSON and, if the browser states its origin, comes from the page itself."""
     if headers.get("content-type", "").partition(";")[0].strip().lower() != "application/json":
         return False
     if headers.get("sec-fetch-site", "same-origin") != "same-origin":
@@ -472,7 +485,7 @@ def is_own_page(headers: Mapping[str, str]) -> bool:
 
 
 def host_name(host: str) -> str:
-    """The name in a Host header, in lower case and without the port."""
+    """Return the name in a Host header, in lower case and without the port."""
     if host.startswith("["):
         return host[1:].partition("]")[0].lower()
     return host.partition(":")[0].lower().rstrip(".")

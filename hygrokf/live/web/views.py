@@ -58,8 +58,8 @@ T = TypeVar("T")
 
 
 def model_view(verdicts: Verdicts) -> View:
-    """The `numbers` of a turbine's model with the verdict on each, and the worst `verdict` (None without
-    numbers)."""
+    """Return the `numbers` of a turbine's model with the fit's verdict on each, and the worst `verdict` (None
+    without numbers)."""
     numbers = [
         {
             "part": part,
@@ -81,8 +81,8 @@ def fleet_view(
     now: float,
     verdicts: Mapping[str, Verdicts] = MappingProxyType({}),
 ) -> list[View]:
-    """One row per turbine, sorted by the urgency of its state, then by the severity of open alarms, then by
-    the present or forecast risk of condensation.
+    """Return one row per turbine, sorted by the urgency of its state, then by the severity of open alarms,
+    then by the present or forecast risk of condensation.
 
     `time`: time of the newest estimate; `heard`: time of the last arrival; `…_half`: half the width of a 95 %
     band; `margin` [K]; `forecast`: the highest forecast probability of `condensation` [1] and the earliest
@@ -108,7 +108,7 @@ def fleet_view(
         rows.append(
             {
                 "turbine": name,
-                **_state(states.get(name)),
+                **_state_view(states.get(name)),
                 "time": at,
                 "heard": heard,
                 "temperature": _scaled(temperature, 1.0, -ZERO_CELSIUS_K),
@@ -127,18 +127,19 @@ def fleet_view(
                 "severity": max((SEVERITY[alarm.severity] for alarm in alarms), default=-1),
             }
         )
-    return sorted(rows, key=_urgency)
+    return sorted(rows, key=_by_urgency)
 
 
-def _urgency(row: View) -> tuple[int, int, float, str]:
+def _by_urgency(row: View) -> tuple[int, int, float, str]:
+    """Sort key of the rows of the fleet, the most urgent first."""
     forecast_risk = row["forecast"]["condensation"] if row["forecast"] else 0.0
     risk = max(row["condensation"] or 0.0, forecast_risk)
     return TURBINE_STATES.index(row["state"]), -row["severity"], -risk, row["turbine"]
 
 
-def _state(assessment: Assessment | None) -> View:
-    """A turbine's `state`, the time [s] `since` which it has that state, and the `reason` as text, as codes
-    with values (`content`) and as `pieces`, in which numbers are times [s]."""
+def _state_view(assessment: Assessment | None) -> View:
+    """Return a turbine's `state`, the time [s] `since` which it has that state, and the `reason` as text, as
+    codes with values (`content`) and as `pieces`, in which numbers are times [s]."""
     statements = (StateCode.NOT_ASSESSED_YET(),) if assessment is None else assessment.statements
     return {
         "state": "no estimate" if assessment is None else assessment.state,
@@ -157,7 +158,7 @@ def turbine_view(
     verdicts: Verdicts = MappingProxyType({}),
     needs: Sequence[Need] = (),
 ) -> View:
-    """The data of one turbine from `since` [s] on.
+    """Return the data of one turbine from `since` [s] on.
 
     At the instants `time` [s]: `final` (1 for final estimates), `condensation` [1] and `courses`.  `hours`,
     `humid`: the highest probability in every hour of condensation, and of a relative humidity above a
@@ -180,12 +181,12 @@ def turbine_view(
                 "value": [_scaled(value, factor, offset) for _, value in values],
             }
     time, chances = [row[-3] for row in rows], [row[-1] for row in rows]
-    forecast = _forecast(store, name)
+    forecast = _forecast_view(store, name)
     limit = LIMIT if forecast is None else forecast["limit"]
     alarms = alarms_view(store, name, since)
     return {
         "turbine": name,
-        **_state(store.assessments().get(name)),
+        **_state_view(store.assessments().get(name)),
         "model": model_view(verdicts),
         "time": time,
         "final": [row[-2] for row in rows],
@@ -196,31 +197,33 @@ def turbine_view(
         },
         "humid": {
             "limit": limit,
-            "past": by_hour(time, _humid(rows, limit)),
+            "past": by_hour(time, _humid_probabilities(rows, limit)),
             "forecast": by_hour(forecast["time"], forecast["above_limit"]) if forecast else [],
         },
-        "courses": _courses(rows),
+        "courses": _course_views(rows),
         "readings": readings,
         "forecast": forecast,
-        "properties": _properties(store, name, since),
+        "properties": _property_views(store, name, since),
         "alarms": alarms,
         "signals": signal_rows(store, name, now, needs, alarms),
-        "counts": {kind: n for (turbine, kind), n in sorted(store.counters().items()) if turbine == name},
+        "counts": {
+            kind: count for (turbine, kind), count in sorted(store.counters().items()) if turbine == name
+        },
         "held": store.held_count(name),
     }
 
 
-def _humid(rows: Sequence[Row], limit: float) -> list[float | None]:
-    """Probability that relative humidity exceeds a limit, from rows that begin with the columns of
-    `COURSES`."""
+def _humid_probabilities(rows: Sequence[Row], limit: float) -> list[float | None]:
+    """Return the probability [1] that relative humidity exceeds a limit [1] in each of the rows, which begin
+    with the columns of `COURSES`; None without a value."""
     first = 2 * list(COURSES).index("relative_humidity")
     value, sd = np.array([row[first : first + 2] for row in rows], dtype=float).reshape(-1, 2).T
     chances = probability_above(Quantity(value, sd), limit)
-    return [None if math.isnan(v) else float(p) for v, p in zip(value, chances, strict=True)]
+    return [None if math.isnan(mean) else float(chance) for mean, chance in zip(value, chances, strict=True)]
 
 
 def by_hour(time: Sequence[float], values: Sequence[float | None]) -> list[tuple[float, float]]:
-    """(beginning [s], highest value) of every hour that has values."""
+    """Return (beginning [s], highest value) of every hour that has values."""
     highest: dict[float, float] = {}
     for at, value in zip(time, values, strict=True):
         if value is not None:
@@ -229,9 +232,9 @@ def by_hour(time: Sequence[float], values: Sequence[float | None]) -> list[tuple
     return sorted(highest.items())
 
 
-def _courses(rows: Sequence[Row]) -> View:
-    """Value and bounds of each quantity that has values, from rows that begin with the columns of
-    `COURSES`."""
+def _course_views(rows: Sequence[Row]) -> View:
+    """Return quantity → values with 95 % bounds in display units, from rows that begin with the columns of
+    `COURSES`; quantities without values are left out."""
     courses: View = {}
     for i, (quantity, display) in enumerate(COURSES.items()):
         factor, offset = display.factor, display.offset
@@ -246,9 +249,9 @@ def _courses(rows: Sequence[Row]) -> View:
     return courses
 
 
-def _forecast(store: Store, name: str) -> View | None:
-    """A turbine's newest forecast: its `weather` and `advice` as texts and as codes with values (`content`),
-    and its courses; None before the first forecast."""
+def _forecast_view(store: Store, name: str) -> View | None:
+    """Return a turbine's newest forecast: its `weather` and `advice` as texts and as codes with values
+    (`content`), and its courses; None before the first forecast."""
     stored = store.memory(name, "forecast")
     if not isinstance(stored, dict):
         return None
@@ -264,12 +267,12 @@ def _forecast(store: Store, name: str) -> View | None:
         "time": [row[-3] for row in rows],
         "condensation": [row[-2] for row in rows],
         "above_limit": [row[-1] for row in rows],
-        "courses": _courses(rows),
+        "courses": _course_views(rows),
     }
 
 
 def alarms_view(store: Store, turbine: str | None = None, since: float = -math.inf) -> list[Alarm]:
-    """Alarms of one turbine, or of all turbines, that are open or ended at `since` [s] or later.
+    """Return the alarms of one turbine, or of all, that are open or ended at `since` [s] or later.
 
     Open alarms come first; open and ended alarms are each sorted by severity, then by time, newest first.
     """
@@ -281,7 +284,7 @@ def alarms_view(store: Store, turbine: str | None = None, since: float = -math.i
 
 
 def labels_view(store: Store) -> list[View]:
-    """How often each kind of alarm was `right` (something had changed) or `wrong` according to its
+    """Return how often each kind of alarm was `right` (something had changed) or `wrong` by its
     acknowledgements, sorted by kind."""
     by_kind: dict[str, Counter[str | None]] = defaultdict(Counter)
     for kind, cause, count in store.rows(statements.CAUSE_COUNTS):
@@ -298,8 +301,9 @@ def labels_view(store: Store) -> list[View]:
     ]
 
 
-def _properties(store: Store, name: str, since: float) -> list[View]:
-    """Each property with its course, whose last value is the present value; shares are in per cent."""
+def _property_views(store: Store, name: str, since: float) -> list[View]:
+    """Return each property with its course from `since` [s] on, whose last value is the present one; shares
+    are in per cent."""
     views = []
     names = "reference observable time value lower_bound upper_bound"
     query = select_rows(schema.property_, names, "turbine name", "time", since=True)
@@ -319,11 +323,12 @@ def _properties(store: Store, name: str, since: float) -> list[View]:
 def _scaled(
     value: float | None, factor: float, offset: float, width: float = 0.0, sd: float | None = 0.0
 ) -> float | None:
+    """Return factor * value + offset + width * sd, rounded to `DECIMALS`; None without a value."""
     return None if value is None else round(factor * value + offset + width * (sd or 0.0), DECIMALS)
 
 
 def _thin(rows: Sequence[T]) -> Sequence[T]:
-    """At most `MOST_COURSE_POINTS` evenly spaced rows, including the last one."""
+    """Return at most `MOST_COURSE_POINTS` evenly spaced rows, including the last one."""
     step = -(-len(rows) // MOST_COURSE_POINTS)
     return rows if step <= 1 else rows[(len(rows) - 1) % step :: step]
 
@@ -331,8 +336,8 @@ def _thin(rows: Sequence[T]) -> Sequence[T]:
 def health_view(
     streams: Mapping[str, Stream], health: Health, counters: Mapping[tuple[str, str], int]
 ) -> View:
-    """State of the `sources` and of the `store` (why it fails), and counts of `refused` deliveries that
-    belong to no turbine.
+    """Return the state of the `sources` and of the `store` (why it fails), and the numbers of `refused`
+    deliveries that belong to no turbine.
 
     Of a source: `heard`: time at which its last message was committed [s]; `lag`: time [s] from its newest
     reading to the arrival of that reading; `not_reached`: time [s] since which it has not been reached;
@@ -345,11 +350,11 @@ def health_view(
             {
                 "url": url,
                 "state": stream.state.word,
-                "words": stream.state.words,
+                "words": stream.state.explanation,
                 "heard": None if times is None else times.committed,
                 "lag": None if times is None else times.lag_s,
                 "not_reached": None if stream.played_back else stream.reach().since,
-                "ordered_by": "nothing: neither counts" if is_unordered else stream.ordered_by,
+                "ordered_by": "nothing: neither is used" if is_unordered else stream.ordered_by,
             }
         )
     return {
@@ -358,22 +363,24 @@ def health_view(
         "deliveries": health.deliveries,
         "committed": health.committed_s,
         "wait_99_s": health.wait_s(0.99),
-        "refused": {kind: n for (turbine, kind), n in sorted(counters.items()) if not turbine},
+        "refused": {kind: count for (turbine, kind), count in sorted(counters.items()) if not turbine},
     }
 
 
 def signal_rows(
     store: Store, name: str, now: float, needs: Sequence[Need], alarms: Iterable[Alarm]
 ) -> list[dict[str, Any]]:
-    """The last reading of each signal of a turbine in its display unit; signals that the model reads but that
-    never arrived are listed, too.
+    """Return the last reading of each signal of a turbine in its display unit; signals that the model reads
+    but that never arrived are listed, too.
 
     `last`: time of the reading [s]; `received`: its arrival [s]; `count`: number of readings in the last day;
     `needed`: "required" if there is no estimate without the signal, "used" if the model reads the signal, ""
     if it does not; `contradicts`: whether an open alarm states that the reading contradicts the estimate.
     """
     views = []
-    contradicting = {a.subject for a in alarms if a.kind == CONTRADICTS.kind and a.ended is None}
+    contradicting = {
+        alarm.subject for alarm in alarms if alarm.kind == CONTRADICTS.kind and alarm.ended is None
+    }
     present = store.signals(name)
     used = {signal: "required" if need.required else "used" for need in needs for signal in need.signals}
     missing = [need.signals[0] for need in needs if not set(need.signals) & set(present)]
@@ -420,7 +427,7 @@ class MarginsCache:
         self._kept: tuple[float, View] | None = None
 
     def view(self, reader: Reader, names: Sequence[str], now: float) -> View:
-        """The margins of all turbines at `now` [s] in steps of `step` [s] from `start` [s] on.
+        """Return the margins of all turbines at `now` [s], in steps of `step` [s] from `start` [s] on.
 
         The first `past` steps are estimates, the others forecasts.
         """
@@ -440,22 +447,16 @@ class MarginsCache:
 
 
 def margins_of(store: Store, names: Sequence[str], start: float) -> View:
-    """Turbine → the lowest margin `value` [K] in each step from `start` [s] on, and `half` the width of its
-    95 % band [K]; None in steps without margins.  Turbines without any margin are left out."""
+    """Return turbine → the lowest margin `value` [K] in each step from `start` [s] on, and `half` the width
+    of its 95 % band [K]; None in steps without margins.  Turbines without any margin are left out."""
     margins = {}
     now = start + SHOWN_BACK_S
     for name in names:
-        courses = [
-            row
-            for query, since, until in (
-                (statements.PAST_MARGINS, start, now),
-                (statements.FORECAST_MARGINS, now, now + SHOWN_AHEAD_S),
-            )
-            for row in store.rows(query, turbine=name, since=since, until=until)
-        ]
-        if not courses:
+        past = store.rows(statements.PAST_MARGINS, turbine=name, since=start, until=now)
+        ahead = store.rows(statements.FORECAST_MARGINS, turbine=name, since=now, until=now + SHOWN_AHEAD_S)
+        if not past and not ahead:
             continue
-        rows = np.array(courses, dtype=float)
+        rows = np.array([*past, *ahead], dtype=float)
         value, half = lowest_margins(
             (rows[:, 0] - start) / MARGIN_STEP_S, rows[:, 1], rows[:, 2], PAST_STEPS + AHEAD_STEPS
         )
@@ -466,16 +467,16 @@ def margins_of(store: Store, names: Sequence[str], start: float) -> View:
 def lowest_margins(
     time: np.ndarray, margin: np.ndarray, sd: np.ndarray, steps: int
 ) -> tuple[list[float | None], list[float | None]]:
-    """The lowest margin [K] in each of the steps, and half the width of its 95 % band [K].
+    """Return the lowest margin [K] in each of the steps, and half the width of its 95 % band [K].
 
     time (T,): time as a multiple of the step; margin, sd (T,) [K].
     """
     step = np.floor(time).astype(int)
-    order = np.lexsort((margin, step))
-    first = order[np.r_[True, np.diff(step[order]) != 0]]
+    sorted_indices = np.lexsort((margin, step))
+    lowest_indices = sorted_indices[np.r_[True, np.diff(step[sorted_indices]) != 0]]
     value: list[float | None] = [None] * steps
     half: list[float | None] = [None] * steps
-    for i in first:
+    for i in lowest_indices:
         if 0 <= step[i] < steps and np.isfinite(margin[i]) and np.isfinite(sd[i]):
             value[step[i]], half[step[i]] = round(float(margin[i]), 1), round(Z95 * float(sd[i]), 1)
     return value, half
