@@ -95,11 +95,11 @@ class PreferredAlternative:
         """The finding, with the line that corrects it."""
         one, other = self.alternative, self.rival
         code = DoubtCode.CLOCK_OR_WALL if self.verdict == WALL else DoubtCode.READ_OTHERWISE
-        values: dict[str, Value] = {"what": one.mistake, "line": one.line, "witnesses": ()}
+        values: dict[str, Value] = {"mistake": one.mistake, "remedy": one.line, "evidence": ()}
         if self.witnesses:
-            values["witnesses"] = (RecordCode.WITNESSED(witnesses=self.witnesses, gain=self.gain),)
+            values["evidence"] = (RecordCode.WITNESSED(witnesses=self.witnesses, gain=self.gain),)
         if self.verdict != WALL and other is not None:
-            return DoubtCode.EITHER_CLOCK(**values, other=other.mistake, other_line=other.line)
+            return DoubtCode.EITHER_CLOCK(**values, other_mistake=other.mistake, other_remedy=other.line)
         return code(**values)
 
 
@@ -359,7 +359,11 @@ _SCALES = (
     *(
         (
             RecordCode.IN_OTHER_UNIT(unit=_DEGREES[unit], called=_DEGREES[called]),
-            RecordCode.STATE_UNIT(unit=unit), "temperature", called, unit, 1.0,
+            RecordCode.STATE_UNIT(unit=unit),
+            "temperature",
+            called,
+            unit,
+            1.0,
         )
         for unit, called in (("degF", "degC"), ("degC", "degF"), ("K", "degC"), ("degC", "K"))
     ),
@@ -395,9 +399,7 @@ def _value_alternatives(record: Record) -> tuple[Alternative, ...]:
     for pairs in _EXCHANGES:
         what = RecordCode.SEEM_EXCHANGED(pairs=tuple(RecordCode.PAIR(first=a, second=b) for a, b in pairs))
         signals = tuple(name for pair in pairs for name in pair)
-        made.append(
-            Alternative(what, RecordCode.EXCHANGE_COLUMNS(), signals, partial(_exchanged, pairs))
-        )
+        made.append(Alternative(what, RecordCode.EXCHANGE_COLUMNS(), signals, partial(_exchanged, pairs)))
     return tuple(one for one in made if all(name in record for name in one.signals))
 
 

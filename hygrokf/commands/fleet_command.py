@@ -1,4 +1,4 @@
-"""`hygrokf fleet`: one task for many turbines."""
+"""`hygrokf fleet`: do one task for many turbines."""
 
 from __future__ import annotations
 
@@ -30,6 +30,8 @@ def _arguments(parser: ArgumentParser) -> None:
 
 
 def _run(options: Namespace) -> int:
+    """Do the task for every turbine, write the files, and show the report; status 1 if a turbine has no
+    result."""
     from hygrokf.commands.fleet_tasks import run_fleet
     from hygrokf.fleet.fleet_plan import read_plan
     from hygrokf.report.fleet_page import fleet_blocks, outcome_text
@@ -40,11 +42,11 @@ def _run(options: Namespace) -> int:
     plan = read_plan(options.fleet)
     with Progress(len(plan.turbines)) as progress:
 
-        def say(row: Row, is_stored: bool) -> None:
+        def report_row(row: Row, is_stored: bool) -> None:
             progress.tell(outcome_text(row, is_stored))
             progress(str(row["turbine"]))
 
-        results = run_fleet(plan, options.out, workers=options.workers, cluster=options.dask, say=say)
+        results = run_fleet(plan, options.out, workers=options.workers, cluster=options.dask, say=report_row)
     data = {"rows": [dict(row) for row in results.rows]}
     show_reported(options.out / REPORT, data, fleet_blocks(results), options.json)
     return FOUND if results.missing else 0

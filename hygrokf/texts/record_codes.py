@@ -1,17 +1,17 @@
-"""Doubts about records, what records cannot tell, and the phrases of both: every code with its template."""
+"""Sentences about records: doubts, and what a record cannot tell."""
 
 from __future__ import annotations
 
 from hygrokf.texts.statement import Code, Statement
 
 THERMAL, HYGRIC, BOTH, NEITHER = ("thermal",), ("hygric",), ("thermal", "hygric"), ()
-"""Time constants that a doubt touches."""
+"""The time constants that a doubt makes doubtful, too."""
 BY_SIGNAL = None
-"""Those that depend on the doubt's signal."""
+"""The time constants depend on the signal of the doubt."""
 
 
 class RecordCode(Code):
-    """Phrases of doubts and remedies, and what a record cannot tell."""
+    """Phrases in doubts and remedies, and what a record cannot tell."""
 
     # times
     PERIOD = "{start:stamp} to {end:stamp}"
@@ -59,9 +59,7 @@ class RecordCode(Code):
     WITNESSED = " ({witnesses:and}; {gain:.0} in ln L)"
     WOULD_FIT = "; they would fit as {units:or}"
     BESIDE_RATED = "reaches {high_kW:4g} kW, {times:3g} times the rated {rated_kW:g} kW"
-    POWER_IN_OTHER_UNIT = (
-        "active_power is called {unit} and {beside}: correct its unit or rated_power_kW"
-    )
+    POWER_IN_OTHER_UNIT = "active_power is called {unit} and {beside}: correct its unit or rated_power_kW"
     OUT_OF_RANGE_MASKED = (
         "{label}: {n:.0} {n:reading|readings} outside of {low} … {high} masked, such as {examples:and} "
         "({when})"
@@ -84,7 +82,8 @@ class RecordCode(Code):
 
 
 class DoubtCode(Code):
-    """A doubt about a record, with the time constants that it touches."""
+    """A doubt about a record: the time constants that it makes doubtful, too, and the template of its
+    sentence."""
 
     CLOCK_RUNS = (
         BOTH,
@@ -101,13 +100,16 @@ class DoubtCode(Code):
         "{file} cannot be compared ({signals}): fewer than {fewest_d:g} days in common with the source that "
         "is used",
     )
-    READ_OTHERWISE = (BOTH, "{what}{witnesses:;}: if so, {line}")
+    READ_OTHERWISE = (BOTH, "{mistake}{evidence:;}: if so, {remedy}")
     CLOCK_OR_WALL = (
         BOTH,
-        "clock, or a heavy wall: {what}{witnesses:;}: if so, {line}; a second witness is missing (power, "
-        "humidity, or the sun)",
+        "clock, or a heavy wall: {mistake}{evidence:;}: if so, {remedy}; a second witness is missing "
+        "(power, humidity, or the sun)",
     )
-    EITHER_CLOCK = (BOTH, "{what}{witnesses:;}: if so, {line}; or {other}: then {other_line}")
+    EITHER_CLOCK = (
+        BOTH,
+        "{mistake}{evidence:;}: if so, {remedy}; or {other_mistake}: then {other_remedy}",
+    )
     RADIATION_LATE = (
         BOTH,
         "the sun's radiation is centred {minutes:.0} min after solar noon at the site: wrong zone, wrong "
@@ -241,19 +243,19 @@ class DoubtCode(Code):
 
 
 def touched(doubt: Statement) -> tuple[str, ...]:
-    """The time constants ("thermal", "hygric") that a doubt about a record touches."""
+    """Return the time constants ("thermal", "hygric") that a doubt about a record makes doubtful, too."""
     touches = doubt.code.touches if isinstance(doubt.code, DoubtCode) else NEITHER
     return told_by(str(doubt.values["signal"])) if touches is BY_SIGNAL else touches
 
 
 def told_by(signal: str) -> tuple[str, ...]:
-    """The time constants that depend on a signal."""
+    """Return the time constants that depend on a signal."""
     if "humidity" in signal or "dew_point" in signal:
         return HYGRIC
     return BOTH if signal.endswith("_temperature") else THERMAL if signal == "active_power" else NEITHER
 
 
 def period(start_s: float, end_s: float) -> Statement:
-    """A period [s since 1970], an instant where it has no length."""
+    """Return the statement of a period [s since 1970]; for a period without length, of its instant."""
     same = round(start_s) == round(end_s)
     return RecordCode.INSTANT(start=start_s) if same else RecordCode.PERIOD(start=start_s, end=end_s)
