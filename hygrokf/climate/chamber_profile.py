@@ -47,8 +47,7 @@ Days: TypeAlias = np.ndarray
 
 
 def days_of(year: Year, members: Sequence[int]) -> Days:
-    """Return the days of some members of a year whose hours are all known; empty if the year is not
-    hourly."""
+    """The days of some members of a year whose hours are all known; empty if the year is not hourly."""
     hours = np.round(year.time_s / 3600.0).astype(np.int64)
     day_starts = np.flatnonzero(hours % DAY_H == hours[0] % DAY_H)
     day_starts = day_starts[day_starts + DAY_H <= len(hours)]

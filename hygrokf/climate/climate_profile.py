@@ -85,8 +85,7 @@ def reduced(year: Year, law: Acceleration, limits: Sequence[ClimateLimit] = ()) 
 
 
 def _joint_hours(celsius: np.ndarray, percent: np.ndarray) -> np.ndarray:
-    """Return the hours a year (N, I, J) of every member in the bins of `TEMPERATURE_EDGES` and
-    `HUMIDITY_EDGES`."""
+    """The hours a year (N, I, J) of every member in the bins of `TEMPERATURE_EDGES` and `HUMIDITY_EDGES`."""
     rows, columns = len(TEMPERATURE_EDGES) - 1, len(HUMIDITY_EDGES) - 1
     temperature_bin = np.clip(np.searchsorted(TEMPERATURE_EDGES, celsius, side="right") - 1, 0, rows - 1)
     humidity_bin = np.clip(np.searchsorted(HUMIDITY_EDGES, percent, side="right") - 1, 0, columns - 1)

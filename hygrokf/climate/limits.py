@@ -176,8 +176,7 @@ def duplicate_name_faults(limits: Sequence[ClimateLimit]) -> list[str]:
 
 
 def beyond(year: Year, limit: ClimateLimit) -> np.ndarray | None:
-    """Return whether each member exceeds the limit at each instant (N, T); None if the model lacks the
-    quantity."""
+    """Whether each member exceeds the limit at each instant (N, T); None if the model lacks the quantity."""
     quantity = _QUANTITY_OF_RATE.get(limit.quantity, limit.quantity)
     values = courses(year).get(quantity)
     if values is None:

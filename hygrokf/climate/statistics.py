@@ -27,8 +27,7 @@ CYCLE_RANGES_K = np.array([5.0, 10.0, 20.0])
 
 
 def courses(year: Year) -> dict[str, np.ndarray]:
-    """Return the quantities of a year (N, T) in °C, %, g/m³; only the temperature if the model has no
-    humidity."""
+    """The quantities of a year (N, T) in °C, %, g/m³; only the temperature if the model has no humidity."""
     by_quantity = {"temperature_degC": year.temperature_K - ZERO_CELSIUS_K}
     if year.relative_humidity is not None and year.absolute_humidity_g_m3 is not None:
         by_quantity["relative_humidity_percent"] = 100.0 * year.relative_humidity

@@ -199,8 +199,7 @@ class Study:
         return drawn(self, axes)
 
     def to_frame(self) -> DataFrame:
-        """Return the rows as a pandas frame, indexed by region, scope and statistic, with the `unit` of
-        each."""
+        """The rows as a pandas frame, indexed by region, scope and statistic, with the `unit` of each."""
         import pandas as pd
 
         return with_units(pd.DataFrame(self.rows()).set_index(["region", "scope", "statistic"]), {})
@@ -232,8 +231,7 @@ def read_climate(directory: str | os.PathLike[str]) -> Study:
 
 
 def climate_csv(study: Study) -> str:
-    """Return all numbers as CSV, one row for each region, scope and statistic; limits with the scope
-    "limit"."""
+    """All numbers as CSV, one row for each region, scope and statistic; limits with the scope "limit"."""
     table = study.to_frame().drop(columns="unit").astype({"outside": object})  # unrounded
     return str(table.to_csv(float_format="%.6g", lineterminator="\n"))
 

@@ -133,8 +133,7 @@ def _open_statement(constant: TimeConstant) -> Statement:
 
 
 def _verdict_columns(results: Mapping[str, TimeConstant | Inherited]) -> dict[str, Cell]:
-    """Return the verdict on each time constant of a fit, or of a result that uses a fit; "" without a
-    verdict."""
+    """The verdict on each time constant of a fit, or of a result that uses a fit; "" without a verdict."""
     return {f"{part}_verdict": (results[part].verdict or "") if part in results else "" for part in PARTS}
 
 

@@ -168,8 +168,7 @@ def _source_files(case: Path) -> list[str]:
 
 
 def stored_row(job: Job) -> Row | None:
-    """Return the row on disk if the same job is done; None if it failed, or if its files or options have
-    changed."""
+    """The row on disk if the same job is done; None if it failed, or if its files or options have changed."""
     try:
         row = _row(json.loads((job.folder / ROW).read_text(encoding="utf-8")))
         is_done = (row["key"], row["turbine"], row["status"]) == (job.key, job.turbine, DONE)

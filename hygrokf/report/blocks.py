@@ -74,8 +74,8 @@ class Banner:
 
 @dataclass(frozen=True)
 class Line:
-    """A sentence with the mark of its verdict `kind`; `head`: a main line; `within`: a reason for the main
-    line above."""
+    """A sentence with the mark of its verdict `kind`; `head`: a main line; `within`: a reason for a main
+    line."""
 
     kind: str
     text: str
@@ -172,8 +172,7 @@ class Figure:
 
 @dataclass(frozen=True)
 class Details:
-    """Blocks that are folded until a reader opens them; a printed page shows them; `printed`: a terminal
-    too."""
+    """Blocks that are folded until a reader opens them; printed pages show them, terminals if `printed`."""
 
     summary: str
     blocks: tuple[Block, ...]
@@ -219,8 +218,7 @@ def section(heading: str, *blocks: Block | None) -> tuple[Block, ...]:
 
 
 def method(heading: str, *lines: str) -> tuple[Block, ...]:
-    """Return a heading with one paragraph for each line, for the part of a page that says how a result was
-    computed."""
+    """The heading and paragraphs that say how a result was computed."""
     return (Heading(heading), *map(Prose, lines))
 
 

@@ -149,8 +149,7 @@ def _cards(study: Study) -> tuple[Card, ...]:
 
 
 def _number_card(region: RegionClimate, name: str, label: str, doubt: str, *lines: str) -> Card:
-    """Return the card of one number of a region's year with its bounds; rejected if there is a doubt about
-    the fit."""
+    """The card of one number of a region's year with its bounds; rejected if the fit is in doubt."""
     value, bounds = value_and_bounds(region.year[name], number_text(name))
     bounds_text = (
         f"{share_held([region])} of single years: {bounds}" if bounds else "in every member and year"

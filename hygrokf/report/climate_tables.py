@@ -38,8 +38,7 @@ def hours_text(value: float) -> str:
 
 
 def number_text(name: str) -> Callable[[float], str]:
-    """Return the function that writes the number `name`: hours in whole hours, all others by significant
-    digits."""
+    """The function that writes a number by its `name`: hours as whole hours, others by significant digits."""
     return hours_text if name.endswith("_h") and name != "ageing_h" else plain_number
 
 
@@ -113,8 +112,7 @@ def events_table(region: RegionClimate) -> Table:
 def _numbers(
     region: RegionClimate, heading: str, wanted: Sequence[str], note: str, kinds: Sequence[str] = ("scope",)
 ) -> Table:
-    """Return the statistics of some scopes, one column each; beside the whole year also those of the
-    weather."""
+    """The statistics of some scopes, one column each; beside the whole year also those of the weather."""
     scopes = [scope for scope in wanted if scope in region.scopes]
     rows = []
     for statistic in STATISTICS:

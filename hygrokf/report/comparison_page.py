@@ -199,8 +199,7 @@ def _differences(tables: Sequence[Table]) -> tuple[Block, ...]:
 
 
 def _card(results: ComparisonResults, name: str) -> Card:
-    """Return the card of a quantity: the column with the smallest error, and its differences from the
-    others."""
+    """The card of a quantity: the column with the smallest error, and its differences from the others."""
     terms = quantity(name)
     period = "validation" if results.errors("validation", name) else "whole"
     errors_by_label = results.errors(period, name)
@@ -273,8 +272,7 @@ def scores_table(results: ComparisonResults, name: str) -> Table:
 
 
 def differences_table(results: ComparisonResults, column: str, reference: str) -> Table:
-    """Return the RMSE of `column` minus that of `reference` by quantity and period; rows whose bounds exclude
-    zero are bold."""
+    """RMSE of `column` minus that of `reference`, by quantity and period; bold if the bounds exclude zero."""
     rows: list[tuple[str, ...]] = []
     bold_rows: list[int] = []
     for name in SCORED:
@@ -302,8 +300,7 @@ def differences_table(results: ComparisonResults, column: str, reference: str) -
 
 
 def skill_table(results: ComparisonResults) -> Table:
-    """Return the skill against each rule in the validation period; over the whole record if nothing was
-    validated."""
+    """The skill against each rule in the validation period; without one over the whole record."""
     labels, rows = short_labels([column.label for column in results.columns]), []
     for column, label in zip(results.columns, labels, strict=True):
         for name in SCORED:

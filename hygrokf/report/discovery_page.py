@@ -316,8 +316,7 @@ def spans_text(before: Residuals | None) -> tuple[str, ...]:
 
 
 def _judged(results: DiscoveryResults, cause: CauseFound | Rejected) -> tuple[Block, ...]:
-    """Return the blocks of a judged cause: its held-out test, and for an accepted cause its settings and
-    parameters."""
+    """The blocks of a judged cause: held-out test, and for an accepted cause settings and parameters."""
     blocks: list[Block | None] = [Heading(capital(cause_with_form(cause)), 3)]
     if isinstance(cause, CauseFound):
         reason_if_empty = "The cause has no parameters of its own: it corrects time stamps."

@@ -211,8 +211,7 @@ def count_judged(results: DiscoveryResults) -> int:
 
 
 def class_of(cause: CauseFound) -> str:
-    """Return a cause with the rivals that the record cannot distinguish from it; with too many rivals, no
-    cause is named."""
+    """A cause with the rivals that the record cannot distinguish from it; no name for too many rivals."""
     rivals = [spoken(rival) for rival in cause.ambiguous_with]
     if not cause.told_apart:
         return DiscoveryCode.NOT_TOLD_APART(causes=(spoken(cause.cause), *rivals)).text
@@ -220,8 +219,7 @@ def class_of(cause: CauseFound) -> str:
 
 
 def _cause(results: DiscoveryResults, cause: CauseFound, is_headline: bool) -> str:
-    """Return a cause with its meaning, its remark and its rivals; without its name if the headline states it
-    already."""
+    """A cause with its meaning, remark and rivals; without its name if the headline states it."""
     name_with_confidence = (
         "" if is_headline else ", ".join(filter(None, (class_of(cause), confidence_text(cause))))
     )
@@ -368,8 +366,7 @@ def rivals_text(cause: CauseFound) -> str:
 
 
 def outcome(results: DiscoveryResults, cause: CauseFound | Rejected) -> str:
-    """Return whether a cause was accepted, with the lead of its evidence over the best rival, or why it was
-    excluded."""
+    """Whether a cause was accepted, with its lead over the best rival, or why it was excluded."""
     if isinstance(cause, CauseFound):
         has_lead = math.isfinite(cause.evidence.lead)
         code = DiscoveryCode.ACCEPTED_AHEAD if has_lead else DiscoveryCode.ACCEPTED

@@ -105,8 +105,7 @@ def read_results(folder: Path) -> tuple[FitResults, dict[str, np.ndarray]]:
 
 
 def fit_blocks(fit: FitResults, series: Mapping[str, np.ndarray]) -> Page:
-    """Return the page of a fit; the time constants with their verdicts and the validation period come
-    first."""
+    """The page of a fit; the time constants with their verdicts and the validation period come first."""
     figures = {name: figure_of(name, fit, series) for name in FIGURES}
     body = (
         *section("What is reliable", Prose(TERMS, "note"), _judgements(fit)),
@@ -215,8 +214,7 @@ def _card(fit: FitResults, name: str) -> Card:
 
 
 def _judgements(fit: FitResults) -> Verdicts:
-    """Return the doubts about the record, the time constants with their reasons, then the other verdicts, the
-    worst first."""
+    """Doubts about the record, time constants with their reasons, then the rest, the worst first."""
     order = {REJECT: 0, BELIEVE: 1, CAUTION: 2}
     sorted_judgements = sorted(
         judgements(fit), key=lambda judgement: 0 if judgement.about in PARTS else 1 + order[judgement.verdict]

@@ -37,8 +37,7 @@ ACTUATORS = (
 
 
 def time_constants_table(fit: FitResults) -> Table:
-    """Return the time constants: the reported value, and the estimates by the likelihood and by the free run
-    alone."""
+    """The time constants: reported, by the likelihood alone, and by the free run alone."""
     rows: list[tuple[str, ...]] = []
     notes: list[str] = []
     for name, reported in inherited(fit).items():

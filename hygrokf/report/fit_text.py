@@ -46,8 +46,7 @@ def level_and_method(constant: TimeConstant) -> str:
 
 
 def free_run_text(constant: TimeConstant) -> str:
-    """Return the estimate by the free run alone with its bounds, "1.52 h (1.29 … 1.75)"; empty without
-    one."""
+    """The estimate by the free run alone with its bounds, "1.52 h (1.29 … 1.75)"; empty without one."""
     free_run = constant.simulation
     if free_run is None or not math.isfinite(free_run.value_h):
         return ""
@@ -55,8 +54,7 @@ def free_run_text(constant: TimeConstant) -> str:
 
 
 def range_text(constant: TimeConstant) -> str:
-    """Return the time constant at both ends of the record's temperatures; empty if it does not depend on
-    them."""
+    """The time constant at both ends of the record's temperatures; empty if it does not depend on them."""
     ends_h = constant.range_h or ()
     if len(ends_h) != 2 or not all(map(math.isfinite, ends_h)):
         return ""

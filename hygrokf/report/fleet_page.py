@@ -141,8 +141,7 @@ def _cards(fleet: FleetResults, scatters: Sequence[Scatter]) -> list[Card]:
 
 
 def _spread_card(scatter: Scatter) -> Card:
-    """Return the card of a quantity: median and range over the turbines, and the spread beyond their
-    bounds."""
+    """The card of a quantity: median and range over the turbines, and the spread beyond their bounds."""
     median, low, high = map(math.exp, (scatter.center, scatter.x.min(), scatter.x.max()))
     unit = scatter.compared.unit
     decimals = min(decimals_for(high - low) + 1, 3) if high > low else 2
@@ -273,8 +272,7 @@ def _set_aside(scatters: Sequence[Scatter]) -> list[Prose]:
 
 
 def _ranking(task: Task, done: Sequence[Row], scatters: Sequence[Scatter]) -> Table | None:
-    """Return every turbine with the quantities of the task, ranked by one of them; None without any
-    quantity."""
+    """Every turbine with the quantities of the task, ranked by one of them; None without any quantity."""
     quantities = [
         shown for shown in (*task.listed, *task.compared) if any(_value(row, shown) != NONE for row in done)
     ]

@@ -47,8 +47,7 @@ def _template() -> Template:
 
 
 def _printable(value: object) -> object:
-    """Replace the control characters of a text by blanks; texts that the template itself made stay
-    unchanged."""
+    """Replace control characters by blanks; texts that the template itself made stay unchanged."""
     if type(value) is not str or value.isprintable():
         return value
     return "".join(c if c.isprintable() or c == "\xa0" else " " for c in value)

@@ -30,8 +30,7 @@ QUARTERS = (1.0, 1.5, 3.0, 4.5, 9.0, 10.0)
 
 # -- answers of a linear system ------------------------------------------------------------------------------
 def bode(response: FrequencyResponse) -> Picture:
-    """Draw magnitude above phase over the angular frequency, a column for each input and two rows for each
-    output."""
+    """Draw magnitude above phase over the frequency; a column for each input, two rows for each output."""
     limits = (float(response.omega[0]), float(response.omega[-1]))
     magnitude = Axis("magnitude [output/input]", kind="logarithmic")
     phase = Axis("phase [°]", most=6, steps=QUARTERS)
@@ -70,8 +69,7 @@ def _picture(response: Response, panels: Sequence[Panel], height_in: float) -> P
 
 
 def _marks(response: Response, x: np.ndarray, answer: Answer) -> tuple[Mark, ...]:
-    """Return the curve of a response over x (n,), with the band of the parameters' uncertainty if there is
-    one."""
+    """The curve of a response over x (n,), with the band of the parameters' uncertainty if there is one."""
     value, lower, upper = answer
     band_label = f"{100.0 * response.level:g} % band from the parameters' uncertainty"
     curve = (Curve(x, value, MEASURED, 1.1, "at the estimate"),)

@@ -119,8 +119,7 @@ def place(site: Site, number: Callable[[float], str] = "{:.2f}".format) -> tuple
 
 
 def versions(version: str, when: str = "") -> str:
-    """Return the version that computed a result (and the time, if given), and the version that wrote the
-    page."""
+    """The version that computed a result (and the time, if given), and the version that wrote the page."""
     date_text = f" on {when} UTC" if when else ""
     return f"hygrokf {version or '(version not stated)'}{date_text}; page by hygrokf {__version__}"
 

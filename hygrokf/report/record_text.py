@@ -32,8 +32,7 @@ def describe_text(summary: RecordSummary) -> str:
 
 
 def record_blocks(summary: RecordSummary) -> Iterator[Block]:
-    """Yield the summary of a record: periods, signals, sources, comparisons, actuators, warnings and
-    doubts."""
+    """Yield a record's summary: periods, signals, sources, comparisons, actuators, and doubts."""
     yield Prose(_heading(summary))
     periods = (("identification", summary.identification), ("validation", summary.validation))
     spans = (
@@ -163,8 +162,7 @@ def draft_blocks(draft: Draft) -> Iterator[Block]:
 
 
 def _state(signal: DraftedSignal) -> str:
-    """Return how the draft writes a signal: as a comment, to be compared, or as a signal; maybe to be
-    confirmed."""
+    """How the draft writes a signal: as a comment, to be compared, or as a signal; maybe to be confirmed."""
     if not signal.active:
         return "comment"
     return ("compared" if signal.compare else "signal") + (", to confirm" if signal.doubts else "")

@@ -35,8 +35,7 @@ KEY = "Reliable ({}), with caution ({}), not reliable ({})".format(*map(PLAIN_MA
 
 
 def terminal_width() -> int:
-    """Return the width of text on standard output [columns]: that of the terminal, within `NARROWEST` …
-    `TEXT_WIDTH`."""
+    """Width of text on standard output [columns], within `NARROWEST` … `TEXT_WIDTH`."""
     if sys.stdout is None or not sys.stdout.isatty():
         return TEXT_WIDTH
     return min(max(shutil.get_terminal_size((TEXT_WIDTH, 24)).columns, NARROWEST), TEXT_WIDTH)
@@ -100,8 +99,7 @@ def block_text(block: Block, width: int = TEXT_WIDTH) -> str:
 
 
 def _card(card: Card) -> str:
-    """Return a card as a sentence: the number with its verdict; for a rejected number the verdict comes
-    first."""
+    """A card as a sentence: the number with its verdict; for a rejected number the verdict comes first."""
     value = f"{card.value} ({card.bounds})" if card.bounds else card.value
     if card.kind == REJECT:
         statement = f"{card.label}, {card.verdict}: {value}"
@@ -156,8 +154,7 @@ def table_text(table: Table, width: int = TEXT_WIDTH) -> str:
 
 
 def _longest_word(name: str) -> int:
-    """Return the width of a name's longest word [columns], with its indent and the indent of a wrapped
-    line."""
+    """The width of a name's longest word [columns], with its indent and the indent of a wrapped line."""
     text = name.lstrip()
     longest = max((cells(word) for word in text.split()), default=0)
     return longest + len(name) - len(text) + (2 if " " in text else 0)
@@ -186,8 +183,7 @@ def _paragraphs(table: Table, shown_columns: Sequence[int], rows: list[list[str]
 
 
 def _name_wrapped(row: list[str], width: int) -> list[list[str]]:
-    """Wrap the first cell of a row to `width` columns; only the first of the resulting rows has the other
-    cells."""
+    """Wrap the first cell of a row to `width` columns; only the first line has the other cells."""
     text = row[0].lstrip()
     indent = " " * (len(row[0]) - len(text))
     first, *further_lines = [indent + line for line in wrapped(text, width - len(indent), "  ")]
@@ -233,8 +229,7 @@ def shortened(text: str, width: int) -> str:
 
 
 def wrapped(text: str, width: int = TEXT_WIDTH, indent: str = "") -> list[str]:
-    """Wrap a text to lines of at most `width` columns, all but the first indented; words longer than a line
-    are cut."""
+    """Wrap a text to `width` columns, further lines indented; words longer than a line are cut."""
     lines, line = [], ""
     for word in text.split(" "):
         while word:

@@ -112,8 +112,7 @@ def write_transfer(
 
 
 def rewrite_transfer(directory: str | os.PathLike[str]) -> Path:
-    """Write report.html again from transfer.json and transfer.npz. Raises ResultFault if they cannot be
-    read."""
+    """Write report.html again from the results. Raises ResultFault if they cannot be read."""
     return write_text_whole(Path(directory) / REPORT, page_html(transfer_blocks(*read_transfer(directory))))
 
 
@@ -125,8 +124,7 @@ def read_transfer(directory: str | os.PathLike[str]) -> tuple[TransferResults, t
 
 
 def folders(names: Sequence[str]) -> list[str]:
-    """Return the name of a folder for each record: its name in plain letters, numbered if another record has
-    it."""
+    """A folder's name for each record: its name in plain letters, numbered if another record has it."""
     folder_names: list[str] = []
     for name in names:
         plain_name = re.sub(r"[^A-Za-z0-9._-]+", "-", name).strip("-.") or "record"
@@ -175,8 +173,7 @@ def transfer_blocks(results: TransferResults, courses: Sequence[RecordCourse] = 
 
 
 def _card(results: TransferResults, result: TransferResult) -> Card:
-    """Return the card of a record: its verdict with the reasons; with several records only the first
-    reason."""
+    """The card of a record: its verdict with the reasons; with several records only the first reason."""
     reasons = tuple(sentence(reason.text) for reason in result.reasons)
     is_only = len(results.records) == 1
     return Card(
@@ -233,8 +230,7 @@ def _record(results: TransferResults, number: int, course: Figure | None) -> tup
 
 
 def groups_table(result: TransferResult) -> Table:
-    """Return each group of parameters: the test, the effect of its difference on the simulation, and the
-    outcome."""
+    """Each group of parameters: the test, the effect of its difference on the simulation, and the outcome."""
     rows: list[tuple[str, ...]] = []
     marked: list[int] = []
     for group in result.groups:

@@ -286,8 +286,7 @@ class CheckCode(Code):
         self.usual = usual
 
     def __call__(self, about: str = "", level: str = "", /, **values: Value) -> Check:
-        """Return the check with these values; `about`: what was checked; `level`: if it is not the usual
-        one."""
+        """The check with these values; `about`: what was checked; `level`: if it is not the usual one."""
         return Check(self, values, about, level or self.usual)
 
 # fmt: on

@@ -81,8 +81,7 @@ MOST_DECIMALS = 8
 
 
 def decimals_for(spread: float) -> int:
-    """Return the decimals that show `spread` with one significant digit, or with two if the first one is 1 or
-    2."""
+    """The decimals that show `spread` with one significant digit, or with two if the first one is 1 or 2."""
     if not (math.isfinite(spread) and spread > 0):
         return 2
     return min(max(math.ceil(0.4 - math.log10(spread)), 0), MOST_DECIMALS)
@@ -130,8 +129,7 @@ def unbroken(text: str) -> str:
 
 
 def sentence(text: str) -> str:
-    """Return a text with a capital first letter and a full stop; a leading name with underscores stays
-    unchanged."""
+    """A text with a capital first letter and a full stop; a leading name with underscores stays unchanged."""
     text = text[:1].upper() + text[1:] if not text.split(" ")[0].count("_") else text
     return text if text.endswith((".", "!", "?")) else text + "."
 

@@ -58,8 +58,7 @@ _OFFSETS = ("_bias", "_offset")
 
 
 def group_of(model: Model) -> dict[str, str]:
-    """Return the group of every parameter of a model; a mechanism beside the base models is a group of its
-    own."""
+    """The group of every parameter of a model; a mechanism beside the base models is a group of its own."""
     groups = {}
     for mechanism in model.mechanisms:
         for parameter in mechanism.parameters:

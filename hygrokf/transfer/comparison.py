@@ -242,8 +242,7 @@ def compare(columns: Sequence[ComparisonColumn]) -> ComparisonResults:
 
 
 def _scores(column: ComparisonColumn) -> Iterator[ErrorRow]:
-    """Yield the errors of a column, and on the same instants the errors of the rules and the skill against
-    them."""
+    """The errors of a column, and on the same instants the errors of the rules and the skill against them."""
     time = column.course.time_s
     for period, quantity, regime in product(ALL_PERIODS, column.errors, REGIMES):
         chosen, key = column.scored_at(quantity, period, regime), (quantity, period, regime)

@@ -72,8 +72,7 @@ def parameters_of(
     spread: Uncertainty,
     own: Estimate,
 ) -> dict[str, ParameterChange]:
-    """Return every parameter with its values in the fit and on this record, standard errors, and
-    difference."""
+    """Every parameter with its values in the fit and on this record, standard errors, and difference."""
     origin_indices = {name: number for number, name in enumerate(baseline.origin.names)}
     rows = {}
     for parameter in baseline.base.model.parameters:

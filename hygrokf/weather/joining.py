@@ -129,8 +129,7 @@ def _join_series(parts: Sequence[Series]) -> tuple[Series, list[str]]:
 def _without_packing_noise(
     earlier_parts: Sequence[Series], values: Sequence[np.ndarray], part: Series
 ) -> np.ndarray:
-    """Return the values of a part (T,), replaced by those of earlier parts where they differ only by
-    packing."""
+    """The values of a part (T,), replaced by those of earlier parts where they differ only by packing."""
     value = part.value.copy()
     for earlier, earlier_value in zip(earlier_parts, values, strict=True):
         if earlier.time[-1] < part.time[0]:  # most of many daily files share no stamp

@@ -155,8 +155,7 @@ def point_weather(
 
 
 def _altitude(value: np.ndarray, unit: str | None) -> float | None:
-    """Return the height of the reanalysis' ground [m] from its geopotential; None if it is unknown or
-    impossible."""
+    """The height of the reanalysis' ground [m] from its geopotential; None if it is unknown or impossible."""
     finite = np.asarray(value, dtype=float).ravel()
     finite = finite[np.isfinite(finite)]
     metres_per_unit = {None: 1 / GRAVITY, "m**2 s**-2": 1 / GRAVITY, "m2 s-2": 1 / GRAVITY, "m": 1.0}
@@ -305,8 +304,7 @@ def _select_nearest_cell(
 def _cells_with_temperature(
     dataset: xarray.Dataset, latitude: str, longitude: str, used: dict[str, str], shape: tuple[int, int]
 ) -> np.ndarray:
-    """Return whether each cell (rows, columns) has a temperature: reanalyses of land have no values over the
-    sea."""
+    """Whether each cell (rows, columns) has a temperature: reanalyses of land have no values over the sea."""
     name = next((name for name, short in used.items() if short in ("t2m", "T2M")), None)
     if name is None or not {latitude, longitude} <= set(dataset[name].dims):
         return np.ones(shape, dtype=bool)

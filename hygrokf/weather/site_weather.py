@@ -118,8 +118,7 @@ class SiteWeather:
             self.value[name] = self._to_si(name, np.where(is_infinite, np.nan, values))
 
     def _to_si(self, name: str, value: np.ndarray) -> np.ndarray:
-        """Return the values (T,) of a field in the SI unit of its signal; NaN, and a fault, for an unknown
-        unit."""
+        """The values (T,) of a field in the SI unit of its signal; NaN, and a fault, for an unknown unit."""
         variable, field = self.variables[name], self.fields[name]
         unit = variable.unit if field.unit is None else field.unit
         if (unit_and_factor := unit_in_weather(unit, variable.signal)) is not None:
@@ -243,8 +242,7 @@ def distance_km(latitude_deg: float, longitude_deg: float, site: Site) -> float:
 
 
 def place_text(latitude_deg: float, longitude_deg: float, site: Site | None = None) -> str:
-    """Return a point in words, with its distance from the site, if any: "48.50° N 5.50° E, 11 km from the
-    site"."""
+    """A point in words, with its distance from the site, if any: "48.50° N 5.50° E, 11 km from the site"."""
     east = (longitude_deg + 180.0) % 360.0 - 180.0
     text = (
         f"{abs(latitude_deg):.2f}° {'N' if latitude_deg >= 0 else 'S'} {abs(east):.2f}° "

@@ -72,8 +72,7 @@ def short_labels(labels: Sequence[str]) -> list[str]:
 
 @dataclass(frozen=True)
 class Shown:
-    """A record to draw: its readings, and the simulations of `lines`, given as name in the course → (label,
-    colour)."""
+    """A record to draw: readings, and simulations by `lines`: name in the course → (label, colour)."""
 
     title: str
     course: RecordCourse
@@ -116,8 +115,7 @@ def figure_courses(records: Sequence[Shown]) -> Picture:
 
 
 def figure_column_courses(results: ComparisonResults, courses: Sequence[RecordCourse]) -> Picture:
-    """Draw readings and simulations of the first records; columns with the same case and the same instants
-    share a panel."""
+    """Draw readings and simulations; columns with the same case and instants share a panel."""
     if not courses:
         raise NothingToShow(
             "These results hold no courses: `hygrokf compare` adds them when it is run again."
@@ -231,8 +229,7 @@ def figure_spreads(scatters: Sequence[Scatter]) -> Picture:
 
 
 def _spread(scatter: Scatter, most_turbines: int) -> Panel:
-    """Return the panel of one quantity; most_turbines: largest number of turbines in a panel of the
-    figure."""
+    """The panel of one quantity; most_turbines: largest number of turbines in a panel of the figure."""
     is_named = most_turbines <= NAMED
     order = np.argsort(scatter.x)
     value, error = np.exp(scatter.x[order]), scatter.error[order]
@@ -315,8 +312,7 @@ def figure_sets(result: TransferResult) -> Picture:
 
 
 def figure_parameters(result: TransferResult) -> Picture:
-    """Draw the differences of the cabinet's parameters from those of the fit, with 95 % bounds; groups that
-    differ in red."""
+    """Draw the parameters' differences from those of the fit with 95 % bounds; differing groups in red."""
     panels, most_rows = [], 0
     for kind in ("ratio", "difference"):
         is_ratio = kind == "ratio"

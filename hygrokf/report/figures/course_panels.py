@@ -73,8 +73,7 @@ class Excerpt:
 
 
 def hourly(time: np.ndarray, value: np.ndarray, hours: int) -> np.ndarray:
-    """Means (hours,) of `value` (T,) over each hour since the first instant of `time` [s] (T,); NaN in an
-    hour without a value."""
+    """Means (hours,) of `value` (T,) over each hour from the first instant of `time` [s] (T,) on; or NaN."""
     is_known = np.isfinite(value)
     hour = np.minimum(((time[is_known] - time[0]) // HOUR_S).astype(int), hours - 1)
     return means(hour, value[is_known], hours)
@@ -166,8 +165,7 @@ class _State:
         self.has_power = bool(np.nanmax(self.operating, initial=0.0) > 0)
 
     def rare(self, window: _Windows) -> tuple[np.ndarray, str]:
-        """Rank the windows by how well they show a rare state; return the ranks (W,) and the words for this
-        state."""
+        """Rank windows by how well they show a rare state; returns ranks (W,) and the words for it."""
         standing = 1.0 - self.operating
         if self.has_power and np.nansum(standing) >= 12:
             heated_share = window.mean(self.preheating)
@@ -181,8 +179,7 @@ class _State:
         return window.mean(self.error**2), "largest errors of the free run"
 
     def dynamic(self, window: _Windows) -> tuple[np.ndarray, str]:
-        """Rank the windows by the hourly changes of readings and power; return the ranks (W,) and the words
-        for them."""
+        """Rank windows by the hourly changes of readings and power; returns ranks (W,) and words."""
         rank = window.mean(np.abs(np.diff(self.measured, prepend=np.nan)))
         rank = rank / max(float(np.max(rank)), 1e-12)
         if self.has_power:
@@ -231,8 +228,7 @@ def courses(
 
 
 class _Record:
-    """Series of a fit over the record, as drawn: temperature [°C], humidity [g/m³], power [1], and the
-    periods to shade."""
+    """Series of a fit over the record in the units of figures, and the periods to shade."""
 
     def __init__(self, series: Mapping[str, np.ndarray]) -> None:
         self.time = instants(series)
@@ -259,8 +255,7 @@ class _Record:
         return math.isfinite(self.until) and self.until < self.span[1]
 
     def quantity(self, name: str) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Return readings, simulation, standard deviation of the simulation, and ambient value of a quantity,
-        each (T,)."""
+        """Readings, simulation, its standard deviation, and ambient value of a quantity, each (T,)."""
         zero = quantity(name).zero
         measured, simulated = (
             array(self.series, f"{name}_{source}") - zero for source in ("measured", "simulated")
@@ -281,8 +276,7 @@ class _Record:
     # --- panels ---
 
     def course(self, name: str, span: tuple[float, float], width: float = 0.8, bins: int = BINS) -> Panel:
-        """Return the panel of a quantity over a span [s]: ambient, readings, simulation and its 95 % band; or
-        the power."""
+        """The panel of a quantity over a span [s]: ambient, readings, simulation with 95 % band; or power."""
         if name == POWER:
             return self.operation(span, bins)
         measured, simulated, sd, ambient = self.quantity(name)
@@ -380,8 +374,7 @@ def figure_validation(fit: FitResults, series: Mapping[str, np.ndarray]) -> Pict
 
 
 def figure_excerpts(fit: FitResults, series: Mapping[str, np.ndarray]) -> Picture:
-    """Draw up to three excerpts of the record side by side (Fig. 7 of the paper): temperature, humidity and
-    power."""
+    """Draw up to three excerpts side by side (Fig. 7 of the paper): temperature, humidity and power."""
     record = _Record(series)
     names = record.names
     usable = {name: array(series, name) for name in _EXCERPT_SERIES} | {"time_s": record.time}
@@ -463,8 +456,7 @@ _POWER_EDGES = np.array([0.035, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0
 
 
 def _conditions(record: _Record) -> list[tuple[Axis, np.ndarray, np.ndarray]]:
-    """Return the variables over which errors are shown: the axis, the values (T,), and the edges of the
-    classes (C + 1,)."""
+    """The variables over which errors are shown: axis, values (T,), and edges of the classes (C + 1,)."""
     conditions = []
     if record.has_power:
         axis = Axis(

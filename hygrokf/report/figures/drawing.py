@@ -166,8 +166,7 @@ def svg(figure: Figure, name: str) -> str:
 
 
 def _save(save: Callable[..., object], buffer: io.BytesIO | io.StringIO, **settings: Any) -> None:
-    """Call matplotlib's function `save`; suppress its warning about letters that the font of the layout
-    lacks."""
+    """Call `save` of matplotlib without its warning about letters that the font of the layout lacks."""
     import warnings
 
     with warnings.catch_warnings():
@@ -255,8 +254,7 @@ def _bins(x: np.ndarray, span: tuple[float, float], bins: int) -> tuple[np.ndarr
 
 
 def _broken(x: np.ndarray, longest_gap: float, *values: np.ndarray) -> tuple[np.ndarray, ...]:
-    """Return x (n,) and values (n,) with a NaN inserted in every gap longer than `longest_gap`; 0: no gap is
-    too long."""
+    """x (n,) and values (n,) with a NaN in every gap longer than `longest_gap`; 0: no gap is too long."""
     gap_ends = np.flatnonzero(np.diff(x) > max(longest_gap, 1e-9)) + 1
     if longest_gap <= 0:
         gap_ends = gap_ends[:0]
@@ -265,8 +263,7 @@ def _broken(x: np.ndarray, longest_gap: float, *values: np.ndarray) -> tuple[np.
 
 
 def means(index: np.ndarray, value: np.ndarray, count: int) -> np.ndarray:
-    """Return the means (count,) of the values (T,) that have the index 0, 1, …, count − 1; NaN for an index
-    without values."""
+    """Means (count,) of the values (T,) with the index 0, 1, …, count − 1; NaN without values."""
     counts = np.bincount(index, minlength=count).astype(float)
     sums = np.bincount(index, weights=value, minlength=count)
     return np.divide(sums, counts, out=np.full(count, np.nan), where=counts > 0)

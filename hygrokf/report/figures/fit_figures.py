@@ -75,8 +75,7 @@ SHOWN_WEIGHT = 0.01
 
 
 def figure_heat_release(fit: FitResults, series: Mapping[str, np.ndarray]) -> Picture:
-    """Draw the quasi-stationary periods and the regression over them, in operation and at standstill (Fig. 4
-    of the paper)."""
+    """Draw the quasi-stationary periods and the regression over them (Fig. 4 of the paper)."""
     heat_release = fit.heat_release
     shown_points: list[_Points] = []
     reasons = ""
@@ -148,8 +147,7 @@ def released(
     power: np.ndarray | float,
     above_reference_K: np.ndarray | float,
 ) -> np.ndarray:
-    """Return the heat release [K] at a relative power [1] and an ambient temperature above the reference [K];
-    NaN where unknown."""
+    """Heat release [K] at a relative power [1] and an ambient temperature above the reference [K], or NaN."""
     constant = coefficients.get(f"heat_release_{regime}", math.nan)
     release_K = constant + coefficients.get(f"heat_release_{regime}_ambient", 0.0) * above_reference_K
     if regime == "operation":
@@ -161,8 +159,7 @@ def released(
 
 
 def _likelihood(fit: FitResults) -> tuple[dict[str, float], float]:
-    """Return the coefficients of the heat release in the final estimate, and their reference temperature
-    [°C]."""
+    """The coefficients of the heat release in the final estimate, and their reference temperature [°C]."""
     values = {name: row.value for name, row in fit.parameters.items() if name.startswith("heat_release_")}
     mechanisms = {} if fit.design is None else dict(fit.design.mechanisms)
     reference = mechanisms.get("heat_release", {}).get("reference_K")
@@ -212,8 +209,7 @@ def _standstill(points: _Points, fit: FitResults) -> list[Mark]:
 
 
 def figure_profiles(fit: FitResults, series: Mapping[str, np.ndarray]) -> Picture:
-    """Draw the profile likelihood of both time constants, with bounds, beside the estimate by the free
-    run."""
+    """Draw the profile likelihood of both time constants with bounds, beside the free run's estimate."""
     constants = fit.time_constants
     shown = [name for name in PRODUCT if name in constants and constants[name].value_h > 0]
     if not shown:
@@ -314,8 +310,7 @@ def _steps(constant: TimeConstant) -> list[CompositionStep]:
 
 
 def _composed(name: str, constant: TimeConstant, steps: list[CompositionStep]) -> Panel:
-    """Return the panel of one time constant: a bar for each step, and markers for other estimates in the rows
-    of their sources."""
+    """The panel of one time constant: a bar for each step, and markers for other estimates."""
     *partial_bars, final_bar = [
         (step.lower_h, step.upper_h, row_number) for row_number, step in enumerate(steps)
     ]

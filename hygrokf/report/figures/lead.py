@@ -128,8 +128,7 @@ def figure_episodes(
 
 
 def _largest(residuals: Residuals, name: str, start_s: float, end_s: float) -> float:
-    """Return the largest absolute error between two instants [s], in the unit of the quantity; 1 where there
-    is none."""
+    """The largest absolute error between two instants [s], in the quantity's unit; 1 where there is none."""
     inside = (residuals.time_s >= start_s) & (residuals.time_s <= end_s)
     return float(np.nanmax(np.abs(residuals.error[name][inside]), initial=0.0)) or 1.0
 
@@ -142,8 +141,7 @@ def _before_after(residuals: Residuals, after: Residuals | None) -> list[tuple[R
 
 
 def _windows(finding: Finding | CauseEpisodes, residuals: Residuals) -> list[tuple[Span, list[Span]]]:
-    """Return up to `EPISODES` windows (start, end) [s] around the worst episodes, by time, each with its
-    episodes."""
+    """Up to `EPISODES` windows (start, end) [s] around the worst episodes, each with its episodes."""
     low, high = float(residuals.time_s[0]), float(residuals.time_s[-1])
     windows: list[tuple[float, float]] = []
     for first, last in finding.spans:
@@ -164,8 +162,7 @@ def _windows(finding: Finding | CauseEpisodes, residuals: Residuals) -> list[tup
 def _course(
     residuals: Residuals, name: str, span: Span, after: Residuals | None
 ) -> tuple[tuple[Mark, ...], Limits]:
-    """Return the marks of one window (ambient, readings, simulation with its band, extended model) and the
-    limits of the y axis."""
+    """The marks of one window: ambient, readings, simulations, band; and the limits of the y axis."""
     zero = quantity(name).zero
     base, *extensions = _before_after(residuals, after)
     lines = [
@@ -209,8 +206,7 @@ def _lasting(residuals: Residuals, finding: Finding | CauseEpisodes, after: Resi
 
 
 def _daily(residuals: Residuals, name: str) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Return for each day with a reading: noon [s], mean, and 10th and 90th percentile of simulation −
-    reading."""
+    """For each day with a reading: noon [s], mean, 10th and 90th percentile of simulation − reading."""
     error = -residuals.error[name]
     is_known = np.isfinite(error)
     day = np.floor(residuals.time_s[is_known] / DAY_S).astype(int)
@@ -272,8 +268,7 @@ def episodes(found: DiscoveryResults, before: Residuals, after: Residuals | None
 
 
 def errors_over_drivers(found: DiscoveryResults, before: Residuals, after: Residuals | None) -> Figure:
-    """Return the figure of the errors over the drivers that the findings name, then over those with the
-    clearest pattern."""
+    """The figure of the errors over the drivers that the findings name, then over others."""
     drivers = [finding.driver for finding in drawable(found) if finding.driver]
     explanation = (
         "; a bend shows what the model lacks."

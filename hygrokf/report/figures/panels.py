@@ -226,8 +226,7 @@ class Panel:
 
 
 def _draw(mark: Mark, axes: Axes, x_unit: float) -> None:
-    """Draw a mark; its x coordinates are divided by `x_unit` (the seconds of a day on an axis of time, else
-    1)."""
+    """Draw a mark; x coordinates are divided by `x_unit` (a day in seconds on an axis of time, else 1)."""
     dashes: dict[str, Any] = {"dashes": DASHES} if getattr(mark, "dashed", False) else {}
     match mark:
         case Curve():
@@ -356,8 +355,7 @@ class Picture:
         return figure
 
     def on(self, axes: Sequence[Axes]) -> None:
-        """Draw the first panels on axes of a user, one on each, with a key in the first and a bar of colours
-        beside all."""
+        """Draw the first panels on a user's axes, one on each, with a key and a bar of colours."""
         self._draw(axes)
         if entries := self._handles():
             axes[0].legend(handles=entries, loc="best")
@@ -443,8 +441,8 @@ def _place(
         for side in (0, 1)
     )
     top_in, bottom_in = ([max(axis[side].sum() for axis in row) for row in margins] for side in (2, 3))
-    margins_in = sum(left_in) + sum(right_in) + GAP_IN * (len(left_in) - 1)
-    axes_width = (width - margins_in) / len(left_in)
+    gaps_in = GAP_IN * (len(left_in) - 1)
+    axes_width = (width - sum(left_in) - sum(right_in) - gaps_in) / len(left_in)
     free_height = height - sum(top_in) - sum(bottom_in) - ROW_IN * (len(grid) - 1)
     y_in = height
     for row, proportion, above_in, below_in in zip(grid, heights, top_in, bottom_in, strict=True):
@@ -463,8 +461,7 @@ def _place(
 
 
 def _around(axes: Axes) -> tuple[np.ndarray, ...]:
-    """Estimate the space [in] that tick labels (first) and titles (second) need left of, right of, above and
-    below the axes."""
+    """Space [in] for tick labels (first) and titles (second) left, right, above and below the axes."""
     if not axes.axison:
         return (np.zeros(2),) * 4
     return (
@@ -549,8 +546,7 @@ def course(
 
 
 def validation(start_s: float, span: tuple[float, float]) -> tuple[Mark, ...]:
-    """Return a line with a note at the begin `start_s` [s] of the validation period, within a `span` of time
-    [s]."""
+    """A line with a note at the begin `start_s` [s] of the validation period, within a `span` of time [s]."""
     start = max(start_s, span[0])
     is_near_end = (span[1] - start) / max(span[1] - span[0], 1e-9) < 0.12
     note = Note("validation", start, 1.0, INK, "right" if is_near_end else "left", "top", "y", boxed=True)
@@ -581,8 +577,7 @@ def point(x: float, y: float, marker: str, colour: str, size: float, edge: str =
 def estimate(
     value: float, low: float, high: float, at: float, colour: str, marker: str = "o", size: float = 4.0
 ) -> tuple[Curve, ...]:
-    """Return a value with its bounds at the height `at`: a line from bound to bound (none for NaN), and a
-    marker."""
+    """A value with its bounds at the height `at`: a line from bound to bound (none for NaN), and a marker."""
     line = (bounds(low, high, at, colour),) if math.isfinite(low) else ()
     return (*line, point(value, at, marker, colour, size))
 

@@ -67,8 +67,7 @@ CLASSES = 12
 
 
 def _known(residuals: Residuals) -> list[Quantity]:
-    """Return the quantities with enough errors in the identification period. Raises NothingToShow without
-    any."""
+    """The quantities with enough errors in the identification period. Raises NothingToShow without any."""
     identified = {name: residuals.error[name][~residuals.validation] for name in QUANTITIES}
     quantities = [name for name in QUANTITIES if np.isfinite(identified[name]).sum() >= FEWEST_READINGS]
     if not quantities:
@@ -157,8 +156,8 @@ def _medians(value: np.ndarray, error: np.ndarray, edges: np.ndarray) -> tuple[n
 
 
 def _bands(value: np.ndarray, error: np.ndarray, edges: np.ndarray, label: str) -> list[Mark]:
-    """Return the medians of the error over the driver, with bands of the quantiles; empty if every class has
-    too few hours."""
+    """Medians of the error over the driver with bands of quantiles; empty if all classes have too few
+    hours."""
     rows = [
         (x, *np.quantile(errors, [0.1, 0.25, 0.5, 0.75, 0.9])) for x, errors in _groups(value, error, edges)
     ]
@@ -224,8 +223,7 @@ def _daily_rms(residuals: Residuals, name: str, days: np.ndarray) -> np.ndarray:
 
 
 def figure_day_hour(residuals: Residuals, name: str = TEMPERATURE, after: Residuals | None = None) -> Picture:
-    """Draw the error of the free run as a map over the whole record: days across, hours of the day
-    upwards."""
+    """Draw the error of the free run as a map: days across, hours of the day upwards."""
     terms = quantity(name)
     if name not in _known(residuals):
         raise NothingToShow(f"There are no errors of the {terms.words} to show.")
@@ -257,8 +255,7 @@ def held_out(residuals: Residuals, span: tuple[float, float]) -> tuple[Mark, ...
 
 
 def _by_day(residuals: Residuals, name: str) -> tuple[int, np.ndarray]:
-    """Return the first day, counted from 1970, and the mean errors (days, 24); NaN for an hour without a
-    reading."""
+    """The first day, counted from 1970, and the mean errors (days, 24); NaN for an hour without a reading."""
     error = -residuals.error[name]
     is_known = np.isfinite(error)
     hour = np.floor(residuals.time_s[is_known] / HOUR_S).astype(int)
@@ -278,8 +275,7 @@ LEVEL = 0.95
 def figure_innovations(
     fit: FitResults, series: Mapping[str, np.ndarray], output: str = "temperature"
 ) -> Picture:
-    """Standardised innovations [1] of one output, "temperature" or "humidity", over the identification
-    period."""
+    """Draw tests of the standardised innovations [1] of one output, "temperature" or "humidity"."""
     diagnosis = fit.innovations.outputs.get(output)
     time = instants(series)
     all_innovations = array(series, f"{output}_innovation")
@@ -310,8 +306,7 @@ def figure_innovations(
 
 
 def _columns(*lists: tuple[float, ...]) -> list[np.ndarray]:
-    """Return lists of equal length as arrays of the rows in which all are finite; empty arrays if the lengths
-    differ."""
+    """Lists of equal length as arrays of the rows in which all are finite; else empty arrays."""
     if len({len(values) for values in lists}) != 1:
         return [np.empty(0) for _ in lists]
     rows = np.array(lists, dtype=float)
@@ -383,8 +378,7 @@ def _cumulative(data: CumulativePeriodogram) -> Panel:
 
 
 def _periodogram(data: Periodogram) -> Panel:
-    """Return the panel of the power over the period [h] with its 95 % band; white innovations have power
-    1."""
+    """The panel of the power over the period [h] with its 95 % band; white innovations have power 1."""
     frequency, power, lower, upper = _columns(data.frequency_per_h, data.power, data.lower, data.upper)
     if len(frequency) < 2 or frequency[0] <= 0 or np.any(np.diff(frequency) <= 0):
         return Panel(title="no periodogram in fit.json")
@@ -409,8 +403,7 @@ def _periodogram(data: Periodogram) -> Panel:
 
 
 def _shown_inputs(diagnosis: OutputDiagnosis) -> list[tuple[str, CrossCorrelation]]:
-    """Return the `INPUTS` inputs whose correlation with the innovations has the smallest p, in their
-    order."""
+    """The `INPUTS` inputs whose correlation with the innovations has the smallest p, in their order."""
     pairs = [
         (name, correlation)
         for name, correlation in diagnosis.cross_correlation.items()
@@ -423,8 +416,7 @@ def _shown_inputs(diagnosis: OutputDiagnosis) -> list[tuple[str, CrossCorrelatio
 
 
 def _quantiles(innovations: np.ndarray) -> Panel:
-    """Return the panel of the innovations' quantiles over those of the normal distribution, with a 95 %
-    band."""
+    """The panel of the innovations' quantiles over those of the normal distribution, with a 95 % band."""
     count = len(innovations)
     normal = NormalDist()
     largest_quantile = normal.inv_cdf((count - 0.5) / count) if count > 1 else 0.0

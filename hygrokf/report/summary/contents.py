@@ -206,8 +206,7 @@ is allowed even above the upper limit."""
 
 
 def page_layout(summary: Summary) -> tuple[float, float]:
-    """Return the size of the letters [pt] with which the summary fits on one sheet, and the height of its
-    figure [in]."""
+    """Size of the letters [pt] with which the summary fits on one sheet, and height of its figure [in]."""
     usual_height_in = 0.0 if summary.picture is None else summary.picture.draw().height_in
     letter_pt, free_height_in = 0.0, 0.0
     for letter_pt in LETTERS_PT:
@@ -244,8 +243,7 @@ def chars_per_line(letter_pt: float) -> float:
 
 
 def _rows_em(table: Table, letter_pt: float) -> float:
-    """Estimate the height of a table in lines of the page: cells with numbers stay on one line, cells with
-    words wrap."""
+    """Estimate the height of a table in lines of the page; only cells with words wrap."""
     if not table:
         return 0.0
     line_chars = chars_per_line(TABLE_LETTER * letter_pt)
@@ -384,8 +382,7 @@ def summary_of_discovery(
 
 
 def _otherwise(results: DiscoveryResults) -> tuple[str, ...]:
-    """Return the actions if the discovery itself states none: use the extended model, or do not rely on the
-    base model."""
+    """The actions if the discovery itself states none."""
     if results.causes:
         return ("use the extended model, fit.json beside the discovery, in the place of the base model",)
     against = [reason for constant in inherited(results.baseline.fit).values() for reason in constant.reasons]
@@ -428,8 +425,7 @@ def summary_of_climate(study: Study) -> Summary:
 
 
 def _answer(region: RegionClimate) -> str:
-    """Return whether a region keeps its limits; without limits its hours of wetness and condensation, or else
-    its mean temperature."""
+    """Whether a region keeps its limits; without limits, its hours of wetness or its mean temperature."""
     if region.limits:
         return _limits_text(region.limits)
     numbers = [
@@ -443,8 +439,7 @@ def _answer(region: RegionClimate) -> str:
 
 
 def _answer_of_regions(regions: Sequence[RegionClimate]) -> str:
-    """Return in which regions the limits are kept; without limits the regions with the fewest and the most
-    hours of wetness."""
+    """In which regions the limits are kept; without limits, the least and the most wetness."""
     if any(region.limits for region in regions):
         parts = []
         for verdict, label in VERDICTS_IN_WORDS.items():
@@ -520,8 +515,7 @@ def _numbers(study: Study) -> Table:
 
 
 def _actions(study: Study, doubt: str) -> list[str]:
-    """Return the actions that follow from doubts about the model, from the limits, and from the test
-    profiles."""
+    """The actions that follow from doubts about the model, from the limits, and from the test profiles."""
     several = len(study.regions) > 1
     profiles = list(profile_files(study))
     actions = ["Do not use this climate before the model is reliable."] if doubt else []
