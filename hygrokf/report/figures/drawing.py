@@ -31,8 +31,6 @@ RULE = "#d5dae0"
 SHADE = "#e9eef4"
 WARM_TO_COLD = ("#16365c", "#2b6ca3", "#6aa5c9", "#c9a227", "#c8641e", "#8f1d14")
 """Cold to warm in six steps that differ in lightness as well as in hue."""
-DPI = 150
-"""[1/in] resolution of a PNG image."""
 WIDTH_IN = 7.3
 """[in] width of every figure: the text width of an A4 page."""
 LEVEL_SD = 1.959964
@@ -190,11 +188,11 @@ def inline_svg(figure: Figure, name: str, title: str) -> str:
     return f'<svg {attributes} role="img" aria-label="{label}">{drawing_svg[tag_end + 1 :]}'
 
 
-def png(figure: Figure) -> bytes:
-    """Return the figure as a PNG image, for documents that cannot hold SVG."""
+def png(figure: Figure, dpi: int = 150) -> bytes:
+    """Return the figure as a PNG image of `dpi` dots per inch, for documents that cannot hold SVG."""
     with styled():
         buffer = io.BytesIO()
-        _save(figure.savefig, buffer, format="png", dpi=DPI)
+        _save(figure.savefig, buffer, format="png", dpi=dpi)
     return buffer.getvalue()
 
 
