@@ -27,8 +27,8 @@ from hygrokf.data.signals import SIGNALS, from_si, to_si
 from hygrokf.data.timestamps import DAY_S, modal_step, summer_time
 from hygrokf.estimation.lag_model import (
     LAGS_H,
+    LARGEST_SHIFT,
     QUARTER_S,
-    REACH,
     Move,
     Relation,
     fit_autoregression,
@@ -57,9 +57,9 @@ ODDS = 8.0
 """[ln L] by which a unit, a column or a decimal mark must win."""
 SYSTEMATIC = 6.0
 """[ln L] that the lag models may add to levels at most: no enclosure is as simple as they are."""
-FEWEST_D = 14
+FEWEST_SHIFTED_D = 14
 """Days to which a shift must apply; it must win in each quarter of them."""
-NAMED, WALL, EITHER = "named", "clock_or_wall", "either_clock"
+NAMED_SHIFT, WALL, EITHER = "named", "clock_or_wall", "either_clock"
 
 
 @dataclass(frozen=True)
@@ -88,7 +88,7 @@ class PreferredAlternative:
     alternative: Alternative
     gain: float
     witnesses: tuple[str, ...] = ()
-    verdict: str = NAMED
+    verdict: str = NAMED_SHIFT
     rival: Alternative | None = None
 
     def doubt(self) -> Statement:
@@ -149,8 +149,8 @@ class _Scan:
         """Gain in ln L (K,) of each shift."""
         there = self.logliks.get((inputs, sign * more))
         if there is None:
-            return np.zeros(2 * REACH + 1)
-        return there.max(axis=1)[::sign] - self.logliks[inputs, 0][REACH].max()
+            return np.zeros(2 * LARGEST_SHIFT + 1)
+        return there.max(axis=1)[::sign] - self.logliks[inputs, 0][LARGEST_SHIFT].max()
 
     def by_day(self, shift: _Shift, count: int) -> np.ndarray:
         """ln L (count,) of each day with a shift, its parameters estimated anew."""
@@ -158,7 +158,7 @@ class _Scan:
         move, quarters = (inputs, sign * shift.more), sign * shift.quarters
         if move not in self.logliks:  # nothing of this relation moves
             move, quarters = next(one for one in self.logliks if one[1] == 0), 0
-        lag_h = LAGS_H[int(self.logliks[move][REACH + quarters].argmax())]
+        lag_h = LAGS_H[int(self.logliks[move][LARGEST_SHIFT + quarters].argmax())]
         each = fit_autoregression(self.relation, lag_h, move, quarters, self.summer)[1]
         return np.bincount(self.days, each, minlength=count)
 
@@ -216,7 +216,7 @@ def _clocks(
     for name in names:
         rows = [(name, more) for more in (0, -4, 4)]
         steady, _, _ = (_highest(profiles[row], *row) for row in rows)
-        near = np.abs(np.arange(-REACH, REACH + 1) - steady.quarters) < APART
+        near = np.abs(np.arange(-LARGEST_SHIFT, LARGEST_SHIFT + 1) - steady.quarters) < APART
         if profiles[name, 0][~near].max() > steady.gain - WITNESS:
             untold.append(RecordCode.CLOCK_UNTOLD(source=name))
         if name != lit or sun_s is None or abs(sun_s) > TOLERANCE_S:  # the sun knows better
@@ -230,7 +230,7 @@ def _clocks(
 
 def _highest(profile: np.ndarray, name: str, more: int, apart_from: int | None = None) -> _Shift:
     """The shift of a profile (K,) that gains most, among those at least an hour from another one."""
-    shifts = np.arange(-REACH, REACH + 1)
+    shifts = np.arange(-LARGEST_SHIFT, LARGEST_SHIFT + 1)
     open_ = np.ones(len(shifts), bool) if apart_from is None else np.abs(shifts - apart_from) >= APART
     place = int(np.where(open_, profile, -np.inf).argmax())
     before, at, after = profile[np.clip((place - 1, place, place + 1), 0, len(profile) - 1)]
@@ -278,7 +278,7 @@ def _lead(scans: Sequence[_Scan], shift: _Shift, rival: _Shift) -> float:
     count = 1 + max(int(scan.days.max()) for scan in scans)
     apart = np.any([scan.days_apart(shift, rival, count) for scan in scans], axis=0)
     each = sum(scan.by_day(shift, count) - scan.by_day(rival, count) for scan in scans)[apart]
-    if len(each) < FEWEST_D or min(part.sum() for part in np.array_split(each, 4)) <= 0.0:
+    if len(each) < FEWEST_SHIFTED_D or min(part.sum() for part in np.array_split(each, 4)) <= 0.0:
         return -math.inf
     return _standard_errors(each)
 
@@ -295,7 +295,7 @@ def _witnesses(scans: Sequence[_Scan], shift: _Shift, sun_s: float | None) -> tu
     for scan in scans:
         inputs, sign = scan.move(shift.source)
         for name, group in ((scan.relation.name, inputs), ("power", _POWER & inputs)):
-            if group and scan.gains(group, sign, shift.more)[REACH + shift.quarters] > WITNESS:
+            if group and scan.gains(group, sign, shift.more)[LARGEST_SHIFT + shift.quarters] > WITNESS:
                 found.append(name)
     if sun_s is not None and abs(shift.quarters * QUARTER_S + sun_s) <= 2.0 * TOLERANCE_S:
         found.append("the sun")

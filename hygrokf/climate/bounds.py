@@ -15,7 +15,7 @@ import numpy as np
 
 LEVEL = 0.95
 """[1] probability with which the bounds should hold."""
-DIGITS = 6
+RESULT_DIGITS = 6
 """Number of significant digits of the numbers in a result."""
 
 
@@ -36,7 +36,7 @@ class BoundedMean:
     between_years: float
 
     def rounded(self) -> BoundedMean:
-        """Return the same numbers with `DIGITS` significant digits."""
+        """Return the same numbers with `RESULT_DIGITS` significant digits."""
         return BoundedMean(*rounded(np.array(list(vars(self).values()))).tolist())
 
 
@@ -90,7 +90,7 @@ def held(draws: float, level: float = LEVEL) -> float:
     return min(level, (draws - 1.0) / (draws + 1.0))
 
 
-def rounded(values: np.ndarray, digits: int = DIGITS) -> np.ndarray:
+def rounded(values: np.ndarray, digits: int = RESULT_DIGITS) -> np.ndarray:
     """Round numbers to significant digits; NaN for a number that is not finite."""
     values = np.asarray(values, dtype=float)
     with np.errstate(divide="ignore", invalid="ignore"):

@@ -38,7 +38,7 @@ T_EDGES, H_EDGES = np.arange(-60.0, 125.0, 5.0), np.arange(0.0, 110.0, 10.0)
 RANGE_EDGES_K = np.array([0.0, 2.5, 5.0, 7.5, 10.0, 15.0, 20.0, 1e3])
 WEIGHTS = {"joint": 1.0, "ageing": 1.0, "mean": 3.0, "wet": 2.0, "range": 1.0}
 """Weights of the features' squared errors."""
-ROUNDS = 12
+MOST_EXCHANGES = 12
 """Largest number of rounds in which chosen days are exchanged."""
 
 
@@ -106,7 +106,7 @@ def choose_days(days: Days, count: int, law: Acceleration) -> np.ndarray:
         chosen.append(day)
         times_used[day] += 1
         feature_sum += features[day]
-    for _ in range(ROUNDS):
+    for _ in range(MOST_EXCHANGES):
         has_changed = False
         for slot, old_day in enumerate(chosen):
             feature_sum -= features[old_day]

@@ -17,7 +17,7 @@ from hygrokf.climate.bounds import LEVEL, BoundedMean, bounded, bounded_array, h
 from hygrokf.climate.chamber import Acceleration, ProfilePlan
 from hygrokf.climate.chamber_profile import ChamberProfile, Days, build_profile, days_of, thinned
 from hygrokf.climate.ensemble import (
-    WHOLE,
+    WHOLE_SHARE,
     YEAR_H,
     Shots,
     Year,
@@ -49,7 +49,7 @@ DAYS_OF = 8
 """Number of members of each year whose days a test profile may choose from."""
 SHARES = (0.0, 0.001, 0.01, 0.02, 0.05, *np.arange(0.1, 0.91, 0.05).round(2), 0.95, 0.98, 0.99, 0.999, 1.0)
 """Shares of the time [1] at which a duration curve is given."""
-RATES = {"temperature_degC": "temperature", "relative_humidity_percent": "relative_humidity"}
+RATE_QUANTITIES = {"temperature_degC": "temperature", "relative_humidity_percent": "relative_humidity"}
 """Quantities whose rates of change have a duration curve, with their keys in climate.json."""
 TEMPERATURE_EDGES = np.arange(-60.0, 120.1, 2.5)
 HUMIDITY_EDGES = np.arange(0.0, 100.1, 5.0)
@@ -71,7 +71,7 @@ def reduced(year: Year, law: Acceleration, limits: Sequence[ClimateLimit] = ()) 
     }
     for name, value in quantities.items():
         numbers["duration", name] = np.quantile(value[:, year.known], levels, axis=1).T
-    for name, key in RATES.items():
+    for name, key in RATE_QUANTITIES.items():
         if name in quantities:
             numbers["rates", key] = np.quantile(rates(quantities[name], year), levels, axis=1).T
     if (percent := quantities.get("relative_humidity_percent")) is not None:
@@ -118,10 +118,10 @@ class Gathered:
     def part(self) -> Statement | None:
         """The length of the fullest year, such as 80 days; None if this year can stand for a whole one."""
         fullest = max(self.spans, key=lambda span: span.hours_known)
-        if fullest.hours_known >= WHOLE * YEAR_H:
+        if fullest.hours_known >= WHOLE_SHARE * YEAR_H:
             return None
         covered = fullest.hours_covered
-        return _length(covered if covered < WHOLE * YEAR_H else fullest.hours_known)
+        return _length(covered if covered < WHOLE_SHARE * YEAR_H else fullest.hours_known)
 
     def has(self, scope: str) -> bool:
         """Return whether any hour of any year belongs to a scope."""
@@ -191,7 +191,7 @@ def _length(hours: float) -> Statement:
     return ClimateCode.LENGTH_IN_HOURS(hours=hours)
 
 
-MEMBERS = 50
+ENSEMBLE_MEMBERS = 50
 STANDSTILL_YEAR = "standstill_all_year"
 
 
@@ -202,7 +202,7 @@ def climate_profile(
     *,
     limits: Sequence[ClimateLimit] = (),
     plan: ProfilePlan | None = None,
-    members: int = MEMBERS,
+    members: int = ENSEMBLE_MEMBERS,
     seed: int = 1,
     surface: Surface | None = None,
     progress: Progress | bool | None = None,
@@ -220,7 +220,7 @@ def climate_profile(
     progress: called with each step in words; True: shows the steps as one line.
 
     Returns hours, temperatures [°C], relative [%] and absolute humidities [g/m³] of a year by region and
-    scope, with bounds. If there are several years, those with less than `WHOLE` of their hours known are left
+    scope, with bounds. If there are several years, those with less than `WHOLE_SHARE` of their hours known are left
     out. Raises ValueError without regions or for fewer than two members, PowerFault if weather and power do
     not suffice for the model.
     """
@@ -343,7 +343,9 @@ def _gathered(
     for year in years:
         count += 1
         if year.known.any():
-            (whole_years if year.hours >= WHOLE * YEAR_H else parts_of_years).add(year, limits, law, members)
+            (whole_years if year.hours >= WHOLE_SHARE * YEAR_H else parts_of_years).add(
+                year, limits, law, members
+            )
     return (whole_years if whole_years.spans else parts_of_years), count
 
 
@@ -386,7 +388,7 @@ def weather_statements(
         code = ClimateCode.WEATHER_WITHOUT_DAYS if step_h >= 12.0 else ClimateCode.WEATHER_RARE
         statements.append(code(signal=signal, step_h=step_h))
     if count < years:
-        statements.append(ClimateCode.YEARS_LEFT_OUT(left_out=years - count, years=years, share=WHOLE))
+        statements.append(ClimateCode.YEARS_LEFT_OUT(left_out=years - count, years=years, share=WHOLE_SHARE))
     if count == 1:
         statement = (
             ClimateCode.BOUNDS_OF_ONE_YEAR() if part is None else ClimateCode.BOUNDS_OF_A_PART(part=part)

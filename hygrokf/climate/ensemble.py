@@ -212,17 +212,17 @@ def _share(
     return 3.0 * fourth_moment / float(innovation_covariance[output_number, output_number]) ** 2
 
 
-STEP_TOLERANCE = 1e-4
+MEMBER_STEP_TOLERANCE = 1e-4
 """[1] tolerance of the members' sub-steps, relative to the spread of a member's state."""
 STEP_H = 1.0
 """[h] time between the instants that are kept; shorter steps are simulated but not kept."""
 YEAR_H = 8766.0
 """[h] length of a year, 365.25 days."""
-WHOLE = 0.9
+WHOLE_SHARE = 0.9
 """[1] share of a year from which on a period counts as a year."""
 SPIN_UP_H = 720.0
 """[h] length of a first run after which the start no longer matters; then the run starts again."""
-SINGULAR = 1e-9
+OWN_NOISE = 1e-9
 """[1] share of a state's variance that is added as independent noise, so that singular covariances have a
 factor."""
 DRAWN = 256
@@ -333,7 +333,7 @@ def shots_of(fit: Fit, design: Design, run: Run) -> tuple[Shots, ...]:
     inputs = {name: _typical(timeline.input(name), name in timeline.regimes) for name in model.inputs}
     initial_state = np.array([model.initial(fit.values, inputs)[0]], dtype=float)
     constant_inputs = {name: np.full(2, value) for name, value in inputs.items()}
-    runs = SideBySide(model, [fit.values], STEP_TOLERANCE)
+    runs = SideBySide(model, [fit.values], MEMBER_STEP_TOLERANCE)
     walk = _EnsembleWalk(runs, initial_state, constant_inputs, np.array([0.0, STEP_H]), None)
     walk.through(range(1))
     for _ in range(int(SPIN_UP_H / STEP_H)):
@@ -384,7 +384,7 @@ def simulate_years(
         numbers = random.standard_normal(state_count) if process else np.zeros(state_count)
         start = mean + np.sqrt(variance) * numbers
         starts.append(np.where(model.amounts, np.maximum(start, 0.0), start))
-    runs = SideBySide(model, members, STEP_TOLERANCE)
+    runs = SideBySide(model, members, MEMBER_STEP_TOLERANCE)
     initial_flags = {name: np.zeros(len(members)) for name in switches}
     values_of_members = _by_parameter(model, members)
     board = Switchboard(model, values_of_members, switches, initial_flags) if switches else None
@@ -414,7 +414,7 @@ def kept_instants(time_h: np.ndarray) -> np.ndarray:
     least an hour apart."""
     whole_hours = np.flatnonzero(np.abs(time_h / STEP_H - np.round(time_h / STEP_H)) < 1e-6)
     # where every hour has an instant of its own these are the hours; else whatever stands an hour on
-    if len(whole_hours) >= WHOLE * (time_h[-1] - time_h[0]) / STEP_H:
+    if len(whole_hours) >= WHOLE_SHARE * (time_h[-1] - time_h[0]) / STEP_H:
         return whole_hours
     chosen, last_time = [], -np.inf
     for index, time in enumerate(time_h.tolist()):
@@ -432,7 +432,7 @@ def years_of(time_h: np.ndarray) -> list[np.ndarray]:
     """
     year_number = ((time_h - time_h[0]) // YEAR_H).astype(int)
     groups = [np.flatnonzero(year_number == year) for year in np.unique(year_number)]
-    long_groups = [group for group in groups if time_h[group[-1]] - time_h[group[0]] >= WHOLE * YEAR_H]
+    long_groups = [group for group in groups if time_h[group[-1]] - time_h[group[0]] >= WHOLE_SHARE * YEAR_H]
     return long_groups or groups[:1]
 
 
@@ -529,14 +529,14 @@ def _drawn(covariance: np.ndarray, numbers: np.ndarray) -> np.ndarray:
     safe_scale = np.where(scale > 0.0, scale, 1.0)
     correlation = covariance / (safe_scale[:, :, None] * safe_scale[:, None, :])
     state_count = numbers.shape[1]
-    correlation[:, np.arange(state_count), np.arange(state_count)] = 1.0 + SINGULAR
+    correlation[:, np.arange(state_count), np.arange(state_count)] = 1.0 + OWN_NOISE
     try:
         factor = np.linalg.cholesky(correlation)
     except np.linalg.LinAlgError:
         # the moments of a nonlinear model may have an eigenvalue a little below 0
         least = np.linalg.eigvalsh(correlation)[:, 0]
         correlation[:, np.arange(state_count), np.arange(state_count)] += np.maximum(
-            2.0 * SINGULAR - least, 0.0
+            2.0 * OWN_NOISE - least, 0.0
         )[:, None]
         factor = np.linalg.cholesky(correlation)
     return scale * np.einsum("nij,nj->ni", factor, numbers)

@@ -25,7 +25,7 @@ from hygrokf.texts.climate_codes import ClimateCode
 from hygrokf.texts.statement import Statement
 from hygrokf.texts.terms import Name
 
-QUANTITIES = {
+LIMITED_QUANTITIES = {
     "temperature_degC": "°C",
     "relative_humidity_percent": "%",
     "absolute_humidity_g_m3": "g/m³",
@@ -44,7 +44,7 @@ class ClimateLimit:
     """A limit, as in a [[limit]] of a file: `quantity` may be `above` or `below` a level for at most
     `hours_a_year` hours, of the hours `during` a scope of the year."""
 
-    quantity: Name = setting(help="what is limited", choices=tuple(QUANTITIES))
+    quantity: Name = setting(help="what is limited", choices=tuple(LIMITED_QUANTITIES))
     above: float | None = setting(None, "the level that should not be exceeded")
     below: float | None = setting(None, "the level that the quantity should not fall below")
     hours_a_year: float = setting(0.0, "hours allowed beyond the level", least=0.0, most=YEAR_H)
@@ -83,9 +83,7 @@ class ClimateLimit:
     def named(self, prefix: str = "") -> ClimateLimit:
         """Return the limit with a name: its own, or `prefix` and the limit in words."""
         scope_text = "" if self.during == "all" else f" in {self.during}"
-        limit_text = (
-            f"{self.quantity_words} {self.side} {self.level:g} {QUANTITIES[self.quantity]}{scope_text}"
-        )
+        limit_text = f"{self.quantity_words} {self.side} {self.level:g} {LIMITED_QUANTITIES[self.quantity]}{scope_text}"
         return replace(self, name=self.name or f"{prefix}{limit_text}")
 
     @property

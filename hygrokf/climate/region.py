@@ -23,7 +23,7 @@ from hygrokf.errors import HygrokfError
 from hygrokf.identification.fit import Fit
 from hygrokf.texts.climate_codes import ClimateCode
 from hygrokf.texts.statement import Statement
-from hygrokf.weather.reading import TYPICAL, form_of, read_weather
+from hygrokf.weather.reading import TYPICAL, read_weather, weather_format
 
 YEAR_S = 365.25 * DAY_S
 FASTEST_M_S = 60.0
@@ -298,7 +298,7 @@ def read_region(
     if cases:
         weather = read_case(paths[0], cabinet=False)
     else:
-        is_typical = len(paths) == 1 and form_of(paths[0]) in TYPICAL
+        is_typical = len(paths) == 1 and weather_format(paths[0]) in TYPICAL
         years = years_of_power(power["active_power"]) if is_typical and isinstance(power, Record) else 1
         weather = read_weather(paths, year=TYPICAL_YEAR if is_typical else None, years=years)
         if years > 1:

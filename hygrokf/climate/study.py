@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
 TABLE = "climate.csv"
-UNITS = {one.name: one.unit for one in STATISTICS}
+STATISTIC_UNITS = {one.name: one.unit for one in STATISTICS}
 """Name of a number of a climate → its unit."""
 LIMIT_UNITS = {"hours": "h/a", "number": "1/a", "longest_h": "h"}
 """Field of an `Exceedance` → its unit."""
@@ -172,7 +172,7 @@ class Study:
         scope "limit". `outside` is NaN if the weather does not have the number."""
         for region in self.regions:
             numbers = [
-                (scope, name, UNITS.get(name, "1"), number)
+                (scope, name, STATISTIC_UNITS.get(name, "1"), number)
                 for scope, by_name in region.scopes.items()
                 for name, number in by_name.items()
             ]

@@ -18,7 +18,7 @@ from hygrokf.commands.console import (
     show,
     show_reported,
 )
-from hygrokf.commands.opening import fit_of, record_of, write_fit_and_page
+from hygrokf.commands.opening import case_fit, case_record, write_fit_and_page
 from hygrokf.commands.verb import Verb, add_json, add_out, reader, whole_number, within
 from hygrokf.data.files import FIT
 
@@ -116,7 +116,7 @@ def _demo(options: Namespace) -> int:
         )
     case = write_case(synthetic_turbine(seed=options.seed), options.out)
     activity().note(f"synthetic turbine written: {case}")
-    fit = fit_of(record_of(case), case)
+    fit = case_fit(case_record(case), case)
     page = write_fit_and_page(fit, options.out)
     return show_reported(page, fit.results, fit_blocks(fit.results, {}), options.json)
 

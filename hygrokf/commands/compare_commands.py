@@ -14,12 +14,12 @@ from hygrokf.commands.console import (
     faults_of,
     show_reported,
 )
-from hygrokf.commands.opening import fit_of, record_of, source_model, stored_fit
+from hygrokf.commands.opening import case_fit, case_record, source_model, stored_fit
 from hygrokf.commands.verb import Verb, add_json, add_library, add_out
 from hygrokf.data import files
 from hygrokf.errors import HygrokfError
 
-STEPS = 8
+TRANSFER_STEPS = 8
 """Number of progress messages of one transfer."""
 
 
@@ -93,9 +93,9 @@ def _compare(options: Namespace) -> int:
     if len(pairs) < 2:
         raise UserFault("expected at least two columns to compare: several cases, or several fits; found one")
     fits = {fit_path: stored_fit(fit_path, options.library) for fit_path in options.fit}
-    records = {case: record_of(case) for case in dict.fromkeys(case for case, _ in pairs)}
+    records = {case: case_record(case) for case in dict.fromkeys(case for case, _ in pairs)}
     without_fit = dict.fromkeys(case for case, fit_path in pairs if fit_path is None)
-    own_fits = {case: fit_of(records[case], case) for case in without_fit}
+    own_fits = {case: case_fit(records[case], case) for case in without_fit}
     inputs_of_columns = [
         (records[case], own_fits[case] if fit_path is None else fits[fit_path], case, fit_path)
         for case, fit_path in pairs
@@ -141,9 +141,9 @@ def _transfer(options: Namespace) -> int:
 
     expect_own_directory(options.out, files.TRANSFER)
     source = source_model(options.fit, options.library)
-    records = [record_of(case) for case in options.cases]
+    records = [case_record(case) for case in options.cases]
     transfers = []
-    with Progress(STEPS * len(records)) as progress:
+    with Progress(TRANSFER_STEPS * len(records)) as progress:
         for case, record in zip(options.cases, records, strict=True):
             with faults_of(case):
                 transfers.append(transfer_fit(source, record, progress))
@@ -162,7 +162,7 @@ def _transfer(options: Namespace) -> int:
     return show_reported(page, results, transfer_blocks(results), options.json, pooling_remark)
 
 
-TRANSFER = Verb(
+TRANSFER_VERB = Verb(
     "transfer",
     "try a fitted model on another turbine: which parameters carry over, which differ",
     _transfer_arguments,

@@ -19,7 +19,7 @@ from hygrokf.errors import HygrokfError
 if TYPE_CHECKING:
     from hygrokf.report.blocks import Page
 
-HEARTBEAT_S = 30.0
+LONGEST_SILENCE_S = 30.0
 """[s] a command whose standard error is not a terminal prints a line at least this often."""
 
 
@@ -35,7 +35,7 @@ class Activity:
     """A running command: its present step, and its lines on standard error.
 
     name: of the command. beats: print heartbeat lines if standard error is not a terminal.
-    every_s: [s] between heartbeat lines; None: `HEARTBEAT_S`. clock: monotonic clock [s].
+    every_s: [s] between heartbeat lines; None: `LONGEST_SILENCE_S`. clock: monotonic clock [s].
     """
 
     def __init__(
@@ -49,7 +49,7 @@ class Activity:
     ) -> None:
         self.name, self.loudness = name, loudness
         self._beats, self._clock = beats, clock
-        self._every_s = HEARTBEAT_S if every_s is None else every_s
+        self._every_s = LONGEST_SILENCE_S if every_s is None else every_s
         self._begin = self._last_line = clock()
         self._step = "at work"
 

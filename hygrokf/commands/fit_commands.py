@@ -19,7 +19,7 @@ from hygrokf.commands.console import (
     show,
     show_reported,
 )
-from hygrokf.commands.opening import fit_of, library_of, record_of, stored_fit, write_fit_and_page
+from hygrokf.commands.opening import case_fit, case_record, library_of, stored_fit, write_fit_and_page
 from hygrokf.commands.verb import Verb, add_fit_and_case, add_json, add_library, add_out, whole_number
 from hygrokf.data import files
 
@@ -66,9 +66,9 @@ def _fit(options: Namespace) -> int:
         )
     expect_own_directory(options.out, files.FIT)
     replaced = _record_name_of_fit(options.out)
-    record = record_of(options.case)
+    record = case_record(options.case)
     model = options.model and stored_fit(options.model, options.library)
-    fit = fit_of(record, options.case, options.criterion, options.starts, options.kind, model)
+    fit = case_fit(record, options.case, options.criterion, options.starts, options.kind, model)
     if replaced and replaced != record.name:
         activity().note(f"note: --out {options.out}: replaces the fit of {printable(replaced)}")
     page = write_fit_and_page(fit, options.out)
@@ -93,7 +93,7 @@ def _record_name_of_fit(out: Path) -> str:
     return str(data["name"])
 
 
-FIT = Verb("fit", "identify the models of a case", _fit_arguments, _fit)
+FIT_VERB = Verb("fit", "identify the models of a case", _fit_arguments, _fit)
 
 
 def _discover_arguments(parser: ArgumentParser) -> None:
@@ -111,14 +111,16 @@ def _discover_arguments(parser: ArgumentParser) -> None:
 
 def _discover(options: Namespace) -> int:
     """Discover what the model of a case lacks, write the files, and show the report."""
-    from hygrokf.discovery.discover import BUDGET, discover
+    from hygrokf.discovery.discover import MOST_SIMULATIONS, discover
     from hygrokf.report.discovery_page import discovery_blocks, write_discovery_report
 
     expect_own_directory(options.out, files.DISCOVERY)
     library = library_of(options.library, installed=True)
-    record = record_of(options.case)
+    record = case_record(options.case)
     with faults_of(options.case), Progress(60) as progress:
-        discovery = discover(record, library=library, progress=progress, budget=options.budget or BUDGET)
+        discovery = discover(
+            record, library=library, progress=progress, budget=options.budget or MOST_SIMULATIONS
+        )
     untried = {row.cause for row in discovery.results.rejected if row.reason == "no_form"}
     for cause in library.own:
         if cause.name in untried:
@@ -154,7 +156,7 @@ def _simulate(options: Namespace) -> int:
 
     expect_file(options.out)
     fit = stored_fit(options.fit, options.library)
-    record = record_of(options.case, cabinet=False)
+    record = case_record(options.case, cabinet=False)
     sources = (options.case.parent / file for file, _ in record.files)
     expect_other(options.out, options.fit, options.fit / files.FIT, options.case, *sources)
     with faults_of(options.case):
@@ -188,7 +190,7 @@ def _evaluate(options: Namespace) -> int:
     from hygrokf.report.fit_tables import evaluation_text
 
     fit = stored_fit(options.fit, options.library)
-    record = record_of(options.case)
+    record = case_record(options.case)
     with faults_of(options.case):
         evaluation = evaluate(fit, record)
     show(evaluation, evaluation_text(evaluation), options.json)

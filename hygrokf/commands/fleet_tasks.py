@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from hygrokf.identification.fit_results import TimeConstant
     from hygrokf.identification.verdict_terms import Inherited
 
-ERRORS = {"temperature_K": "temperature_rmse_K", "absolute_humidity_g_m3": "humidity_rmse_g_m3"}
+ERROR_COLUMNS = {"temperature_K": "temperature_rmse_K", "absolute_humidity_g_m3": "humidity_rmse_g_m3"}
 """Scored quantity → column of its free-run error."""
 
 
@@ -142,7 +142,7 @@ def _score_columns(results: Scored) -> dict[str, Cell]:
     was validated."""
     is_validated = math.isfinite(results.errors("validation", "temperature_K").total)
     period = "validation" if is_validated else "identification"
-    errors = {column: results.errors(period, quantity).total for quantity, column in ERRORS.items()}
+    errors = {column: results.errors(period, quantity).total for quantity, column in ERROR_COLUMNS.items()}
     return {"scored_period": period, **errors}
 
 
@@ -170,7 +170,7 @@ def _discover(job: Job) -> Row:
         **_score_columns(final_model.fit),
     }
     base_scores = _score_columns(results.baseline.fit)
-    return columns | {f"base_{column}": base_scores[column] for column in ERRORS.values()}
+    return columns | {f"base_{column}": base_scores[column] for column in ERROR_COLUMNS.values()}
 
 
 def _evaluate(job: Job) -> Row:
@@ -186,7 +186,7 @@ def _evaluate(job: Job) -> Row:
         **_verdict_columns(evaluation.verdicts),
         **_score_columns(evaluation),
     }
-    for quantity, column in ERRORS.items():
+    for quantity, column in ERROR_COLUMNS.items():
         errors = evaluation.errors(str(columns["scored_period"]), quantity)
         columns[column.replace("rmse", "rmse_operation")] = errors.operation
         columns[column.replace("rmse", "rmse_standstill")] = errors.standstill
@@ -218,7 +218,7 @@ def _transfer(job: Job) -> Row:
         **_verdict_columns(results.verdicts),
         "scored_period": results.period,
     }
-    for quantity, column in ERRORS.items():
+    for quantity, column in ERROR_COLUMNS.items():
         for set_name, error_column in (("re_estimated", column), ("as_is", f"as_is_{column}")):
             error = results.rmse.get(quantity, {}).get(set_name)
             columns[error_column] = error.total if error is not None else math.nan

@@ -13,7 +13,7 @@ from pathlib import Path
 
 from hygrokf.commands.case_commands import CHECK, DEMO, INIT
 from hygrokf.commands.climate_commands import CLIMATE_VERB
-from hygrokf.commands.compare_commands import COMPARE, TRANSFER
+from hygrokf.commands.compare_commands import COMPARE, TRANSFER_VERB
 from hygrokf.commands.console import (
     INTERRUPTED,
     USER_FAULT,
@@ -23,9 +23,9 @@ from hygrokf.commands.console import (
     running,
     system_message,
 )
-from hygrokf.commands.fit_commands import DISCOVER, EVALUATE, FIT, SIMULATE
+from hygrokf.commands.fit_commands import DISCOVER, EVALUATE, FIT_VERB, SIMULATE
 from hygrokf.commands.fleet_command import FLEET_VERB
-from hygrokf.commands.report_commands import REPORT, SUMMARY
+from hygrokf.commands.report_commands import REPORT_VERB, SUMMARY_VERB
 from hygrokf.commands.store_commands import EXPORT, RESTORE, STORE
 from hygrokf.commands.track_command import DOCTOR, TRACK
 from hygrokf.commands.verb import Verb, add_loudness, parsers_of
@@ -81,12 +81,12 @@ COMPLETION = Verb("completion", "print the completion script of a shell", _shell
 
 
 VERBS = (
-    DEMO, INIT, CHECK, FIT, DISCOVER, SIMULATE, EVALUATE, FLEET_VERB, CLIMATE_VERB, COMPARE, TRANSFER, EXPORT,
-    TRACK, DOCTOR, RESTORE, STORE, REPORT, SUMMARY, HELP, COMPLETION,
+    DEMO, INIT, CHECK, FIT_VERB, DISCOVER, SIMULATE, EVALUATE, FLEET_VERB, CLIMATE_VERB, COMPARE, TRANSFER_VERB, EXPORT,
+    TRACK, DOCTOR, RESTORE, STORE, REPORT_VERB, SUMMARY_VERB, HELP, COMPLETION,
 )  # fmt: skip
 """The commands in the order of the help."""
 
-MAIN_VERBS = (INIT, CHECK, FIT, DISCOVER, CLIMATE_VERB)
+MAIN_VERBS = (INIT, CHECK, FIT_VERB, DISCOVER, CLIMATE_VERB)
 """The commands that `hygrokf` without arguments lists."""
 
 

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from hygrokf.modelling.library import Library
 
 
-def record_of(case: Path, cabinet: bool = True) -> Record:
+def case_record(case: Path, cabinet: bool = True) -> Record:
     """Read the record of a case, and print its warnings on standard error."""
     from hygrokf.cases.case_file import read_case
 
@@ -25,7 +25,7 @@ def record_of(case: Path, cabinet: bool = True) -> Record:
     return record
 
 
-def fit_of(
+def case_fit(
     record: Record, case: Path, criterion: str = "likelihood", starts: int = 4, kind: str | None = None,
     model: Fit | None = None,
 ) -> Fit:  # fmt: skip

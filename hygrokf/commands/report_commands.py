@@ -39,7 +39,7 @@ def _report(options: Namespace) -> int:
     return 0
 
 
-REPORT = Verb("report", "write the pages again from a directory of results", _report_arguments, _report)
+REPORT_VERB = Verb("report", "write the pages again from a directory of results", _report_arguments, _report)
 
 
 def _summary_arguments(parser: ArgumentParser) -> None:
@@ -81,6 +81,6 @@ def _summary(options: Namespace) -> int:
     return 0
 
 
-SUMMARY = Verb(
+SUMMARY_VERB = Verb(
     "summary", "write one page of a fit, a discovery or a climate: HTML, PDF", _summary_arguments, _summary
 )

@@ -202,13 +202,13 @@ def _doctor(options: argparse.Namespace) -> int:
         from hygrokf.live.doctor import payloads
 
         trials = payloads.try_payloads(config.streams, options.tried, options.wait)
-        show(payloads.as_data(trials), payloads.as_text(trials), options.json)
+        show(payloads.trials_data(trials), payloads.trials_text(trials), options.json)
         return 0 if any(trial.used for trial in trials) else FOUND
-    from hygrokf.live.doctor.examination import as_data, as_text, examine
+    from hygrokf.live.doctor.examination import checks_data, checks_text, examine
 
     tracker_file = next((path for path in options.what if path.suffix == ".toml"), None)
     checks = examine(config, tracker_file, options.wait, not options.no_page, options.notify)
-    show(as_data(checks), as_text(checks), options.json)
+    show(checks_data(checks), checks_text(checks), options.json)
     return FOUND if any(check.level == "fault" for check in checks) else 0
 
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from hygrokf.data.result_file import units_by_name, with_units
 from hygrokf.data.structured import optional
 from hygrokf.fleet.job import DONE, Row, flat
-from hygrokf.fleet.tasks import SHARED, TASKS
+from hygrokf.fleet.tasks import SHARED_COLUMNS, TASKS
 from hygrokf.identification.turbine_type import TurbineType
 from hygrokf.texts.terms import Instant, Name, Version
 
@@ -67,16 +67,16 @@ class FleetResults:
         return str(self.to_frame().to_html())
 
 
-def columns_of(task: str) -> dict[str, str]:
+def task_columns(task: str) -> dict[str, str]:
     """Return the columns of a task's table in their order, with their meanings."""
-    return {**SHARED, **TASKS[task].columns}
+    return {**SHARED_COLUMNS, **TASKS[task].columns}
 
 
 def table_csv(task: str, rows: Sequence[Row]) -> str:
     """Return rows as CSV text with unrounded numbers; cells without a value are empty."""
     buffer = io.StringIO()
     writer = csv.writer(buffer, lineterminator="\n")
-    names = list(columns_of(task))
+    names = list(task_columns(task))
     writer.writerow(names)
     for row in rows:
         cells = (flat(row.get(name)) for name in names)
@@ -91,7 +91,7 @@ def table_parquet(task: str, rows: Sequence[Row]) -> bytes | None:
         from pyarrow import parquet
     except ImportError:
         return None
-    names = columns_of(task)
+    names = task_columns(task)
     table = pyarrow.Table.from_pylist([{name: flat(row.get(name)) for name in names} for row in rows])
     buffer = pyarrow.BufferOutputStream()
     parquet.write_table(table, buffer)

@@ -53,7 +53,7 @@ class FleetFault(FormFault):
     """The fleet cannot be run; `faults` holds every reason."""
 
 
-def number(row: Row, column: str) -> float:
+def cell_number(row: Row, column: str) -> float:
     """Return the number in a column of a row; NaN if there is none."""
     value = row.get(column)
     return float(value) if isinstance(value, int | float) and not isinstance(value, bool) else math.nan
@@ -73,7 +73,7 @@ def flat(cell: Cell) -> bool | int | float | str | None:
     return cell
 
 
-def text_of(row: Row, column: str) -> str:
+def cell_text(row: Row, column: str) -> str:
     """Return the text in a column of a row; "" without a value."""
     value = flat(row.get(column))
     return "" if value is None else one_line(str(value))
@@ -199,7 +199,7 @@ def perform(job: Job, work: Work) -> Row:
         clear_folder(job)
         row = row_of(job, DONE, work(job))
     except Exception as fault:
-        row = row_of(job, FAILED, reason=reason_of(fault))
+        row = row_of(job, FAILED, reason=failure_reason(fault))
     try:
         write_row(job, row)
     except OSError as fault:
@@ -207,7 +207,7 @@ def perform(job: Job, work: Work) -> Row:
     return row
 
 
-def reason_of(fault: Exception) -> str:
+def failure_reason(fault: Exception) -> str:
     """Return the reason for a failure on one line; for an unexpected exception, with the place where it was
     raised."""
     faults = getattr(fault, "faults", ())

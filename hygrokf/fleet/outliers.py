@@ -6,7 +6,7 @@ For the logarithm x of a positive quantity, with standard errors e from its boun
     0),
 
 so that a turbine with wide bounds must deviate further. |z| is compared with the largest |z| among as many
-normal numbers, which is simulated (`SEED`): the probability of any outlier in a fleet of identical turbines
+normal numbers, which is simulated (`FLEET_SEED`): the probability of any outlier in a fleet of identical turbines
 is `LEVEL`, divided among the compared quantities (Bonferroni).
 """
 
@@ -18,18 +18,18 @@ from functools import cache
 
 import numpy as np
 
-from hygrokf.fleet.job import Row, number
+from hygrokf.fleet.job import Row, cell_number
 from hygrokf.fleet.tasks import Compared
 
 LEVEL = 0.05
 """[1] probability of any outlier, in all quantities together, in a fleet of identical turbines."""
 FEWEST_JUDGED = 6
 """Smallest number of turbines among which outliers are looked for."""
-DRAWS, SEED = 4000, 20
+SIMULATED_FLEETS, FLEET_SEED = 4000, 20
 """Number of simulated fleets, and the seed of the simulation."""
 TO_SD = 1.4826
 """Standard deviation of a normal distribution over its median absolute deviation."""
-REACH = 1.959963984540054
+INTERVAL_SD = 1.959963984540054
 """Half-width of a 95 % interval, in standard deviations."""
 NUMBERS_AT_ONCE = 2_000_000
 """Largest number of normal numbers in memory at once."""
@@ -81,7 +81,9 @@ class Scatter:
 
 def spreads(rows: Sequence[Row], compared: Sequence[Compared]) -> list[Scatter]:
     """Return the scatter of every quantity of which at least one turbine has a positive value."""
-    present = [quantity for quantity in compared if any(number(row, quantity.column) > 0 for row in rows)]
+    present = [
+        quantity for quantity in compared if any(cell_number(row, quantity.column) > 0 for row in rows)
+    ]
     return [spread(rows, quantity, len(present)) for quantity in present]
 
 
@@ -89,7 +91,7 @@ def spread(rows: Sequence[Row], compared: Compared, quantities: int = 1) -> Scat
     """Return the scatter of one quantity; quantities: number of quantities among which `LEVEL` is divided."""
     names, logarithms, errors, without_bounds, rejected = [], [], [], [], []
     for row in rows:
-        value = number(row, compared.column)
+        value = cell_number(row, compared.column)
         if not value >= 0:
             continue
         if compared.rejected(row):
@@ -98,13 +100,15 @@ def spread(rows: Sequence[Row], compared: Compared, quantities: int = 1) -> Scat
         if value == 0:  # no logarithm
             without_bounds.append(str(row["turbine"]))
             continue
-        lower, upper = (number(row, name) if name else np.nan for name in (compared.lower, compared.upper))
+        lower, upper = (
+            cell_number(row, name) if name else np.nan for name in (compared.lower, compared.upper)
+        )
         if compared.lower and not 0 < lower < upper:
             without_bounds.append(str(row["turbine"]))
             continue
         names.append(str(row["turbine"]))
         logarithms.append(np.log(value))
-        errors.append(np.log(upper / lower) / (2.0 * REACH) if compared.lower else np.nan)
+        errors.append(np.log(upper / lower) / (2.0 * INTERVAL_SD) if compared.lower else np.nan)
     x, error = np.array(logarithms), np.array(errors)
     all_nan = np.full(len(x), np.nan)
     if not len(x):
@@ -134,8 +138,8 @@ def spread(rows: Sequence[Row], compared: Compared, quantities: int = 1) -> Scat
 def _largest_distances(count: int) -> np.ndarray:
     """Return the largest |z| of `count` normal numbers, scaled by their median deviation, in each of many
     draws; sorted."""
-    random = np.random.default_rng(SEED)
-    draws = max(DRAWS // 8, min(DRAWS, 8_000_000 // count))
+    random = np.random.default_rng(FLEET_SEED)
+    draws = max(SIMULATED_FLEETS // 8, min(SIMULATED_FLEETS, 8_000_000 // count))
     largest = np.empty(draws)
     draws_at_once = max(1, NUMBERS_AT_ONCE // count)
     for start in range(0, draws, draws_at_once):

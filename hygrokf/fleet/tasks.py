@@ -300,7 +300,7 @@ TASKS: Mapping[str, Task] = {
 }
 """Name of a task in FLEET.toml → the task."""
 
-SHARED = {
+SHARED_COLUMNS = {
     "turbine": "name of the turbine in the fleet",
     "status": "done; failed: see reason; lost: its process died, twice",
     "reason": "reason for the missing result, empty otherwise",

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Literal
 
 from hygrokf.climate.chamber_profile import ChamberProfile
-from hygrokf.climate.study import UNITS, RegionClimate, Study, read_climate, write_climate
+from hygrokf.climate.study import STATISTIC_UNITS, RegionClimate, Study, read_climate, write_climate
 from hygrokf.data.files import REPORT, write_bytes_whole, write_text_whole
 from hygrokf.data.record import Provenance
 from hygrokf.identification.verdict_terms import rests_on
@@ -52,7 +52,7 @@ from hygrokf.texts.reasons import REJECT
 from hygrokf.texts.wording import moment, sentence
 
 PICTURE = "test_profile.png"
-TONES: dict[str, Literal["open", "plain", "reject"]] = {
+LIMIT_TONES: dict[str, Literal["open", "plain", "reject"]] = {
     "pass": "plain", "undecided": "open", "fail": "reject"
 }  # fmt: skip
 """Verdict on limits → tone of its card."""
@@ -155,7 +155,9 @@ def _number_card(region: RegionClimate, name: str, label: str, doubt: str, *line
         f"{share_held([region])} of single years: {bounds}" if bounds else "in every member and year"
     )
     kind = REJECT if doubt else ""
-    return Card(label, f"{value} {UNITS[name]}", kind, bounds_text, doubt, lines=lines, tone="plain")
+    return Card(
+        label, f"{value} {STATISTIC_UNITS[name]}", kind, bounds_text, doubt, lines=lines, tone="plain"
+    )
 
 
 def _besides(region: RegionClimate) -> list[str]:
@@ -172,7 +174,7 @@ def _limits_card(region: RegionClimate) -> Card:
     lines = tuple(f"Fails: {limit.name}, {span_text(limit.hours, hours_text)} h/a" for limit in failed[:2])
     remark = f", judged on {region.part_of_year} of weather, not a year" if region.part_of_year else ""
     label = f"Limits, {len(region.limits)} in all{remark}"
-    return Card(label, _counted(region), lines=lines, wide=True, words=True, tone=TONES[region.verdict])
+    return Card(label, _counted(region), lines=lines, wide=True, words=True, tone=LIMIT_TONES[region.verdict])
 
 
 def _counted(region: RegionClimate) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 from hygrokf.climate.bounds import BoundedMean
-from hygrokf.climate.limits import QUANTITIES, Exceedance
+from hygrokf.climate.limits import LIMITED_QUANTITIES, Exceedance
 from hygrokf.climate.statistics import STATISTICS, YearNumber
 from hygrokf.climate.study import RegionClimate
 from hygrokf.report.blocks import Table
@@ -136,7 +136,7 @@ def limits_table(region: RegionClimate) -> Table:
         rows.append(
             (
                 limit.name,
-                f"{limit.side} {limit.level:g} {QUANTITIES[limit.quantity]}{scope_text}",
+                f"{limit.side} {limit.level:g} {LIMITED_QUANTITIES[limit.quantity]}{scope_text}",
                 plain_number(limit.hours_a_year),
                 span_text(limit.hours, hours_text),
                 span_text(limit.number),

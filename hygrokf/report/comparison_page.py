@@ -38,7 +38,7 @@ from hygrokf.report.page import page_html
 from hygrokf.report.quantities import interval, quantity, share_text, versions
 from hygrokf.texts.statement import Value
 from hygrokf.texts.transfer_codes import TransferCode
-from hygrokf.texts.wording import RULES, fixed, sentence, signed
+from hygrokf.texts.wording import RULE_NAMES, fixed, sentence, signed
 from hygrokf.transfer.comparison import (
     ComparisonColumn,
     ComparisonResults,
@@ -46,13 +46,13 @@ from hygrokf.transfer.comparison import (
 )
 from hygrokf.transfer.transfer_results import RecordCourse, read_courses, write_courses
 
-PERIODS = ("whole", "validation", "identification")
-COMMAND = "hygrokf compare"
+COMPARED_PERIODS = ("whole", "validation", "identification")
+COMPARE_COMMAND = "hygrokf compare"
 LEAST_DIFFERENCE = 0.005
 """[K], [g/m³] a smaller difference of two errors does not show in two decimals."""
 MOST_PAIRS = 3
 """Number of pairs of columns whose tables are shown; further tables are folded."""
-METHOD = (
+COMPARISON_METHOD = (
     "Instants at which an input is unknown are not scored.",
     "Bounds come from a bootstrap of circular blocks of hours. A block is four times as long as the errors "
     "are correlated, and at least a day. Student's t widens the bounds for the small number of blocks. They "
@@ -98,11 +98,11 @@ def read_comparison(directory: str | os.PathLike[str]) -> tuple[ComparisonResult
     Raises ResultFault with all faults.
     """
     folder = Path(directory)
-    results = read_result(ComparisonResults, folder / COMPARISON, COMMAND)
+    results = read_result(ComparisonResults, folder / COMPARISON, COMPARE_COMMAND)
     path = folder / COMPARISON_SERIES
     if not path.exists():
         return results, ()
-    return results, read_courses(path, len(results.columns), COMMAND)
+    return results, read_courses(path, len(results.columns), COMPARE_COMMAND)
 
 
 # --- the page --------------------------------------------------------------------------------
@@ -160,7 +160,7 @@ def comparison_blocks(results: ComparisonResults, courses: Sequence[RecordCourse
             ),
         ),
         body,
-        method("Method", *METHOD, f"Compared by {versions(results.version)}."),
+        method("Method", *COMPARISON_METHOD, f"Compared by {versions(results.version)}."),
     )
 
 
@@ -257,7 +257,7 @@ def _sentence(row: ErrorRow) -> str:
 def scores_table(results: ComparisonResults, name: str) -> Table:
     """Return the errors of one quantity by column, period and regime (Table III of the paper)."""
     labels, rows = short_labels([column.label for column in results.columns]), []
-    for period in PERIODS:
+    for period in COMPARED_PERIODS:
         for column, label in zip(results.columns, labels, strict=True):
             if (total := results.errors(period, name).get(column.label)) is not None:
                 regimes = (results.row("rmse", column.label, period, name, regime) for regime in REGIMES)
@@ -276,7 +276,7 @@ def differences_table(results: ComparisonResults, column: str, reference: str) -
     rows: list[tuple[str, ...]] = []
     bold_rows: list[int] = []
     for name in SCORED:
-        for period in PERIODS:
+        for period in COMPARED_PERIODS:
             by_regime = {
                 regime: results.row("difference", column, period, name, regime, reference)
                 for regime in REGIMES
@@ -310,7 +310,7 @@ def skill_table(results: ComparisonResults) -> Table:
             if period is None:
                 continue
             total = results.errors(period, name)[column.label]
-            for rule in RULES:
+            for rule in RULE_NAMES:
                 skill, error = (
                     results.row(kind, column.label, period, name, against=rule) for kind in ("skill", "rule")
                 )
@@ -318,7 +318,7 @@ def skill_table(results: ComparisonResults) -> Table:
                     continue
                 bounds = interval(skill.lower, skill.upper, share_text)
                 cells = (fixed(error.value), fixed(total.value), share_text(skill.value), bounds)
-                rows.append((label, quantity(name).words, RULES[rule], period, *cells))
+                rows.append((label, quantity(name).words, RULE_NAMES[rule], period, *cells))
     return Table(
         "Skill",
         ("", "quantity", "rule", "period", "rule", "model", "skill", "95 %"),

@@ -21,7 +21,7 @@ from hygrokf.discovery.discovery_results import (
     read_discovery,
     write_discovery,
 )
-from hygrokf.discovery.residuals import QUANTITIES, Residuals
+from hygrokf.discovery.residuals import RESIDUAL_QUANTITIES, Residuals
 from hygrokf.identification.verdict import best_rule, inherited
 from hygrokf.report.blocks import (
     FREE_RUN,
@@ -48,13 +48,13 @@ from hygrokf.report.discovery_text import (
     cause_with_form,
     chosen_words,
     count_judged,
+    discovery_verdict,
     held_out_sentences,
     held_out_text,
     line_statement,
     outcome,
     readings_of,
     unchanged,
-    verdict_of,
 )
 from hygrokf.report.figures.lead import episodes, errors_over_drivers
 from hygrokf.report.figures.residual_structure import figure_day_hour, figure_error_course
@@ -162,7 +162,7 @@ def held_out_table(test: HeldOutTest) -> Table:
     )
 
 
-def parameters_table(cause: CauseFound) -> Table:
+def cause_parameters_table(cause: CauseFound) -> Table:
     """Return the parameters of a cause with their bounds."""
     rows = tuple((name, *parameter_cells(row), row.meaning) for name, row in cause.parameters.items())
     columns = ("parameter", "value", "95 % bounds", "unit", "meaning")
@@ -214,7 +214,7 @@ def evidence_table(results: DiscoveryResults) -> Table:
     )
 
 
-ERRORS = "Errors before and after"
+ERRORS_TITLE = "Errors before and after"
 NOT_HELD_OUT = "There is no held-out period with readings (`until` is not stated)."
 BY = "By driver, by day and hour, and by period"
 TOGETHER = (
@@ -284,7 +284,7 @@ def discovery_blocks(
         ),
     )
     gains = table_or(gains_table(results), "No errors of a free run are known.")
-    verdict = verdict_of(results)
+    verdict = discovery_verdict(results)
     card = Card(
         "Verdict", verdict.headline, bounds=verdict.confidence,
         lines=tuple(map(sentence, (*verdict.reasons, *verdict.actions))), wide=True, words=True,
@@ -322,7 +322,7 @@ def _judged(results: DiscoveryResults, cause: CauseFound | Rejected) -> tuple[Bl
         reason_if_empty = "The cause has no parameters of its own: it corrects time stamps."
         blocks += [
             Prose(f"Found by search: {'; '.join(chosen_words(cause))}.") if cause.chosen else None,
-            table_or(parameters_table(cause), reason_if_empty),
+            table_or(cause_parameters_table(cause), reason_if_empty),
         ]
     return present(
         *blocks, Prose(sentence(held_out_text(results, cause.held_out))), held_out_table(cause.held_out)
@@ -342,7 +342,7 @@ def _errors(
             lambda: figure_error_course(before, after),
         )
     return section(
-        ERRORS,
+        ERRORS_TITLE,
         *map(Prose, held_out_sentences(results)),
         daily_errors,
         *(scores_tables(results, "validation") or [Prose(NOT_HELD_OUT, "missing")]),
@@ -418,6 +418,6 @@ def _courses(results: DiscoveryResults, before: Residuals, after: Residuals | No
                 "weather or operation. A lasting change of colour: something changed on that date.",
                 partial(figure_day_hour, before, name, after),
             )
-            for name in QUANTITIES
+            for name in RESIDUAL_QUANTITIES
         ),
     ]

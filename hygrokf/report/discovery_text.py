@@ -70,7 +70,7 @@ EXCLUSIONS: Mapping[Exclusion, DiscoveryCode] = {
     "left_to_budget": DiscoveryCode.EXCLUDED_LEFT_TO_BUDGET,
     "no_form": DiscoveryCode.EXCLUDED_NO_FORM,
 }
-CRITERIA = {
+CRITERION_CODES = {
     "likelihood": DiscoveryCode.BY_LIKELIHOOD,
     "output-error": DiscoveryCode.BY_OUTPUT_ERROR,
 }
@@ -124,7 +124,7 @@ class DiscoveryVerdict:
     warned: bool
 
 
-def verdict_of(results: DiscoveryResults) -> DiscoveryVerdict:
+def discovery_verdict(results: DiscoveryResults) -> DiscoveryVerdict:
     """Return the verdict of a discovery in words."""
     refuted = tuple(map(cause_with_form, results.refuted))
     rejected_constants = [
@@ -301,7 +301,7 @@ def held_out_sentences(results: DiscoveryResults) -> list[str]:
     if results.estimator:
         has_extended = results.extended is not None
         code = DiscoveryCode.BOTH_MODELS_ESTIMATED if has_extended else DiscoveryCode.ONE_MODEL_ESTIMATED
-        statements.append(code(criterion=CRITERIA[results.estimator]()))
+        statements.append(code(criterion=CRITERION_CODES[results.estimator]()))
     days = results.held_out_days
     if not days:
         statements.append(DiscoveryCode.NOTHING_REFUTED())

@@ -41,9 +41,9 @@ from hygrokf.report.figures.fit_figures import FIGURES, PRODUCT, figure_of
 from hygrokf.report.fit_tables import (
     actuators_table,
     bands_table,
+    fit_parameters_table,
     innovations_table,
     optima_table,
-    parameters_table,
     rmse_table,
     time_constants_table,
 )
@@ -108,7 +108,7 @@ def fit_blocks(fit: FitResults, series: Mapping[str, np.ndarray]) -> Page:
     """The page of a fit; the time constants with their verdicts and the validation period come first."""
     figures = {name: figure_of(name, fit, series) for name in FIGURES}
     body = (
-        *section("What is reliable", Prose(TERMS, "note"), _judgements(fit)),
+        *section("What is reliable", Prose(FIT_TERMS, "note"), _judgements(fit)),
         *section(
             "Accuracy",
             table_or(
@@ -131,7 +131,7 @@ def fit_blocks(fit: FitResults, series: Mapping[str, np.ndarray]) -> Page:
             Details(
                 "All parameters",
                 (
-                    table_or(parameters_table(fit), "The fit holds no parameters."),
+                    table_or(fit_parameters_table(fit), "The fit holds no parameters."),
                     table_or(optima_table(fit), "All starts ended in the same optimum."),
                 ),
                 printed=True,
@@ -158,7 +158,7 @@ def fit_blocks(fit: FitResults, series: Mapping[str, np.ndarray]) -> Page:
     )
 
 
-def period_text(fit: FitResults) -> str:
+def fit_period(fit: FitResults) -> str:
     """Return the record's first and last instant and the end of its identification; empty if unknown."""
     start, until, end = (
         moment(instant or "") for instant in (fit.period.start, fit.period.until, fit.period.end)
@@ -170,7 +170,7 @@ def period_text(fit: FitResults) -> str:
 
 def _about(fit: FitResults) -> tuple[str, ...]:
     """Return the lines below the name: period, number of readings, rated power and site."""
-    period = period_text(fit)
+    period = fit_period(fit)
     lines = [period] if period else []
     count, rated_kW = fit.period.n_readings, fit.rated_power_kW
     facts = [f"{count:,} times with a reading"] if count else []
@@ -267,7 +267,7 @@ def _method(fit: FitResults) -> tuple[Block, ...]:
     sentence_on_estimation = (
         f"The parameters were estimated by {criterion}{kind_text}, on the identification period alone. "
     )
-    lines = [METHOD[0], sentence_on_estimation + METHOD[1], *METHOD[2:]]
+    lines = [FIT_METHOD[0], sentence_on_estimation + FIT_METHOD[1], *FIT_METHOD[2:]]
     lines += [sentence(statement.text) for statement in (() if fit.design is None else fit.design.statements)]
     values = [
         f"{label} {fixed(value)}"
@@ -282,12 +282,12 @@ def _method(fit: FitResults) -> tuple[Block, ...]:
     return method("How this was computed", *lines, fitted)
 
 
-TERMS = (
+FIT_TERMS = (
     f"{FREE_RUN} {INNOVATIONS} All sources: bounds of the profile likelihood, widened by every other source "
     "of uncertainty. Sandwich: bounds from the observed scatter of the scores, which hold even where the "
     "model's noise is not quite right."
 )
-METHOD = (
+FIT_METHOD = (
     "Heat balance: dT_conv/dt = (T_amb − T_conv + f_ΔT/ρ)/τ and T_conv,a = ρ T_conv + (1−ρ) T_amb, with "
     "τ = (R_AT+R_IC)·C and ρ = R_AT/(R_AT+R_IC). The heat release f_ΔT [K] is a polynomial of the power in "
     "operation and a line over the ambient temperature at standstill. Vapour balance: dc*/dt = T_conv,a "

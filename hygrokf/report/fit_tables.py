@@ -19,8 +19,8 @@ from hygrokf.report.quantities import interval, parameter_cells, quantity
 from hygrokf.report.terminal import blocks_text
 from hygrokf.texts.wording import (
     NONE,
-    QUANTITIES,
-    RULES,
+    QUANTITY_NAMES,
+    RULE_NAMES,
     decimals_for,
     fixed,
     p_value,
@@ -30,7 +30,7 @@ from hygrokf.texts.wording import (
     signed,
 )
 
-ACTUATORS = (
+ACTUATORS_NOTE = (
     "Mean difference between the simulations with and without the actuator while it is above half of its "
     "span, with 95 % bounds."
 )
@@ -108,7 +108,7 @@ def rmse_table(fit: Scored, period: str) -> Table | None:
     if not any(math.isfinite(error.total) for error in errors):
         return None
     rows = [("model, free run", *_cells(errors))]
-    for key, words in RULES.items():
+    for key, words in RULE_NAMES.items():
         cells = _cells([fit.rule_errors(period, key, name) for name in SCORED])
         if any(cell != NONE for cell in cells):
             rows.append((words, *cells))
@@ -138,7 +138,7 @@ def bands_table(fit: Scored) -> Table:
     rows = []
     for lead in fit.bands:
         cells = []
-        for name in QUANTITIES:
+        for name in QUANTITY_NAMES:
             band = fit.band(lead, name)
             cells += [percent(band.coverage, 1), fixed(band.scale), str(band.n) if band.n > 0 else NONE]
         if any(cell != NONE for cell in cells):
@@ -147,13 +147,13 @@ def bands_table(fit: Scored) -> Table:
         "Readings inside the 95 % bands",
         ("", *("inside", "scale", "n") * 3),
         tuple(rows),
-        groups=(("", 1), *((words, 3) for words, _ in QUANTITIES.values())),
+        groups=(("", 1), *((words, 3) for words, _ in QUANTITY_NAMES.values())),
         note="Scale: the factor by which the band would have to be widened (above 1) or narrowed (below 1) "
         "to hold 95 %.",
     )
 
 
-def parameters_table(fit: FitResults) -> Table:
+def fit_parameters_table(fit: FitResults) -> Table:
     """Return every parameter with its standard error, bounds, unit, meaning and remarks."""
     rows: list[tuple[str, ...]] = []
     marked: list[int] = []
@@ -203,7 +203,7 @@ def actuators_table(fit: FitResults) -> Table:
         "What the logged actuators change while they are on",
         ("actuator", "on", "temperature [K]", "relative humidity [%]", "absolute humidity [g/m³]"),
         tuple(rows),
-        note=" ".join([ACTUATORS, *reasons_unused]),
+        note=" ".join([ACTUATORS_NOTE, *reasons_unused]),
     )
 
 

@@ -11,7 +11,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import partial
 
-from hygrokf.evaluation.innovation_tests import SMALL
+from hygrokf.evaluation.innovation_tests import SMALL_CORRELATION
 from hygrokf.evaluation.scoring import SCORED
 from hygrokf.identification.fit_results import FitResults, TimeConstant
 from hygrokf.identification.verdict import (
@@ -28,7 +28,7 @@ from hygrokf.report.quantities import interval, quantity, spoken
 from hygrokf.texts.reasons import BELIEVE, CAUTION, REJECT, Kind, Reason, ReasonCode, verdict_of, worst_first
 from hygrokf.texts.wording import decimals_for, fixed, percent, plain_number
 
-METHODS = {
+METHOD_NAMES = {
     "composed": "all sources",
     "profile": "profile likelihood",
     "wald": "Wald",
@@ -42,7 +42,7 @@ METHODS = {
 def level_and_method(constant: TimeConstant) -> str:
     """Return level and method of a time constant's interval: "95 %, all sources"."""
     level = percent(constant.level) if math.isfinite(constant.level) else ""
-    return ", ".join(filter(None, (level, METHODS.get(constant.method, constant.method))))
+    return ", ".join(filter(None, (level, METHOD_NAMES.get(constant.method, constant.method))))
 
 
 def free_run_text(constant: TimeConstant) -> str:
@@ -84,7 +84,7 @@ class SubjectVerdict:
     reasons: tuple[Reason, ...] = ()
 
 
-ENDS = {
+VERDICT_ENDS = {
     BELIEVE: ", is reliable",
     CAUTION: ", should be used with caution",
     REJECT: ", is not reliable",
@@ -98,7 +98,7 @@ def _judged(about: str, subject: str, reasons: Iterable[Reason]) -> SubjectVerdi
     stated_reasons = tuple(
         reason for reason in sorted_reasons if verdict == BELIEVE or reason.verdict != BELIEVE
     )
-    return SubjectVerdict(about, verdict, subject + ENDS[verdict], stated_reasons)
+    return SubjectVerdict(about, verdict, subject + VERDICT_ENDS[verdict], stated_reasons)
 
 
 def judgements(fit: FitResults) -> list[SubjectVerdict]:
@@ -115,7 +115,7 @@ def _time_constant(fit: FitResults, part: str) -> SubjectVerdict:
         return SubjectVerdict(part, CAUTION, sentence)
     reported = inherited(fit)[part]
     spread_text = f", known to {reported.spread}" if reported.closed else ""
-    head = f"The {part} time constant, {reported.texts[0]}{spread_text}{ENDS[reported.verdict]}"
+    head = f"The {part} time constant, {reported.texts[0]}{spread_text}{VERDICT_ENDS[reported.verdict]}"
     # doubts about the record stand before everything else
     reasons = [
         reason for reason in reported.reasons if reason.source or reason.values.get("doubt") not in fit.doubts
@@ -165,7 +165,7 @@ def _innovations(fit: FitResults) -> Iterator[SubjectVerdict]:
     if not tests:
         return
     largest = max((largest_correlation(fit, name)[0] for name in fit.innovations.outputs), default=0.0)
-    is_small, reasons = 0 < largest < SMALL, []
+    is_small, reasons = 0 < largest < SMALL_CORRELATION, []
     if rejecting:
         kinds = dict.fromkeys(f"{test.test}{' with inputs' * bool(test.input)}" for test in rejecting)
         reasons.append(ReasonCode.NOT_WHITE(BELIEVE if is_small else CAUTION, kinds=tuple(kinds)))

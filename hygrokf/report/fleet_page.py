@@ -11,8 +11,8 @@ from hygrokf.data.files import FLEET, REPORT, write_text_whole
 from hygrokf.data.record import Provenance
 from hygrokf.data.result_file import ResultFault, read_result
 from hygrokf.fleet.fleet_results import CSV, FleetResults
-from hygrokf.fleet.job import DONE, Row, number, text_of
-from hygrokf.fleet.outliers import DRAWS, FEWEST_JUDGED, LEVEL, Scatter, spreads
+from hygrokf.fleet.job import DONE, Row, cell_number, cell_text
+from hygrokf.fleet.outliers import FEWEST_JUDGED, LEVEL, SIMULATED_FLEETS, Scatter, spreads
 from hygrokf.fleet.tasks import TASKS, Compared, Tally, Task
 from hygrokf.report.blocks import (
     Banner,
@@ -39,7 +39,7 @@ RANKED = 50
 """Largest number of rows of the ranking; fleet.csv has all turbines."""
 TALLIED = 12
 """Largest number of values of a column that are counted; values of most turbines first."""
-NAMED = 20
+MOST_NAMED_TURBINES = 20
 """Largest number of turbines that are named in a cell."""
 LEFT_OUT = "Left out, because they differ from the others by more than chance:"
 FAILURE = ("turbine", "status", "reason")
@@ -63,15 +63,15 @@ def write_fleet_report(out: Path) -> Path:
 
 def outcome_text(row: Row, is_stored: bool) -> str:
     """Return a line on the outcome of one turbine; is_stored: whether its result was on disk already."""
-    turbine, status = text_of(row, "turbine"), text_of(row, "status")
+    turbine, status = cell_text(row, "turbine"), cell_text(row, "status")
     if status != DONE:
         return f"{turbine}: {status}: {text_of(row, 'reason')}"
     values = (
         f"{compared.title} {WORDS[REJECT]}"
         if compared.rejected(row)
         else f"{compared.title} {value:.3g} {compared.unit}"
-        for compared in TASKS[text_of(row, "task")].compared[:2]
-        if math.isfinite(value := number(row, compared.column))
+        for compared in TASKS[cell_text(row, "task")].compared[:2]
+        if math.isfinite(value := cell_number(row, compared.column))
     )
     return f"{turbine}: {', '.join([*values, 'done before' if is_stored else 'done'])}"
 
@@ -191,7 +191,7 @@ def _failures(fleet: FleetResults) -> tuple[Block, ...]:
     """Return the section of turbines without a result; empty if every turbine has one."""
     if not fleet.missing:
         return ()
-    cells = tuple(tuple(text_of(row, name) for name in FAILURE) for row in fleet.missing)
+    cells = tuple(tuple(cell_text(row, name) for name in FAILURE) for row in fleet.missing)
     return section(
         "Without a result",
         Table("Turbines and reasons", FAILURE, cells, left=(0, 1, 2)),
@@ -204,7 +204,7 @@ def _outliers(scatters: Sequence[Scatter]) -> Block | None:
     judged = [scatter for scatter in scatters if len(scatter.turbines) >= FEWEST_JUDGED]
     if not judged:
         return None
-    smallest_p = 2.0 * len(scatters) / DRAWS
+    smallest_p = 2.0 * len(scatters) / SIMULATED_FLEETS
     rows = tuple(
         (
             scatter.turbines[index],
@@ -233,7 +233,7 @@ def _tallies(tallies: Sequence[Tally], done: Sequence[Row]) -> Table:
             cell = row.get(tally.column)
             for item in cell if isinstance(cell, tuple) else (cell,):
                 if value := "" if item is None else one_line(str(item)):
-                    turbines_by_value.setdefault(value, []).append(text_of(row, "turbine"))
+                    turbines_by_value.setdefault(value, []).append(cell_text(row, "turbine"))
         most_frequent = sorted(turbines_by_value.items(), key=lambda pair: -len(pair[1]))
         rows += [
             (tally.title, _in_words(value), str(len(turbines)), _some(turbines))
@@ -254,7 +254,7 @@ def _in_words(value: str) -> str:
 
 def _some(turbines: Sequence[str]) -> str:
     """Return the names of the first turbines, with "…" if there are more."""
-    return f"{', '.join(turbines[:NAMED])}{' …' if turbines[NAMED:] else ''}"
+    return f"{', '.join(turbines[:MOST_NAMED_TURBINES])}{' …' if turbines[MOST_NAMED_TURBINES:] else ''}"
 
 
 def _set_aside(scatters: Sequence[Scatter]) -> list[Prose]:
@@ -278,18 +278,20 @@ def _ranking(task: Task, done: Sequence[Row], scatters: Sequence[Scatter]) -> Ta
     ]
     if not quantities:
         return None
-    sort_keys = [(-value if math.isfinite(value := number(row, task.ranking)) else math.inf) for row in done]
+    sort_keys = [
+        (-value if math.isfinite(value := cell_number(row, task.ranking)) else math.inf) for row in done
+    ]
     order = sorted(range(len(done)), key=lambda i: (sort_keys[i], str(done[i]["turbine"])))
     outliers = {scatter.turbines[i] for scatter in scatters for i in scatter.outliers}
     ranked = [done[i] for i in order[:RANKED]]
     rows = tuple(
-        (str(rank), text_of(row, "turbine"), *(_value(row, quantity) for quantity in quantities))
+        (str(rank), cell_text(row, "turbine"), *(_value(row, quantity) for quantity in quantities))
         for rank, row in enumerate(ranked, 1)
     )
     marked = tuple(i for i, row in enumerate(ranked) if str(row["turbine"]) in outliers)
     titles = (f"{shown.title} [{shown.unit}]" if shown.unit else shown.title for shown in quantities)
     ranked_by = next((shown.title for shown in task.compared if shown.column == task.ranking), task.ranking)
-    shares = [share for row in done if math.isfinite(share := number(row, "bounds_hold"))]
+    shares = [share for row in done if math.isfinite(share := cell_number(row, "bounds_hold"))]
     bounds = f"bounds that hold {percent(min(shares))} of single years" if shares else "95 % bounds"
     remark = f" The first {RANKED} of {len(done)}; {CSV} has all." if len(done) > RANKED else ""
     note = f"In brackets {bounds}. Bold: outliers.{remark}"
@@ -300,16 +302,16 @@ def _ranking(task: Task, done: Sequence[Row], scatters: Sequence[Scatter]) -> Ta
 
 def _value(row: Row, quantity: Compared) -> str:
     """Return a turbine's value of a quantity with its bounds, as the cell of a table."""
-    value = number(row, quantity.column)
+    value = cell_number(row, quantity.column)
     if not math.isfinite(value):
-        return text_of(row, quantity.column) or NONE
+        return cell_text(row, quantity.column) or NONE
     if quantity.rejected(row):
         return WORDS[REJECT]
     if not quantity.lower:
         return fixed(value)
-    low, high = number(row, quantity.lower), number(row, quantity.upper)
+    low, high = cell_number(row, quantity.lower), cell_number(row, quantity.upper)
     if quantity.column.endswith("value_h") and not 0 < low < high:
-        return text_of(row, quantity.column.replace("value_h", "statement")) or "open"
+        return cell_text(row, quantity.column.replace("value_h", "statement")) or "open"
     if plain_number(low) == plain_number(high):
         return plain_number(value)
     return f"{plain_number(value)} ({interval(low, high, plain_number)})"
@@ -323,7 +325,7 @@ def _method(fleet: FleetResults) -> tuple[Block, ...]:
         f"Each turbine was treated alone, with the same options{options}.",
         "Outliers: the distance of the logarithm of a turbine’s value from the median, in median absolute "
         "deviations (the turbines’ own bounds taken out, and those of the turbine added again), is compared "
-        f"with the largest distance in as many normal numbers ({DRAWS} simulated fleets at most). If "
+        f"with the largest distance in as many normal numbers ({SIMULATED_FLEETS} simulated fleets at most). If "
         f"turbines differ normally, the chance of any false outlier is {percent(LEVEL)} for the whole fleet "
         f"and all quantities together; fewer than {FEWEST_JUDGED} turbines are not judged. An outlier need "
         "not be faulty: the turbine may have another site, operation or design.",

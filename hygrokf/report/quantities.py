@@ -14,7 +14,7 @@ from hygrokf.physics.psychrometrics import ZERO_CELSIUS_K
 from hygrokf.texts.wording import (
     MOST_DECIMALS,
     NONE,
-    QUANTITIES,
+    QUANTITY_NAMES,
     decimals_for,
     fixed,
     minus,
@@ -70,9 +70,9 @@ class QuantityTerms:
         return f"{fixed(value)} {self.unit}"
 
 
-LEVELS = {"temperature_K": ("°C", ZERO_CELSIUS_K)}
+LEVEL_UNITS = {"temperature_K": ("°C", ZERO_CELSIUS_K)}
 """Unit and zero of levels, where they are not those of the errors."""
-NAMES = {
+NAMED_QUANTITY = {
     "temperature": "temperature_K",
     "humidity": "absolute_humidity_g_m3",
     "vapour": "absolute_humidity_g_m3",
@@ -85,10 +85,10 @@ COLDEST_K = 150.0
 
 def quantity(name: str) -> QuantityTerms:
     """Return the texts of a quantity; for an unknown name, the name in words without a unit."""
-    scored = NAMES.get(name, name)
-    if scored not in QUANTITIES:
+    scored = NAMED_QUANTITY.get(name, name)
+    if scored not in QUANTITY_NAMES:
         return QuantityTerms("", spoken(name) or "error", "")
-    return QuantityTerms(scored, *QUANTITIES[scored], *LEVELS.get(scored, ()))
+    return QuantityTerms(scored, *QUANTITY_NAMES[scored], *LEVEL_UNITS.get(scored, ()))
 
 
 # --- words -----------------------------------------------------------------------------------

@@ -21,14 +21,14 @@ if TYPE_CHECKING:
     from hygrokf.drafting.draft import Draft
     from hygrokf.drafting.mapping import DraftedSignal
 
-NONE = "-"
-WIDTH = 1000
+NO_ENTRY = "-"
+UNCUT_WIDTH = 1000
 """[columns] wider than any line, so that long paths of files are not wrapped."""
 
 
 def describe_text(summary: RecordSummary) -> str:
     """Return the summary of a record as text."""
-    return "\n\n".join(blocks_text(record_blocks(summary), WIDTH))
+    return "\n\n".join(blocks_text(record_blocks(summary), UNCUT_WIDTH))
 
 
 def record_blocks(summary: RecordSummary) -> Iterator[Block]:
@@ -82,13 +82,13 @@ def _signal(signal: SignalSummary) -> tuple[str, ...]:
     return (
         signal.signal,
         str(signal.readings),
-        f"{100 * signal.missing_share:.1f} %" if math.isfinite(signal.missing_share) else NONE,
-        duration_text(signal.step_s) if math.isfinite(signal.step_s) else NONE,
+        f"{100 * signal.missing_share:.1f} %" if math.isfinite(signal.missing_share) else NO_ENTRY,
+        duration_text(signal.step_s) if math.isfinite(signal.step_s) else NO_ENTRY,
         str(signal.gaps),
-        duration_text(signal.longest_gap_s) if signal.gaps else NONE,
+        duration_text(signal.longest_gap_s) if signal.gaps else NO_ENTRY,
         hold,
-        f"{signal.resolution:g}{step_unit}" if signal.resolution > 0.0 else NONE,
-        values if math.isfinite(signal.mean) else NONE,
+        f"{signal.resolution:g}{step_unit}" if signal.resolution > 0.0 else NO_ENTRY,
+        values if math.isfinite(signal.mean) else NO_ENTRY,
     )
 
 
@@ -97,9 +97,9 @@ def _sources(summary: RecordSummary) -> Table:
     rows = tuple(
         (
             signal.signal,
-            signal.start or NONE,
-            signal.end or NONE,
-            f"±{duration_text(signal.clock_uncertainty_s)}" if signal.clock_uncertainty_s > 0.0 else NONE,
+            signal.start or NO_ENTRY,
+            signal.end or NO_ENTRY,
+            f"±{duration_text(signal.clock_uncertainty_s)}" if signal.clock_uncertainty_s > 0.0 else NO_ENTRY,
             signal.source,
         )
         for signal in summary.signals
@@ -113,7 +113,7 @@ def _comparison(alignment: Alignment) -> tuple[str, ...]:
     unit = "K" if signal.display == "degC" else signal.display
     offset = f"{difference_from_si(alignment.offset.value, signal.display, signal):+.2g} {unit}".rstrip(" 1")
     other = alignment.other_amplitude
-    wave = f"{100 * alignment.amplitude / other:.0f} %" if other else NONE
+    wave = f"{100 * alignment.amplitude / other:.0f} %" if other else NO_ENTRY
     lags = (_lag(season or alignment.whole) for season in (alignment.winter, alignment.summer))
     return (alignment.signal, alignment.one, alignment.other, offset, *lags, wave)
 
@@ -121,7 +121,7 @@ def _comparison(alignment: Alignment) -> tuple[str, ...]:
 def _lag(lag: Lag) -> str:
     """Return a lag with its bounds in minutes."""
     if not lag.weather.known:
-        return NONE
+        return NO_ENTRY
     value, low, high = (
         seconds / MINUTE_S for seconds in (lag.weather.value, lag.weather.low, lag.weather.high)
     )
@@ -133,7 +133,7 @@ def _lag(lag: Lag) -> str:
 
 def draft_text(draft: Draft) -> str:
     """Return a drafted case as text."""
-    return "\n\n".join(blocks_text(draft_blocks(draft), WIDTH))
+    return "\n\n".join(blocks_text(draft_blocks(draft), UNCUT_WIDTH))
 
 
 def draft_blocks(draft: Draft) -> Iterator[Block]:

@@ -31,7 +31,7 @@ TEXT_WIDTH = 100
 """Largest width of a text [columns], also used for output to a file."""
 NARROWEST = 40
 """Smallest width of a text [columns]."""
-KEY = "Reliable ({}), with caution ({}), not reliable ({})".format(*map(PLAIN_MARKS.get, VERDICTS))
+MARKS_KEY = "Reliable ({}), with caution ({}), not reliable ({})".format(*map(PLAIN_MARKS.get, VERDICTS))
 
 
 def terminal_width() -> int:
@@ -86,7 +86,7 @@ def block_text(block: Block, width: int = TEXT_WIDTH) -> str:
         case Cards():
             return "\n".join(_paragraph(_card(card), width) for card in block.cards)
         case Verdicts():
-            head = [block.heading] if block.heading else [KEY] if block.key else []
+            head = [block.heading] if block.heading else [MARKS_KEY] if block.key else []
             return "\n".join([*head, *(_line(line, width) for line in block.lines)])
         case Table():
             return table_text(block, width)

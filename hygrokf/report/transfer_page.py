@@ -36,7 +36,7 @@ from hygrokf.report.blocks import (
     unmeasured,
 )
 from hygrokf.report.figures.comparison_figures import (
-    SETS,
+    SET_LABELS,
     figure_course,
     figure_parameters,
     figure_sets,
@@ -57,14 +57,14 @@ from hygrokf.transfer.transfer_results import (
     write_courses,
 )
 
-COMMAND = "hygrokf transfer"
+TRANSFER_COMMAND = "hygrokf transfer"
 SETS_NOTE = (
     f"{FREE_RUN} As it is: every parameter of the fit. Own loggers: sensor offsets and disturbances "
     "estimated on this record. Re-estimated: also the groups that differ. All its own: every parameter "
     "estimated on this record. All rows score the same instants; the fit's own page scores more where it "
     "can. The rule of the temperature was fitted to this record's identification period."
 )
-METHOD = (
+TRANSFER_METHOD = (
     f"{INNOVATIONS} All parameters were estimated from them on the record's identification period, with the "
     "fit's own model. A group of parameters differs if the estimates are further apart than both covariances "
     "explain (forward selection, corrected for the number of groups) and if the difference matters: 10 % of "
@@ -75,7 +75,7 @@ METHOD = (
     "bound, if the record's own estimate errs by far more than the fit did on its own record, or if the "
     "re-estimated model is worse than a rule without a model, or than the fit as it is.",
 )
-TONES: dict[TransferVerdict, Literal["plain", "open", "reject"]] = {
+TRANSFER_TONES: dict[TransferVerdict, Literal["plain", "open", "reject"]] = {
     TransferVerdict.TRANSFERS: "plain",
     TransferVerdict.PARTLY: "open",
     TransferVerdict.CANNOT_BE_JUDGED: "open",
@@ -119,8 +119,8 @@ def rewrite_transfer(directory: str | os.PathLike[str]) -> Path:
 def read_transfer(directory: str | os.PathLike[str]) -> tuple[TransferResults, tuple[RecordCourse, ...]]:
     """Read the results and courses in a directory. Raises ResultFault with all faults."""
     folder = Path(directory)
-    results = read_result(TransferResults, folder / TRANSFER, COMMAND)
-    return results, read_courses(folder / TRANSFER_SERIES, len(results.records), COMMAND)
+    results = read_result(TransferResults, folder / TRANSFER, TRANSFER_COMMAND)
+    return results, read_courses(folder / TRANSFER_SERIES, len(results.records), TRANSFER_COMMAND)
 
 
 def folders(names: Sequence[str]) -> list[str]:
@@ -168,7 +168,7 @@ def transfer_blocks(results: TransferResults, courses: Sequence[RecordCourse] = 
         ),
         (*unmeasured(provenance, OF_RECORDS), cards, *figures[:1]),
         tuple(body),
-        method("Method", *METHOD, f"Judged by {versions(results.version)}."),
+        method("Method", *TRANSFER_METHOD, f"Judged by {versions(results.version)}."),
     )
 
 
@@ -182,7 +182,7 @@ def _card(results: TransferResults, result: TransferResult) -> Card:
         lines=reasons if is_only else reasons[:1],
         wide=is_only,
         words=True,
-        tone=TONES[result.verdict],
+        tone=TRANSFER_TONES[result.verdict],
     )
 
 
@@ -219,7 +219,7 @@ def _record(results: TransferResults, number: int, course: Figure | None) -> tup
         Details(
             "All parameters, and likelihood ratios",
             (
-                table_or(parameters_table(result), "There are no parameters."),
+                table_or(transfer_parameters_table(result), "There are no parameters."),
                 table_or(ratios_table(result), "No likelihood ratio was needed."),
             ),
         ),
@@ -262,11 +262,11 @@ def errors_tables(result: TransferResult) -> tuple[Table, ...]:
     tables = []
     for quantity_name, by_set in result.rmse.items():
         rows = []
-        for name in (set_name for set_name in SETS if set_name in by_set):
+        for name in (set_name for set_name in SET_LABELS if set_name in by_set):
             row = by_set[name]
             bounds = NONE if row.bounds is None else interval(*row.bounds)
             numbers = (fixed(error) for error in (row.operation, row.standstill, row.total))
-            rows.append((SETS[name], *numbers, bounds, str(row.n.total)))
+            rows.append((SET_LABELS[name], *numbers, bounds, str(row.n.total)))
         tables.append(
             Table(
                 f"{quantity(quantity_name).rmse}, {where}",
@@ -277,7 +277,7 @@ def errors_tables(result: TransferResult) -> tuple[Table, ...]:
     return tuple(tables)
 
 
-def parameters_table(result: TransferResult) -> Table:
+def transfer_parameters_table(result: TransferResult) -> Table:
     """Return every parameter: its original value, its own value on the record, and the difference."""
     rows = []
     for name, change in result.parameters.items():

@@ -11,7 +11,7 @@ from hygrokf.texts.wording import one_line
 OK: Final = "ok"
 DOUBT: Final = "doubt"
 FAULT: Final = "fault"
-LEVELS = (OK, DOUBT, FAULT)
+CHECK_LEVELS = (OK, DOUBT, FAULT)
 ASK_REBIRTH = 'publish the command "Node Control/Rebirth" to spBv1.0/GROUP/NCMD/NODE'
 """Remedy if the tracker is not allowed to request a rebirth itself."""
 _COMPARE_PAYLOADS = "compare [mapping] and known_as of each [[turbine]] with the delivered payloads"
@@ -312,7 +312,7 @@ class ExaminedCode(Code):
 
 @dataclass(frozen=True)
 class Check(Statement):
-    """The result of one check: what was checked (`about`), its `level` (see `LEVELS`), and the remedy, empty
+    """The result of one check: what was checked (`about`), its `level` (see `CHECK_LEVELS`), and the remedy, empty
     for level "ok"."""
 
     about: str = ""

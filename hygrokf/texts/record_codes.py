@@ -4,9 +4,14 @@ from __future__ import annotations
 
 from hygrokf.texts.statement import Code, Statement
 
-THERMAL, HYGRIC, BOTH, NEITHER = ("thermal",), ("hygric",), ("thermal", "hygric"), ()
+TOUCHES_THERMAL, TOUCHES_HYGRIC, TOUCHES_BOTH, TOUCHES_NEITHER = (
+    ("thermal",),
+    ("hygric",),
+    ("thermal", "hygric"),
+    (),
+)
 """The time constants that a doubt makes doubtful, too."""
-BY_SIGNAL = None
+TOUCHED_BY_SIGNAL = None
 """The time constants depend on the signal of the doubt."""
 
 
@@ -86,153 +91,159 @@ class DoubtCode(Code):
     sentence."""
 
     CLOCK_RUNS = (
-        BOTH,
+        TOUCHES_BOTH,
         "the clock of {source} runs {pace} against {other}: by their stamps the weather comes {lag}; its "
         "stamps need {needed:+shift}. If {other} is right, {remedy}",
     )
     CLOCK_RUNS_BY_SEASON = (
-        BOTH,
+        TOUCHES_BOTH,
         "the clock of {source} runs {first_pace} {early} and {second_pace} {late} against {other}: by their "
         "stamps the weather comes {first_lag} {early} and {second_lag} {late}; its stamps need {remedy}",
     )
     NOT_COMPARED = (
-        NEITHER,
+        TOUCHES_NEITHER,
         "{file} cannot be compared ({signals}): fewer than {fewest_d:g} days in common with the source that "
         "is used",
     )
-    READ_OTHERWISE = (BOTH, "{mistake}{evidence:;}: if so, {remedy}")
+    READ_OTHERWISE = (TOUCHES_BOTH, "{mistake}{evidence:;}: if so, {remedy}")
     CLOCK_OR_WALL = (
-        BOTH,
+        TOUCHES_BOTH,
         "clock, or a heavy wall: {mistake}{evidence:;}: if so, {remedy}; a second witness is missing "
         "(power, humidity, or the sun)",
     )
     EITHER_CLOCK = (
-        BOTH,
+        TOUCHES_BOTH,
         "{mistake}{evidence:;}: if so, {remedy}; or {other_mistake}: then {other_remedy}",
     )
     RADIATION_LATE = (
-        BOTH,
+        TOUCHES_BOTH,
         "the sun's radiation is centred {minutes:.0} min after solar noon at the site: wrong zone, wrong "
         "stamp (start, middle, end) or wrong longitude? If the clock is wrong, {remedy}",
     )
     RADIATION_EARLY = (
-        BOTH,
+        TOUCHES_BOTH,
         "the sun's radiation is centred {minutes:.0} min before solar noon at the site: wrong zone, wrong "
         "stamp (start, middle, end) or wrong longitude? If the clock is wrong, {remedy}",
     )
     # readings
     CALLED_PER_CENT = (
-        BY_SIGNAL,
+        TOUCHED_BY_SIGNAL,
         "{signal} is called %, but its readings reach only {high:3g}: they look like fractions; state unit = "
         '"1"',
     )
     CALLED_FRACTION = (
-        BY_SIGNAL,
+        TOUCHED_BY_SIGNAL,
         "{signal} is called a fraction (unit 1), but its readings reach {high:3g}: they look like per cent; "
         'state unit = "%"',
     )
     HOTTER_THAN_CLIMATES = (
-        BY_SIGNAL,
+        TOUCHED_BY_SIGNAL,
         "{signal} is called degC, but half of its readings exceed {median:4g}, hotter than any climate; they "
         "would fit as degF: correct the unit or the column",
     )
     WRONG_UNIT = (
-        BY_SIGNAL,
+        TOUCHED_BY_SIGNAL,
         "{signal} is called {unit}, but its readings (median {median:4g}) do not lie within {low} … "
         "{high}{hint:;}: correct the unit or the column",
     )
     OUT_OF_RANGE = (
-        BY_SIGNAL,
+        TOUCHED_BY_SIGNAL,
         "{label}: {n:.0} {n:reading|readings} outside of {low} … {high}, such as {examples:and} ({when}); "
         "read_case and read_frames mask such readings",
     )
     SAME_READINGS = (
-        BY_SIGNAL,
+        TOUCHED_BY_SIGNAL,
         "{inside} and {signal} are the same readings ({inside_source}; {source}): one of the two columns is "
         "wrong",
     )
     COMPUTED_FROM_CABINET = (
-        BY_SIGNAL,
+        TOUCHED_BY_SIGNAL,
         "{signal} ({source}) is computed from the cabinet's own readings ({temperature_source}; "
         "{humidity_source}): name the source of the air outside, or call it {instead}",
     )
-    QUALITY_DOUBTED = (BY_SIGNAL, "{file}: {doubt}")
+    QUALITY_DOUBTED = (TOUCHED_BY_SIGNAL, "{file}: {doubt}")
     OTHER_PROBE = (
-        HYGRIC,
+        TOUCHES_HYGRIC,
         '{temperature} ({temperature_file}, column "{temperature_column}") is not of the probe of {humidity} '
         '({humidity_file}, column "{humidity_column}"), whose own temperature is there ("{own}"): relative '
         "humidity holds at the temperature of its own probe",
     )
     ONLY_ON_CHANGE = (
-        NEITHER,
+        TOUCHES_NEITHER,
         "{signal} comes only when it changes (no two successive values are equal), and is joined by lines: "
         'state hold = "previous" if each value holds until the next',
     )
     BEGINS_TOO_EARLY = (
-        NEITHER,
+        TOUCHES_NEITHER,
         "the readings begin on {start:stamp}: are the times seconds since 1970-01-01T00:00Z, or since the "
         "start of the record?",
     )
     NO_OVERLAP = (
-        NEITHER,
+        TOUCHES_NEITHER,
         "no overlap: {signals}{file:;} ({period}) and the cabinet's readings ({of_cabinet}) share no time; "
         "check the sources, and zone and offset of their stamps",
     )
     GAPS_OUTSIDE = (
-        NEITHER,
+        TOUCHES_NEITHER,
         "{lost:.0} of the {n:.0} readings of {signal} are not used: the ambient {unknown:and} is unknown "
         "then, in gaps too long to bridge",
     )
-    MANY_MISSING = (NEITHER, "{signal}: {share:%} of its readings are missing")
+    MANY_MISSING = (TOUCHES_NEITHER, "{signal}: {share:%} of its readings are missing")
     IRREGULAR_STEPS = (
-        NEITHER,
+        TOUCHES_NEITHER,
         "irregular steps in {file}: only {share:%} of the steps are {step_s:duration}",
     )
     AMBIENT_TOO_COARSE = (
-        NEITHER,
+        TOUCHES_NEITHER,
         "ambient temperature every {step_s:duration} only: the cabinet's response to it (rho) will hardly be "
         "resolved",
     )
     # periods
     SHORT_RECORD = (
-        NEITHER,
+        TOUCHES_NEITHER,
         "short record: {days:.1} days; below {least:.0} days weather and operation hardly vary, and bounds "
         "will be wide",
     )
     NO_VALIDATION_PERIOD = (
-        NEITHER,
+        TOUCHES_NEITHER,
         "no validation period: every score will be computed on the fitted data; state [identification] until",
     )
-    UNTIL_OUTSIDE = (NEITHER, "until = {until:stamp} is outside of the record ({period})")
-    SHORT_PERIOD = (NEITHER, "short {period} period: {days:.1} days")
+    UNTIL_OUTSIDE = (TOUCHES_NEITHER, "until = {until:stamp} is outside of the record ({period})")
+    SHORT_PERIOD = (TOUCHES_NEITHER, "short {period} period: {days:.1} days")
     # power
-    POWER_ABSENT = (NEITHER, "no active power: the whole record counts as standstill")
-    POWER_UNREAD = (NEITHER, "active power has no reading: the whole record counts as standstill")
+    POWER_ABSENT = (TOUCHES_NEITHER, "no active power: the whole record counts as standstill")
+    POWER_UNREAD = (TOUCHES_NEITHER, "active power has no reading: the whole record counts as standstill")
     POWER_NEGATIVE = (
-        THERMAL,
+        TOUCHES_THERMAL,
         "active power is negative for {share:%} of its readings and hardly ever positive: is the sign "
         "reversed (feed-in is positive)?",
     )
     NO_STANDSTILL = (
-        NEITHER,
+        TOUCHES_NEITHER,
         "no standstill: {share:.1%} of the power readings are ≤ 0, so standstill cannot be identified apart "
         "from operation",
     )
-    LITTLE_OPERATION = (NEITHER, "hardly any operation: {share:%} of the power readings are ≤ 0")
-    NO_RATED_POWER = (NEITHER, "no rated power: stationary periods cannot be found; state rated_power_kW")
-    POWER_BESIDE_RATED = (NEITHER, "active power {beside}: are its unit and the rated power right?")
-    POWER_COVERS_LITTLE = (NEITHER, "active power covers only {share:%} of the period of {signal}")
+    LITTLE_OPERATION = (TOUCHES_NEITHER, "hardly any operation: {share:%} of the power readings are ≤ 0")
+    NO_RATED_POWER = (
+        TOUCHES_NEITHER,
+        "no rated power: stationary periods cannot be found; state rated_power_kW",
+    )
+    POWER_BESIDE_RATED = (TOUCHES_NEITHER, "active power {beside}: are its unit and the rated power right?")
+    POWER_COVERS_LITTLE = (TOUCHES_NEITHER, "active power covers only {share:%} of the period of {signal}")
     # what a model needs
-    NO_CABINET_SIGNAL = (NEITHER, "no cabinet signal: nothing can be identified or scored")
-    NO_CABINET_TEMPERATURE = (NEITHER, "no cabinet temperature: the thermal model cannot be identified")
-    NO_CABINET_HUMIDITY = (NEITHER, "no cabinet humidity: only the thermal model can be identified")
-    NO_AMBIENT_HUMIDITY = (NEITHER, "no ambient humidity: the hygric model has no input")
+    NO_CABINET_SIGNAL = (TOUCHES_NEITHER, "no cabinet signal: nothing can be identified or scored")
+    NO_CABINET_TEMPERATURE = (
+        TOUCHES_NEITHER,
+        "no cabinet temperature: the thermal model cannot be identified",
+    )
+    NO_CABINET_HUMIDITY = (TOUCHES_NEITHER, "no cabinet humidity: only the thermal model can be identified")
+    NO_AMBIENT_HUMIDITY = (TOUCHES_NEITHER, "no ambient humidity: the hygric model has no input")
     COLDER_THAN_OUTSIDE = (
-        BOTH,
+        TOUCHES_BOTH,
         "the cabinet is {colder_K:.1} K colder than outside on average: are the columns swapped?",
     )
     OTHER_VAPOUR = (
-        HYGRIC,
+        TOUCHES_HYGRIC,
         "absolute humidity in the cabinet is {factor:.2} times that outside on average: a source or sink of "
         "vapour, a sensor error, or the wrong column",
     )
@@ -244,15 +255,21 @@ class DoubtCode(Code):
 
 def touched(doubt: Statement) -> tuple[str, ...]:
     """Return the time constants ("thermal", "hygric") that a doubt about a record makes doubtful, too."""
-    touches = doubt.code.touches if isinstance(doubt.code, DoubtCode) else NEITHER
-    return told_by(str(doubt.values["signal"])) if touches is BY_SIGNAL else touches
+    touches = doubt.code.touches if isinstance(doubt.code, DoubtCode) else TOUCHES_NEITHER
+    return told_by(str(doubt.values["signal"])) if touches is TOUCHED_BY_SIGNAL else touches
 
 
 def told_by(signal: str) -> tuple[str, ...]:
     """Return the time constants that depend on a signal."""
     if "humidity" in signal or "dew_point" in signal:
-        return HYGRIC
-    return BOTH if signal.endswith("_temperature") else THERMAL if signal == "active_power" else NEITHER
+        return TOUCHES_HYGRIC
+    return (
+        TOUCHES_BOTH
+        if signal.endswith("_temperature")
+        else TOUCHES_THERMAL
+        if signal == "active_power"
+        else TOUCHES_NEITHER
+    )
 
 
 def period(start_s: float, end_s: float) -> Statement:

@@ -9,7 +9,7 @@ from datetime import UTC, datetime, timedelta
 
 NONE = "–"
 UNBOUNDED = "not identifiable"
-QUANTITIES = {
+QUANTITY_NAMES = {
     "temperature_K": ("temperature", "K"),
     "absolute_humidity_g_m3": ("absolute humidity", "g/m³"),
     "relative_humidity": ("relative humidity", "1"),
@@ -22,7 +22,7 @@ BASELINES = {
     },
 }
 """Rules that need no model, by the quantity that they predict."""
-RULES = {key: words for group in BASELINES.values() for key, words in group.items()}
+RULE_NAMES = {key: words for group in BASELINES.values() for key, words in group.items()}
 
 
 def plain_number(value: float, digits: int = 3) -> str:
@@ -99,15 +99,15 @@ def ends(value: float, low: float, high: float) -> tuple[str, str]:
     return fixed(value, decimals), f"{fixed(low, decimals)} … {fixed(high, decimals)}"
 
 
-NAMED = 5
+NAMES_SHOWN = 5
 """Number of names of a list that are shown; further names are only counted."""
 
 
 def several(names: Iterable[str]) -> str:
-    """Join the first `NAMED` names by commas, and add the number of further names."""
+    """Join the first `NAMES_SHOWN` names by commas, and add the number of further names."""
     all_names = list(names)
-    rest = f" and {len(all_names) - NAMED} more" if len(all_names) > NAMED else ""
-    return f"{', '.join(all_names[:NAMED])}{rest}"
+    rest = f" and {len(all_names) - NAMES_SHOWN} more" if len(all_names) > NAMES_SHOWN else ""
+    return f"{', '.join(all_names[:NAMES_SHOWN])}{rest}"
 
 
 def bytes_text(count: float) -> str:

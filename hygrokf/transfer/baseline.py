@@ -35,7 +35,7 @@ from hygrokf.identification.identify import expect_readings
 from hygrokf.identification.turbine_type import TurbineType
 from hygrokf.identification.verdict import inherited
 from hygrokf.identification.verdict_terms import Inherited
-from hygrokf.modelling.design import HUMIDITIES, Design, read_as
+from hygrokf.modelling.design import CABINET_HUMIDITIES, Design, read_as
 from hygrokf.modelling.inputs import Run, model_inputs
 from hygrokf.physics.model import Model
 from hygrokf.physics.parameters import Coordinates
@@ -44,16 +44,16 @@ from hygrokf.texts.statement import Statement
 from hygrokf.texts.transfer_codes import TransferCode
 from hygrokf.texts.wording import iso_time
 
-THERMAL = "thermal time constant"
-HEAT = "heat release"
-HYGRIC = "hygric exchange"
+THERMAL_GROUP = "thermal time constant"
+HEAT_GROUP = "heat release"
+HYGRIC_GROUP = "hygric exchange"
 OFFSETS = "sensor offsets"
 DISTURBANCES = "disturbances"
-UNKNOWN = "not known to the type"
-OF_THE_RECORD = (OFFSETS, DISTURBANCES, UNKNOWN)
+UNKNOWN_GROUP = "not known to the type"
+OF_THE_RECORD = (OFFSETS, DISTURBANCES, UNKNOWN_GROUP)
 """Groups that belong to a logger, a site and a season, not to a cabinet: every record has its own values."""
 LEVEL = 0.05
-_BASE = {"thermal_network": THERMAL, "heat_release": HEAT, "hygric_exchange": HYGRIC}
+_BASE = {"thermal_network": THERMAL_GROUP, "heat_release": HEAT_GROUP, "hygric_exchange": HYGRIC_GROUP}
 _OFFSETS = ("_bias", "_offset")
 
 
@@ -256,7 +256,7 @@ def baseline_of(origin: Origin, record: Record) -> tuple[Baseline, list[Statemen
     """
     statements: list[Statement] = []
     if (until_s := record.until_s) is None:
-        cabinet = [record[name] for name in ("cabinet_temperature", *HUMIDITIES) if name in record]
+        cabinet = [record[name] for name in ("cabinet_temperature", *CABINET_HUMIDITIES) if name in record]
         first_s = min(series.time[0] for series in cabinet)
         last_s = max(series.time[-1] for series in cabinet)
         until_s = float(first_s + EARLY_SHARE * (last_s - first_s))
@@ -278,7 +278,7 @@ def baseline_of(origin: Origin, record: Record) -> tuple[Baseline, list[Statemen
         name for name, group in groups.items() if group not in OF_THE_RECORD and name not in origin.names
     ]
     if origin.kind == "type" and unknown:
-        groups |= dict.fromkeys(unknown, UNKNOWN)
+        groups |= dict.fromkeys(unknown, UNKNOWN_GROUP)
         statements.append(TransferCode.UNKNOWN_TO_THE_TYPE(names=tuple(unknown)))
     held = _unknowable(origin, base, early_run)
     if held:

@@ -24,7 +24,7 @@ import numpy as np
 from hygrokf.data.record import Provenance, Record, least_measured
 from hygrokf.data.timestamps import DAY_S, WEEK_S
 from hygrokf.evaluation.bootstrap import resampled
-from hygrokf.evaluation.scoring import PERIODS, REGIMES, guesses, period_masks, rmse
+from hygrokf.evaluation.scoring import REGIMES, SCORED_PERIODS, guesses, period_masks, rmse
 from hygrokf.identification.fit import Fit
 from hygrokf.identification.fit_on_record import mismatches, simulate_fit
 from hygrokf.identification.verdict import inherited
@@ -38,11 +38,11 @@ from hygrokf.version import __version__
 if TYPE_CHECKING:
     import pandas
 
-ALL_PERIODS = (*PERIODS, "whole")
-SAME = 1e-6
+ALL_PERIODS = (*SCORED_PERIODS, "whole")
+SAME_READING = 1e-6
 """[K], [g/m³] two readings at one instant that differ by less are the same reading."""
 UNSCORED = TransferCode.NOTHING_TO_SCORE()
-UNITS = {"temperature_K": "K", "absolute_humidity_g_m3": "g/m3"}
+COMPARED_UNITS = {"temperature_K": "K", "absolute_humidity_g_m3": "g/m3"}
 
 
 # --- what a comparison finds -----------------------------------------------------------------
@@ -140,7 +140,7 @@ class ComparisonResults:
             (
                 row.kind, row.column, row.against,
                 *(("", "") if row.kind == "difference" else fits[row.column]),
-                row.quantity, "1" if row.kind == "skill" else UNITS[row.quantity], row.period, row.regime,
+                row.quantity, "1" if row.kind == "skill" else COMPARED_UNITS[row.quantity], row.period, row.regime,
                 row.n, row.value, row.lower, row.upper
             )
             for row in self.rows
@@ -277,7 +277,7 @@ def _differences(first: ComparisonColumn, second: ComparisonColumn) -> Iterator[
         if bootstrap is None:
             continue
         readings = first.course.measured[quantity][in_first], second.course.measured[quantity][in_second]
-        is_same = bool(np.abs(readings[0] - readings[1])[both_known].max() <= SAME)
+        is_same = bool(np.abs(readings[0] - readings[1])[both_known].max() <= SAME_READING)
         without_bounds = (float(bootstrap.value[0] - bootstrap.value[1]), math.nan, math.nan)
         numbers = (bootstrap.n, *(bootstrap.difference(0, 1) or without_bounds))
         key = (first.label, second.label, quantity, period, regime)

@@ -60,7 +60,7 @@ from hygrokf.transfer.transfer_results import (
     TransferResult,
     TransferSource,
 )
-from hygrokf.transfer.transferability import groups_of, matters, parameters_of, ratios_of, with_verdict
+from hygrokf.transfer.transferability import group_parameters, groups_of, matters, ratios_of, with_verdict
 
 SETS = ("as_is", "own_loggers", "re_estimated", "all_own")
 
@@ -186,7 +186,7 @@ def _results(
         reasons=(),
         re_estimate=estimates.differing,
         statements=tuple(statements),
-        parameters=parameters_of(
+        parameters=group_parameters(
             baseline, estimates.apart, estimates.values(baseline), estimates.spread, estimates.own
         ),
         groups=groups_of(baseline, estimates.apart, estimates.tests, estimates.effects, estimates.differing),

@@ -15,11 +15,11 @@ from hygrokf.estimation.optimiser import Estimate
 from hygrokf.evaluation.scoring import SCORED
 from hygrokf.texts.statement import Statement, Value
 from hygrokf.texts.transfer_codes import TransferCode, TransferVerdict
-from hygrokf.texts.wording import QUANTITIES, RULES
+from hygrokf.texts.wording import QUANTITY_NAMES, RULE_NAMES
 from hygrokf.transfer.baseline import (
-    HYGRIC,
+    HYGRIC_GROUP,
     OF_THE_RECORD,
-    THERMAL,
+    THERMAL_GROUP,
     Baseline,
     Difference,
     GroupTest,
@@ -45,8 +45,8 @@ MATERIAL_DIFFERENCE = {
 R_AT/(R_AT+R_IC), and for the simulated readings the accuracy of the paper's loggers (0.3 K; 2 % relative
 humidity, which is 0.26 g/m³ at 15 °C)."""
 DECISIVE_PARAMETERS = {
-    THERMAL: {"thermal_time_constant": "ln_time_constant", "resistance_ratio": "resistance_ratio"},
-    HYGRIC: {"hygric_k": "ln_time_constant"},
+    THERMAL_GROUP: {"thermal_time_constant": "ln_time_constant", "resistance_ratio": "resistance_ratio"},
+    HYGRIC_GROUP: {"hygric_k": "ln_time_constant"},
 }
 """Group → parameters that decide whether its difference matters, with their keys in `MATERIAL_DIFFERENCE`;
 for other groups the effect on the simulated readings decides."""
@@ -65,7 +65,7 @@ def matters(group: str, apart: Difference, effect: Mapping[str, float]) -> bool:
     )
 
 
-def parameters_of(
+def group_parameters(
     baseline: Baseline,
     apart: Difference,
     values: Mapping[str, Mapping[str, float]],
@@ -226,7 +226,11 @@ def _against_the_rules(result: TransferResult) -> tuple[list[Statement], list[St
     """Return objections and doubts because a rule without a model errs less than the re-estimated model."""
     objections, doubts = [], []
     for quantity, gain in _gains(result, "over_rule"):
-        values = {**_terms(quantity), "excess": -gain.gain, "rule": RULES.get(gain.against, gain.against)}
+        values = {
+            **_terms(quantity),
+            "excess": -gain.gain,
+            "rule": RULE_NAMES.get(gain.against, gain.against),
+        }
         if math.isnan(gain.upper) and gain.gain < 0.0:
             doubts.append(TransferCode.RULE_BETTER_UNBOUNDED(**values, readings=result.n_readings))
         if gain.upper < 0.0:
@@ -263,7 +267,7 @@ def _errors_before_and_after(result: TransferResult) -> list[Statement]:
 
 def _terms(quantity: str) -> dict[str, Value]:
     """Return name and unit of a scored quantity as values of a statement."""
-    name, unit = QUANTITIES[quantity]
+    name, unit = QUANTITY_NAMES[quantity]
     return {"quantity": name, "unit": unit}
 
 

@@ -39,7 +39,7 @@ T = TypeVar("T")
 class FileContent:
     """The content of a file, or of one member of an archive.
 
-    member: name in the archive, "" for the file itself. kind: see `kind_of`. data: all bytes.
+    member: name in the archive, "" for the file itself. kind: see `archive_kind`. data: all bytes.
     """
 
     member: str
@@ -65,7 +65,7 @@ def contents(path: Path) -> tuple[tuple[FileContent, ...], str]:
                 data = _bounded(stream, len(packed_bytes), MOST_BYTES)
         except (OSError, EOFError, zlib.error) as fault:
             raise TableFault(f"cannot be unpacked: {fault}; fetch it again") from None
-    return (FileContent("", kind_of(data), data),), digest
+    return (FileContent("", archive_kind(data), data),), digest
 
 
 def read_each(file_contents: Sequence[FileContent], read: Callable[[FileContent], T]) -> list[T]:
@@ -100,7 +100,7 @@ def only_content(path: Path, kinds: Sequence[str], description: str) -> tuple[Fi
     return matching[0], digest
 
 
-def kind_of(data: bytes) -> str:
+def archive_kind(data: bytes) -> str:
     """Recognise the kind of a file by its first bytes: "netcdf4", "netcdf3", "epw", "json" or "csv" (any
     table of text).
 
@@ -175,7 +175,7 @@ def _members(packed_bytes: bytes) -> tuple[FileContent, ...]:
         for member in members:
             try:
                 data = _member(archive, member, bytes_left)
-                file_contents.append(FileContent(member.filename, kind_of(data), data))
+                file_contents.append(FileContent(member.filename, archive_kind(data), data))
                 bytes_left -= len(data)
             except TableFault as fault:
                 faults += [f"{member.filename}: {message}" for message in fault.faults]

@@ -36,13 +36,13 @@ GRID_S = 600.0
 """[s] step of the grid on which both series are compared; a parabola gives lags between its points."""
 REACH_H = 14.0
 """[h] largest lag searched: the widest difference between two time zones in use."""
-BRIDGE_H = 3.0
+COMPARISON_BRIDGE_H = 3.0
 """[h] longest gap that is interpolated."""
 BLOCK_D = 5.0
 """[d] length of the blocks of the bootstrap."""
-FEWEST_D = 20.0
+FEWEST_COMPARED_D = 20.0
 """[d] smallest number of common days for a comparison."""
-DRAWS = 400
+LAG_DRAWS = 400
 LEAST_CORRELATION = 0.25
 """[1] for a smaller highest correlation the series are not of the same weather, and the lag is unknown."""
 WIDEST_H = 3.0
@@ -63,7 +63,7 @@ class Bounded:
         return math.isfinite(self.value)
 
 
-UNKNOWN = Bounded(math.nan, math.nan, math.nan)
+UNKNOWN_BOUNDS = Bounded(math.nan, math.nan, math.nan)
 
 
 @dataclass(frozen=True)
@@ -116,21 +116,21 @@ def align(first: Series, second: Series, *, america: bool = False) -> Alignment 
         return None
     start_s = math.ceil(max(x.known[0][0], y.known[0][0]) / GRID_S) * GRID_S
     end_s = min(x.known[0][-1], y.known[0][-1])
-    if not end_s - start_s >= FEWEST_D * DAY_S:
+    if not end_s - start_s >= FEWEST_COMPARED_D * DAY_S:
         return None
     time = np.arange(start_s, end_s, GRID_S)
-    x_values, y_values = (at_times(series, time, bridge_h(series, BRIDGE_H)) for series in (x, y))
+    x_values, y_values = (at_times(series, time, bridge_h(series, COMPARISON_BRIDGE_H)) for series in (x, y))
     both_known = np.isfinite(x_values) & np.isfinite(y_values)
-    if both_known.sum() * GRID_S < FEWEST_D * DAY_S:
+    if both_known.sum() * GRID_S < FEWEST_COMPARED_D * DAY_S:
         return None
     sums = _sums(time, x_values, y_values, america)
     random = np.random.default_rng(0)
     all_blocks = np.ones(len(sums.days), dtype=bool)
     lags, draws = dict[str, Lag](), dict[str, tuple[np.ndarray, np.ndarray]]()
     for season, inside in (("whole", all_blocks), ("winter", ~sums.summer), ("summer", sums.summer)):
-        if season == "whole" or sums.days[inside].sum() >= FEWEST_D:
+        if season == "whole" or sums.days[inside].sum() >= FEWEST_COMPARED_D:
             lags[season], draws[season] = _lag(sums, inside, random)
-    change = mean_day_change = UNKNOWN
+    change = mean_day_change = UNKNOWN_BOUNDS
     if {"winter", "summer"} <= set(lags):
         winter, summer = lags["winter"], lags["summer"]
         # estimates from disjoint blocks
@@ -253,17 +253,17 @@ def _without_mean_day(value: np.ndarray, time: np.ndarray, group: np.ndarray) ->
 def _weights(days: np.ndarray, is_inside: np.ndarray, random: np.random.Generator) -> np.ndarray:
     """Draw how often each block occurs in each resample (draws, B); blocks outside never occur."""
     blocks = np.flatnonzero(is_inside & (days > 0.0))
-    weights = np.zeros((DRAWS, len(days)))
+    weights = np.zeros((LAG_DRAWS, len(days)))
     if len(blocks):
         weights[:, blocks] = random.multinomial(
-            len(blocks), np.full(len(blocks), 1.0 / len(blocks)), size=DRAWS
+            len(blocks), np.full(len(blocks), 1.0 / len(blocks)), size=LAG_DRAWS
         )
     return weights
 
 
 def _change(winter: Bounded, summer: Bounded, draws: np.ndarray) -> Bounded:
     """Return the change of a lag from winter to summer; unknown if one of both is."""
-    return _bounded(summer.value - winter.value, draws) if winter.known and summer.known else UNKNOWN
+    return _bounded(summer.value - winter.value, draws) if winter.known and summer.known else UNKNOWN_BOUNDS
 
 
 def _lag(
@@ -281,10 +281,10 @@ def _lag(
     weather = _bounded(float(peaks[0]), peaks[1:])
     is_at_edge = abs(peaks[0]) >= sums.lags[-1] - GRID_S
     if highest[0] < LEAST_CORRELATION or weather.high - weather.low > WIDEST_H * 3600.0 or is_at_edge:
-        weather = UNKNOWN
+        weather = UNKNOWN_BOUNDS
     mean_day = _bounded(float(phase_s[0]), phase_s[1:])
     if mean_day.high - mean_day.low > WIDEST_H * 3600.0:
-        mean_day = UNKNOWN
+        mean_day = UNKNOWN_BOUNDS
     return Lag(weather, mean_day), (peaks[1:], phase_s[1:])
 
 
@@ -409,14 +409,15 @@ def _clock_error(one: str, other: str, alignments_of_pair: tuple[Alignment, ...]
         weather[season] = _combined([lag.weather for lag in lags if lag is not None])
         lags = [getattr(alignment, season) for alignment in with_sun]
         mean_day[season] = next(
-            (lag.mean_day for lag in lags if lag is not None and lag.mean_day.known), UNKNOWN
+            (lag.mean_day for lag in lags if lag is not None and lag.mean_day.known), UNKNOWN_BOUNDS
         )
     change = _combined([alignment.change for alignment in alignments_of_pair])
     day_change = next(
-        (alignment.mean_day_change for alignment in with_sun if alignment.mean_day_change.known), UNKNOWN
+        (alignment.mean_day_change for alignment in with_sun if alignment.mean_day_change.known),
+        UNKNOWN_BOUNDS,
     )
     if not weather["whole"].known and not (weather["winter"].known and weather["summer"].known):
-        return ClockError(one, other, "unclear", UNKNOWN, UNKNOWN, alignments_of_pair)
+        return ClockError(one, other, "unclear", UNKNOWN_BOUNDS, UNKNOWN_BOUNDS, alignments_of_pair)
     is_seasonal = _beyond(change) and (
         not day_change.known
         or (day_change.value * change.value > 0 and abs(day_change.value) > 0.75 * TOLERANCE_S)
@@ -436,7 +437,7 @@ def _combined(estimates: Sequence[Bounded]) -> Bounded:
     spread."""
     known_estimates = [estimate for estimate in estimates if estimate.known]
     if len(known_estimates) < 2:
-        return known_estimates[0] if known_estimates else UNKNOWN
+        return known_estimates[0] if known_estimates else UNKNOWN_BOUNDS
     standard_errors = [max((estimate.high - estimate.low) / 3.92, MINUTE_S) for estimate in known_estimates]
     weights = [1.0 / estimate**2 for estimate in standard_errors]
     total_weight = sum(weights)

@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from hygrokf.data.columns import Notation, Places, TableFault, table_of
-from hygrokf.data.numbers import UNKNOWN
+from hygrokf.data.columns import Notation, Places, TableFault, frame_table
+from hygrokf.data.numbers import UNKNOWN_MEANING
 from hygrokf.data.record import Record, Site
 from hygrokf.data.table_readers import csv_rows
 from hygrokf.data.timestamps import HOUR_S
@@ -180,7 +180,9 @@ def _weather(
     frame = pd.DataFrame({name: columns[name] for name in field_names}, index=range(len(stamps)))
     row_places = Places("row", lambda rows: [int(row) + 1 for row in rows])
     notation = Notation(timezone="UTC", decimal=".")
-    table = table_of(frame, dict.fromkeys(field_names, UNKNOWN), stamps, "time", row_places, notation)
+    table = frame_table(
+        frame, dict.fromkeys(field_names, UNKNOWN_MEANING), stamps, "time", row_places, notation
+    )
     fields = {
         field_name: WeatherField(table.values[name], name, units.get(name, ""))
         for name, field_name in field_names.items()

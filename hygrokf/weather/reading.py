@@ -18,7 +18,7 @@ from hygrokf.data.readings import mask
 from hygrokf.data.record import Record, Series, Site
 from hygrokf.data.timestamps import modal_step
 from hygrokf.texts.wording import duration_text, stamp_text
-from hygrokf.weather.archive import kind_of
+from hygrokf.weather.archive import archive_kind
 from hygrokf.weather.joining import join_records
 from hygrokf.weather.open_meteo import read_open_meteo
 from hygrokf.weather.reanalysis import read_era5, read_merra2
@@ -32,10 +32,10 @@ _READERS: Mapping[str, Callable[[Path, Site | None, int | None, int], Record]] =
     "open_meteo": lambda file, *_: read_open_meteo(file),
     "try": lambda file, _, *years: read_try(file, *years),
 }
-FORMATS = tuple(_READERS)
+WEATHER_FORMATS = tuple(_READERS)
 TYPICAL = ("epw", "try")
 """Formats of typical years, whose hours are moved to a calendar year."""
-NEEDED = ("ambient_temperature", "ambient_dew_point_temperature")
+NEEDED_SIGNALS = ("ambient_temperature", "ambient_dew_point_temperature")
 MOST_GAPS_LISTED = 3
 FAR_KM = 50.0
 """[km] weather from a point further from the site than this gives a warning."""
@@ -56,7 +56,7 @@ def read_weather_file(
 ) -> Record:
     """Read the ambient signals of a site from one weather file, in SI units and UTC.
 
-    path: of one of the `FORMATS`. form: its format; None: recognised by `form_of`.
+    path: of one of the `WEATHER_FORMATS`. form: its format; None: recognised by `weather_format`.
     site: of the cabinet; selects the nearest cell of a grid, with a warning if it is far away.
     year: calendar year of a typical year. years: number of calendar years from `year` on that repeat it.
     altitude_m: [m] height of the weather, if the file states none or a wrong one.
@@ -66,9 +66,9 @@ def read_weather_file(
     Raises TableFault with every fault.
     """
     file = Path(path)
-    kind = form or form_of(file) or "era5"  # the reader of ERA5 reports the faults of unknown files
-    if kind not in FORMATS:
-        raise ValueError(f'form must be one of {", ".join(FORMATS)}, found "{kind}"')
+    kind = form or weather_format(file) or "era5"  # the reader of ERA5 reports the faults of unknown files
+    if kind not in WEATHER_FORMATS:
+        raise ValueError(f'form must be one of {", ".join(WEATHER_FORMATS)}, found "{kind}"')
     record, station_m = _READERS[kind](file, site, year, years), altitude_m
     if (weather_site := record.site) is not None:
         point_deg = weather_site.latitude_deg, weather_site.longitude_deg
@@ -103,7 +103,7 @@ def read_weather_file(
     return record
 
 
-def form_of(path: Path) -> str | None:
+def weather_format(path: Path) -> str | None:
     """Return the format of a weather file, recognised by its name, its first bytes, or the names in a ZIP
     archive; None for a table, and for a file that cannot be read."""
     name = path.name.lower()
@@ -120,7 +120,7 @@ def form_of(path: Path) -> str | None:
         if first_bytes[:4] == b"PK\x03\x04":
             with zipfile.ZipFile(path) as archive:
                 return _form_of_members([name.lower().rpartition("/")[2] for name in archive.namelist()])
-        kind = kind_of(first_bytes)
+        kind = archive_kind(first_bytes)
     except (OSError, EOFError, ValueError, zlib.error, zipfile.BadZipFile, TableFault):
         return None
     if kind == "netcdf4":
@@ -166,7 +166,7 @@ def read_weather(
 ) -> Record:
     """Read ambient signals over the years of one or several weather files, in SI units and UTC.
 
-    paths: of the `FORMATS`, recognised by name and first bytes; several files follow each other, such as one
+    paths: of the `WEATHER_FORMATS`, recognised by name and first bytes; several files follow each other, such as one
         for each day or year.
     site: of the cabinet; needed if a file holds a grid.
     year: first calendar year of a typical year (EPW, TRY); needed if its months are of different years.
@@ -190,7 +190,7 @@ def read_weather(
         raise ValueError("years repeats one typical year; give one file, or years = 1")
     records, faults = [], []
     for file in files:
-        is_typical = form_of(file) in TYPICAL
+        is_typical = weather_format(file) in TYPICAL
         if years > 1 and not is_typical:
             faults.append(
                 f"{file.name}: only a typical year (EPW, TRY) is repeated; this file has its own years"
@@ -216,7 +216,7 @@ def read_weather(
         records, files[0].name if len(files) == 1 else f"{files[0].name} and {len(files) - 1} more"
     )
     warnings = list(record.warnings)
-    for signal in NEEDED:
+    for signal in NEEDED_SIGNALS:
         if signal in record:
             warnings += gaps_text(record[signal])
     return dataclasses.replace(record, warnings=tuple(warnings))

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hygrokf.data.columns import Notation, TableFault
-from hygrokf.data.numbers import UNKNOWN
+from hygrokf.data.numbers import UNKNOWN_MEANING
 from hygrokf.data.record import Record, Site
 from hygrokf.data.table_readers import table_in
 from hygrokf.data.timestamps import DAY_S, HOUR_S, MINUTE_S, modal_step
@@ -466,7 +466,7 @@ def _csv_weather(data: bytes, file: str, site: Site | None, is_only: bool) -> Si
         )
     coordinates = [name for name in ("latitude", "longitude") if name in names]
     # stamps carry no offset, and are in UTC
-    columns = dict.fromkeys([*short_names, *coordinates], UNKNOWN)
+    columns = dict.fromkeys([*short_names, *coordinates], UNKNOWN_MEANING)
     table = table_in(data, "", columns, time_name, Notation(timezone="UTC", decimal="."))
     fields = {
         str(short_name_of_column): WeatherField(table.values[name], name)

@@ -11,7 +11,7 @@ import pytest
 from other_make import ROWS, make_plant
 from other_make.as_record import to_record
 
-from hygrokf.cases.alternatives import EITHER, NAMED, WALL, Readings, alternative_readings, solar_lag
+from hygrokf.cases.alternatives import EITHER, NAMED_SHIFT, WALL, Readings, alternative_readings, solar_lag
 from hygrokf.cases.doubts import all_doubts
 from hygrokf.cases.summary import describe
 from hygrokf.data.record import Record, Series, Site
@@ -19,7 +19,7 @@ from hygrokf.data.shared_clocks import Shift, shifted
 from hygrokf.data.timestamps import DAY_S, HOUR_S
 from hygrokf.estimation.lag_model import (
     LAGS_H,
-    REACH,
+    LARGEST_SHIFT,
     Relation,
     fit_autoregression,
     relations,
@@ -64,14 +64,17 @@ def test_a_right_record_has_no_better_reading() -> None:
 def test_a_wrong_clock_is_named_with_the_line_that_corrects_it(source: str, hours: float, words: str) -> None:
     found = alternative_readings(shifted(right(), Shift(source, HOUR_S * hours)))
     line = f'state clock_correction = "{-hours:+g}h" in that source'
-    assert only(found) == (NAMED, f"the clock of {source} seems {words}", line)
+    assert only(found) == (NAMED_SHIFT, f"the clock of {source} seems {words}", line)
 
 
 @pytest.mark.parametrize("source", ["cabinet.csv", "scada.csv"])
 def test_summer_time_that_is_ignored_is_named(source: str) -> None:
     fault = Shift(source, -HOUR_S, summer=True)
     verdict, name, line = only(alternative_readings(shifted(right(), fault)))
-    assert (verdict, name) == (NAMED, f"the clock of {source} seems right in winter and 1 h slow in summer")
+    assert (verdict, name) == (
+        NAMED_SHIFT,
+        f"the clock of {source} seems right in winter and 1 h slow in summer",
+    )
     assert "it has no summer time although its stamps are read with it" in line
 
 
@@ -115,7 +118,7 @@ def test_the_sun_tells_which_of_two_clocks_is_wrong() -> None:
         found = alternative_readings(shifted(record, Shift("cabinet.csv", HOUR_S * hours)))
         assert [one.alternative.signals for one in found.findings] == [("cabinet_temperature",)]
     (found,) = alternative_readings(shifted(record, Shift("ambient.csv", -7200.0))).findings
-    assert (found.verdict, found.alternative.signals[0]) == (NAMED, "ambient_temperature")
+    assert (found.verdict, found.alternative.signals[0]) == (NAMED_SHIFT, "ambient_temperature")
     assert "the sun" in found.witnesses
 
 
@@ -200,8 +203,8 @@ def test_all_shifts_together_are_each_shift_alone(quarters: int, more: int) -> N
     together = shift_logliks(one, phi, {move}, summer)[move]
     # the autoregression is estimated anew for each shift alone, which can only gain
     alone = fit_autoregression(one, 2.0, move, quarters, summer)[1].sum()
-    assert together.shape == (2 * REACH + 1, len(LAGS_H))
-    gap = alone - together[REACH + quarters, LAGS_H.index(2.0)]
+    assert together.shape == (2 * LARGEST_SHIFT + 1, len(LAGS_H))
+    gap = alone - together[LARGEST_SHIFT + quarters, LAGS_H.index(2.0)]
     assert -0.5 < gap < 0.05 * abs(alone)
     if (quarters, more) == (0, 0):
         assert gap == pytest.approx(0.0, abs=0.5)

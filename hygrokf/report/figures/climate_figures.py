@@ -10,7 +10,14 @@ import numpy as np
 from hygrokf.climate.statistics import YearNumber
 from hygrokf.climate.study import DurationCurve, RegionClimate
 from hygrokf.report.climate_tables import compared_statistics, share_held
-from hygrokf.report.figures.drawing import AMBIENT, INK, MEASURED, QUIET, SIMULATED, NothingToShow
+from hygrokf.report.figures.drawing import (
+    AMBIENT_COLOUR,
+    INK,
+    MEASURED,
+    QUIET,
+    SIMULATED_COLOUR,
+    NothingToShow,
+)
 from hygrokf.report.figures.panels import (
     Axis,
     Band,
@@ -53,7 +60,7 @@ def figure_joint(region: RegionClimate) -> Picture:
     scale = ColourScale(
         SHADES, "hours a year", 1.0, most_hours, logarithmic=True, ticks=ticks, missing="white"
     )
-    wet_from = CrossLine(80.0, "y", SIMULATED, 0.8)
+    wet_from = CrossLine(80.0, "y", SIMULATED_COLOUR, 0.8)
     panels = []
     for title, hours in hours_by_place.items():
         shown_hours = np.where(hours >= 1.0, hours, np.nan)
@@ -91,7 +98,7 @@ def _duration(curve: DurationCurve, title: str, band_label: str, is_rate: bool) 
     marks = (
         Curve(share, curve.value[kept], MEASURED, label="cabinet, simulated"),
         Band(share, curve.lower[kept], curve.upper[kept], MEASURED, 0.25, band_label),
-        Curve(share, curve.outside[kept], AMBIENT, label="outside", dashed=True),
+        Curve(share, curve.outside[kept], AMBIENT_COLOUR, label="outside", dashed=True),
     )
     return Panel(marks, x, title=title)
 
@@ -103,7 +110,7 @@ def figure_profile(region: RegionClimate) -> Picture:
         raise NothingToShow("There is no test profile of this climate.")
     hours = np.arange(len(profile.temperature_degC))
     temperatures = (
-        Curve(hours, profile.temperature_degC, SIMULATED, 0.7, "test"),
+        Curve(hours, profile.temperature_degC, SIMULATED_COLOUR, 0.7, "test"),
         Curve(hours, profile.site_temperature_degC, QUIET, 0.6, "the same hours at the site"),
     )
     humidities = (Curve(hours, profile.relative_humidity_percent, MEASURED, 0.7),)

@@ -10,16 +10,16 @@ import numpy as np
 
 from hygrokf.data.timestamps import DAY_S, WEEK_S
 from hygrokf.evaluation.scoring import SCORED
-from hygrokf.fleet.outliers import REACH, Scatter
+from hygrokf.fleet.outliers import INTERVAL_SD, Scatter
 from hygrokf.identification.turbine_type import TurbineType
 from hygrokf.report.figures.drawing import (
-    AMBIENT,
+    AMBIENT_COLOUR,
     INK,
     MEASURED,
     QUIET,
     RULE,
     SHADE,
-    SIMULATED,
+    SIMULATED_COLOUR,
     NothingToShow,
 )
 from hygrokf.report.figures.panels import (
@@ -42,12 +42,12 @@ from hygrokf.transfer.comparison import ComparisonResults
 from hygrokf.transfer.transfer_results import RecordCourse, TransferResult
 from hygrokf.transfer.transferability import MATERIAL_DIFFERENCE
 
-REGIMES = {"operation": ("o", 3.4), "standstill": ("s", 3.4), "total": ("D", 4.0)}
+REGIME_MARKERS = {"operation": ("o", 3.4), "standstill": ("s", 3.4), "total": ("D", 4.0)}
 """Regime → its marker, and the size [pt] of this marker."""
 BEST = ("|", INK, 9.0)
 """Marker of the best rule."""
-COLOURS = (SIMULATED, "#1d7a3a", "#7a3a9a", AMBIENT, QUIET)
-LONGEST = 30
+COLOURS = (SIMULATED_COLOUR, "#1d7a3a", "#7a3a9a", AMBIENT_COLOUR, QUIET)
+LONGEST_LABEL = 30
 """Characters of a label beyond which it is cut."""
 MOST_RECORDS = 3
 """Records whose courses fit side by side."""
@@ -64,7 +64,9 @@ def colour_of(column: int) -> str:
 def short_labels(labels: Sequence[str]) -> list[str]:
     """Return labels that fit beside a picture and still differ: long ones are cut in the middle."""
     cut = [
-        label if len(label) <= LONGEST else f"{label[: LONGEST // 2]}…{label[1 - LONGEST // 2 :]}"
+        label
+        if len(label) <= LONGEST_LABEL
+        else f"{label[: LONGEST_LABEL // 2]}…{label[1 - LONGEST_LABEL // 2 :]}"
         for label in labels
     ]
     return [label if cut.count(label) == 1 else f"{number + 1}: {label}" for number, label in enumerate(cut)]
@@ -149,7 +151,9 @@ def figure_errors(results: ComparisonResults, period: str) -> Picture:
         marks: list[Mark] = []
         for row_number, column in enumerate(columns):
             colour = colour_of(results.columns.index(column))
-            for height, (regime, (mark, size)) in zip((-0.22, 0.0, 0.22), REGIMES.items(), strict=True):
+            for height, (regime, (mark, size)) in zip(
+                (-0.22, 0.0, 0.22), REGIME_MARKERS.items(), strict=True
+            ):
                 row = results.row("rmse", column.label, period, name, regime)
                 if not row.n:
                     continue
@@ -166,7 +170,7 @@ def figure_errors(results: ComparisonResults, period: str) -> Picture:
         panels.append(Panel(tuple(marks), _rmse(name), labels))
     key_marks = tuple(
         replace(point(0.0, 0.0, mark, INK, size), label=label)
-        for label, (mark, size) in {**REGIMES, "best rule": ("|", 9.0)}.items()
+        for label, (mark, size) in {**REGIME_MARKERS, "best rule": ("|", 9.0)}.items()
     )
     return Picture(tuple(panels), 1.1 + 0.34 * len(columns), columns=len(scored), shared="y", key=key_marks)
 
@@ -206,7 +210,7 @@ def figure_weeks(results: ComparisonResults) -> Picture:
     return Picture(tuple(panels), height_in=0.6 + 1.5 * len(quantities), shared="x")
 
 
-NAMED = 45
+MOST_NAMED_ROWS = 45
 """Turbines up to which every one has its name beside its row."""
 
 
@@ -222,7 +226,9 @@ def figure_spreads(scatters: Sequence[Scatter]) -> Picture:
         raise NothingToShow("No turbine has a value with bounds.")
     most_turbines = max(len(scatter.turbines) for scatter in scatters_drawn)
     height = 0.95 + (
-        0.155 * most_turbines if most_turbines <= NAMED else min(0.155 * NAMED, 0.03 * most_turbines + 3.0)
+        0.155 * most_turbines
+        if most_turbines <= MOST_NAMED_ROWS
+        else min(0.155 * MOST_NAMED_ROWS, 0.03 * most_turbines + 3.0)
     )
     panels = tuple(_spread(scatter, most_turbines) for scatter in scatters_drawn)
     return Picture(panels, height_in=max(height, 1.9), columns=len(scatters_drawn))
@@ -230,19 +236,24 @@ def figure_spreads(scatters: Sequence[Scatter]) -> Picture:
 
 def _spread(scatter: Scatter, most_turbines: int) -> Panel:
     """The panel of one quantity; most_turbines: largest number of turbines in a panel of the figure."""
-    is_named = most_turbines <= NAMED
+    is_named = most_turbines <= MOST_NAMED_ROWS
     order = np.argsort(scatter.x)
     value, error = np.exp(scatter.x[order]), scatter.error[order]
     heights = np.arange(len(order))
     is_outlier = np.isin(order, scatter.outliers)
-    low, high = np.exp([scatter.center - REACH * scatter.between, scatter.center + REACH * scatter.between])
+    low, high = np.exp(
+        [scatter.center - INTERVAL_SD * scatter.between, scatter.center + INTERVAL_SD * scatter.between]
+    )
     bounded = np.isfinite(error).all()
     marks: list[Mark] = []
-    for chosen, colour, label in ((~is_outlier, MEASURED, "turbine"), (is_outlier, SIMULATED, "outlier")):
+    for chosen, colour, label in (
+        (~is_outlier, MEASURED, "turbine"),
+        (is_outlier, SIMULATED_COLOUR, "outlier"),
+    ):
         if not chosen.any():
             continue
         if bounded:
-            ends = value[chosen] * np.exp(np.outer([-REACH, REACH], error[chosen]))
+            ends = value[chosen] * np.exp(np.outer([-INTERVAL_SD, INTERVAL_SD], error[chosen]))
             width = 1.1 if is_named else 0.5
             marks.append(strokes(ends[0], heights[chosen], ends[1], heights[chosen], colour, width))
             label = f"{label}, 95 % bounds" if label == "turbine" else label
@@ -260,7 +271,7 @@ def _spread(scatter: Scatter, most_turbines: int) -> Panel:
         short_names = [name if len(name) <= 18 else f"{name[:17]}…" for name in names]
         y = Axis(limits=limits, at=heights, words=short_names, grid=False)
     label = f"{scatter.compared.title} [{scatter.compared.unit}]"
-    ends = value * np.exp(np.outer([-REACH, REACH], error if bounded else np.zeros(len(error))))
+    ends = value * np.exp(np.outer([-INTERVAL_SD, INTERVAL_SD], error if bounded else np.zeros(len(error))))
     left, right = 0.97 * float(min(ends.min(), low)), 1.03 * float(max(ends.max(), high))
     if left <= 0 or right / left < 5.0:  # a decade's marks would leave such a narrow axis empty
         return Panel(tuple(marks), Axis(label, most=7), y)
@@ -269,7 +280,7 @@ def _spread(scatter: Scatter, most_turbines: int) -> Panel:
 
 
 TICKS = (0.05, 0.1, 0.25, 0.5, 0.67, 0.8, 1.0, 1.25, 1.5, 2.0, 4.0, 10.0, 20.0)
-SETS = {
+SET_LABELS = {
     "as_is": "as it is",
     "own_loggers": "own loggers",
     "re_estimated": "re-estimated",
@@ -278,21 +289,26 @@ SETS = {
     "ambient": "rule: c = c_amb",
     "ambient_pressure_balance": "rule: c = c_amb T_amb/T",
 }
-SET_COLOURS = {"as_is": SIMULATED, "own_loggers": AMBIENT, "re_estimated": COLOURS[1], "all_own": MEASURED}
+SET_COLOURS = {
+    "as_is": SIMULATED_COLOUR,
+    "own_loggers": AMBIENT_COLOUR,
+    "re_estimated": COLOURS[1],
+    "all_own": MEASURED,
+}
 
 
 def figure_course(record_course: RecordCourse, re_estimated: bool) -> Picture:
     """Draw twelve held-out days: readings, the model as it is, and the re-estimated model (where nothing was
     re-estimated, the model with own loggers)."""
     names = ("as_is", "re_estimated" if re_estimated else "own_loggers")
-    lines = {name: (f"simulated, {SETS[name]}", SET_COLOURS[name]) for name in names}
+    lines = {name: (f"simulated, {SET_LABELS[name]}", SET_COLOURS[name]) for name in names}
     return figure_courses([Shown("", record_course, lines)])
 
 
 def figure_sets(result: TransferResult) -> Picture:
     """Draw the errors of the four sets of values and of the rules in the scored period, with bounds."""
     errors_by_quantity = {
-        quantity_name: {name: by_set[name] for name in SETS if name in by_set}
+        quantity_name: {name: by_set[name] for name in SET_LABELS if name in by_set}
         for quantity_name, by_set in result.rmse.items()
         if by_set
     }
@@ -306,7 +322,9 @@ def figure_sets(result: TransferResult) -> Picture:
             low, high = row.bounds or (math.nan, math.nan)
             marker, size = ("D", 4.5) if name in SET_COLOURS else ("|", 9.0)
             marks += estimate(row.total, low, high, row_number, colour, marker, size)
-        panels.append(Panel(tuple(marks), _rmse(quantity_name), rows([SETS[name] for name in errors_by_set])))
+        panels.append(
+            Panel(tuple(marks), _rmse(quantity_name), rows([SET_LABELS[name] for name in errors_by_set]))
+        )
     most_rows = max(map(len, errors_by_quantity.values()))
     return Picture(tuple(panels), 0.75 + 0.2 * most_rows, columns=len(errors_by_quantity))
 
@@ -326,7 +344,7 @@ def figure_parameters(result: TransferResult) -> Picture:
         most_rows = max(most_rows, len(changes))
         marks: list[Mark] = [CrossLine(1.0 if is_ratio else 0.0, "x", QUIET, 0.8)]
         for row_number, (change, differs) in enumerate(changes.values()):
-            colour = SIMULATED if differs else MEASURED
+            colour = SIMULATED_COLOUR if differs else MEASURED
             marks += estimate(change.value, change.lower, change.upper, row_number, colour)
         x = Axis("own value less the fit's")
         if is_ratio:

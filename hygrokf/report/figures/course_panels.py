@@ -15,14 +15,14 @@ from hygrokf.data.timestamps import HOUR_S
 from hygrokf.identification.fit_results import FitResults
 from hygrokf.physics.psychrometrics import ZERO_CELSIUS_K
 from hygrokf.report.figures.drawing import (
-    AMBIENT,
+    AMBIENT_COLOUR,
     BINS,
     INK,
     LEVEL_SD,
     MEASURED,
     QUIET,
     SHADE,
-    SIMULATED,
+    SIMULATED_COLOUR,
     NothingToShow,
     band,
     envelope,
@@ -46,12 +46,12 @@ from hygrokf.report.figures.panels import (
 )
 from hygrokf.report.quantities import quantity
 
-TEMPERATURE = "temperature"
-HUMIDITY = "absolute_humidity"
-POWER = "power"
+TEMPERATURE_PANEL = "temperature"
+HUMIDITY_PANEL = "absolute_humidity"
+POWER_PANEL = "power"
 FORTNIGHT_S = 14.0 * 86400.0
 HATCH = "#9aa4b1"
-UNSCORED = "inputs unknown, not scored"
+UNSCORED_LABEL = "inputs unknown, not scored"
 EXCERPT_BINS = 170
 """Bins of time over the width of an excerpt."""
 LENGTH_H = 144.0
@@ -60,7 +60,7 @@ PACE_H = 6.0
 """[h] distance between the starts of the excerpts among which the choice is made."""
 PART_LOAD = (0.05, 0.85)
 """[1] relative power that counts as part load."""
-AMBIENT_SERIES = {TEMPERATURE: "ambient_temperature", HUMIDITY: "ambient_absolute_humidity"}
+AMBIENT_SERIES = {TEMPERATURE_PANEL: "ambient_temperature", HUMIDITY_PANEL: "ambient_absolute_humidity"}
 
 
 @dataclass(frozen=True)
@@ -214,7 +214,7 @@ def courses(
         simulated = lines[-1][1]
         band_time, low, high = band(time, simulated - LEVEL_SD * sd, simulated + LEVEL_SD * sd, span, bins)
         marks.append(
-            Band(band_time, low, high, SIMULATED, label="95 % band" if np.isfinite(sd).any() else "")
+            Band(band_time, low, high, SIMULATED_COLOUR, label="95 % band" if np.isfinite(sd).any() else "")
         )
     in_span = (time >= span[0]) & (time <= span[1])
     values = np.concatenate([value[in_span & np.isfinite(value)] for _, value, _, _ in lines])
@@ -271,19 +271,19 @@ class _Record:
     @property
     def names(self) -> list[str]:
         """The quantities of which the record has readings or a simulation."""
-        return [name for name in (TEMPERATURE, HUMIDITY) if self.has(name)]
+        return [name for name in (TEMPERATURE_PANEL, HUMIDITY_PANEL) if self.has(name)]
 
     # --- panels ---
 
     def course(self, name: str, span: tuple[float, float], width: float = 0.8, bins: int = BINS) -> Panel:
         """The panel of a quantity over a span [s]: ambient, readings, simulation with 95 % band; or power."""
-        if name == POWER:
+        if name == POWER_PANEL:
             return self.operation(span, bins)
         measured, simulated, sd, ambient = self.quantity(name)
         lines = (
-            ("ambient", ambient, AMBIENT, width),
+            ("ambient", ambient, AMBIENT_COLOUR, width),
             ("readings", measured, MEASURED, 1.25 * width),
-            ("simulated", simulated, SIMULATED, 0.8 * width),
+            ("simulated", simulated, SIMULATED_COLOUR, 0.8 * width),
         )
         marks, limits = courses(self.time, lines, sd, span, bins)
         return Panel((*marks, *self.unscored(span)), _time(span), Axis(quantity(name).level, limits))
@@ -299,16 +299,16 @@ class _Record:
                 ends = np.array([middle - half, middle + half])
                 if len(marks) == 2:
                     late = middle > span[0] + 0.7 * (span[1] - span[0])
-                    note = Note("pre-heating", float(ends[1]), 1.04, SIMULATED, boxed=True)
+                    note = Note("pre-heating", float(ends[1]), 1.04, SIMULATED_COLOUR, boxed=True)
                     marks.append(replace(note, x=float(ends[0]), side="right") if late else note)
-                marks.append(Curve(ends, np.array([1.04, 1.04]), SIMULATED, 3.0))
+                marks.append(Curve(ends, np.array([1.04, 1.04]), SIMULATED_COLOUR, 3.0))
         return Panel((*marks, *self.unscored(span)), _time(span), Axis("power / rated", (-0.05, 1.14)))
 
     def unscored(self, span: tuple[float, float]) -> tuple[Mark, ...]:
         """Return hatched shades over the periods in which inputs are unknown."""
         shortest_s = (span[1] - span[0]) / 300.0
         return tuple(
-            Shade(max(start, span[0]), min(end, span[1]), HATCH, label=UNSCORED, hatched=True)
+            Shade(max(start, span[0]), min(end, span[1]), HATCH, label=UNSCORED_LABEL, hatched=True)
             for start, end in stretches(self.time, ~self.scored, shortest_s)
             if end >= span[0] and start <= span[1]
         )
@@ -326,13 +326,13 @@ def _time(span: tuple[float, float]) -> Axis:
 def figure_temperature(fit: FitResults, series: Mapping[str, np.ndarray]) -> Picture:
     """Draw the cabinet temperature over the whole record, with the error of the free run and the relative
     power (Fig. 6 of the paper)."""
-    return _full_record(_Record(series), TEMPERATURE, "The fit has no cabinet temperature to show.")
+    return _full_record(_Record(series), TEMPERATURE_PANEL, "The fit has no cabinet temperature to show.")
 
 
 def figure_humidity(fit: FitResults, series: Mapping[str, np.ndarray]) -> Picture:
     """Draw the absolute humidity over the whole record, with the error of the free run (Fig. 8 there)."""
     why = "There is no cabinet humidity: the record, or the model, lacks it."
-    return _full_record(_Record(series), HUMIDITY, why)
+    return _full_record(_Record(series), HUMIDITY_PANEL, why)
 
 
 def _full_record(record: _Record, name: str, reason_if_absent: str) -> Picture:
@@ -344,12 +344,12 @@ def _full_record(record: _Record, name: str, reason_if_absent: str) -> Picture:
     error = (
         *record.unscored(record.span),
         CrossLine(0.0, "y", QUIET),
-        course(record.time, simulated - measured, record.span, SIMULATED, 0.6),
+        course(record.time, simulated - measured, record.span, SIMULATED_COLOUR, 0.6),
     )
     rows = [
         record.course(name, record.span),
         Panel(error, _time(record.span), Axis(quantity(name).error)),
-        *([record.operation(record.span)] if name == TEMPERATURE and record.has_power else []),
+        *([record.operation(record.span)] if name == TEMPERATURE_PANEL and record.has_power else []),
     ]
     rows = [replace(row, marks=(*record.validation_shade(record.span), *row.marks)) for row in rows]
     if record.validation:
@@ -381,7 +381,7 @@ def figure_excerpts(fit: FitResults, series: Mapping[str, np.ndarray]) -> Pictur
     chosen = choose_excerpts(usable) if names else ()
     if not chosen:
         raise NothingToShow("The record is too short for excerpts.")
-    rows_shown = [*names, POWER] if record.has_power else names
+    rows_shown = [*names, POWER_PANEL] if record.has_power else names
     panels = []
     for name in rows_shown:
         for letter, excerpt in zip("abc", chosen, strict=False):
@@ -402,7 +402,7 @@ def figure_excerpts(fit: FitResults, series: Mapping[str, np.ndarray]) -> Pictur
         height_in=0.75 + 1.55 * len(names) + 0.75 * record.has_power,
         columns=len(chosen),
         shared="x",
-        heights=tuple(0.7 if name == POWER else 1.55 for name in rows_shown),
+        heights=tuple(0.7 if name == POWER_PANEL else 1.55 for name in rows_shown),
     )
 
 
@@ -421,7 +421,7 @@ def figure_residuals(fit: FitResults, series: Mapping[str, np.ndarray]) -> Pictu
     medians of the validation period."""
     record = _Record(series)
     errors = {}
-    for name in (TEMPERATURE, HUMIDITY):
+    for name in (TEMPERATURE_PANEL, HUMIDITY_PANEL):
         measured, simulated, _, _ = record.quantity(name)
         error_scored = np.where(record.scored, simulated - measured, np.nan)
         if np.isfinite(error_scored).sum() >= 30:
@@ -441,7 +441,7 @@ def figure_residuals(fit: FitResults, series: Mapping[str, np.ndarray]) -> Pictu
             lines: list[Mark] = [CrossLine(0.0, "y", INK, 0.7)]
             if in_validation.any():
                 label = "median in validation"
-                lines.append(Curve(middles, np.array(medians), SIMULATED, 0.0, label, "D", 3.2))
+                lines.append(Curve(middles, np.array(medians), SIMULATED_COLOUR, 0.0, label, "D", 3.2))
             if "stop" in axis.words:
                 middles, halves = np.append(0.0, middles), np.append(0.02, halves)
                 groups.insert(0, error[~record.operating & ~in_validation])

@@ -23,8 +23,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 MEASURED = "#1b5fa8"
-SIMULATED = "#c1272d"
-AMBIENT = "#e3a112"
+SIMULATED_COLOUR = "#c1272d"
+AMBIENT_COLOUR = "#e3a112"
 INK = "#22272e"
 QUIET = "#6b7480"
 RULE = "#d5dae0"

@@ -31,7 +31,7 @@ from hygrokf.report.figures.drawing import (
     INK,
     MEASURED,
     QUIET,
-    SIMULATED,
+    SIMULATED_COLOUR,
     WARM_TO_COLD,
     NothingToShow,
 )
@@ -51,11 +51,11 @@ from hygrokf.report.figures.panels import (
 )
 from hygrokf.report.figures.residual_structure import figure_innovations
 
-THRESHOLD = 3.8415
+CHI_SQUARE_95 = 3.8415
 """95 % quantile of χ² with one degree of freedom."""
 PRODUCT = {"thermal": "(R_AT+R_IC)·C", "hygric": "R_D*·V*"}
 """Time constant → its formula."""
-POINTS = 500
+CLOUD_POINTS = 500
 """Largest number of points of a regime that are drawn."""
 LABELS = {
     "profile": "profile likelihood",
@@ -130,8 +130,10 @@ class _Points:
         self.coefficients = data.coefficients
 
     def cloud(self, edges: np.ndarray) -> tuple[Curve, ...]:
-        """Return the points, at most `POINTS`, in the colours of their classes of ambient temperature."""
-        thinned = np.unique(np.linspace(0, len(self.power) - 1, min(POINTS, len(self.power))).astype(int))
+        """Return the points, at most `CLOUD_POINTS`, in the colours of their classes of ambient temperature."""
+        thinned = np.unique(
+            np.linspace(0, len(self.power) - 1, min(CLOUD_POINTS, len(self.power))).astype(int)
+        )
         x = (self.power if self.regime == "operation" else self.ambient)[thinned]
         y, class_of_point = self.difference[thinned], _classes(self.ambient[thinned], edges)
         is_in_class = [class_of_point == number for number in range(len(WARM_TO_COLD))]
@@ -224,7 +226,7 @@ def _profile(name: str, constant: TimeConstant) -> Panel:
         constant.profile if constant.profile is not None and constant.profile.value_h > 0 else constant
     )
     value, low, high = by_likelihood.value_h, by_likelihood.lower_h, by_likelihood.upper_h
-    threshold = constant.threshold if constant.threshold > 0 else THRESHOLD
+    threshold = constant.threshold if constant.threshold > 0 else CHI_SQUARE_95
     top = 2.1 * threshold
     is_usable = np.isfinite(constant.curve).all(axis=1) & (constant.curve[:, 0] > 0)
     points = constant.curve[is_usable][np.argsort(constant.curve[is_usable][:, 0])]
@@ -257,15 +259,17 @@ def _profile(name: str, constant: TimeConstant) -> Panel:
         free_lower, free_upper = (
             bound if math.isfinite(bound) else free_run_values[0] for bound in free_run_values[1:]
         )
-        marks.append(bounds(free_lower, free_upper, height, SIMULATED, alpha=1.0))
-        marks.append(point(free_run_values[0], height, "D", SIMULATED, 4.0))
+        marks.append(bounds(free_lower, free_upper, height, SIMULATED_COLOUR, alpha=1.0))
+        marks.append(point(free_run_values[0], height, "D", SIMULATED_COLOUR, 4.0))
         middle = min(max(free_run_values[0], left), right)
         position = math.log(middle / left) / math.log(right / left)
         side: Literal["left", "center", "right"] = (
             "left" if position < 0.3 else "right" if position > 0.7 else "center"
         )
         note = "by simulation (free run)"
-        marks.append(Note(note, middle, 1.04 * height, SIMULATED, side, "bottom", bold=True, boxed=True))
+        marks.append(
+            Note(note, middle, 1.04 * height, SIMULATED_COLOUR, side, "bottom", bold=True, boxed=True)
+        )
     kind: Literal["logarithmic", "linear"] = "logarithmic" if right / left > 3.0 else "linear"
     return Panel(
         tuple(marks),
@@ -323,7 +327,7 @@ def _composed(name: str, constant: TimeConstant, steps: list[CompositionStep]) -
         if form.form != "base" and form.weight >= SHOWN_WEIGHT
     ]
     if constant.simulation is not None:
-        other_estimates.append(("free run", constant.simulation.value_h, SIMULATED, 4.5))
+        other_estimates.append(("free run", constant.simulation.value_h, SIMULATED_COLOUR, 4.5))
     row_of_source = {step.source: row_number for row_number, step in enumerate(steps)}
     for source, value, colour, size in other_estimates:
         if source in row_of_source and math.isfinite(value):

@@ -21,7 +21,7 @@ from hygrokf.report.climate_tables import share_held
 from hygrokf.report.discovery_text import what_it_is
 from hygrokf.report.figures.climate_figures import figure_duration, figure_joint, figure_regions
 from hygrokf.report.figures.course_panels import courses
-from hygrokf.report.figures.drawing import AMBIENT, INK, MEASURED, SIMULATED, NothingToShow
+from hygrokf.report.figures.drawing import AMBIENT_COLOUR, INK, MEASURED, SIMULATED_COLOUR, NothingToShow
 from hygrokf.report.figures.fit_figures import figure_of
 from hygrokf.report.figures.panels import (
     Axis,
@@ -35,7 +35,12 @@ from hygrokf.report.figures.panels import (
     Shade,
     course,
 )
-from hygrokf.report.figures.residual_structure import AFTER, figure_drivers, held_out, telling_drivers
+from hygrokf.report.figures.residual_structure import (
+    EXTENDED_COLOUR,
+    figure_drivers,
+    held_out,
+    telling_drivers,
+)
 from hygrokf.report.quantities import quantity
 from hygrokf.texts.wording import percent, sentence
 
@@ -45,7 +50,7 @@ AMBIENT_NAME: Mapping[str, str] = {TEMPERATURE: "ambient_temperature", HUMIDITY:
 EPISODES = 3
 AROUND_H = (18.0, 42.0)
 """[h] shortest and longest time shown before and after an episode; between these limits, half its length."""
-LONGEST_H = 120.0
+LONGEST_STRETCH_H = 120.0
 """[h] longest part of an episode that is shown."""
 NARROW = 200
 """Bins of time over the width of a panel."""
@@ -136,8 +141,8 @@ def _largest(residuals: Residuals, name: str, start_s: float, end_s: float) -> f
 def _before_after(residuals: Residuals, after: Residuals | None) -> list[tuple[Residuals, str, str]]:
     """Return each model's residuals with the colour of its line and the words that end its label."""
     if after is None:
-        return [(residuals, SIMULATED, "")]
-    return [(residuals, SIMULATED, ", before"), (after, AFTER, ", after")]
+        return [(residuals, SIMULATED_COLOUR, "")]
+    return [(residuals, SIMULATED_COLOUR, ", before"), (after, EXTENDED_COLOUR, ", after")]
 
 
 def _windows(finding: Finding | CauseEpisodes, residuals: Residuals) -> list[tuple[Span, list[Span]]]:
@@ -146,7 +151,7 @@ def _windows(finding: Finding | CauseEpisodes, residuals: Residuals) -> list[tup
     windows: list[tuple[float, float]] = []
     for first, last in finding.spans:
         around = 3600.0 * float(np.clip(0.5 * (last - first) / 3600.0, *AROUND_H))
-        last = min(last, first + 3600.0 * LONGEST_H)
+        last = min(last, first + 3600.0 * LONGEST_STRETCH_H)
         start, end = max(low, first - around), min(high, last + around)
         if all(end <= other_start or start >= other_end for other_start, other_end in windows):
             windows.append((start, end))
@@ -167,11 +172,11 @@ def _course(
     base, *extensions = _before_after(residuals, after)
     lines = [
         ("readings", residuals.measured[name] - zero, MEASURED, 1.3),
-        (f"simulated{base[2]}", residuals.simulated[name] - zero, SIMULATED, 1.0),
+        (f"simulated{base[2]}", residuals.simulated[name] - zero, SIMULATED_COLOUR, 1.0),
     ]
     ambient = residuals.drivers.get(AMBIENT_NAME[name])
     if ambient is not None:
-        lines.insert(0, ("ambient", ambient - zero, AMBIENT, 0.9))
+        lines.insert(0, ("ambient", ambient - zero, AMBIENT_COLOUR, 0.9))
     marks, limits = courses(residuals.time_s, lines, residuals.sd.get(name), span, NARROW)
     extended = (
         course(model.time_s, model.simulated[name] - zero, span, colour, 1.2, f"simulated{suffix}", NARROW)

@@ -316,7 +316,7 @@ def _scaled(axis: Axis, axes: Axes, which: Literal["x", "y"]) -> None:
 
 # --- the picture -----------------------------------------------------------------------------
 
-LETTER_EM, WIDE_EM, LINE_EM = 0.67, 1.0, 1.25
+PANEL_LETTER_EM, WIDE_EM, LINE_EM = 0.67, 1.0, 1.25
 """Width of a letter, width of an M or W, and height of a line, in multiples of the font size; wide enough for
 the page's fonts."""
 SIGN_EM, KEY_LETTER_EM, KEY_LINE_EM = 3.7, 0.6, 1.75
@@ -483,15 +483,17 @@ def _ticks_in(axes: Axes, which: Literal["x", "y"]) -> float:
         return 0.085 + LINE_EM * letter_in * max(
             (1 + label.count("\n") for label in labels.values()), default=1
         )
-    widths = (sum(WIDE_EM if letter in "MW" else LETTER_EM for letter in word) for word in labels.values())
-    return 0.08 + letter_in * max(widths, default=LETTER_EM)
+    widths = (
+        sum(WIDE_EM if letter in "MW" else PANEL_LETTER_EM for letter in word) for word in labels.values()
+    )
+    return 0.08 + letter_in * max(widths, default=PANEL_LETTER_EM)
 
 
 def _beyond(axes: Axes) -> float:
     """Estimate how far [in] the label of the last tick extends beyond the right end of the axes."""
     labels = _words(axes.xaxis) if axes.xaxis.get_tick_params()["labelbottom"] else {}
     last_position = max(labels, default=0.0)
-    letter_in = LETTER_EM * _points("xtick.labelsize") * POINT_IN
+    letter_in = PANEL_LETTER_EM * _points("xtick.labelsize") * POINT_IN
     return max(
         0.04, 0.5 * letter_in * len(labels.get(last_position, "").split("\n")[0]) * (last_position > 0.97)
     )

@@ -18,7 +18,7 @@ import numpy as np
 from hygrokf.data.result_file import array, instants, scalar
 from hygrokf.data.timestamps import DAY_S, HOUR_S
 from hygrokf.discovery.residuals import (
-    QUANTITIES,
+    RESIDUAL_QUANTITIES,
     TEMPERATURE,
     Quantity,
     Residuals,
@@ -34,7 +34,7 @@ from hygrokf.evaluation.diagnosis import (
     Periodogram,
 )
 from hygrokf.identification.fit_results import FitResults
-from hygrokf.report.figures.drawing import INK, MEASURED, QUIET, SIMULATED, NothingToShow, means
+from hygrokf.report.figures.drawing import INK, MEASURED, QUIET, SIMULATED_COLOUR, NothingToShow, means
 from hygrokf.report.figures.panels import (
     Axis,
     Band,
@@ -54,13 +54,13 @@ from hygrokf.report.figures.panels import (
 from hygrokf.report.quantities import quantity, spoken
 from hygrokf.texts.wording import one_line, p_equation
 
-AFTER = "#00796b"
+EXTENDED_COLOUR = "#00796b"
 """Colour of the extended model; the base keeps that of the simulation."""
 DIVERGING = ("#16365c", "#4f8fbf", "#f7f7f5", "#dd8a4a", "#8f1d14")
 FEWEST_IN_BIN = 10
 """Hours that a bin needs to be drawn."""
-FEWEST_READINGS = 100
-DRIVERS = 4
+FEWEST_SHOWN = 100
+MOST_DRIVERS = 4
 """Number of drivers that are shown."""
 CLASSES = 12
 """Number of classes of a driver."""
@@ -68,10 +68,10 @@ CLASSES = 12
 
 def _known(residuals: Residuals) -> list[Quantity]:
     """The quantities with enough errors in the identification period. Raises NothingToShow without any."""
-    identified = {name: residuals.error[name][~residuals.validation] for name in QUANTITIES}
-    quantities = [name for name in QUANTITIES if np.isfinite(identified[name]).sum() >= FEWEST_READINGS]
+    identified = {name: residuals.error[name][~residuals.validation] for name in RESIDUAL_QUANTITIES}
+    quantities = [name for name in RESIDUAL_QUANTITIES if np.isfinite(identified[name]).sum() >= FEWEST_SHOWN]
     if not quantities:
-        raise NothingToShow(f"Fewer than {FEWEST_READINGS} readings can be compared with the simulation.")
+        raise NothingToShow(f"Fewer than {FEWEST_SHOWN} readings can be compared with the simulation.")
     return quantities
 
 
@@ -101,7 +101,7 @@ def figure_drivers(residuals: Residuals, drivers: Sequence[str], after: Residual
             if marks and extended_hours is not None and name in extended_hours.drivers:
                 extended_value, _ = displayed(name, extended_hours.drivers[name])
                 medians = _medians(extended_value, -extended_hours.error[quantity_name], edges)
-                marks.append(Curve(*medians, AFTER, 1.4, "after", "o", 2.4))
+                marks.append(Curve(*medians, EXTENDED_COLOUR, 1.4, "after", "o", 2.4))
             short_unit = unit.replace("% of the rated power", "% of rated")
             x = Axis(textwrap.fill(f"{words(name)} [{short_unit or '1'}]", 27), most=5)
             title = terms.title if name == chosen[0] else ""
@@ -128,7 +128,7 @@ def telling_drivers(residuals: Residuals, first: Sequence[str] = ()) -> list[str
             rank[name] = max(spreads)
     best = dict.fromkeys([name for name in first if name in rank])
     best |= dict.fromkeys(sorted(rank, key=lambda name: -rank[name]))
-    return [name for name in hours.drivers if name in list(best)[:DRIVERS]]
+    return [name for name in hours.drivers if name in list(best)[:MOST_DRIVERS]]
 
 
 def _class_edges(driver: np.ndarray) -> np.ndarray:
@@ -166,9 +166,9 @@ def _bands(value: np.ndarray, error: np.ndarray, edges: np.ndarray, label: str) 
     x, q10, q25, median, q75, q90 = np.array(rows).T
     return [
         CrossLine(0.0, "y", INK, 0.7),
-        Curve(x, median, SIMULATED, 1.4, label, "o", 2.4),
-        Band(x, q25, q75, SIMULATED, 0.20, "25 to 75 %"),
-        Band(x, q10, q90, SIMULATED, 0.10, "10 to 90 %"),
+        Curve(x, median, SIMULATED_COLOUR, 1.4, label, "o", 2.4),
+        Band(x, q25, q75, SIMULATED_COLOUR, 0.20, "25 to 75 %"),
+        Band(x, q10, q90, SIMULATED_COLOUR, 0.10, "10 to 90 %"),
     ]
 
 
@@ -188,7 +188,8 @@ def figure_error_course(before: Residuals, after: Residuals) -> Picture:
     # a step of its own for each day, so that the areas end where the days do
     time = DAY_S * (np.repeat(day, 2) + np.tile((0.0, 1.0), len(day)))
     rms_by_quantity = {
-        name: [np.repeat(_daily_rms(model, name, day), 2) for model in (before, after)] for name in QUANTITIES
+        name: [np.repeat(_daily_rms(model, name, day), 2) for model in (before, after)]
+        for name in RESIDUAL_QUANTITIES
     }
     panels = []
     for quantity_name, (base, extended) in rms_by_quantity.items():
@@ -196,10 +197,17 @@ def figure_error_course(before: Residuals, after: Residuals) -> Picture:
             continue
         lower, higher = np.minimum(base, extended), np.maximum(base, extended)
         marks = (
-            Curve(time, base, SIMULATED, 1.2, "base model"),
-            Curve(time, extended, AFTER, 1.2, "extended model"),
-            Band(time, np.where(extended < base, lower, np.nan), base, AFTER, 0.14, "smaller with the cause"),
-            Band(time, base, np.where(extended > base, higher, np.nan), SIMULATED, 0.14, "larger"),
+            Curve(time, base, SIMULATED_COLOUR, 1.2, "base model"),
+            Curve(time, extended, EXTENDED_COLOUR, 1.2, "extended model"),
+            Band(
+                time,
+                np.where(extended < base, lower, np.nan),
+                base,
+                EXTENDED_COLOUR,
+                0.14,
+                "smaller with the cause",
+            ),
+            Band(time, base, np.where(extended > base, higher, np.nan), SIMULATED_COLOUR, 0.14, "larger"),
         )
         highest = 1.08 * float(np.nanmax([base, extended])) or 1.0
         x = Axis(limits=(time[0], time[-1]), kind="time")
@@ -318,7 +326,7 @@ def _stems(lag: np.ndarray, value: np.ndarray, limit: float) -> list[Mark]:
     is_beyond = np.abs(value) > limit
     return [
         strokes(lag[chosen], np.zeros(chosen.sum()), lag[chosen], value[chosen], colour, width)
-        for chosen, colour, width in ((~is_beyond, MEASURED, 0.7), (is_beyond, SIMULATED, 1.3))
+        for chosen, colour, width in ((~is_beyond, MEASURED, 0.7), (is_beyond, SIMULATED_COLOUR, 1.3))
     ]
 
 
@@ -370,7 +378,7 @@ def _cumulative(data: CumulativePeriodogram) -> Panel:
     marks = (
         Band(diagonal, diagonal / end - data.limit, diagonal / end + data.limit, QUIET),
         Curve(diagonal, diagonal / end, QUIET, 0.6),
-        Curve(frequency, value, SIMULATED if data.statistic > data.limit else MEASURED, 1.2),
+        Curve(frequency, value, SIMULATED_COLOUR if data.statistic > data.limit else MEASURED, 1.2),
         Note(f"Kolmogorov–Smirnov\n{p_text}", 0.03, 0.98, INK, "left", "top", "xy"),
     )
     limits = (0.0, end)

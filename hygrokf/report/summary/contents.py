@@ -33,7 +33,7 @@ from hygrokf.report.blocks import (
     section,
     unmeasured,
 )
-from hygrokf.report.climate_page import OF_CLIMATE, TONES, doubt_text, weather_text
+from hygrokf.report.climate_page import LIMIT_TONES, OF_CLIMATE, doubt_text, weather_text
 from hygrokf.report.climate_tables import (
     compared_statistics,
     hours_text,
@@ -45,11 +45,11 @@ from hygrokf.report.climate_tables import (
     value_and_bounds,
 )
 from hygrokf.report.discovery_page import gains_table, spans_text
-from hygrokf.report.discovery_text import verdict_of
+from hygrokf.report.discovery_text import discovery_verdict
 from hygrokf.report.figures.climate_figures import short_words
 from hygrokf.report.figures.drawing import WIDTH_IN, NothingToShow
 from hygrokf.report.figures.lead import lead_of_climate, lead_of_discovery, lead_of_fit
-from hygrokf.report.fit_page import period_text
+from hygrokf.report.fit_page import fit_period
 from hygrokf.report.fit_text import judgements
 from hygrokf.report.quantities import quantity, versions
 from hygrokf.texts.reasons import BELIEVE, CAUTION, REJECT, VERDICTS, WORDS, Kind, Reason, ReasonCode
@@ -123,7 +123,7 @@ def picture_or_none(make: Callable[[], Figure]) -> Figure | None:
 
 
 LACKING = "Run “hygrokf discover” on the record: the model lacks something that the readings show."
-REMEDIES = {
+REASON_REMEDIES = {
     "Settle the doubts about the record first: “hygrokf check” lists them.": (ReasonCode.RECORD_DOUBTED,),
     "Compare the humidity sensor with a second one.": (ReasonCode.SENSOR_OR_WATER,),
     "Run “hygrokf fit” again with more starts (--starts): the estimation has not ended.": (
@@ -164,7 +164,9 @@ order in which the actions are listed on the page."""
 def remedies(reasons: Iterable[Reason]) -> tuple[str, ...]:
     """Return the actions that the given reasons call for, each action once."""
     codes = {reason.code for reason in reasons}
-    return tuple(action for action, reason_codes in REMEDIES.items() if codes.intersection(reason_codes))
+    return tuple(
+        action for action, reason_codes in REASON_REMEDIES.items() if codes.intersection(reason_codes)
+    )
 
 
 def summary_blocks(summary: Summary) -> Page:
@@ -295,7 +297,7 @@ def summary_of_fit(fit: FitResults, series: Mapping[str, np.ndarray]) -> Summary
         ),
         (
             ("Record", named(fit.name)),
-            *foot_line("Period", period_text(fit)),
+            *foot_line("Period", fit_period(fit)),
             ("Made by", versions(fit.version)),
         ),
         banners=unmeasured(fit.provenance, OF_RECORD),
@@ -360,7 +362,7 @@ def summary_of_discovery(
 
     before, after: residuals of the base and the extended model.
     """
-    verdict = verdict_of(results)
+    verdict = discovery_verdict(results)
     return Summary(
         "Summary of a discovery",
         named(results.name),
@@ -419,7 +421,7 @@ def summary_of_climate(study: Study) -> Summary:
             ("Ensemble", f"{study.members} members, seed {study.seed}"),
             ("Made by", versions(study.version)),
         ),
-        TONES.get(worst, "plain"),
+        LIMIT_TONES.get(worst, "plain"),
         unmeasured(study.least_measured, OF_CLIMATE),
     )
 

@@ -60,7 +60,9 @@ def plan_summaries(results: Sequence[Path], directory: Path | None) -> list[Plan
         beside_summary = file.name == FIT and (folder / DISCOVERY).exists() and directory is None
         names.append(folder.resolve().name)
         out = folder if directory is None else directory if len(results) == 1 else directory / names[-1]
-        plans.append((partial(KINDS[file.name], folder), out, BESIDE_SUMMARY if beside_summary else SUMMARY))
+        plans.append(
+            (partial(SUMMARY_OF[file.name], folder), out, BESIDE_SUMMARY if beside_summary else SUMMARY)
+        )
     if directory is not None:
         faults += [
             f"--out {directory}: expected directories of results with different names, found {name} twice"
@@ -122,7 +124,7 @@ def _discovery(folder: Path) -> Summary:
     return summary_of_discovery(stored.results, stored.before, stored.after)
 
 
-KINDS: Mapping[str, Callable[[Path], Summary]] = {
+SUMMARY_OF: Mapping[str, Callable[[Path], Summary]] = {
     DISCOVERY: _discovery,
     CLIMATE: lambda folder: summary_of_climate(read_climate(folder)),
     FIT: lambda folder: summary_of_fit(*read_results(folder)),
@@ -133,13 +135,13 @@ KINDS: Mapping[str, Callable[[Path], Summary]] = {
 def _file_of(path: Path) -> Path | None:
     """Return the file of a result: in a directory, or the path itself; None without one."""
     if path.is_dir():
-        return next((path / name for name in KINDS if (path / name).is_file()), None)
-    return path if path.name in KINDS and path.is_file() else None
+        return next((path / name for name in SUMMARY_OF if (path / name).is_file()), None)
+    return path if path.name in SUMMARY_OF and path.is_file() else None
 
 
 def _refused(path: Path) -> str:
     """Return the message for a path from which no summary can be made."""
-    others = [name for name in RESULTS if name not in KINDS]
+    others = [name for name in RESULTS if name not in SUMMARY_OF]
     expected = f"expected {FIT}, {DISCOVERY} or {CLIMATE}, or a directory that holds one"
     other_result = next((name for name in others if path.name == name or (path / name).exists()), "")
     if other_result:
