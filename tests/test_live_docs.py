@@ -35,7 +35,7 @@ from hygrokf.live.config import (
     read_config,
 )
 from hygrokf.live.notification.transports import Mail, Webhook
-from hygrokf.live.plan import WANDERING
+from hygrokf.live.plan import TRACKED_PROPERTIES
 from hygrokf.live.sources.broker import Broker
 from hygrokf.live.sources.local import FileForm
 from hygrokf.live.sources.opcua_form import Server
@@ -155,7 +155,7 @@ def test_every_key_of_the_tracker_s_file_stands_in_the_pages(page: Path, forms: 
 
 def test_defaults_that_are_told_are_those_of_the_code() -> None:
     text = OPERATION.read_text(encoding="utf-8")
-    rates = {name: rate for name, (_, rate) in WANDERING.items()}
+    rates = {name: rate for name, (_, rate) in TRACKED_PROPERTIES.items()}
     for names, said in re.findall(r"^\| (`wandering[^|]*)\|[^|]*\| ([^|]*) \|$", text, re.MULTILINE):
         told = [float(number) for number in said.split(" and ")]
         stated = [rates.pop(name) for name in re.findall(r"`(\w+)`", names)]

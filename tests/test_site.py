@@ -19,7 +19,7 @@ from handbook import navigation, pictures, public_names, registries
 from handbook.docstrings import parsed, rst
 
 import hygrokf
-from hygrokf.fleet.tasks import SHARED, TASKS
+from hygrokf.fleet.tasks import SHARED_COLUMNS, TASKS
 from hygrokf.modelling.library import LIBRARY
 
 NO_QUANTITY = {
@@ -144,7 +144,7 @@ def test_every_column_of_a_fleet_has_its_meaning() -> None:
         section = text.partition(f"Columns of ``{task}``")[2].partition("\nColumns of ")[0]
         for name, meaning in TASKS[task].columns.items():
             assert f"* - ``{name}``\n     - {rst(meaning)}\n" in section, name
-    assert all(f"``{name}``" in text.partition("Columns of ``")[0] for name in SHARED)
+    assert all(f"``{name}``" in text.partition("Columns of ``")[0] for name in SHARED_COLUMNS)
 
 
 def test_the_navigation_holds_every_page_once() -> None:

@@ -63,7 +63,7 @@ def read_case(path: str | os.PathLike[str], *, cabinet: bool = True, ambient: bo
     def weather(stated: StatedWeather) -> Record:
         return _weather_record(stated, file.parent, case)
 
-    record = record_of(case, table, str(path), weather=weather, cabinet=cabinet, ambient=ambient)
+    record = stated_record(case, table, str(path), weather=weather, cabinet=cabinet, ambient=ambient)
     return dataclasses.replace(record, warnings=(*_open_doubts(file.name, text), *record.warnings))
 
 
@@ -87,7 +87,7 @@ def _open_doubts(name: str, text: str) -> tuple[str, ...]:
     return (f'{name}: {open_doubts}: check the doubted setting, then delete the comment "{DRAFT_DOUBT}…"',)
 
 
-def record_of(
+def stated_record(
     case: StatedCase,
     table: Callable[[StatedSource], FileColumns],
     head: str,

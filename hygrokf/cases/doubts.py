@@ -19,7 +19,7 @@ from hygrokf.physics.holds import LINEAR
 from hygrokf.texts.record_codes import DoubtCode, RecordCode, period
 from hygrokf.texts.statement import Statement, unique
 from hygrokf.weather.clock_comparison import (
-    FEWEST_D,
+    FEWEST_COMPARED_D,
     NOT_COMPARED,
     TOLERANCE_S,
     ClockError,
@@ -72,7 +72,7 @@ def _doubts_of_comparison(record: Record, clocks: Sequence[ClockError]) -> Itera
         if series.signal in record and series.signal not in (*compared, *NOT_COMPARED):
             files.setdefault(series.file, []).append(series.signal)
     for file, signals in files.items():
-        yield DoubtCode.NOT_COMPARED(file=file, signals=tuple(signals), fewest_d=FEWEST_D)
+        yield DoubtCode.NOT_COMPARED(file=file, signals=tuple(signals), fewest_d=FEWEST_COMPARED_D)
 
 
 def _doubts_of_readings(record: Record) -> Iterator[Statement]:

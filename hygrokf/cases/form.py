@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 
 from hygrokf.data.columns import Notation
 from hygrokf.data.numbers import POLES, Meaning
-from hygrokf.data.quality import UNSTATED, QualityVocabulary, StatedQuality, stated_vocabulary
+from hygrokf.data.quality import UNSTATED_VOCABULARY, QualityVocabulary, StatedQuality, stated_vocabulary
 from hygrokf.data.record import Provenance, Site
 from hygrokf.data.signals import SIGNALS, Signal, difference_to_si, fitting_units, unit_fault
 from hygrokf.data.timestamps import duration, moment, signed_duration
@@ -17,7 +17,7 @@ from hygrokf.data.toml_form import Place, across, entry_name, read_form, setting
 from hygrokf.errors import suggestion
 from hygrokf.physics.holds import HOLDS, MEAN, PREVIOUS, hold_named
 from hygrokf.texts.wording import stamp_text
-from hygrokf.weather.reading import FORMATS, TYPICAL
+from hygrokf.weather.reading import TYPICAL, WEATHER_FORMATS
 
 STAMPS = ("instant", "start", "middle", "end")
 """Meanings of a stamp: an instant, or a position in the averaging interval."""
@@ -127,7 +127,9 @@ class StatedSource(Notation):
     )
     clock_uncertainty_s: float | None = setting(None, "standard uncertainty of the clock", read=duration)
     clock_correction_s: float = setting(0.0, "added to the stamps", read=signed_duration)
-    vocabulary: QualityVocabulary = setting(UNSTATED, "of quality, or its good marks", read=stated_vocabulary)
+    vocabulary: QualityVocabulary = setting(
+        UNSTATED_VOCABULARY, "of quality, or its good marks", read=stated_vocabulary
+    )
     use_uncertain: bool = setting(True, "use readings of uncertain quality")
     compare: bool = setting(False, "only compare with the other sources")
     signals: Mapping[str, StatedColumn] = setting(dict, "signals and their columns")
@@ -189,7 +191,7 @@ class StatedWeather:
     }
     file: str = setting(help="path, relative to the case file")
     format: str = setting(
-        help="of the weather file", choices=FORMATS, remedy="a table of columns needs no format"
+        help="of the weather file", choices=WEATHER_FORMATS, remedy="a table of columns needs no format"
     )
     year: int | None = setting(None, "of a typical year", least=1900, most=2200)
     altitude_m: float | None = setting(

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
-from hygrokf.cases.case_file import CaseFault, record_of
+from hygrokf.cases.case_file import CaseFault, stated_record
 from hygrokf.cases.form import StatedColumn, StatedPeriod, StatedSource, stated_case
-from hygrokf.data.columns import HEADER, FileColumns, Places, TableFault, column_fault, places_of, table_of
+from hygrokf.data.columns import HEADER, FileColumns, Places, TableFault, column_fault, frame_table, places_of
 from hygrokf.data.quality import StatedQuality
 from hygrokf.data.record import Record, Site
 from hygrokf.data.signals import SIGNALS, unit_named
@@ -111,7 +111,7 @@ def read_frames(
     keys |= {"name": name, "source": sources, "identification": identification}
     content = {key: value for key, value in keys.items() if value is not None}
     case = stated_case(content, _FramePlace(file=_HEAD, sources=sources, faults=faults))
-    return record_of(
+    return stated_record(
         case, lambda source: tables[source.file](source), _HEAD, cabinet=cabinet, ambient=ambient
     )
 
@@ -275,7 +275,7 @@ def _prepare(
         if not len(readings):
             raise TableFault("expected readings, found no row in the frame")
         described = (readings, stated.meanings, stamps, stamps_named, _PLACES)
-        return table_of(*described, stated, stated.quality, quality_columns, frame_faults)
+        return frame_table(*described, stated, stated.quality, quality_columns, frame_faults)
 
     return source, table
 

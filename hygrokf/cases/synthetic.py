@@ -21,7 +21,7 @@ from hygrokf.data.files import write_text_whole
 from hygrokf.data.timestamps import DAY_S
 from hygrokf.physics.psychrometrics import ZERO_CELSIUS_K, absolute_humidity_from_dew_point, relative_humidity
 
-MINUTE_S = 60
+STEP_S = 60
 MINUTE_H = 1.0 / 60.0
 START = "2020-07-15T00:00:00"
 """UTC, the first instant of the record."""
@@ -396,7 +396,7 @@ def synthetic_turbine(
     parameters = parameters or SyntheticParameters()
     seeds = np.random.SeedSequence(seed).spawn(5)
     first = float(np.datetime64(start, "s").astype(np.int64))
-    time = first + MINUTE_S * np.arange(round(days * DAY_S / MINUTE_S) + 1, dtype=float)
+    time = first + STEP_S * np.arange(round(days * DAY_S / STEP_S) + 1, dtype=float)
     weather = _weather(seeds[0], time)
     power, preheating = _operation(seeds[1], time, weather["wind_speed"], parameters.rated_power_W)
     converter, cabinet_K, release = _cabinet_temperature(

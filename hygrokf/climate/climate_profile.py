@@ -13,7 +13,7 @@ from typing import Literal, TypeAlias
 
 import numpy as np
 
-from hygrokf.climate.bounds import LEVEL, BoundedMean, bounded, bounded_array, held, rounded
+from hygrokf.climate.bounds import BoundedMean, bounded, bounded_array, held, rounded
 from hygrokf.climate.chamber import Acceleration, ProfilePlan
 from hygrokf.climate.chamber_profile import ChamberProfile, Days, build_profile, days_of, thinned
 from hygrokf.climate.ensemble import (
@@ -34,6 +34,7 @@ from hygrokf.climate.study import DurationCurve, JointDistribution, RegionClimat
 from hygrokf.data.ambient import middle
 from hygrokf.data.progress import Progress, reporting
 from hygrokf.data.record import Record
+from hygrokf.estimation.conventions import CONFIDENCE
 from hygrokf.identification.fit import Fit
 from hygrokf.identification.verdict import inherited
 from hygrokf.identification.verdict_terms import rests_on
@@ -250,7 +251,7 @@ def climate_profile(
         version=__version__,
         members=members,
         seed=seed,
-        level=LEVEL,
+        level=CONFIDENCE,
         verdicts=inherited(fit.results),
         surface=surface,
         plan=plan,

@@ -22,6 +22,7 @@ from hygrokf.commands.console import (
 from hygrokf.commands.opening import case_fit, case_record, library_of, stored_fit, write_fit_and_page
 from hygrokf.commands.verb import Verb, add_fit_and_case, add_json, add_library, add_out, whole_number
 from hygrokf.data import files
+from hygrokf.estimation.conventions import STARTS
 
 
 def _fit_arguments(parser: ArgumentParser) -> None:
@@ -42,8 +43,8 @@ def _fit_arguments(parser: ArgumentParser) -> None:
     parser.add_argument(
         "--starts",
         type=whole_number(1),
-        default=5,
-        help="number of starts of the search for the maximum (default 5)",
+        default=STARTS,
+        help=f"number of starts of the search for the maximum (default {STARTS})",
     )
     parser.add_argument(
         "--model",

@@ -22,11 +22,11 @@ from hygrokf.fleet.job import Job, Row, Work
 from hygrokf.fleet.running import run_jobs
 from hygrokf.fleet.tasks import CLIMATE_COLUMNS
 from hygrokf.identification.fit import write_fit
-from hygrokf.modelling.design import PARTS
 from hygrokf.report.fit_page import write_report
 from hygrokf.report.fleet_page import write_fleet_report
 from hygrokf.report.transfer_page import write_transfer
 from hygrokf.texts.fleet_codes import FleetCode
+from hygrokf.texts.parts import PARTS
 from hygrokf.texts.statement import Statement
 from hygrokf.texts.wording import stamp_text
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from hygrokf.data.record import Record, Series
 from hygrokf.texts.fit_codes import FitCode
+from hygrokf.texts.parts import PARTS
 from hygrokf.texts.statement import Statement
 from hygrokf.texts.terms import Name
 
@@ -46,9 +47,8 @@ class Actuator:
         """How a model uses the actuator, or why it does not."""
         if self.reason is not None:
             return FitCode.ACTUATOR_UNUSED(signal=self.signal, why=self.reason)
-        networks = tuple(
-            name for name, mechanism in (("thermal", self.thermal), ("hygric", self.hygric)) if mechanism
-        )
+        mechanisms = zip(PARTS, (self.thermal, self.hygric), strict=True)
+        networks = tuple(part for part, mechanism in mechanisms if mechanism)
         return FitCode.ACTUATOR_USED(signal=self.signal, networks=networks)
 
 

@@ -112,7 +112,7 @@ class Notation:
         return stated_marks(self.decimal, self.thousands)
 
 
-def table_of(
+def frame_table(
     frame: pandas.DataFrame,
     columns: Mapping[str, Meaning],
     stamps: pandas.Series | None,
@@ -212,7 +212,7 @@ def _read_times(
 ) -> tuple[np.ndarray, list[str], list[str], bool]:
     """Times (N,) [s] of stamps (NaN: unusable), warnings, faults, whether warnings are about summer time.
 
-    Arguments as for `table_of` and `read_stamps`.
+    Arguments as for `frame_table` and `read_stamps`.
     """
     time_format, ignore_offset = notation.time_format, notation.ignore_offset
     options: dict[str, Any] = dict(time_format=time_format, ignore_offset=ignore_offset, repeated=repeated)

@@ -31,16 +31,16 @@ REACH_S = 1800.0
 """[s] time within which an outlier returns to the course of the signal."""
 REACH_STEPS = 3.0
 """Usual intervals within which the next reading is still used, if there is none within `REACH_S`."""
-LEVELS = ((0.90, 8.0), (0.95, 6.5))
+DEVIATION_LEVELS = ((0.90, 8.0), (0.95, 6.5))
 """Quantiles of the deviations d > 0 of a series, and multiples of them that no ordinary deviation reaches.
 
 The largest of 10,000 deviations with an exponential tail is four times their 90 % quantile; the second level
 is for heavier tails.  Of 1.9 million measured readings (temperature, humidity, wind, power; 1 min to 1 h)
 one in 14,000 exceeds both.  Up to a twentieth of the deviations may be due to bad readings.
 """
-STEPS = 2.0
+INCREMENT_MULTIPLE = 2.0
 """Multiple of the 95 % quantile of the increments that the bound on deviations reaches at least."""
-FEWEST = 50
+FEWEST_FOR_SCALE = 50
 """Fewest readings from which a scale is estimated."""
 AT_TOP = 0.995
 """Share of its highest reading above which power counts as rated power, at which it rests."""
@@ -86,17 +86,17 @@ def scale_of(signal: str, time: np.ndarray, value: np.ndarray, resolution: float
     time: [s] (T,) increasing; value: [SI unit] (T,), no NaN; resolution: [SI unit] of the readings, or 0.
     """
     row = signal_named(signal)
-    if len(value) < FEWEST or row.idle == (-math.inf, math.inf):
+    if len(value) < FEWEST_FOR_SCALE or row.idle == (-math.inf, math.inf):
         return None
     step = float(np.median(np.diff(time)))
     departures = _departures(time, value, _reach_s(step))
     departures = departures[departures > 0.0]
-    if len(departures) >= FEWEST // 5:
-        departure = max(float(factor * np.quantile(departures, share)) for share, factor in LEVELS)
+    if len(departures) >= FEWEST_FOR_SCALE // 5:
+        departure = max(float(factor * np.quantile(departures, share)) for share, factor in DEVIATION_LEVELS)
     else:  # hardly any deviations: the range of all readings and the sensor's error are ordinary
-        departure = max(float(np.ptp(value)), LEVELS[0][1] * (row.default_accuracy or 0.0))
-    ordinary = STEPS * float(np.quantile(np.abs(np.diff(value)), 0.95))
-    departure = max(departure, ordinary, LEVELS[0][1] * resolution)
+        departure = max(float(np.ptp(value)), DEVIATION_LEVELS[0][1] * (row.default_accuracy or 0.0))
+    ordinary = INCREMENT_MULTIPLE * float(np.quantile(np.abs(np.diff(value)), 0.95))
+    departure = max(departure, ordinary, DEVIATION_LEVELS[0][1] * resolution)
     top = float(value.max())
     still = longest_still(value, quiet_range(signal, value, resolution), resting(signal, value, top))
     return Scale(departure, still * step, step, top) if departure > 0.0 else None

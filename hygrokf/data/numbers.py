@@ -39,7 +39,7 @@ class Meaning(NamedTuple):
     one: str = ""
 
 
-POINT, UNKNOWN = Marks(), Meaning()
+POINT, UNKNOWN_MEANING = Marks(), Meaning()
 
 
 class Unread(Exception):
@@ -77,7 +77,7 @@ def number_in(text: str, marks: Marks = POINT) -> float | None:
     return number if math.isfinite(number) else None
 
 
-def value_in(text: str, marks: Marks = POINT, meaning: Meaning = UNKNOWN) -> float:
+def value_in(text: str, marks: Marks = POINT, meaning: Meaning = UNKNOWN_MEANING) -> float:
     """The value of a text in the unit of its meaning: a number, a number with its unit, or a flag.
 
     A unit with the same zero is converted (MW to kW).  Raises Unread.
@@ -104,7 +104,7 @@ def value_in(text: str, marks: Marks = POINT, meaning: Meaning = UNKNOWN) -> flo
 
 
 def values_in(
-    texts: pandas.Series, marks: Marks = POINT, meaning: Meaning = UNKNOWN
+    texts: pandas.Series, marks: Marks = POINT, meaning: Meaning = UNKNOWN_MEANING
 ) -> tuple[np.ndarray, dict[str, Unread]]:
     """Values (N,) of texts and numbers, NaN where a text has no value; the texts without value and why."""
     import pandas as pd

@@ -19,9 +19,9 @@ from hygrokf.texts.statement import Statement
 
 FEWEST_IN_COMMON = 20
 """Readings at common times from which two series are compared."""
-ROUNDING = 0.01
+PRESSURE_ROUNDING = 0.01
 """[1] deviation in vapour pressure that rounding and another formula make: 0.15 K of a dew point."""
-QUANTITIES = (
+QUANTITY_PATTERNS = (
     ("dew_point_temperature", r"(dew|frost) ?points?( temp(erature)?)?|taupunkt(temperatur)?|tdew|dp|td"),
     ("relative_humidity", r"(rel(ative)? )?(humidity|humid|hum|feuchte|luftfeuchte)|rel|rh|rf"),
     ("temperature", r"temperatures?|temperatur|temp|tmp|t"),
@@ -32,14 +32,19 @@ _UNITS = r"deg( ?[cf])?|degrees?|celsius|fahrenheit|c|f|k|pct|percent"
 
 def probe_of(name: str) -> tuple[str, str]:
     """The words that distinguish a column's probe from others of its file, and the column's quantity, "" if
-    it is none of `QUANTITIES`."""
+    it is none of `QUANTITY_PATTERNS`."""
     words = re.sub(r"([a-z])([A-Z])", r"\1 \2", re.sub(r"[(\[{][^)\]}]*[)\]}]", " ", name)).lower()
     words = re.sub(r"(?<=[a-z])(?=\d)|(?<=\d)(?=[a-z])", " ", words)
     words = f" {re.sub(r'[^0-9a-zäöü]+', ' ', words).strip()} "
     quantity = next(
-        (quantity_name for quantity_name, words_of in QUANTITIES if re.search(f" ({words_of}) ", words)), ""
+        (
+            quantity_name
+            for quantity_name, words_of in QUANTITY_PATTERNS
+            if re.search(f" ({words_of}) ", words)
+        ),
+        "",
     )
-    for pattern in (*(words_of for _, words_of in QUANTITIES), _UNITS):
+    for pattern in (*(words_of for _, words_of in QUANTITY_PATTERNS), _UNITS):
         words = re.sub(f" ({pattern})(?= )", " ", words)
     return re.sub(r"\s+", " ", words).strip(), quantity
 
@@ -94,6 +99,8 @@ def _follows(vapour: Series, temperature: Series, humidity: Series) -> bool:
         expected = absolute_humidity(relative, temperature_K)
         log_vapour, log_ratio = np.log(expected), np.log(derived / expected)
     is_present = np.isfinite(log_vapour) & np.isfinite(log_ratio)
-    if is_present.sum() < FEWEST_IN_COMMON or np.std(log_vapour[is_present]) < 5.0 * ROUNDING:
+    if is_present.sum() < FEWEST_IN_COMMON or np.std(log_vapour[is_present]) < 5.0 * PRESSURE_ROUNDING:
         return False
-    return bool(np.mean(np.abs(log_ratio[is_present] - np.median(log_ratio[is_present])) < ROUNDING) > 0.95)
+    return bool(
+        np.mean(np.abs(log_ratio[is_present] - np.median(log_ratio[is_present])) < PRESSURE_ROUNDING) > 0.95
+    )

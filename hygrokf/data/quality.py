@@ -98,7 +98,7 @@ VOCABULARIES = {
     ),
     "words": QualityVocabulary("words", {1: GOOD, 0: BAD}),
 }
-UNSTATED = QualityVocabulary("", {})
+UNSTATED_VOCABULARY = QualityVocabulary("", {})
 """All vocabularies at once: an outcome holds if all that define a number agree."""
 
 
@@ -174,13 +174,13 @@ def quality_columns(names: Sequence[str], columns: Iterable[str]) -> dict[str, s
 
 def seems_quality(name: str, marks: Sequence[object]) -> bool:
     """Whether a column holds marks of quality: a vocabulary defines its marks, or its name says so."""
-    fits_vocabulary = AMBIGUOUS not in map(UNSTATED.judge, marks) or bool(fitting(marks))
+    fits_vocabulary = AMBIGUOUS not in map(UNSTATED_VOCABULARY.judge, marks) or bool(fitting(marks))
     return len(marks) > 0 and (fits_vocabulary or any(word in _bare(name) for word in _NAMES))
 
 
 def unstated(column: str, name: str, marks: Sequence[object]) -> Statement | None:
     """The doubt about a quality column that is not stated; None if all its marks are good."""
-    outcomes = set(map(UNSTATED.judge, marks))
+    outcomes = set(map(UNSTATED_VOCABULARY.judge, marks))
     if outcomes == {GOOD} or not seems_quality(name, marks):
         return None
     more_advice = (RecordCode.FURTHER_ADVICE(advice=advice(marks)),) if AMBIGUOUS in outcomes else ()
@@ -199,16 +199,17 @@ def drafted(
     certain = {
         column: name
         for column, name in quality_of.items()
-        if seems_quality(name, marks[name]) and (fitting(marks[name]) or not misfit(UNSTATED, marks[name]))
+        if seems_quality(name, marks[name])
+        and (fitting(marks[name]) or not misfit(UNSTATED_VOCABULARY, marks[name]))
     }
     doubts = [
         unstated(column, name, marks[name]) for column, name in quality_of.items() if column not in certain
     ]
     certain_marks = [mark for name in dict.fromkeys(certain.values()) for mark in marks[name]]
     fits = fitting(certain_marks)
-    if len(fits) > 1 or (fits and {*map(UNSTATED.judge, certain_marks)} == {AMBIGUOUS}):
+    if len(fits) > 1 or (fits and {*map(UNSTATED_VOCABULARY.judge, certain_marks)} == {AMBIGUOUS}):
         doubts.append(RecordCode.QUALITY_MEANING(advice=advice(certain_marks)))
-    return certain, VOCABULARIES[fits[0]] if fits else UNSTATED, tuple(filter(None, doubts))
+    return certain, VOCABULARIES[fits[0]] if fits else UNSTATED_VOCABULARY, tuple(filter(None, doubts))
 
 
 class MarkedReadings(NamedTuple):
@@ -227,7 +228,7 @@ class StatedQuality:
     """
 
     columns: Mapping[str, str | None] = field(default_factory=dict)
-    vocabulary: QualityVocabulary = UNSTATED
+    vocabulary: QualityVocabulary = UNSTATED_VOCABULARY
     use_uncertain: bool = True
 
     def beside(self, names: Sequence[str], columns: Sequence[str]) -> dict[str, str]:

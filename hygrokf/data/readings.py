@@ -6,7 +6,7 @@ import dataclasses
 
 import numpy as np
 
-from hygrokf.data.gate import DEPARTED, FEWEST, FROZEN, REACH_S, judge, resting, runs_of, scale_of
+from hygrokf.data.gate import DEPARTED, FEWEST_FOR_SCALE, FROZEN, REACH_S, judge, resting, runs_of, scale_of
 from hygrokf.data.record import Record, Series
 from hygrokf.data.signals import in_words, signal_named
 from hygrokf.data.timestamps import modal_step
@@ -16,7 +16,7 @@ from hygrokf.texts.wording import duration_text, period_text, stamp_text
 
 SATURATED = 0.995
 """[-] relative humidity from which a reading is censored: the sensor cannot show more."""
-SHOWN = 5
+SHOWN_READINGS = 5
 """Number of outlying readings that a warning names."""
 PILED = 5
 """Ratio of readings at the ceiling to readings below it from which they pile up."""
@@ -228,7 +228,7 @@ def mask_gated(series: Series) -> tuple[Series, tuple[str, ...]]:
     row = signal_named(series.signal)
     present = np.flatnonzero(np.isfinite(series.value))
     time, value = series.time[present], series.value[present]
-    if len(value) < FEWEST or row.idle == (-np.inf, np.inf):
+    if len(value) < FEWEST_FOR_SCALE or row.idle == (-np.inf, np.inf):
         return series, ()
     if value[0] == value.min() == value.max() and not resting(series.signal, value[:1], np.inf).any():
         reading = in_words(value[0], row)
@@ -246,9 +246,9 @@ def mask_gated(series: Series) -> tuple[Series, tuple[str, ...]]:
         is_masked[present[departed]] = True
         rows = present[departed]
         named = ", ".join(
-            f"{in_words(series.value[i], row)} at {stamp_text(series.time[i])}" for i in rows[:SHOWN]
+            f"{in_words(series.value[i], row)} at {stamp_text(series.time[i])}" for i in rows[:SHOWN_READINGS]
         )
-        more = f" and {len(rows) - SHOWN} more" if len(rows) > SHOWN else ""
+        more = f" and {len(rows) - SHOWN_READINGS} more" if len(rows) > SHOWN_READINGS else ""
         verb = "leaves its course and returns" if len(rows) == 1 else "leave their course and return"
         warnings.append(
             f"{_label(series)}: {_readings(departed)} that {verb} within {duration_text(REACH_S)} masked: "

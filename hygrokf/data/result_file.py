@@ -76,7 +76,7 @@ def drawn(result: object, axes: Axes | Sequence[Axes] | None) -> tuple[Axes, ...
 
 
 T = TypeVar("T")
-FIRST_S, LAST_S = -6.2e10, 2.5e11
+FIRST_INSTANT_S, LAST_INSTANT_S = -6.2e10, 2.5e11
 """[s] since 1970: the years 5 and 9892, the range of a calendar."""
 
 
@@ -134,7 +134,7 @@ def instants(series: Mapping[str, np.ndarray]) -> np.ndarray:
     range."""
     time = np.atleast_1d(np.asarray(series.get("time_s", np.empty(0)), dtype=float))
     is_valid = time.ndim == 1 and bool(
-        np.all((time > FIRST_S) & (time < LAST_S)) and np.all(np.diff(time) > 0)
+        np.all((time > FIRST_INSTANT_S) & (time < LAST_INSTANT_S)) and np.all(np.diff(time) > 0)
     )
     return time if is_valid else np.empty(0)
 

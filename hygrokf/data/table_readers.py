@@ -22,9 +22,9 @@ from hygrokf.data.columns import (
     Places,
     TableFault,
     column_fault,
+    frame_table,
     numbered,
     places_of,
-    table_of,
 )
 from hygrokf.data.numbers import Meaning
 from hygrokf.data.quality import NOTHING_STATED, StatedQuality
@@ -82,7 +82,7 @@ def table_in(
     stamps = frame[time_column] if time_column in frame else None
     digest = hashlib.sha256(content).hexdigest()
     description = f'column "{time_column}"'
-    return table_of(
+    return frame_table(
         frame, columns, stamps, description, places, notation, quality, quality_of, faults, digest
     )
 
@@ -125,7 +125,7 @@ _OTHER_KINDS = (
 )
 
 
-def text_of(content: bytes) -> tuple[bytes, str]:
+def decoded_text(content: bytes) -> tuple[bytes, str]:
     """The bytes of a table of text and their encoding (see `decodable`).  Raises TableFault for others."""
     content = unpacked(content)
     for mark, kind in _OTHER_KINDS:
@@ -221,7 +221,7 @@ def _csv_source(
     """
     import pandas as pd
 
-    content, encoding = text_of(content)
+    content, encoding = decoded_text(content)
     separator, comment = notation.separator, notation.comment
     header = _csv_header(content, encoding, separator, comment, time_column)
     if header is None:

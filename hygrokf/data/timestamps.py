@@ -33,7 +33,7 @@ _HEADER_ZONE = re.compile(
 _CENTRAL_EUROPE_H = {"CET": 1, "MEZ": 1, "CEST": 2, "MESZ": 2}
 EXCEL = "excel"
 """The `time_format` of Excel's serial days: days since 1899-12-30, with their fraction."""
-FORMATS = (
+STAMP_FORMATS = (
     "%d.%m.%Y %H:%M:%S", "%d.%m.%Y %H:%M", "%d.%m.%y %H:%M:%S", "%d.%m.%y %H:%M", "%d.%m.%Y",
     "%d/%m/%Y %H:%M:%S", "%d/%m/%Y %H:%M", "%d/%m/%y %H:%M:%S", "%d/%m/%y %H:%M",
     "%m/%d/%Y %H:%M:%S", "%m/%d/%Y %H:%M", "%m/%d/%y %H:%M:%S", "%m/%d/%y %H:%M",
@@ -235,7 +235,7 @@ def read_stamps(
 
 def fitting_formats(texts: pandas.Series) -> Iterator[str | None]:
     """Formats that read all of these stamps (N,) as times of 1850 to 2200, ISO 8601 (None) first."""
-    for form in (None, *FORMATS):
+    for form in (None, *STAMP_FORMATS):
         read = read_stamps(texts, UTC, time_format=form)
         seconds = read.time[np.isfinite(read.time)]
         if not read.unreadable.any() and not np.any((seconds < EARLIEST_S) | (seconds > LATEST_S)):

@@ -33,9 +33,9 @@ from hygrokf.discovery.simulator import Simulator
 from hygrokf.modelling.causes.forms import Form, Setting
 from hygrokf.physics.parameters import Parameter
 
-THRESHOLD = 10.0
+ACCEPTED_EVIDENCE = 10.0
 """Evidence from which a cause is accepted."""
-SWEEPS, FOLLOWED, WORSE = 3, 2, 10.0
+SWEEPS, FOLLOWED_JUMPS, LARGEST_RISE = 3, 2, 10.0
 """Number of sweeps of jumps, jumps of a sweep that are fitted, and the largest rise of −2 ln L by a jump
 before the fit."""
 CLOSE_Z = 2.0
@@ -137,7 +137,8 @@ def estimated(
 def candidate(
     parent: Calibration, child: Calibration, form: Form, setting: Setting, searched: int
 ) -> Candidate:
-    """The candidate of a child beside its parent; evidence in days equals the evidence below `THRESHOLD`."""
+    """The candidate of a child beside its parent; evidence in days equals the evidence below
+    `ACCEPTED_EVIDENCE`."""
     added_parameters = added(parent, child.simulator)
     gains, total_constants, lacking = {}, 0, False
     evidence = -2.0 * math.log(max(searched, 1)) - setting.price
@@ -150,7 +151,7 @@ def candidate(
         lacking |= form.together and constants > 0 and net_gain <= 0.0
         total_constants += constants
         evidence += max(0.0, net_gain)
-    factor = day_factor(parent, child) if evidence >= THRESHOLD else 1.0
+    factor = day_factor(parent, child) if evidence >= ACCEPTED_EVIDENCE else 1.0
     return Candidate(
         form, setting, child, gains, total_constants, searched, evidence, evidence / factor, lacking
     )
@@ -202,11 +203,11 @@ def jumped(parent: Calibration, best: Candidate) -> Candidate:
             gain = chord_gains(parent_at_best, wider, wider.vector(values)[:, None], {}, best.acts)[0]
             promising.append((float(gain), setting, values))
         promising.sort(key=lambda jump: -jump[0])
-        for gain, setting, values in promising[:FOLLOWED]:
-            if gain < -WORSE:
+        for gain, setting, values in promising[:FOLLOWED_JUMPS]:
+            if gain < -LARGEST_RISE:
                 break
             trial = estimated(parent, best.form, setting, values, LIGHT, parent_at_best.columns)
-            if trial.deviance < best.estimate.deviance + 0.5 * WORSE:
+            if trial.deviance < best.estimate.deviance + 0.5 * LARGEST_RISE:
                 fit = fitted(trial, acting(trial, best.acts), POLISH)
                 if fit.deviance < best.estimate.deviance - 0.1:
                     best = replace(
@@ -271,9 +272,9 @@ def alike(best: Candidate, rival: Candidate) -> bool:
     """Whether a rival explains the readings of the shared quantities as well as the best candidate (Vuong's
     test on daily sums)."""
     shared = best.acts & rival.acts
-    if not shared or rival.evidence < THRESHOLD:
+    if not shared or rival.evidence < ACCEPTED_EVIDENCE:
         return False
-    if best.evidence - rival.evidence < THRESHOLD:
+    if best.evidence - rival.evidence < ACCEPTED_EVIDENCE:
         return True
     daily = np.concatenate([_daily(best.estimate, rival.estimate, q) for q in sorted(shared)])
     return float(daily.sum() / (math.sqrt(len(daily)) * max(daily.std(), 1e-12))) < CLOSE_Z

@@ -18,7 +18,7 @@ from hygrokf.discovery.residuals import Residuals, displayed, run_lengths, words
 from hygrokf.texts.discovery_codes import ConditionCode
 from hygrokf.texts.statement import Statement
 
-LAGS_H = (1.0, 2.0, 3.0, 4.0, 6.0, 9.0, 12.0, 18.0, 24.0)
+CONDITION_LAGS_H = (1.0, 2.0, 3.0, 4.0, 6.0, 9.0, 12.0, 18.0, 24.0)
 LAG_TOLERANCE = 0.1
 """[1] share of a lag by which the bins may miss it."""
 RATE_H = 3.0
@@ -28,17 +28,17 @@ LONG_STANDSTILL_H = 24.0
 LONG_STOPS = ConditionCode.STOPS_LONGER_THAN_A_DAY()
 AFTERWARDS_H = 6.0
 """[h] after an episode that count as its end."""
-SATURATED = 0.97
+SATURATED_AIR = 0.97
 """[1] relative humidity from which air counts as saturated: a sensor reads no more, within its accuracy."""
 SINCE_H = (3.0, 6.0, 12.0, 24.0)
-LEVELS = (0.1, 0.3, 0.5, 0.7, 0.9)
-RATES = (0.1, 0.3, 0.7, 0.9)
+LEVEL_QUANTILES = (0.1, 0.3, 0.5, 0.7, 0.9)
+RATE_QUANTILES = (0.1, 0.3, 0.7, 0.9)
 RESTING = 0.15
 """[1] share of the time at its least value from which a driver counts as resting there (night, calm, dry)."""
 MONTH_H = 240.0
 """[h] of a month within the record from which it counts."""
 SECTORS = 12
-SHORTEST_H = 6.0
+SHORTEST_CONDITION_H = 6.0
 """[h] shortest time for which a condition must hold to be tested."""
 LARGEST_PART = 0.5
 """[1] largest share of the hours that a finding may hold for: beyond it, the rest is the exception."""
@@ -114,8 +114,8 @@ def conditions(hours: Residuals) -> list[Stratum]:
     made = [*_regimes(hours), *_preheating(hours), _hour(hours), *_calendar(hours)]
     humidity = hours.drivers.get("cabinet_relative_humidity")
     if humidity is not None:
-        saturated = np.nan_to_num(humidity) >= SATURATED
-        made.append(_flag("saturation", saturated, ConditionCode.SATURATED_AIR(share=SATURATED)))
+        saturated = np.nan_to_num(humidity) >= SATURATED_AIR
+        made.append(_flag("saturation", saturated, ConditionCode.SATURATED_AIR(share=SATURATED_AIR)))
     for name, value in hours.drivers.items():
         if name != "preheating":
             made += _driver(hours, name, value)
@@ -124,12 +124,10 @@ def conditions(hours: Residuals) -> list[Stratum]:
 
 def _held(one: Stratum, step_h: float) -> bool:
     inside = float((one.bins == 0).sum()) * step_h
-    return SHORTEST_H <= inside <= len(one.bins) * step_h - SHORTEST_H
+    return SHORTEST_CONDITION_H <= inside <= len(one.bins) * step_h - SHORTEST_CONDITION_H
 
 
-def _flag(
-    kind: str, flag: np.ndarray, condition: Statement, share: np.ndarray | None = None
-) -> Stratum:
+def _flag(kind: str, flag: np.ndarray, condition: Statement, share: np.ndarray | None = None) -> Stratum:
     """A condition that holds or not; share: (n,) of each bin for which it holds, where that is known."""
     column = flag.astype(float) if share is None else share
     return Stratum(kind, "", column[:, None], np.where(flag, 0, 1), lambda a, b: condition, flag=True)
@@ -274,7 +272,7 @@ def _driver(hours: Residuals, name: str, value: np.ndarray) -> list[Stratum]:
     """Level (straight, and any curve), rate (rising and falling apart) and lag of one driver."""
     if name.endswith("_direction"):
         return [_direction(name, value)]
-    level = _binned("level", name, value, LEVELS, ConditionCode.LEVEL_OF_DRIVER)
+    level = _binned("level", name, value, LEVEL_QUANTILES, ConditionCode.LEVEL_OF_DRIVER)
     if level is None:
         return []
     made = [level]
@@ -283,16 +281,16 @@ def _driver(hours: Residuals, name: str, value: np.ndarray) -> list[Stratum]:
     count, reach = len(value), max(1, round(RATE_H / hours.step_h))
     rate = np.full(count, np.nan)
     rate[reach:] = (value[reach:] - value[:-reach]) / (reach * hours.step_h)
-    changing = _binned("rate", name, rate, RATES, ConditionCode.RATE_OF_DRIVER)
+    changing = _binned("rate", name, rate, RATE_QUANTILES, ConditionCode.RATE_OF_DRIVER)
     if changing is not None:
         made.append(replace(changing, basis=np.column_stack([np.maximum(rate, 0.0), np.minimum(rate, 0.0)])))
-    for lag in LAGS_H:
+    for lag in CONDITION_LAGS_H:
         shift = round(lag / hours.step_h)
         if not 1 <= shift < count or abs(shift * hours.step_h - lag) > LAG_TOLERANCE * lag:
             continue
         before = np.full(count, np.nan)
         before[shift:] = value[:-shift]
-        one = _binned("lag", name, before, LEVELS, ConditionCode.EARLIER_DRIVER, hours=lag)
+        one = _binned("lag", name, before, LEVEL_QUANTILES, ConditionCode.EARLIER_DRIVER, hours=lag)
         if one is not None:
             made.append(one)
     return made

@@ -41,12 +41,12 @@ from hygrokf.discovery.discovery_results import (
     Verdict,
 )
 from hygrokf.discovery.estimate import Calibration, frame, slopes
-from hygrokf.discovery.final_set import Estimator, FinalSet, final_estimator, final_set, fit_of, fitted_by
+from hygrokf.discovery.final_set import Estimator, FinalSet, final_estimator, final_fit, final_set, fitted_by
 from hygrokf.discovery.findings import findings
 from hygrokf.discovery.judgement import NOTICED, scores
 from hygrokf.discovery.own_causes import expect_usable
 from hygrokf.discovery.repeats import without_repeats
-from hygrokf.discovery.residuals import NORMAL_95, QUANTITIES, Residuals, residuals, root_mean_square
+from hygrokf.discovery.residuals import NORMAL_95, RESIDUAL_QUANTITIES, Residuals, residuals, root_mean_square
 from hygrokf.discovery.screening import added
 from hygrokf.discovery.search import Search, composed, effect_of, foreseen, needed, tested
 from hygrokf.discovery.starting_model import base_estimate
@@ -54,9 +54,10 @@ from hygrokf.identification.fit import Fit
 from hygrokf.identification.fit_results import ParameterRow
 from hygrokf.identification.identify import expect_readings
 from hygrokf.modelling.causes.forms import Form, Setting, Settings, ground_of, possible
-from hygrokf.modelling.design import PARTS
 from hygrokf.modelling.library import LIBRARY, Library
+from hygrokf.physics.signal_names import CABINET_SIGNALS
 from hygrokf.physics.switches import CONTROLLED
+from hygrokf.texts.parts import PARTS
 from hygrokf.texts.reasons import ReasonCode
 from hygrokf.texts.statement import unique
 from hygrokf.version import __version__
@@ -117,10 +118,10 @@ def _judged(
 
 SIGNIFICANT = 1e-4
 """Probability of a line without an effect, below which the line is reported."""
-BIN_H = 1.0
+SPECTRUM_BIN_H = 1.0
 NEIGHBOURS = 101
 """Ordinates of the periodogram whose mean is compared with the ordinate in their middle."""
-FEWEST = 3 * NEIGHBOURS
+FEWEST_FREQUENCIES = 3 * NEIGHBOURS
 CYCLES = 4
 """Fewest cycles of a rhythm in the record: with fewer cycles it cannot be distinguished from a trend."""
 FEWEST_DAYS = 30
@@ -147,14 +148,14 @@ def _in_errors(estimate: Calibration, quantity: str) -> SpectralLine | None:
     is_present = np.isfinite(reference.innovation)
     errors = (reference.standardised * reference.weight)[is_present]
     hours = r.time_h[is_present]
-    width = max(BIN_H, float(np.median(np.diff(hours)))) if len(hours) > 1 else BIN_H
+    width = max(SPECTRUM_BIN_H, float(np.median(np.diff(hours)))) if len(hours) > 1 else SPECTRUM_BIN_H
     bin_index = ((hours - hours[0]) / width).astype(int)
     total = np.bincount(bin_index, errors)
     count_in_bin = np.bincount(bin_index)
     mean = np.divide(total, np.sqrt(np.maximum(count_in_bin, 1)))
     power = np.abs(np.fft.rfft(mean - mean[count_in_bin > 0].mean() * (count_in_bin > 0))) ** 2
     power = power[1:-1]
-    if len(power) < FEWEST:
+    if len(power) < FEWEST_FREQUENCIES:
         return None
     half = NEIGHBOURS // 2
     sums = np.cumsum(np.pad(power, (half + 1, half), mode="reflect"))
@@ -216,10 +217,8 @@ def remaining_lines(conclusion: Conclusion) -> list[SpectralLine]:
 
 
 # -- from a record to its discovery --------------------------------------------------------------------------
-BUDGET = 40_000
+MOST_SIMULATIONS = 40_000
 """Simulations after which no further cause is tried."""
-MOVING = ("cabinet_temperature", "cabinet_relative_humidity", "cabinet_absolute_humidity")
-"""Signals whose readings the simulation explains, so that they must vary."""
 WET_SENSOR = ReasonCode.SENSOR_OR_WATER()
 
 
@@ -228,7 +227,7 @@ def discover(
     *,
     library: Library = LIBRARY,
     progress: Progress | bool | None = None,
-    budget: int = BUDGET,
+    budget: int = MOST_SIMULATIONS,
 ) -> Discovery:
     """Find what the base model of a record lacks, and name the cause from a library.
 
@@ -266,7 +265,11 @@ def expect_movement(early: Record) -> None:
     still = []
     for series in early.series:
         readings = series.value[np.isfinite(series.value)]
-        if series.signal in MOVING and len(readings) and np.ptp(np.quantile(readings, (0.01, 0.99))) == 0.0:
+        if (
+            series.signal in CABINET_SIGNALS
+            and len(readings)
+            and np.ptp(np.quantile(readings, (0.01, 0.99))) == 0.0
+        ):
             unit = SIGNALS[series.signal].unit
             value = f"{readings[0]:.6g}" if unit == "1" else f"{readings[0]:.6g} {unit}"
             still.append(
@@ -288,12 +291,12 @@ def _discovered(record: Record, library: Library, say: Progress, budget: int) ->
     search = Search(start, all_forms, say, budget).run()
     say("parameters of the base and of the extended model")
     conclusion = conclude(search)
-    base = fit_of(record, conclusion.base, say)
+    base = final_fit(record, conclusion.base, say)
     before = after = residuals(base, record)
     extended = None
     if conclusion.extended is not None:
         against = (WET_SENSOR,) if any(candidate.wet for candidate in conclusion.accepted) else ()
-        extended = fit_of(record, conclusion.extended, say, against)
+        extended = final_fit(record, conclusion.extended, say, against)
         after = residuals(extended, shifted(record, *conclusion.extended.estimate.simulator.scene.shifts))
     say("what is left")
     lines = remaining_lines(conclusion)
@@ -368,7 +371,7 @@ def _saturated(record: Record) -> float:
 
 
 # -- the report of a cause -----------------------------------------------------------------------------------
-CONFIDENCE = (-1.26, 0.531, 0.00118)
+CONFIDENCE_WEIGHTS = (-1.26, 0.531, 0.00118)
 """Coefficients of the logistic confidence: constant, weight of ln of the evidence in days, weight of the lead
 in days."""
 
@@ -400,7 +403,7 @@ def confidence(in_days: float, lead: float) -> float:
     the best rival, in days."""
     from scipy.special import expit
 
-    constant, by_evidence, by_lead = CONFIDENCE
+    constant, by_evidence, by_lead = CONFIDENCE_WEIGHTS
     return float(expit(constant + by_evidence * math.log(max(in_days, 1.0)) + by_lead * lead))
 
 
@@ -474,7 +477,7 @@ def gains(conclusion: Conclusion, before: Residuals, after: Residuals) -> tuple[
     # a corrected clock shifts the instants of the extended model: then there are no pairs of errors
     same_instants = np.array_equal(before.time_s, after.time_s)
     quantity_gains = []
-    for quantity in QUANTITIES:
+    for quantity in RESIDUAL_QUANTITIES:
         old = _outside(before.time_s, before.error[quantity], spans)
         new = _outside(after.time_s, after.error[quantity], spans)
         for period, held_out in (("validation", True), ("identification", False)):

@@ -30,7 +30,7 @@ from hygrokf.physics.model import field_values
 from hygrokf.texts.discovery_codes import DiscoveryCode
 from hygrokf.texts.statement import Statement, Value
 from hygrokf.texts.terms import Meaning, Name, Version
-from hygrokf.texts.wording import QUANTITIES as QUANTITY_WORDS
+from hygrokf.texts.wording import QUANTITY_NAMES as QUANTITY_WORDS
 
 if TYPE_CHECKING:
     import pandas

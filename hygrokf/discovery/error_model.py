@@ -37,7 +37,7 @@ FEWEST_STEPS = 0.6
 """Shortest correlation time of a part that readings resolve, in median steps of the readings."""
 LONGEST_SHARE = 1.0 / 3.0
 """Longest correlation time of a part that readings resolve, as a share of the record's length."""
-LEAST = 1e-6
+LEAST_VARIANCE = 1e-6
 """Smallest variance, as a share of the variance of the readings."""
 VARIANCES = len(TIMES_H) + 2
 """Number of variances: R, s_w² and those of the parts, in this order."""
@@ -436,8 +436,8 @@ def maximised(course: Instants, residual: np.ndarray, start: np.ndarray | None =
     active = np.append([True, True], course.there)
     common = start_variances(course, residual)
     initial = common if start is None else start
-    lowest = np.log(LEAST * upper)
-    log_common = np.log(np.maximum(common, LEAST * upper))
+    lowest = np.log(LEAST_VARIANCE * upper)
+    log_common = np.log(np.maximum(common, LEAST_VARIANCE * upper))
     z = np.clip(np.log(np.maximum(np.where(active, initial, 1.0), 1e-300)), lowest, np.log(upper))
     damping, value, gradient, information = 1e-3, *_scores(course, residual, z, active)
     is_near = False

@@ -29,8 +29,9 @@ from hygrokf.discovery.error_model import (
 )
 from hygrokf.discovery.simulator import Simulator
 from hygrokf.physics.parameters import Parameter
+from hygrokf.texts.parts import BOTH_PARTS
 
-TIME_CONSTANT = {"temperature": "thermal_time_constant", "vapour": "hygric_k"}
+TIME_CONSTANT_OF = {part.balance: part.time_constant for part in BOTH_PARTS}
 """Parameter that is the time constant [h] of a quantity's low pass."""
 DAMPINGS = (0.0, 1e-3, 1e-2, 0.1, 1.0, 10.0, 100.0, 1000.0)
 LARGEST_STEP = 1.5
@@ -38,7 +39,7 @@ LARGEST_STEP = 1.5
 MOVE = 1e-3
 """Step of the numerical Jacobian: change of a logarithm; fifty times this share of a prior's standard
 deviation; a tenth of this share of a range."""
-STEPS = 3
+GAUSS_NEWTON_STEPS = 3
 """Gauss–Newton steps between two estimates of the variances."""
 LIGHT, POLISH = (3, 0.3), (10, 0.05)
 """Effort of a fit: largest number of rounds, and the gain in −2 ln L below which they end."""
@@ -205,9 +206,9 @@ def _blocks(estimate: Calibration, free: set[str]) -> list[tuple[str, ...]]:
 
 
 def _stepped(estimate: Calibration, free: set[str], block: tuple[str, ...], kept: Columns) -> Calibration:
-    """Up to `STEPS` Gauss–Newton steps under fixed variances."""
+    """Up to `GAUSS_NEWTON_STEPS` Gauss–Newton steps under fixed variances."""
     acting_names = {name for name in free if set(estimate.simulator.affects(name)) & set(block)}
-    for _ in range(STEPS):
+    for _ in range(GAUSS_NEWTON_STEPS):
         f = frame(estimate.simulator.parameters, acting_names, estimate.linear)
         matrix, gradient = _normal_equations(estimate, f, block, kept)
         z = f.coordinates(estimate.theta)
@@ -353,5 +354,5 @@ def errors_of(simulator: Simulator, theta: np.ndarray, quantities: Sequence[str]
         r = simulator.scene.readings[q]
         shape = (r.saturated / np.mean(r.saturated)) ** 2
         largest = max(float(np.nanvar(np.where(r.identified, r.value, np.nan))), 1e-9)
-        courses[q] = course(r.time_h, values[TIME_CONSTANT[q]], r.added, shape, largest=largest)
+        courses[q] = course(r.time_h, values[TIME_CONSTANT_OF[q]], r.added, shape, largest=largest)
     return courses

@@ -24,7 +24,7 @@ from hygrokf.data.shared_clocks import shifted
 from hygrokf.data.timestamps import HOUR_S
 from hygrokf.discovery.estimate import (
     POLISH,
-    TIME_CONSTANT,
+    TIME_CONSTANT_OF,
     Calibration,
     acting,
     errors_of,
@@ -38,23 +38,26 @@ from hygrokf.discovery.estimate import (
 )
 from hygrokf.discovery.judgement import levelled
 from hygrokf.estimation.confidence import Uncertainty, wald_bounds
+from hygrokf.estimation.conventions import CONFIDENCE
 from hygrokf.estimation.likelihood import Likelihood, RatesFault
 from hygrokf.estimation.moments import DigitsFault
 from hygrokf.estimation.optimiser import Estimate, Objective, climb
-from hygrokf.identification.estimation import LEVEL, TIME_CONSTANTS, Stage
+from hygrokf.identification.estimation import Stage
 from hygrokf.identification.fit import Fit
 from hygrokf.identification.identify import Basis, assemble_fit
 from hygrokf.identification.needed_inputs import CHANCE, WithoutInput, alternatives
 from hygrokf.identification.steady_state import heat_release_regression
 from hygrokf.identification.verdict import with_reasons, with_verdicts
-from hygrokf.modelling.design import CASCADE, TEMPERATURE, Design
+from hygrokf.modelling.design import CASCADE, Design
 from hygrokf.modelling.inputs import model_inputs
 from hygrokf.physics.parameters import Coordinates
+from hygrokf.physics.signal_names import CABINET_TEMPERATURE
 from hygrokf.texts.fit_codes import FitCode
+from hygrokf.texts.parts import TIME_CONSTANTS
 from hygrokf.texts.reasons import Reason
 
 Estimator = Literal["likelihood", "output-error"]
-BETTER = 0.95
+BETTER_RATIO = 0.95
 """Ratio of the errors of least squares and likelihood below which least squares are preferred."""
 EARLY = 2.0 / 3.0
 """Share of the identification period to which both estimators are fitted for their comparison."""
@@ -110,7 +113,7 @@ def final_estimator(*models: Calibration) -> Estimator:
                     for fit in (by_likelihood, by_output)
                 ]
                 ratios.append(0.5 * math.log(errors[1] / errors[0]))
-    return "output-error" if ratios and math.exp(np.mean(ratios)) < BETTER else "likelihood"
+    return "output-error" if ratios and math.exp(np.mean(ratios)) < BETTER_RATIO else "likelihood"
 
 
 def final_set(estimate: Calibration, estimator: Estimator) -> FinalSet:
@@ -192,11 +195,11 @@ def sandwich(estimate: Calibration) -> tuple[tuple[str, ...], np.ndarray, tuple[
 
 SIZE_TOLERANCE = 0.05
 """Expected gain in ln L below which the search for the sizes of the filter's disturbances ends."""
-STEP_TOLERANCE = 1e-5
+FINAL_STEP_TOLERANCE = 1e-5
 """[1] `tolerance` of the filter's sub-steps: a coarser one changes only the sizes of the disturbances."""
 
 
-def fit_of(
+def final_fit(
     record: Record, final: FinalSet, say: Progress = lambda text: None, against: Sequence[Reason] = ()
 ) -> Fit:
     """A final set as a fit of the record, with the record's clocks corrected by the shifts of the set.
@@ -209,7 +212,7 @@ def fit_of(
     try:
         stages = tuple(_stage(early, design, final, say) for design in final_designs(final))
         basis = Basis(CASCADE, stages, heat_release_regression(early))
-        fit = assemble_fit(record, basis, {}, say=say, tolerance=STEP_TOLERANCE)
+        fit = assemble_fit(record, basis, {}, say=say, tolerance=FINAL_STEP_TOLERANCE)
     except (RatesFault, DigitsFault) as fault:
         raise ValueError(f"the model that the search ends with cannot be filtered: {fault}") from fault
     # the linear estimate of clock offsets needs a maximum of the filter's likelihood, but this set is none
@@ -235,7 +238,7 @@ def _stage(early: PreparedRecord, base: Design, final: FinalSet, say: Progress) 
     """The stage of one design with the values and the covariance of the final set."""
     say("sizes of the disturbances")
     run = model_inputs(base, early)
-    likelihood = Likelihood(base.model, run.timeline, tolerance=STEP_TOLERANCE)
+    likelihood = Likelihood(base.model, run.timeline, tolerance=FINAL_STEP_TOLERANCE)
     estimated = final.estimate.values
     fixed = {
         p.name: min(max(estimated[p.name], p.lower), p.upper)
@@ -252,7 +255,7 @@ def _stage(early: PreparedRecord, base: Design, final: FinalSet, say: Progress) 
     )  # fmt: skip
     uncertainty = _uncertainty(final, coordinates)
     bounds = {
-        name: wald_bounds(estimate, uncertainty, name, LEVEL)
+        name: wald_bounds(estimate, uncertainty, name, CONFIDENCE)
         for name in TIME_CONSTANTS
         if name in coordinates.names
     }
@@ -267,13 +270,13 @@ def without_input(model: Calibration, name: str) -> WithoutInput:
     the likelihood of the model itself."""
     from scipy.special import chdtri
 
-    q = next(quantity for quantity, best in TIME_CONSTANT.items() if best == name)
+    q = next(quantity for quantity, best in TIME_CONSTANT_OF.items() if best == name)
     scene, simulator = model.simulator.scene, model.simulator
     time, vapour = scene.edges_s / HOUR_S, np.full(len(scene.edges_s), np.nan)
     if "vapour" in scene.readings:
         r = scene.readings["vapour"]
         vapour[np.clip(np.searchsorted(scene.edges_s, r.time_s), 0, len(time) - 1)] = r.value
-    names = [n for n in simulator.cell_model(q).inputs if n != TEMPERATURE]
+    names = [n for n in simulator.cell_model(q).inputs if n != CABINET_TEMPERATURE]
     inputs = {n: scene.at_edges(n, simulator.owner(n)) for n in names}
     free, results = acting(model, [q]), []
     best = fitted(model, free)

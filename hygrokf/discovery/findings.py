@@ -29,7 +29,7 @@ from hygrokf.discovery.conditions import Stratum, conditions, dummies, step_at
 from hygrokf.discovery.discovery_results import Finding
 from hygrokf.discovery.error_model import HUBER, Filtered, course, filtered, maximised
 from hygrokf.discovery.residuals import (
-    QUANTITIES,
+    RESIDUAL_QUANTITIES,
     Quantity,
     Residuals,
     binned,
@@ -38,20 +38,21 @@ from hygrokf.discovery.residuals import (
     root_mean_square,
     run_lengths,
 )
+from hygrokf.estimation.conventions import SIGNIFICANCE
 
 # -- score tests ---------------------------------------------------------------------------------------------
 SLOWER = 4.0
 """[1] ratio of the time constant of a slower mass to that of the low pass."""
 POSSIBLE = math.log(0.05)
 """ln p above which the statistic is not corrected for the scatter of the days."""
-EDGE = 0.05
+EDGE_SHARE = 0.05
 """[1] share of the readings at either end among which no change is searched."""
 INTERVAL = 4.0
 """Difference in the χ² statistic from which one explanation is clearly better than another (95 %
 interval)."""
-ROUNDING = 1e-12
+ORTHOGONAL_ROUNDING = 1e-12
 """Share of a column's square up to which the part orthogonal to the nuisance is rounding error."""
-NEAR = 2
+NEAR_BINS = 2
 """Bins around a change in which an outlier or a shock may explain it instead."""
 SHARP_H = 1.0
 """[h] longest confidence interval of a date that counts as certain."""
@@ -121,7 +122,7 @@ class Whitened:
         white = self.known.whitened(columns)
         squares_before = np.einsum("ni,ni->i", white, white)
         white -= self.basis @ (self.basis.T @ white)
-        white[:, np.einsum("ni,ni->i", white, white) <= ROUNDING * squares_before] = 0.0
+        white[:, np.einsum("ni,ni->i", white, white) <= ORTHOGONAL_ROUNDING * squares_before] = 0.0
         return white
 
     def log_p(self, white: np.ndarray, full: bool = False) -> float:
@@ -182,9 +183,9 @@ class Whitened:
             [direct, direct - decay * lfilter([1.0], [1.0, -decay], reversed_contributions, axis=0)], axis=1
         )[::-1]
         read = np.flatnonzero(np.isfinite(self.error))
-        margin = round(EDGE * len(read))
+        margin = round(EDGE_SHARE * len(read))
         dates = read[margin : len(read) - margin]
-        first = min(round(EDGE * count), int(dates[0]))
+        first = min(round(EDGE_SHARE * count), int(dates[0]))
         bin_index = np.arange(count)
         step, outlier = (
             (bin_index >= first)[:, None].astype(float),
@@ -197,7 +198,7 @@ class Whitened:
         safe = np.where(square > 0.0, square, np.inf)
         statistic = sums[dates, :, 0] ** 2 / safe
         shock = np.maximum(self.e**2, contributions[:, 0] ** 2 / _square(white[:, 2]))
-        statistic[statistic < maximum_filter1d(shock, 2 * NEAR + 1)[dates, None] - INTERVAL] = 0.0
+        statistic[statistic < maximum_filter1d(shock, 2 * NEAR_BINS + 1)[dates, None] - INTERVAL] = 0.0
         best, flow = np.unravel_index(np.argmax(statistic), statistic.shape)
         likely_bins = int((statistic[:, flow] > statistic[best, flow] - INTERVAL).sum())
         return int(dates[best]), bool(flow), statistic.size, likely_bins * self.step_h <= SHARP_H
@@ -262,20 +263,19 @@ def benjamini_hochberg(p: np.ndarray, weights: np.ndarray | None = None) -> np.n
 
 
 # -- findings ------------------------------------------------------------------------------------------------
-LEVEL = 0.05
-BIN_H = 0.25
+FINDING_BIN_H = 0.25
 """[h] shortest bins in which the errors are tested."""
 FEWEST_H = 72.0
 """[h] fewest hours with an error for an analysis."""
-MATERIAL = 0.2
+MATERIAL_SHARE = 0.2
 """[1] share of the free run's RMSE below which a finding is immaterial, however significant."""
-SENSORS = 0.6
+SENSORS_SHARE = 0.6
 """[1] largest share of a finding's square that the sensors' accuracy may explain."""
 CERTAIN = 1e-8
 """p above which a slow condition is tested again under variances of the error without its effect."""
-MOST = 8
+MOST_FINDINGS = 8
 """Findings that are reported."""
-BATCH = 8
+WHITENED_TOGETHER = 8
 """Conditions whose columns are whitened together."""
 SEEN = 0.5
 """[1] share of a finding's size from which an episode counts as showing the finding."""
@@ -317,24 +317,25 @@ def findings(residuals: Residuals) -> list[Finding]:
     A quantity with errors in fewer than 72 hours has no findings.  Raises KeyError for a quantity without a
     time constant in the residuals.
     """
-    bins = binned(residuals, BIN_H)
+    bins = binned(residuals, FINDING_BIN_H)
     common_conditions = conditions(bins)
     states = []
-    for quantity in QUANTITIES:
+    for quantity in RESIDUAL_QUANTITIES:
         error = bins.error[quantity]
         if np.isfinite(error).sum() * bins.step_h >= FEWEST_H:
             white = Whitened.of(error, bins.step_h, residuals.time_constants[quantity])
             states.append(_QuantityErrors(quantity, residuals.rmse(quantity), white, common_conditions))
     results: list[Finding] = []
     changed_states = states
-    for _ in range(MOST):
+    for _ in range(MOST_FINDINGS):
         for state in changed_states:
             _test(state, common_conditions, bins)
         adjusted = _adjusted(states)
         changed_states = []
         for state, q in zip(states, adjusted, strict=True):
             for number in np.argsort(state.log_p, kind="stable"):
-                finding = _described(bins, state, number, float(q[number])) if q[number] <= LEVEL else None
+                is_significant = q[number] <= SIGNIFICANCE
+                finding = _described(bins, state, number, float(q[number])) if is_significant else None
                 if finding is not None:
                     results.append(finding)
                     _remove_effect(state, number)
@@ -344,7 +345,7 @@ def findings(residuals: Residuals) -> list[Finding]:
             break
     rmse = {state.quantity: state.rmse for state in states}
     results.sort(key=lambda finding: -finding.size / rmse[finding.quantity])
-    return results[:MOST]
+    return results[:MOST_FINDINGS]
 
 
 def _test(state: _QuantityErrors, common_conditions: Sequence[Stratum], hours: Residuals) -> None:
@@ -359,8 +360,8 @@ def _test(state: _QuantityErrors, common_conditions: Sequence[Stratum], hours: R
         return min(0.0, under.log_p(table, full=True) + math.log(number_tried))
 
     log_p_of: list[float] = []
-    for first in range(0, len(state.conditions), BATCH):
-        batch = state.conditions[first : first + BATCH]
+    for first in range(0, len(state.conditions), WHITENED_TOGETHER):
+        batch = state.conditions[first : first + WHITENED_TOGETHER]
         tables = [state.columns(first + i) for i in range(len(batch))]
         ends = np.cumsum([table.shape[1] for table in tables])[:-1]
         tables = np.split(white.whitened(np.column_stack(tables)), ends, axis=1)
@@ -416,7 +417,7 @@ def _described(hours: Residuals, state: _QuantityErrors, number: int, q: float) 
     size = float(effect[inside_known].mean() - effect[outside_known].mean())
     sensor_error = float(np.nan_to_num(root_mean_square(hours.sensor_error[state.quantity][inside])))
     sensor_share = min(1.0, (sensor_error / size) ** 2) if size else 1.0
-    if abs(size) < MATERIAL * state.rmse or sensor_share > SENSORS:
+    if abs(size) < MATERIAL_SHARE * state.rmse or sensor_share > SENSORS_SHARE:
         return None
     deviation = np.sign(size) * (error - error[outside_known].mean())
     episodes = [(a, b) for a, b in run_lengths(closed(inside, hours.step_h)) if inside_known[a:b].any()]

@@ -12,7 +12,7 @@ from hygrokf.discovery.discovery_results import HeldOutTest
 from hygrokf.discovery.error_model import HUBER, Filtered, filtered, forecast_weights, loss
 from hygrokf.discovery.estimate import Calibration, fitted, with_variances
 
-LEVELS = (
+LEVEL_PARAMETERS = (
     "heat_release_operation", "heat_release_standstill", "heat_release_operation_ambient",
     "heat_release_standstill_ambient", "cabinet_temperature_bias", "cabinet_relative_humidity_bias",
     "breathed_offset", "breathed_humidity_offset",
@@ -50,11 +50,11 @@ class Scores:
 
 
 def levelled(estimate: Calibration) -> Calibration:
-    """The estimate with the `LEVELS` of the least free-run error in the identification period.
+    """The estimate with the `LEVEL_PARAMETERS` of the least free-run error in the identification period.
 
     The variances are maximised again: part of the slow disturbance may have been the error of a level.
     """
-    names = set(LEVELS) & set(estimate.simulator.names)
+    names = set(LEVEL_PARAMETERS) & set(estimate.simulator.names)
     plain = fitted(with_variances(replace(estimate, plain=True)), names, (4, 0.1))
     return with_variances(replace(plain, plain=False, variances=estimate.variances))
 

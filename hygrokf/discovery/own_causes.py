@@ -36,7 +36,7 @@ from hygrokf.errors import suggestion
 from hygrokf.modelling.causes.cause import Cause
 from hygrokf.modelling.causes.forms import Form, Ground, ground_of
 from hygrokf.modelling.derived_inputs import FEATURES, feature_faults
-from hygrokf.modelling.design import HOLDS
+from hygrokf.modelling.design import INPUT_HOLDS
 from hygrokf.modelling.library import (
     CAUSES,
     LIBRARY,
@@ -52,11 +52,11 @@ from hygrokf.physics.holds import hold_named
 from hygrokf.physics.mechanisms import FURTHER, LOGGED
 from hygrokf.physics.model import SUMS, Mechanism
 
-GROUP = "hygrokf.causes"
+ENTRY_POINTS = "hygrokf.causes"
 """Entry points of this group name a `Cause`, or a module with causes at its top level."""
-SAME = 1e-5
+SAME_SIMULATION = 1e-5
 """[1] largest difference of two equal simulations, as a share of the standard deviation of the base's."""
-DAYS = 30
+TRIAL_DAYS = 30
 IDENTIFIER = re.compile(r"[a-z][a-z0-9_]*")
 _RANGES: Mapping[str, tuple[float, float]] = {
     "K": (278.0, 293.0), "1": (0.0, 1.0), "Pa": (9.8e4, 1.02e5), "W": (0.0, 2e4), "kg/m3": (5e-3, 9e-3),
@@ -70,7 +70,7 @@ _RANGES: Mapping[str, tuple[float, float]] = {
 # -- a record to try causes on ------------------------------------------------------------------------------
 def trial_record() -> Record:
     """A record with every signal, of two clocks: sines of many periods in ordinary ranges."""
-    hour = np.arange(24 * DAYS + 1.0)
+    hour = np.arange(24 * TRIAL_DAYS + 1.0)
     series = []
     for place, signal in enumerate(SIGNALS.values()):
         low, high = _RANGES.get(signal.name, _RANGES[signal.unit])
@@ -130,7 +130,7 @@ def declared_faults(cause: Cause) -> list[str]:
                 hold_named(pair[1])
             except ValueError as fault:
                 faults.append(f"feature {name!r}: {fault}")
-        if name in HOLDS and name not in {*FEATURES, *SIGNALS}:
+        if name in INPUT_HOLDS and name not in {*FEATURES, *SIGNALS}:
             faults.append(
                 f"feature {name!r}: the base models have an input of that name; choose another name"
             )
@@ -157,7 +157,7 @@ def _factory_faults(
             f"mechanism {name!r}: expected its features {', '.join(absent)} in features= of the Cause too, "
             "found none there; state them, or make the cause with cause_of"
         )
-    known_names = {*HOLDS, *features, *mechanism.features}
+    known_names = {*INPUT_HOLDS, *features, *mechanism.features}
     for signal in mechanism.inputs:
         if signal not in known_names:
             yield (
@@ -255,7 +255,7 @@ def _nesting_faults(
     changed = {p.name: _away(p.start, p.lower, p.upper, p.positive) for p in own_parameters}
     for values in ({**start, **null}, {**start, **changed, **null}):
         deviation = max(_deviations(trial, wider, values).values())
-        if not deviation <= SAME:
+        if not deviation <= SAME_SIMULATION:
             null_values = ", ".join(f"{name} = {value:g}" for name, value in null.items())
             differs = f"differs by {100.0 * deviation:.3g} % of its spread"
             yield (
@@ -273,7 +273,7 @@ def _nesting_faults(
                 f"the simulated {quantity} is not finite near the start values; check divisions, logarithms "
                 "and bounds"
             )
-        elif mechanisms and changes[quantity] <= 1e-3 * SAME:
+        elif mechanisms and changes[quantity] <= 1e-3 * SAME_SIMULATION:
             yield (
                 f"it changes nothing in the simulated {quantity}, whatever its parameters; contribute to one "
                 f"of {', '.join(SUMS)}"
@@ -369,7 +369,7 @@ def load_library(*files: str | Path, installed: bool = False, library: Library =
             loaded += [(path.name, _guarded(cause, path), origin) for cause in causes]
         except LibraryFault as fault:
             faults += [f"{path.name}: {text}" for text in fault.faults]
-    for entry in entry_points(group=GROUP) if installed else ():
+    for entry in entry_points(group=ENTRY_POINTS) if installed else ():
         label, origin = _origin_of(entry)
         try:
             loaded += [(label, _guarded(cause), origin) for cause in _causes_of(entry)]

@@ -15,18 +15,18 @@ from hygrokf.texts.discovery_codes import DiscoveryCode
 from hygrokf.texts.statement import Statement, Value
 from hygrokf.texts.wording import day_text
 
-SHORTEST_S = 3600.0
+SHORTEST_REPEAT_S = 3600.0
 """[s] shortest stretch of repeated readings."""
 FEWEST_REPEATED = 6
 """Fewest readings of a stretch of repeated readings."""
-BEYOND = 1.5
+BEYOND_CHANCE = 1.5
 """Least ratio of a stretch's length to that of the longest chance repetition, which is measured at other lags
 near a day."""
-PAUSE_S = 7200.0
+LONGEST_PAUSE_S = 7200.0
 """[s] longest pause within a stretch: readings that were missing on the previous day."""
 OTHERS = 40
 """Number of other lags at which chance repetitions are measured."""
-MOVING = 0.25
+MOVING_SHARE = 0.25
 """[1] share of steps with a change below which readings stand still: saturated or frozen readings repeat at
 every lag."""
 
@@ -47,7 +47,7 @@ def repeats(series: Series) -> list[tuple[float, float]]:
     tolerance = 1e-6 * float(np.nanstd(value))
     other_lags = (day + side * k for k in range(2, 2 + OTHERS // 2) for side in (-1, 1))
     chance = max((b - a for lag in other_lags for a, b in _equal(grid, lag, tolerance)), default=0)
-    fewest = max(FEWEST_REPEATED, SHORTEST_S / step, BEYOND * chance)
+    fewest = max(FEWEST_REPEATED, SHORTEST_REPEAT_S / step, BEYOND_CHANCE * chance)
     return [
         (float(time[0] + step * (day + a)), float(time[0] + step * (day + b - 1)))
         for a, b in _equal(grid, day, tolerance)
@@ -63,7 +63,7 @@ def _equal(grid: np.ndarray, lag: int, tolerance: float) -> list[tuple[int, int]
     return [
         (a, b)
         for a, b in run_lengths(np.abs(current - earlier) < tolerance)
-        if b - a > 1 and np.mean(np.diff(current[a:b]) != 0.0) >= MOVING
+        if b - a > 1 and np.mean(np.diff(current[a:b]) != 0.0) >= MOVING_SHARE
     ]
 
 
@@ -83,7 +83,7 @@ def without_repeats(record: Record) -> tuple[Record, dict[str, list[tuple[float,
             if other.source.split(",")[0] == series.source.split(",")[0]
             for span in spans.get(other.signal, ())
         ]
-        for first, last in joined(spans_of_source, PAUSE_S):
+        for first, last in joined(spans_of_source, LONGEST_PAUSE_S):
             value[(series.time >= first - 1.0) & (series.time <= last + 1.0)] = np.nan
         record = record.replace_series(replace(series, value=value))
     return record, spans

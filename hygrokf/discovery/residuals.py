@@ -20,21 +20,22 @@ from hygrokf.data.signals import UNITS as CASE_UNITS
 from hygrokf.identification.fit import Fit
 from hygrokf.modelling.design import accuracy_of
 from hygrokf.physics.psychrometrics import absolute_humidity, absolute_humidity_slope_temperature
+from hygrokf.texts.parts import BOTH_PARTS
 
 Quantity = Literal["temperature", "humidity"]
 TEMPERATURE: Quantity = "temperature"
 HUMIDITY: Quantity = "humidity"
-QUANTITIES = (TEMPERATURE, HUMIDITY)
-UNITS: Mapping[str, str] = {TEMPERATURE: "K", HUMIDITY: "g/m³"}
-SERIES: Mapping[str, str] = {TEMPERATURE: "temperature", HUMIDITY: "absolute_humidity"}
+RESIDUAL_QUANTITIES = (TEMPERATURE, HUMIDITY)
+RESIDUAL_UNITS: Mapping[str, str] = {TEMPERATURE: "K", HUMIDITY: "g/m³"}
+SERIES_STEMS: Mapping[str, str] = {part.output: part.series for part in BOTH_PARTS}
 """Quantity -> stem of its names in a fit's series."""
-TIME_CONSTANT: Mapping[str, str] = {TEMPERATURE: "thermal_time_constant", HUMIDITY: "hygric_k"}
+TIME_CONSTANT: Mapping[str, str] = {part.output: part.time_constant for part in BOTH_PARTS}
 """Quantity -> parameter that is the time constant [h] of its low pass."""
 RESPONSES = ("cabinet_", "converter_")
 """Signals that respond to the cabinet instead of driving it."""
 SAME_AIR = ("ambient_dew_point_temperature", "ambient_absolute_humidity", "ambient_temperature")
 """Ambient signals that are not read from the record, since a fit's series contain temperature and vapour."""
-KNOWN = 0.5
+LEAST_KNOWN = 0.5
 """[1] least share of the instants at which a driver is known."""
 NORMAL_95 = 1.96
 """[1] standard deviations that contain 95 % of a normal distribution around its mean."""
@@ -109,13 +110,13 @@ def residuals(fit: Fit, record: Record) -> Residuals:
     until = float(s["until_s"])
 
     def course(ending: str) -> dict[str, np.ndarray]:
-        return {q: np.asarray(s[f"{SERIES[q]}_{ending}"], dtype=float) for q in QUANTITIES}
+        return {q: np.asarray(s[f"{SERIES_STEMS[q]}_{ending}"], dtype=float) for q in RESIDUAL_QUANTITIES}
 
     measured, simulated = course("measured"), course("simulated")
     return Residuals(
         time_h=(time - time[0]) / 3600.0,
         origin_s=float(time[0]),
-        error={q: np.where(scored, measured[q] - simulated[q], np.nan) for q in QUANTITIES},
+        error={q: np.where(scored, measured[q] - simulated[q], np.nan) for q in RESIDUAL_QUANTITIES},
         drivers=_drivers(s, record, time),
         operating=np.asarray(s["operating"]) > 0.5,
         preheating=np.nan_to_num(np.asarray(s["preheating"], dtype=float)) > 0.5,
@@ -151,7 +152,9 @@ def _drivers(s: Mapping[str, np.ndarray], record: Record, time: np.ndarray) -> d
 
 def _varies(value: np.ndarray) -> bool:
     finite = value[np.isfinite(value)]
-    return len(finite) >= KNOWN * len(value) and bool(np.ptp(finite) > 1e-9 * max(1.0, np.abs(finite).max()))
+    return len(finite) >= LEAST_KNOWN * len(value) and bool(
+        np.ptp(finite) > 1e-9 * max(1.0, np.abs(finite).max())
+    )
 
 
 def _sensor_error(s: Mapping[str, np.ndarray], record: Record) -> dict[str, np.ndarray]:
@@ -242,7 +245,7 @@ def binned(residuals: Residuals, least_h: float = 1.0) -> Residuals:
     time = residuals.time_s[chosen]
     if not len(time):
         raise ValueError("binned: the period has no instants")
-    has_error = np.any([np.isfinite(residuals.error[q][chosen]) for q in QUANTITIES], axis=0)
+    has_error = np.any([np.isfinite(residuals.error[q][chosen]) for q in RESIDUAL_QUANTITIES], axis=0)
     step = float(np.median(np.diff(time[has_error]))) / 3600.0 if has_error.sum() > 1 else 1.0
     length = least_h * max(1, math.ceil(step / least_h - 0.05))
     bin_index = np.floor(time / (3600.0 * length)).astype(np.int64)
@@ -264,7 +267,7 @@ def binned(residuals: Residuals, least_h: float = 1.0) -> Residuals:
         time_h=length * np.arange(count),
         origin_s=(first + 0.5) * 3600.0 * length,
         step_h=length,
-        error={q: mean(residuals.error[q]) for q in QUANTITIES},
+        error={q: mean(residuals.error[q]) for q in RESIDUAL_QUANTITIES},
         drivers={
             name: circular(value) if name.endswith("_direction") else mean(value)
             for name, value in residuals.drivers.items()

@@ -1,7 +1,7 @@
 """A record for simulations: inputs over cells of equal length, and the readings to compare with.
 
 Every input is averaged over each cell along the same path as in the filter (`modelling.inputs`), sampled at
-the edges of `PARTS` parts of a cell.  Readings keep their own times.
+the edges of `CELL_PARTS` parts of a cell.  Readings keep their own times.
 
 Shapes: K cells, F = PARTS K + 1 edges of their parts, T readings of a quantity.
 """
@@ -19,13 +19,14 @@ import numpy as np
 
 from hygrokf.data.ambient import AMBIENT_BRIDGE_H, at_times, bridge_h
 from hygrokf.data.input_paths import centred
-from hygrokf.data.prepared import PreparedRecord, prepare
+from hygrokf.data.prepared import VAPOUR, PreparedRecord, prepare
+from hygrokf.data.readings import SATURATED
 from hygrokf.data.record import Record, Series
 from hygrokf.data.shared_clocks import Shift, in_america
 from hygrokf.data.timestamps import HOUR_S, summer_time
-from hygrokf.engine.cell_loop import IDLE, TEMPERATURE, CellInputs
-from hygrokf.modelling.derived_inputs import feature
-from hygrokf.modelling.design import HUMIDITIES, Design, reading_step_h
+from hygrokf.engine.cell_loop import IDLE, CellInputs
+from hygrokf.modelling.derived_inputs import SIGNAL_OF, feature
+from hygrokf.modelling.design import Design, reading_step_h
 from hygrokf.modelling.inputs import (
     ambient_inputs,
     bridged,
@@ -36,34 +37,19 @@ from hygrokf.modelling.inputs import (
 )
 from hygrokf.physics.holds import LINEAR
 from hygrokf.physics.psychrometrics import absolute_humidity
+from hygrokf.physics.signal_names import CABINET_HUMIDITIES, CABINET_TEMPERATURE
 
-PARTS = 8
+CELL_PARTS = 8
 """Parts of a cell: a change of the power in 10-minute means then acts at most a minute early or late."""
-SHORTEST_S, LONGEST_S = 180.0, 1200.0
+SHORTEST_CELL_S, LONGEST_CELL_S = 180.0, 1200.0
 """[s] shortest and longest cell."""
 MOST_CELLS = 33_000
-SATURATED, DRY = 0.995, 0.005
-"""Relative humidities beyond which a reading is at the end of its sensor's range."""
+DRY = 0.005
+"""[1] relative humidity below which, as above `SATURATED`, a reading is at the end of its sensor's range."""
 UNKNOWN_K = 25.0
 """[K²] variance of the temperature's error at the start of a run and after a gap."""
 UNKNOWN_SHARE = 0.3
 """Standard deviation of the vapour's error at the start of a run and after a gap, as a share of the mean."""
-AMBIENT_HUMIDITIES = (
-    "ambient_absolute_humidity", "ambient_relative_humidity", "ambient_dew_point_temperature",
-)  # fmt: skip
-SIGNAL_OF = {
-    "exchange_factor": "ambient_temperature",
-    "ambient_temperature_rate": "ambient_temperature",
-    "ambient_vapour_rate": "ambient_temperature",
-    "operating": "active_power",
-    "standstill": "active_power",
-    "sunshine": "global_horizontal_irradiance",
-    "sunlit_wall": "global_horizontal_irradiance",
-    "night_sky": "global_horizontal_irradiance",
-    "wind_tenth": "wind_speed",
-    "wind_square": "wind_speed",
-}
-"""Derived input → the signal whose clock it has."""
 
 
 @dataclass(frozen=True)
@@ -147,7 +133,7 @@ class Scene:
     @cached_property
     def edges_s(self) -> np.ndarray:
         """(F,) [s] edges of the parts of cells, to a millisecond: a mean counts up to its stamp."""
-        edges = np.arange(self.count * PARTS + 1) * (HOUR_S * self.cell_h / PARTS)
+        edges = np.arange(self.count * CELL_PARTS + 1) * (HOUR_S * self.cell_h / CELL_PARTS)
         return np.round(self.first_s + edges, 3)
 
     def _base(self) -> tuple[dict[str, np.ndarray], np.ndarray]:
@@ -157,7 +143,7 @@ class Scene:
             time, wanted = self.edges_s, {"exchange_factor"}
             ambient = courses(design, self.record)
             # a gap of the cabinet's temperature matters for the vapour only
-            ambient.pop(TEMPERATURE, None)
+            ambient.pop(CABINET_TEMPERATURE, None)
             inputs, unknown = ambient_inputs(ambient, time, wanted)
             power, operating, unknown_power = power_inputs(self.heat, self.record, time)
             inputs |= power
@@ -172,9 +158,9 @@ class Scene:
     def unknown(self, signal: str) -> np.ndarray:
         """(F,) whether an input on which a signal depends is unknown."""
         unknown = self._base()[1]
-        if signal == TEMPERATURE:
+        if signal == CABINET_TEMPERATURE:
             return unknown
-        path = self.record.course(TEMPERATURE)
+        path = self.record.course(CABINET_TEMPERATURE)
         return unknown | np.isnan(at_times(path, self.edges_s, bridge_h(path, AMBIENT_BRIDGE_H)))
 
     def at_edges(self, name: str, design: Design) -> np.ndarray:
@@ -194,14 +180,13 @@ class Scene:
 
     def source(self, name: str) -> str:
         """The source whose clock stamps an input; empty for an input without a signal."""
-        signal = SIGNAL_OF.get(name, "active_power" if name.startswith("power_") else name)
-        if name == "ambient_absolute_humidity":
-            humid = [one for one in AMBIENT_HUMIDITIES if one in self.record]
-            signal = humid[0] if humid else signal
+        if name == VAPOUR and (vapour := self.record.ambient_vapour) is not None:
+            return vapour.file
+        signal = SIGNAL_OF.get(name, name)
         return self.record[signal].file if signal in self.record else ""
 
     def _unmoved(self, name: str, design: Design) -> np.ndarray:
-        if name == TEMPERATURE:
+        if name == CABINET_TEMPERATURE:
             return self.drive
         if name in self._base()[0]:
             return self._base()[0][name]
@@ -230,14 +215,14 @@ class Scene:
         edges = np.empty((self.count + 1, len(inputs)))
         for c, name in enumerate(inputs):
             owner = next((one for one in designs if name in one.model.inputs), designs[0])
-            straight = name == TEMPERATURE or owner.model.holds.get(name) == LINEAR
+            straight = name == CABINET_TEMPERATURE or owner.model.holds.get(name) == LINEAR
             means[:, c], edges[:, c] = self._over_cells(name, owner, straight)
         return CellInputs(self.cell_h, means, edges)
 
     def _over_cells(self, name: str, design: Design, straight: bool) -> tuple[np.ndarray, np.ndarray]:
         source = self.source(name)
         moved = [[one.seconds, one.summer] for one in self.shifts if one.source == source]
-        drive = id(self.drive) if name == TEMPERATURE else 0
+        drive = id(self.drive) if name == CABINET_TEMPERATURE else 0
         key = json.dumps([name, design.features.get(name), moved, drive, straight], default=float)
         if key not in self._cache:
             # the temperature is kept with its means, so that its identity stays its own
@@ -252,7 +237,7 @@ class Scene:
     def moved(self, shift: Shift) -> Scene:
         """The scene with a source's stamps corrected; the readings stay the same ones."""
         made = replace(self, shifts=(*self.shifts, shift))
-        if shift.source != self.record[TEMPERATURE].file:
+        if shift.source != self.record[CABINET_TEMPERATURE].file:
             return made
         readings = {}
         for q, one in self.readings.items():
@@ -272,23 +257,25 @@ def _key(name: str, settings: Any) -> str:
 def over_cells(value: np.ndarray, straight: bool) -> tuple[np.ndarray, np.ndarray]:
     """Means (K,) over the cells and values (K+1,) at their edges, of values (F,) at the edges of parts."""
     parts = 0.5 * (value[1:] + value[:-1]) if straight else value[1:]
-    means = parts.reshape(-1, PARTS).mean(axis=1)
-    return means, value[::PARTS] if straight else np.append(means[:1], means)
+    means = parts.reshape(-1, CELL_PARTS).mean(axis=1)
+    return means, value[::CELL_PARTS] if straight else np.append(means[:1], means)
 
 
 def scene_of(record: Record, heat: Design, vapour: Design | None) -> Scene:
     """The record on cells of half its readings' step, 180 s to 20 min."""
     design, record = vapour or heat, prepare(record)
     first, last = common_span(record, courses(design, record), False)
-    step_s = HOUR_S * min(reading_step_h(record[n]) for n in (TEMPERATURE, *HUMIDITIES) if n in record)
-    cell_s = min(max(0.5 * step_s, SHORTEST_S, (last - first) / MOST_CELLS), LONGEST_S)
+    step_s = HOUR_S * min(
+        reading_step_h(record[n]) for n in (CABINET_TEMPERATURE, *CABINET_HUMIDITIES) if n in record
+    )
+    cell_s = min(max(0.5 * step_s, SHORTEST_CELL_S, (last - first) / MOST_CELLS), LONGEST_CELL_S)
     # readings at the edges of cells need no interpolation
-    read = record[TEMPERATURE].time
+    read = record[CABINET_TEMPERATURE].time
     first += float((read[np.searchsorted(read, first)] - first) % cell_s)
     count = max(math.ceil((last - first) / cell_s - 1e-9), 2)
     scene = Scene(record, first, cell_s / HOUR_S, count, heat, vapour)
-    warm_series = record[TEMPERATURE]
-    warm = at_times(record.course(TEMPERATURE), scene.edges_s, math.inf)
+    warm_series = record[CABINET_TEMPERATURE]
+    warm = at_times(record.course(CABINET_TEMPERATURE), scene.edges_s, math.inf)
     scene = replace(scene, drive=_filled(warm))
     readings = {"temperature": _readings(scene, warm_series, warm_series.value, np.ones(1))}
     if vapour is not None and vapour.humidity is not None:
@@ -317,7 +304,9 @@ def _vapour(scene: Scene, series: Series) -> SceneReadings:
     middle = series.time - 0.5 * series.interval_s
     saturated = 1e3 * absolute_humidity(1.0, _over_intervals(scene.edges_s, scene.drive, series))
     ends = (series.value >= SATURATED) | (series.value <= DRY)
-    read = at_times(centred(scene.record[TEMPERATURE]), middle, bridge_h(scene.record[TEMPERATURE], 1.0))
+    read = at_times(
+        centred(scene.record[CABINET_TEMPERATURE]), middle, bridge_h(scene.record[CABINET_TEMPERATURE], 1.0)
+    )
     value = np.where(ends, np.nan, 1e3 * absolute_humidity(series.value, read))
     return _readings(scene, series, value, saturated)
 
@@ -337,7 +326,7 @@ def _readings(scene: Scene, series: Series, value: np.ndarray, saturated: np.nda
     begin = scene.place(series.time - series.interval_s)
     inside = (begin >= -1e-9) & (end <= scene.count + 1e-9)
     gone = np.append(0, np.cumsum(scene.unknown(series.signal)))
-    at = [np.clip((PARTS * one).astype(int), 0, len(gone) - 2) for one in (begin, end)]
+    at = [np.clip((CELL_PARTS * one).astype(int), 0, len(gone) - 2) for one in (begin, end)]
     known = gone[at[1] + 1] == gone[at[0]]
     value = np.where(known, value, np.nan)
     until = math.inf if scene.record.until_s is None else scene.record.until_s
@@ -347,7 +336,9 @@ def _readings(scene: Scene, series: Series, value: np.ndarray, saturated: np.nda
     there, anew = np.isfinite(value), np.zeros(len(value), bool)
     since = gone[at[1][inside] + 1][there]
     anew[there] = np.append(True, since[1:] > since[:-1])[: len(since)]
-    scale = UNKNOWN_K if series.signal == TEMPERATURE else (UNKNOWN_SHARE * float(np.nanmean(value))) ** 2
+    scale = (
+        UNKNOWN_K if series.signal == CABINET_TEMPERATURE else (UNKNOWN_SHARE * float(np.nanmean(value))) ** 2
+    )
     return SceneReadings(
         time, value, spread, begin[inside], end[inside], time <= until, np.where(anew, scale, 0.0)
     )

@@ -25,15 +25,15 @@ from hygrokf.modelling.design import Design, extended
 from hygrokf.physics.parameters import Parameter
 from hygrokf.physics.switches import CONTROLLED, Throttle
 
-SMALL = 0.1
+SMALL_SIZE = 0.1
 """Share of an effect's usual size at which its column is taken."""
 SIZES = (1.0, 2.5, 0.4, 6.0)
 """Multiples of the linearised amplitude at which the best settings are simulated."""
-FOLLOWED = 3
+FOLLOWED_SETTINGS = 3
 """Settings of a form that are simulated, and of a cause that are estimated."""
-LEAST = 6.0
+LEAST_GAIN = 6.0
 """Gain in −2 ln L below which a setting is dropped."""
-AT_LIMIT = 1e-3
+LIMIT_SHARE = 1e-3
 """Share of a coordinate's range within which a parameter is at its limit."""
 
 
@@ -74,7 +74,7 @@ def parent_of(estimate: Calibration, quantities: Sequence[str] | None = None) ->
     gradient holds at a limit are left out of the basis."""
     f = frame(estimate.simulator.parameters, set(estimate.simulator.names), estimate.linear)
     z = f.coordinates(estimate.theta)
-    margin = AT_LIMIT * (f.upper - f.lower)
+    margin = LIMIT_SHARE * (f.upper - f.lower)
     basis, error, columns_of = {}, {}, {}
     for q, columns in slopes(estimate, f, quantities).items():
         columns_of[q] = {estimate.simulator.names[i]: columns[:, c] for c, i in enumerate(f.place)}
@@ -150,7 +150,7 @@ def _freed(parent: Parent, form: Form) -> list[Screened]:
             if square > 1e-9 * float(column[:, 0] @ column[:, 0])
             else 0.0
         )
-    return [Screened(form, form.grid[0], {}, gain)] if gain > LEAST else []
+    return [Screened(form, form.grid[0], {}, gain)] if gain > LEAST_GAIN else []
 
 
 def added(parent: Calibration, wider: Simulator) -> tuple[Parameter, ...]:
@@ -181,7 +181,7 @@ def start_values(parent: Calibration, wider: Simulator, setting: Setting) -> dic
 
 
 def screened(parent: Parent, form: Form) -> list[Screened]:
-    """The settings of a form that gain most, at most `FOLLOWED`, the best first."""
+    """The settings of a form that gain most, at most `FOLLOWED_SETTINGS`, the best first."""
     estimate = parent.estimate
     if form.clock:
         return _clocks(parent, form)
@@ -196,7 +196,7 @@ def screened(parent: Parent, form: Form) -> list[Screened]:
         return []
     rows = [start_values(estimate, wider, setting) for setting in form.grid]
     columns = {name: [wider.column(name, s.features[name]) for s in form.grid] for name in varied}
-    trial = {p.name: SMALL * size_of(p) for p in sizes}
+    trial = {p.name: SMALL_SIZE * size_of(p) for p in sizes}
     theta = np.column_stack([wider.vector({**row, **_sized(sizes, trial)}) for row in rows])
     gain, amplitude = np.zeros(len(rows)), {p.name: np.zeros(len(rows)) for p in sizes}
     for p in sizes:
@@ -212,7 +212,7 @@ def screened(parent: Parent, form: Form) -> list[Screened]:
             share = np.where(square > 1e-12, share, 0.0)
             gain += share**2 * square
             amplitude[p.name] += share * trial[p.name]
-    order = [i for i in np.argsort(-gain)[:FOLLOWED] if gain[i] >= LEAST]
+    order = [i for i in np.argsort(-gain)[:FOLLOWED_SETTINGS] if gain[i] >= LEAST_GAIN]
     return _run(parent, form, wider, sizes, order, rows, columns, amplitude)
 
 
@@ -296,12 +296,12 @@ def _clocks(parent: Parent, form: Form) -> list[Screened]:
         shifts.append(
             Screened(form, setting, {}, squares_before - sum(shifted_parent.remaining_squares.values()))
         )
-    return sorted((s for s in shifts if s.gain >= LEAST), key=lambda s: -s.gain)[:FOLLOWED]
+    return sorted((s for s in shifts if s.gain >= LEAST_GAIN), key=lambda s: -s.gain)[:FOLLOWED_SETTINGS]
 
 
 WINDOWS_H = (1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0, 128.0, 256.0)
 """[h] lengths of the windows in which a door may stand open."""
-EVERY_S = 900.0
+WINDOW_GRID_S = 900.0
 """[s] grid on which windows begin and end."""
 MOST_WINDOWS = 12
 
@@ -319,7 +319,7 @@ def _windows(parent: Parent, form: Form) -> list[Screened]:
         return []
     spans, sizes, gain = _move_edges(estimate, form, spans)
     setting = Setting({"door_open": {"spans": spans}}, price=price * len(spans))
-    return [Screened(form, setting, sizes, gain)] if gain > LEAST else []
+    return [Screened(form, setting, sizes, gain)] if gain > LEAST_GAIN else []
 
 
 def _move_edges(
@@ -378,11 +378,11 @@ def openings(estimate: Calibration, form: Form, identified: bool) -> tuple[list[
     """
     wider = widened(estimate, form, form.grid[0])
     sizes = amplitudes(added(estimate, wider))
-    given = {p.name: SMALL * size_of(p) for p in sizes}
+    given = {p.name: SMALL_SIZE * size_of(p) for p in sizes}
     row = start_values(estimate, wider, form.grid[0])
     theta = wider.vector({**row, **_sized(sizes, given)})[:, None]
     scene = estimate.simulator.scene
-    count = int(scene.count * scene.cell_h * 3600.0 / EVERY_S) + 2
+    count = int(scene.count * scene.cell_h * 3600.0 / WINDOW_GRID_S) + 2
     products, squares = np.zeros((2, len(estimate.quantities), count))
     for i, q in enumerate(estimate.quantities):
         r = scene.readings[q]
@@ -394,14 +394,14 @@ def openings(estimate: Calibration, form: Form, identified: bool) -> tuple[list[
         )
         x = reference.whitened(wider.simulated(theta, q) - estimate.simulated[q][:, None])[:, 0]
         e = np.nan_to_num(reference.standardised) * reference.weight
-        place = np.clip(((r.time_s - scene.first_s) / EVERY_S).astype(int), 0, count - 1)
+        place = np.clip(((r.time_s - scene.first_s) / WINDOW_GRID_S).astype(int), 0, count - 1)
         np.add.at(products[i], place, e * x)
         np.add.at(squares[i], place, x * x)
     sums = [np.cumsum(np.pad(a, ((0, 0), (1, 0))), axis=1) for a in (products, squares)]
     price = 2.0 * float(np.log(count * len(WINDOWS_H)))
     candidates = []
     for hours in WINDOWS_H:
-        width = int(hours * 3600.0 / EVERY_S)
+        width = int(hours * 3600.0 / WINDOW_GRID_S)
         product, square = (total[:, width:] - total[:, :-width] for total in sums)
         matched = (product > 0) & (square > 1e-12)
         gains = np.where(matched, product * product / np.maximum(square, 1e-12), 0.0)
@@ -414,7 +414,7 @@ def openings(estimate: Calibration, form: Form, identified: bool) -> tuple[list[
             used[first : first + width] = True
             chosen.append((int(first), width))
     spans = sorted(
-        [scene.first_s + EVERY_S * first, scene.first_s + EVERY_S * (first + width)]
+        [scene.first_s + WINDOW_GRID_S * first, scene.first_s + WINDOW_GRID_S * (first + width)]
         for first, width in chosen
     )
     return spans, price

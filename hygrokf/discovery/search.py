@@ -9,8 +9,8 @@ from dataclasses import replace
 from typing import Any
 
 from hygrokf.discovery.candidates import (
+    ACCEPTED_EVIDENCE,
     SENSOR,
-    THRESHOLD,
     WATER,
     Candidate,
     acts,
@@ -38,11 +38,11 @@ from hygrokf.discovery.screening import (
 from hygrokf.discovery.starting_model import update_error_models
 from hygrokf.modelling.causes.forms import Form, Setting
 
-FURTHER = 100.0
+FURTHER_EVIDENCE = 100.0
 """Evidence from which a further cause is accepted in a quantity for which a cause is named already."""
-CAUSES, SETTINGS, FORMS, ROUNDS = 4, 3, 4, 6
+MOST_CAUSES, FEWEST_SETTINGS, MOST_FORMS, MOST_ROUNDS = 4, 3, 4, 6
 """Per round: causes estimated for a quantity, fewest settings and most forms of a cause; number of rounds."""
-NEAR, NEAR_SHARE = 30.0, 0.15
+NEAR_EVIDENCE, NEAR_SHARE = 30.0, 0.15
 """Largest lag behind the leader's evidence, and the same as a share of that evidence, with which a candidate
 is fitted to its maximum."""
 
@@ -87,7 +87,7 @@ class Search:
         return frozenset(candidate.cause for candidate in self.accepted)
 
     def run(self) -> Search:
-        for _ in range(ROUNDS):
+        for _ in range(MOST_ROUNDS):
             self.visited.add(self.names)
             if not self._round():
                 break
@@ -212,7 +212,7 @@ class Search:
                 continue
             leader = max(rivals, key=lambda c: c.evidence)
             for rival in rivals:
-                if rival.evidence > leader.evidence - max(NEAR, NEAR_SHARE * leader.evidence):
+                if rival.evidence > leader.evidence - max(NEAR_EVIDENCE, NEAR_SHARE * leader.evidence):
                     best[rival.cause] = self._finish(rival, rival is leader)
         return sorted(best.values(), key=lambda c: -c.strength)
 
@@ -225,7 +225,7 @@ class Search:
         first: dict[str, None] = {}
         for q in self.parent.quantities:
             acting_causes = [c for c in ranked if q in acts(screened_of[c][0].form, self.parent.quantities)]
-            first |= dict.fromkeys(acting_causes[:CAUSES])
+            first |= dict.fromkeys(acting_causes[:MOST_CAUSES])
         # an error of the humidity sensor must not take the place of water
         return [*first, *(c for c in WATER if SENSOR in first and c not in first and screened_of.get(c))]
 
@@ -266,7 +266,7 @@ def _to_estimate(seen: Sequence[Screened]) -> list[Screened]:
     for s in seen:
         first.setdefault(s.form.code, s)
     rest = [s for s in seen if first[s.form.code] is not s]
-    return [*first.values(), *rest][: max(SETTINGS, min(len(first), FORMS))]
+    return [*first.values(), *rest][: max(FEWEST_SETTINGS, min(len(first), MOST_FORMS))]
 
 
 def composed(
@@ -317,7 +317,7 @@ def _held_out_deviance(estimate: Calibration) -> float:
 def needed(candidate: Candidate, accepted: Sequence[Candidate]) -> float:
     """The evidence that a candidate needs: more if a cause is named for a quantity on which it acts, since
     the remaining errors are then more often the misfit of the named cause than another cause."""
-    return FURTHER if any(candidate.acts & a.acts for a in accepted) else THRESHOLD
+    return FURTHER_EVIDENCE if any(candidate.acts & a.acts for a in accepted) else ACCEPTED_EVIDENCE
 
 
 def tested(
@@ -332,7 +332,7 @@ def tested(
         after,
         candidate.in_days - needed(candidate, accepted),
         candidate.factor,
-        candidate.in_days < FURTHER,
+        candidate.in_days < FURTHER_EVIDENCE,
     )
 
 

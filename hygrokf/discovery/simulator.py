@@ -16,12 +16,13 @@ from typing import Any
 import numpy as np
 
 from hygrokf.discovery.scene import Scene
-from hygrokf.engine.cell_loop import CONTROL, SIMULATED, CellInputs, CellModel, run
+from hygrokf.engine.cell_loop import CONTROL, SIMULATED_TEMPERATURE, CellInputs, CellModel, run
 from hygrokf.engine.llvm_writer import LANES
 from hygrokf.modelling.design import Design
 from hygrokf.physics.model import Model, compose
 from hygrokf.physics.parameters import Parameter
-from hygrokf.physics.switches import CONTROLLED, HUMIDITY, TEMPERATURE, Throttle
+from hygrokf.physics.signal_names import CABINET_RELATIVE_HUMIDITY, CABINET_TEMPERATURE
+from hygrokf.physics.switches import CONTROLLED, Throttle
 
 OUTPUT = {
     "temperature": ("cabinet_temperature",),
@@ -93,7 +94,7 @@ class Simulator:
 
     def _levels(self, name: str) -> tuple[Parameter, Parameter]:
         switch = self._switch(name)
-        is_temperature = switch.reads == TEMPERATURE
+        is_temperature = switch.reads == CABINET_TEMPERATURE
         low, high, unit = (200.0, 400.0, "K") if is_temperature else (-0.5, 1.5, "1")
         first, second = (
             Parameter(
@@ -108,7 +109,7 @@ class Simulator:
     def _steering(self, name: str) -> tuple[float, float]:
         """Whether (1.0 or 0.0) a controller reads the humidity, and whether it acts at standstill only."""
         switch = self._switch(name)
-        return float(switch.reads == HUMIDITY), float(switch.idle)
+        return float(switch.reads == CABINET_RELATIVE_HUMIDITY), float(switch.idle)
 
     def affects(self, name: str) -> tuple[str, ...]:
         """The quantities that a parameter acts on."""
@@ -129,7 +130,7 @@ class Simulator:
     def clocks(self, quantity: str) -> set[str]:
         """The sources of a quantity's inputs and readings; each source has its own clock."""
         inputs = self.cell_model(quantity).inputs
-        return {self.scene.source(name) for name in (TEMPERATURE, *inputs)}
+        return {self.scene.source(name) for name in (CABINET_TEMPERATURE, *inputs)}
 
     # -- runs ------------------------------------------------------------------------------------------------
     def cell_model(self, quantity: str) -> CellModel:
@@ -189,7 +190,7 @@ class Simulator:
                 for word, value in zip(CONTROL[2:], self._steering(name), strict=True):
                     lanes[model.parameters.index(f"{name}_{word}")] = value
             is_simulated = quantity == "temperature" or not driven
-            lanes[model.parameters.index(SIMULATED)] = float(is_simulated)
+            lanes[model.parameters.index(SIMULATED_TEMPERATURE)] = float(is_simulated)
             own_columns = [_lanes(columns or {}, name, first) for name in model.own]
             out = run(model, cells, lanes, self._start(model, cells, lanes), own_columns)
             result[:, first : first + width] = out[:, output, :width]

@@ -19,23 +19,24 @@ from hygrokf.discovery.estimate import (
     fitted,
 )
 from hygrokf.discovery.residuals import ambient_sd
-from hygrokf.discovery.scene import PARTS, Scene, driven, scene_of
+from hygrokf.discovery.scene import CELL_PARTS, Scene, driven, scene_of
 from hygrokf.discovery.simulator import SimulationWork, Simulator
 from hygrokf.identification.steady_state import heat_release_regression
-from hygrokf.modelling.causes.forms import AMBIENT_HUMIDITY, MechanismSettings
-from hygrokf.modelling.design import CASCADE, TEMPERATURE, Design, accuracy_of, design, extended
+from hygrokf.modelling.causes.forms import MechanismSettings
+from hygrokf.modelling.design import CASCADE, Design, accuracy_of, design, extended
 from hygrokf.modelling.library import LIBRARY, Library
+from hygrokf.physics.signal_names import AMBIENT_RELATIVE_HUMIDITY, CABINET_TEMPERATURE
 
 GAIN_SD = 0.015
 """Standard deviation of the relative error of the ambient vapour within the accuracy of its sensors."""
 SCALE_SD = 0.02
 """Standard deviation of the relative error of the humidity sensor's scale."""
-LONGEST_RESPONSE_H, SHORTEST_RESPONSE_H = 0.5, 0.002
+LONGEST_FREE_RESPONSE_H, SHORTEST_FREE_RESPONSE_H = 0.5, 0.002
 """[h] limits of the humidity sensor's response time where none is stated."""
 ACCURACY_SHARE = 1.0 / 6.0
 """Largest noise of a temperature reading, as a share of the stated accuracy: with more, the smoother would
 remove variations of the temperature itself."""
-RESPONSE = "cabinet_relative_humidity_response"
+RESPONSE_PARAMETER = "cabinet_relative_humidity_response"
 
 
 def base_designs(record: Record, library: Library = LIBRARY) -> tuple[Design, Design | None]:
@@ -57,7 +58,7 @@ def base_designs(record: Record, library: Library = LIBRARY) -> tuple[Design, De
         return heat, None
     additions: list[MechanismSettings] = [("breathed_air", {"form": "temperature"})]
     priors = {"breathed_gain": (0.0, GAIN_SD, False)}
-    sd = ambient_sd(early, AMBIENT_HUMIDITY)
+    sd = ambient_sd(early, AMBIENT_RELATIVE_HUMIDITY)
     if sd > 0.0:
         additions.append(("breathed_air", {"form": "humidity"}))
         priors["breathed_humidity_offset"] = (0.0, sd, False)
@@ -66,7 +67,7 @@ def base_designs(record: Record, library: Library = LIBRARY) -> tuple[Design, De
         additions.append(("humidity_scale", {"flag": None}))
         priors["humidity_scale_error"] = (0.0, SCALE_SD, False)
         mechanisms = tuple(
-            (name, {**settings, "longest_response_h": LONGEST_RESPONSE_H})
+            (name, {**settings, "longest_response_h": LONGEST_FREE_RESPONSE_H})
             if name == "humidity_sensor" and not settings.get("response_h")
             else (name, settings)
             for name, settings in mechanisms
@@ -83,7 +84,7 @@ def base_estimate(record: Record, library: Library = LIBRARY) -> Calibration:
     """
     heat, vapour = base_designs(record, library)
     scene = scene_of(record, heat, vapour)
-    limits = {RESPONSE: (SHORTEST_RESPONSE_H, LONGEST_RESPONSE_H)}
+    limits = {RESPONSE_PARAMETER: (SHORTEST_FREE_RESPONSE_H, LONGEST_FREE_RESPONSE_H)}
     simulator = Simulator(scene, heat, vapour, limits=limits, work=SimulationWork())
     quantities = tuple(scene.readings)
     guess = simulator.vector({p.name: p.start for p in simulator.parameters})
@@ -160,7 +161,7 @@ def smoothed_temperature(estimate: Calibration) -> np.ndarray:
     """
     scene: Scene = estimate.simulator.scene
     readings = scene.readings["temperature"]
-    series = scene.record[TEMPERATURE]
+    series = scene.record[CABINET_TEMPERATURE]
     sensor_variance = series.resolution**2 / 12.0 + (ACCURACY_SHARE * accuracy_of(series)) ** 2
     variances = estimate.variances["temperature"].copy()
     variances[0] = min(variances[0], sensor_variance) if sensor_variance > 0.0 else variances[0]
@@ -169,7 +170,7 @@ def smoothed_temperature(estimate: Calibration) -> np.ndarray:
     early_error = filtered(course, variances, np.where(readings.identified, error, np.nan)).smoothed()
     full_error = filtered(course, variances, error).smoothed()
     shown = estimate.simulator.shown(estimate.theta[:, None], "temperature")[:, 0]
-    at_edges = np.interp(scene.edges_s, scene.edges_s[::PARTS], np.append(shown[:1], shown))
+    at_edges = np.interp(scene.edges_s, scene.edges_s[::CELL_PARTS], np.append(shown[:1], shown))
     middle_s = 0.5 * (readings.begin + readings.end) * (3600.0 * scene.cell_h) + scene.first_s
     return at_edges + np.interp(
         scene.edges_s, middle_s, np.where(readings.identified, early_error, full_error)

@@ -33,7 +33,7 @@ from hygrokf.physics.holds import LINEAR
 from hygrokf.texts.record_codes import DoubtCode
 from hygrokf.texts.wording import duration_text, stamp_text
 from hygrokf.weather.archive import contents
-from hygrokf.weather.reading import form_of
+from hygrokf.weather.reading import weather_format
 
 if TYPE_CHECKING:
     import pandas
@@ -317,7 +317,7 @@ def draft_case(
     weather: list[Weather] = []
     for file in exports:
         try:
-            kind = form_of(file)
+            kind = weather_format(file)
             if kind is not None:
                 weather.append(Weather(_relative(file, out), kind, _is_typical_year(file, kind)))
             else:

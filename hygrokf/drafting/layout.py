@@ -19,9 +19,9 @@ from hygrokf.data.table_readers import (
     SEPARATORS,
     SUFFIXES,
     csv_rows,
+    decoded_text,
     file_bytes,
     parquet_frame,
-    text_of,
     too_wide,
     unpacked,
 )
@@ -87,7 +87,7 @@ def read_export(file: Path) -> Export:
         return _with_marks(Export(file, frame, names, ("",) * len(names)))
     if content[:4] == b"PK\x03\x04":
         return _parse_rows(file, _excel_rows(content), ",", ("an Excel file",))
-    content, encoding = text_of(content)
+    content, encoding = decoded_text(content)
     text = content.decode(encoding)
     if sum(not character.isprintable() and character not in "\r\n\t" for character in text[:5000]) > 50:
         raise TableFault("expected a table, found bytes that are not text: export it as CSV")

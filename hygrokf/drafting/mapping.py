@@ -13,7 +13,7 @@ import numpy as np
 
 from hygrokf.data.numbers import POLES, flag_word
 from hygrokf.data.probes import copies, probe_of, temperatures_of
-from hygrokf.data.quality import BAD, UNSTATED, QualityVocabulary, drafted
+from hygrokf.data.quality import BAD, UNSTATED_VOCABULARY, QualityVocabulary, drafted
 from hygrokf.data.record import Series
 from hygrokf.data.signals import (
     HUMIDITIES,
@@ -192,11 +192,11 @@ def _correlation(one: np.ndarray, other: np.ndarray) -> float:
     return float(np.corrcoef(one, other)[0, 1])
 
 
-SURE = 0.8
+SURE_SCORE = 0.8
 """Score from which a name needs no confirmation."""
 OUTSIDE = 0.45
 """Score from which readings alone may be those of the outside air."""
-NEEDED = 0.3
+NEEDED_SCORE = 0.3
 """Score from which a signal that a model needs is read, with its doubts."""
 USED = 0.7
 """Score from which a signal that no model needs is read without an edit."""
@@ -258,7 +258,7 @@ class Source:
     named: dict[str, NamedColumn]
     left: dict[str, str] = field(default_factory=dict)
     quality: dict[str, str] = field(default_factory=dict)
-    vocabulary: QualityVocabulary = UNSTATED
+    vocabulary: QualityVocabulary = UNSTATED_VOCABULARY
     quality_doubts: tuple[str, ...] = ()
     sun: str | None = None
 
@@ -398,7 +398,9 @@ def _by_file(sources: Mapping[str, Source], columns: list[Key]) -> list[DraftedS
         is_alone = sum(other == path for other, _ in columns) == 1
         if place in ("cabinet", "ambient", "nacelle", "tower") and is_alone:
             signal = f"{place}_{source.named[column].quantity}"
-            candidates.append(_candidate(source, signal, column, min(score, SURE), "by the name of its file"))
+            candidates.append(
+                _candidate(source, signal, column, min(score, SURE_SCORE), "by the name of its file")
+            )
     return candidates
 
 
@@ -546,9 +548,9 @@ def _decide(
             (c for c in candidates if c.signal == chosen.signal and c != chosen), key=lambda c: -c.score
         )
         runners_up = [c for c in others if c.score > chosen.score - 0.15 and c.key not in used]
-        second_sources = [c for c in runners_up if c.file != chosen.file and c.score >= SURE]
+        second_sources = [c for c in runners_up if c.file != chosen.file and c.score >= SURE_SCORE]
         doubts = [*chosen.doubts]
-        if chosen.score < SURE:
+        if chosen.score < SURE_SCORE:
             doubts.insert(0, f"{chosen.why}, score {chosen.score:.2f}")
         if listed := [
             f'"{c.column}"{f" of {c.file}" * (c.file != chosen.file)} ({c.score:.2f})'
@@ -565,7 +567,7 @@ def _decide(
         needed = chosen.signal == "ambient_temperature" or chosen.signal.startswith("cabinet_")
         # among the many temperatures of a turbine, one without a name may be that of any part
         needed = needed and (chosen.score > 0.65 or not is_turbine)
-        active = chosen.score >= (NEEDED if needed else USED)
+        active = chosen.score >= (NEEDED_SCORE if needed else USED)
         has_poles = flag_word(sources[chosen.file].export.cells[chosen.column]) == POLES[0]
         if has_poles and chosen.signal != "door_open":
             active = False

@@ -75,7 +75,7 @@ OWN_NAMES: tuple[tuple[str, str, str], ...] = (
 """Name without its unit and the word for the mean, the signal, and the makes or standards that use the
 name."""
 
-QUANTITIES: tuple[tuple[str, str], ...] = (
+QUANTITY_WORDS: tuple[tuple[str, str], ...] = (
     ("dew_point_temperature", r"dew ?point|tdew|taupunkt| td |露点"),
     ("absolute_humidity", r"absolute (humidity|feuchte)|abs hum|absolute luftfeuchte"),
     ("relative_humidity", r"humid| hum | rh |feucht| rf |湿度"),
@@ -121,7 +121,7 @@ PLACES: tuple[tuple[str, str, float], ...] = (
 )
 """Place, the pattern of its words, and how far a name with it and a quantity is trusted (0 to 1)."""
 
-PARTS = (
+PART_WORDS = (
     r"gear|getr|bearing|lager|generator| gen |stator|rotor|oil| oel |oelt|hydraul|transform|trafo| hub "
     r"|spinner|pitch|yaw|azimut|choke|indoor|brake|brems|winding|wicklung|blade|blatt|phase|rectifier|heatsink"
     r"|pipe|fan |slip ring|lueft|insulation|inverter averages"
@@ -189,12 +189,14 @@ def name_says(name: str, unit: str = "") -> NamedColumn:
         ):
             of_make = replace(unnamed, signal=signal, score=1.0, why=f"a name of {make}")
             return replace(of_make, unit=None, stated="") if has_unit_in_name else of_make
-    quantity = next((quantity_name for quantity_name, pattern in QUANTITIES if re.search(pattern, words)), "")
+    quantity = next(
+        (quantity_name for quantity_name, pattern in QUANTITY_WORDS if re.search(pattern, words)), ""
+    )
     quantity = quantity or _quantity_by_unit(unit_name, stated, words)
     if re.search(NOT_MEANT, words) or not quantity:
         return unnamed
     place, score = place_of(words)
-    is_part = re.search(PARTS, words) is not None
+    is_part = re.search(PART_WORDS, words) is not None
     signal = _signal_of(quantity, place, words)
     needs_air = quantity in ("temperature", "relative_humidity") and place not in OF_AIR
     if is_part and (needs_air or quantity == "power"):

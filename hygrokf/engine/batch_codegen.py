@@ -28,8 +28,8 @@ from hygrokf.engine.traced_filter import Recursion
 from hygrokf.physics.expression import Expression
 from hygrokf.physics.holds import LINEAR, PREVIOUS
 
-VECTOR, TRUTHS, LONGS = vector(RUNS), vector(RUNS, TRUTH), vector(RUNS, "i64")
-ARGUMENTS = [("i64", "blocks")] + [
+RUN_VECTOR, TRUTHS, LONGS = vector(RUNS), vector(RUNS, TRUTH), vector(RUNS, "i64")
+BATCH_ARGUMENTS = [("i64", "blocks")] + [
     ("ptr", name) for name in ("theta", "keys", "parts", "most", "changed", "known", "before", "now", "state")
 ]
 """In columns: key leaves, sub-steps of each run, inputs before and now.  In blocks: parameters, values kept
@@ -59,29 +59,29 @@ class _Emission:
     writer: Writer = field(init=False)
 
     def function(self) -> str:
-        w = self.writer = Writer("fleet", ARGUMENTS, RUNS)
-        slots = {e.index: w.slot(VECTOR) for e in self.recursion.state}
+        w = self.writer = Writer("fleet", BATCH_ARGUMENTS, RUNS)
+        slots = {e.index: w.slot(RUN_VECTOR) for e in self.recursion.state}
         with w.loop("%blocks") as block:
             changed = w.load("i32", w.at("i32", "%changed", block))
             with w.when(w.value(f"icmp ne i32 {changed}, 0")):
                 self._keep(block)
             for c, slot in enumerate(slots.values()):
-                w.store(VECTOR, self._load("state", block, len(slots), c), slot)
+                w.store(RUN_VECTOR, self._load("state", block, len(slots), c), slot)
             self._predict(slots, block)
             for c, slot in enumerate(slots.values()):
                 place = w.integer("add", w.integer("mul", block, len(slots)), c)
-                w.store(VECTOR, w.load(VECTOR, slot), w.at(VECTOR, "%state", place))
+                w.store(RUN_VECTOR, w.load(RUN_VECTOR, slot), w.at(RUN_VECTOR, "%state", place))
         return w.text()
 
     def _load(self, array: str, block: str, width: int, column: int) -> str:
         w = self.writer
         place = w.integer("add", w.integer("mul", block, width), column)
-        return w.load(VECTOR, w.at(VECTOR, f"%{array}", place))
+        return w.load(RUN_VECTOR, w.at(RUN_VECTOR, f"%{array}", place))
 
     def _column(self, array: str, block: str, column: int) -> str:
         w = self.writer
         place = w.integer("add", w.integer("mul", "%blocks", column), block)
-        return w.load(VECTOR, w.at(VECTOR, f"%{array}", place))
+        return w.load(RUN_VECTOR, w.at(RUN_VECTOR, f"%{array}", place))
 
     def _row(self, array: str, block: str, nodes: list[int]) -> dict[int, str]:
         return {i: self._load(array, block, len(nodes), c) for c, i in enumerate(nodes)}
@@ -100,7 +100,7 @@ class _Emission:
         wanted = [Expression(r.graph, i) for i in nodes]
         for c, (kind, name) in enumerate(w.block(r.graph, wanted, leaves, list(leaves))):
             place = w.integer("add", w.integer("mul", block, len(nodes)), c)
-            w.store(VECTOR, w.as_vector(kind, name), w.at(VECTOR, "%known", place))
+            w.store(RUN_VECTOR, w.as_vector(kind, name), w.at(RUN_VECTOR, "%known", place))
 
     def _matrices(self, leaves: dict[int, str], share: float) -> dict[int, str]:
         """Values of a step's matrices: of the symbol of the share, and of the symbols that operations
@@ -108,13 +108,15 @@ class _Emission:
         r, w = self.recursion, self.writer
         times, largest = self._doublings(leaves, share)
         bits = w.value(f"shl {LONGS} {w.value(f'sub {LONGS} {_all(1023)}, {times}')}, {_all(52)}")
-        inner_leaves = leaves | {r.share.index: w.value(f"bitcast {LONGS} {bits} to {VECTOR}")}
+        inner_leaves = leaves | {r.share.index: w.value(f"bitcast {LONGS} {bits} to {RUN_VECTOR}")}
         program = (*r.early, *r.late)
-        slots = {e.index: w.slot(VECTOR, "zeroinitializer") for op in operations(program) for e in op.into}
+        slots = {
+            e.index: w.slot(RUN_VECTOR, "zeroinitializer") for op in operations(program) for e in op.into
+        }
         all_lanes = w.value(f"icmp sge {LONGS} {times}, zeroinitializer")
         for operation in program:
             self._perform(operation, slots, times, largest, inner_leaves, all_lanes)
-        return inner_leaves | {i: w.load(VECTOR, slot) for i, slot in slots.items()}
+        return inner_leaves | {i: w.load(RUN_VECTOR, slot) for i, slot in slots.items()}
 
     def _perform(
         self,
@@ -148,21 +150,21 @@ class _Emission:
     ) -> None:
         w = self.writer
         needed = set(self.recursion.graph.needed(operation.block))
-        all_leaves = leaves | {i: w.load(VECTOR, slot) for i, slot in slots.items() if i in needed}
+        all_leaves = leaves | {i: w.load(RUN_VECTOR, slot) for i, slot in slots.items() if i in needed}
         values = self._values(list(operation.block), all_leaves)
         for e, value in zip(operation.into, values, strict=True):
-            old = w.load(VECTOR, slots[e.index])
-            w.store(VECTOR, self._where(lanes, value, old), slots[e.index])
+            old = w.load(RUN_VECTOR, slots[e.index])
+            w.store(RUN_VECTOR, self._where(lanes, value, old), slots[e.index])
 
     def _doublings(self, leaves: dict[int, str], share: float) -> tuple[str, str]:
         """Number of doublings of every run, and the largest; 0 for rates that are not finite."""
         w = self.writer
         largest = w.splat(literal(0.5))
         for name in self._values(list(self.recursion.reach), leaves):
-            scaled = w.value(f"fmul {VECTOR} {name}, {w.splat(literal(1.0 / share))}")
-            larger = w.value(f"fcmp ogt {VECTOR} {scaled}, {largest}")
+            scaled = w.value(f"fmul {RUN_VECTOR} {name}, {w.splat(literal(1.0 / share))}")
+            larger = w.value(f"fcmp ogt {RUN_VECTOR} {scaled}, {largest}")
             largest = self._where(larger, scaled, largest)
-        bits = w.value(f"lshr {LONGS} {w.value(f'bitcast {VECTOR} {largest} to {LONGS}')}, {_all(52)}")
+        bits = w.value(f"lshr {LONGS} {w.value(f'bitcast {RUN_VECTOR} {largest} to {LONGS}')}, {_all(52)}")
         power = w.value(f"sub {LONGS} {bits}, {_all(1022)}")
         possible = w.value(f"icmp sle {LONGS} {power}, {_all(DOUBLINGS)}")
         power = w.value(f"select {TRUTHS} {possible}, {LONGS} {power}, {LONGS} zeroinitializer")
@@ -179,26 +181,26 @@ class _Emission:
         largest = w.value(f"sext i32 {w.load('i32', w.at('i32', '%most', block))} to i64")
         with w.loop(largest) as j:
             counter = w.splat(w.value(f"sitofp i64 {j} to double"))
-            runs = w.value(f"fcmp olt {VECTOR} {counter}, {parts}")
-            old = {i: w.load(VECTOR, slot) for i, slot in slots.items()}
+            runs = w.value(f"fcmp olt {RUN_VECTOR} {counter}, {parts}")
+            old = {i: w.load(RUN_VECTOR, slot) for i, slot in slots.items()}
             leaves = old | self._parameters_and_keys(block) | self._row("known", block, kept_nodes(r))
             leaves |= self._inputs_within(block, counter, parts)
             if not r.exact:
                 leaves |= self._matrices(leaves, SHARE)
             values = self._values(r.predict, leaves)
             for (i, slot), value in zip(slots.items(), values, strict=True):
-                w.store(VECTOR, self._where(runs, value, old[i]), slot)
+                w.store(RUN_VECTOR, self._where(runs, value, old[i]), slot)
 
     def _where(self, truths: str, a: str, b: str) -> str:
-        return self.writer.value(f"select {TRUTHS} {truths}, {VECTOR} {a}, {VECTOR} {b}")
+        return self.writer.value(f"select {TRUTHS} {truths}, {RUN_VECTOR} {a}, {RUN_VECTOR} {b}")
 
     def _inputs_within(self, block: str, j: str, parts: str) -> dict[int, str]:
         """Inputs at the start and the end of sub-step j of `parts`; exact for a single sub-step."""
         r, w = self.recursion, self.writer
         one = w.splat(literal(1.0))
-        after = w.value(f"fadd {VECTOR} {j}, {one}")
-        is_last = w.value(f"fcmp oge {VECTOR} {after}, {parts}")
-        left, right = (w.value(f"fdiv {VECTOR} {part}, {parts}") for part in (j, after))
+        after = w.value(f"fadd {RUN_VECTOR} {j}, {one}")
+        is_last = w.value(f"fcmp oge {RUN_VECTOR} {after}, {parts}")
+        left, right = (w.value(f"fdiv {RUN_VECTOR} {part}, {parts}") for part in (j, after))
         result = {}
         for c, name in enumerate(r.varying):
             hold = r.holds[name]
@@ -206,9 +208,9 @@ class _Emission:
             result[r.end[name].index] = current
             if hold == LINEAR:
                 before = self._column("before", block, c)
-                change = w.value(f"fsub {VECTOR} {current}, {before}")
+                change = w.value(f"fsub {RUN_VECTOR} {current}, {before}")
                 values = [
-                    w.value(f"fadd {VECTOR} {before}, {w.value(f'fmul {VECTOR} {change}, {part}')}")
+                    w.value(f"fadd {RUN_VECTOR} {before}, {w.value(f'fmul {RUN_VECTOR} {change}, {part}')}")
                     for part in (left, right)
                 ]
                 result[r.start[name].index] = values[0]

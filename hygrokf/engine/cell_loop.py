@@ -10,9 +10,9 @@ equation,
 
 which is exact for a constant rate.  The equations of the other states use the state's values before and after
 the cell, and the mean of both; states that come earlier in the order use a prediction from the first rate.
-The vapour's model runs on the cabinet's temperature: the temperature of the heat model where `SIMULATED` is
-1, the input `cabinet_temperature` where it is 0.  Controllers follow the readings that the run itself gives
-at the start of each cell.
+The vapour's model runs on the cabinet's temperature: the temperature of the heat model where
+`SIMULATED_TEMPERATURE` is 1, the input `cabinet_temperature` where it is 0.  Controllers follow the readings
+that the run itself gives at the start of each cell.
 
 The loop is emitted from the traced expressions of the mechanisms; no equation is written here.
 
@@ -36,6 +36,7 @@ from hygrokf.engine.jit import CompiledCode
 from hygrokf.engine.llvm_writer import LANES, SCALAR, Writer, declarations, literal, vector
 from hygrokf.physics.expression import Expression, Graph, Value, exp, jacobian, where
 from hygrokf.physics.model import Model
+from hygrokf.physics.signal_names import CABINET_RELATIVE_HUMIDITY, CABINET_TEMPERATURE
 from hygrokf.physics.switches import position
 
 _MAGIC = 6755399441055744.0
@@ -128,10 +129,8 @@ def logarithm(lanes: int) -> str:
     return t.done(t.select(t.compare("ogt", "%x", t.all(0.0)), result, t.all(math.nan)))
 
 
-SIMULATED = "simulated_temperature"
+SIMULATED_TEMPERATURE = "simulated_temperature"
 """Parameter of every run: 1 where the vapour model uses the simulated temperature, 0 the measured one."""
-TEMPERATURE = "cabinet_temperature"
-HUMIDITY = "cabinet_relative_humidity"
 CONTROL = ("first", "second", "humidity", "idle")
 """Parameters of a controller: its two levels [K] or [1]; 1 where it follows the humidity; 1 where it acts at
 standstill only."""
@@ -157,12 +156,14 @@ class CellModel:
     def parameters(self) -> tuple[str, ...]:
         names = [p.name for model in self.models for p in model.parameters if not p.noise]
         steered = [f"{control}_{word}" for control in self.controls for word in CONTROL]
-        return tuple(dict.fromkeys([*names, *steered, SIMULATED]))
+        return tuple(dict.fromkeys([*names, *steered, SIMULATED_TEMPERATURE]))
 
     @cached_property
     def inputs(self) -> tuple[str, ...]:
         """Inputs that all runs share."""
-        names = dict.fromkeys([*(name for model in self.models for name in model.inputs), TEMPERATURE, IDLE])
+        names = dict.fromkeys(
+            [*(name for model in self.models for name in model.inputs), CABINET_TEMPERATURE, IDLE]
+        )
         return tuple(name for name in names if name not in (*self.controls, *self.own))
 
     @cached_property
@@ -205,7 +206,7 @@ class TracedCell:
         middle = {} if model.heat is None else self._stage(model.heat, state, mean, begin, end)
         if model.vapour is not None:
             warm = [
-                {**inputs, TEMPERATURE: self._air(at, inputs)}
+                {**inputs, CABINET_TEMPERATURE: self._air(at, inputs)}
                 for at, inputs in ((middle, mean), (self.states, begin), (state, end))
             ]
             self._stage(model.vapour, state, *warm)
@@ -220,8 +221,8 @@ class TracedCell:
         positions = {}
         for name in self.model.controls:
             first, second, humid, idle = (self.parameters[f"{name}_{word}"] for word in CONTROL)
-            temperature = readings[TEMPERATURE]
-            value = temperature + humid * (readings.get(HUMIDITY, temperature) - temperature)
+            temperature = readings[CABINET_TEMPERATURE]
+            value = temperature + humid * (readings.get(CABINET_RELATIVE_HUMIDITY, temperature) - temperature)
             allowed = 1.0 - idle * (1.0 - self.mean[IDLE])
             positions[name] = allowed * position(value, first, second)
         return positions
@@ -270,14 +271,14 @@ class TracedCell:
         """The cabinet temperature that the vapour model uses."""
         model = self.model.heat
         if model is None:
-            return inputs[TEMPERATURE]
+            return inputs[CABINET_TEMPERATURE]
         air = model.quantities([heat[name] for name in model.states], inputs, self.values)
-        given = inputs[TEMPERATURE]
-        return given + self.values[SIMULATED] * (air["cabinet_air_temperature"] - given)
+        given = inputs[CABINET_TEMPERATURE]
+        return given + self.values[SIMULATED_TEMPERATURE] * (air["cabinet_air_temperature"] - given)
 
     def _shown(self, state: Mapping[str, Value], inputs: Mapping[str, Value]) -> dict[str, Value]:
         """The readings at a state under inputs."""
-        temperature_input = {TEMPERATURE: self._air(state, inputs)}
+        temperature_input = {CABINET_TEMPERATURE: self._air(state, inputs)}
         readings: dict[str, Value] = {}
         for model in self.model.models:
             given = inputs if model is self.model.heat else {**inputs, **temperature_input}
@@ -298,7 +299,7 @@ def _phi(z: Value) -> tuple[Value, Value]:
     return phi_1, where(small, series, (phi_1 - 1.0) / safe - 0.5 * phi_1)
 
 
-ARGUMENTS = ("hours", "means", "edges", "strides", "theta", "given", "start", "out")
+CELL_ARGUMENTS = ("hours", "means", "edges", "strides", "theta", "given", "start", "out")
 
 
 def cell_text(t: TracedCell) -> str:
@@ -311,7 +312,7 @@ def cell_text(t: TracedCell) -> str:
     model, g = t.model, t.graph
     own_names = [f"own{i}" for i in range(len(model.own))]
     functions = {"exp": "exponential", "log": "logarithm"}
-    arguments = [("i64", "count"), *(("ptr", name) for name in (*ARGUMENTS, *own_names))]
+    arguments = [("i64", "count"), *(("ptr", name) for name in (*CELL_ARGUMENTS, *own_names))]
     w = Writer("cells", arguments, LANES, functions)
     fixed = {t.hours.index: w.load(SCALAR, "%hours")}
     fixed |= {

@@ -2,7 +2,8 @@
 
 `loop_text` writes the function of one kind for a `hygrokf.engine.traced_filter.Recursion`: first the stages
 before the time loop (parameters, then the table of keys), then the loop over the instants with its blocks of
-straight-line code.  `COMMON` lists the arguments that all kinds share, `ARGUMENTS` those of each kind.
+straight-line code.  `FILTER_COMMON` lists the arguments that all kinds share, `FILTER_ARGUMENTS` those of
+each kind.
 """
 
 from __future__ import annotations
@@ -18,14 +19,14 @@ from hygrokf.engine.step_codegen import Names, Stages, Symbols, seed
 from hygrokf.engine.traced_filter import INSTANT, KEY, Block, Recursion
 from hygrokf.physics.expression import Expression, forward, reverse
 
-COMMON = [("i64", "count"), ("i64", "nkeys")]
-COMMON += [
+FILTER_COMMON = [("i64", "count"), ("i64", "nkeys")]
+FILTER_COMMON += [
     ("ptr", name) for name in "theta keys nsub table key offset row within u y reset state first".split()
 ]
 """Numbers of instants and keys; parameters; leaves, doublings and table of the keys; key and first sub-step
 of every instant; key and fractions of the step (S, 2) of every sub-step; inputs, readings and resets of every
 instant; moments before the first instant (replaced by the moments after the last one), and a copy of them."""
-ARGUMENTS = {
+FILTER_ARGUMENTS = {
     kind: [("ptr", name) for name in names.split()]
     for kind, names in {
         "value": "out",
@@ -59,7 +60,7 @@ class Emission(Stages):
     def __init__(self, recursion: Recursion, kind: str, gain: bool) -> None:
         self.gain = gain
         walked = kind in WALKED and not recursion.exact
-        super().__init__(recursion, Writer(kind, COMMON + ARGUMENTS[kind]), walked)
+        super().__init__(recursion, Writer(kind, FILTER_COMMON + FILTER_ARGUMENTS[kind]), walked)
 
     def text(self) -> str:
         return declarations() + self.writer.text()

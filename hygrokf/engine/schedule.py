@@ -14,7 +14,7 @@ from hygrokf.engine.schedule_codegen import WORKSPACE, table_room
 from hygrokf.engine.timeline import Timeline
 from hygrokf.engine.traced_filter import Recursion
 
-TOLERANCE = 1e-7
+STEP_TOLERANCE = 1e-7
 """[1] largest error of a sub-step, in standard deviations of a mean and as a share of a covariance: the error
 of a cabinet's ln L is 8e-6 in 10,000 instants."""
 MAX_SUB_STEPS = 2_000_000

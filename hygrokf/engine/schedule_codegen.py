@@ -35,18 +35,18 @@ WALKED = ("controlled", "schedule")
 """Kinds of loops that choose their own sub-steps."""
 CHANGE, VALUE = 0.01, 0.001
 """[1] shares of a state's change and value that count as its standard deviations."""
-KNOWN = 1e-120
+LEAST_SD = 1e-120
 """Standard deviation, in a state's unit, that is added to each: the square of a smaller one may be flushed to
 zero before the covariances with other states are."""
-ROUNDING = 1e-14
+MEAN_ROUNDING = 1e-14
 """[1] of a mean below which a difference is rounding."""
 KINK = 6
 """Intervals across a kink are at most 2^−6 of a step."""
-DEEPEST = 24
+MOST_HALVINGS = 24
 """Smallest interval: 2^−24 of a step."""
 
 
-WORKSPACE = (DEEPEST + 2) * (DOUBLINGS + 1)
+WORKSPACE = (MOST_HALVINGS + 2) * (DOUBLINGS + 1)
 """Rows of the key table of a walk: one for each level and number of doublings."""
 
 
@@ -86,7 +86,7 @@ class Walk:
             return maximum(g.lift(value), -g.lift(value))
 
         def without_rounding(value: Value, of: Value) -> Expression:
-            return maximum(size(value) - ROUNDING * size(of), 0.0)
+            return maximum(size(value) - MEAN_ROUNDING * size(of), 0.0)
 
         ahead = [
             [
@@ -100,7 +100,7 @@ class Walk:
         differences = [p - q for p, q in zip([*single_step[:n], *single], [*r.mean, *packed], strict=True)]
         mean_differences = [row[0] for row in product(ahead, [[value] for value in differences[:n]])]
         spread = congruence(ahead, [[differences[n + place(i, j)] for j in range(n)] for i in range(n)])
-        sd = [sqrt(maximum(packed[place(i, i)], 0.0)) + KNOWN for i in range(n)]
+        sd = [sqrt(maximum(packed[place(i, i)], 0.0)) + LEAST_SD for i in range(n)]
         errors = []
         for i in range(n):
             change = size(halves[i] - self.before[i])
@@ -180,7 +180,7 @@ class Walk:
                 self._copy(self.origin, list(self.slots.values()))
                 w.store("i64", w.integer("mul", begin, 2), self.i)
                 w.store("i64", w.integer("add", level, 1), self.level)
-                self._stop(w.value(f"icmp sge i64 {level}, {DEEPEST}"), state)
+                self._stop(w.value(f"icmp sge i64 {level}, {MOST_HALVINGS}"), state)
 
     def _stop(self, condition: str, state: str) -> None:
         w = self.stages.writer

@@ -94,16 +94,31 @@ def _minus_product(value: Value, a: Value, b: Value) -> Value:
 
 # -- numbers -------------------------------------------------------------------------------------------------
 def factored(covariance: np.ndarray) -> np.ndarray:
-    """Factors of covariances (…, n, n) in one matrix, L below the diagonal, D on it; complex steps work."""
-    rest, n = np.array(covariance), covariance.shape[-1]
+    """Factors of covariances (…, n, n) in one matrix, L below the diagonal, D on it."""
+    rest, n = np.array(covariance, dtype=float), covariance.shape[-1]
     result = np.zeros_like(rest)
     for j in range(n):
         pivot = rest[..., j, j]
-        result[..., j, j] = np.where(pivot.real > 0.0, pivot, 0.0)
-        column = rest[..., j + 1 :, j] / np.where(pivot.real > 0.0, pivot, 1.0)[..., None]
-        column = np.where(pivot.real[..., None] > 0.0, column, 0.0)
+        result[..., j, j] = np.where(pivot > 0.0, pivot, 0.0)
+        column = rest[..., j + 1 :, j] / np.where(pivot > 0.0, pivot, 1.0)[..., None]
+        column = np.where(pivot[..., None] > 0.0, column, 0.0)
         rest[..., j + 1 :, j + 1 :] -= column[..., :, None] * rest[..., None, j + 1 :, j]
         result[..., j + 1 :, j] = column
+    return result
+
+
+def factored_slopes(covariance: np.ndarray, slopes: np.ndarray) -> np.ndarray:
+    """Derivatives (r, n, n) of `factored` from those of a covariance (n, n); 0 where D is 0.
+
+    dD = diag M,    dL = L tril(M D⁻¹, −1),    M = L⁻¹ dP L'⁻¹.
+    """
+    factors_ = factored(covariance)
+    lower, diagonal = np.tril(factors_, -1) + np.eye(len(factors_)), np.diag(factors_)
+    inverse = np.linalg.inv(lower)
+    inner = np.where(diagonal > 0.0, inverse @ slopes @ inverse.T, 0.0)
+    result = lower @ np.tril(inner / np.where(diagonal > 0.0, diagonal, 1.0), -1)
+    index = np.arange(len(factors_))
+    result[:, index, index] = inner[:, index, index]
     return result
 
 

@@ -28,7 +28,14 @@ import numpy as np
 
 from hygrokf.engine.discretisation import Operation, Step, operations, step
 from hygrokf.engine.packing import pack, place, unpack
-from hygrokf.engine.square_root import corrected, factored, factors, orthogonalised, square_root
+from hygrokf.engine.square_root import (
+    corrected,
+    factored,
+    factored_slopes,
+    factors,
+    orthogonalised,
+    square_root,
+)
 from hygrokf.engine.timeline import Timeline
 from hygrokf.engine.variances import Variances, variances_of
 from hygrokf.physics.expression import (
@@ -175,7 +182,7 @@ class Recursion:
         packed = unpack(state[..., self.n : self.n + self.q], self.n)
         if not self.factored:
             return packed
-        lower, diagonal = self._lower_of(state), np.einsum("...ii->...i", packed)
+        lower, diagonal = self.lower_of(state), np.einsum("...ii->...i", packed)
         return (lower * diagonal[..., None, :]) @ np.swapaxes(lower, -1, -2)
 
     def root_of(self, state: np.ndarray) -> np.ndarray:
@@ -183,9 +190,10 @@ class Recursion:
         packed = unpack(state[..., self.n : self.n + self.q], self.n)
         if not self.factored:
             return square_root(packed)
-        return self._lower_of(state) * np.sqrt(np.einsum("...ii->...i", packed))[..., None, :]
+        return self.lower_of(state) * np.sqrt(np.einsum("...ii->...i", packed))[..., None, :]
 
-    def _lower_of(self, state: np.ndarray) -> np.ndarray:
+    def lower_of(self, state: np.ndarray) -> np.ndarray:
+        """L (…, n, n) of factored moments (…, w)."""
         lower = np.tril(unpack(state[..., self.n : self.n + self.q], self.n), -1) + np.eye(self.n)
         for c, i in enumerate(self.model.resets):
             lower[..., i, i] = state[..., self.n + self.q + c]
@@ -199,11 +207,16 @@ class Recursion:
             parts.append(np.broadcast_to(rest, (*mean.shape[:-1], len(rest))))
         return np.concatenate(parts, axis=-1)
 
-    def with_covariance(self, state: np.ndarray, covariance: np.ndarray) -> np.ndarray:
-        """Moments (…, w) with another covariance (…, n, n)."""
-        moments = self.packed_moments(state[..., : self.n], covariance)
-        moments[..., self.loaded :] = state[..., self.loaded :]
-        return moments
+    def packed_slopes(
+        self, mean_slopes: np.ndarray, covariance: np.ndarray, covariance_slopes: np.ndarray
+    ) -> np.ndarray:
+        """Derivatives (r, w) of `packed_moments` from those of the mean (r, n) and of the covariance
+        (r, n, n)."""
+        slopes = np.zeros((len(mean_slopes), len(self.state)))
+        slopes[:, : self.n] = mean_slopes
+        entries = factored_slopes(covariance, covariance_slopes) if self.factored else covariance_slopes
+        slopes[:, self.n : self.n + self.q] = pack(entries)
+        return slopes
 
     @property
     def loaded(self) -> int:
@@ -414,16 +427,6 @@ class Recursion:
                 result.append(max(result[j] for j in arguments(node)))
         return result
 
-    @cached_property
-    def jacobian_entries(self) -> dict[tuple[int, int], Value]:
-        """The entries of the Jacobian that are not zero, by row and column."""
-        return _entries(self.jacobian)
-
-    @cached_property
-    def noise_entries(self) -> dict[tuple[int, int], Value]:
-        """The entries of the noise that are not zero, by row and column."""
-        return _entries(self.noise)
-
     def cuts(self, timeline: Timeline) -> Iterable[int]:
         """Instants at which a run is divided to limit the memory of its loops."""
         return ()
@@ -562,12 +565,6 @@ def _quadratic(row: list[Value], covariance: Matrix, cross: list[Value]) -> Valu
         (i,) = nonzero
         return (row[i] * row[i]) * covariance[i][i]
     return dot(row, cross)
-
-
-def _entries(matrix: Matrix) -> dict[tuple[int, int], Value]:
-    return {
-        (i, j): entry for i, row in enumerate(matrix) for j, entry in enumerate(row) if not is_zero(entry)
-    }
 
 
 def _flat(matrix: Matrix) -> list[Value]:

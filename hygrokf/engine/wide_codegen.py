@@ -31,16 +31,16 @@ from hygrokf.engine.wide_products import ROWS, functions
 from hygrokf.engine.wide_recursion import WideRecursion
 from hygrokf.physics.expression import Expression, forward, reverse
 
-COMMON = "known keys table key u y reset state work"
+WIDE_COMMON = "known keys table key u y reset state work"
 """Numbers of the parameter stage; leaves and matrices of the keys; key, inputs, readings and resets of every
 instant; moments before the first instant (replaced by the moments after the last one); workspace."""
-ARGUMENTS = {
+WIDE_ARGUMENTS = {
     "value": "out",
     "trace": "out rows",
     "adjoint": "out first store tablebar knownbar statebar",
     "tangent": "out knowndot tabledot statedot e s edot sdot",
 }
-ZERO = literal(0.0)
+ZERO_LITERAL = literal(0.0)
 
 
 def wide_text(recursion: WideRecursion, kind: str, gain: bool) -> str:
@@ -54,7 +54,7 @@ def wide_text(recursion: WideRecursion, kind: str, gain: bool) -> str:
 
 
 def workspace(r: WideRecursion) -> int:
-    """Size of the workspace (`COMMON`) in numbers."""
+    """Size of the workspace (`WIDE_COMMON`) in numbers."""
     line = r.rows * LANES
     return r.width * (2 * r.held + 16) + 3 * (r.held + 4) * line + 2 * len(r.columns) * (LANES + 1) + 64
 
@@ -66,7 +66,7 @@ class WideEmission(Emission):
 
     def __init__(self, recursion: WideRecursion, kind: str, gain: bool) -> None:
         self.recursion, self.gain = recursion, gain
-        names = f"{COMMON} {ARGUMENTS[kind]}".split()
+        names = f"{WIDE_COMMON} {WIDE_ARGUMENTS[kind]}".split()
         w = self.writer = Writer(kind, [("i64", "count"), *(("ptr", name) for name in names)])
         self.n, self.width, self.line = recursion.n, recursion.width, recursion.rows * LANES
         self.tiles, self.strips = recursion.rows // ROWS, recursion.width // LANES
@@ -160,7 +160,7 @@ class WideEmission(Emission):
     def _clear_running_means(self, base: str, k: str, kind: str = SCALAR) -> None:
         """Set rows and columns of the running means to zero at an instant where their interval begins."""
         r, w = self.recursion, self.writer
-        width, zero = (self.width, ZERO) if kind == SCALAR else (r.rows, "zeroinitializer")
+        width, zero = (self.width, ZERO_LITERAL) if kind == SCALAR else (r.rows, "zeroinitializer")
         for bit, state in enumerate(r.model.resets):
             flag = w.value(f"and i32 {w.load('i32', w.at('i32', '%reset', k))}, {1 << bit}")
             with w.when(w.value(f"icmp ne i32 {flag}, 0")), w.loop(str(self.n + 1)) as i:
@@ -225,7 +225,7 @@ class WideEmission(Emission):
             count, before = len(r.reads[c]), {}
             slopes, crossed = r.leaves[c][2 : 2 + count], r.leaves[c][2 + count :]
             for e, i in zip(crossed, r.reads[c], strict=True):
-                before[e.index] = ZERO
+                before[e.index] = ZERO_LITERAL
                 for h, j in zip(slopes, r.reads[c], strict=True):
                     p = self._number(self.before, i, self.width, j)
                     before[e.index] = w.fma(SCALAR, [head[h.index], p, before[e.index]])
@@ -272,7 +272,9 @@ class WideEmission(Emission):
             for c, reading in enumerate(self._readings(k)):
                 _, head, _ = self._measure(c, k)
                 w.store(SCALAR, head[r.leaves[c][0].index], w.at(SCALAR, row, self.size + 2 * c))
-                w.store(SCALAR, self._head(c, head, ZERO)[1], w.at(SCALAR, row, self.size + 2 * c + 1))
+                w.store(
+                    SCALAR, self._head(c, head, ZERO_LITERAL)[1], w.at(SCALAR, row, self.size + 2 * c + 1)
+                )
                 self._update(c, reading, k, total)
             self._copy(w.at(SCALAR, row, self.size + pairs), "%state", self.size)
             self._clear_running_means("%state", k)

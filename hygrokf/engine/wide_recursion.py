@@ -46,7 +46,7 @@ from hygrokf.physics.model import Model, Values
 
 SHORT = 1.0
 """[1] largest product of the bound of the rates and the length for which the series are evaluated."""
-ORDER = 20
+SERIES_ORDER = 20
 """Degree of the series: remainder 2e-20."""
 
 
@@ -94,7 +94,7 @@ def series(a: np.ndarray, q: np.ndarray, b: np.ndarray) -> StepSeries:
     a, drive = a / rate, b / rate
     row = np.concatenate([a, drive, np.zeros_like(drive)], axis=2)
     rows, spreads = [row], [q / rate]
-    for k in range(2, ORDER + 1):
+    for k in range(2, SERIES_ORDER + 1):
         row = a @ row
         if k == 2:
             row[..., n + c :] = drive / rate
@@ -144,7 +144,7 @@ class Powers:
             before[..., :n] += bar @ _t(whole) + 2.0 * noise_bar @ transition @ noise
             bar, noise_bar = before, noise_bar + _t(transition) @ noise_bar @ transition
         chosen = np.arange(len(self.series.a))[:, None] == self.which
-        factors = [chosen * self.share[:, 0, 0] ** k for k in range(1, ORDER + 1)]
+        factors = [chosen * self.share[:, 0, 0] ** k for k in range(1, SERIES_ORDER + 1)]
         rows, spreads = ([np.tensordot(f, adjoint, 1) for f in factors] for adjoint in (bar, noise_bar))
         return rows, spreads
 

@@ -15,8 +15,8 @@ from hygrokf.engine.batch_codegen import fleet_text, kept_nodes
 from hygrokf.engine.jit import CompiledCode
 from hygrokf.engine.llvm_writer import RUNS
 from hygrokf.engine.packing import place, unpack
-from hygrokf.engine.schedule import TOLERANCE
-from hygrokf.engine.schedule_codegen import CHANGE, DEEPEST, KNOWN, ROUNDING, VALUE
+from hygrokf.engine.schedule import STEP_TOLERANCE
+from hygrokf.engine.schedule_codegen import CHANGE, LEAST_SD, MEAN_ROUNDING, MOST_HALVINGS, VALUE
 from hygrokf.engine.traced_filter import traced
 from hygrokf.estimation.likelihood import RatesFault
 from hygrokf.physics.holds import between
@@ -34,7 +34,7 @@ class SideBySide:
     """
 
     def __init__(
-        self, model: Model, values: Sequence[Mapping[str, float]], tolerance: float = TOLERANCE
+        self, model: Model, values: Sequence[Mapping[str, float]], tolerance: float = STEP_TOLERANCE
     ) -> None:
         self.model, self._recursion = model, traced(model)
         self._tolerance, self._usual_parts, self._count = tolerance, 1, len(values)
@@ -120,7 +120,7 @@ class SideBySide:
                     self._usual_parts = max(1, parts // 2 if error < self._tolerance / 32.0 else parts)
                 return twice
             parts, once = 2 * parts, twice
-        if depth > DEEPEST:
+        if depth > MOST_HALVINGS:
             raise RatesFault(
                 f"expected rates that sub-steps of {float(np.max(hours)):.1g} h resolve, found an error of "
                 f"{error:.1g} standard deviations: narrow the bounds of the parameters, or smooth what jumps"
@@ -158,11 +158,11 @@ class SideBySide:
             return math.inf
         mean, difference = twice[:, :n], abs(once - twice)
         size, (row, column) = abs(mean), self._pairs
-        sd = np.sqrt(np.maximum(twice[:, self._variances], 0.0)) + KNOWN
+        sd = np.sqrt(np.maximum(twice[:, self._variances], 0.0)) + LEAST_SD
         scale = sd + CHANGE * abs(mean - start[:, :n]) + VALUE * size
         return float(
             max(
-                (np.maximum(difference[:, :n] - ROUNDING * size, 0.0) / scale).max(),
+                (np.maximum(difference[:, :n] - MEAN_ROUNDING * size, 0.0) / scale).max(),
                 (difference[:, n:] / (sd[:, row] * sd[:, column])).max(),
             )
         )

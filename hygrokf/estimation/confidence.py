@@ -24,6 +24,7 @@ from typing import Literal, TypeAlias
 import numpy as np
 
 from hygrokf.engine.parallel import mapped
+from hygrokf.estimation.conventions import CONFIDENCE
 from hygrokf.estimation.likelihood import Sensitivities
 from hygrokf.estimation.optimiser import Estimate, Objective, natural_units
 from hygrokf.estimation.serial_dependence import long_run_covariance
@@ -36,11 +37,11 @@ STEP_OF_SE = 0.02
 """Central differences of the score move a coordinate by this share of its standard error."""
 FLAT_SE = 3.0
 """[ln] a positive parameter whose logarithm has a larger standard error is called not identifiable."""
-LEAST = 1e-10
+LEAST_EIGENVALUE = 1e-10
 """[1] least eigenvalue of an information matrix scaled to a diagonal of ones."""
 TRADED = 0.95
 """[1] absolute correlation above which two parameters are called a trade-off."""
-OPEN = 1e8
+OPEN_VARIANCE = 1e8
 """Variance along a direction that the readings do not determine, in the coordinates' natural units."""
 
 
@@ -172,7 +173,7 @@ def uncertainty_by(
     variances, robust = np.diag(covariance), np.diag(sandwich)
     ratio = np.divide(robust, variances, out=np.ones(len(names)), where=(variances > 0.0) & (robust > 0.0))
     shrink = np.where(is_short, 1.0 / np.sqrt(ratio), 1.0)
-    spread = OPEN * undetermined @ undetermined.T
+    spread = OPEN_VARIANCE * undetermined @ undetermined.T
     wald = covariance + spread
     return Uncertainty(
         names,
@@ -199,7 +200,7 @@ def open_directions(information: np.ndarray, count: int, width: np.ndarray) -> n
     return width[:, None] * directions / np.linalg.norm(directions, axis=0)
 
 
-PARTS = 4
+RECORD_PARTS = 4
 """Parts of a record, with equally many readings, whose estimates are compared."""
 
 
@@ -211,10 +212,10 @@ def part_shifts(scores: np.ndarray, readings: np.ndarray, covariance: np.ndarray
     w/V, so the part's maximum is V s/w away.  With the right model the variance of each part is V/w.
     """
     count = np.cumsum(np.isfinite(readings).sum(axis=1))
-    part = np.minimum((count * PARTS) // max(int(count[-1]) + 1, 1), PARTS - 1)
-    sums = np.zeros((PARTS, scores.shape[1]))
+    part = np.minimum((count * RECORD_PARTS) // max(int(count[-1]) + 1, 1), RECORD_PARTS - 1)
+    sums = np.zeros((RECORD_PARTS, scores.shape[1]))
     np.add.at(sums, part, scores)
-    return PARTS * (sums - sums.mean(axis=0)) @ covariance
+    return RECORD_PARTS * (sums - sums.mean(axis=0)) @ covariance
 
 
 def parts_scale(spread: Uncertainty, name: str) -> float:
@@ -223,8 +224,8 @@ def parts_scale(spread: Uncertainty, name: str) -> float:
     place = spread.place(name)
     if place is None or not len(spread.parts):
         return 1.0
-    expected = PARTS * spread.wald[place, place] * spread.factor[place]
-    return float(np.sum(spread.parts[:, place] ** 2) / ((PARTS - 1) * expected))
+    expected = RECORD_PARTS * spread.wald[place, place] * spread.factor[place]
+    return float(np.sum(spread.parts[:, place] ** 2) / ((RECORD_PARTS - 1) * expected))
 
 
 def _curvature(objective: Objective, z: np.ndarray, steps: np.ndarray) -> np.ndarray:
@@ -249,7 +250,8 @@ def _curvature(objective: Objective, z: np.ndarray, steps: np.ndarray) -> np.nda
 
 
 def positive_inverse(matrix: np.ndarray, without: np.ndarray | None = None) -> np.ndarray:
-    """Inverse of a symmetric matrix (f, f), with eigenvalues below `LEAST` of the scaled matrix raised to it.
+    """Inverse of a symmetric matrix (f, f), with eigenvalues below `LEAST_EIGENVALUE` of the scaled matrix
+    raised to it.
 
     Directions without positive curvature so get a very large variance instead of a negative one.  Given the
     directions `without` (f, m), the inverse is on their complement.
@@ -261,7 +263,7 @@ def positive_inverse(matrix: np.ndarray, without: np.ndarray | None = None) -> n
         basis = np.linalg.qr(without * scale[:, None], mode="complete")[0][:, m:]
         values, vectors = np.linalg.eigh(basis.T @ (matrix / scale[:, None] / scale[None, :]) @ basis)
     vectors = basis @ vectors / scale[:, None]
-    return (vectors / np.maximum(values, LEAST)) @ vectors.T
+    return (vectors / np.maximum(values, LEAST_EIGENVALUE)) @ vectors.T
 
 
 def _with_expected_where_flat(observed: np.ndarray, expected: np.ndarray) -> np.ndarray:
@@ -270,17 +272,17 @@ def _with_expected_where_flat(observed: np.ndarray, expected: np.ndarray) -> np.
     There the readings say nothing or the likelihood is not smooth.
     """
     scale, values, vectors = scaled_spectrum(observed)
-    if values.min(initial=1.0) > LEAST:
+    if values.min(initial=1.0) > LEAST_EIGENVALUE:
         return observed
     expected_along = np.einsum("ij,ik,kj->j", vectors, expected / np.outer(scale, scale), vectors)
-    values = np.where(values > LEAST, values, np.maximum(expected_along, LEAST))
+    values = np.where(values > LEAST_EIGENVALUE, values, np.maximum(expected_along, LEAST_EIGENVALUE))
     return (vectors * values) @ vectors.T * np.outer(scale, scale)
 
 
 def with_positive_eigenvalues(matrix: np.ndarray) -> np.ndarray:
-    """A symmetric matrix (d, d) whose eigenvalues below `LEAST`, when scaled, are raised to it."""
+    """A symmetric matrix (d, d) whose eigenvalues below `LEAST_EIGENVALUE`, when scaled, are raised to it."""
     scale, values, vectors = scaled_spectrum(matrix)
-    return (vectors * np.maximum(values, LEAST)) @ vectors.T * scale[:, None] * scale[None, :]
+    return (vectors * np.maximum(values, LEAST_EIGENVALUE)) @ vectors.T * scale[:, None] * scale[None, :]
 
 
 def scaled_spectrum(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -319,7 +321,7 @@ def _trade_offs(names: tuple[str, ...], covariance: np.ndarray) -> tuple[tuple[s
 
 
 def wald_bounds(
-    estimate: Estimate, spread: Uncertainty, name: str, level: float = 0.95, covariance: str = "wider"
+    estimate: Estimate, spread: Uncertainty, name: str, level: float = CONFIDENCE, covariance: str = "wider"
 ) -> Bounds:
     """Bounds symmetric in the parameter's coordinate, from a covariance: "wald", "sandwich" or the "wider" of
     the two."""

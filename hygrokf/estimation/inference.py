@@ -16,7 +16,7 @@ import numpy as np
 from hygrokf.errors import suggestion
 from hygrokf.estimation.confidence import (
     FLAT_SE,
-    OPEN,
+    OPEN_VARIANCE,
     Bounds,
     Uncertainty,
     expect_level,
@@ -28,6 +28,7 @@ from hygrokf.estimation.confidence import (
     uncertainty,
     wald_bounds,
 )
+from hygrokf.estimation.conventions import CONFIDENCE
 from hygrokf.estimation.joint_likelihood import AnyLikelihood, records_of
 from hygrokf.estimation.optimiser import Objective, natural_units, shortened
 from hygrokf.estimation.profile_likelihood import profile
@@ -37,7 +38,7 @@ from hygrokf.physics.parameters import Coordinates, Parameter
 if TYPE_CHECKING:
     from pandas import DataFrame
 
-METHODS = ("profile", "likelihood-ratio", "wald", "sandwich")
+BOUND_METHODS = ("profile", "likelihood-ratio", "wald", "sandwich")
 COORDINATE_STEP = 1e-5
 """Step of the coordinates, in their natural units, in central differences of the Jacobian, whose error is of
 the order of its square."""
@@ -46,7 +47,7 @@ ALIKE = 1e-6
 POOR = 0.1
 """[1] eigenvalue of the information scaled to a diagonal of ones, below which its parameters form a group:
 each alone is known three times worse than with the others given."""
-SHARE = 0.25
+GROUP_SHARE = 0.25
 """[1] least share of such an eigenvector with which a parameter belongs to the group."""
 DROPPED = 0.5
 """[1] share of its threshold by which the likelihood must have dropped at a bound by the delta method; where
@@ -58,7 +59,7 @@ def confidence_intervals(
     given: Given | None = None,
     names: str | Sequence[str] | None = None,
     method: str = "profile",
-    level: float = 0.95,
+    level: float = CONFIDENCE,
     progress: Callable[[str], None] | None = None,
 ) -> dict[str, Bounds]:
     """Bounds of free parameters by one method, by default of all of them.
@@ -85,9 +86,9 @@ def confidence_intervals(
     unknown = [f"{name}{suggestion(name, free, 1)}" for name in wanted if name not in free]
     if unknown:
         raise ValueError(f"names: expected free parameters, {', '.join(free)}, found {', '.join(unknown)}")
-    if method not in METHODS:
-        near = suggestion(str(method), METHODS, 1)
-        raise ValueError(f"method: expected one of {', '.join(METHODS)}, found {method!r}{near}")
+    if method not in BOUND_METHODS:
+        near = suggestion(str(method), BOUND_METHODS, 1)
+        raise ValueError(f"method: expected one of {', '.join(BOUND_METHODS)}, found {method!r}{near}")
     expect_level(level)
     objective = Objective(likelihood, estimate.coordinates).at(estimate.z)
     spread = uncertainty(objective, estimate)
@@ -124,7 +125,7 @@ class ModalTimeConstant:
 def modal_time_constants(
     source: Source,
     given: Given | None = None,
-    level: float = 0.95,
+    level: float = CONFIDENCE,
     state: Mapping[str, float] | None = None,
     inputs: Mapping[str, float] | None = None,
     known: Uncertainty | None = None,
@@ -310,7 +311,7 @@ def _cells(row: ParameterEstimate) -> tuple[str, ...]:
     )
 
 
-def parameter_table(source: Source, given: Given | None = None, level: float = 0.95) -> ParameterTable:
+def parameter_table(source: Source, given: Given | None = None, level: float = CONFIDENCE) -> ParameterTable:
     """Values, standard errors, bounds, correlations and identifiable combinations of a model's parameters.
 
     source, given: as in `confidence_intervals`.
@@ -354,7 +355,7 @@ def _combinations(coordinates: Coordinates, spread: Uncertainty) -> tuple[Combin
     determined = positive_inverse(curvature, spread.open)
     groups: list[set[int]] = []
     for vector in vectors.T[values < POOR]:
-        group = set(np.flatnonzero(np.abs(vector) >= SHARE).tolist())
+        group = set(np.flatnonzero(np.abs(vector) >= GROUP_SHARE).tolist())
         groups = [other for other in groups if not other & group] + [
             group.union(*(g for g in groups if g & group))
         ]
@@ -366,7 +367,11 @@ def _combinations(coordinates: Coordinates, spread: Uncertainty) -> tuple[Combin
         for vector in np.linalg.eigh(covariance / np.outer(sd, sd))[1].T:
             weights = vector / sd
             weights = weights / weights[np.argmax(np.abs(weights))]
-            open_ = OPEN * float(np.sum((weights @ spread.open[members]) ** 2)) if spread.open.size else 0.0
+            open_ = (
+                OPEN_VARIANCE * float(np.sum((weights @ spread.open[members]) ** 2))
+                if spread.open.size
+                else 0.0
+            )
             error = math.sqrt(float(weights @ determined[np.ix_(members, members)] @ weights) + open_)
             terms = zip(members, weights.tolist(), vector, strict=True)
             involved = [(parameters[i], c) for i, c, v in terms if abs(v) > 0.1]

@@ -155,12 +155,14 @@ class JointLikelihood:
 
     def scheduled(self, values: Mapping[str, float]) -> JointLikelihood:
         """The likelihood that holds the sub-steps chosen for these values; itself where steps are exact."""
-        parts = [part.scheduled(part_values) for part, part_values in records_of(self, values)]
-        return self if all(map(operator.is_, parts, self.parts)) else replace(self, parts=parts)
+        return self._with_parts([part.scheduled(own) for part, own in records_of(self, values)])
 
-    def discretisation_error(self, values: Mapping[str, float]) -> float:
-        """Sum over the records of the change of ln L where every sub-step is halved."""
-        return sum(part.discretisation_error(part_values) for part, part_values in records_of(self, values))
+    def halved(self, values: Mapping[str, float]) -> JointLikelihood:
+        """The likelihood that holds these sub-steps, each divided in two; itself where steps are exact."""
+        return self._with_parts([part.halved(own) for part, own in records_of(self, values)])
+
+    def _with_parts(self, parts: Sequence[Likelihood]) -> JointLikelihood:
+        return self if all(map(operator.is_, parts, self.parts)) else replace(self, parts=parts)
 
     def steps_per_instant(self, values: Mapping[str, float]) -> float:
         """Filter steps of one pass per instant of all records."""

@@ -30,14 +30,14 @@ from hygrokf.data.timestamps import HOUR_S, modal_step
 
 QUARTER_S = 900.0
 """[s] step of the grid on which records are compared."""
-REACH = 56
+LARGEST_SHIFT = 56
 """Quarters of an hour of the largest shift, 14 h: the widest difference between two time zones in use."""
 LAGS_H = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 24.0)
-FEWEST = 14 * 96
+FEWEST_QUARTERS = 14 * 96
 """Quarters of an hour in common, 14 days, below which nothing is compared."""
-LONGEST = 120 * 96
+MOST_QUARTERS = 120 * 96
 """Largest number of quarters of an hour compared; longer records say no more about a clock."""
-PIECE = 1024 - 2 * REACH
+PIECE = 1024 - 2 * LARGEST_SHIFT
 """Length [quarters of an hour] of the pieces over which correlations are summed."""
 _SUBDIVISIONS = 3  # interpolated values of each quarter, of which the mean is taken
 _BRIDGE_H = 3.0  # longest gap that is interpolated
@@ -131,10 +131,10 @@ def _relation(name: str, target: Series, inputs: Mapping[str, list[Series]]) -> 
         return None
     first = math.ceil(max(times[0] for times in known_times) / QUARTER_S) * QUARTER_S
     count = int((min(times[-1] for times in known_times) - first) // QUARTER_S)
-    if count < FEWEST:
+    if count < FEWEST_QUARTERS:
         return None
     # of a long record, only the middle is compared
-    spare = max(count - LONGEST, 0)
+    spare = max(count - MOST_QUARTERS, 0)
     first, count = first + spare // 2 * QUARTER_S, count - spare
     every = max(1, round(modal_step(target.known[0])[0] / QUARTER_S))
     value, is_present = _means(target, first, count)
@@ -147,10 +147,10 @@ def _relation(name: str, target: Series, inputs: Mapping[str, list[Series]]) -> 
         filled = np.column_stack([_standardise(*times) for times in means])
         if len(kept := np.flatnonzero(filled.std(axis=0) > 0.0)):
             columns[signal] = filled[:, kept]
-    rows[: REACH + 2 * every] = rows[count - REACH :] = False
+    rows[: LARGEST_SHIFT + 2 * every] = rows[count - LARGEST_SHIFT :] = False
     for offset in (every, 2 * every):
         rows[offset:] &= is_present[:-offset]
-    if rows.sum() * every < FEWEST // 2 or not columns or not np.ptp(value[is_present]) > 0.0:
+    if rows.sum() * every < FEWEST_QUARTERS // 2 or not columns or not np.ptp(value[is_present]) > 0.0:
         return None
     return Relation(
         name,
@@ -247,7 +247,7 @@ def shift_logliks(
     The normal equations consist of correlations between shifted and unshifted columns.  Products of two
     shifted columns are correlated with the rows that are compared.
     """
-    logliks = {move: np.empty((2 * REACH + 1, len(LAGS_H))) for move in moves}
+    logliks = {move: np.empty((2 * LARGEST_SHIFT + 1, len(LAGS_H))) for move in moves}
     for column, lag_h in enumerate(LAGS_H):
         columns = relation.columns[lag_h]
         for move in moves:
@@ -293,15 +293,17 @@ def _all_shifts(relation: Relation, phi: np.ndarray, fixed: np.ndarray, shifted:
 def _correlations(columns: np.ndarray, shifted: np.ndarray) -> np.ndarray:
     """Correlations (K, a, b): Σ_t columns(t) shifted(t − shift) of columns (N, a) and shifted (N, b).
 
-    The first and last `REACH` rows of `columns` must be 0.  The sum is taken over pieces of the record,
-    because short Fourier transforms are faster.
+    The first and last `LARGEST_SHIFT` rows of `columns` must be 0.  The sum is taken over pieces of the
+    record, because short Fourier transforms are faster.
     """
     count = -(-len(columns) // PIECE)
-    padded = np.zeros((count * PIECE + 2 * REACH, columns.shape[1] + shifted.shape[1]))
-    padded[REACH : REACH + len(columns)] = np.hstack([columns, shifted])
-    pieces = sliding_window_view(padded, PIECE + 2 * REACH, axis=0)[::PIECE].copy()  # (pieces, a + b, t)
-    pieces[:, : columns.shape[1], :REACH] = pieces[:, : columns.shape[1], -REACH:] = 0.0
+    padded = np.zeros((count * PIECE + 2 * LARGEST_SHIFT, columns.shape[1] + shifted.shape[1]))
+    padded[LARGEST_SHIFT : LARGEST_SHIFT + len(columns)] = np.hstack([columns, shifted])
+    pieces = sliding_window_view(padded, PIECE + 2 * LARGEST_SHIFT, axis=0)[
+        ::PIECE
+    ].copy()  # (pieces, a + b, t)
+    pieces[:, : columns.shape[1], :LARGEST_SHIFT] = pieces[:, : columns.shape[1], -LARGEST_SHIFT:] = 0.0
     spectra = np.fft.rfft(pieces).transpose(2, 1, 0)
     first, second = np.split(spectra, [columns.shape[1]], axis=1)
-    correlations = np.fft.irfft(first @ second.conj().transpose(0, 2, 1), PIECE + 2 * REACH, axis=0)
-    return correlations[np.arange(-REACH, REACH + 1)]
+    correlations = np.fft.irfft(first @ second.conj().transpose(0, 2, 1), PIECE + 2 * LARGEST_SHIFT, axis=0)
+    return correlations[np.arange(-LARGEST_SHIFT, LARGEST_SHIFT + 1)]

@@ -20,12 +20,12 @@ import numpy as np
 
 from hygrokf.data.record import kind_of
 from hygrokf.engine.filter_loops import Control, filter_loop
-from hygrokf.engine.gaps import gap_variances
+from hygrokf.engine.gaps import gap_variances, widened, widened_slopes
 from hygrokf.engine.information import summed
 from hygrokf.engine.llvm_writer import LANES
 from hygrokf.engine.packing import pack, trace_width, unpack
 from hygrokf.engine.schedule import (
-    TOLERANCE,
+    STEP_TOLERANCE,
     Schedule,
     SubSteps,
     Unresolved,
@@ -87,7 +87,7 @@ class Likelihood:
     initial: str | Gaussian = "prior"
     diffuse_states: tuple[str, ...] = ()
     square_root: bool = False
-    tolerance: float = TOLERANCE
+    tolerance: float = STEP_TOLERANCE
     schedule: Schedule | None = None
 
     def __post_init__(self) -> None:
@@ -143,12 +143,11 @@ class Likelihood:
         # a copy has its own working memory: another thread may use it
         return self if self.recursion.exact else replace(self._with_schedule(values, True, None))
 
-    def discretisation_error(self, values: Mapping[str, float]) -> float:
-        """Change of ln L where every sub-step is halved; 0 where steps are exact."""
+    def halved(self, values: Mapping[str, float]) -> Likelihood:
+        """The likelihood with the sub-steps fixed that suit these values, each divided in two; itself where
+        steps are exact."""
         held = self if self.schedule is not None else self.scheduled(values)
-        if held.schedule is None:
-            return 0.0
-        return abs(replace(held, schedule=held.schedule.halved()).value(values) - held.value(values))
+        return held if held.schedule is None else replace(held, schedule=held.schedule.halved())
 
     def steps_per_instant(self, values: Mapping[str, float]) -> float:
         """Filter steps of one pass with these values per instant of the record; 1 where steps are exact."""
@@ -275,7 +274,7 @@ class Likelihood:
         if isinstance(self.initial, Gaussian):
             first = Moments(np.asarray(self.initial.mean), np.asarray(self.initial.covariance))
         else:
-            first = law(self.initial, self.model, self.recursion, values, self.first_inputs())
+            first = law(self.initial, self.model, values, self.first_inputs())
         return packed(self.recursion, first, self._unknown, bool(self.diffuse_states))
 
     def _first_with_derivatives(self, values: Mapping[str, float]) -> tuple[np.ndarray, np.ndarray]:
@@ -285,7 +284,7 @@ class Likelihood:
             state = self.first_state(values)
             return state, np.zeros((len(self.model.parameters), len(state)))
         r, begun = self.recursion, bool(self.diffuse_states)
-        first, slopes = law_with_slopes(self.initial, self.model, r, values, self.first_inputs())
+        first, slopes = law_with_slopes(self.initial, self.model, values, self.first_inputs())
         return packed(r, first, self._unknown, begun), packed_slopes(r, first, slopes, self._unknown)
 
     def jacobian(self, values: Mapping[str, float], mean: np.ndarray, u: Mapping[str, float]) -> np.ndarray:
@@ -325,17 +324,11 @@ class Likelihood:
 
     def _widened(self, k: int, state: np.ndarray) -> np.ndarray:
         """Packed moments before instant k, with the variance that the end of a gap adds."""
-        if k not in self._gaps:
-            return state
-        covariance = self.recursion.covariance_of(state) + np.diag(self._gaps[k])
-        return self.recursion.with_covariance(state, covariance)
+        return widened(self.recursion, state, self._gaps[k]) if k in self._gaps else state
 
     def _gap_jacobian(self, k: int, state: np.ndarray) -> np.ndarray:
         """Derivatives (w, w) of `_widened`; row i is by entry i of `state`."""
-        eye = np.eye(len(state))
-        if k not in self._gaps or not self.square_root:
-            return eye
-        return np.imag(self._widened(k, state + 1e-30j * eye)) * 1e30
+        return widened_slopes(self.recursion, state, self._gaps[k])
 
     @cached_property
     def _store(self) -> np.ndarray:

@@ -16,7 +16,7 @@ from hygrokf.errors import suggestion, unknown_names
 from hygrokf.physics.model import Model
 
 INITIAL = ("prior", "stationary", "diffuse")
-ROUNDING = 1e-9
+COVARIANCE_ROUNDING = 1e-9
 """[1] asymmetry, and negative eigenvalue, of a scaled covariance that rounding explains."""
 
 
@@ -64,14 +64,14 @@ def _gaussian_faults(initial: Gaussian, n: int) -> list[str]:
         ]
     size = np.sqrt(np.abs(np.diag(covariance)))
     scale = np.outer(*[np.where(size > 0.0, size, 1.0)] * 2)
-    if np.abs(covariance - covariance.T).max() > ROUNDING * np.abs(covariance).max():
+    if np.abs(covariance - covariance.T).max() > COVARIANCE_ROUNDING * np.abs(covariance).max():
         return ["initial: expected a symmetric covariance, found another; average it with its transpose"]
-    if np.diag(covariance).min() < 0.0 or np.linalg.eigvalsh(covariance / scale).min() < -ROUNDING:
+    if np.diag(covariance).min() < 0.0 or np.linalg.eigvalsh(covariance / scale).min() < -COVARIANCE_ROUNDING:
         return ["initial: expected a covariance without negative eigenvalues, found one that has some"]
     return []
 
 
-DIGITS = 1e9
+LOST_DIGITS_RATIO = 1e9
 """[1] ratio of an output's innovation variances from which plain covariances have lost too many digits; below
 it ln L is accurate to 1e-7."""
 FACTORS = 1e24
@@ -126,7 +126,7 @@ class Trace:
         """Whether a variance is negative, or the readings of an instant reduced a variance so much that its
         digits are lost."""
         before, after = (np.einsum("tii->ti", p) for p in (self.prior_covariance, self.covariance))
-        floor = np.where(np.isfinite(before), before, 0.0) / DIGITS
+        floor = np.where(np.isfinite(before), before, 0.0) / LOST_DIGITS_RATIO
         return bool((before < 0.0).any() or (after < floor).any())
 
 
@@ -147,7 +147,7 @@ def checked_loglik(sums: Sequence[np.ndarray], outputs: Sequence[str], factored:
     is_finite, count = math.isfinite(value), len(outputs)
     for c, name in enumerate(outputs):
         low, high = min(part[c] for part in parts), max(part[count + c] for part in parts)
-        if not factored and (low <= 0.0 or (is_finite and high > DIGITS * low)):
+        if not factored and (low <= 0.0 or (is_finite and high > LOST_DIGITS_RATIO * low)):
             return math.nan
         if factored and is_finite and high > FACTORS * low:
             raise DigitsFault(

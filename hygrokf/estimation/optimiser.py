@@ -31,32 +31,33 @@ from hygrokf.physics.parameters import Coordinates, Parameter, expect_starts
 from hygrokf.texts.fit_codes import FitCode
 from hygrokf.texts.statement import Statement
 
-TOLERANCE = 1e-9
+CLIMB_TOLERANCE = 1e-9
 """A climb has converged when the next full step promises less than this much log-likelihood: the estimate is
 then within 5e-5 of its standard error."""
-NEAR = 1.0
+NEAR_GAIN = 1.0
 """Promised gain in log-likelihood below which the curvature follows the exact score."""
 SCORING_PASSES = 25
 """Passes of scoring after which the curvature follows the exact score at any distance: far from the maximum
 the expected information can mislead."""
 MAXIMUM_PASSES = 200
-ROUNDING = 1e-8
+LIKELIHOOD_ROUNDING = 1e-8
 """[1] share of the log-likelihood; smaller gains are computed from the score, because the difference of two
 values would be rounding."""
-BUDGET = 3_000.0
+MOST_FILTER_STEPS = 3_000.0
 """Filter steps per instant of the record after which a climb is stopped; the fit of the demo's cabinet takes
 at most 76."""
-SHARE = 1.0 / 30.0
+STEP_SHARE = 1.0 / 30.0
 """[1] share of a search range that counts as much as a step of 1 in a logarithm."""
-REACH = 1.5
+LEAST_BOX = 1.5
 """Least half width of the box of one step, in the coordinates' natural units."""
-AT_LIMIT = 1e-9
+LIMIT_DISTANCE = 1e-9
 """Distance within which a coordinate counts as being at a limit, in its natural unit."""
-BETTER = 0.1
+BETTER_GAIN = 0.1
 """Excess in log-likelihood by which another point shows that an estimate is not a maximum; climbs converge
 far below it."""
 INEXACT = 1e-3
-"""Change of ln L with sub-steps of half the length above which an estimate is not exact."""
+"""Change of ln L, or of the parameters in standard errors, with sub-steps of half the length above which an
+estimate is not exact."""
 NOISE_SPREAD = 5.0
 """[ln] width of the range over which further starts vary a noise parameter: a factor of 12 up or down."""
 OTHER_SPREAD = 3.0
@@ -65,13 +66,14 @@ OTHER_SPREAD = 3.0
 
 @dataclass(frozen=True)
 class Optimum:
-    """End of one climb: coordinates z (d,), penalised log-likelihood, whether it converged, and how it
-    ended."""
+    """End of one climb: coordinates z (d,), penalised log-likelihood, whether it converged, how it ended,
+    and the curvature (d, d) there of a climb that converged."""
 
     z: np.ndarray
     objective: float
     converged: bool
     end: Statement
+    curvature: np.ndarray | None = None
 
 
 @dataclass(frozen=True, repr=False)
@@ -79,8 +81,8 @@ class Estimate:
     """The best optimum of several climbs.
 
     `values` all parameters; `loglik` without the prior; `others` further distinct optima (objective, values);
-    `at_bounds` free parameters that ended at a bound; `discretisation_error` the change of ln L with
-    sub-steps of half the length, 0 where steps are exact.
+    `at_bounds` free parameters that ended at a bound; `discretisation_error` what sub-steps of half the
+    length change, 0 where steps are exact: ln L, or, where this is more, the parameters in standard errors.
     """
 
     coordinates: Coordinates
@@ -133,6 +135,10 @@ class Objective:
             return Objective(self.likelihood.scheduled(self.coordinates.values(z)), self.coordinates)
         except FloatingPointError:
             return self
+
+    def halved(self, z: np.ndarray) -> Objective:
+        """The objective with the sub-steps fixed that suit z (d,), each divided in two."""
+        return Objective(self.likelihood.halved(self.coordinates.values(z)), self.coordinates)
 
     def value(self, z: np.ndarray) -> float:
         try:
@@ -215,8 +221,8 @@ def climb(
     objective: Objective,
     start: np.ndarray,
     passes: int = MAXIMUM_PASSES,
-    tolerance: float = TOLERANCE,
-    budget: float = BUDGET,
+    tolerance: float = CLIMB_TOLERANCE,
+    budget: float = MOST_FILTER_STEPS,
 ) -> Optimum:
     """A bounded climb from one start (d,), as the module's text describes.
 
@@ -243,7 +249,7 @@ def _climb(objective: _Metered, start: np.ndarray, passes: int, tolerance: float
     for count in range(passes + 1):
         free = ~(((z <= lower) & (gradient <= 0)) | ((z >= upper) & (gradient >= 0)))
         if not free.any():
-            return Optimum(z, value, True, FitCode.CONVERGED_AT_BOUNDS())
+            return Optimum(z, value, True, FitCode.CONVERGED_AT_BOUNDS(), curvature)
         reach = reach_of(objective.coordinates, z)
         promised = bounded_step(curvature, gradient, free, z, lower, upper, 1e-9, reach)[1]
         if promised < tolerance and was_small and objective.renew_sub_steps(z):
@@ -252,17 +258,17 @@ def _climb(objective: _Metered, start: np.ndarray, passes: int, tolerance: float
                 return Optimum(z, value, False, FitCode.NO_SUB_STEPS())
             promised = bounded_step(curvature, gradient, free, z, lower, upper, 1e-9, reach)[1]
         if promised < tolerance and was_small:
-            return Optimum(z, value, True, FitCode.CONVERGED())
+            return Optimum(z, value, True, FitCode.CONVERGED(), curvature)
         if count == passes:
             break
         was_small = promised < tolerance
-        is_far = promised > NEAR and count < SCORING_PASSES
+        is_far = promised > NEAR_GAIN and count < SCORING_PASSES
         for _ in range(25):
             step, promised = bounded_step(curvature, gradient, free, z, lower, upper, damping, reach)
             new, slope = (objective.value(z + step), gradient) if is_far else objective.score(z + step)
             gain = new - value
             if not is_far and math.isfinite(new):
-                if promised < ROUNDING * (1.0 + abs(value)):
+                if promised < LIKELIHOOD_ROUNDING * (1.0 + abs(value)):
                     gain = 0.5 * float((gradient + slope) @ step)
                 curvature = secant_update(curvature, step, gradient - slope)
             if gain > 0.05 * promised > 0.0:
@@ -296,12 +302,12 @@ def secant_update(curvature: np.ndarray, s: np.ndarray, y: np.ndarray) -> np.nda
 def natural_units(coordinates: Coordinates) -> np.ndarray:
     """Units (d,) in which steps of the coordinates compare: 1 of a logarithm, else a share of the search
     range's width, so that nothing depends on the parameters' units."""
-    return np.array([1.0 if p.positive else SHARE * (p.upper - p.lower) for p in coordinates.free])
+    return np.array([1.0 if p.positive else STEP_SHARE * (p.upper - p.lower) for p in coordinates.free])
 
 
 def reach_of(coordinates: Coordinates, z: np.ndarray) -> np.ndarray:
     """Half widths (d,) of the trust box of one step from z; wider far from the parameters' starts."""
-    return np.maximum(REACH * natural_units(coordinates), 0.5 * np.abs(z - coordinates.start()))
+    return np.maximum(LEAST_BOX * natural_units(coordinates), 0.5 * np.abs(z - coordinates.start()))
 
 
 def bounded_step(
@@ -356,7 +362,9 @@ def _damped_step(
     Each coordinate's information, in its `unit`, counts as at least 1e-12 of the largest coordinate's.
     """
     curvatures = np.diag(information)
-    diagonal = np.maximum(curvatures, 1e-12 * max(float(np.max(curvatures * unit**2)), 1e-300) / unit**2)
+    diagonal = np.maximum(
+        curvatures, 1e-12 * max(float(np.max(curvatures * unit**2, initial=0.0)), 1e-300) / unit**2
+    )
     root = 1.0 / np.sqrt(diagonal)
     scaled = information * root[:, None] * root[None, :] + damping * np.eye(len(gradient))
     try:
@@ -433,8 +441,8 @@ def fit_mle(
     more_starts: Sequence[Mapping[str, float]] = (),
     search: AnyLikelihood | None = None,
     parents: Sequence[Estimate] = (),
-    budget: float = BUDGET,
-    tolerance: float = TOLERANCE,
+    budget: float = MOST_FILTER_STEPS,
+    tolerance: float = CLIMB_TOLERANCE,
 ) -> Estimate:
     """Maximum likelihood from several starts; other optima are reported too.
 
@@ -500,7 +508,7 @@ def fit_mle(
         if all(is_distinct(end, other) for other in optima):
             optima.append(end)
     least = least_objective(coordinates, parents)
-    if max(optimum.objective for optimum in optima) < least - BETTER:
+    if max(optimum.objective for optimum in optima) < least - BETTER_GAIN:
         optima += [climb(objective, z, tolerance=tolerance, budget=budget) for z in nested]
     return reject_below(least, estimate_of(likelihood, coordinates, optima))
 
@@ -526,7 +534,7 @@ def reject_below(least: float, estimate: Estimate) -> Estimate:
     """The estimate, marked as not converged where its objective is below `least`, a nested model's
     maximum."""
     deficit = least - estimate.objective
-    if not deficit > BETTER:
+    if not deficit > BETTER_GAIN:
         return estimate
     return replace(estimate, converged=False, message=FitCode.NESTED_MODEL_HIGHER(gain=deficit))
 
@@ -543,10 +551,13 @@ def estimate_of(likelihood: AnyLikelihood, coordinates: Coordinates, optima: lis
     optima = sorted(optima, key=lambda optimum: -optimum.objective)
     best = optima[0]
     values = coordinates.values(best.z)
-    near = AT_LIMIT * natural_units(coordinates)
+    near = LIMIT_DISTANCE * natural_units(coordinates)
     ends = (best.z <= coordinates.lower + near) | (best.z >= coordinates.upper - near)
     message = best.end if best.converged else FitCode.SEARCH_UNFINISHED(end=best.end)
-    loglik, error = likelihood.value(values), likelihood.discretisation_error(values)
+    loglik, error = (
+        likelihood.value(values),
+        max(changes_by_halving(Objective(likelihood, coordinates), best)),
+    )
     if error > INEXACT:
         finer = 0.1 * likelihood.tolerance * INEXACT / error
         message = FitCode.STEPS_TOO_LONG(end=message, change=error, tolerance=finer)
@@ -564,3 +575,25 @@ def estimate_of(likelihood: AnyLikelihood, coordinates: Coordinates, optima: lis
         ),
         discretisation_error=error,
     )
+
+
+def changes_by_halving(objective: Objective, optimum: Optimum) -> tuple[float, float]:
+    """What sub-steps of half the length change at an optimum, zeros where steps are exact: |Δl|, and the
+    largest shift of a combination of the parameters [standard errors],
+
+        √(Δg' M⁻¹ Δg),
+
+    with the change Δg of the score and the curvature M in the coordinates that are not at a bound.  Without a
+    curvature the shift is given as 0.
+    """
+    z, coordinates = optimum.z, objective.coordinates
+    held, halved = objective.at(z), objective.halved(z)
+    if halved.likelihood is held.likelihood:
+        return 0.0, 0.0
+    if optimum.curvature is None:
+        return abs(halved.value(z) - held.value(z)), 0.0
+    (value, score), (finer_value, finer_score) = held.score(z), halved.score(z)
+    is_free = (z > coordinates.lower) & (z < coordinates.upper)
+    change, curvature = (finer_score - score)[is_free], optimum.curvature[np.ix_(is_free, is_free)]
+    shift = _damped_step(curvature, change, 0.0, natural_units(coordinates)[is_free])
+    return abs(finer_value - value), math.sqrt(max(float(change @ shift), 0.0))

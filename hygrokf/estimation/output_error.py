@@ -12,8 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from hygrokf.estimation.confidence import normal_quantile, positive_inverse
+from hygrokf.estimation.conventions import CONFIDENCE
 from hygrokf.estimation.likelihood import Likelihood
-from hygrokf.estimation.optimiser import AT_LIMIT
+from hygrokf.estimation.optimiser import LIMIT_DISTANCE
 from hygrokf.physics.parameters import Coordinates
 
 LEAST_DAMPING = 1e-12
@@ -21,7 +22,7 @@ LEAST_DAMPING = 1e-12
 alike."""
 TRANSIENT_H = 24.0
 """[h] residuals at the start that are left out, because the initial state is a guess."""
-FEWEST_BLOCKS = 40
+FEWEST_VARIANCE_BLOCKS = 40
 
 
 @dataclass(frozen=True)
@@ -40,7 +41,7 @@ class OutputError:
     at_bounds: tuple[str, ...] = ()
     unseen: tuple[str, ...] = ()
 
-    def bounds(self, name: str, positive: bool, level: float = 0.95) -> tuple[float, float]:
+    def bounds(self, name: str, positive: bool, level: float = CONFIDENCE) -> tuple[float, float]:
         """Bounds symmetric in the parameter's coordinate; open where the estimate ended at a search limit."""
         if name in self.at_bounds:
             return (0.0 if positive else -math.inf), math.inf
@@ -105,9 +106,9 @@ def fit_output_error(likelihood: Likelihood, values: dict[str, float], passes: i
     _, matrix, scores = _normal_equations(e, slopes)
     inverse = positive_inverse(matrix)
     # two days exceed the memory of the disturbances; short records need shorter blocks for enough blocks
-    block_h = min(max((time[-1] - time[0]) / FEWEST_BLOCKS, 12.0), 48.0)
+    block_h = min(max((time[-1] - time[0]) / FEWEST_VARIANCE_BLOCKS, 12.0), 48.0)
     score_variance = long_run_variance(scores, time, block_h)
-    is_at_bound = (z <= coordinates.lower + AT_LIMIT) | (z >= coordinates.upper - AT_LIMIT)
+    is_at_bound = (z <= coordinates.lower + LIMIT_DISTANCE) | (z >= coordinates.upper - LIMIT_DISTANCE)
     at_bounds = tuple(
         name for name, ends_at_bound in zip(coordinates.names, is_at_bound, strict=True) if ends_at_bound
     )

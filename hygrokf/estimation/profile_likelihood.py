@@ -28,9 +28,10 @@ from hygrokf.estimation.confidence import (
     too_short,
     with_positive_eigenvalues,
 )
+from hygrokf.estimation.conventions import CONFIDENCE
 from hygrokf.estimation.optimiser import (
-    AT_LIMIT,
-    BETTER,
+    BETTER_GAIN,
+    LIMIT_DISTANCE,
     Estimate,
     Objective,
     bounded_step,
@@ -47,7 +48,7 @@ WALK_PASSES = 400
 """Score passes in the search for one end of a profile, after which it stays open; ends take about 30."""
 WALK_TOLERANCE = 2e-3
 """Re-estimation along a profile ends when the next step promises less than this much log-likelihood."""
-MATERIAL = 0.05
+MATERIAL_GAIN = 0.05
 """[1] share of a profile's threshold: a limit counts only if passing it promises a larger gain of twice the
 log-likelihood."""
 
@@ -57,7 +58,7 @@ def profile(
     estimate: Estimate,
     spread: Uncertainty,
     name: str,
-    level: float = 0.95,
+    level: float = CONFIDENCE,
     progress: Callable[[str], None] | None = None,
     robust: bool = True,
 ) -> Bounds:
@@ -143,7 +144,7 @@ class _Walk:
         bounds = np.array([p.lifted_limits() for p in self.free])
         coordinates = estimate.coordinates
         self.units = natural_units(coordinates)
-        near = AT_LIMIT * self.units
+        near = LIMIT_DISTANCE * self.units
         self.lower = np.where(estimate.z <= coordinates.lower + near, coordinates.lower, bounds[:, 0])
         self.upper = np.where(estimate.z >= coordinates.upper - near, coordinates.upper, bounds[:, 1])
         self.curvature = with_positive_eigenvalues(spread.curvature)
@@ -153,7 +154,7 @@ class _Walk:
             block = positive_inverse(spread.curvature[np.ix_(inside, inside)])
             self.path[inside] = -block @ spread.curvature[inside, index]
         self.last = {0.0: (estimate.z, np.zeros_like(estimate.z))}
-        self.best = (-BETTER, estimate.z)
+        self.best = (-BETTER_GAIN, estimate.z)
         self.left = WALK_PASSES
 
     def drop(self, offset: float) -> float:
@@ -202,7 +203,7 @@ class _Walk:
     def better(self) -> dict[str, float] | None:
         """Parameter values more likely than the estimate, if the walk met any."""
         drop, z = self.best
-        return None if drop >= -BETTER else self.objective.coordinates.values(z)
+        return None if drop >= -BETTER_GAIN else self.objective.coordinates.values(z)
 
     def limits(self, side: Side, offset: float, threshold: float) -> list[Limit]:
         """Limits of other coordinates that act at this offset, except those of the estimate itself."""
@@ -210,7 +211,7 @@ class _Walk:
         coordinates = self.estimate.coordinates
         limits = []
         for i, p in enumerate(self.free):
-            near = AT_LIMIT * self.units[i]
+            near = LIMIT_DISTANCE * self.units[i]
             above = z[i] > coordinates.upper[i] - near
             search_limit, lifted = (
                 (coordinates.upper[i], self.upper[i]) if above else (coordinates.lower[i], self.lower[i])
@@ -219,7 +220,7 @@ class _Walk:
             if i == self.index or was_at_limit or not (above or z[i] < coordinates.lower[i] + near):
                 continue
             unit = 1.0 if p.positive else p.upper - p.lower
-            is_pushed = 2.0 * (gradient[i] if above else -gradient[i]) * unit > MATERIAL * threshold
+            is_pushed = 2.0 * (gradient[i] if above else -gradient[i]) * unit > MATERIAL_GAIN * threshold
             is_at_end = abs(z[i] - lifted) <= near and is_pushed
             lifted_value = p.from_coordinate(lifted)
             physical = abs(lifted_value - p.physical[int(above)]) <= near * p.slope(lifted_value)
@@ -256,7 +257,7 @@ def _end(
         points.append((p.from_coordinate(z + direction * offset), drop))
         return math.sqrt(max(drop, 0.0)) - math.sqrt(threshold)
 
-    if limit < AT_LIMIT * walk.units[index]:
+    if limit < LIMIT_DISTANCE * walk.units[index]:
         return None, points
     inner, value_inner = 0.0, -math.sqrt(threshold)
     outer = min(first, limit)

@@ -22,7 +22,7 @@ from hygrokf.estimation.likelihood import Gaussian, Likelihood
 from hygrokf.estimation.smoother import observation
 from hygrokf.physics.holds import between
 
-TOLERANCE = 1e-12
+INTEGRATION_TOLERANCE = 1e-12
 """Relative error of the integration over one step."""
 INSIDE = math.nextafter(1.0, 0.0)
 """[1] largest share of a step: just before its end, where an input held from its stamp on changes."""
@@ -92,6 +92,6 @@ def predict(
     start = np.concatenate([m, P.ravel()])
     end = solve_ivp(
         derivatives, (0.0, length), start, "DOP853", [length],
-        rtol=TOLERANCE, atol=TOLERANCE * (1e-3 + abs(start)),
+        rtol=INTEGRATION_TOLERANCE, atol=INTEGRATION_TOLERANCE * (1e-3 + abs(start)),
     ).y[:, -1]  # fmt: skip
     return end[:n], end[n:].reshape(n, n)

@@ -20,7 +20,7 @@ from hygrokf.physics.linearisation import state_derivatives
 if TYPE_CHECKING:
     from filterpy.kalman import ExtendedKalmanFilter
 
-SINGULAR = 1e-14
+UNSEEN_SHARE = 1e-14
 """[1] share of the largest singular value below which a direction counts as not seen."""
 
 
@@ -91,7 +91,7 @@ def _given_next(
         size = np.sqrt((along**2).sum(axis=1, keepdims=True))
         size = np.where(size > 0.0, size, 1.0)
         left_vectors, length, columns = np.linalg.svd(along / size)
-        is_seen = length > SINGULAR
+        is_seen = length > UNSEEN_SHARE
         reached = (start / size) @ np.swapaxes(columns, 1, 2)
         unresolved = np.where(is_seen[:, None, :], 0.0, reached)
         reached = np.where(is_seen[:, None, :], reached / np.where(is_seen, length, 1.0)[:, None, :], 0.0)
@@ -102,7 +102,7 @@ def _given_next(
         later = np.concatenate([np.where(is_seen[..., None], 0.0, rotated[:, :d]), rotated[:, d:]], axis=1)
         back = rotation @ back
     left_directions, size, right = np.linalg.svd(later)
-    is_seen = size > SINGULAR * size[:, :1]
+    is_seen = size > UNSEEN_SHARE * size[:, :1]
     weight = np.where(is_seen, 1.0 / np.where(is_seen, size, 1.0), 0.0)
     rotation = error @ np.swapaxes(right, 1, 2)
     gain = gain + (rotation[:, :, :n] * weight[:, None, :]) @ np.swapaxes(left_directions, 1, 2) @ back

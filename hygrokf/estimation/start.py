@@ -8,25 +8,25 @@ Its derivatives along every parameter solve the same equations with other right-
 
     A ∂m = −∂f,    A ∂P + ∂P A' = −(∂A P + P ∂A' + ∂Q),
 
-with one factorisation for all.  The right-hand sides come from complex steps, exact to rounding, of all
-parameters at once: numpy carries one column for each of them.
+with one factorisation for all.  The right-hand sides are the derivatives of the traced equations, which are
+exact.
 
 Shapes: n states, d parameters.
 """
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from hygrokf.engine.traced_filter import Recursion
-from hygrokf.physics.expression import Value
+from hygrokf.physics.expression import Expression, Graph, Partials, Value, depends_on, jacobian, partials
 from hygrokf.physics.model import Model, Values
 
-STEP = 1e-30
-"""Size of a complex step: far below rounding, so that the square of the step vanishes."""
 MOST_NEWTON_STEPS = 50
 """Largest number of steps to a steady state; a linear model takes one."""
 
@@ -39,22 +39,67 @@ class Moments:
     covariance: np.ndarray
 
 
-def law(
-    name: str, model: Model, recursion: Recursion, values: Mapping[str, float], inputs: Mapping[str, float]
-) -> Moments:
+def law(name: str, model: Model, values: Mapping[str, float], inputs: Mapping[str, float]) -> Moments:
     """Moments of the steady state for "stationary", of the mechanisms' prior for any other name."""
-    if name == "stationary":
-        return stationary(model, recursion, values, inputs)[0]
-    return prior(model, values, inputs)
+    return stationary(model, values, inputs)[0] if name == "stationary" else prior(model, values, inputs)
 
 
 def law_with_slopes(
-    name: str, model: Model, recursion: Recursion, values: Mapping[str, float], inputs: Mapping[str, float]
+    name: str, model: Model, values: Mapping[str, float], inputs: Mapping[str, float]
 ) -> tuple[Moments, Moments]:
     """The moments of `law` and their derivatives."""
     if name == "stationary":
-        return stationary_with_slopes(model, recursion, values, inputs)
+        return stationary_with_slopes(model, values, inputs)
     return prior(model, values, inputs), prior_slopes(model, values, inputs)
+
+
+class _StartEquations:
+    """The first state's equations of a model, traced in a graph apart from the filter's."""
+
+    def __init__(self, model: Model) -> None:
+        self.model, self.graph = model, Graph()
+        self.p = {p.name: self.graph.symbol(f"p:{p.name}") for p in model.parameters}
+        self.u = {name: self.graph.symbol(f"u:{name}") for name in model.inputs}
+        self.x = [self.graph.symbol(f"x:{name}") for name in model.states]
+
+    def symbols(
+        self, values: Values, inputs: Mapping[str, float], mean: Iterable[Value] = ()
+    ) -> dict[str, Value]:
+        """Parameters, inputs and states by the names of their symbols."""
+        known = {f"p:{name}": value for name, value in values.items()}
+        known |= {f"u:{name}": value for name, value in inputs.items()}
+        return known | {f"x:{name}": value for name, value in zip(self.model.states, mean, strict=False)}
+
+    @cached_property
+    def prior_partials(self) -> Partials:
+        """Derivatives (n + n², d) of the prior's mean and covariance by the parameters."""
+        mean, covariance = self.model.initial_moments(self.p, self.u)
+        return partials(self.graph, [*mean, *itertools.chain(*covariance)], list(self.p.values()))
+
+    @cached_property
+    def equations(self) -> list[Expression]:
+        """The rates (n,), the entries (n²) of A and the entries (n²) of Q."""
+        rates = [self.graph.lift(v) for v in self.model.traced(self.x, self.u, self.p).rates]
+        matrices = jacobian(rates, self.x), self.model.noise(self.p, self.u)
+        return [*rates, *(self.graph.lift(v) for matrix in matrices for row in matrix for v in row)]
+
+    @cached_property
+    def is_linear(self) -> bool:
+        n, names = len(self.x), [f"x:{name}" for name in self.model.states]
+        return not any(depends_on(self.graph, entry, names) for entry in self.equations[n : n + n * n])
+
+    @cached_property
+    def equation_partials(self) -> Partials:
+        """Derivatives (n + 2 n², d + n) of the equations by the parameters and the states."""
+        return partials(self.graph, self.equations, [*self.p.values(), *self.x])
+
+
+def _equations(model: Model) -> _StartEquations:
+    """The equations of a model, cached on the model as its filters are."""
+    if "_start" not in vars(model):
+        vars(model)["_start"] = _StartEquations(model)
+    traced: _StartEquations = vars(model)["_start"]
+    return traced
 
 
 def prior(model: Model, values: Mapping[str, float], inputs: Mapping[str, float]) -> Moments:
@@ -65,65 +110,62 @@ def prior(model: Model, values: Mapping[str, float], inputs: Mapping[str, float]
 
 def prior_slopes(model: Model, values: Mapping[str, float], inputs: Mapping[str, float]) -> Moments:
     """Derivatives of `prior`."""
-    mean, covariance = model.initial_moments(_complex_steps(model, values), inputs)
-    n, count = len(mean), len(model.parameters)
-    slopes = _imaginary_parts([value for row in covariance for value in row], count)
-    return Moments(_imaginary_parts(mean, count), slopes.reshape(count, n, n))
+    traced, n = _equations(model), len(model.states)
+    slopes = traced.prior_partials.evaluate(traced.symbols(values, inputs)).T
+    return Moments(slopes[:, :n], slopes[:, n:].reshape(-1, n, n))
 
 
 def stationary(
-    model: Model, recursion: Recursion, values: Mapping[str, float], inputs: Mapping[str, float]
+    model: Model, values: Mapping[str, float], inputs: Mapping[str, float]
 ) -> tuple[Moments, np.ndarray]:
     """The steady state at the first inputs with its covariance, and the Jacobian A (n, n) there.
 
     Raises ValueError where the model has no steady state: Newton's iteration from the prior's mean does not
     converge, or an eigenvalue of A has no negative real part.
     """
-    start = prior(model, values, inputs)
+    traced, n, start = _equations(model), len(model.states), prior(model, values, inputs)
     mean, width = start.mean, np.sqrt(np.diag(start.covariance))
     for _ in range(MOST_NEWTON_STEPS):
-        rates, jacobian, noise = _linearise(recursion, values, mean, inputs)
+        symbols = traced.symbols(values, inputs, mean.tolist())
+        numbers = np.array(traced.graph.evaluate(traced.equations, symbols), dtype=float)
+        rates, (matrix, noise) = numbers[:n], numbers[n:].reshape(2, n, n)
         try:
-            change = np.linalg.solve(jacobian, rates)
+            change = np.linalg.solve(matrix, rates)
         except np.linalg.LinAlgError:
             break
-        if recursion.exact or np.all(np.abs(change) <= 1e-13 * (np.abs(mean) + width)):
-            if np.linalg.eigvals(jacobian).real.max() >= 0.0:
+        if traced.is_linear or np.all(np.abs(change) <= 1e-13 * (np.abs(mean) + width)):
+            if np.linalg.eigvals(matrix).real.max() >= 0.0:
                 break
-            return Moments(mean - change, lyapunov(jacobian, noise[None])[0]), jacobian
+            return Moments(mean - change, lyapunov(matrix, noise[None])[0]), matrix
         mean = mean - change
     raise ValueError("initial: the model has no stationary state; use 'prior', 'diffuse' or a Gaussian")
 
 
 def stationary_with_slopes(
-    model: Model, recursion: Recursion, values: Mapping[str, float], inputs: Mapping[str, float]
+    model: Model, values: Mapping[str, float], inputs: Mapping[str, float]
 ) -> tuple[Moments, Moments]:
     """The moments of `stationary` and their derivatives."""
-    steady, matrix = stationary(model, recursion, values, inputs)
-    count, graph, stepped = len(model.parameters), recursion.graph, _complex_steps(model, values)
-    symbols = recursion.symbols(stepped, steady.mean, inputs)
-    mean = -np.linalg.solve(matrix, _imaginary_parts(graph.evaluate(recursion.rates, symbols), count).T)
-    symbols |= recursion.symbols({}, steady.mean[:, None] + 1j * STEP * mean)
-    places, noise_places = recursion.jacobian_entries, recursion.noise_entries
-    derivatives = _imaginary_parts(graph.evaluate([*places.values(), *noise_places.values()], symbols), count)
-    n, split = recursion.n, len(places)
-    right = _matrices_of_entries(n, places, derivatives[:, :split]) @ steady.covariance
-    right = right + np.swapaxes(right, 1, 2) + _matrices_of_entries(n, noise_places, derivatives[:, split:])
+    steady, matrix = stationary(model, values, inputs)
+    traced, n, d = _equations(model), len(model.states), len(model.parameters)
+    derivatives = traced.equation_partials.evaluate(traced.symbols(values, inputs, steady.mean.tolist()))
+    mean = -np.linalg.solve(matrix, derivatives[:n, :d])
+    along = derivatives[n:, :d] + derivatives[n:, d:] @ mean
+    matrix_slopes, noise_slopes = along.T.reshape(d, 2, n, n).swapaxes(0, 1)
+    right = matrix_slopes @ steady.covariance
+    right = right + np.swapaxes(right, 1, 2) + noise_slopes
     return steady, Moments(mean.T, lyapunov(matrix, right))
 
 
 def packed(recursion: Recursion, first: Moments, unknown: Sequence[int], begun: bool) -> np.ndarray:
-    """Moments (…, w) packed for the loops of a recursion; nothing is known of the states `unknown`.
+    """Moments (w,) packed for the loops of a recursion; nothing is known of the states `unknown`.
 
     Without `begun`, the loadings start at the first reading: nothing is known of these states until then.
     """
-    if not unknown:
-        return recursion.packed_moments(first.mean, first.covariance)
-    is_known = np.ones(recursion.n)
-    is_known[unknown] = 0.0
-    state = recursion.packed_moments(first.mean * is_known, first.covariance * np.outer(is_known, is_known))
-    loadings, directions = np.eye(recursion.n)[:, unknown].ravel(), np.eye(len(unknown)).ravel()
-    state[..., recursion.loaded :] = np.concatenate([loadings, directions, [float(begun)]])
+    first = _of_known(first, unknown)
+    state = recursion.packed_moments(first.mean, first.covariance)
+    if unknown:
+        loadings, directions = np.eye(recursion.n)[:, unknown].ravel(), np.eye(len(unknown)).ravel()
+        state[recursion.loaded :] = np.concatenate([loadings, directions, [float(begun)]])
     return state
 
 
@@ -131,13 +173,15 @@ def packed_slopes(
     recursion: Recursion, first: Moments, slopes: Moments, unknown: Sequence[int]
 ) -> np.ndarray:
     """Derivatives (d, w) of `packed`."""
-    if recursion.factored:
-        parts = (first.mean, slopes.mean), (first.covariance, slopes.covariance)
-        stepped = Moments(*(part + 1j * STEP * slope for part, slope in parts))
-        return np.imag(packed(recursion, stepped, unknown, False)) / STEP
-    derivatives = packed(recursion, slopes, unknown, False)
-    derivatives[:, recursion.loaded :] = 0.0
-    return derivatives
+    first, slopes = _of_known(first, unknown), _of_known(slopes, unknown)
+    return recursion.packed_slopes(slopes.mean, first.covariance, slopes.covariance)
+
+
+def _of_known(moments: Moments, unknown: Sequence[int]) -> Moments:
+    """Moments (…) or their derivatives, with zeros for the states `unknown`."""
+    is_known = np.ones(moments.mean.shape[-1])
+    is_known[list(unknown)] = 0.0
+    return Moments(moments.mean * is_known, moments.covariance * np.outer(is_known, is_known))
 
 
 def lyapunov(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
@@ -149,42 +193,3 @@ def lyapunov(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
     columns = np.linalg.solve(operator.reshape(n * n, n * n), -right.reshape(-1, n * n).T)
     solution = columns.T.reshape(-1, n, n)
     return 0.5 * (solution + np.swapaxes(solution, 1, 2))
-
-
-def _complex_steps(model: Model, values: Mapping[str, float]) -> dict[str, np.ndarray]:
-    """The parameter values as arrays (d,); entry i has a complex step along parameter i."""
-    names = [p.name for p in model.parameters]
-    columns = np.array([[values[name]] for name in names]).reshape(-1, 1) + 1j * STEP * np.eye(len(names))
-    return dict(zip(names, columns, strict=True))
-
-
-def _imaginary_parts(stepped: Sequence[Value], count: int) -> np.ndarray:
-    """Derivatives (d, m) of m numbers from their values after complex steps, (d,), or () without a
-    parameter."""
-    derivatives = np.empty((len(stepped), count))
-    for row, value in zip(derivatives, stepped, strict=True):
-        row[:] = np.imag(value) / STEP
-    return derivatives.T
-
-
-def _linearise(
-    recursion: Recursion, values: Values, mean: np.ndarray, inputs: Mapping[str, float]
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The rates (n,), A (n, n) and Q (n, n) at a state and inputs."""
-    n, places, noise_places = recursion.n, recursion.jacobian_entries, recursion.noise_entries
-    expressions = [*recursion.rates, *places.values(), *noise_places.values()]
-    symbols = recursion.symbols(values, mean.tolist(), inputs)
-    evaluated = np.array(recursion.graph.evaluate(expressions, symbols), dtype=float)
-    split = n + len(places)
-    return (
-        evaluated[:n],
-        _matrices_of_entries(n, places, evaluated[n:split]),
-        _matrices_of_entries(n, noise_places, evaluated[split:]),
-    )
-
-
-def _matrices_of_entries(n: int, places: Iterable[tuple[int, int]], entries: np.ndarray) -> np.ndarray:
-    """Matrices (…, n, n) with `entries` (…, m) at `places`."""
-    matrix = np.zeros((*entries.shape[:-1], n * n))
-    matrix[..., [i * n + j for i, j in places]] = entries
-    return matrix.reshape(*entries.shape[:-1], n, n)

@@ -20,7 +20,7 @@ from hygrokf.estimation.likelihood import Likelihood
 from hygrokf.estimation.optimiser import Estimate, Objective, fit_mle
 from hygrokf.physics.parameters import Parameter, expect_values, within_limits
 
-IDENTIFICATION, WHOLE = "identification", "whole"
+IDENTIFICATION, WHOLE_RECORD = "identification", "whole"
 """Parts of a record: its identification period, and all of it."""
 
 
@@ -115,11 +115,11 @@ class Subject:
         return Spread(parameters, self.values, uncertain.names, uncertain.wider)
 
 
-def subject(verb: str, source: Source, given: object, part: str = WHOLE) -> Subject:
+def subject(verb: str, source: Source, given: object, part: str = WHOLE_RECORD) -> Subject:
     """The subject of a verb, from a fit and a record, or from a likelihood and its estimate or values.
 
-    part: `IDENTIFICATION` or `WHOLE`, of the record.  Raises ValueError for other arguments, with the call
-    that makes the expected ones, and for values that do not belong to the model.
+    part: `IDENTIFICATION` or `WHOLE_RECORD`, of the record.  Raises ValueError for other arguments, with the
+    call that makes the expected ones, and for values that do not belong to the model.
     """
     if isinstance(source, JointLikelihood):
         raise ValueError(

@@ -12,14 +12,13 @@ import numpy as np
 from hygrokf.data.actuators import Actuator, actuators
 from hygrokf.data.structured import optional
 from hygrokf.estimation.confidence import normal_quantile
+from hygrokf.estimation.conventions import CONFIDENCE
 from hygrokf.evaluation.simulation import QUANTITIES, free_run
 from hygrokf.modelling.design import Design
 from hygrokf.modelling.inputs import Run
 from hygrokf.physics.parameters import Parameter
 from hygrokf.texts.statement import Statement
 from hygrokf.texts.terms import Name
-
-LEVEL = 0.95
 
 
 @dataclass(frozen=True)
@@ -95,7 +94,7 @@ def _effects(
     def at_bound(sign: float) -> dict[str, float]:
         return {
             p.name: min(
-                max(values[p.name] + sign * normal_quantile(LEVEL) * errors[p.name], p.lower), p.upper
+                max(values[p.name] + sign * normal_quantile(CONFIDENCE) * errors[p.name], p.lower), p.upper
             )
             for p in parameters
         }

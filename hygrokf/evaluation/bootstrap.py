@@ -18,11 +18,10 @@ import numpy as np
 
 from hygrokf.data.timestamps import HOUR_S
 from hygrokf.estimation.confidence import student_quantile
+from hygrokf.estimation.conventions import CONFIDENCE
 from hygrokf.estimation.serial_dependence import autocovariance
 
-LEVEL = 0.95
-"""[1] probability of the bounds."""
-SEED = 20200925
+BOOTSTRAP_SEED = 20200925
 """Fixed seed: the same record gives the same result."""
 LEAST_BLOCK_H = 24.0
 """[h] shortest block."""
@@ -30,9 +29,9 @@ BLOCKS_PER_TIME = 4.0
 """Length of blocks in integral times."""
 SHORT_HOLE = 6
 """Longest hole, in bins, that is interpolated before the correlation time is estimated."""
-DRAWS = 600
+ERROR_DRAWS = 600
 """Draws of blocks for bounds of root mean squared errors."""
-FEWEST_BLOCKS = 4.0
+FEWEST_DRAWN_BLOCKS = 4.0
 """Effective number of blocks below which no bounds are given."""
 MOST_LOST = 0.5
 """Largest share of the variance by which the bounds are corrected for the finite length of the blocks."""
@@ -142,14 +141,14 @@ class Resampled:
         1/(1 − τ/L) adds the variance due to correlation beyond the end of a block (length L, integral time τ
         of the errors).
         """
-        if self.blocks < FEWEST_BLOCKS:
+        if self.blocks < FEWEST_DRAWN_BLOCKS:
             return None
         spread = float(np.std(draws)) * math.sqrt(self.blocks / (self.blocks - 1.0) / (1.0 - self.lost))
-        return student_quantile(LEVEL, self.blocks - 1.0) * spread
+        return student_quantile(CONFIDENCE, self.blocks - 1.0) * spread
 
 
 def resampled(
-    time_s: np.ndarray, errors: np.ndarray, length_h: float | None = None, count: int = DRAWS
+    time_s: np.ndarray, errors: np.ndarray, length_h: float | None = None, count: int = ERROR_DRAWS
 ) -> Resampled | None:
     """Root mean squared errors of columns (T, k) at times (T,) [s], with draws of circular blocks of hours.
 
@@ -178,7 +177,7 @@ def resampled(
         [np.zeros((1, columns.shape[1])), np.cumsum(np.vstack([columns, columns[:length]]), axis=0)]
     )
     block_sums = running[length : length + size] - running[:size]
-    random = np.random.default_rng(SEED)
+    random = np.random.default_rng(BOOTSTRAP_SEED)
     starts = random.integers(0, size, (count, max(round(size / length), 1)))
     drawn = block_sums[starts].sum(axis=1)
     drawn = drawn[drawn[:, 0] > 0]

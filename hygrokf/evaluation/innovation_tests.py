@@ -1,57 +1,170 @@
-"""Tests of the innovations: whiteness, distribution, and remaining correlation with the inputs.
+"""Tests of the innovations: whiteness, distribution, and remaining correlation with the inputs; and their
+results, as `fit.json` stores them.
 
 Innovations divided by their standard deviations, e/√S, are white with unit variance if the model is correct,
 whatever the time steps between the readings.  Autocorrelation and spectrum are therefore computed over the
 *sequence of readings*: a lag is a number of readings, and a gap counts as one step.  Hours are lags times the
 median step.
 
-Shapes: T instants, n readings of one output, L lags.
+Shapes: T instants, n readings of one output, L lags, m frequencies.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
+from typing import Literal, TypeAlias
 
 import numpy as np
 
+from hygrokf.data.structured import optional
 from hygrokf.estimation.confidence import normal_quantile
+from hygrokf.estimation.conventions import SIGNIFICANCE
 from hygrokf.evaluation.bootstrap import prediction_error
-from hygrokf.evaluation.diagnosis import (
-    Autocorrelation,
-    CrossCorrelation,
-    CumulativePeriodogram,
-    Diagnosis,
-    InnovationTest,
-    OutputDiagnosis,
-    Periodogram,
-    TestName,
-)
 from hygrokf.texts.fit_codes import FitCode
 from hygrokf.texts.statement import Statement
+from hygrokf.texts.terms import Name
 
-SMALL = 0.1
+SMALL_CORRELATION = 0.1
 """[1] correlations below this explain less than 1 % of the variance and are called small."""
-FEWEST_READINGS = 30
+FEWEST_DIAGNOSED = 30
 """Fewest readings for a diagnosis."""
-POINTS = 400
+MOST_POINTS = 400
 """Largest number of values in a list of the result: a longer list keeps of each stretch of equal length the
 value farthest from zero."""
 SPECTRUM_POINTS = 120
 """Bands of the periodogram, evenly spaced in the logarithm of the frequency."""
-LARGEST_ORDER = 48
+WHITENING_ORDER = 48
 """Largest order of the autoregression that whitens an input."""
-BEYOND = 3.0
+OUTLIER_SD = 3.0
 """[1] absolute value of a standardised innovation above which it counts as an outlier."""
-LEVEL = 0.05
-"""[1] probability of any false alarm among all tests."""
 NOTE = (
     "standardised innovations e/√S of the identification period; lags count readings, a gap counts as one "
     "step, hours are lags times the median step; inputs are whitened by an autoregression before they are "
     "correlated (Haugh 1976); a correlation counts only where it exceeds its limit under equal and under "
     "unequal variance; all tests share one error rate (Holm 1979)"
 )
+
+
+# --- results ---------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Autocorrelation:
+    """Autocorrelation `value` (L,) [1] at lags `lag_h` (L,) [h].
+
+    `limit`: of each lag by itself; `limit_all`: of all lags together.
+    """
+
+    lag_h: tuple[float, ...] = ()
+    value: tuple[float, ...] = ()
+    limit: float = math.nan
+    limit_all: float = math.nan
+
+
+@dataclass(frozen=True)
+class CrossCorrelation(Autocorrelation):
+    """Correlation of innovations with one whitened input; at a positive lag the innovation is later than the
+    input.  `p` [1]: probability under independence."""
+
+    p: float = math.nan
+
+
+@dataclass(frozen=True)
+class CumulativePeriodogram:
+    """Cumulative share `value` (m,) [1] of the power up to `frequency_per_h` (m,) [1/h], with the
+    Kolmogorov–Smirnov test against a straight line."""
+
+    frequency_per_h: tuple[float, ...] = ()
+    value: tuple[float, ...] = ()
+    statistic: float = math.nan
+    limit: float = math.nan
+    p: float = math.nan
+
+
+@dataclass(frozen=True)
+class Periodogram:
+    """Power (m,) [1] in bands about `frequency_per_h` (m,) [1/h]; white innovations stay between `lower` and
+    `upper`."""
+
+    frequency_per_h: tuple[float, ...] = ()
+    power: tuple[float, ...] = ()
+    lower: tuple[float, ...] = ()
+    upper: tuple[float, ...] = ()
+
+
+@dataclass(frozen=True)
+class OutputDiagnosis:
+    """Moments and whiteness of one output's standardised innovations.
+
+    `n` readings, `step_h` [h] median step, `lags` longest lag in readings; `beyond_3`: share [1] beyond ±3;
+    `cross_correlation`: by input, without inputs that hardly vary.  `remark`: why only `n` is known.
+    """
+
+    n: int = 0
+    step_h: float = optional(math.nan)
+    lags: int | None = optional()
+    mean: float = optional(math.nan)
+    variance: float = optional(math.nan)
+    excess_kurtosis: float = optional(math.nan)
+    beyond_3: float = optional(math.nan)
+    autocorrelation: Autocorrelation | None = optional()
+    cumulative_periodogram: CumulativePeriodogram | None = optional()
+    periodogram: Periodogram | None = optional()
+    cross_correlation: Mapping[str, CrossCorrelation] = field(default_factory=dict)
+    remark: Statement | None = optional()
+
+
+TestName: TypeAlias = Literal[
+    "mean", "variance", "normality", "autocorrelation", "cumulative periodogram", "daily cycle", "correlation"
+]
+WHITENESS: tuple[TestName, ...] = ("autocorrelation", "cumulative periodogram")
+"""Tests of the same property: whiteness."""
+
+
+@dataclass(frozen=True)
+class InnovationTest:
+    """One test of an output's innovations: p [1], p adjusted by Holm's method, and whether it rejects.
+
+    `input`: input of a tested correlation; `lag_h` [h]: longest lag of a tested autocorrelation; `statement`:
+    the finding, if the test rejects.
+    """
+
+    output: Name
+    test: TestName
+    input: Name = optional("")
+    lag_h: float = optional(math.nan)
+    p: float = math.nan
+    p_adjusted: float = math.nan
+    rejected: bool = False
+    statement: Statement | None = optional()
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """All tests of the innovations; the probability of any false alarm among them is `SIGNIFICANCE`."""
+
+    outputs: Mapping[str, OutputDiagnosis] = field(default_factory=dict)
+    tests: tuple[InnovationTest, ...] = ()
+
+    @property
+    def statements(self) -> tuple[Statement, ...]:
+        """The findings for each output; of several rejections of whiteness only the first is included."""
+        statements: list[Statement] = []
+        for name, output in self.outputs.items():
+            tests = [test for test in self.tests if test.output == name]
+            rejections: dict[tuple[str, str], Statement] = {}
+            for test in tests:
+                if test.rejected and test.statement is not None:
+                    kind = "whiteness" if test.test in WHITENESS else test.test
+                    rejections.setdefault((kind, test.input), test.statement)
+            white = [FitCode.WHITE(output=name, tests=len(tests))] if tests else []
+            statements += [output.remark] if output.remark else rejections.values() or white
+        return tuple(statements)
+
+
+# --- all outputs -----------------------------------------------------------------------------
 
 
 def diagnose(
@@ -87,7 +200,12 @@ def diagnose(
         tests += output_tests
     adjusted = _holm([test.p for test in tests])
     rows = tuple(
-        replace(test, p_adjusted=p, rejected=p < LEVEL, statement=test.statement if p < LEVEL else None)
+        replace(
+            test,
+            p_adjusted=p,
+            rejected=p < SIGNIFICANCE,
+            statement=test.statement if p < SIGNIFICANCE else None,
+        )
         for test, p in zip(tests, adjusted, strict=True)
     )
     return Diagnosis(outputs, rows)
@@ -97,14 +215,14 @@ def _output(
     name: str, time: np.ndarray, e: np.ndarray, inputs: Mapping[str, np.ndarray], longest_h: float
 ) -> tuple[OutputDiagnosis, list[InnovationTest]]:
     n = len(e)
-    if n < FEWEST_READINGS:
-        remark = FitCode.TOO_FEW_INNOVATIONS(output=name, n=n, fewest=FEWEST_READINGS)
-        return OutputDiagnosis(n, remark=remark), []
+    if n < FEWEST_DIAGNOSED:
+        remark = FitCode.TOO_FEW_INNOVATIONS(output=name, n=n, fewest=FEWEST_DIAGNOSED)
+        return OutputDiagnosis(n=n, remark=remark), []
     if float(np.ptp(e)) <= 1e-12 * max(1.0, float(np.max(np.abs(e)))):
-        return OutputDiagnosis(n, remark=FitCode.CONSTANT_INNOVATIONS(output=name)), []
+        return OutputDiagnosis(n=n, remark=FitCode.CONSTANT_INNOVATIONS(output=name)), []
     step = float(np.median(np.diff(time)))
     lags = int(min(max(round(longest_h / step), 1), n // 10))
-    moments, tests = _moments(name, e)
+    diagnosis, tests = _moments(name, e)
     autocorrelation, whiteness_tests = _autocorrelation(name, e, step, lags)
     cumulative, periodogram, spectral = _spectrum(name, e, step)
     tests += [*whiteness_tests, spectral, *_daily_cycle(name, time, e)]
@@ -113,25 +231,34 @@ def _output(
         if (pair := _cross_correlation(name, source, e, values, step, lags)) is not None:
             cross_correlations[source], test = pair
             tests.append(test)
-    courses = (autocorrelation, cumulative, periodogram, cross_correlations)
-    return OutputDiagnosis(n, step, lags, *moments, *courses), tests
+    diagnosis = replace(
+        diagnosis,
+        step_h=step,
+        lags=lags,
+        autocorrelation=autocorrelation,
+        cumulative_periodogram=cumulative,
+        periodogram=periodogram,
+        cross_correlation=cross_correlations,
+    )
+    return diagnosis, tests
 
 
 # --- one series ------------------------------------------------------------------------------
 
 
-def _moments(name: str, e: np.ndarray) -> tuple[tuple[float, float, float, float], list[InnovationTest]]:
-    """Mean, variance, excess kurtosis (0 for a normal distribution), share beyond ±3."""
+def _moments(name: str, e: np.ndarray) -> tuple[OutputDiagnosis, list[InnovationTest]]:
+    """The diagnosis with the moments alone: mean, variance, excess kurtosis (0 for a normal distribution),
+    share beyond ±3."""
     from scipy.stats import jarque_bera
 
     n = len(e)
     mean, variance = float(e.mean()), float(e.var())
     z = (e - mean) / math.sqrt(variance)
     skewness, kurtosis = float(np.mean(z**3)), float(np.mean(z**4) - 3.0)
-    outlier_share = float(np.mean(np.abs(e) > BEYOND))
+    outlier_share = float(np.mean(np.abs(e) > OUTLIER_SD))
     # the sample kurtosis enters the variance of the sample variance: heavy tails alone cause no rejection
     spread = math.sqrt(max(kurtosis + 2.0, 1e-12) / n) * variance
-    mean_code = FitCode.MEAN_SMALL if abs(mean) < SMALL else FitCode.MEAN_BIASED
+    mean_code = FitCode.MEAN_SMALL if abs(mean) < SMALL_CORRELATION else FitCode.MEAN_BIASED
     variance_code = FitCode.WIDER_THAN_PREDICTED if variance > 1 else FitCode.NARROWER_THAN_PREDICTED
     tails = FitCode.TAILS_HEAVY if kurtosis > 0 else FitCode.TAILS_LIGHT
     shape = tails() if abs(kurtosis) >= abs(skewness) else FitCode.SKEWED()
@@ -147,13 +274,14 @@ def _moments(name: str, e: np.ndarray) -> tuple[tuple[float, float, float, float
             float(jarque_bera(e).pvalue),
             FitCode.NOT_NORMAL(
                 output=name, shape=shape, kurtosis=kurtosis, skewness=skewness, beyond=outlier_share,
-                expected=_two_sided(BEYOND),
+                expected=_two_sided(OUTLIER_SD),
             ),
         ),
     )  # fmt: skip
-    return (mean, variance, kurtosis, outlier_share), [
-        InnovationTest(name, test, p=p, statement=statement) for test, p, statement in rows
-    ]
+    diagnosis = OutputDiagnosis(
+        n=n, mean=mean, variance=variance, excess_kurtosis=kurtosis, beyond_3=outlier_share
+    )
+    return diagnosis, [InnovationTest(name, test, p=p, statement=statement) for test, p, statement in rows]
 
 
 def _autocorrelation(
@@ -167,7 +295,7 @@ def _autocorrelation(
     hour = int(min(max(round(1.0 / step), 1), lags))
     limit_all = _simultaneous(lags) / math.sqrt(n)
     shown = _extremes(values)
-    limit = normal_quantile(1.0 - LEVEL) / math.sqrt(n)
+    limit = normal_quantile(1.0 - SIGNIFICANCE) / math.sqrt(n)
     autocorrelation = Autocorrelation(_rounded((shown + 1) * step), _rounded(values[shown]), limit, limit_all)
     tests = []
     for k in dict.fromkeys((lags, hour)):
@@ -196,10 +324,10 @@ def _spectrum(
     # for white noise the first m−1 values are distributed as the order statistics of m−1 uniform numbers
     kolmogorov = kstest(cumulative[:-1], "uniform")
     distance, p = float(kolmogorov.statistic), float(kolmogorov.pvalue)
-    limit = float(kstwo.isf(LEVEL, m - 1))
+    limit = float(kstwo.isf(SIGNIFICANCE, m - 1))
     offset = cumulative - np.arange(1, m + 1) / m
     worst = int(np.argmax(np.abs(offset)))
-    shown = np.unique(np.linspace(0, m - 1, min(m, POINTS)).astype(int))
+    shown = np.unique(np.linspace(0, m - 1, min(m, MOST_POINTS)).astype(int))
     cumulative_periodogram = CumulativePeriodogram(
         _rounded(frequency[shown]), _rounded(cumulative[shown]), distance, limit, p
     )
@@ -208,8 +336,8 @@ def _spectrum(
     periodogram = Periodogram(
         _rounded(np.add.reduceat(frequency, edges[:-1]) / count),
         _rounded(np.add.reduceat(power, edges[:-1]) / count),
-        _rounded(chi2.ppf(LEVEL / 2.0, 2 * count) / (2 * count)),
-        _rounded(chi2.isf(LEVEL / 2.0, 2 * count) / (2 * count)),
+        _rounded(chi2.ppf(SIGNIFICANCE / 2.0, 2 * count) / (2 * count)),
+        _rounded(chi2.isf(SIGNIFICANCE / 2.0, 2 * count) / (2 * count)),
     )
     code = FitCode.SPECTRUM_TOO_HIGH if offset[worst] > 0 else FitCode.SPECTRUM_TOO_LOW
     statement = code(output=name, distance=distance, limit=limit, period_h=float(1.0 / frequency[worst]))
@@ -241,15 +369,15 @@ def _daily_cycle(name: str, time: np.ndarray, e: np.ndarray) -> list[InnovationT
 def whitened(values: np.ndarray) -> tuple[np.ndarray, int]:
     """The prediction errors (n,) of an input (n,) [any unit] by its own autoregression, and its order.
 
-    AIC selects the order, at most `LARGEST_ORDER`, from the Levinson–Durbin recursion.  The errors are NaN at
-    missing values, at values predicted from missing ones, and at the first values, as many as the order.
+    AIC selects the order, at most `WHITENING_ORDER`, from the Levinson–Durbin recursion.  The errors are NaN
+    at missing values, at values predicted from missing ones, and at the first values, as many as the order.
     """
     from statsmodels.tsa.stattools import acovf, levinson_durbin
 
     is_known = np.isfinite(values)
     centred = np.where(is_known, values - float(np.mean(values[is_known])), 0.0)
     n = len(values)
-    largest = int(min(LARGEST_ORDER, max(n // 10, 1)))
+    largest = int(min(WHITENING_ORDER, max(n // 10, 1)))
     covariance = np.asarray(acovf(centred, fft=True, nlag=largest))
     _, _, _, error_variance, phi = levinson_durbin(covariance, nlags=largest, isacov=True)
     error_variance = np.concatenate([[covariance[0]], error_variance[1:]])
@@ -264,7 +392,7 @@ def _cross_correlation(
     """The correlation with one input; None where the input hardly varies, or where its past predicts it
     without error."""
     known_values = values[np.isfinite(values)]
-    if len(known_values) < FEWEST_READINGS:
+    if len(known_values) < FEWEST_DIAGNOSED:
         return None
     if float(np.ptp(known_values)) <= 1e-9 * max(1.0, float(np.max(np.abs(known_values)))):
         return None
@@ -272,7 +400,7 @@ def _cross_correlation(
     is_known = np.isfinite(u)
     n = int(is_known.sum())
     total = float(np.sum(u[is_known] ** 2))
-    if n < FEWEST_READINGS or total <= 0.0:
+    if n < FEWEST_DIAGNOSED or total <= 0.0:
         return None
     u = np.where(is_known, u - float(u[is_known].mean()), 0.0)
     centred = e - e.mean()
@@ -297,7 +425,7 @@ def _cross_correlation(
     correlation = CrossCorrelation(
         _rounded(lag[shown] * step),
         _rounded(r[shown]),
-        normal_quantile(1.0 - LEVEL) / math.sqrt(n),
+        normal_quantile(1.0 - SIGNIFICANCE) / math.sqrt(n),
         limit_all,
         p,
     )
@@ -330,13 +458,15 @@ def _two_sided(z: float) -> float:
 
 
 def _simultaneous(count: int) -> float:
-    """Quantile below which `count` independent normal numbers all stay with probability 1 − LEVEL (Šidák)."""
-    return normal_quantile((1.0 - LEVEL) ** (1.0 / count))
+    """Quantile below which `count` independent normal numbers all stay with probability 1 − SIGNIFICANCE
+    (Šidák)."""
+    return normal_quantile((1.0 - SIGNIFICANCE) ** (1.0 / count))
 
 
 def _extremes(values: np.ndarray) -> np.ndarray:
-    """Indices of at most `POINTS` values: the value farthest from zero in each stretch of equal length."""
-    width = math.ceil(len(values) / POINTS)
+    """Indices of at most `MOST_POINTS` values: the value farthest from zero in each stretch of equal
+    length."""
+    width = math.ceil(len(values) / MOST_POINTS)
     if width == 1:
         return np.arange(len(values))
     padded = np.full(math.ceil(len(values) / width) * width, -1.0)
@@ -357,4 +487,4 @@ def _correlation_and_limit(r: float, limit: float) -> Statement:
 
 def _remark_on_size(r: float) -> tuple[Statement, ...]:
     """The remark on a correlation that explains little."""
-    return (FitCode.SMALL_SHARE(share=r * r),) if abs(r) < SMALL else ()
+    return (FitCode.SMALL_SHARE(share=r * r),) if abs(r) < SMALL_CORRELATION else ()

@@ -16,10 +16,11 @@ from hygrokf.data.record import Record
 from hygrokf.data.result_file import utc_index, with_units
 from hygrokf.engine.timeline import Timeline
 from hygrokf.estimation.confidence import normal_quantile
+from hygrokf.estimation.conventions import CONFIDENCE
 from hygrokf.estimation.likelihood import Gaussian, Likelihood, Trace
 from hygrokf.estimation.smoother import smoothed_states
 from hygrokf.estimation.subject import Given, Source, Spread, subject
-from hygrokf.evaluation.diagnosis import Diagnosis
+from hygrokf.evaluation.innovation_tests import Diagnosis
 from hygrokf.evaluation.simulation import (
     QUANTITIES,
     Prediction,
@@ -60,13 +61,13 @@ class Course:
             raise KeyError(f"expected one of {', '.join(self.value)}, found {name}")
         return self.value[name], self.sd[name]
 
-    def bounds(self, name: str, level: float = 0.95) -> tuple[np.ndarray, np.ndarray]:
+    def bounds(self, name: str, level: float = CONFIDENCE) -> tuple[np.ndarray, np.ndarray]:
         """Lower and upper bound (T,) of the central interval with probability `level` [1]."""
         value, sd = self[name]
         half_width = normal_quantile(level) * sd
         return value - half_width, value + half_width
 
-    def to_frame(self, level: float = 0.95) -> DataFrame:
+    def to_frame(self, level: float = CONFIDENCE) -> DataFrame:
         """A pandas frame over time (UTC, or hours where there is no date) with the columns `name`, `name_sd`,
         `name_lower`, `name_upper` and, where it is read, `name_reading`, of every quantity; a forecast has
         `lead_h` too."""
@@ -80,7 +81,7 @@ class Course:
             if name in self.reading:
                 columns[f"{name}_reading"] = self.reading[name]
         frame = DataFrame(columns, index=time_index(self.time_h, self.origin_s))
-        units = {f"{name}{end}": unit for name, unit in self.units.items() for end in ENDS}
+        units = {f"{name}{end}": unit for name, unit in self.units.items() for end in COLUMN_SUFFIXES}
         return with_units(frame, units | {"lead_h": "h"})
 
     def __repr__(self) -> str:
@@ -93,7 +94,7 @@ class Course:
         return "\n".join(lines[:12])
 
 
-ENDS = ("", "_sd", "_lower", "_upper", "_reading")
+COLUMN_SUFFIXES = ("", "_sd", "_lower", "_upper", "_reading")
 """Suffixes of a quantity's name in the names of its columns."""
 
 
@@ -106,7 +107,7 @@ def time_index(time_h: np.ndarray, origin_s: float) -> Index:
 
 Pairs = Mapping[str, tuple[np.ndarray, np.ndarray]]
 """Values and standard deviations (T,) by output."""
-UNITS = dict(zip(QUANTITIES, ("K", "1", "g/m³"), strict=True))
+QUANTITY_UNITS = dict(zip(QUANTITIES, ("K", "1", "g/m³"), strict=True))
 
 
 def simulate(source: Source, given: Given | None = None) -> Course:
@@ -319,7 +320,7 @@ def _course(t: Timeline, pairs: Pairs, readings: Mapping[str, np.ndarray]) -> Co
     return Course(t.time, t.origin_s, value, sd, reading, units=_units(pairs))
 
 
-CABINET = {
+CABINET_SIGNAL = {
     quantity: f"cabinet_{quantity.removesuffix('_K').removesuffix('_g_m3')}" for quantity in QUANTITIES
 }
 """Quantities of a cabinet and the names of their readings."""
@@ -327,16 +328,20 @@ CABINET = {
 
 def _units(names: Iterable[str]) -> dict[str, str]:
     """The units of a cabinet's readings among some names."""
-    unit_of = {name: UNITS[quantity] for quantity, name in CABINET.items()}
+    unit_of = {name: QUANTITY_UNITS[quantity] for quantity, name in CABINET_SIGNAL.items()}
     return {name: unit_of[name] for name in names if name in unit_of}
 
 
 def _by_output(predicted: Prediction) -> Pairs:
-    return {name: pair for quantity, name in CABINET.items() if (pair := predicted.of(quantity)) is not None}
+    return {
+        name: pair
+        for quantity, name in CABINET_SIGNAL.items()
+        if (pair := predicted.of(quantity)) is not None
+    }
 
 
 def _readings_of(run: Run) -> dict[str, np.ndarray]:
-    return {CABINET[quantity]: value for quantity, value in measured(run).items()}
+    return {CABINET_SIGNAL[quantity]: value for quantity, value in measured(run).items()}
 
 
 def _readings_in(t: Timeline) -> dict[str, np.ndarray]:

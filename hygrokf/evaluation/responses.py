@@ -18,6 +18,7 @@ import numpy as np
 from hygrokf.data.record import Record
 from hygrokf.data.result_file import drawn
 from hygrokf.estimation.confidence import expect_level
+from hygrokf.estimation.conventions import CONFIDENCE
 from hygrokf.estimation.inference import operating_point
 from hygrokf.estimation.subject import Given, Source, Spread, is_fit, subject
 from hygrokf.modelling.thermal_system import thermal_system
@@ -27,10 +28,10 @@ if TYPE_CHECKING:
     import control
     from matplotlib.axes import Axes
 
-DRAWS = 4096
-POINTS = 121
+RESPONSE_DRAWS = 4096
+RESPONSE_POINTS = 121
 """Frequencies or times of a response whose grid is not stated."""
-REACHED = 1e-9
+LEAST_RESIDUE = 1e-9
 """[1] share of the largest residue at or below which a mode transmits no input to an output."""
 Answer = tuple[np.ndarray, np.ndarray, np.ndarray]
 """A value with its lower and upper bound, (F,) or (T,) each; NaN where no uncertainty is known."""
@@ -124,7 +125,7 @@ def bode(
     given: Given | None = None,
     omega: np.ndarray | None = None,
     *,
-    level: float = 0.95,
+    level: float = CONFIDENCE,
     state: Mapping[str, float] | None = None,
     inputs: Mapping[str, float] | None = None,
 ) -> FrequencyResponse:
@@ -146,7 +147,7 @@ def bode(
     rates = np.abs(_modes(system))
     if omega is None:
         low, high = (rates.min() / 10.0, rates.max() * 10.0) if len(rates) else (0.01, 100.0)
-        omega = np.geomspace(low, high, POINTS)
+        omega = np.geomspace(low, high, RESPONSE_POINTS)
     grid = np.asarray(omega, dtype=float)
     exact, of_draws = _frequency(system, grid), None
     if len(spread.names):
@@ -171,7 +172,7 @@ def step_response(
     given: Given | None = None,
     time_h: np.ndarray | None = None,
     *,
-    level: float = 0.95,
+    level: float = CONFIDENCE,
     state: Mapping[str, float] | None = None,
     inputs: Mapping[str, float] | None = None,
 ) -> StepResponse:
@@ -191,7 +192,9 @@ def step_response(
     if time_h is None:
         decays = -1.0 / _modes(system).real
         decays = decays[decays > 0.0]
-        time_h = np.linspace(0.0, 5.0 * float(decays.max(initial=1e-12)) if len(decays) else 10.0, POINTS)
+        time_h = np.linspace(
+            0.0, 5.0 * float(decays.max(initial=1e-12)) if len(decays) else 10.0, RESPONSE_POINTS
+        )
     grid = np.asarray(time_h, dtype=float)
     steps = np.diff(grid)
     if grid[0] != 0.0 or len(grid) < 2 or not np.allclose(steps, steps[0], rtol=1e-6) or steps[0] <= 0.0:
@@ -238,7 +241,7 @@ def _modes(system: LinearSystem) -> np.ndarray:
     values, vectors = np.linalg.eig(system.A)
     driven = np.abs(np.linalg.pinv(vectors) @ system.B).max(axis=1, initial=0.0)
     residues = np.abs(system.C @ vectors).max(axis=0) * driven
-    return values[(residues > REACHED * residues.max(initial=0.0)) & (np.abs(values) > 0.0)]
+    return values[(residues > LEAST_RESIDUE * residues.max(initial=0.0)) & (np.abs(values) > 0.0)]
 
 
 def _places(system: LinearSystem) -> dict[tuple[str, str], tuple[Any, int, int]]:
@@ -280,7 +283,7 @@ def _normal(count: int) -> np.ndarray:
     """Standard normal quasi-random points (DRAWS, count) with a fixed seed."""
     from scipy.stats import qmc
 
-    return np.asarray(qmc.MultivariateNormalQMC(np.zeros(count), seed=1).random(DRAWS))
+    return np.asarray(qmc.MultivariateNormalQMC(np.zeros(count), seed=1).random(RESPONSE_DRAWS))
 
 
 def _with_bounds(value: np.ndarray, draws: np.ndarray | None, level: float) -> Answer:

@@ -9,16 +9,17 @@ from typing import TypeAlias, TypeVar
 
 import numpy as np
 
-from hygrokf.engine.schedule import TOLERANCE
+from hygrokf.engine.schedule import STEP_TOLERANCE
 from hygrokf.estimation.confidence import normal_quantile
+from hygrokf.estimation.conventions import CONFIDENCE
 from hygrokf.evaluation.simulation import QUANTITIES, Prediction, forecasts, measured
 from hygrokf.modelling.design import Design, accuracy_of
 from hygrokf.modelling.inputs import Run
 from hygrokf.physics.psychrometrics import absolute_humidity, absolute_humidity_slope_temperature
+from hygrokf.texts.parts import SCORED
 
 T = TypeVar("T")
-SCORED = ("temperature_K", "absolute_humidity_g_m3")
-PERIODS = ("identification", "validation")
+SCORED_PERIODS = ("identification", "validation")
 REGIMES = ("operation", "standstill", "total")
 
 
@@ -219,11 +220,11 @@ def sensor_share(run: Run, errors: Scores) -> Shares:
             q: min(1.0, v / total**2) if (total := errors[period][q].total) > 0 else math.nan
             for q, v in variance.items()
         }
-        for period in PERIODS
+        for period in SCORED_PERIODS
     }
 
 
-def coverage(reading: np.ndarray, value: np.ndarray, sd: np.ndarray, level: float = 0.95) -> Coverage:
+def coverage(reading: np.ndarray, value: np.ndarray, sd: np.ndarray, level: float = CONFIDENCE) -> Coverage:
     """Share of readings inside the band, and the factor by which the band would have to be scaled to contain
     `level`."""
     z = np.abs(reading - value) / sd
@@ -239,7 +240,7 @@ def bands(
     values: Mapping[str, float],
     run: Run,
     predicted: Prediction,
-    tolerance: float = TOLERANCE,
+    tolerance: float = STEP_TOLERANCE,
 ) -> Bands:
     """Coverage of the 1 h, 6 h, 24 h and free-run bands on the validation period (the whole record without
     one)."""

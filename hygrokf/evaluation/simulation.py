@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hygrokf.data.record import Record
-from hygrokf.engine.schedule import TOLERANCE
+from hygrokf.engine.schedule import STEP_TOLERANCE
 from hygrokf.engine.timeline import Timeline
 from hygrokf.estimation.likelihood import Gaussian, Likelihood, Trace
 from hygrokf.evaluation.self_switching import self_switched
@@ -87,7 +87,7 @@ def run_on(
     return base, settled(base, values, model_inputs(base, record, beyond=beyond))
 
 
-def settled(design: Design, values: Mapping[str, float], run: Run, tolerance: float = TOLERANCE) -> Run:
+def settled(design: Design, values: Mapping[str, float], run: Run, tolerance: float = STEP_TOLERANCE) -> Run:
     """The run in which instants shortly after a gap of the inputs are not `scored` either.
 
     design, values: the model and its parameters, in their units.  tolerance: [1] as in `Likelihood`.
@@ -193,7 +193,7 @@ def free_run(
     values: Mapping[str, float],
     run: Run,
     covariance: tuple[Sequence[str], np.ndarray] | None = None,
-    tolerance: float = TOLERANCE,
+    tolerance: float = STEP_TOLERANCE,
 ) -> Prediction:
     """The free run: the model driven by its inputs alone, from the start of the run to its end.
 
@@ -253,7 +253,7 @@ def forecasts(
     first: int,
     leads_h: tuple[float, ...] = (1.0, 6.0, 24.0),
     count: int = 250,
-    tolerance: float = TOLERANCE,
+    tolerance: float = STEP_TOLERANCE,
 ) -> dict[float, dict[str, tuple[np.ndarray, np.ndarray, np.ndarray]]]:
     """Forecasts from filtered states at instants of a run, paired with the observed readings.
 

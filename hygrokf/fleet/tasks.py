@@ -10,8 +10,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from hygrokf.data.toml_form import setting
+from hygrokf.estimation.conventions import STARTS
 from hygrokf.fleet.job import Row
-from hygrokf.modelling.design import PARTS
+from hygrokf.texts.parts import PARTS
 from hygrokf.texts.reasons import REJECT
 
 
@@ -57,7 +58,7 @@ class FitOptions:
     kind: str = setting(
         "cascade", "hygric on the measured temperature, or one filter", choices=("cascade", "joint")
     )
-    starts: int = setting(5, "starts of the search for the maximum", least=1)
+    starts: int = setting(STARTS, "starts of the search for the maximum", least=1)
     profiles: bool = setting(False, "bounds by profile likelihood; otherwise Wald bounds")
     report: bool = setting(False, "write each turbine's own page too")
 

@@ -27,8 +27,15 @@ from hygrokf.data.record import Series
 from hygrokf.estimation.confidence import Uncertainty, positive_inverse
 from hygrokf.estimation.likelihood import Likelihood
 from hygrokf.estimation.optimiser import Estimate, Objective
-from hygrokf.modelling.design import HUMIDITIES, TEMPERATURE, Design
+from hygrokf.modelling.design import Design
 from hygrokf.modelling.inputs import Run, model_inputs
+from hygrokf.physics.signal_names import (
+    ACTIVE_POWER,
+    AMBIENT_HUMIDITIES,
+    AMBIENT_TEMPERATURE,
+    CABINET_HUMIDITIES,
+    CABINET_TEMPERATURE,
+)
 from hygrokf.texts.terms import Source
 
 ONE_SYSTEM_S = 30.0
@@ -36,15 +43,9 @@ ONE_SYSTEM_S = 30.0
 minutes."""
 TWO_SYSTEMS_S = 60.0
 """[s] prior standard deviation of the offset between two sources without a stated clock uncertainty."""
-STEP_S = 30.0
+CLOCK_STEP_S = 30.0
 """[s] shift of a source for the numerical derivative by its offset."""
-DRIVERS = (
-    "ambient_temperature",
-    "ambient_relative_humidity",
-    "ambient_absolute_humidity",
-    "ambient_dew_point_temperature",
-    "active_power",
-)
+CLOCKED_DRIVERS = (AMBIENT_TEMPERATURE, *AMBIENT_HUMIDITIES, ACTIVE_POWER)
 """Signals whose clock affects a time constant."""
 
 
@@ -94,12 +95,14 @@ def clock_offsets(base: Design, run: Run, estimate: Estimate, uncertainty: Uncer
     """Offsets of the sources that drive a run, linearised at the estimate; sources without clock uncertainty
     are left out."""
     record = run.record
-    reference = next((record[name] for name in (TEMPERATURE, *HUMIDITIES) if name in record), None)
+    reference = next(
+        (record[name] for name in (CABINET_TEMPERATURE, *CABINET_HUMIDITIES) if name in record), None
+    )
     if reference is None:
         return NO_OFFSETS
     groups: dict[str, list[Series]] = {}
     for series in record.series:
-        if series.signal in DRIVERS and prior_s(series, reference) > 0:
+        if series.signal in CLOCKED_DRIVERS and prior_s(series, reference) > 0:
             groups.setdefault(_system(series), []).append(series)
     likelihood = Likelihood(base.model, run.timeline)
     weights, errors, slopes = _innovations(likelihood, estimate, uncertainty)
@@ -108,7 +111,7 @@ def clock_offsets(base: Design, run: Run, estimate: Estimate, uncertainty: Uncer
     covariance = positive_inverse(information.information[np.ix_(places, places)], uncertainty.open)
     derivatives, names = [], []
     for name, group in groups.items():
-        shifted = record.replace_series(*(replace(s, time=s.time - STEP_S) for s in group))
+        shifted = record.replace_series(*(replace(s, time=s.time - CLOCK_STEP_S) for s in group))
         shifted_run = model_inputs(base, shifted)
         rows = _matched(run, shifted_run)
         if rows is None:
@@ -116,7 +119,7 @@ def clock_offsets(base: Design, run: Run, estimate: Estimate, uncertainty: Uncer
         trace = Likelihood(base.model, shifted_run.timeline).trace(estimate.values)
         change = (shifted_run.timeline.y - trace.prediction)[rows[1]] - errors[rows[0]]
         column = np.zeros_like(errors)
-        column[rows[0]] = np.nan_to_num(change) / STEP_S
+        column[rows[0]] = np.nan_to_num(change) / CLOCK_STEP_S
         derivatives.append(column)
         names.append(name)
     if not derivatives:

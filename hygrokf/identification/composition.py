@@ -26,6 +26,7 @@ from dataclasses import dataclass
 
 from hygrokf.data.structured import optional
 from hygrokf.estimation.confidence import normal_quantile
+from hygrokf.estimation.conventions import CONFIDENCE
 from hygrokf.texts.terms import Name
 
 
@@ -72,12 +73,12 @@ class Resolved:
 
     def around(self, value_h: float, distance: float) -> tuple[float, float]:
         """Bounds at a distance [1] on either side of the logarithm of a value."""
-        factor = math.exp(min(distance, LARGEST))
+        factor = math.exp(min(distance, LARGEST_EXPONENT))
         return self.bounds(value_h / factor, value_h * factor)
 
 
-ANY = Resolved()
-LARGEST = 600.0
+ANY_CONSTANT = Resolved()
+LARGEST_EXPONENT = 600.0
 """[1] distance of a bound from the logarithm of its value, beyond which numbers overflow."""
 
 
@@ -99,7 +100,7 @@ def of_free_run(log_value: float, variance: float, free: AlternativeEstimate) ->
     difference, total_variance = free.log_value - log_value, variance + free.variance
     return (
         0.5 * (difference**2 - total_variance)
-        if difference**2 > normal_quantile(0.95) ** 2 * total_variance
+        if difference**2 > normal_quantile(CONFIDENCE) ** 2 * total_variance
         else 0.0
     )
 
@@ -109,7 +110,7 @@ def compose_interval(
     bounds: tuple[float, float],
     level: float,
     sources: Mapping[str, float],
-    within: Resolved = ANY,
+    within: Resolved = ANY_CONSTANT,
 ) -> tuple[CompositionStep, ...]:
     """The interval of the profile likelihood [h], and the interval after each source; the last interval is
     the headline interval.
@@ -130,4 +131,4 @@ def _widened(value: float, bound: float, z: float, variance: float) -> float:
     if bound <= 0 or math.isinf(bound):
         return bound
     distance = math.hypot(math.log(bound / value), z * math.sqrt(variance))
-    return value * math.exp(math.copysign(min(distance, LARGEST), z))
+    return value * math.exp(math.copysign(min(distance, LARGEST_EXPONENT), z))

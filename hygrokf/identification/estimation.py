@@ -17,6 +17,7 @@ from hygrokf.data.progress import Progress
 from hygrokf.data.record import Record, Series
 from hygrokf.engine.parallel import mapped
 from hygrokf.estimation.confidence import Bounds, Uncertainty, uncertainty, wald_bounds
+from hygrokf.estimation.conventions import CONFIDENCE
 from hygrokf.estimation.likelihood import Likelihood
 from hygrokf.estimation.optimiser import (
     Estimate,
@@ -38,10 +39,8 @@ from hygrokf.modelling.design import CASCADE, Design, design, reading_step_h
 from hygrokf.modelling.inputs import Run, model_inputs
 from hygrokf.physics.holds import LINEAR
 from hygrokf.physics.parameters import within_limits
+from hygrokf.texts.parts import TIME_CONSTANTS
 
-LEVEL = 0.95
-"""[1] probability of the bounds of the time constants."""
-TIME_CONSTANTS = ("thermal_time_constant", "hygric_k")
 SEARCH_DAYS = 30.0
 """[d] stretch of a long record on which starts and forms are tried first."""
 
@@ -153,9 +152,9 @@ def _bounded(initial: DesignEstimate, profiles: bool, say: Progress) -> tuple[Un
     say("observed information")
     covariance = uncertainty(objective, estimate)
     return covariance, {
-        name: profile(objective, estimate, covariance, name, LEVEL, say)
+        name: profile(objective, estimate, covariance, name, CONFIDENCE, say)
         if profiles
-        else wald_bounds(estimate, covariance, name, LEVEL)
+        else wald_bounds(estimate, covariance, name, CONFIDENCE)
         for name in TIME_CONSTANTS
         if name in estimate.coordinates.names
     }

@@ -33,7 +33,7 @@ from hygrokf.data.result_file import ResultFault, drawn, read_arrays, read_json,
 from hygrokf.data.structured import JsonObject, StructureFault, plain, structured
 from hygrokf.data.toml_form import FormFault, read_toml
 from hygrokf.estimation.likelihood import Likelihood
-from hygrokf.estimation.subject import IDENTIFICATION, WHOLE
+from hygrokf.estimation.subject import IDENTIFICATION, WHOLE_RECORD
 from hygrokf.identification.fit_results import FitResults
 from hygrokf.identification.verdict import inherited, with_verdicts
 from hygrokf.identification.verdict_terms import verdict_lines
@@ -48,7 +48,7 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
 
-SERIES = "series.npz"
+SERIES_FILE = "series.npz"
 
 
 class LibraryAbsent(ResultFault):
@@ -96,10 +96,10 @@ class Fit:
         of the fit's own record `likelihood(record).value(fit.values)` is `fit.results.loglik`.
         Raises ValueError for anything but a record, and for another part; KeyError for a missing input.
         """
-        if part not in (IDENTIFICATION, WHOLE):
-            raise ValueError(f"part: expected {IDENTIFICATION!r} or {WHOLE!r}, found {part!r}")
+        if part not in (IDENTIFICATION, WHOLE_RECORD):
+            raise ValueError(f"part: expected {IDENTIFICATION!r} or {WHOLE_RECORD!r}, found {part!r}")
         whole = mask(expect_record(record, "likelihood"))
-        return likelihood_on(self.design, whole if part == WHOLE else whole.identification(), part)
+        return likelihood_on(self.design, whole if part == WHOLE_RECORD else whole.identification(), part)
 
     def to_json(self) -> JsonObject:
         """The data of `fit.json`."""
@@ -186,7 +186,7 @@ def write_fit(fit: Fit, directory: str | os.PathLike[str]) -> Path:
     directory.mkdir(parents=True, exist_ok=True)
     for name in (REPORT, BESIDE_DISCOVERY, DISCOVERY, DISCOVERY_SERIES, *SUMMARIES):
         (directory / name).unlink(missing_ok=True)
-    write_bytes_whole(directory / SERIES, buffer.getvalue())
+    write_bytes_whole(directory / SERIES_FILE, buffer.getvalue())
     return write_text_whole(directory / FIT, text)
 
 
@@ -243,7 +243,7 @@ def read_fit(path: str | os.PathLike[str], series: bool = False, *, library: Lib
 
 def read_series(directory: str | os.PathLike[str]) -> dict[str, np.ndarray]:
     """The arrays of `series.npz` in a directory.  Raises ResultFault with the reason and the remedy."""
-    path = Path(directory) / SERIES
+    path = Path(directory) / SERIES_FILE
     again = f"run `hygrokf fit` with --out {path.parent} first"
     series = read_arrays(path, "hygrokf fit")
     if text := [name for name, value in series.items() if value.dtype.kind not in "fiub"]:

@@ -15,9 +15,10 @@ from hygrokf.evaluation.simulation import Prediction, free_run, run_on
 from hygrokf.identification.fit import Fit
 from hygrokf.identification.verdict import inherited
 from hygrokf.identification.verdict_terms import Inherited
-from hygrokf.modelling.design import HUMIDITIES, Design
+from hygrokf.modelling.design import Design
 from hygrokf.modelling.inputs import Run
 from hygrokf.physics.psychrometrics import ZERO_CELSIUS_K
+from hygrokf.physics.signal_names import CABINET_HUMIDITIES
 from hygrokf.texts.fit_codes import FitCode
 from hygrokf.texts.statement import Statement
 from hygrokf.texts.terms import Instant, Name
@@ -168,11 +169,11 @@ def mismatches(fit: Fit, record: Record) -> list[Statement]:
         found.append(FitCode.PREHEATING_NOT_LOGGED())
     if "preheating" not in inputs and "preheating" in record and np.nanmax(record["preheating"].value) > 0:
         found.append(FitCode.PREHEATING_NOT_MODELLED())
-    predicted = [name for name in HUMIDITIES if name in outputs]
+    predicted = [name for name in CABINET_HUMIDITIES if name in outputs]
     if predicted and not any(name in record for name in predicted):
         found += [
             FitCode.OTHER_HUMIDITY(predicted=predicted[0], recorded=name)
-            for name in HUMIDITIES
+            for name in CABINET_HUMIDITIES
             if name in record
         ]
     return found

@@ -17,7 +17,7 @@ from hygrokf.data.record import Provenance, Site
 from hygrokf.data.structured import optional
 from hygrokf.estimation.confidence import Limit
 from hygrokf.evaluation.actuator_effects import ActuatorEffect
-from hygrokf.evaluation.diagnosis import Diagnosis
+from hygrokf.evaluation.innovation_tests import Diagnosis
 from hygrokf.evaluation.scoring import Scored, Shares
 from hygrokf.identification.clock_offsets import ClockOffset
 from hygrokf.identification.composition import CompositionStep
@@ -189,8 +189,8 @@ class FitResults(Scored):
     `messages`; `loglik` of the whole model at the reported values on the identification period, and
     `aic`, `bic` of it; `flat`: parameters that the record does not determine; `trade_offs`: pairs of
     parameters with their correlation; `readings_sd`: standard deviation of the readings by period and
-    quantity; `identified_on`: 0.1 and 99.9 % quantiles of the inputs; `discretisation_error`: change of ln L
-    with sub-steps of half the length.
+    quantity; `identified_on`: 0.1 and 99.9 % quantiles of the inputs; `discretisation_error`: change of ln L,
+    or of the parameters in standard errors where this is more, with sub-steps of half the length.
     """
 
     name: Name = ""

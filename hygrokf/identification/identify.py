@@ -17,20 +17,19 @@ from hygrokf.data.progress import Progress, reporting
 from hygrokf.data.readings import mask
 from hygrokf.data.record import Record, expect_record
 from hygrokf.engine.parallel import mapped
-from hygrokf.engine.schedule import TOLERANCE
+from hygrokf.engine.schedule import STEP_TOLERANCE
 from hygrokf.estimation.confidence import normal_quantile, standard_error, wald_bounds
+from hygrokf.estimation.conventions import CONFIDENCE, STARTS
 from hygrokf.estimation.likelihood import Likelihood
 from hygrokf.estimation.output_error import OutputError
 from hygrokf.estimation.profile_likelihood import limit_statements
 from hygrokf.estimation.subject import IDENTIFICATION
 from hygrokf.evaluation.actuator_effects import actuator_effects
-from hygrokf.evaluation.diagnosis import Diagnosis
+from hygrokf.evaluation.innovation_tests import Diagnosis
 from hygrokf.evaluation.scoring import bands, baselines, period_masks, readings_sd, scores, sensor_share
 from hygrokf.evaluation.simulation import QUANTITIES, Prediction, free_run, measured, settled
 from hygrokf.identification.composition import nan_if_open
 from hygrokf.identification.estimation import (
-    LEVEL,
-    TIME_CONSTANTS,
     Stage,
     assess_stage,
     estimate_design,
@@ -51,19 +50,11 @@ from hygrokf.identification.fit_results import (
 )
 from hygrokf.identification.time_constants import by_simulation, hygric_entry, thermal_entry
 from hygrokf.identification.verdict import with_verdicts
-from hygrokf.modelling.design import (
-    CASCADE,
-    FEWEST_READINGS,
-    JOINT,
-    PARTS,
-    Design,
-    design,
-    merged,
-    read_as,
-)
+from hygrokf.modelling.design import CASCADE, FEWEST_READINGS, JOINT, Design, design, merged, read_as
 from hygrokf.modelling.inputs import IDENTIFIED_ON, Run, model_inputs
 from hygrokf.physics.parameters import Parameter, Prior
 from hygrokf.texts.fit_codes import FitCode
+from hygrokf.texts.parts import PARTS, TIME_CONSTANTS
 from hygrokf.texts.statement import Statement, Value, unique
 from hygrokf.texts.wording import iso_time
 from hygrokf.version import __version__
@@ -71,7 +62,6 @@ from hygrokf.version import __version__
 if TYPE_CHECKING:
     from hygrokf.identification.steady_state import HeatRelease
 
-STARTS = 5
 DEFAULT_KIND = CASCADE
 """Chosen by trial: docs/project/decisions/0002-joint-or-cascade.md."""
 WELL_KNOWN = 0.1
@@ -258,7 +248,7 @@ def assemble_fit(
     simulated: Mapping[str, OutputError],
     criterion: str = "likelihood",
     say: Progress = lambda text: None,
-    tolerance: float = TOLERANCE,
+    tolerance: float = STEP_TOLERANCE,
 ) -> Fit:
     """A fit from its stages: free run, scores, bands and tables on the whole record; `tolerance` as in
     `Likelihood`."""
@@ -312,7 +302,7 @@ def assemble_fit(
             stages, values, errors, by_free_run, {"thermal_time_constant": thermal, "hygric_k": moist}
         ),
         covariance=Covariance(*spread),
-        time_constants={n: e for n, e in (("thermal", thermal), ("hygric", moist)) if e is not None},
+        time_constants={n: e for n, e in zip(PARTS, (thermal, moist), strict=True) if e is not None},
         innovations=_diagnosis(run, series),
         identified_on=_identified_on(whole, run),
     )
@@ -444,7 +434,7 @@ def _rows(
             rows[name] = replace(
                 rows[name],
                 value=found.values[name],
-                se=nan_if_open(0.5 * (upper - lower) / normal_quantile(LEVEL)),
+                se=nan_if_open(0.5 * (upper - lower) / normal_quantile(CONFIDENCE)),
                 lower=nan_if_open(lower),
                 upper=nan_if_open(upper),
                 at_bound=name in found.at_bounds,

@@ -27,15 +27,16 @@ from hygrokf.engine.parallel import mapped
 from hygrokf.estimation.confidence import Uncertainty, uncertainty_by
 from hygrokf.estimation.likelihood import Likelihood
 from hygrokf.estimation.optimiser import Estimate, Objective, climb, estimate_of
-from hygrokf.modelling.design import TEMPERATURE, Design, extended
+from hygrokf.modelling.design import Design, extended
 from hygrokf.modelling.inputs import Run
 from hygrokf.physics.mechanisms.thermal import STILL_K
 from hygrokf.physics.parameters import Coordinates
+from hygrokf.physics.signal_names import CABINET_TEMPERATURE
 
-BASE = "base"
+BASE_FORM = "base"
 CONVECTION = "natural convection"
 SECOND_MASS = "second mass"
-RESPONSE = "sensor response"
+RESPONSE_FORM = "sensor response"
 SECOND = {"heat_disturbance": "second heat disturbance", "vapour_disturbance": "second vapour disturbance"}
 """Coloured disturbance → name of the form that adds a second one with another correlation time."""
 OTHER_TIMES = (0.2, 5.0)
@@ -46,15 +47,15 @@ filters."""
 ADOPTED = 0.99
 """[1] share of the evidence from which a form becomes the base; with 0.95 a slow second disturbance took the
 place of sensor drift, which then went undetected."""
-PASSES = 15
+FORM_PASSES = 15
 """Largest number of scoring passes of a form."""
-TOLERANCE = 0.02
+FORM_TOLERANCE = 0.02
 """Expected gain in ln L at which scoring ends: a fiftieth of a gain that changes a weight noticeably."""
-STEP_TOLERANCE = 1e-5
+FORM_STEP_TOLERANCE = 1e-5
 """[1] `tolerance` of the sub-steps while forms are compared: a comparison needs few digits."""
 LEAST_SHORT_GAIN = -3.0
 """Gain in ln L over the base on a shorter stretch below which a form is not fitted to the full record."""
-UNSTATED = {
+SENSOR_OF = {
     "cabinet_relative_humidity": "humidity_sensor",
     "cabinet_absolute_humidity": "absolute_humidity_sensor",
 }
@@ -92,7 +93,7 @@ class FittedForm:
 
     def within(self, chosen: FittedForm) -> FittedForm:
         """This form, fitted with the adopted form `chosen` as its base: gains add, weights multiply."""
-        name = chosen.name if self.name == BASE else f"{chosen.name} + {self.name}"
+        name = chosen.name if self.name == BASE_FORM else f"{chosen.name} + {self.name}"
         return replace(self, name=name, gain=chosen.gain + self.gain, weight=chosen.weight * self.weight)
 
     def variance(self, derivatives: Mapping[str, float]) -> float:
@@ -112,7 +113,9 @@ def candidates(base: Design, run: Run, values: Mapping[str, float]) -> list[Cand
     names = [name for name, _ in base.mechanisms]
     forms: list[CandidateDesign] = []
     if "thermal_network" in names:
-        differences = np.abs(run.timeline.reading(TEMPERATURE) - run.timeline.input("ambient_temperature"))
+        differences = np.abs(
+            run.timeline.reading(CABINET_TEMPERATURE) - run.timeline.input("ambient_temperature")
+        )
         difference = float(np.nanmedian(differences)) if np.isfinite(differences).any() else 0.0
         if "natural_convection" not in names and difference > STILL_K:
             wider = extended(base, [("natural_convection", {"difference_K": difference})])
@@ -121,7 +124,7 @@ def candidates(base: Design, run: Run, values: Mapping[str, float]) -> list[Cand
             wider = extended(base, [("wall_thermal_mass", {})])
             start = {"wall_conductance": 0.1, "wall_time_constant": 5.0, "wall_position": 0.9}
             forms.append(CandidateDesign(SECOND_MASS, wider, (start,), False))
-    for signal, sensor in UNSTATED.items():
+    for signal, sensor in SENSOR_OF.items():
         series = run.record[signal] if base.humidity == signal and signal in run.record else None
         if series is None or series.response_time_s is not None:
             continue
@@ -131,7 +134,7 @@ def candidates(base: Design, run: Run, values: Mapping[str, float]) -> list[Cand
             wider = replace(
                 base, mechanisms=tuple((m, responding if m == sensor else s) for m, s in base.mechanisms)
             )
-            forms.append(CandidateDesign(RESPONSE, wider, ({f"{signal}_response": 0.1},), True))
+            forms.append(CandidateDesign(RESPONSE_FORM, wider, ({f"{signal}_response": 0.1},), True))
     return forms + [
         _second(base, first, values) for first in SECOND if first in names and f"second_{first}" not in names
     ]
@@ -176,12 +179,12 @@ def weigh_forms(
     if short_likelihood is not None:
         start = Objective(short_likelihood, estimate.coordinates)
         base_maximum_on_short = climb(start, estimate.z, passes=8, tolerance=1e-2).objective
-    forms = [FittedForm(BASE, base, estimate, 0.0, 1.0, at_base.names, at_base.wider)]
+    forms = [FittedForm(BASE_FORM, base, estimate, 0.0, 1.0, at_base.names, at_base.wider)]
     evidence = [0.0]
 
     def fit_form(candidate: CandidateDesign) -> tuple[FittedForm, float] | None:
         """A form and its evidence; None where the shorter stretch rules the form out."""
-        likelihood = Likelihood(candidate.design.model, run.timeline, tolerance=STEP_TOLERANCE)
+        likelihood = Likelihood(candidate.design.model, run.timeline, tolerance=FORM_STEP_TOLERANCE)
         optimum = _maximise(candidate, likelihood, estimate, short_likelihood, base_maximum_on_short)
         if optimum is None:
             return None
@@ -237,7 +240,8 @@ def _maximise(
             return None
         starts = [best.z]
     optima = [
-        climb(Objective(likelihood, coordinates), z, passes=PASSES, tolerance=TOLERANCE) for z in starts
+        climb(Objective(likelihood, coordinates), z, passes=FORM_PASSES, tolerance=FORM_TOLERANCE)
+        for z in starts
     ]
     return estimate_of(likelihood, coordinates, optima)
 

@@ -31,13 +31,13 @@ from hygrokf.texts.statement import Statement
 
 CHANCE = 1e-3
 """[1] probability that chance alone gives the required gain."""
-PASSES = 15
+WITHOUT_INPUT_PASSES = 15
 """Scoring passes of a model without the input: from the fit's values most end after six."""
-TOLERANCE = 0.5
+WITHOUT_INPUT_TOLERANCE = 0.5
 """Expected gain in ln L below which scoring ends: about a tenth of the required gain."""
 TRIED_DAYS = 10.0
 """[d] first stretch of the record, tried alone at first: an input that is needed there is needed in all."""
-STEP_TOLERANCE = 1e-4
+WITHOUT_INPUT_STEP_TOLERANCE = 1e-4
 """[1] `tolerance` of these models' sub-steps: the error of ln L is a few hundredths."""
 
 
@@ -72,14 +72,18 @@ def without_input(name: str, model: Model, run: Run, estimate: Estimate) -> With
     def best(count: int) -> WithoutInput:
         window = timeline.window(0, count)
         fit_objective = Objective(
-            Likelihood(model, window, tolerance=STEP_TOLERANCE), estimate.coordinates
+            Likelihood(model, window, tolerance=WITHOUT_INPUT_STEP_TOLERANCE), estimate.coordinates
         ).value(estimate.z)
         without = []
         for code, inputs, fixed in models:
             without_it = window.with_inputs({name: value[:count] for name, value in inputs.items()})
             coordinates = Coordinates(model.parameters, fixed)
-            objective = Objective(Likelihood(model, without_it, tolerance=STEP_TOLERANCE), coordinates)
-            end = climb(objective, coordinates.start(estimate.values), PASSES, TOLERANCE)
+            objective = Objective(
+                Likelihood(model, without_it, tolerance=WITHOUT_INPUT_STEP_TOLERANCE), coordinates
+            )
+            end = climb(
+                objective, coordinates.start(estimate.values), WITHOUT_INPUT_PASSES, WITHOUT_INPUT_TOLERANCE
+            )
             without.append(WithoutInput(code(), 2.0 * (fit_objective - end.objective), required))
         return min(without, key=lambda result: result.gain)
 

@@ -15,11 +15,10 @@ import numpy as np
 from hygrokf.data.actuators import HEATERS
 from hygrokf.data.ambient import at_times
 from hygrokf.data.record import Record, Series
-from hygrokf.modelling.design import TEMPERATURE, reading_step_h
+from hygrokf.modelling.design import reading_step_h
 from hygrokf.physics.holds import LINEAR
+from hygrokf.physics.signal_names import ACTIVE_POWER, AMBIENT_TEMPERATURE, CABINET_TEMPERATURE
 
-AMBIENT = "ambient_temperature"
-POWER = "active_power"
 OPERATION = "operation"
 STANDSTILL = "standstill"
 TEMPERATURE_TOLERANCE_K = 0.5
@@ -28,9 +27,9 @@ POWER_TOLERANCE = 0.025
 """[1] tolerance ± of the power within a period, as a share of the rated power."""
 CELL_S = 600.0
 """[s] shortest averaging time of the power, as in the paper's SCADA data."""
-ENOUGH = (30, 10)
+ENOUGH_PERIODS = (30, 10)
 """Periods and episodes that a length of period must yield; otherwise a shorter one is tried."""
-KEPT = 0.75
+KEPT_CLASSES = 0.75
 """[1] share of the classes of power and of ambient temperature that a longer length must retain from the
 shortest one."""
 EPISODE_GAP_H = 12.0
@@ -39,7 +38,7 @@ EPISODE_LONGEST_H = 72.0
 """[h] longest episode."""
 LAGS = (1, 2, 3, 6)
 """Lags, in blocks, of the instruments of the rough time constant."""
-FEWEST_BLOCKS = 100
+FEWEST_ROUGH_BLOCKS = 100
 """Fewest blocks for the rough time constant."""
 
 Range = tuple[np.ndarray, np.ndarray]
@@ -141,7 +140,7 @@ def cells_between(record: Record, scale_W: float | None, edges: np.ndarray) -> C
     first, last = (edges[0], edges[-1]) if len(edges) else (math.inf, -math.inf)
     heaters = [name for name in HEATERS if name in record]
     knots = [edges]
-    for name in (TEMPERATURE, AMBIENT, *((POWER,) if scale_W else ()), *heaters):
+    for name in (CABINET_TEMPERATURE, AMBIENT_TEMPERATURE, *((ACTIVE_POWER,) if scale_W else ()), *heaters):
         for shift in {0.0, record[name].interval_s}:
             knot = record[name].time - shift
             knots.append(knot[(knot > first) & (knot < last)])
@@ -165,12 +164,12 @@ def cells_between(record: Record, scale_W: float | None, edges: np.ndarray) -> C
             return np.empty(0), (np.empty(0), np.empty(0)), np.empty(0)
         return mean(value), (np.minimum.reduceat(low, begin), np.maximum.reduceat(high, begin)), change
 
-    cabinet, cabinet_range, change = course(TEMPERATURE)
-    ambient, ambient_range, ambient_change = course(AMBIENT)
+    cabinet, cabinet_range, change = course(CABINET_TEMPERATURE)
+    ambient, ambient_range, ambient_change = course(AMBIENT_TEMPERATURE)
     usable = np.isfinite(sum((*cabinet_range, *ambient_range), cabinet + ambient))
     power, running = np.zeros(len(span)), np.zeros(len(span))
     if scale_W:
-        relative = at_times(record[POWER], middle, _bridge_h(record[POWER])) / scale_W
+        relative = at_times(record[ACTIVE_POWER], middle, _bridge_h(record[ACTIVE_POWER])) / scale_W
         power, running = mean(relative), mean((relative > 0).astype(float))
         usable &= np.isfinite(power)
     for name in heaters:
@@ -298,23 +297,23 @@ def choose_length(
 ) -> Choice:
     """Periods of the longest length up to `longest_h` [h] that still yields enough of them.
 
-    Enough means `ENOUGH` periods and episodes that retain the share `KEPT` of the classes of power (tenths of
-    the rated) and of ambient temperature (5 K) found with the shortest length. Lengths are multiples of the
-    cells' length, increasing by a quarter; where none yields enough, the shortest is taken.
+    Enough means `ENOUGH_PERIODS` periods and episodes that retain the share `KEPT_CLASSES` of the classes of
+    power (tenths of the rated) and of ambient temperature (5 K) found with the shortest length. Lengths are
+    multiples of the cells' length, increasing by a quarter; where none yields enough, the shortest is taken.
     """
     cell_h = float(np.median(cells.end - cells.start)) / 3600.0 if len(cells.start) else shortest_h
     steps = max(1, math.ceil(math.log(longest_h / shortest_h) / math.log(1.25)))
     lengths = np.geomspace(shortest_h, longest_h, steps + 1)
     lengths = np.round(np.unique(np.ceil(lengths / cell_h - 1e-3)) * cell_h, 6)
     shortest = periods_of_length(cells, earliest, regime, float(lengths[0]))
-    if len(shortest) < ENOUGH[0] or shortest.n_episodes < ENOUGH[1]:
+    if len(shortest) < ENOUGH_PERIODS[0] or shortest.n_episodes < ENOUGH_PERIODS[1]:
         return Choice(float(lengths[0]), shortest)
     spread = (shortest.classes(shortest.power, 0.1), shortest.classes(shortest.ambient_K, 5.0))
     for length in lengths[:0:-1]:
         found = periods_of_length(cells, earliest, regime, float(length))
         kept = (found.classes(found.power, 0.1), found.classes(found.ambient_K, 5.0))
-        enough = len(found) >= ENOUGH[0] and found.n_episodes >= ENOUGH[1]
-        if enough and all(a >= KEPT * b for a, b in zip(kept, spread, strict=True)):
+        enough = len(found) >= ENOUGH_PERIODS[0] and found.n_episodes >= ENOUGH_PERIODS[1]
+        if enough and all(a >= KEPT_CLASSES * b for a, b in zip(kept, spread, strict=True)):
             return Choice(float(length), found)
     return Choice(float(lengths[0]), shortest)
 
@@ -329,7 +328,7 @@ def rough_time_constant(cells: Cells) -> float | None:
     independent of them and serve as instruments for ΔT_conv,a. The result is used to choose a length and to
     settle periods; the likelihood gives the accurate value.
     """
-    if len(cells.start) < FEWEST_BLOCKS:
+    if len(cells.start) < FEWEST_ROUGH_BLOCKS:
         return None
     known = cells.usable & np.isfinite(cells.change_K + cells.ambient_change_K)
     hours = (cells.end - cells.start) / 3600.0
@@ -342,7 +341,7 @@ def rough_time_constant(cells: Cells) -> float | None:
             past.append(earlier)
     table = np.column_stack([*drivers, cells.ambient_change_K / hours, -cells.change_K / hours, *past])
     there = known & np.isfinite(table).all(axis=1)
-    if there.sum() < FEWEST_BLOCKS:
+    if there.sum() < FEWEST_ROUGH_BLOCKS:
         return None
     table = table[there] - table[there].mean(axis=0)
     spread = table.std(axis=0)

@@ -10,9 +10,7 @@ import numpy as np
 
 from hygrokf.data.record import Record
 from hygrokf.identification.periods import (
-    AMBIENT,
     OPERATION,
-    POWER,
     POWER_TOLERANCE,
     STANDSTILL,
     Cells,
@@ -25,17 +23,18 @@ from hygrokf.identification.periods import (
     has_readings,
     rough_time_constant,
 )
-from hygrokf.modelling.design import TEMPERATURE, power_scale, reading_step_h
+from hygrokf.modelling.design import power_scale, reading_step_h
 from hygrokf.physics.mechanisms.thermal import heat_release
 from hygrokf.physics.parameters import Parameter
+from hygrokf.physics.signal_names import ACTIVE_POWER, AMBIENT_TEMPERATURE, CABINET_TEMPERATURE
 from hygrokf.texts.fit_codes import FitCode
 from hygrokf.texts.statement import Statement
 
-TIME_CONSTANTS = 3.0
+PERIOD_TIME_CONSTANTS = 3.0
 """[1] length of periods in thermal time constants, unless too few periods would be that long."""
-SHORTEST_H = 1.0
+SHORTEST_PERIOD_H = 1.0
 """[h] shortest period; periods also last at least two steps of the slowest series."""
-LONGEST_H = 12.0
+LONGEST_PERIOD_H = 12.0
 """[h] longest period: sun and weather change over a day."""
 FEWEST_PERIODS = (8, 5)
 """Fewest periods and episodes for a regression."""
@@ -51,7 +50,7 @@ the smoothing.
 """
 LARGEST_ORDER = 3
 """Largest order of the polynomial in the power that is tried."""
-MOST_POINTS = 2000
+MOST_REGIME_POINTS = 2000
 """Largest number of points of a regime in the results of a fit."""
 
 
@@ -73,8 +72,8 @@ class StationaryPoints:
         return len(self.power)
 
     def thinned(self) -> StationaryPoints:
-        """At most `MOST_POINTS` of the points, evenly thinned."""
-        kept = slice(None, None, max(1, math.ceil(len(self) / MOST_POINTS)))
+        """At most `MOST_REGIME_POINTS` of the points, evenly thinned."""
+        kept = slice(None, None, max(1, math.ceil(len(self) / MOST_REGIME_POINTS)))
         return StationaryPoints(**{name: value[kept] for name, value in vars(self).items()})
 
 
@@ -160,25 +159,34 @@ def heat_release_regression(record: Record, *, reference_K: float | None = None)
     and Fig. 4 of the paper.
     """
     early = record.identification()
-    missing = tuple(name for name in (TEMPERATURE, AMBIENT) if not has_readings(early, name))
+    missing = tuple(
+        name for name in (CABINET_TEMPERATURE, AMBIENT_TEMPERATURE) if not has_readings(early, name)
+    )
     if missing:
         return HeatRelease(None, None, reference_K, (FitCode.NO_READINGS_FOR_PERIODS(signals=missing),))
     if reference_K is None:
-        reference_K = float(np.nanmean(early[AMBIENT].value))
+        reference_K = float(np.nanmean(early[AMBIENT_TEMPERATURE].value))
     statements: list[Statement] = []
-    scale_W = power_scale(early) if has_readings(early, POWER) else None
-    if not has_readings(early, POWER):
+    scale_W = power_scale(early) if has_readings(early, ACTIVE_POWER) else None
+    if not has_readings(early, ACTIVE_POWER):
         statements.append(FitCode.NO_POWER())
     elif scale_W is None:
         statements.append(FitCode.POWER_NEVER_POSITIVE())
-    used = [early[name] for name in (TEMPERATURE, AMBIENT, *((POWER,) if scale_W else ()))]
+    used = [
+        early[name]
+        for name in (CABINET_TEMPERATURE, AMBIENT_TEMPERATURE, *((ACTIVE_POWER,) if scale_W else ()))
+    ]
     slowest_h = max(max(reading_step_h(one), one.interval_s / 3600.0) for one in used)
     first, last = max(one.time[0] - one.interval_s for one in used), min(one.time[-1] for one in used)
     blocks = np.arange(first, last, 3600.0 * max(1.0, slowest_h))
     time_constant_h = rough_time_constant(cells_between(early, scale_W, blocks))
     cells = cells_between(early, scale_W, cell_edges(used[-1] if scale_W else used[0], first, last))
-    shortest_h = max(SHORTEST_H, 2.0 * slowest_h)
-    wanted_h = LONGEST_H if time_constant_h is None else min(TIME_CONSTANTS * time_constant_h, LONGEST_H)
+    shortest_h = max(SHORTEST_PERIOD_H, 2.0 * slowest_h)
+    wanted_h = (
+        LONGEST_PERIOD_H
+        if time_constant_h is None
+        else min(PERIOD_TIME_CONSTANTS * time_constant_h, LONGEST_PERIOD_H)
+    )
     wanted_h = max(wanted_h, shortest_h)
     earliest = earliest_starts(cells, wanted_h)
     regressions: dict[str, Regression] = {}

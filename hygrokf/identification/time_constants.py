@@ -12,10 +12,11 @@ from dataclasses import replace
 import numpy as np
 
 from hygrokf.estimation.confidence import Bounds, normal_quantile, parts_scale
+from hygrokf.estimation.conventions import CONFIDENCE
 from hygrokf.estimation.output_error import OutputError
 from hygrokf.evaluation.simulation import measured
 from hygrokf.identification.composition import (
-    ANY,
+    ANY_CONSTANT,
     AlternativeEstimate,
     Resolved,
     compose_interval,
@@ -23,7 +24,7 @@ from hygrokf.identification.composition import (
     of_free_run,
     of_parts,
 )
-from hygrokf.identification.estimation import LEVEL, Stage
+from hygrokf.identification.estimation import Stage
 from hygrokf.identification.fit_results import (
     FormEstimate,
     MeanTemperatures,
@@ -33,14 +34,15 @@ from hygrokf.identification.fit_results import (
 )
 from hygrokf.identification.model_forms import FittedForm
 from hygrokf.identification.verdict_terms import Interval
-from hygrokf.modelling.design import TEMPERATURE
 from hygrokf.modelling.inputs import Run
 from hygrokf.modelling.thermal_system import thermal_poles
 from hygrokf.physics.mechanisms.hygric import exchange_factor, hygric_time_constant
 from hygrokf.physics.mechanisms.thermal import STILL_K, small_signal
+from hygrokf.physics.signal_names import CABINET_TEMPERATURE
+from hygrokf.texts.parts import TIME_CONSTANTS
 
-THERMAL, HYGRIC = "thermal_time_constant", "hygric_k"
-OPEN = 1e3
+THERMAL_TIME_CONSTANT, HYGRIC_TIME_CONSTANT = TIME_CONSTANTS
+OPEN_RATIO = 1e3
 """Ratio of the free run's bounds above which they are uninformative."""
 
 
@@ -57,9 +59,9 @@ def reference_temperatures(run: Run) -> tuple[float, float]:
 
 def thermal_entry(stage: Stage, simulated: Mapping[str, OutputError]) -> TimeConstant | None:
     """The thermal time constant of small changes at the median difference to the ambient, with R·C."""
-    if THERMAL not in stage.bounds:
+    if THERMAL_TIME_CONSTANT not in stage.bounds:
         return None
-    entry = _entry(stage, THERMAL, 1.0, simulated)
+    entry = _entry(stage, THERMAL_TIME_CONSTANT, 1.0, simulated)
     exponent = stage.estimate.values.get("convection_exponent", 0.0)
     quantiles = _differences_K(stage.run)
     range_h = None
@@ -77,11 +79,11 @@ def thermal_entry(stage: Stage, simulated: Mapping[str, OutputError]) -> TimeCon
 
 def hygric_entry(stage: Stage, simulated: Mapping[str, OutputError]) -> TimeConstant | None:
     """The hygric time constant R_D*·V* at the record's mean temperatures."""
-    if HYGRIC not in stage.bounds:
+    if HYGRIC_TIME_CONSTANT not in stage.bounds:
         return None
     cabinet, ambient = reference_temperatures(stage.run)
     scale = float(hygric_time_constant(1.0, cabinet, ambient))
-    entry = _entry(stage, HYGRIC, scale, simulated)
+    entry = _entry(stage, HYGRIC_TIME_CONSTANT, scale, simulated)
     readings = measured(stage.run)["temperature_K"]
     is_present = np.isfinite(readings)
     ambient_present = stage.run.timeline.input("ambient_temperature")[is_present]
@@ -89,7 +91,7 @@ def hygric_entry(stage: Stage, simulated: Mapping[str, OutputError]) -> TimeCons
     if is_present.any() and not _unbounded(entry):
         # the hygric time constant at an instant is the parameter divided by this product
         product = readings[is_present] * exchange_factor(ambient_present)
-        parameter = stage.estimate.values[HYGRIC]
+        parameter = stage.estimate.values[HYGRIC_TIME_CONSTANT]
         range_h = float(parameter / product.max()), float(parameter / product.min())
     return replace(
         entry,
@@ -117,22 +119,24 @@ def _resistance_capacity(stage: Stage, entry: TimeConstant, exponent: float) -> 
     small changes, with the exponent n of natural convection."""
     value = entry.value_h * (1.0 + exponent)
     sources = {step.source: step.sd_ln**2 for step in entry.composition[1:] if step.source != "forms"}
-    variance = _variance(stage, THERMAL)
+    variance = _variance(stage, THERMAL_TIME_CONSTANT)
     if stage.forms:
         forms = []
         for form in stage.forms:
             n = form.estimate.values.get("convection_exponent", 0.0)
-            spread = form.variance({THERMAL: 1.0, "convection_exponent": 1.0 / (1.0 + n)})
+            spread = form.variance({THERMAL_TIME_CONSTANT: 1.0, "convection_exponent": 1.0 / (1.0 + n)})
             forms.append(
-                AlternativeEstimate(math.log(form.estimate.values[THERMAL] * (1.0 + n)), spread, form.weight)
+                AlternativeEstimate(
+                    math.log(form.estimate.values[THERMAL_TIME_CONSTANT] * (1.0 + n)), spread, form.weight
+                )
             )
         if exponent > 0:
             variance = max(variance, max(forms, key=lambda form: form.weight).variance)
         sources["forms"] = of_forms(math.log(value), variance, forms)
     if _unbounded(entry):
         return Interval(value, 0.0)
-    ends = ANY.around(value, normal_quantile(entry.level) * math.sqrt(variance))
-    last = compose_interval(value, ends, entry.level, sources, _resolved(stage, THERMAL))[-1]
+    ends = ANY_CONSTANT.around(value, normal_quantile(entry.level) * math.sqrt(variance))
+    last = compose_interval(value, ends, entry.level, sources, _resolved(stage, THERMAL_TIME_CONSTANT))[-1]
     return Interval(value, last.lower_h, last.upper_h)
 
 
@@ -148,8 +152,8 @@ def _response(stage: Stage) -> SensorResponse:
         return SensorResponse("stated" if stage.response_stated else "included", 0.0)
     name = next(p for p in stage.estimate.values if p.endswith("_response"))
     value, variance = stage.estimate.values[name], _variance(stage, name)
-    half_width = normal_quantile(LEVEL) * math.sqrt(variance)
-    return SensorResponse("estimated", 60.0 * value, *ANY.around(60.0 * value, half_width))
+    half_width = normal_quantile(CONFIDENCE) * math.sqrt(variance)
+    return SensorResponse("estimated", 60.0 * value, *ANY_CONSTANT.around(60.0 * value, half_width))
 
 
 def _unbounded(entry: TimeConstant) -> bool:
@@ -160,7 +164,7 @@ def _resolved(stage: Stage, name: str) -> Resolved:
     """The range of time constants [h] that a stage's readings resolve: from a tenth of their median step to
     ten times their length."""
     t = stage.run.timeline
-    output = TEMPERATURE if name == THERMAL else stage.base.humidity
+    output = CABINET_TEMPERATURE if name == THERMAL_TIME_CONSTANT else stage.base.humidity
     steps = np.diff(t.time[np.isfinite(t.reading(output))]) if output in t.outputs else t.time[:0]
     shortest = 0.1 * float(np.median(steps)) if len(steps) else 0.0
     return Resolved(shortest, 10.0 * float(t.time[-1] - t.time[0]))
@@ -241,7 +245,8 @@ def _by_free_run(free_run: OutputError | None, name: str) -> AlternativeEstimate
     place = free_run.names.index(name)
     variance = float(free_run.covariance[place, place])
     # with a singular information matrix the variance may be negative
-    is_informative = 0.0 < variance and 2.0 * normal_quantile(LEVEL) * math.sqrt(variance) <= math.log(OPEN)
+    log_width = 2.0 * normal_quantile(CONFIDENCE) * math.sqrt(max(variance, 0.0))
+    is_informative = 0.0 < variance and log_width <= math.log(OPEN_RATIO)
     return AlternativeEstimate(math.log(free_run.values[name]), variance) if is_informative else None
 
 

@@ -29,6 +29,7 @@ from hygrokf.data.files import write_text_whole
 from hygrokf.data.result_file import read_result, result_text
 from hygrokf.errors import HygrokfError
 from hygrokf.estimation.confidence import normal_quantile, student_quantile
+from hygrokf.estimation.conventions import CONFIDENCE
 from hygrokf.identification.fit import Fit
 from hygrokf.identification.verdict import inherited
 from hygrokf.identification.verdict_terms import PARAMETER_OF
@@ -174,8 +175,8 @@ def pool_types(fits: Sequence[Fit], name: str = "") -> TurbineType:
             continue
         y, v = np.array(pairs).T
         mean, se, spread = random_effects(y, v)
-        reach = student_quantile(0.95, len(y) - 1) * se
-        ahead = student_quantile(0.95, min(len(y) - 1, max(len(y) - 2, 2))) * math.hypot(spread, se)
+        reach = student_quantile(CONFIDENCE, len(y) - 1) * se
+        ahead = student_quantile(CONFIDENCE, min(len(y) - 1, max(len(y) - 2, 2))) * math.hypot(spread, se)
         found[parameter] = Pooled(
             unit=known[parameter].unit,
             logarithmic=known[parameter].positive,
@@ -184,7 +185,7 @@ def pool_types(fits: Sequence[Fit], name: str = "") -> TurbineType:
             lower=mean - reach,
             upper=mean + reach,
             spread=spread,
-            next_sd=ahead / normal_quantile(0.95),
+            next_sd=ahead / normal_quantile(CONFIDENCE),
             turbines=len(y),
         )
     if not found:

@@ -7,7 +7,7 @@ the worst reason decides, and a number without any reason against it is believed
 A reason is "reject" where the evidence contradicts the number, or where the record does not determine it.  It
 is "caution" where the evidence is weak, or where it affects the interval but not the number.
 
-A further rule takes one function `rule(fit, part) -> reasons` in `RULES`, a code in `ReasonCode`, and
+A further rule takes one function `rule(fit, part) -> reasons` in `VERDICT_RULES`, a code in `ReasonCode`, and
 one row in docs/explanation/verdict.md.
 `fit` are the results of a fit, of which parts may be missing; `part` is "thermal" or "hygric".
 """
@@ -22,15 +22,20 @@ from datetime import datetime
 import numpy as np
 
 from hygrokf.estimation.optimiser import INEXACT
-from hygrokf.evaluation.diagnosis import OutputDiagnosis
-from hygrokf.evaluation.innovation_tests import SMALL
+from hygrokf.evaluation.innovation_tests import SMALL_CORRELATION, OutputDiagnosis
 from hygrokf.identification.fit_results import FitResults, ParameterRow, Sampling, TimeConstant
-from hygrokf.identification.verdict_terms import PARAMETER_OF, PERIODS, QUANTITY_OF, Inherited, Interval
-from hygrokf.modelling.design import PARTS
+from hygrokf.identification.verdict_terms import (
+    JUDGED_PERIODS,
+    PARAMETER_OF,
+    QUANTITY_OF,
+    Inherited,
+    Interval,
+)
 from hygrokf.texts.fit_codes import FitCode
+from hygrokf.texts.parts import BOTH_PARTS, PARTS
 from hygrokf.texts.reasons import CAUTION, REJECT, VERDICTS, Reason, ReasonCode, verdict_of, worst_first
 from hygrokf.texts.statement import Statement
-from hygrokf.texts.wording import BASELINES, QUANTITIES
+from hygrokf.texts.wording import BASELINES, QUANTITY_NAMES
 
 TIGHT = 0.25
 """[1] largest relative half-width of the interval of a well-determined time constant."""
@@ -48,7 +53,7 @@ CARRIES_OVER = 1.25
 """[1] largest ratio of validation to identification error of a model that generalises."""
 COVERAGE = (0.90, 0.985)
 """[1] acceptable shares of readings within a 95 % band."""
-FAILED = 0.5
+FAILED_SHARE = 0.5
 """[1] share within the free run's 95 % band below which the free run is unreliable."""
 FEWEST_IN_BAND = 20
 """Fewest readings for a meaningful share within a band."""
@@ -71,7 +76,7 @@ PARTS_SCATTER = 2.0
 CREDIBLE = 0.1
 """[1] weight above which another form of the model is considered."""
 
-_OUTPUTS = {"thermal": "temperature", "hygric": "humidity"}
+_OUTPUTS = {part.name: part.output for part in BOTH_PARTS}
 
 
 # --- deciding --------------------------------------------------------------------------------
@@ -84,7 +89,9 @@ def inherited(fit: FitResults) -> dict[str, Inherited]:
     for part in PARTS:
         if part in fit.time_constants:
             one = fit.time_constants[part]
-            decided = (reason for rule in RULES for reason in rule(fit, part)) if not one.verdict else ()
+            decided = (
+                (reason for rule in VERDICT_RULES for reason in rule(fit, part)) if not one.verdict else ()
+            )
             reasons = one.reasons if one.verdict else worst_first(decided)
             verdict = one.verdict or verdict_of(reasons)
             found[part] = Inherited(one.value_h, one.lower_h, one.upper_h, verdict, reasons)
@@ -216,7 +223,7 @@ def criteria_apart(data: TimeConstant) -> float:
 def _free_run(fit: FitResults, part: str) -> Iterator[Reason]:
     """Comparison of the free run with rules that need no model, and with its own band."""
     quantity, data = QUANTITY_OF[part], fit.time_constants[part]
-    scored = [p for p in PERIODS if math.isfinite(fit.errors(p, quantity).total)]
+    scored = [p for p in JUDGED_PERIODS if math.isfinite(fit.errors(p, quantity).total)]
     beyond = [one for p in scored for one in _worse_than_mean(fit, quantity, p)]
     if beyond:
         yield replace(beyond[0], verdict=REJECT if len(beyond) == len(scored) else CAUTION)
@@ -232,9 +239,9 @@ def _free_run(fit: FitResults, part: str) -> Iterator[Reason]:
 def free_run_reasons(fit: FitResults, part: str) -> Iterator[Reason]:
     """What speaks for and against the free run's errors themselves."""
     quantity = QUANTITY_OF[part]
-    early, late = (fit.errors(period, quantity).total for period in reversed(PERIODS))
+    early, late = (fit.errors(period, quantity).total for period in reversed(JUDGED_PERIODS))
     period = "validation" if math.isfinite(late) else "identification"
-    if beyond := [one for p in PERIODS for one in _worse_than_mean(fit, quantity, p)]:
+    if beyond := [one for p in JUDGED_PERIODS for one in _worse_than_mean(fit, quantity, p)]:
         yield beyond[0]
         return
     if not math.isfinite(late):
@@ -245,13 +252,13 @@ def free_run_reasons(fit: FitResults, part: str) -> Iterator[Reason]:
     yield from worse
     if rule is not None and not worse:
         code = ReasonCode.BETTER_THAN_RULE if rule.gain >= MATERIAL else ReasonCode.NO_BETTER_THAN_RULE
-        unit = QUANTITIES[quantity][1]
+        unit = QUANTITY_NAMES[quantity][1]
         yield code(rule=rule.words, rule_error=rule.rule, gain=rule.gain, unit=unit)
     yield from (replace(one, verdict=REJECT) for one in _failed_band(fit, quantity))
 
 
 def _worse_than_mean(fit: FitResults, quantity: str, period: str) -> Iterator[Reason]:
-    error, (name, unit) = fit.errors(period, quantity).total, QUANTITIES[quantity]
+    error, (name, unit) = fit.errors(period, quantity).total, QUANTITY_NAMES[quantity]
     spread = fit.readings_sd.get(period, {}).get(quantity, math.nan)
     if error > spread:
         said = {"quantity": name, "unit": unit, "period": period}
@@ -261,7 +268,7 @@ def _worse_than_mean(fit: FitResults, quantity: str, period: str) -> Iterator[Re
 def _worse_than_rule(
     fit: FitResults, quantity: str, period: str, but: tuple[Statement, ...] = ()
 ) -> Iterator[Reason]:
-    rule, (name, unit) = best_rule(fit, quantity, period), QUANTITIES[quantity]
+    rule, (name, unit) = best_rule(fit, quantity, period), QUANTITY_NAMES[quantity]
     if rule is not None and rule.gain < -MATERIAL:
         said = {"quantity": name, "unit": unit, "period": period, "rule": rule.words}
         yield ReasonCode.WORSE_THAN_RULE(error=rule.error, rule_error=rule.rule, but=but, **said)
@@ -269,8 +276,8 @@ def _worse_than_rule(
 
 def _failed_band(fit: FitResults, quantity: str) -> Iterator[Reason]:
     band = fit.band("free_run", quantity)
-    if band.coverage < FAILED and band.n >= FEWEST_IN_BAND:
-        yield ReasonCode.BAND_FAILED(coverage=band.coverage, quantity=QUANTITIES[quantity][0])
+    if band.coverage < FAILED_SHARE and band.n >= FEWEST_IN_BAND:
+        yield ReasonCode.BAND_FAILED(coverage=band.coverage, quantity=QUANTITY_NAMES[quantity][0])
 
 
 @dataclass(frozen=True)
@@ -305,8 +312,8 @@ def best_rule(fit: FitResults, quantity: str, period: str) -> SimpleRule | None:
 def _innovations(fit: FitResults, part: str) -> Iterator[Reason]:
     """Correlated one-step predictions, and scores that vary more than the model explains."""
     size, beside = largest_correlation(fit, _OUTPUTS[part])
-    if size >= SMALL and beside is not None:
-        quantity = QUANTITIES[QUANTITY_OF[part]][0]
+    if size >= SMALL_CORRELATION and beside is not None:
+        quantity = QUANTITY_NAMES[QUANTITY_OF[part]][0]
         yield ReasonCode.INNOVATIONS_CORRELATED(correlation=size, beside=beside, quantity=quantity)
     factor = fit.time_constants[part].factor
     if factor > SCATTER:
@@ -378,7 +385,7 @@ def _other_estimates(fit: FitResults, part: str) -> Iterator[Reason]:
         yield ReasonCode.PARTS_DIFFER(scatter=data.parts_scatter)
 
 
-RULES: tuple[Callable[[FitResults, str], Iterable[Reason]], ...] = (
+VERDICT_RULES: tuple[Callable[[FitResults, str], Iterable[Reason]], ...] = (
     _convergence,
     _interval,
     _criteria,

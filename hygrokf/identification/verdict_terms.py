@@ -6,16 +6,16 @@ import math
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 
-from hygrokf.modelling.design import PARTS
 from hygrokf.texts.fit_codes import FitCode
+from hygrokf.texts.parts import BOTH_PARTS, PARTS
 from hygrokf.texts.reasons import BELIEVE, PLAIN_MARKS, REJECT, WORDS, Kind, Reason, VerdictCode
 from hygrokf.texts.statement import Statement
 from hygrokf.texts.wording import UNBOUNDED, WIDE, ends, plain_number
 
-PERIODS = ("validation", "identification")
+JUDGED_PERIODS = ("validation", "identification")
 
-QUANTITY_OF = {"thermal": "temperature_K", "hygric": "absolute_humidity_g_m3"}
-PARAMETER_OF = {"thermal": "thermal_time_constant", "hygric": "hygric_k"}
+QUANTITY_OF = {part.name: part.scored for part in BOTH_PARTS}
+PARAMETER_OF = {part.name: part.time_constant for part in BOTH_PARTS}
 
 
 @dataclass(frozen=True)

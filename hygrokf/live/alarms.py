@@ -19,27 +19,28 @@ from hygrokf.data.readings import SATURATED
 from hygrokf.data.signals import from_si, signal_named
 from hygrokf.data.timestamps import HOUR_S, MINUTE_S
 from hygrokf.identification.verdict_terms import Inherited, rests_on
-from hygrokf.live.batch import Alarm, content_of, text_of
+from hygrokf.live.batch import Alarm, stated_content, stated_text
 from hygrokf.live.condition import Z95, Condition
-from hygrokf.live.fault_isolation import PAIRS, SENSORS, CauseFinding, ShiftStep
+from hygrokf.live.fault_isolation import PAIRED_SENSORS, PAIRS, CauseFinding, ShiftStep
 from hygrokf.live.frozen import Frozen
 from hygrokf.live.plan import Need
 from hygrokf.live.properties import MOIST, TrackedState, relative_shift
 from hygrokf.live.sources.stream import Reach
-from hygrokf.live.traces import HUMIDITY
 from hygrokf.live.tracker import SAME_S, TrackedCourse
-from hygrokf.modelling.design import PARTS
+from hygrokf.physics.signal_names import CABINET_RELATIVE_HUMIDITY
 from hygrokf.texts.live_codes import AlarmCode, CauseCode
+from hygrokf.texts.parts import PARTS
 from hygrokf.texts.statement import Statement
 
-ESTIMATES, SHIFTS, INNOVATIONS = "estimates", "shifts", "innovations"
-SILENCE, CLOCKS, REACH = "silence", "clocks", "reach"
-DELIVERY = (SILENCE, CLOCKS, REACH)
+ESTIMATES, SHIFTS, INNOVATION_KIND = "estimates", "shifts", "innovations"
+SILENCE, CLOCKS, REACH_KIND = "silence", "clocks", "reach"
+DELIVERY = (SILENCE, CLOCKS, REACH_KIND)
 """What the levels of alarms about delivery follow from; no alarm about delivery begins in a replay."""
 FROZEN_S = 6 * HOUR_S
 """[s] for which a signal must have repeated a value, beyond its longest repetition before."""
-BEYOND = 8.0
-"""Standard deviations √S of the prediction ŷ beyond which a reading y contradicts it: |y − ŷ| > `BEYOND` √S.
+CONTRADICTION_SD = 8.0
+"""Standard deviations √S of the prediction ŷ beyond which a reading y contradicts it: |y − ŷ| >
+`CONTRADICTION_SD` √S.
 
 On ordinary data of simulated cabinets the innovations have heavier tails than a normal distribution, so that
 the bound is wider than a normal distribution would need: docs/validation/live_trials.md has the shares
@@ -66,7 +67,7 @@ SENSOR_ERRORS = {
     "ambient_humidity_change": AlarmCode.AMBIENT_HUMIDITY_SUSPECT,
 }
 """State of a sensor's error -> what its alarm says."""
-CAUSES = {
+CAUSE_CODES = {
     "thermal_time_constant": CauseCode.CHANGED_HEAT_LOSS,
     "hygric_k": CauseCode.CHANGED_AIR_EXCHANGE,
     "heat_release_change": CauseCode.CHANGED_HEAT_RELEASE,
@@ -138,7 +139,7 @@ def judge(
 
 
 def _judge_level(turbine: str, before: Standing, now: float, level: Level) -> tuple[Standing, Alarm | None]:
-    rule, alarm = RULES[level.kind], before.alarm
+    rule, alarm = ALARM_RULES[level.kind], before.alarm
     severity = "alarm" if level.level >= rule.severe else level.severity or rule.severity
     is_past = level.level >= rule.on if alarm is None else level.level < rule.off and now >= alarm.began
     since = None if not is_past else now if before.since is None else min(now, before.since)
@@ -160,10 +161,10 @@ def _alarm(turbine: str, began: float, severity: str, level: Level) -> Alarm:
         kind=level.kind,
         severity=severity,
         began=began,
-        statement=text_of(level.statements),
+        statement=stated_text(level.statements),
         remedy=level.statements[0].remedy if level.statements else "",
         subject=level.subject,
-        content=content_of(level.statements),
+        content=stated_content(level.statements),
     )
 
 
@@ -212,7 +213,7 @@ def _in_display_unit(signal: str, *values: float) -> tuple[list[float], str]:
 
 def estimate_levels(estimated: Estimated, verdicts: Mapping[str, Inherited]) -> list[Level]:
     """All levels that follow from a turbine's estimates, with the doubts about its fit (`verdicts`)."""
-    functions = (rule.levels for rule in RULES.values() if rule.levels is not None)
+    functions = (rule.levels for rule in ALARM_RULES.values() if rule.levels is not None)
     return with_doubts((level for levels_of in functions for level in levels_of(estimated)), verdicts)
 
 
@@ -221,7 +222,7 @@ def with_doubts(levels: Iterable[Level], verdicts: Mapping[str, Inherited]) -> l
     `verdicts` rejects this number."""
     with_statements = []
     for level in levels:
-        doubts = rests_on(verdicts, RESTS_ON.get(level.subject, RULES[level.kind].rests_on))
+        doubts = rests_on(verdicts, RESTS_ON.get(level.subject, ALARM_RULES[level.kind].rests_on))
         if doubts and level.statements:
             level = replace(level, statements=(*level.statements, *doubts))
         with_statements.append(level)
@@ -243,7 +244,7 @@ def shift_levels(step: ShiftStep, finding: CauseFinding | None) -> list[Level]:
     moist = deviations.get(MOIST)
     causes = () if relevant is None else (relevant.cause, *relevant.alike)
     levels = []
-    if moist is not None and (HUMIDITY_SENSOR in causes or not causes or causes[0] not in SENSORS):
+    if moist is not None and (HUMIDITY_SENSOR in causes or not causes or causes[0] not in PAIRED_SENSORS):
         may_be_ambient = bool(set(PAIRS) & set(causes))
         code = AlarmCode.EITHER_SENSOR_OR_WATER if may_be_ambient else AlarmCode.HUMIDITY_SENSOR_OR_WATER
         level = relative_shift(MOIST, moist)
@@ -251,7 +252,7 @@ def shift_levels(step: ShiftStep, finding: CauseFinding | None) -> list[Level]:
         levels.append(Level(SENSOR_OR_WATER.kind, level, (code(**_size(MOIST, moist)),)))
     if relevant is None:
         return levels
-    if relevant.cause in SENSORS:
+    if relevant.cause in PAIRED_SENSORS:
         return [*levels, *_sensor_levels(relevant)]
     shifts = {relevant.cause: lasting[relevant.cause]} if relevant.cause in lasting else lasting
     return levels + [
@@ -284,7 +285,7 @@ def _sensor_levels(finding: CauseFinding) -> list[Level]:
 def _shift_level(name: str, deviation: TrackedState, finding: CauseFinding) -> Level:
     level = 1.0 if abs(deviation.x) > Z95 * deviation.sd else UNDECIDED_LEVEL
     statement = CHANGES[name, deviation.x > 0.0](**_size(name, deviation), others=_others(finding))
-    return Level(CHANGED.kind, level, (statement,), name)
+    return Level(CABINET_CHANGED.kind, level, (statement,), name)
 
 
 def _size(name: str, deviation: TrackedState) -> dict[str, float]:
@@ -299,7 +300,7 @@ def _size(name: str, deviation: TrackedState) -> dict[str, float]:
 def _others(finding: CauseFinding) -> Statement | str:
     """The causes that explain the readings as well as the finding's cause, without the other sensor of its
     pair."""
-    causes = [CAUSES[cause]() for cause in finding.alike if PAIRS.get(cause) != finding.cause]
+    causes = [CAUSE_CODES[cause]() for cause in finding.alike if PAIRS.get(cause) != finding.cause]
     return AlarmCode.OR_OTHERS(causes=tuple(causes)) if causes else ""
 
 
@@ -323,7 +324,7 @@ class Innovation:
         """The innovation in standard deviations of its prediction; a humidity reading at the sensor's ceiling
         is a lower bound of the humidity."""
         reading = self.reading
-        if self.signal == HUMIDITY and reading >= SATURATED:
+        if self.signal == CABINET_RELATIVE_HUMIDITY and reading >= SATURATED:
             reading = max(SATURATED, self.expected)
         return (reading - self.expected) / self.sd
 
@@ -342,8 +343,8 @@ def innovations(course: TrackedCourse, final_s: float = math.inf) -> list[Innova
 
 
 def contradiction_level(innovation: Innovation) -> Level:
-    """The level of a contradiction: 1 at `BEYOND` standard deviations of the prediction."""
-    level = abs(innovation.deviations) / BEYOND
+    """The level of a contradiction: 1 at `CONTRADICTION_SD` standard deviations of the prediction."""
+    level = abs(innovation.deviations) / CONTRADICTION_SD
     if level < CONTRADICTS.off:
         return Level(CONTRADICTS.kind, level, subject=innovation.signal)
     mean, sd = innovation.expected, innovation.sd
@@ -383,7 +384,7 @@ def missing_levels(missing: Iterable[Need], since: float, now: float, limit_s: f
     for need in missing:
         code = AlarmCode.REQUIRED_NEVER_CAME if need.required else AlarmCode.SIGNAL_NEVER_CAME
         statement, severity = code(quantity=need.quantity, since=since), "" if need.required else "notice"
-        levels.append(Level(MISSING.kind, level, (statement,), need.signals[0], severity))
+        levels.append(Level(SIGNAL_MISSING.kind, level, (statement,), need.signals[0], severity))
     return levels
 
 
@@ -393,7 +394,7 @@ def source_levels(reaches: Mapping[str, Reach], now: float) -> list[Level]:
     lost = {url: (reach, reach.since) for url, reach in reaches.items() if reach.since is not None}
     return [
         Level(
-            LOST.kind,
+            SOURCE_LOST.kind,
             reach.share(now),
             (AlarmCode.SOURCE_NOT_REACHED(source=url, since=since, reason=reach.words),),
             url,
@@ -424,7 +425,7 @@ class AlarmRule:
     levels: Callable[[Estimated], list[Level]] | None = None
 
 
-RULES = {
+ALARM_RULES = {
     rule.kind: rule
     for rule in (
         AlarmRule(
@@ -434,27 +435,27 @@ RULES = {
         AlarmRule("cabinet changed", SHIFTS),
         AlarmRule("sensor suspect", SHIFTS),
         AlarmRule("sensor or water", SHIFTS, rests_on=PARTS[1:]),
-        AlarmRule("reading contradicts", INNOVATIONS),
+        AlarmRule("reading contradicts", INNOVATION_KIND),
         AlarmRule("data stale", SILENCE, hold_s=5 * MINUTE_S, severe=12.0),
         AlarmRule("signal missing", SILENCE),
         AlarmRule("clock wrong", CLOCKS, hold_s=15 * MINUTE_S, severity="alarm", severe=1.0),
-        AlarmRule("source lost", REACH, severity="alarm", severe=1.0),
+        AlarmRule("source lost", REACH_KIND, severity="alarm", severe=1.0),
     )
 }
 """The table of alarms, by kind.  A new kind that follows from estimates is a row here, its levels, and what
 it says in `AlarmCode`; docs/explanation/live.md has an example."""
-CONDENSATION = RULES["condensation"]
-STUCK = RULES["sensor frozen"]
-CHANGED = RULES["cabinet changed"]
-SUSPECT = RULES["sensor suspect"]
-SENSOR_OR_WATER = RULES["sensor or water"]
-CONTRADICTS = RULES["reading contradicts"]
-STALE = RULES["data stale"]
-MISSING = RULES["signal missing"]
-CLOCK = RULES["clock wrong"]
-LOST = RULES["source lost"]
+CONDENSATION = ALARM_RULES["condensation"]
+STUCK = ALARM_RULES["sensor frozen"]
+CABINET_CHANGED = ALARM_RULES["cabinet changed"]
+SUSPECT = ALARM_RULES["sensor suspect"]
+SENSOR_OR_WATER = ALARM_RULES["sensor or water"]
+CONTRADICTS = ALARM_RULES["reading contradicts"]
+STALE = ALARM_RULES["data stale"]
+SIGNAL_MISSING = ALARM_RULES["signal missing"]
+CLOCK = ALARM_RULES["clock wrong"]
+SOURCE_LOST = ALARM_RULES["source lost"]
 
 
 def kinds_of(*follows: str) -> tuple[str, ...]:
     """Kinds of alarms whose levels follow from one of `follows`."""
-    return tuple(rule.kind for rule in RULES.values() if rule.follows in follows)
+    return tuple(rule.kind for rule in ALARM_RULES.values() if rule.follows in follows)

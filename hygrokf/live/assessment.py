@@ -20,7 +20,7 @@ from typing import TypeAlias
 import numpy as np
 
 from hygrokf.data.timestamps import HOUR_S
-from hygrokf.live.alarms import CONDENSATION, MISSING, STALE
+from hygrokf.live.alarms import CONDENSATION, SIGNAL_MISSING, STALE
 from hygrokf.live.batch import Alarm
 from hygrokf.live.plan import Need
 from hygrokf.texts.live_codes import StateCode
@@ -121,7 +121,7 @@ def _at_risk(facts: Facts, now: float) -> Reasons:
 
 
 def _alarm(facts: Facts, now: float) -> Reasons:
-    other_states = {STALE.kind} if facts.estimate_s is not None else {STALE.kind, MISSING.kind}
+    other_states = {STALE.kind} if facts.estimate_s is not None else {STALE.kind, SIGNAL_MISSING.kind}
     kinds = [a.kind for a in facts.alarms if a.kind not in other_states and a.severity != "notice"]
     return (StateCode.ALARMS_OPEN(kinds=tuple(dict.fromkeys(kinds))),) if kinds else ()
 

@@ -38,23 +38,23 @@ class Loss:
     regained: float | None
 
 
-STATES = ("at risk", "alarm", "stale", "no estimate", "ok", "off")
+TURBINE_STATES = ("at risk", "alarm", "stale", "no estimate", "ok", "off")
 """States of a turbine, in the order in which they need attention.
 
 "at risk": condensation is likely now or within the forecast; "alarm": an alarm is open; "stale": its data
 are too old; "no estimate": the state is unknown, for the reason that the assessment gives; "off": the turbine
 is stopped, and condensation is unlikely.
 """
-CAUSES = ("defect", "settings changed", "false alarm", "unexplained", "look again")
+STATED_CAUSES = ("defect", "settings changed", "false alarm", "unexplained", "look again")
 """Causes with which a person acknowledges an alarm."""
 
 
-def content_of(statements: Sequence[Statement]) -> str:
+def stated_content(statements: Sequence[Statement]) -> str:
     """The statements of a row, as the JSON of its column `content`."""
     return json.dumps(plain(list(statements)), ensure_ascii=False)
 
 
-def text_of(statements: Sequence[Statement]) -> str:
+def stated_text(statements: Sequence[Statement]) -> str:
     """The statements of a row, as the text of the column that people read."""
     return "; ".join(statement.text for statement in statements)
 
@@ -73,8 +73,8 @@ class Alarm:
     distinguishes alarms of one kind.
 
     `content` holds its statements, `statement` is their text, and `remedy` tells what to do.  Whoever
-    acknowledges the alarm states a `cause` (one of `CAUSES`) and may add a `note`; `look_again` [s] is the
-    time at which the alarm is due again.
+    acknowledges the alarm states a `cause` (one of `STATED_CAUSES`) and may add a `note`; `look_again` [s] is
+    the time at which the alarm is due again.
     """
 
     id: str
@@ -105,7 +105,8 @@ class Alarm:
 
 @dataclass(frozen=True)
 class Assessment:
-    """The `state` of a turbine (one of `STATES`) `since` a time [s]; `reason` is the text of `content`."""
+    """The `state` of a turbine (one of `TURBINE_STATES`) `since` a time [s]; `reason` is the text of
+    `content`."""
 
     turbine: str
     state: str

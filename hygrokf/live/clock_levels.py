@@ -1,7 +1,7 @@
 """Comparison of stamps with this machine's clock: readings ahead of the clock, wrong clocks, and backlogs.
 
-A reading that is ahead by more than `AHEAD_S` is acknowledged and held back in the store until the clock
-reaches its stamp minus `AHEAD_S` or is set right.
+A reading that is ahead by more than `STAMP_AHEAD_S` is acknowledged and held back in the store until the
+clock reaches its stamp minus `STAMP_AHEAD_S` or is set right.
 
 A backlog consists of readings that were kept while source or tracker were away.  While a backlog is
 delivered, a turbine whose readings have not come yet looks silent although it is not.  A source delivers a
@@ -18,7 +18,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from hygrokf.data.timestamps import DAY_S, MINUTE_S
 from hygrokf.live.alarms import CLOCK, Level
 from hygrokf.live.batch import Batch, Observation
-from hygrokf.live.sources.payload_values import AHEAD_S
+from hygrokf.live.sources.payload_values import STAMP_AHEAD_S
 from hygrokf.live.storage.store import Store
 from hygrokf.live.tracker import Reading
 from hygrokf.texts.live_codes import AlarmCode
@@ -29,7 +29,7 @@ HELD_MOST = 200_000
 that a sender with stamps of the next century cannot fill the disk."""
 ALIKE_S = 300.0
 """[s] within which turbines are ahead by the same time."""
-SHARED = 0.5
+AHEAD_SHARE = 0.5
 """Share of the turbines that must be ahead by the same time for this machine's clock to be the suspect."""
 MACHINE = ""
 """Turbine name of alarms about this machine's clock."""
@@ -55,7 +55,7 @@ class Ahead:
         """Note readings of a turbine, in the order of their arrival."""
         for observed in observations:
             ahead_s = observed.reading.time - observed.received
-            self._ahead_s[turbine][observed.reading.signal] = ahead_s if ahead_s > AHEAD_S else 0.0
+            self._ahead_s[turbine][observed.reading.signal] = ahead_s if ahead_s > STAMP_AHEAD_S else 0.0
 
     def hold(self, turbine: str, ahead: Sequence[Observation], batch: Batch) -> None:
         """Put readings that are ahead into the batch; readings beyond `HELD_MOST` are counted and
@@ -75,7 +75,7 @@ class Ahead:
         """The readings of a turbine that are no longer ahead at `now` [s]; the batch releases them."""
         if self._store is None or turbine not in self._held:
             return []
-        due = self._store.held(turbine, now + AHEAD_S)
+        due = self._store.held(turbine, now + STAMP_AHEAD_S)
         batch.released += due
         if self._store.held_count(turbine) == len(due) and all(
             observed.turbine != turbine for observed in batch.held
@@ -84,7 +84,7 @@ class Ahead:
         return due
 
     def by_turbine(self) -> dict[str, float]:
-        """Time [s] by which each turbine's newest readings were ahead, 0 up to `AHEAD_S`."""
+        """Time [s] by which each turbine's newest readings were ahead, 0 up to `STAMP_AHEAD_S`."""
         return {turbine: max(by_signal.values()) for turbine, by_signal in self._ahead_s.items()}
 
 
@@ -93,7 +93,7 @@ def clock_levels(ahead_s: Mapping[str, float]) -> dict[str, list[Level]]:
     each turbine is ahead of this clock.
 
     Several turbines that are ahead by the same time share the cause, this machine's clock, if they are at
-    least the share `SHARED` of all turbines; the clock of any other turbine that is ahead is fast.
+    least the share `AHEAD_SHARE` of all turbines; the clock of any other turbine that is ahead is fast.
     """
     levels: dict[str, list[Level]] = {name: [] for name in (*ahead_s, MACHINE)}
     positive = sorted(seconds for seconds in ahead_s.values() if seconds > 0.0)
@@ -101,7 +101,7 @@ def clock_levels(ahead_s: Mapping[str, float]) -> dict[str, list[Level]]:
         return levels
     median = positive[(len(positive) - 1) // 2]
     alike = {name for name, s in ahead_s.items() if s > 0.0 and abs(s - median) <= ALIKE_S}
-    if len(alike) < max(2.0, SHARED * len(ahead_s)):
+    if len(alike) < max(2.0, AHEAD_SHARE * len(ahead_s)):
         alike = set()
     else:
         shared = AlarmCode.MACHINE_CLOCK_SLOW(count=len(alike), of=len(ahead_s), ahead=_rounded(median))

@@ -100,7 +100,7 @@ class DisplayedQuantity:
         return f"{self.name}_sd"
 
 
-QUANTITIES = (
+DISPLAYED_QUANTITIES = (
     DisplayedQuantity("temperature", "temperature_K", "celsius", offset=-ZERO_CELSIUS_K),
     DisplayedQuantity("relative_humidity", "relative_humidity", "percent", factor=100.0),
     DisplayedQuantity("absolute_humidity", "absolute_humidity_g_m3", "g_m3"),
@@ -223,7 +223,7 @@ def _air(
 
 
 # -- water in the cabinet, or a humidity sensor that errs ----------------------------------------------------
-SHOWN = 0.005
+SHOWN_DIFFERENCE = 0.005
 """Difference of the probabilities [1] from which the condition by the sensor is shown instead of that by the
 model: half a percent."""
 
@@ -280,7 +280,7 @@ def on_the_safe_side(
     The arguments are the arguments and the result of `air_condition`.  By the sensor the vapour is higher by
     the excess (T,) [g/m³], NaN where it is unknown, and the variance of the sensor's accuracy is added.  The
     probability is the larger of the two; the quantities are those by the sensor where the probability by the
-    sensor is larger by more than `SHOWN`.
+    sensor is larger by more than `SHOWN_DIFFERENCE`.
     """
     if by_model.condensation is None or by_model.temperature_K is None:
         return by_model
@@ -292,7 +292,7 @@ def on_the_safe_side(
     by_sensor = air_condition(model, values, by_model.time_s, u, mean, covariance, surface)
     assert by_sensor.condensation is not None, "by_model has it, and both have the same model"
     larger = np.fmax(by_model.condensation, by_sensor.condensation)
-    wetter = larger > by_model.condensation + SHOWN
+    wetter = larger > by_model.condensation + SHOWN_DIFFERENCE
 
     def chosen(name: str, quantity: Quantity) -> Quantity:
         other = getattr(by_sensor, name)

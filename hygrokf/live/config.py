@@ -13,7 +13,7 @@ from typing import Any
 
 from hygrokf.cases.form import HOLD_HELP, LONGEST_HELP, STAMPS, StatedSensor, longest_hold, stated_signal
 from hygrokf.data.numbers import stated_marks
-from hygrokf.data.quality import UNSTATED, QualityVocabulary, stated_vocabulary
+from hygrokf.data.quality import UNSTATED_VOCABULARY, QualityVocabulary, stated_vocabulary
 from hygrokf.data.record import Site
 from hygrokf.data.result_file import ResultFault
 from hygrokf.data.signals import SWITCHED, Signal
@@ -35,19 +35,19 @@ from hygrokf.live.condition import Surface
 from hygrokf.live.forecast import LIMIT, heating_sd
 from hygrokf.live.notification.channel import Channel
 from hygrokf.live.notification.transports import channel_of
-from hygrokf.live.plan import LATENESS_S, WANDERING, Plan, SignalReporting, plan
+from hygrokf.live.plan import LATENESS_S, TRACKED_PROPERTIES, Plan, SignalReporting, plan
 from hygrokf.live.properties import standard_errors
 from hygrokf.live.sources.local import FileForm, InputForm
 from hygrokf.live.sources.opcua import OpcUaForm
 from hygrokf.live.sources.payload import Field, PayloadMapping
-from hygrokf.live.sources.payload_formats import FORMATS, JSON, PLAIN
+from hygrokf.live.sources.payload_formats import JSON, PAYLOAD_FORMATS, PLAIN
 from hygrokf.live.sources.payload_values import RECEIVED, Clock, alternatives, path_fault, pattern_fault
 from hygrokf.live.sources.postgres_source import PostgresForm
 from hygrokf.live.sources.sparkplug import MqttForm
 from hygrokf.live.sources.stream import SourceKeys, Stream
 from hygrokf.live.storage.postgres import SCHEMES, url_fault
 from hygrokf.live.turbines import STALE_S, Turbine
-from hygrokf.live.web.page_settings import PAGE, PageSettings, page_settings
+from hygrokf.live.web.page_settings import PAGE_ADDRESS, PageSettings, page_settings
 from hygrokf.modelling.library import LIBRARY, Library
 from hygrokf.physics.holds import MEAN, PREVIOUS, hold_named
 
@@ -120,14 +120,16 @@ class SignalForm(StatedSensor):
 class MappingForm:
     """The table [mapping]."""
 
-    format: str = setting(JSON, "of payloads that are not rows of a table", choices=FORMATS)
+    format: str = setting(JSON, "of payloads that are not rows of a table", choices=PAYLOAD_FORMATS)
     records: str = setting("", "path to the objects that hold the values")
     turbine: str = setting("turbine", "field with the turbine's name", empty=True)
     time: str = setting("time", "field with the time")
     timezone: datetime.tzinfo | None = setting(None, "of stamps without an offset", read=zone_named)
     time_format: str = setting("", "strptime form of stamps that are not ISO 8601", read=_time_form)
     quality: str = setting("", "field with a quality")
-    vocabulary: QualityVocabulary = setting(UNSTATED, "of quality, or its good marks", read=stated_vocabulary)
+    vocabulary: QualityVocabulary = setting(
+        UNSTATED_VOCABULARY, "of quality, or its good marks", read=stated_vocabulary
+    )
     good: QualityVocabulary | None = setting(
         None, "marks of good quality, instead of a vocabulary", read=stated_vocabulary
     )
@@ -290,7 +292,7 @@ def source_forms(
 # -- the whole file ------------------------------------------------------------------------------------------
 RETENTION_S = 400.0 * 86400.0
 LEAST_RETENTION_S = 7.0 * 86400.0
-KINDS: Mapping[str, type[SourceKeys]] = {
+SOURCE_FORMS: Mapping[str, type[SourceKeys]] = {
     "file": FileForm,
     "stdin": InputForm,
     "mqtt": MqttForm,
@@ -331,9 +333,9 @@ def stream_of(
     """
     url = table.get("url")
     scheme = url.partition(":")[0] if isinstance(url, str) else ""
-    form_class = KINDS.get(scheme)
+    form_class = SOURCE_FORMS.get(scheme)
     if form_class is None:
-        schemes = ", ".join(f"{name}:" if name != "stdin" else name for name in KINDS)
+        schemes = ", ".join(f"{name}:" if name != "stdin" else name for name in SOURCE_FORMS)
         # the rest of the url may hold a password
         place.fault(f"url must begin with one of {schemes}, found {scheme!r}")
         return None
@@ -415,7 +417,7 @@ WanderingForm = make_dataclass(
     "WanderingForm",
     [
         (name, float | None, setting(None, "for a day^0.5", above=0.0, most=1.0, expected=_RATE))
-        for name in WANDERING
+        for name in TRACKED_PROPERTIES
     ],
     frozen=True,
 )
@@ -427,7 +429,7 @@ class TrackForm:
     """The tracker's file."""
 
     store: str = setting("sqlite:live.db", "URL of the store", read=store_url)
-    page: Any = setting(PAGE, "HOST:PORT, or a table")
+    page: Any = setting(PAGE_ADDRESS, "HOST:PORT, or a table")
     lateness_s: float = setting(LATENESS_S, "of a reading behind the newest one", read=duration)
     retention_s: float = setting(
         RETENTION_S,

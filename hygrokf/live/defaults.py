@@ -27,24 +27,24 @@ from hygrokf.identification.fit import read_fit, write_fit
 from hygrokf.identification.identify import identify
 from hygrokf.live.config import Config, ConfigFault, read_turbine, store_url, stream_of, turbine_of
 from hygrokf.live.plan import SignalReporting, plan
-from hygrokf.live.sources.local import Playback, form_of, record_mapping, record_messages
+from hygrokf.live.sources.local import Playback, line_form, record_mapping, record_messages
 from hygrokf.live.sources.payload import Field, PayloadMapping
 from hygrokf.live.turbines import Turbine
-from hygrokf.live.web.page_settings import PAGE, PageSettings, page_settings
+from hygrokf.live.web.page_settings import PAGE_ADDRESS, PageSettings, page_settings
 from hygrokf.modelling.library import LIBRARY, Library
 
-NAMES = {
+TURBINE_NAMES = {
     "Synthetic 1": (),
     "Synthetic 2, temperature only": ("cabinet_relative_humidity",),
     "Synthetic 3, no sensor": ("cabinet_relative_humidity", "cabinet_temperature"),
 }
 """Turbine -> signals that are left out."""
-FIRST = next(iter(NAMES))
-SEED = 1
+FIRST = next(iter(TURBINE_NAMES))
+TURBINE_SEED = 1
 """Seed of the synthetic turbine."""
-DAYS = 100.0
+RECORD_DAYS = 100.0
 LIVE_DAYS = 60.0
-"""`DAYS`: length of the record [d]; `LIVE_DAYS`: time from its start to the live part [d]."""
+"""`RECORD_DAYS`: length of the record [d]; `LIVE_DAYS`: time from its start to the live part [d]."""
 IDENTIFIED_DAYS = 30.0
 """Length of the period before the change on which the model is identified [d]: with a longer one the page
 would not open within ten seconds."""
@@ -53,7 +53,7 @@ KNOWN_DAYS = 12.0
 CHANGED_DAYS = -7.0
 """[d] from the start of the live part to the change of the cabinet: early enough that the alarm of the shift,
 which must last two days, begins within seconds of the playback."""
-CHANGED = SyntheticParameters(thermal_time_constant_h=2.5)
+CHANGED_CABINET = SyntheticParameters(thermal_time_constant_h=2.5)
 PLAYED = (
     "cabinet_temperature", "cabinet_relative_humidity", "ambient_temperature", "ambient_relative_humidity",
     "active_power", "preheating",
@@ -70,7 +70,7 @@ def default_mapping() -> PayloadMapping:
 def page_at(address: str | None) -> PageSettings:
     """Settings of a page at an address (None: the default).  Raises ConfigFault."""
     place = Place()
-    settings = page_settings(address or PAGE, Path(), place)
+    settings = page_settings(address or PAGE_ADDRESS, Path(), place)
     if place.faults:
         raise ConfigFault("--page", place.faults)
     return settings
@@ -110,7 +110,7 @@ def default_config(
     )
     # messages refer to a source by number, because its URL may contain a password
     streams = [
-        stream_of(table_of(url), replace(place, name=f"--source {number}"), Path(), mapping)
+        stream_of(default_table(url), replace(place, name=f"--source {number}"), Path(), mapping)
         for number, url in enumerate(sources, start=1)
     ]
     if not sources:
@@ -122,7 +122,7 @@ def default_config(
     return Config(turbines, tuple(stream for stream in streams if stream is not None), store, page)
 
 
-def table_of(url: str) -> dict[str, str | list[str]]:
+def default_table(url: str) -> dict[str, str | list[str]]:
     """The `[[source]]` table equivalent to a URL; the path of an MQTT URL is the topic filter."""
     scheme, _, rest = url.partition("://")
     broker, _, topic = rest.partition("/")
@@ -143,22 +143,22 @@ def demo_turbines(
     record = _record(folder / "turbine", SyntheticParameters())
     live_s = record.start_s + LIVE_DAYS * DAY_S
     date_s = live_s + CHANGED_DAYS * DAY_S
-    model = folder / f"model-{SEED}"
+    model = folder / f"model-{TURBINE_SEED}"
     if not (model / "fit.json").is_file():
         until_s = min(date_s, live_s)
         history = record.window(until_s - IDENTIFIED_DAYS * DAY_S, until_s)
         fit = identify(history, starts=1, progress=progress)
         write_fit(replace(fit, name=FIRST), model)
     fit = read_fit(model)
-    changed = _record(folder / "changed", CHANGED)
+    changed = _record(folder / "changed", CHANGED_CABINET)
     series = tuple(_splice(s, changed[s.signal], date_s) for s in record.series if s.signal in PLAYED)
     played = replace(record, series=series).window(live_s - KNOWN_DAYS * DAY_S, record.end_s)
-    forms = {s.signal: form_of(s) for s in series}
+    forms = {s.signal: line_form(s) for s in series}
     turbines = {
         name: turbine_of(
             fit, plan(fit, name=name, forms=forms, site=record.site, rated_power_W=record.rated_power_W)
         )
-        for name in NAMES
+        for name in TURBINE_NAMES
     }
     return turbines, played, live_s
 
@@ -166,10 +166,10 @@ def demo_turbines(
 def demo_stream(record: Record, live_s: float, speed: float) -> Playback:
     """The record as messages, played at once before `live_s` [s] and at `speed` times real time after it."""
     messages = []
-    for name, left_out in NAMES.items():
+    for name, left_out in TURBINE_NAMES.items():
         sensed = replace(record, series=tuple(s for s in record.series if s.signal not in left_out))
         messages += record_messages(sensed, name)
-    mapping = replace(record_mapping(record, FIRST), turbines={name: name for name in NAMES})
+    mapping = replace(record_mapping(record, FIRST), turbines={name: name for name in TURBINE_NAMES})
     label = f"Demo: synthetic turbines, played back at {speed:,.0f} times real time"
     return Playback(
         "replay:demo", sorted(messages, key=lambda message: message[0]), mapping, speed, live_s, label
@@ -177,7 +177,9 @@ def demo_stream(record: Record, live_s: float, speed: float) -> Playback:
 
 
 def _record(folder: Path, parameters: SyntheticParameters) -> Record:
-    return read_case(write_case(synthetic_turbine(seed=SEED, days=DAYS, parameters=parameters), folder))
+    return read_case(
+        write_case(synthetic_turbine(seed=TURBINE_SEED, days=RECORD_DAYS, parameters=parameters), folder)
+    )
 
 
 def _splice(before: Series, after: Series, date_s: float) -> Series:

@@ -25,14 +25,15 @@ import numpy as np
 from hygrokf.data.record import Record, Series
 from hygrokf.data.timestamps import DAY_S
 from hygrokf.estimation.likelihood import Gaussian
-from hygrokf.live.plan import AMBIENT_HUMIDITIES, Plan
+from hygrokf.live.plan import Plan
 from hygrokf.live.properties import ParameterShift, TrackedState, lasting_s
 from hygrokf.live.traces import censored_end, censored_trace
 from hygrokf.live.tracker import SAME_S, Point
 from hygrokf.modelling.design import extended
 from hygrokf.modelling.inputs import model_inputs
+from hygrokf.physics.signal_names import AMBIENT_HUMIDITIES
 
-STATES = {
+CHANGED_STATES = {
     "thermal_time_constant": (("log_thermal_change", (0.05, 0.2, 0.6)),),
     "hygric_k": (("log_hygric_change", (0.05, 0.2, 0.6)),),
     "heat_release_change": (("release_change", (0.2, 0.6, 2.0)),),
@@ -48,17 +49,17 @@ STATES = {
 PAIRS = {"ambient_temperature": "temperature_sensor", "ambient_humidity": "humidity_sensor"}
 """Error of an ambient sensor -> error of the cabinet's sensor that only sister turbines can distinguish from
 it: in the likelihood, small misfits of the model weigh more than the difference between the two errors."""
-SENSORS = (*PAIRS, *PAIRS.values())
-LEAST = 8.0
+PAIRED_SENSORS = (*PAIRS, *PAIRS.values())
+EXPLAINING_GAIN = 8.0
 """Gain in ln L from which a cause counts as an explanation; fault isolation chooses among about twenty
 combinations."""
 CLOSE = 3.0
 """Difference in ln L below which two causes cannot be distinguished."""
-BEFORE_S = 20.0 * DAY_S
+SHIFT_BEFORE_S = 20.0 * DAY_S
 """[s] before a shift from which readings are used."""
-LONGEST_S = 45.0 * DAY_S
+LONGEST_ISOLATION_S = 45.0 * DAY_S
 """Longest period of readings [s]."""
-EVERY_S = DAY_S
+ISOLATION_EVERY_S = DAY_S
 """[s] after which the cause of a lasting shift is isolated again."""
 
 
@@ -96,12 +97,13 @@ class ShiftStep:
 def shift_step(
     time: float, shifts: Mapping[str, ParameterShift], deviations: Mapping[str, TrackedState], last_s: float
 ) -> ShiftStep:
-    """The step at a time [s].  Isolation is due when a shift becomes lasting and then once per `EVERY_S`.
+    """The step at a time [s].  Isolation is due when a shift becomes lasting and then once per
+    `ISOLATION_EVERY_S`.
 
     last_s: time [s] of the last isolation."""
     lasting = tuple(shift for shift in shifts.values() if shift.lasting)
     newest_s = max((shift.since + lasting_s(shift) for shift in lasting), default=-np.inf)
-    due = bool(lasting) and (last_s < newest_s or last_s <= time - EVERY_S)
+    due = bool(lasting) and (last_s < newest_s or last_s <= time - ISOLATION_EVERY_S)
     return ShiftStep(time, lasting, due, dict(deviations))
 
 
@@ -122,7 +124,7 @@ def isolate(
     wide = replace(plan, design=extended(plan.design, additions))
     timeline = model_inputs(wide.design, record).timeline
     # the smallest drift rates that the model allows hold every state constant
-    wandering = {f"{state}_rate" for options in STATES.values() for state, _ in options}
+    wandering = {f"{state}_rate" for options in CHANGED_STATES.values() for state, _ in options}
     constant = {**wide.values, **{p.name: p.lower for p in wide.model.parameters if p.name in wandering}}
     start = None
     if reference is not None:
@@ -135,7 +137,7 @@ def isolate(
     base_loglik, end_s = censored_end(likelihood, constant, start).loglik, float(timeline.seconds[-1])
     gains: dict[str, CauseFinding] = {}
     evidence: dict[str, float] = {}
-    for cause, options in STATES.items():
+    for cause, options in CHANGED_STATES.items():
         best: tuple[Mapping[str, float], Gaussian | None, int] | None = None
         for state, rates in options:
             if state not in wide.model.states:
@@ -153,7 +155,7 @@ def isolate(
                     )
                     best = values, prior, state_index
                 yield None
-        departures_ = departures(record, sisters, AMBIENT.get(cause, ""))
+        departures_ = departures(record, sisters, SISTERS_SIGNAL.get(cause, ""))
         if departures_ is not None and best is not None:
             error = censored_trace(likelihood, *best[:2]).mean[:, best[2]]
             evidence[cause] = departures_.support(timeline.seconds, error, gains[cause].sd)
@@ -166,7 +168,7 @@ def _widened_state(plan: Plan, wide: Plan, state: Gaussian) -> Gaussian:
     mean, covariance = np.zeros(size), np.zeros((size, size))
     mean[places], covariance[np.ix_(places, places)] = state.mean, state.covariance
     state = replace(state, mean=mean, covariance=covariance)
-    for name in (name for options in STATES.values() for name, _ in options):
+    for name in (name for options in CHANGED_STATES.values() for name, _ in options):
         if name in wide.model.states:
             state = _with_variance(state, wide.model.states.index(name), 0.0)
     return state
@@ -199,18 +201,21 @@ def finding_from(
             gain = (max if sensor == "humidity_sensor" else min)(remaining[cause].gain for cause in pair)
             remaining.update({cause: replace(remaining[cause], gain=gain) for cause in pair})
     ordered = sorted(remaining, key=lambda cause: -remaining[cause].gain)
-    if not ordered or remaining[ordered[0]].gain < LEAST:
+    if not ordered or remaining[ordered[0]].gain < EXPLAINING_GAIN:
         return CauseFinding(time_s, "")
     best = remaining[ordered[0]]
     alike = tuple(cause for cause in ordered[1:] if best.gain - remaining[cause].gain < CLOSE)
     return replace(best, alike=alike)
 
 
-AMBIENT = {"ambient_temperature": "ambient_temperature", "ambient_humidity": "ambient_relative_humidity"}
-"""Cause in `STATES` -> signal that is compared with the signal of the sisters."""
+SISTERS_SIGNAL = {
+    "ambient_temperature": "ambient_temperature",
+    "ambient_humidity": "ambient_relative_humidity",
+}
+"""Cause in `CHANGED_STATES` -> signal that is compared with the signal of the sisters."""
 USUAL = 10
 """Days at the beginning of a record, before a shift was noticed, that give the usual difference."""
-FEWEST = 5
+FEWEST_COMMON_DAYS = 5
 """Smallest number of these days on which both turbines must have readings."""
 
 
@@ -261,7 +266,7 @@ def departures(record: Record, sisters: Sequence[Record], signal: str) -> Depart
         if signal in sister and not _is_same_sensor(series, sister[signal])
     ):
         difference = mean - _daily(*other.known, end_s, days)
-        if np.isfinite(difference[-USUAL:]).sum() >= FEWEST:
+        if np.isfinite(difference[-USUAL:]).sum() >= FEWEST_COMMON_DAYS:
             differences.append(difference - np.nanmedian(difference[-USUAL:]))
     if not differences or days < 2 * USUAL:
         return None

@@ -18,6 +18,7 @@ from hygrokf.data.record import Record, Series
 from hygrokf.data.timestamps import HOUR_S
 from hygrokf.engine.timeline import Timeline
 from hygrokf.estimation.confidence import normal_quantile
+from hygrokf.estimation.conventions import CONFIDENCE
 from hygrokf.evaluation.self_switching import self_switched
 from hygrokf.identification.fit import Fit
 from hygrokf.live.condition import (
@@ -32,7 +33,7 @@ from hygrokf.live.condition import (
     probability_below,
 )
 from hygrokf.live.plan import Plan
-from hygrokf.live.scenarios import OPERATION, Scenarios
+from hygrokf.live.scenarios import OPERATION_SIGNALS, Scenarios
 from hygrokf.live.tracker import SAME_S, Point
 from hygrokf.modelling.inputs import model_inputs
 from hygrokf.physics.holds import LINEAR, MEAN
@@ -146,7 +147,7 @@ def moments_by_member(
 def _series(plan: Plan, signal: str, scenarios: Scenarios, values: np.ndarray) -> Series:
     """A driver of a member; a signal that is not interpolated linearly is constant over each step of the
     scenarios."""
-    is_stepwise = signal in OPERATION or (
+    is_stepwise = signal in OPERATION_SIGNALS or (
         plan.form(signal).hold != LINEAR and not signal.startswith("ambient_")
     )
     step_s = float(scenarios.time_s[1] - scenarios.time_s[0])
@@ -168,16 +169,14 @@ def mixture(conditions: Sequence[Condition]) -> Condition:
 
 
 # -- advice for a restart ------------------------------------------------------------------------------------
-ENOUGH = 0.95
+DRY_ENOUGH = 0.95
 """Probability [1] with which the air must be dry enough for a restart."""
-LONGEST_H = 24.0
+LONGEST_HEATING_H = 24.0
 """Longest pre-heating that is considered [h]."""
 STAYS_H = 1.0
 """[h] the air must stay dry: the peak of vapour that the heat drives out of materials must have passed."""
-LEVEL = 0.95
-"""Confidence level of the bounds of the heaters' effect (`Heating.bounds_K`)."""
 PREHEATING, PREHEATING_HEAT = "preheating", "preheating_heat"
-LOGGED, LOGGED_HEAT = "logged_heater", "logged_heater_heat"
+LOGGED_HEATER, LOGGED_HEATER_HEAT = "logged_heater", "logged_heater_heat"
 
 
 @dataclass(frozen=True)
@@ -207,7 +206,7 @@ class Heating:
     @property
     def bounds_K(self) -> tuple[float, float]:
         """Bounds of the effect [K]; a heater does not cool."""
-        half_width_K = normal_quantile(LEVEL) * self.sd_K
+        half_width_K = normal_quantile(CONFIDENCE) * self.sd_K
         return max(self.effect_K - half_width_K, 0.0), self.effect_K + half_width_K
 
     def values_at(self, effect_K: float, values: Mapping[str, float]) -> dict[str, float]:
@@ -220,9 +219,9 @@ def heaters(model: Model) -> tuple[Heater, ...]:
     """The heaters among a model's inputs: a logged heater, the pre-heating flag, or both."""
     model_heaters = []
     for mechanism in model.mechanisms:
-        if mechanism.name == LOGGED:
+        if mechanism.name == LOGGED_HEATER:
             settings = mechanism.settings
-            model_heaters.append(Heater(settings["signal"], float(settings["full"]), LOGGED_HEAT))
+            model_heaters.append(Heater(settings["signal"], float(settings["full"]), LOGGED_HEATER_HEAT))
         elif PREHEATING in mechanism.inputs and PREHEATING_HEAT in [p.name for p in mechanism.parameters]:
             model_heaters.append(Heater(PREHEATING, 1.0, PREHEATING_HEAT))
     return tuple(model_heaters)
@@ -249,8 +248,9 @@ def heating_sd(fit: Fit) -> float:
 class Advice:
     """How long to pre-heat before a restart.
 
-    `hours` [h] of pre-heating until the air is dry enough, None if `LONGEST_H` is not enough or the time is
-    unknown; `probability` [1] of dry air after `hours` or, without them, its maximum within `LONGEST_H`.
+    `hours` [h] of pre-heating until the air is dry enough, None if `LONGEST_HEATING_H` is not enough or the
+    time is unknown; `probability` [1] of dry air after `hours` or, without them, its maximum within
+    `LONGEST_HEATING_H`.
     """
 
     statement: Statement
@@ -270,7 +270,7 @@ def restart(
     """How long to pre-heat from now on, at standstill and with all heaters of the model at full power.
 
     The advice is the shortest time after which the relative humidity at the coldest surface is below `limit`
-    with a probability of at least `ENOUGH`, and stays so for `STAYS_H`.  The probability includes the
+    with a probability of at least `DRY_ENOUGH`, and stays so for `STAYS_H`.  The probability includes the
     standard error `heating_sd_K` of the heaters' effect.  `excess` as in `forecast`.
     """
     heating_ = heating(plan, heating_sd_K)
@@ -279,7 +279,7 @@ def restart(
     effect: dict[str, Value] = {"heaters": tuple(heating_.signals), "effect_K": heating_.effect_K}
     if not heating_.effect_K > 0.0:
         return Advice(AdviceCode.HEATING_COOLS(**effect))
-    heated = scenarios.with_preheating(LONGEST_H + STAYS_H, heating_.signals)
+    heated = scenarios.with_preheating(LONGEST_HEATING_H + STAYS_H, heating_.signals)
     effects = sorted({heating_.effect_K, *heating_.bounds_K})
     dry_by_effect = []
     for effect_K in effects:
@@ -295,7 +295,7 @@ def restart(
     if len(effects) == 1:
         return advice_from(hours, dry_by_effect[0], limit)
     # quadrature at the bounds and the estimate, with the weights that give the variance of the effect
-    outer = 0.5 / normal_quantile(LEVEL) ** 2
+    outer = 0.5 / normal_quantile(CONFIDENCE) ** 2
     weak, estimated, strong = dry_by_effect
     advice = advice_from(hours, outer * (weak + strong) + (1.0 - 2.0 * outer) * estimated, limit)
     longest_h, shortest_h = _hours_until_dry(hours, weak), _hours_until_dry(hours, strong)
@@ -303,17 +303,19 @@ def restart(
     needed_hours: Statement | str = ""
     if shortest_h is not None and advice.hours != 0.0:
         code = AdviceCode.NEEDED_HOURS_OPEN if longest_h is None else AdviceCode.NEEDED_HOURS
-        needed_hours = code(shortest_h=shortest_h, longest_h=LONGEST_H if longest_h is None else longest_h)
+        needed_hours = code(
+            shortest_h=shortest_h, longest_h=LONGEST_HEATING_H if longest_h is None else longest_h
+        )
     effect_statement = AdviceCode.WITH_EFFECT(**effect, lower_K=lower, upper_K=upper, needed=needed_hours)
     values = {**advice.statement.values, "effect": effect_statement}
     return replace(advice, statement=replace(advice.statement, values=values))
 
 
 def _hours_until_dry(hours: np.ndarray, probability: np.ndarray) -> float | None:
-    """The first of `hours` (T,) [h] from which the air is dry for `STAYS_H` with a probability of `ENOUGH`;
-    None if `LONGEST_H` is not enough."""
-    for start_h in hours[hours <= LONGEST_H].tolist():
-        if np.all(probability[_while_restarting(hours, start_h)] >= ENOUGH):
+    """The first of `hours` (T,) [h] from which the air is dry for `STAYS_H` with a probability of
+    `DRY_ENOUGH`; None if `LONGEST_HEATING_H` is not enough."""
+    for start_h in hours[hours <= LONGEST_HEATING_H].tolist():
+        if np.all(probability[_while_restarting(hours, start_h)] >= DRY_ENOUGH):
             return float(start_h)
     return None
 
@@ -333,12 +335,12 @@ def advice_from(hours: np.ndarray, probability: np.ndarray, limit: float) -> Adv
             limit=limit, probability=at_start, least=least, stays_h=STAYS_H, hours=start_h, effect=""
         )
         return Advice(statement, start_h, at_start)
-    best = int(np.argmax(np.where(hours <= LONGEST_H, probability, -1.0)))
+    best = int(np.argmax(np.where(hours <= LONGEST_HEATING_H, probability, -1.0)))
     statement = AdviceCode.PREHEATING_TOO_WEAK(
         limit=limit,
-        longest_h=LONGEST_H,
+        longest_h=LONGEST_HEATING_H,
         stays_h=STAYS_H,
-        enough=ENOUGH,
+        enough=DRY_ENOUGH,
         probability=float(probability[best]),
         hours=float(hours[best]),
         effect="",

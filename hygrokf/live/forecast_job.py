@@ -15,18 +15,25 @@ from hygrokf.data.record import Record, Series
 from hygrokf.data.structured import plain
 from hygrokf.data.timestamps import DAY_S, HOUR_S
 from hygrokf.live.batch import Batch
-from hygrokf.live.fault_isolation import AMBIENT, BEFORE_S, LONGEST_S, CauseFinding, ShiftStep, isolate
+from hygrokf.live.fault_isolation import (
+    LONGEST_ISOLATION_S,
+    SHIFT_BEFORE_S,
+    SISTERS_SIGNAL,
+    CauseFinding,
+    ShiftStep,
+    isolate,
+)
 from hygrokf.live.forecast import ForecastMade, NoForecast, forecast, restart
-from hygrokf.live.plan import AMBIENT_HUMIDITIES, Plan
-from hygrokf.live.scenarios import DAYS, NoScenarios, Scenarios, persistence, weather_forecast
+from hygrokf.live.plan import Plan
+from hygrokf.live.scenarios import PAST_DAYS, NoScenarios, Scenarios, persistence, weather_forecast
 from hygrokf.live.storage.store import Store
-from hygrokf.live.tracker import Point, Tracker, record_of
+from hygrokf.live.tracker import Point, Tracker, tracked_record
 from hygrokf.live.turbines import Turbine
+from hygrokf.physics.signal_names import AMBIENT_HUMIDITIES, CABINET_SIGNALS
 from hygrokf.texts.live_codes import BasisCode
 
-DRIVERS = ("ambient_temperature", *AMBIENT_HUMIDITIES, "active_power", "preheating")
-CABINET = ("cabinet_temperature", "cabinet_relative_humidity", "cabinet_absolute_humidity")
-EVERY_S = HOUR_S
+FORECAST_DRIVERS = ("ambient_temperature", *AMBIENT_HUMIDITIES, "active_power", "preheating")
+FORECAST_EVERY_S = HOUR_S
 """[s] between two forecasts of a turbine."""
 
 
@@ -40,8 +47,8 @@ def make_forecast(name: str, turbine: Turbine, tracker: Tracker, store: Store) -
     if state is None:
         return None
     plan, excess = turbine.plan, tracker.excess
-    signals = (*DRIVERS, *plan.further)
-    history = _history(store, name, plan, signals, state.time - (DAYS + 5) * DAY_S, state.time)
+    signals = (*FORECAST_DRIVERS, *plan.further)
+    history = _history(store, name, plan, signals, state.time - (PAST_DAYS + 5) * DAY_S, state.time)
     new_forecast, advice = None, None
     try:
         scenarios = _scenarios(store, name, plan.further, history, state)
@@ -86,14 +93,14 @@ def isolation_steps(
     step are final.
     """
     since = min(shift.since for shift in step.lasting)
-    first_s = max(since - BEFORE_S, step.time - LONGEST_S)
+    first_s = max(since - SHIFT_BEFORE_S, step.time - LONGEST_ISOLATION_S)
     if reference is not None:
         first_s = reference.time - turbine.plan.context_s
-    signals = (*CABINET, *DRIVERS, *turbine.plan.further)
+    signals = (*CABINET_SIGNALS, *FORECAST_DRIVERS, *turbine.plan.further)
     try:
         history = _history(store, name, turbine.plan, signals, first_s, step.time)
         others = [
-            _history(store, sister, plan, tuple(AMBIENT.values()), first_s, step.time)
+            _history(store, sister, plan, tuple(SISTERS_SIGNAL.values()), first_s, step.time)
             for sister, plan in (sisters or {}).items()
         ]
         for finding in isolate(turbine.plan, history, reference, others):
@@ -107,7 +114,7 @@ def _history(
 ) -> Record:
     courses = _by_signal(store.course(name, signals, since, until))
     times, values = ({signal: rows[column] for signal, rows in courses.items()} for column in (0, 1))
-    return record_of(plan, times, values, store.losses(name))
+    return tracked_record(plan, times, values, store.losses(name))
 
 
 def _stored_weather(store: Store, name: str, now_s: float) -> Mapping[str, Series]:

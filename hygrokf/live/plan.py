@@ -18,22 +18,17 @@ from hygrokf.data.timestamps import HOUR_S
 from hygrokf.engine.timeline import Timeline
 from hygrokf.estimation.likelihood import Likelihood
 from hygrokf.identification.fit import Fit
-from hygrokf.modelling.design import HOLDS, Design, extended
+from hygrokf.modelling.design import INPUT_HOLDS, Design, extended
 from hygrokf.physics.holds import LINEAR, MEAN, PREVIOUS
 from hygrokf.physics.model import Model
+from hygrokf.physics.signal_names import AMBIENT_HUMIDITIES
 
-AMBIENT_HUMIDITIES = (
-    "ambient_relative_humidity",
-    "ambient_absolute_humidity",
-    "ambient_dew_point_temperature",
-)
-"""Signals each of which determines the ambient's humidity."""
 FEATURES_H = 48.0
 BEFORE = USUAL_STEPS + 1
 """Readings of each signal kept from before the context, which give its usual step, to recognise long gaps."""
 LATENESS_S = 1800.0
 """[s] by which a reading may be older than the newest reading and still be used."""
-WANDERING = {
+TRACKED_PROPERTIES = {
     "wandering_time_constant": ("converter_temperature", 0.02),
     "wandering_exchange": ("vapour", 0.02),
     "wandering_release": ("converter_temperature", 0.1),
@@ -109,7 +104,7 @@ class Plan:
 
     def looks_back(self, signal: str) -> bool:
         """Whether an input at a time depends on readings up to that time alone."""
-        return self.form(signal).hold == PREVIOUS and HOLDS[signal] == MEAN
+        return self.form(signal).hold == PREVIOUS and INPUT_HOLDS[signal] == MEAN
 
     @cached_property
     def held_while_connected(self) -> tuple[str, ...]:
@@ -126,7 +121,7 @@ class Plan:
     def readings_ahead(self, signal: str) -> int:
         """Number of readings after the next reading on which an input's path depends; 0 for a step signal."""
         form = self.form(signal)
-        if HOLDS[signal] == MEAN:
+        if INPUT_HOLDS[signal] == MEAN:
             return 0
         return readings_ahead(form.interval_s, form.response_time_s or 0.0)
 
@@ -190,16 +185,18 @@ def plan(
     """The plan for a turbine with an identified model.
 
     `wandering`: drift rate of each tracked property, by default all properties of the model at the rates of
-    `WANDERING`. The ambient's readings are used without smoothing, because smoothing would need later
-    readings.
+    `TRACKED_PROPERTIES`. The ambient's readings are used without smoothing, because smoothing would need
+    later readings.
     """
     model = fit.design.model
-    rates = {m: rate for m, (_, rate) in WANDERING.items()} if wandering is None else dict(wandering)
-    unknown = sorted(set(rates) - set(WANDERING))
+    rates = {m: rate for m, (_, rate) in TRACKED_PROPERTIES.items()} if wandering is None else dict(wandering)
+    unknown = sorted(set(rates) - set(TRACKED_PROPERTIES))
     if unknown:
-        raise ValueError(f"wandering: expected names of {sorted(WANDERING)}, found {unknown}")
+        raise ValueError(f"wandering: expected names of {sorted(TRACKED_PROPERTIES)}, found {unknown}")
     additions = [
-        (m, {"rate": rate}) for m, rate in rates.items() if WANDERING[m][0] in (*model.states, *model.outputs)
+        (m, {"rate": rate})
+        for m, rate in rates.items()
+        if TRACKED_PROPERTIES[m][0] in (*model.states, *model.outputs)
     ]
     # a fit of an earlier version lacks these means: an unknown actuator is off, whatever the earlier readings
     means = {name: 0.0 for name in ACTUATORS if name in model.inputs} | dict(fit.design.actuator_means)

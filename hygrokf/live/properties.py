@@ -13,6 +13,7 @@ from hygrokf.data.timestamps import DAY_S, HOUR_S
 from hygrokf.identification.fit import Fit
 from hygrokf.live.condition import Z95
 from hygrokf.physics.model import Model
+from hygrokf.physics.signal_names import CABINET_HUMIDITIES
 
 
 @dataclass(frozen=True)
@@ -34,20 +35,19 @@ class Watched:
 
 
 TEMPERATURES = ("cabinet_temperature",)
-HUMIDITIES = ("cabinet_relative_humidity", "cabinet_absolute_humidity")
 WATCHED = (
     Watched(
         "thermal_time_constant", "log_thermal_change", "thermal_time_constant", "h", math.log(1.15), 0.25,
         TEMPERATURES,
     ),
-    Watched("hygric_k", "log_hygric_change", "hygric_k", "h", math.log(1.15), 0.25, HUMIDITIES),
+    Watched("hygric_k", "log_hygric_change", "hygric_k", "h", math.log(1.15), 0.25, CABINET_HUMIDITIES),
     Watched("heat_release_change", "release_change", None, "K", 1.0, 2.0, TEMPERATURES),
-    Watched("humidity_offset", "humidity_reading_change", None, "1", 0.04, 0.1, HUMIDITIES[:1]),
+    Watched("humidity_offset", "humidity_reading_change", None, "1", 0.04, 0.1, CABINET_HUMIDITIES[:1]),
 )  # fmt: skip
 """The tracked properties; the smallest shifts that matter are 15 %, 1 K and 4 % relative humidity."""
-SURE = 4.0
+SURE_SD = 4.0
 """Number of standard deviations by which a property must differ from the fit's value."""
-SILENT_S = 3.0 * DAY_S
+UNOBSERVABLE_S = 3.0 * DAY_S
 """[s] without a reading in `shown_by` after which a property is not observable."""
 LASTING_S = 2.0 * DAY_S
 """[s] after which a shift counts as lasting."""
@@ -127,7 +127,7 @@ def states_of(
         if watched.state in model.states:
             i = model.states.index(watched.state)
             newest = max((heard.get(signal, -math.inf) for signal in watched.shown_by), default=-math.inf)
-            sd = math.sqrt(max(float(covariance[i, i]), 0.0)) if time - newest < SILENT_S else math.inf
+            sd = math.sqrt(max(float(covariance[i, i]), 0.0)) if time - newest < UNOBSERVABLE_S else math.inf
             states[watched.name] = TrackedState(float(mean[i]), sd)
     return states
 
@@ -184,7 +184,7 @@ def deviations(
 def relative_shift(name: str, deviation: TrackedState) -> float:
     """A deviation of a property as a multiple of the smallest deviation that counts as a shift."""
     (least,) = (watched.least for watched in WATCHED if watched.name == name)
-    return deviation.x / max(least, SURE * deviation.sd)
+    return deviation.x / max(least, SURE_SD * deviation.sd)
 
 
 def lasting_s(shift: ParameterShift) -> float:
@@ -198,7 +198,7 @@ def parameter_shifts(
     """The parameter shifts at `time` [s], updated from the `previous` shifts by the present deviations.
 
     A shift begins when a property differs from its reference by more than the smallest change that matters
-    and by `SURE` standard deviations.  It is lasting after `lasting_s`.  It ends when less than the share
+    and by `SURE_SD` standard deviations.  It is lasting after `lasting_s`.  It ends when less than the share
     `BACK` of its largest change remains, or when the property cannot be observed.
     """
     shifts = {}

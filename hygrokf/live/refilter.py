@@ -19,7 +19,7 @@ from hygrokf.live.tracker import Tracker
 from hygrokf.live.turbines import Fleet, Turbine, digest
 from hygrokf.texts.wording import stamp_text
 
-KEPT = ("alarms", "known_s", "forecast")
+KEPT_MEMORIES = ("alarms", "known_s", "forecast")
 """Memories of a turbine that do not follow from its final estimates; alarms stay as they were raised."""
 
 
@@ -58,7 +58,7 @@ def _refilter_turbine(store: Store, name: str, turbines: Mapping[str, Turbine]) 
     for versions in store.revised(name).values():
         store.use(name, versions)
     store.execute(statements.CHANGE_MODEL, name=name, digest=digest(turbines[name].plan))
-    store.execute(statements.FORGET_MEMORIES, turbine=name, kept=KEPT)
+    store.execute(statements.FORGET_MEMORIES, turbine=name, kept=KEPT_MEMORIES)
     begin, after = math.inf, {}
     for batch in _batches(store, name, turbines):
         if name in batch.estimates and not math.isfinite(begin):

@@ -27,9 +27,9 @@ from hygrokf.texts.statement import Statement
 
 FINE_S = 600.0
 """[s] between instants of the scenarios for pre-heating advice."""
-BEFORE_S = 3 * HOUR_S
+LOOK_BACK_S = 3 * HOUR_S
 """[s] before now that the scenarios include, for inputs that look back."""
-MEMBERS = 24
+FORECAST_MEMBERS = 24
 """Number of members drawn around a weather forecast."""
 FORECAST_ERROR = {"temperature_K": 1.5, "vapour": 0.08}
 """Standard deviation of a weather forecast's error a day ahead: temperature [K], logarithm of vapour
@@ -42,17 +42,17 @@ WEATHER_DAYS = 3.0
 spread of the members."""
 DRIEST, MOISTEST = 1e-5, 1.0
 """Lowest vapour concentration [kg/m³] and highest relative humidity [1] of the ambient."""
-STEP_S = 1800.0
+SCENARIO_STEP_S = 1800.0
 """[s] between the instants of the scenarios."""
 HORIZON_S = 48 * HOUR_S
-DAYS = 30
+PAST_DAYS = 30
 """Number of past days considered."""
-LEAST = 5
+FEWEST_PAST_DAYS = 5
 """Smallest number of past days needed."""
 LEVEL_H = 4.0
 """Time constant [h] with which the present power loses its influence."""
-SWITCHED = ("active_power", "preheating")
-OPERATION = (*SWITCHED, *ACTUATORS)
+SWITCHED_DAILY = ("active_power", "preheating")
+OPERATION_SIGNALS = (*SWITCHED_DAILY, *ACTUATORS)
 """Signals whose course belongs to the operation of a day; they are taken from one day together."""
 PRESENT_S = 3 * HOUR_S
 """[s] before now over which the mean of an actuator is its present value: thermostats switch often."""
@@ -99,21 +99,22 @@ class Scenarios:
 
 def grid(now_s: float) -> np.ndarray:
     """Instants of the scenarios [s]."""
-    return now_s + np.arange(-BEFORE_S, HORIZON_S + 1.0, STEP_S)
+    return now_s + np.arange(-LOOK_BACK_S, HORIZON_S + 1.0, SCENARIO_STEP_S)
 
 
 def persistence(history: Record, now_s: float, further: Sequence[str] = ()) -> Scenarios:
     """Scenarios from the ambient and the operation of the last weeks.
 
-    `history`: readings of up to the last `DAYS` days, of which those after `now_s` [s] are ignored;
-    `further`: other signals that the model uses.  Raises NoScenarios with fewer than `LEAST` complete days.
+    `history`: readings of up to the last `PAST_DAYS` days, of which those after `now_s` [s] are ignored;
+    `further`: other signals that the model uses.  Raises NoScenarios with fewer than `FEWEST_PAST_DAYS`
+    complete days.
     """
     time, history = grid(now_s), prepare(history.window(-np.inf, now_s))
     days = _days(history, time, further)
-    if len(days) < LEAST:
+    if len(days) < FEWEST_PAST_DAYS:
         raise NoScenarios(
-            f"persistence needs {LEAST} complete days of ambient readings that began two days ago or "
-            f"earlier; found {len(days)}"
+            f"persistence needs {FEWEST_PAST_DAYS} complete days of ambient readings that began two days ago "
+            f"or earlier; found {len(days)}"
         )
     ambient = _ambients(history, now_s, time, [day for day, _ in days])
     operations, operation = possible_operation(
@@ -157,14 +158,14 @@ def weather_forecast(
     covered = slice(first, last)
     random = np.random.default_rng(seed)
     members = []
-    for _ in range(MEMBERS):
+    for _ in range(FORECAST_MEMBERS):
         ambient = {
             name: base[name] + error[key] * spread[name] * _random_course(random, len(time))
             for name, key in (("temperature", "temperature_K"), ("vapour", "vapour"))
         }
         members.append(_physical(ambient["temperature"][covered], np.exp(ambient["vapour"][covered])))
     days = [courses for _, courses in _days(history, time, further)]
-    operations, operation = possible_operation(history, now_s, time, days, MEMBERS)
+    operations, operation = possible_operation(history, now_s, time, days, FORECAST_MEMBERS)
     joined_members = tuple(
         {**weather, **{name: values[covered] for name, values in operating.items()}}
         for weather, operating in zip(members, operations, strict=True)
@@ -197,7 +198,7 @@ def _continue_readings(readings: Series, forecast: Series, now_s: float, log: bo
 
 def _random_course(random: np.random.Generator, count: int) -> np.ndarray:
     """An Ornstein-Uhlenbeck course (count,) of standard deviation 1."""
-    autocorrelation = math.exp(-STEP_S / HOUR_S / ERROR_H)
+    autocorrelation = math.exp(-SCENARIO_STEP_S / HOUR_S / ERROR_H)
     steps = random.standard_normal(count)
     course = np.empty(count)
     course[0] = steps[0]
@@ -226,7 +227,7 @@ def _days(
     ]
     others = {s.signal: s for s in history.series if s.signal not in climate and not s.missing.all()}
     complete_days = []
-    for day in range(2, DAYS + 3):
+    for day in range(2, PAST_DAYS + 3):
         past_s = time - day * DAY_S
         if not all(np.isfinite(values_at(series, past_s)).all() for series in ambient.values()):
             continue
@@ -280,11 +281,11 @@ def _possible_courses(
     the day, the persistence of today's deviation from this mean, and the part of the other day's deviation
     that the start of that day did not predict.
     """
-    hours = np.arange(0.0, DAY_S, STEP_S)
-    past = scaled(values_at(series, now_s - DAY_S + hours[:, None] - DAY_S * np.arange(0, DAYS + 3)))
+    hours = np.arange(0.0, DAY_S, SCENARIO_STEP_S)
+    past = scaled(values_at(series, now_s - DAY_S + hours[:, None] - DAY_S * np.arange(0, PAST_DAYS + 3)))
     is_known = np.isfinite(past)
     daily_mean = np.where(is_known, past, 0.0).sum(axis=1) / np.maximum(is_known.sum(axis=1), 1)
-    phase = np.mod(time - now_s, DAY_S) / STEP_S
+    phase = np.mod(time - now_s, DAY_S) / SCENARIO_STEP_S
     expected = daily_mean[np.round(phase).astype(int) % len(hours)]
     deviation = (past - daily_mean[:, None]).T[::-1].reshape(-1)  # by time, oldest first
     first, later = deviation[: -len(hours)], deviation[len(hours) :]
@@ -347,16 +348,16 @@ def possible_operation(
     `days`: non-ambient signals of earlier days at the scenarios' instants `time` (H,) [s].
     """
     given = [days[i % len(days)] if days else {} for i in range(count)]
-    names = [name for name in OPERATION if name in history and not history[name].missing.all()]
+    names = [name for name in OPERATION_SIGNALS if name in history and not history[name].missing.all()]
     past = {name: values_held(history[name], time) for name in names}
     with_power = [day for day in days if np.isfinite(day.get("active_power", np.nan)).all()]
     level = _level(past["active_power"], time, now_s) if "active_power" in past else np.nan
     # actuators as now, without pre-heating
-    steady = {n: 0.0 if n in SWITCHED else _present(history[n], now_s) for n in names}
-    if np.isnan(level) and len(with_power) < LEAST:
+    steady = {n: 0.0 if n in SWITCHED_DAILY else _present(history[n], now_s) for n in names}
+    if np.isnan(level) and len(with_power) < FEWEST_PAST_DAYS:
         names = [name for name in names if name != "active_power"]
         past = {n: past[n] if n != "preheating" else np.zeros(len(time)) for n in names}
-        given = [{n: v for n, v in day.items() if n not in SWITCHED} for day in given]
+        given = [{n: v for n, v in day.items() if n not in SWITCHED_DAILY} for day in given]
         operations = [{n: day.get(n, np.full(len(time), steady[n])) for n in names} for day in given]
         basis = BasisCode.OPERATION_UNKNOWN()
     elif np.isnan(level):
@@ -400,7 +401,7 @@ def _running(
 ) -> tuple[list[Courses], Statement]:
     """Operation that may follow while the turbine runs: the operation of days with a running turbine at this
     hour (`alike`), adjusted to the present power, or the operation as now (`steady`)."""
-    if len(alike) < LEAST:
+    if len(alike) < FEWEST_PAST_DAYS:
         constant = {n: np.full(len(time), v) for n, v in steady.items()}
         return [constant] * len(given), BasisCode.OPERATION_AS_NOW()
     operations = _operation_of_days(alike, given, tuple(steady))
@@ -444,7 +445,7 @@ def _standing_still(
 def _standstills(history: Record, now_s: float) -> tuple[float, list[float]]:
     """The duration [s] of the present standstill, and the times [s] at which earlier standstills had lasted
     for this duration."""
-    time = now_s - STEP_S * np.arange(DAYS * DAY_S / STEP_S)[::-1]
+    time = now_s - SCENARIO_STEP_S * np.arange(PAST_DAYS * DAY_S / SCENARIO_STEP_S)[::-1]
     power = values_held(history["active_power"], time)
     is_still = power <= 0.0
     begins = np.flatnonzero(is_still[1:] & (power[:-1] > 0.0)) + 1
@@ -452,7 +453,9 @@ def _standstills(history: Record, now_s: float) -> tuple[float, list[float]]:
     age_steps = max(len(is_still) - 1 - present_begin, 0)
     ends = begins[begins + age_steps < len(is_still)] + age_steps
     reached = [end for end in ends if is_still[end - age_steps : end + 1].all()]
-    return STEP_S * max(age_steps, 1), [float(time[i]) for i in reached if time[i] + HORIZON_S <= now_s]
+    return SCENARIO_STEP_S * max(age_steps, 1), [
+        float(time[i]) for i in reached if time[i] + HORIZON_S <= now_s
+    ]
 
 
 def _level(power: np.ndarray, time: np.ndarray, now_s: float) -> float:

@@ -24,7 +24,7 @@ from typing import TypeVar
 from hygrokf.data.timestamps import HOUR_S
 from hygrokf.live.batch import Batch
 from hygrokf.live.fault_isolation import CauseFinding
-from hygrokf.live.forecast_job import EVERY_S, isolation_steps, make_forecast
+from hygrokf.live.forecast_job import FORECAST_EVERY_S, isolation_steps, make_forecast
 from hygrokf.live.notification.channel import Channel
 from hygrokf.live.notification.notices import look_again, notices_of
 from hygrokf.live.sources.stream import Delivery, Reach, Stream, pause_s
@@ -38,23 +38,23 @@ WAITING = 20_000
 """Largest number of waiting deliveries; a faster source is blocked."""
 MOST_PER_ROUND = 2_000
 """Largest number of deliveries per round."""
-PATIENCE_S = 0.1
+FIRST_DELIVERY_S = 0.1
 """[s] a round waits for its first delivery."""
 FILTER_S = 0.2
 """[s] per round for filtering; the other turbines wait, while deliveries are still taken and acknowledged."""
 TICK_S = 10.0
 """[s] between two checks for stale data and lost sources."""
-SHARE = 0.3
+FORECAST_SHARE = 0.3
 """Largest share of time spent on forecasts while deliveries come."""
-LEAST_SHARE = 0.05
+BUSY_SHARE = 0.05
 """Largest share of time spent on forecasts while deliveries or unfiltered turbines wait."""
 PRUNED_S = 6.0 * HOUR_S
 """[s] between two passes over the fleet that delete old history."""
-RETRY_S = (0.5, 10.0)
+REOPEN_S = (0.5, 10.0)
 """Shortest and longest pause [s] between attempts to reopen a failed store."""
 
 
-WAITS_S = (0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 5.0, 10.0, 30.0)
+WAIT_CLASSES_S = (0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 5.0, 10.0, 30.0)
 """Upper bounds [s] of the classes in which waits are counted; a further class has no upper bound."""
 
 
@@ -73,7 +73,7 @@ class Health:
 
     `failures` of the store; `committed_s`: time of the last commit [s]; `looped`: monotonic time of the last
     cycle of the loop, ∞ before and after the loop; `waits_s`: times [s] from the last deliveries to their
-    commits; `wait_counts`: numbers of all these times since the start by the classes `WAITS_S`, and
+    commits; `wait_counts`: numbers of all these times since the start by the classes `WAIT_CLASSES_S`, and
     `wait_sum_s` [s] their sum; `sources`: times of each source by its URL; `store`: why the store fails now,
     empty if it works.
     """
@@ -84,7 +84,7 @@ class Health:
     committed_s: float = 0.0
     looped: float = math.inf
     waits_s: list[float] = field(default_factory=list)
-    wait_counts: list[int] = field(default_factory=lambda: [0] * (len(WAITS_S) + 1))
+    wait_counts: list[int] = field(default_factory=lambda: [0] * (len(WAIT_CLASSES_S) + 1))
     wait_sum_s: float = 0.0
     sources: dict[str, SourceTimes] = field(default_factory=dict)
     store: str = ""
@@ -92,7 +92,7 @@ class Health:
     def note(self, waits: Sequence[float]) -> None:
         self.waits_s = [*self.waits_s, *waits][-10_000:]
         for wait in waits:
-            self.wait_counts[bisect_left(WAITS_S, wait)] += 1
+            self.wait_counts[bisect_left(WAIT_CLASSES_S, wait)] += 1
         self.wait_sum_s += sum(waits)
 
     def note_source(self, url: str, batch: Batch) -> None:
@@ -180,7 +180,7 @@ class Service:
                 self._work_between_rounds(idle)
                 if idle and until_ended and self._sources_ended():
                     fleet = self._open_fleet
-                    if not (self._isolation or fleet.isolation_due() or fleet.forecast_due(EVERY_S)):
+                    if not (self._isolation or fleet.isolation_due() or fleet.forecast_due(FORECAST_EVERY_S)):
                         break
             for stream in self.streams.values():
                 stream.stop()
@@ -226,7 +226,9 @@ class Service:
     def round(self) -> bool:
         """Run one round of deliveries or, without deliveries, of waiting turbines; returns whether anything
         was done."""
-        arrived = take_from(self._waiting, MOST_PER_ROUND, 0.0 if self._open_fleet.waiting else PATIENCE_S)
+        arrived = take_from(
+            self._waiting, MOST_PER_ROUND, 0.0 if self._open_fleet.waiting else FIRST_DELIVERY_S
+        )
         self.retention.delete_portion(self._open_store, self._open_fleet)
         if not arrived and self._open_fleet.waiting:
             self._publish(self._commit(lambda: self._open_fleet.filter_waiting(Batch(), FILTER_S)))
@@ -336,13 +338,13 @@ class Service:
             self._publish(self._commit(lambda: look_again(self._open_store, self.now, self.channels)))
         is_behind = self._open_fleet.waiting or not self._waiting.empty()
         if idle or begin_s >= (self._next_work_behind if is_behind else self._next_work):
-            name = self._open_fleet.forecast_due(EVERY_S)
+            name = self._open_fleet.forecast_due(FORECAST_EVERY_S)
             if name is not None:
                 self._publish(self._commit(lambda: self._forecast(name)))
             self._isolate()
             end_s = time.monotonic()
             self._next_work, self._next_work_behind = (
-                end_s + (end_s - begin_s) * (1.0 / share - 1.0) for share in (SHARE, LEAST_SHARE)
+                end_s + (end_s - begin_s) * (1.0 / share - 1.0) for share in (FORECAST_SHARE, BUSY_SHARE)
             )
 
     def reaches(self) -> dict[str, Reach]:
@@ -406,7 +408,7 @@ class Service:
         while True:
             self._open_store.close()
             attempt += 1
-            self.ending.wait(pause_s(attempt, RETRY_S))
+            self.ending.wait(pause_s(attempt, REOPEN_S))
             try:
                 self._open()
                 return attempt

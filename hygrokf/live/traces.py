@@ -30,8 +30,7 @@ from hygrokf.data.timestamps import DAY_S
 from hygrokf.estimation.likelihood import End, Gaussian, Likelihood, Trace
 from hygrokf.live.properties import WATCHED, TrackedState, observable
 from hygrokf.physics.model import Model
-
-HUMIDITY = "cabinet_relative_humidity"
+from hygrokf.physics.signal_names import CABINET_RELATIVE_HUMIDITY
 
 
 def censored_trace(
@@ -68,7 +67,7 @@ def _pieces(
     """The results of `run` for the pieces between censored readings, and the traces of the censored readings,
     in the order of time."""
     t = likelihood.timeline
-    humidity = t.reading(HUMIDITY) if HUMIDITY in t.outputs else np.zeros(0)
+    humidity = t.reading(CABINET_RELATIVE_HUMIDITY) if CABINET_RELATIVE_HUMIDITY in t.outputs else np.zeros(0)
     places: list[int] = np.flatnonzero(humidity >= SATURATED).tolist()
     first = 0
     for place in (*places, len(t)):
@@ -87,7 +86,7 @@ def _pieces(
 
 def _censored(likelihood: Likelihood, values: Mapping[str, float], start: Gaussian | None) -> Trace:
     t = likelihood.timeline
-    column = t.outputs.index(HUMIDITY)
+    column = t.outputs.index(CABINET_RELATIVE_HUMIDITY)
 
     def read(humidity: float) -> Trace:
         y = t.y.copy()
@@ -133,7 +132,7 @@ def joined(traces: list[Trace]) -> Trace:
 # -- changes that people state -------------------------------------------------------------------------------
 SENSOR_WRONG = "humidity sensor wrong"
 """From this event to the next event the humidity sensor's readings are no evidence of condensation."""
-KINDS = ("settings changed", "defect repaired", SENSOR_WRONG)
+EVENT_KINDS = ("settings changed", "defect repaired", SENSOR_WRONG)
 """Kinds of events."""
 SETTLED_S = 7.0 * DAY_S
 """[s] after a change at which a property becomes the reference for later shifts."""

@@ -26,12 +26,13 @@ from hygrokf.data.timestamps import DAY_S, HOUR_S, whole_microseconds
 from hygrokf.engine.timeline import Timeline
 from hygrokf.estimation.likelihood import Gaussian, Trace
 from hygrokf.live.frozen import Frozen, frozen_runs
-from hygrokf.live.plan import AMBIENT_HUMIDITIES, BEFORE, Plan
+from hygrokf.live.plan import BEFORE, Plan
 from hygrokf.live.traces import SAME_S as SAME_S
 from hygrokf.live.traces import changed_trace
 from hygrokf.modelling.inputs import Run, longest_gap_h, model_inputs
+from hygrokf.physics.signal_names import AMBIENT_HUMIDITIES
 
-WAITS_S = 7 * DAY_S
+PROVISIONAL_S = 7 * DAY_S
 """[s] for which estimates from the inputs alone stay provisional, because silent cabinet sensors may still
 deliver readings."""
 Losses = Mapping[str, Sequence[tuple[float, float]]]
@@ -41,7 +42,7 @@ Readings = tuple[np.ndarray, np.ndarray]
 """Times [s] (T,) and values [SI unit] (T,) of a signal's readings."""
 KEPT_OUT = {DEPARTED: "departed", FROZEN: "frozen"}
 """Verdict of the gate that rejects a reading → name of the count of these readings."""
-AHEAD_S = 30 * DAY_S
+GAP_END_S = 30 * DAY_S
 """[s] after the newest reading at which a gap that is too long to be bridged is assumed to end."""
 
 
@@ -138,9 +139,9 @@ class Tracker:
     final, "departed" and "frozen" (rejected by `data.gate`).
 
     While all sensors of the cabinet are silent, estimates follow from the inputs alone.  These estimates are
-    provisional for `WAITS_S`, because a late delivery replaces them; `ahead` is the last estimate that only
-    a late delivery can change, and the filter continues from it.  Alarms do not wait: they are judged up to
-    `judged_s` [s], and again from the point on if a late delivery changes their estimates.
+    provisional for `PROVISIONAL_S`, because a late delivery replaces them; `ahead` is the last estimate that
+    only a late delivery can change, and the filter continues from it.  Alarms do not wait: they are judged up
+    to `judged_s` [s], and again from the point on if a late delivery changes their estimates.
 
     plan: what the tracker needs of a fit (`live.plan.plan`).
     point: the final estimate to begin from, or None.
@@ -334,7 +335,7 @@ class Tracker:
             self.plan.design, self._record_with_ended_gaps(), beyond=self.silent_since() is not None
         )
         silent_s = silent_since(self._times, self.plan.lateness_s)
-        is_provisional = silent_s is not None and self.newest - silent_s <= WAITS_S
+        is_provisional = silent_s is not None and self.newest - silent_s <= PROVISIONAL_S
         # a course that moves the point begins at it, so that all estimates that it passes become final
         if self.ahead is not None and not (
             is_provisional and silent_s is not None and silent_s <= self.ahead.time
@@ -406,7 +407,7 @@ class Tracker:
         timeline, start = run.timeline, self.ahead or self.point
         after = -math.inf if start is None else start.time + SAME_S
         first = int(np.searchsorted(timeline.seconds, after, side="right"))
-        # the run goes on to the assumed end of a gap (`AHEAD_S`)
+        # the run goes on to the assumed end of a gap (`GAP_END_S`)
         end = int(np.searchsorted(timeline.seconds, self.newest + SAME_S, side="right"))
         if first >= end:
             return None
@@ -466,13 +467,13 @@ class Tracker:
         return age > max(bridge_s, 1.5 * usual_step_s - self.plan.form(signal).interval_s)
 
     def _record_with_ended_gaps(self) -> Record:
-        """The accepted readings, with an additional one at the newest time + `AHEAD_S` for each stale driver,
-        so that its gap is recognised as too long."""
+        """The accepted readings, with an additional one at the newest time + `GAP_END_S` for each stale
+        driver, so that its gap is recognised as too long."""
         with_readings = {s for s, (times, _) in self._accepted.items() if len(times)}
         stale = {s for s in with_readings if not s.startswith("cabinet_") and self._stale(s)}
         if any(s.startswith("ambient_") for s in stale):
             stale |= {s for s in with_readings if s.startswith("ambient_")}
-        ahead = self.newest + AHEAD_S
+        ahead = self.newest + GAP_END_S
         readings = {
             s: (np.append(times, ahead), np.append(values, values[-1])) if s in stale else (times, values)
             for s, (times, values) in self._accepted.items()
@@ -531,7 +532,7 @@ def judged_readings(
     return JudgedReadings((time, value), judge(signal, time, value, scale, known_until_s))
 
 
-def record_of(
+def tracked_record(
     plan: Plan, times: Mapping[str, Column], values: Mapping[str, Column], lost: Losses | None = None
 ) -> Record:
     """A record of the plan's turbine from times [s] and values [SI unit] by signal, judged by the gate."""
@@ -562,7 +563,7 @@ def offline_course(plan: Plan, record: Record, changes: Iterable[float] = ()) ->
     """
     times = {series.signal: series.time for series in record.series}
     values = {series.signal: series.value for series in record.series}
-    accepted = record_of(plan, times, values, {series.signal: series.lost for series in record.series})
+    accepted = tracked_record(plan, times, values, {series.signal: series.lost for series in record.series})
     silent_s = silent_since({series.signal: series.time for series in accepted.series}, plan.lateness_s)
     run = model_inputs(plan.design, accepted, beyond=silent_s is not None)
     trace = changed_trace(plan.likelihood(run.timeline), plan.values, None, changes)

@@ -35,9 +35,9 @@ from hygrokf.live.traces import StatedChange, believed
 from hygrokf.live.tracker import SAME_S, Point, TrackedCourse
 
 THIN_S = 600.0
-"""[s] between two stored estimates of a cabinet whose sensors have been silent for `SILENT_S`, or that has
-none."""
-SILENT_S = 0.5 * HOUR_S
+"""[s] between two stored estimates of a cabinet whose sensors have been silent for `SENSOR_SILENT_S`, or that
+has none."""
+SENSOR_SILENT_S = 0.5 * HOUR_S
 STALE_S = 2.0 * HOUR_S
 """[s] age above which data are stale, unless the turbine states another age."""
 
@@ -159,7 +159,7 @@ def instants_kept(course: TrackedCourse) -> np.ndarray:
     slot = np.floor(np.append(course.after_s, course.seconds) / THIN_S)
     # also with readings that the filter does not use while an input is unknown
     kept = course.seconds - heard <= SAME_S
-    kept |= (np.diff(slot) > 0) & (course.seconds - heard >= SILENT_S)
+    kept |= (np.diff(slot) > 0) & (course.seconds - heard >= SENSOR_SILENT_S)
     kept[-1] |= course.seconds[-1] > course.final_s + SAME_S
     return np.flatnonzero(kept)
 

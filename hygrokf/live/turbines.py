@@ -21,8 +21,8 @@ from hygrokf.live.alarms import (
     CLOCKS,
     CONTRADICTS,
     ESTIMATES,
-    INNOVATIONS,
-    REACH,
+    INNOVATION_KIND,
+    REACH_KIND,
     SHIFTS,
     SILENCE,
     Estimated,
@@ -48,8 +48,8 @@ from hygrokf.live.batch import (
     Event,
     Loss,
     Observation,
-    content_of,
-    text_of,
+    stated_content,
+    stated_text,
 )
 from hygrokf.live.clock_levels import Ahead, Backlogs, clock_levels
 from hygrokf.live.condition import Condition
@@ -65,7 +65,7 @@ from hygrokf.live.properties import (
 )
 from hygrokf.live.sources.payload import PayloadMapping
 from hygrokf.live.sources.payload_formats import Order, Refused
-from hygrokf.live.sources.payload_values import AHEAD_S
+from hygrokf.live.sources.payload_values import STAMP_AHEAD_S
 from hygrokf.live.sources.stream import Delivery, Reach
 from hygrokf.live.storage.schema import assessment, property_
 from hygrokf.live.storage.statements import select_newest, select_rows
@@ -230,7 +230,7 @@ class Fleet:
                     by_turbine[turbine] += observations
         for name, observations in by_turbine.items():
             self.ahead.note(name, observations)
-            limit = self._now + AHEAD_S
+            limit = self._now + STAMP_AHEAD_S
             ahead = [observed for observed in observations if observed.reading.time > limit]
             present = [observed for observed in observations if observed.reading.time <= limit]
             self.backlogs.note(source, name, (observed.reading for observed in present), self._now)
@@ -330,7 +330,7 @@ class Fleet:
             others = [signal for signal in course.run.timeline.outputs if signal != innovation.signal]
             unchanged = [Level(CONTRADICTS.kind, CONTRADICTS.off, subject=signal) for signal in others]
             levels = [*unchanged, contradiction_level(innovation)]
-            self._judge(name, innovation.time_s, levels, INNOVATIONS, batch)
+            self._judge(name, innovation.time_s, levels, INNOVATION_KIND, batch)
         due = (condition.time_s > course.judged_s + SAME_S) & (condition.time_s <= course.final_s + SAME_S)
         for i in np.flatnonzero(due):
             levels = estimate_levels(Estimated(condition, int(i), course.frozen), state.turbine.verdicts)
@@ -433,7 +433,7 @@ class Fleet:
         clocks = clock_levels(self.ahead.by_turbine())
         for name in (*self.tracked, SOURCE):
             self._judge(name, now, clocks.get(name, []), CLOCKS, batch)
-        self._judge(SOURCE, now, source_levels(sources, now), REACH, batch)
+        self._judge(SOURCE, now, source_levels(sources, now), REACH_KIND, batch)
         for name in self.tracked:
             self._assess(name, batch)
         return batch
@@ -559,10 +559,10 @@ class Fleet:
             return
         state, now = self.tracked[name], self._now
         state_word, statements = assess(state.facts(now, self.backlogs.awaited(name, now)), now)
-        content, previous = content_of(statements), state.assessment
+        content, previous = stated_content(statements), state.assessment
         if previous is None or (previous.state, previous.content) != (state_word, content):
             since = previous.since if previous is not None and previous.state == state_word else now
-            state.assessment = Assessment(name, state_word, text_of(statements), since, content)
+            state.assessment = Assessment(name, state_word, stated_text(statements), since, content)
             others = [other for other in batch.assessments if other.turbine != name]
             batch.assessments = [*others, state.assessment]
 

@@ -21,7 +21,7 @@ from hygrokf.data.ambient import AMBIENT_BRIDGE_H, at_times, bridge_h
 from hygrokf.data.prepared import VAPOUR, PreparedRecord
 from hygrokf.data.record import Record, Series, Site
 from hygrokf.data.timestamps import DAY_S
-from hygrokf.physics.holds import LINEAR, MEAN
+from hygrokf.physics.holds import LINEAR, MEAN, REGIME
 from hygrokf.physics.mechanisms import MECHANISMS
 from hygrokf.physics.model import Feature
 from hygrokf.physics.switches import CONTROLLED, Throttle
@@ -169,16 +169,31 @@ def throttled(
     return Throttle(reads, start, full, idle).course(value, ~operating(record, time))
 
 
+BASE_INPUTS: Mapping[str, tuple[str, str]] = MappingProxyType({
+    "exchange_factor": (LINEAR, "ambient_temperature"),
+    "operating": (MEAN, "active_power"),
+    "power_unknown": (REGIME, "active_power"),
+    **{f"power_{exponent}": (MEAN, "active_power") for exponent in range(1, 6)},
+})  # fmt: skip
+"""Derived inputs of the base models: hold, and the signal whose clock the input has."""
+_OF_A_SIGNAL: Mapping[str, tuple[Feature, str]] = {
+    "sunshine": ((sunshine, LINEAR), "global_horizontal_irradiance"),
+    "sunlit_wall": ((sunlit_wall, LINEAR), "global_horizontal_irradiance"),
+    "night_sky": ((night_sky, LINEAR), "global_horizontal_irradiance"),
+    "ambient_temperature_rate": ((ambient_temperature_rate, LINEAR), "ambient_temperature"),
+    "ambient_vapour_rate": ((ambient_vapour_rate, LINEAR), "ambient_temperature"),
+    "wind_tenth": ((wind_tenth, LINEAR), "wind_speed"),
+    "wind_square": ((wind_square, LINEAR), "wind_speed"),
+    "standstill": ((standstill, MEAN), "active_power"),
+}
+SIGNAL_OF: Mapping[str, str] = MappingProxyType({
+    **{name: signal for name, (_, signal) in BASE_INPUTS.items()},
+    **{name: signal for name, (_, signal) in _OF_A_SIGNAL.items()},
+})  # fmt: skip
+"""Derived input → the signal whose clock it has."""
 FEATURES: Mapping[str, Feature] = MappingProxyType({
     "elapsed": (elapsed, LINEAR),
-    "sunshine": (sunshine, LINEAR),
-    "sunlit_wall": (sunlit_wall, LINEAR),
-    "night_sky": (night_sky, LINEAR),
-    "ambient_temperature_rate": (ambient_temperature_rate, LINEAR),
-    "ambient_vapour_rate": (ambient_vapour_rate, LINEAR),
-    "wind_tenth": (wind_tenth, LINEAR),
-    "wind_square": (wind_square, LINEAR),
-    "standstill": (standstill, MEAN),
+    **{name: pair for name, (pair, _) in _OF_A_SIGNAL.items()},
     "after_step": (after_step, MEAN),
     "door_open": (door_open, MEAN),
     "scheduled": (scheduled, MEAN),

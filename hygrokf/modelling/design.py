@@ -21,38 +21,32 @@ from hygrokf.data.ambient import bridge_h
 from hygrokf.data.prepared import PreparedRecord, prepare
 from hygrokf.data.record import Record, Series
 from hygrokf.data.signals import SIGNALS, signal_named
-from hygrokf.modelling.derived_inputs import FEATURES, without_settings
+from hygrokf.modelling.derived_inputs import BASE_INPUTS, FEATURES, without_settings
 from hygrokf.modelling.library import LIBRARY, Library
-from hygrokf.physics.holds import LINEAR, MEAN, PREVIOUS, REGIME
+from hygrokf.physics.holds import LINEAR, MEAN, PREVIOUS
 from hygrokf.physics.mechanisms import Factory
-from hygrokf.physics.mechanisms.hygric import SHORTEST_H
+from hygrokf.physics.mechanisms.hygric import LEAST_K_H
 from hygrokf.physics.model import Mechanism, Model, compose, field_values
 from hygrokf.physics.parameters import Prior
+from hygrokf.physics.signal_names import CABINET_HUMIDITIES, CABINET_TEMPERATURE
 from hygrokf.texts.fit_codes import FitCode
 from hygrokf.texts.statement import Statement, unique
 from hygrokf.texts.terms import Name
 
-HOLDS: Mapping[str, str] = {
+INPUT_HOLDS: Mapping[str, str] = {
     **{signal.name: MEAN if signal.hold == PREVIOUS else LINEAR for signal in SIGNALS.values()},
-    "exchange_factor": LINEAR,
-    "operating": MEAN,
-    "power_unknown": REGIME,
-    **{f"power_{k}": MEAN for k in range(1, 6)},
+    **{name: hold for name, (hold, _) in BASE_INPUTS.items()},
     **{name: hold for name, (_, hold) in FEATURES.items()},
 }
 """Holds of inputs between their own times: every signal, the inputs of the base models, and the package's
 features."""
-TEMPERATURE = "cabinet_temperature"
-HUMIDITIES = ("cabinet_relative_humidity", "cabinet_absolute_humidity")
-BRIDGE_H = 1.0
+POWER_BRIDGE_H = 1.0
 """[h] longest gap of the power bridged by the preceding value; in longer gaps the power is unknown."""
 BOUND = 4.0
 """Standardised innovation at which the influence of a reading is bounded: a Gaussian one exceeds it once in
 16,000 readings."""
 FEWEST_READINGS = 50
 """Fewest readings of a signal that is used in an identification."""
-PARTS = ("thermal", "hygric")
-"""The two networks of a model."""
 JOINT = "joint"
 CASCADE = "cascade"
 
@@ -96,7 +90,7 @@ class Design:
         """The model; equal designs share it, because tracing and compiling takes time and memory."""
         library_features, factories = self.library.features, self.library.mechanisms
         features = {name: library_features[name][1] for name in self.features if name in library_features}
-        holds = {**HOLDS, **features, **self.holds}
+        holds = {**INPUT_HOLDS, **features, **self.holds}
         content = [
             [settings for _, settings in self.mechanisms],
             sorted(holds.items()),
@@ -175,7 +169,7 @@ def observed_humidity(record: PreparedRecord) -> str | None:
     vapour = record.ambient_vapour
     if vapour is None or np.isfinite(vapour.value).sum() < FEWEST_READINGS:
         return None
-    for name in HUMIDITIES:
+    for name in CABINET_HUMIDITIES:
         if name in record and np.isfinite(record[name].value).sum() >= FEWEST_READINGS:
             return name
     return None
@@ -225,21 +219,21 @@ def design(
         mechanisms += [
             (name, dict(settings)) for name, settings in (a.thermal for a in used_actuators if a.thermal)
         ]
-        temperature = record[TEMPERATURE]
+        temperature = record[CABINET_TEMPERATURE]
         if coloured:
             mechanisms.append(("heat_disturbance", _correlation_bounds(temperature, record)))
         mechanisms.append(("thermal_diffusion", {}))
         mechanisms.append(("temperature_sensor", _sensor(temperature)))
         if temperature.interval_s > 0:
-            averaged[TEMPERATURE] = temperature.interval_s / 3600.0
+            averaged[CABINET_TEMPERATURE] = temperature.interval_s / 3600.0
         power_order = release["order"] if release["operation"] else 0
     else:
-        mechanisms.append(("measured_air", {"accuracy": accuracy_of(record[TEMPERATURE])}))
+        mechanisms.append(("measured_air", {"accuracy": accuracy_of(record[CABINET_TEMPERATURE])}))
         power_order = 0
     if humidity is not None:
         series = record[humidity]
         shortest = RESOLVED * reading_step_h(series)
-        mechanisms.append(("hygric_exchange", {"shortest_h": shortest} if shortest > SHORTEST_H else {}))
+        mechanisms.append(("hygric_exchange", {"shortest_h": shortest} if shortest > LEAST_K_H else {}))
         mechanisms += [
             (name, dict(settings)) for name, settings in (a.hygric for a in used_actuators if a.hygric)
         ]
@@ -316,7 +310,7 @@ def _release_settings(
         statements.append(FitCode.POWER_CONSTANT())
     features = power_features(value, order)
     settings |= {"order": order, "ambient": True, "operation": True, "standstill": standstill}
-    if _longest_gap_h(series, record) > bridge_h(series, BRIDGE_H):
+    if _longest_gap_h(series, record) > bridge_h(series, POWER_BRIDGE_H):
         varying = features if standstill else np.column_stack([np.zeros(len(value)), features[:, 1:]])
         settings["gap_covariance"] = np.cov(varying.T, bias=True).reshape(order + 1, order + 1).tolist()
         settings["gap_time_h"] = _correlation_time_h(series)
@@ -331,7 +325,7 @@ def power_features(relative_power: np.ndarray, order: int) -> np.ndarray:
 
 def _longest_gap_h(power: Series, record: Record) -> float:
     """Longest time without known power within the span of the cabinet's readings [h]."""
-    spans = [record[n] for n in (TEMPERATURE, *HUMIDITIES) if n in record]
+    spans = [record[n] for n in (CABINET_TEMPERATURE, *CABINET_HUMIDITIES) if n in record]
     first, last = min(s.time[0] for s in spans), max(s.time[-1] for s in spans)
     read_s = power.time[~power.missing]
     begin, end = np.append(-np.inf, read_s), np.append(read_s - power.interval_s, np.inf)

@@ -12,9 +12,10 @@ from hygrokf.data.prepared import VAPOUR, PreparedRecord, prepare
 from hygrokf.data.record import Record, Series, expect_record
 from hygrokf.engine.timeline import Timeline, timeline
 from hygrokf.modelling.derived_inputs import feature
-from hygrokf.modelling.design import BRIDGE_H, HUMIDITIES, TEMPERATURE, Design, power_features
+from hygrokf.modelling.design import POWER_BRIDGE_H, Design, power_features
 from hygrokf.physics.holds import LINEAR, MEAN, PREVIOUS
 from hygrokf.physics.mechanisms.hygric import exchange_factor
+from hygrokf.physics.signal_names import CABINET_HUMIDITIES, CABINET_TEMPERATURE
 
 IDENTIFIED_ON = {
     "ambient_temperature": "ambient_temperature_K",
@@ -69,7 +70,7 @@ def _changes(series: Series, first: float, last: float) -> np.ndarray:
 
 def longest_gap_h(signal: str) -> float:
     """Longest gap [h] of an input that is bridged, unless its own usual step is longer."""
-    return {"active_power": BRIDGE_H, "preheating": 24.0}.get(signal, AMBIENT_BRIDGE_H)
+    return {"active_power": POWER_BRIDGE_H, "preheating": 24.0}.get(signal, AMBIENT_BRIDGE_H)
 
 
 def model_inputs(design: Design, record: Record, *, beyond: bool = False) -> Run:
@@ -133,14 +134,14 @@ def courses(design: Design, record: PreparedRecord) -> dict[str, Series]:
     inputs_read = design.model.inputs
     names = ["ambient_temperature"]
     names += [VAPOUR] if VAPOUR in inputs_read and record.ambient_vapour is not None else []
-    names += [TEMPERATURE] if TEMPERATURE in inputs_read else []
+    names += [CABINET_TEMPERATURE] if CABINET_TEMPERATURE in inputs_read else []
     return {name: record.course(name, design.ambient_noise.get(name)) for name in names}
 
 
 def common_span(record: Record, ambient: dict[str, Series], beyond: bool) -> tuple[float, float]:
     """First and last instant [s] at which both cabinet readings and ambient series exist; with `beyond`, the
     last instant is the end of the ambient series."""
-    observed = [record[name] for name in (TEMPERATURE, *HUMIDITIES) if name in record]
+    observed = [record[name] for name in (CABINET_TEMPERATURE, *CABINET_HUMIDITIES) if name in record]
     spans = observed or list(ambient.values())
     known_times = [s.known[0] for s in ambient.values()]
     if not all(len(time) for time in known_times):

@@ -14,7 +14,7 @@ from hygrokf.physics.parameters import expect_values
 
 NETWORK = ("thermal_network", "natural_convection")
 """Mechanisms that make up the thermal network itself; heat releases and disturbances drive it."""
-INPUTS = ("ambient_temperature", "heat_release")
+SYSTEM_INPUTS = ("ambient_temperature", "heat_release")
 AT_K = 283.15
 """[K] ambient temperature at which a network with natural convection is linearised; only differences
 matter."""
@@ -34,11 +34,11 @@ def _network(design: Design) -> Model:
         contributions=lambda p, x, u, q: {"heat_release": u.heat_release},
         outputs={"cabinet_air_temperature": lambda p, x, u, q, s: (q.cabinet_air_temperature, 0.0)},
     )
-    return compose([*parts, drive], dict.fromkeys(INPUTS, MEAN))
+    return compose([*parts, drive], dict.fromkeys(SYSTEM_INPUTS, MEAN))
 
 
 def thermal_system(design: Design, values: Values) -> LinearSystem:
-    """Equations (2) and (3): inputs `INPUTS` [K], output T_conv,a [K], state T_IC [K].
+    """Equations (2) and (3): inputs `SYSTEM_INPUTS` [K], output T_conv,a [K], state T_IC [K].
 
     values: in the parameters' units, numbers or arrays (N,).  The paper's network is linear.  One with
     natural convection is linearised at the temperature difference that the exponent refers to.
@@ -48,7 +48,7 @@ def thermal_system(design: Design, values: Values) -> LinearSystem:
     expect_values(model.parameters, values)
     difference = dict(design.mechanisms).get("natural_convection", {}).get("difference_K", 0.0)
     warm = AT_K + difference / values["resistance_ratio"]
-    inputs = dict(zip(INPUTS, (AT_K, difference), strict=True))
+    inputs = dict(zip(SYSTEM_INPUTS, (AT_K, difference), strict=True))
     return linearise(model, values, [warm] * len(model.states), inputs)
 
 

@@ -520,6 +520,33 @@ def jacobian(outputs: Sequence[Expression | float], variables: Sequence[Expressi
     return rows
 
 
+@dataclass(frozen=True)
+class Partials:
+    """Derivatives (m, v) of m expressions by v symbols: `entries` that are not 0, at `rows` and `columns`."""
+
+    graph: Graph
+    shape: tuple[int, int]
+    rows: list[int]
+    columns: list[int]
+    entries: list[Value]
+
+    def evaluate(self, values: Mapping[str, Value]) -> np.ndarray:
+        """The derivatives (m, v) at these values of the symbols."""
+        matrix = np.zeros(self.shape)
+        matrix[self.rows, self.columns] = self.graph.evaluate(self.entries, values)
+        return matrix
+
+
+def partials(
+    graph: Graph, outputs: Sequence[Expression | float], variables: Sequence[Expression]
+) -> Partials:
+    """The derivatives of `outputs` by `variables`, as expressions."""
+    matrix = jacobian(outputs, variables) if variables else []
+    places = [(i, j) for i, row in enumerate(matrix) for j, entry in enumerate(row) if not is_zero(entry)]
+    rows, columns = [i for i, _ in places], [j for _, j in places]
+    return Partials(graph, (len(outputs), len(variables)), rows, columns, [matrix[i][j] for i, j in places])
+
+
 def _without_constant_node(value: Expression | float) -> Expression | float:
     if isinstance(value, Expression):
         number = value.graph.number(value.index)

@@ -8,8 +8,6 @@ import numpy as np
 
 from hygrokf.physics.expression import Value, maximum, minimum
 
-TEMPERATURE = "cabinet_temperature"
-HUMIDITY = "cabinet_relative_humidity"
 CONTROLLED = ("throttled_heating", "venting", "throttled_drying")
 """Features, and inputs, that a `Throttle` provides."""
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from hygrokf.data.files import COMPARISON, COMPARISON_SERIES, COMPARISON_TABLE, REPORT, write_text_whole
 from hygrokf.data.result_file import read_result, result_text
-from hygrokf.evaluation.scoring import REGIMES, SCORED
+from hygrokf.evaluation.scoring import REGIMES
 from hygrokf.report.blocks import (
     FREE_RUN,
     OF_RECORDS,
@@ -34,8 +34,10 @@ from hygrokf.report.figures.comparison_figures import (
     figure_weeks,
     short_labels,
 )
+from hygrokf.report.fit_tables import RegimeRow, regimes_table
 from hygrokf.report.page import page_html
 from hygrokf.report.quantities import interval, quantity, share_text, versions
+from hygrokf.texts.parts import SCORED
 from hygrokf.texts.statement import Value
 from hygrokf.texts.transfer_codes import TransferCode
 from hygrokf.texts.wording import RULE_NAMES, fixed, sentence, signed
@@ -260,15 +262,10 @@ def scores_table(results: ComparisonResults, name: str) -> Table:
     for period in COMPARED_PERIODS:
         for column, label in zip(results.columns, labels, strict=True):
             if (total := results.errors(period, name).get(column.label)) is not None:
-                regimes = (results.row("rmse", column.label, period, name, regime) for regime in REGIMES)
-                cells = (fixed(row.value) for row in regimes)
-                rows.append((label, period, *cells, interval(total.lower, total.upper), str(total.n)))
-    return Table(
-        quantity(name).rmse,
-        ("", "period", *REGIMES, "total, 95 %", "n"),
-        tuple(rows),
-        left=(0, 1),
-    )
+                regimes = [results.row("rmse", column.label, period, name, regime) for regime in REGIMES]
+                values = [row.value for row in regimes]
+                rows.append(((label, period), values, (total.lower, total.upper), total.n))
+    return regimes_table(quantity(name).rmse, rows, heads=("", "period"))
 
 
 def differences_table(results: ComparisonResults, column: str, reference: str) -> Table:
@@ -287,14 +284,14 @@ def differences_table(results: ComparisonResults, column: str, reference: str) -
             if total.sure:
                 bold_rows.append(len(rows))
             remark = "" if total.same_readings else ", other readings"
-            cells = (signed(row.value) for row in by_regime.values())
-            span = interval(total.lower, total.upper)
-            rows.append((f"{quantity(name).change}{remark}", period, *cells, span, str(total.n)))
-    return Table(
+            values = [row.value for row in by_regime.values()]
+            labels = (f"{quantity(name).change}{remark}", period)
+            rows.append((labels, values, (total.lower, total.upper), total.n))
+    return regimes_table(
         f"RMSE of {column} minus RMSE of {reference}",
-        ("", "period", *REGIMES, "total, 95 %", "n"),
-        tuple(rows),
-        left=(0, 1),
+        rows,
+        heads=("", "period"),
+        number=signed,
         marked=tuple(bold_rows),
     )
 

@@ -16,7 +16,6 @@ from hygrokf.evaluation.innovation_tests import NOTE
 from hygrokf.identification.fit import read_series
 from hygrokf.identification.fit_results import FitResults
 from hygrokf.identification.verdict import inherited, with_verdicts
-from hygrokf.modelling.design import PARTS
 from hygrokf.report.blocks import (
     FREE_RUN,
     INNOVATIONS,
@@ -50,6 +49,7 @@ from hygrokf.report.fit_tables import (
 from hygrokf.report.fit_text import free_run_text, judgements, level_and_method, range_text
 from hygrokf.report.page import page_html
 from hygrokf.report.quantities import place, versions
+from hygrokf.texts.parts import PARTS
 from hygrokf.texts.reasons import BELIEVE, CAUTION, REJECT, ReasonCode
 from hygrokf.texts.wording import UNBOUNDED, fixed, moment, one_line, sentence
 

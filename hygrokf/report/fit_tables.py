@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Iterable, Sequence
 from functools import partial
 
 from hygrokf.evaluation.actuator_effects import EstimatedChange
-from hygrokf.evaluation.diagnosis import CumulativePeriodogram
-from hygrokf.evaluation.scoring import REGIMES, SCORED, Errors, Scored
+from hygrokf.evaluation.innovation_tests import CumulativePeriodogram
+from hygrokf.evaluation.scoring import REGIMES, Errors, Scored
 from hygrokf.identification.fit_on_record import Evaluation
 from hygrokf.identification.fit_results import FitResults, PriorTerms, SensorResponse, TimeConstant
 from hygrokf.identification.verdict import inherited
@@ -17,6 +18,7 @@ from hygrokf.report.figures.fit_figures import PRODUCT
 from hygrokf.report.fit_text import lead_words, level_and_method, range_text
 from hygrokf.report.quantities import interval, parameter_cells, quantity
 from hygrokf.report.terminal import blocks_text
+from hygrokf.texts.parts import SCORED
 from hygrokf.texts.wording import (
     NONE,
     QUANTITY_NAMES,
@@ -125,6 +127,29 @@ def rmse_table(fit: Scored, period: str) -> Table | None:
         tuple(rows),
         marked=(0,),
         groups=(("", 1), *((quantity(name).change, 3) for name in SCORED)),
+    )
+
+
+def regimes_table(
+    title: str,
+    rows: Sequence[RegimeRow],
+    *,
+    heads: tuple[str, ...] = ("",),
+    number: Callable[[float], str] = fixed,
+    marked: tuple[int, ...] = (),
+) -> Table:
+    """Errors, or differences of errors, by regime, with the bounds and readings of the total; `heads` of the
+    columns of words, `marked` rows are set off."""
+    cells = []
+    for labels, values, bounds, n in rows:
+        total = NONE if bounds is None else interval(*bounds)
+        cells.append((*labels, *map(number, values), total, str(n)))
+    return Table(
+        title,
+        (*heads, *REGIMES, "total, 95 %", "n"),
+        tuple(cells),
+        left=tuple(range(len(heads))),
+        marked=marked,
     )
 
 

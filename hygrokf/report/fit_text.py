@@ -23,8 +23,8 @@ from hygrokf.identification.verdict import (
     largest_correlation,
 )
 from hygrokf.identification.verdict_terms import QUANTITY_OF
-from hygrokf.modelling.design import PARTS
 from hygrokf.report.quantities import interval, quantity, spoken
+from hygrokf.texts.parts import PARTS, SCORED
 from hygrokf.texts.reasons import BELIEVE, CAUTION, REJECT, Kind, Reason, ReasonCode, verdict_of, worst_first
 from hygrokf.texts.wording import decimals_for, fixed, percent, plain_number
 

@@ -10,6 +10,7 @@ from pathlib import Path
 from hygrokf.data.files import FLEET, REPORT, write_text_whole
 from hygrokf.data.record import Provenance
 from hygrokf.data.result_file import ResultFault, read_result
+from hygrokf.estimation.conventions import SIGNIFICANCE
 from hygrokf.fleet.fleet_results import CSV, FleetResults
 from hygrokf.fleet.job import DONE, Row, cell_number, cell_text
 from hygrokf.fleet.outliers import FEWEST_JUDGED, LEVEL, SIMULATED_FLEETS, Scatter, spreads
@@ -65,7 +66,7 @@ def outcome_text(row: Row, is_stored: bool) -> str:
     """Return a line on the outcome of one turbine; is_stored: whether its result was on disk already."""
     turbine, status = cell_text(row, "turbine"), cell_text(row, "status")
     if status != DONE:
-        return f"{turbine}: {status}: {text_of(row, 'reason')}"
+        return f"{turbine}: {status}: {cell_text(row, 'reason')}"
     values = (
         f"{compared.title} {WORDS[REJECT]}"
         if compared.rejected(row)

@@ -14,7 +14,6 @@ from typing import Literal
 from hygrokf.data.files import REPORT, TRANSFER, TRANSFER_SERIES, TYPE, write_text_whole
 from hygrokf.data.record import least_measured
 from hygrokf.data.result_file import read_result, result_text
-from hygrokf.evaluation.scoring import SCORED
 from hygrokf.identification.fit import write_fit
 from hygrokf.identification.turbine_type import TurbineType, write_type
 from hygrokf.report.blocks import (
@@ -43,8 +42,10 @@ from hygrokf.report.figures.comparison_figures import (
     figure_type,
 )
 from hygrokf.report.fit_page import write_report
+from hygrokf.report.fit_tables import RegimeRow, regimes_table
 from hygrokf.report.page import page_html
 from hygrokf.report.quantities import interval, quantity, versions
+from hygrokf.texts.parts import SCORED
 from hygrokf.texts.transfer_codes import TransferVerdict
 from hygrokf.texts.wording import NONE, fixed, p_value, percent, plain_number, sentence
 from hygrokf.transfer.transfer_results import (

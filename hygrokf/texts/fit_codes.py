@@ -27,8 +27,8 @@ class FitCode(Code):
         "nearer to that model, more starts or wider bounds"
     )
     STEPS_TOO_LONG = (
-        "{end}; not exact: sub-steps of half the length change ln L by {change:2g}; give the likelihood "
-        "tolerance={tolerance:1g}"
+        "{end}; not exact: sub-steps of half the length change ln L, or the parameters in standard errors, "
+        "by {change:2g}; give the likelihood tolerance={tolerance:1g}"
     )
     # bounds of a parameter
     OPEN_ON_BOTH_SIDES = "not identifiable from this record"

@@ -29,7 +29,8 @@ class ReasonCode(Code):
     NOT_CONVERGED = (REJECT, "the estimation did not converge{why:;}")
     NOT_EXACT = (
         REJECT,
-        "the filter's steps are not exact: sub-steps of half the length change ln L by {change:2}",
+        "the filter's steps are not exact: sub-steps of half the length change ln L, or the parameters in "
+        "standard errors, by {change:2}",
     )
     AT_LIMIT = (
         REJECT,

@@ -50,8 +50,11 @@ def chance_text(probability: float) -> str:
 
 
 def signed(value: float, decimals: int = 2) -> str:
-    """A difference with its sign and `decimals` decimals."""
-    return minus(f"{value:+.{decimals}f}") if math.isfinite(value) else NONE
+    """A difference with its sign and `decimals` decimals; what rounds to zero has no sign."""
+    if not math.isfinite(value):
+        return NONE
+    text = f"{value:+.{decimals}f}"
+    return minus(text) if float(text) else text[1:]
 
 
 def minus(text: str) -> str:

@@ -26,6 +26,7 @@ import numpy as np
 
 from hygrokf.data.record import Record
 from hygrokf.estimation.confidence import Uncertainty, normal_quantile, positive_inverse
+from hygrokf.estimation.conventions import CONFIDENCE, SIGNIFICANCE
 from hygrokf.estimation.likelihood import Likelihood
 from hygrokf.estimation.optimiser import Estimate, Objective
 from hygrokf.evaluation.simulation import measured, settled
@@ -39,6 +40,7 @@ from hygrokf.modelling.design import CABINET_HUMIDITIES, Design, read_as
 from hygrokf.modelling.inputs import Run, model_inputs
 from hygrokf.physics.model import Model
 from hygrokf.physics.parameters import Coordinates
+from hygrokf.physics.signal_names import CABINET_HUMIDITIES
 from hygrokf.texts.reasons import Reason
 from hygrokf.texts.statement import Statement
 from hygrokf.texts.transfer_codes import TransferCode

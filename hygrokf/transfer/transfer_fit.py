@@ -25,18 +25,20 @@ import numpy as np
 from hygrokf.data.progress import Progress, reporting
 from hygrokf.data.record import Record
 from hygrokf.estimation.confidence import Bounds, Uncertainty, normal_quantile, uncertainty
+from hygrokf.estimation.conventions import CONFIDENCE
 from hygrokf.estimation.optimiser import Estimate, Objective, fit_mle
 from hygrokf.evaluation.bootstrap import Resampled, resampled
-from hygrokf.evaluation.scoring import SCORED, guesses, period_masks, rmse
+from hygrokf.evaluation.scoring import guesses, period_masks, rmse
 from hygrokf.evaluation.simulation import Prediction, free_run, measured
-from hygrokf.identification.estimation import TIME_CONSTANTS, Stage
+from hygrokf.identification.estimation import Stage
 from hygrokf.identification.fit import Fit
 from hygrokf.identification.identify import Basis, assemble_fit
 from hygrokf.identification.turbine_type import TurbineType
 from hygrokf.identification.verdict import inherited, with_reasons
-from hygrokf.modelling.design import JOINT, PARTS
+from hygrokf.modelling.design import JOINT
 from hygrokf.physics.parameters import within_limits
 from hygrokf.texts.fit_codes import FitCode
+from hygrokf.texts.parts import PARTS, SCORED, TIME_CONSTANTS
 from hygrokf.texts.statement import Statement
 from hygrokf.texts.transfer_codes import TransferVerdict
 from hygrokf.texts.wording import iso_time

@@ -19,12 +19,13 @@ from hygrokf.data.files import write_bytes_whole
 from hygrokf.data.record import Provenance
 from hygrokf.data.result_file import ResultFault, instants
 from hygrokf.data.structured import optional
-from hygrokf.evaluation.scoring import SCORED, Errors
+from hygrokf.evaluation.scoring import Errors
 from hygrokf.evaluation.simulation import Prediction, measured
 from hygrokf.identification.fit import Fit
 from hygrokf.identification.turbine_type import TurbineType
 from hygrokf.identification.verdict_terms import Inherited
 from hygrokf.modelling.inputs import Run
+from hygrokf.texts.parts import SCORED
 from hygrokf.texts.statement import Statement
 from hygrokf.texts.terms import Instant, Meaning, Name, Unit, Version
 from hygrokf.texts.transfer_codes import TransferCode, TransferVerdict

@@ -12,7 +12,7 @@ import numpy as np
 
 from hygrokf.estimation.confidence import Uncertainty
 from hygrokf.estimation.optimiser import Estimate
-from hygrokf.evaluation.scoring import SCORED
+from hygrokf.texts.parts import SCORED
 from hygrokf.texts.statement import Statement, Value
 from hygrokf.texts.transfer_codes import TransferCode, TransferVerdict
 from hygrokf.texts.wording import QUANTITY_NAMES, RULE_NAMES

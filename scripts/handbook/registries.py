@@ -9,7 +9,7 @@ from functools import cache
 
 from handbook.docstrings import heading, prose_and_equations, rst, table
 from hygrokf.discovery.own_causes import trial_ground
-from hygrokf.fleet.tasks import SHARED, TASKS
+from hygrokf.fleet.tasks import SHARED_COLUMNS, TASKS
 from hygrokf.modelling.causes.cause import Cause
 from hygrokf.modelling.causes.forms import Ground
 from hygrokf.modelling.library import CAUSES
@@ -137,7 +137,7 @@ def fleet_columns() -> str:
         "value is unknown, not applicable or not bounded. Fleets: :doc:`/how_to/fleet`.",
         "",
     ]
-    named = {"every task": SHARED, **{f"``{name}``": task.columns for name, task in TASKS.items()}}
+    named = {"every task": SHARED_COLUMNS, **{f"``{name}``": task.columns for name, task in TASKS.items()}}
     for title, columns in named.items():
         rows = [[f"``{name}``", rst(meaning)] for name, meaning in columns.items()]
         lines += [heading(f"Columns of {title}", "-"), table(("column", "meaning"), rows, "40 60"), ""]

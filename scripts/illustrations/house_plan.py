@@ -11,7 +11,15 @@ def house_plan(directory: Path) -> None:
     """The folders of the package on their floors, and what imports what, as it is written in the code."""
     from builders import house
 
-    from hygrokf.report.figures.drawing import INK, MEASURED, QUIET, SHADE, SIMULATED, new_figure, styled
+    from hygrokf.report.figures.drawing import (
+        INK,
+        MEASURED,
+        QUIET,
+        SHADE,
+        SIMULATED_COLOUR,
+        new_figure,
+        styled,
+    )
 
     write_table("house.md", "house plan", house.table())
     wings = house.FLOORS.index(next(row for row in house.FLOORS if "discovery" in row))
@@ -42,7 +50,7 @@ def house_plan(directory: Path) -> None:
             box = {
                 "boxstyle": "round,pad=0.45",
                 "facecolor": SHADE,
-                "edgecolor": SIMULATED if y - 0.5 == wings else INK,
+                "edgecolor": SIMULATED_COLOUR if y - 0.5 == wings else INK,
                 "linewidth": 0.8,
             }
             axes.text(

@@ -114,7 +114,7 @@ def _stated(service: Service) -> None:
 
     from hygrokf.data.timestamps import DAY_S
     from hygrokf.live.assessment import Outlook
-    from hygrokf.live.batch import Assessment, Batch, Event, Shelf, content_of, text_of
+    from hygrokf.live.batch import Assessment, Batch, Event, Shelf, stated_content, stated_text
     from hygrokf.live.notification.notices import acknowledge
     from hygrokf.texts.live_codes import StateCode
 
@@ -128,7 +128,7 @@ def _stated(service: Service) -> None:
         likely_s = Outlook(*np.array(store.outlook(name)).T).likely_s(now)
         if likely_s is not None and states[name].state != "at risk":
             said = (StateCode.CONDENSATION_LIKELY_FROM(at=likely_s),)
-            risk = Assessment(name, "at risk", text_of(said), now, content_of(said))
+            risk = Assessment(name, "at risk", stated_text(said), now, stated_content(said))
             store.commit(Batch(assessments=[risk]))
     # a detail of the last alarm of the fleet, as the control room would have left it
     ended = queried(store, "SELECT id FROM alarm WHERE ended IS NOT NULL ORDER BY began DESC")

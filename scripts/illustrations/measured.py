@@ -61,7 +61,7 @@ def attic(directory: Path, data: Path) -> None:
 
 def truth_and_estimate(fits: Sequence, truths: Sequence):
     """Estimates with their bounds over the true values."""
-    from hygrokf.report.figures.drawing import AMBIENT, MEASURED, QUIET, new_figure, styled
+    from hygrokf.report.figures.drawing import AMBIENT_COLOUR, MEASURED, QUIET, new_figure, styled
 
     with styled():
         made = new_figure(3.0)
@@ -71,7 +71,10 @@ def truth_and_estimate(fits: Sequence, truths: Sequence):
                 entry, true = fit.to_json()["time_constants"][part], getattr(truth, field)
                 other = entry["simulation"]
                 axis.plot(
-                    [1.012 * true] * 2, [other["lower_h"], other["upper_h"]], color=AMBIENT, linewidth=1.2
+                    [1.012 * true] * 2,
+                    [other["lower_h"], other["upper_h"]],
+                    color=AMBIENT_COLOUR,
+                    linewidth=1.2,
                 )
                 axis.plot([true] * 2, [entry["lower_h"], entry["upper_h"]], color=MEASURED, linewidth=2.4)
                 axis.plot(true, entry["value_h"], "o", color=MEASURED, markersize=4)
@@ -80,7 +83,7 @@ def truth_and_estimate(fits: Sequence, truths: Sequence):
             axis.set_xlabel(f"true {part} time constant [h]")
             axis.set_ylabel("estimate, 95 % bounds [h]")
         axis.plot([], [], color=MEASURED, linewidth=2.4, label="likelihood")
-        axis.plot([], [], color=AMBIENT, linewidth=1.2, label="free run's least error")
+        axis.plot([], [], color=AMBIENT_COLOUR, linewidth=1.2, label="free run's least error")
         axis.legend(loc="upper left")
         made.subplots_adjust(left=0.08, right=0.98, bottom=0.16, top=0.92, wspace=0.25)
     return made

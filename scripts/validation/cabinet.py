@@ -110,7 +110,7 @@ def docs(lines: Sequence[Mapping]) -> None:
     import matplotlib.dates
     from illustrations.pages import save
 
-    from hygrokf.report.figures.drawing import INK, MEASURED, QUIET, SIMULATED, new_figure, styled
+    from hygrokf.report.figures.drawing import INK, MEASURED, QUIET, SIMULATED_COLOUR, new_figure, styled
 
     shown = next(line["courses"] for line in lines if line["variant"] == "controller")
     run = {n: np.array([math.nan if v is None else v for v in c]) for n, c in shown["run"].items()}
@@ -126,7 +126,7 @@ def docs(lines: Sequence[Mapping]) -> None:
         axes.legend(loc="upper left")
         axes.xaxis.set_major_formatter(matplotlib.dates.DateFormatter("%-d %b"))
         axes = errors.add_subplot()
-        for name, colour in (("in operation", MEASURED), ("at standstill", SIMULATED)):
+        for name, colour in (("in operation", MEASURED), ("at standstill", SIMULATED_COLOUR)):
             axes.plot(shown[name]["outside"], shown[name]["error"], "o-", color=colour, label=name)
         axes.axhline(0.0, color=QUIET, lw=0.8)
         axes.set_xlabel("outside temperature [°C]")

@@ -17,7 +17,6 @@ from hygrokf.cases.synthetic import SyntheticParameters, synthetic_turbine, writ
 from hygrokf.data.record import Record, Series
 from hygrokf.live.plan import Plan
 from hygrokf.live.properties import (
-    HUMIDITIES,
     TEMPERATURES,
     ParameterShift,
     deviations,
@@ -27,6 +26,7 @@ from hygrokf.live.properties import (
 )
 from hygrokf.live.tracker import TrackedCourse, offline_course
 from hygrokf.live.turbines import PROPERTY_S
+from hygrokf.physics.signal_names import CABINET_HUMIDITIES
 from validation.counts import markdown, rate
 from validation.frame import Claim
 from validation.tracked import DAY_S, identified, plan_of, turbine_plant
@@ -148,7 +148,7 @@ def followed(
     known: dict[str, ParameterShift] = {}
     for i in np.flatnonzero(first):
         time = float(seconds[i])
-        heard = dict.fromkeys((*TEMPERATURES, *HUMIDITIES), time)
+        heard = dict.fromkeys((*TEMPERATURES, *CABINET_HUMIDITIES), time)
         states = states_of(plan.model, course.trace.mean[i], course.trace.covariance[i], time, heard)
         known = parameter_shifts(known, float(seconds[i]), deviations(states, errors))
         yield float(seconds[i]), known

@@ -15,7 +15,7 @@ import numpy as np
 from other_make import ROWS, make_plant
 from other_make.as_record import to_record
 
-from hygrokf.cases.alternatives import NAMED, Readings, alternative_readings
+from hygrokf.cases.alternatives import NAMED_SHIFT, Readings, alternative_readings
 from hygrokf.data.record import Record
 from hygrokf.data.shared_clocks import Shift, shifted
 from hygrokf.data.timestamps import DAY_S, HOUR_S, summer_time
@@ -124,7 +124,7 @@ def _said(found: Readings) -> list[str]:
 
 def _corrects(found: Readings, fault: Shift) -> bool:
     """Whether one clock is named, in the source that has the fault, and by its size in winter and summer."""
-    if [one.verdict for one in found.findings] != [NAMED]:
+    if [one.verdict for one in found.findings] != [NAMED_SHIFT]:
         return False
     shifts = found.findings[0].alternative.shifts
     winter = sum(one.seconds for one in shifts if not one.summer)

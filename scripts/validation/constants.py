@@ -20,18 +20,18 @@ from validation.discovery_tables import false_names, first_right
 from validation.frame import Claim, Line
 
 CONSTANTS = (
-    ("candidates", "THRESHOLD"), ("search", "FURTHER"), ("candidates", "CLOSE_Z"),
+    ("candidates", "ACCEPTED_EVIDENCE"), ("search", "FURTHER_EVIDENCE"), ("candidates", "CLOSE_Z"),
     ("candidates", "WATER_SHARE"), ("error_model", "HUBER"), ("judgement", "BETTER_Z"),
     ("judgement", "WORSE_GROWTH"), ("judgement", "LEAST_IMPROVEMENT"), ("judgement", "NOTICED"),
     ("discover", "SIGNIFICANT"), ("discover", "CYCLES"), ("discovery_results", "CLASS_LIMIT"),
-    ("final_set", "BETTER"),
+    ("final_set", "BETTER_RATIO"),
 )  # fmt: skip
 """Module of `hygrokf.discovery` and name; the share of saturated readings decides a remark alone."""
 CELLS = (
     "moisture_sorption", "condensation", "wall_thermal_mass", "solar_gain", "unlogged_heater",
     "exchange_step", "humidity_sensor_drift", "clock_shift", "rain_ingress", "door_opening",
 )  # fmt: skip
-AFTER_THE_SEARCH = ("SIGNIFICANT", "CYCLES", "CLASS_LIMIT", "BETTER")
+AFTER_THE_SEARCH = ("SIGNIFICANT", "CYCLES", "CLASS_LIMIT", "BETTER_RATIO")
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,7 @@ class Variant:
 def variants() -> list[Variant]:
     """The constants as they are, then each halved and doubled."""
     return [
-        Variant("candidates", "THRESHOLD", 1.0),
+        Variant("candidates", "ACCEPTED_EVIDENCE", 1.0),
         *(Variant(module, name, factor) for module, name in CONSTANTS for factor in (0.5, 2.0)),
     ]
 
@@ -65,7 +65,7 @@ def varied(one: Variant) -> Iterator[None]:
     """The package with another value of a constant: in every module that has it, and as a default."""
     owner = sys.modules[f"hygrokf.discovery.{one.module}"]
     before = getattr(owner, one.name)
-    value = 1.0 - one.factor * (1.0 - before) if one.name == "BETTER" else before * one.factor
+    value = 1.0 - one.factor * (1.0 - before) if one.name == "BETTER_RATIO" else before * one.factor
     after = type(before)(value)
     modules = [module for name, module in sys.modules.items() if name.startswith("hygrokf.discovery.")]
     owners = [module for module in modules if getattr(module, one.name, None) is before]

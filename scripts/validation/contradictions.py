@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from hygrokf.live.alarms import BEYOND, innovations
+from hygrokf.live.alarms import CONTRADICTION_SD, innovations
 from validation.counts import markdown
 from validation.frame import Claim
 from validation.tracked import DAY_S, SETTLED_S, tracked_plant
@@ -33,8 +33,8 @@ def one(variant: str, seed: int, *, days: float = 60.0, learnt: float = 45.0) ->
         side = np.where(np.arange(len(z)) % 2, 1.0, -1.0)
         line[signal] = {
             "readings": len(z),
-            "beyond": int(np.sum(np.abs(z) >= BEYOND)),
-            "noticed": [int(np.sum(np.abs(z + side * step / sd) >= BEYOND)) for step in steps],
+            "beyond": int(np.sum(np.abs(z) >= CONTRADICTION_SD)),
+            "noticed": [int(np.sum(np.abs(z + side * step / sd) >= CONTRADICTION_SD)) for step in steps],
         }
     return line
 

@@ -230,8 +230,8 @@ def told_names(lines: Iterable[Line]) -> list[tuple[float, float, bool]]:
 
 
 def calibrated(told: Sequence[tuple[float, float, bool]]) -> str:
-    """The coefficients of `discovery.discover.CONFIDENCE` by maximum likelihood, and how they state what was
-    observed.
+    """The coefficients `discovery.discover.CONFIDENCE_WEIGHTS` by maximum likelihood, and how they state what
+    was observed.
 
     P(right) = 1/(1 + exp(−(a + b ln(evidence in days) + c lead))), of every name that was told.  Raises
     ValueError for fewer than 30 names.
@@ -251,7 +251,7 @@ def calibrated(told: Sequence[tuple[float, float, bool]]) -> str:
     b = minimize(loss, np.zeros(3), jac=True).x / scale
     stated = 1.0 / (1.0 + np.exp(-(x @ b)))
     numbers = ", ".join(f"{one:.3g}" for one in b)
-    text = [f"CONFIDENCE = ({numbers})  # {len(told)} names, {right.mean():.0%} right"]
+    text = [f"CONFIDENCE_WEIGHTS = ({numbers})  # {len(told)} names, {right.mean():.0%} right"]
     for number, (difference, count) in enumerate(thirds(list(zip(stated, right, strict=True))), 1):
         text.append(f"third {number}: stated − observed {difference:+.3f} of {count}")
     return "\n".join(text)

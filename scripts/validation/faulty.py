@@ -31,9 +31,9 @@ from other_make.moist_air import saturation_pressure
 from hygrokf.data.record import Record, Site
 from hygrokf.identification.fit import Fit
 from hygrokf.live.batch import Alarm, Batch, Observation
-from hygrokf.live.fault_isolation import BEFORE_S, LONGEST_S, isolate
+from hygrokf.live.fault_isolation import LONGEST_ISOLATION_S, SHIFT_BEFORE_S, isolate
 from hygrokf.live.properties import standard_errors
-from hygrokf.live.tracker import Reading, record_of
+from hygrokf.live.tracker import Reading, tracked_record
 from hygrokf.live.turbine import Turbine
 from hygrokf.live.turbines import Fleet
 from validation.counts import markdown
@@ -116,11 +116,11 @@ def track(
         while (due := fleet.isolation_due()) is not None:
             step = due[1]
             since = min(one.since for one in step.lasting)
-            history = whole.window(max(since - BEFORE_S, step.time - LONGEST_S), step.time)
+            history = whole.window(max(since - SHIFT_BEFORE_S, step.time - LONGEST_ISOLATION_S), step.time)
             times = {one.signal: one.time for one in history.series}
             values = {one.signal: one.value for one in history.series}
             beside = [one.window(history.start_s, step.time) for one in sisters]
-            *_, finding = isolate(plan, record_of(plan, times, values), sisters=beside)
+            *_, finding = isolate(plan, tracked_record(plan, times, values), sisters=beside)
             assert finding is not None
             found.keep(fleet.keep_finding(made.name, replace(finding, time_s=step.time)))
     return found

@@ -35,12 +35,12 @@ def outages(kind: str, count: int, seed: int, folder: Path) -> dict:
     key; `noticed`: attempts that met each way to fail.
     """
     random = np.random.default_rng(seed)
-    before = sending.BACK_OFF_S, sending.POLL_S
-    sending.BACK_OFF_S, sending.POLL_S = (0.02, 0.2), 0.01
+    before = sending.SENDER_BACK_OFF_S, sending.POLL_S
+    sending.SENDER_BACK_OFF_S, sending.POLL_S = (0.02, 0.2), 0.01
     try:
         return _outages(kind, count, seed, folder, random)
     finally:
-        sending.BACK_OFF_S, sending.POLL_S = before
+        sending.SENDER_BACK_OFF_S, sending.POLL_S = before
 
 
 def _outages(kind: str, count: int, seed: int, folder: Path, random: np.random.Generator) -> dict:

@@ -13,7 +13,7 @@ from plants.operation import turbine_operation
 from plants.outdoors import with_fronts
 
 from hygrokf.data.record import Record
-from hygrokf.live.forecast import LONGEST_H, STAYS_H, restart
+from hygrokf.live.forecast import LONGEST_HEATING_H, STAYS_H, restart
 from hygrokf.live.scenarios import NoScenarios
 from validation.counts import markdown, rate
 from validation.frame import Claim, by_variant
@@ -67,7 +67,7 @@ def one(variant: str, seed: int, *, days: float = 62.0, learnt: float = 60.0) ->
 def _needed(humidity: np.ndarray) -> float:
     """Hours of heating after which the humidity (minutes) is below the limit for `STAYS_H`."""
     stays = round(60 * STAYS_H)
-    for minute in range(round(60 * LONGEST_H) + 1):
+    for minute in range(round(60 * LONGEST_HEATING_H) + 1):
         if np.all(humidity[minute : minute + stays] < LIMIT):
             return minute / 60.0
     return -1.0
@@ -124,8 +124,8 @@ def _table(lines: Sequence[Mapping]) -> str:
         seen = (c["humidity"] < LIMIT, c["wettest"] < LIMIT, c["needed"] > 0.0)
         now, later, needed = (rate(one[here]) for one in seen)
         rows.append((name, int(here.sum()), now, said, later, needed))
-    more = f"more than {LONGEST_H:.0f} h in {int((c['needed'][never] < 0).sum())}"
-    rows.append((f"{LONGEST_H:.0f} h are not enough", int(never.sum()), "", "", "", more))
+    more = f"more than {LONGEST_HEATING_H:.0f} h in {int((c['needed'][never] < 0).sum())}"
+    rows.append((f"{LONGEST_HEATING_H:.0f} h are not enough", int(never.sum()), "", "", "", more))
     head = ("advice", "n", "dry at that time", "probability said", "and for the hour after", "needed truly")
     parts = [
         f"{plants} plants with a pre-heating in their identification period (of {len(lines)}), {len(values)} "

@@ -20,7 +20,7 @@ from hygrokf.identification.identify import identify
 from hygrokf.live.condition import Surface
 from hygrokf.live.forecast import heating_sd
 from hygrokf.live.plan import Plan, SignalReporting, plan
-from hygrokf.live.scenarios import DAYS, Scenarios, persistence
+from hygrokf.live.scenarios import PAST_DAYS, Scenarios, persistence
 from hygrokf.live.tracker import Point, TrackedCourse, offline_course
 from hygrokf.physics.psychrometrics import (
     GAS_CONSTANT_VAPOUR,
@@ -35,7 +35,7 @@ SURFACE = Surface(follows=0.6, offset_K=0.0)
 """The cold surface of the trials."""
 SETTLED_S = 2 * DAY_S
 """[s] of tracking before the first forecast or judgement."""
-HISTORY_S = (DAYS + 6.0) * DAY_S
+HISTORY_S = (PAST_DAYS + 6.0) * DAY_S
 """[s] of readings that scenarios is given."""
 
 

@@ -39,7 +39,7 @@ class Acknowledging(Halting):
 def in_small_rounds(monkeypatch: pytest.MonkeyPatch, most: int, retry_s: float = 0.01) -> None:
     """Services take at most so many deliveries a round, and reopen a failed store without delay."""
     monkeypatch.setattr(module, "MOST_PER_ROUND", most)
-    monkeypatch.setattr(module, "RETRY_S", (retry_s, retry_s))
+    monkeypatch.setattr(module, "REOPEN_S", (retry_s, retry_s))
 
 
 def with_every_store(monkeypatch: pytest.MonkeyPatch, change: Callable[[Store], None]) -> None:

@@ -11,7 +11,7 @@ from plants.cabinet import Cabinet
 from plants.plant import plant
 
 from hygrokf.data.record import Record
-from hygrokf.transfer.baseline import HEAT, HYGRIC, THERMAL
+from hygrokf.transfer.baseline import HEAT_GROUP, HYGRIC_GROUP, THERMAL_GROUP
 
 DAY_S = 86400.0
 DAYS, HELD_OUT_DAYS = 60.0, 15.0
@@ -19,13 +19,13 @@ MOST_HEAT = 1.8
 """Largest factor of the heat release: twice as much heats a cabinet beyond what is built."""
 KINDS = (
     (),
-    (THERMAL,),
-    (HEAT,),
-    (HYGRIC,),
-    (THERMAL, HEAT),
-    (THERMAL, HYGRIC),
-    (HEAT, HYGRIC),
-    (THERMAL, HEAT, HYGRIC),
+    (THERMAL_GROUP,),
+    (HEAT_GROUP,),
+    (HYGRIC_GROUP,),
+    (THERMAL_GROUP, HEAT_GROUP),
+    (THERMAL_GROUP, HYGRIC_GROUP),
+    (HEAT_GROUP, HYGRIC_GROUP),
+    (THERMAL_GROUP, HEAT_GROUP, HYGRIC_GROUP),
 )
 """What differs; pairs that share everything and nothing come as often as all others together
 (`differing`)."""
@@ -67,15 +67,15 @@ def changed(
         return float(np.exp(random.choice([-1.0, 1.0]) * random.uniform(np.log(least), np.log(top))))
 
     thermal, heat, hygric = factor(most), factor(min(most, MOST_HEAT)), factor(most)
-    if THERMAL in groups:
+    if THERMAL_GROUP in groups:
         cabinet = replace(cabinet, heat_capacity=cabinet.heat_capacity * thermal)
-    if HEAT in groups:
+    if HEAT_GROUP in groups:
         cabinet = replace(
             cabinet,
             operation_W=tuple(heat * part for part in cabinet.operation_W),
             standstill_W=tuple(heat * part for part in cabinet.standstill_W),
         )
-    if HYGRIC in groups:
+    if HYGRIC_GROUP in groups:
         cabinet = replace(cabinet, gap=cabinet.gap / hygric)
     return cabinet
 

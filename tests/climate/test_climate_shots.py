@@ -14,8 +14,7 @@ from hygrokf.climate.ensemble import FEWEST_JUMPS, Shots, course, shot_statement
 from hygrokf.climate.region import driven
 from hygrokf.data.record import Record, Series
 from hygrokf.estimation.likelihood import Likelihood
-from hygrokf.evaluation.diagnosis import Diagnosis, OutputDiagnosis
-from hygrokf.evaluation.innovation_tests import diagnose
+from hygrokf.evaluation.innovation_tests import Diagnosis, OutputDiagnosis, diagnose
 from hygrokf.identification.fit import Fit
 from hygrokf.identification.fit_results import FitResults
 from hygrokf.modelling.inputs import model_inputs
@@ -98,9 +97,10 @@ def test_the_distance_of_shots_is_found_in_the_innovations(
     said = shot_statements((heat, vapour))
     rare = [(heat, heat_h), (vapour, vapour_h)]
     shots = [(one.name, one.every_h) for one, truth in rare if truth is not None]
-    assert len(said) == 1 and [
-        (one.values["balance"], one.values["hours"]) for one in said[0].values["shots"]
-    ] == shots
+    assert (
+        len(said) == 1
+        and [(one.values["balance"], one.values["hours"]) for one in said[0].values["shots"]] == shots
+    )
 
 
 def test_shots_are_not_rarer_than_the_fit_can_know() -> None:

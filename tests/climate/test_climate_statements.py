@@ -13,7 +13,7 @@ from builders.climate_case import climate_of, hourly_power, known_fit, made_up_w
 from builders.weather_case import epw_text
 
 from hygrokf.climate.chamber import Chamber, ProfileLength, ProfilePlan
-from hygrokf.climate.ensemble import WHOLE, years_of
+from hygrokf.climate.ensemble import WHOLE_SHARE, years_of
 from hygrokf.climate.limits import ClimateLimit
 from hygrokf.climate.region import read_region
 from hygrokf.climate.study import RegionClimate, profile_files
@@ -84,7 +84,7 @@ def test_years_far_apart_are_taken_and_those_between_told() -> None:
     weather = made_up_weather()
     region = climate_of(after(weather, moved(weather, 5 * 365.25)))
     assert [year.start[:4] for year in region.years] == ["2021", "2026"]
-    assert ClimateCode.YEARS_LEFT_OUT(left_out=4, years=6, share=WHOLE) in region.statements
+    assert ClimateCode.YEARS_LEFT_OUT(left_out=4, years=6, share=WHOLE_SHARE) in region.statements
     assert len(years_of(np.concatenate([np.arange(8766.0), np.arange(52600.0, 61300.0)]))) == 2
     unknown = replace(
         weather, series=tuple(replace(s, value=np.full(len(s.value), np.nan)) for s in weather.series)
@@ -156,9 +156,7 @@ def test_the_class_of_wetness_has_those_of_its_bounds() -> None:
     assert low <= region.wetness_class <= high and wet.lower <= wet.value <= wet.upper
 
 
-@pytest.mark.parametrize(
-    ("share", "code"), [(0.2, ClimateCode.OPERATES_LITTLE), (0.6, ClimateCode.OPERATES)]
-)
+@pytest.mark.parametrize(("share", "code"), [(0.2, ClimateCode.OPERATES_LITTLE), (0.6, ClimateCode.OPERATES)])
 def test_little_operation_is_doubted(share: float, code: ClimateCode) -> None:
     weather = made_up_weather(40)
     value = np.where(np.arange(len(weather["wind_speed"].time)) % 10 < 10 * share, 2e6, 0.0)

@@ -139,7 +139,7 @@ def test_fit_json_has_the_keys_that_others_rely_on(fitted):
 
 def test_fit_as_json_is_what_it_writes(folder, monkeypatch):
     stored = replace(read_fit(folder / "result"), series=read_series(folder / "result"))
-    monkeypatch.setattr("hygrokf.commands.fit_commands.fit_of", lambda *_: stored)
+    monkeypatch.setattr("hygrokf.commands.fit_commands.case_fit", lambda *_: stored)
     monkeypatch.setattr("hygrokf.report.fit_page.write_report", lambda out: out / "report.html")
     said = run("fit case.toml --out made/here --json")
     assert said.status == 0
@@ -206,7 +206,7 @@ def test_evaluate_notes_another_rated_power(folder):
 
 
 def test_fit_says_whose_fit_it_replaces(folder, monkeypatch):
-    monkeypatch.setattr("hygrokf.commands.fit_commands.fit_of", lambda *_: read_fit(folder / "result"))
+    monkeypatch.setattr("hygrokf.commands.fit_commands.case_fit", lambda *_: read_fit(folder / "result"))
     monkeypatch.setattr(
         "hygrokf.commands.fit_commands.write_fit_and_page", lambda fit, out: out / "report.html"
     )

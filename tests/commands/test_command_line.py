@@ -39,7 +39,7 @@ def test_quiet_leaves_the_result_alone(folder):
 
 
 def test_quiet_keeps_notes_and_the_path_of_the_report_back(folder, monkeypatch):
-    monkeypatch.setattr("hygrokf.commands.fit_commands.fit_of", lambda *_: _stored(folder))
+    monkeypatch.setattr("hygrokf.commands.fit_commands.case_fit", lambda *_: _stored(folder))
     monkeypatch.setattr("hygrokf.report.fit_page.write_report", lambda out: out / "report.html")
     assert "report: " in run("fit case.toml --out result").err
     assert run("fit case.toml --out result -q").err == ""

@@ -10,7 +10,7 @@ import pytest
 from builders.command_line import run
 
 from hygrokf.cases.synthetic import synthetic_turbine, write_case
-from hygrokf.discovery.discover import BUDGET
+from hygrokf.discovery.discover import MOST_SIMULATIONS
 from hygrokf.identification.fit import read_fit
 from hygrokf.modelling.library import LIBRARY
 
@@ -30,7 +30,7 @@ def test_a_case_becomes_a_discovery(case: Path, tmp_path: Path, monkeypatch: pyt
     assert data["provenance"] == "synthetic"
     assert data["verdict"] in ("none", "unexplained") and data["causes"] == []
     assert {row["cause"] for row in data["rejected"]} == {cause.name for cause in few.causes}
-    assert data["work"]["budget"] == BUDGET > data["work"]["simulations"] > 0
+    assert data["work"]["budget"] == MOST_SIMULATIONS > data["work"]["simulations"] > 0
     assert data["extended"] is None and data["baseline"]["rmse"]["identification"]
     page = (tmp_path / "made" / "report.html").read_text(encoding="utf-8")
     assert data["name"] in page and "is left out" not in page
@@ -73,4 +73,4 @@ def test_a_budget_that_is_no_number_of_simulations_is_told(text: str, tmp_path: 
 
 
 def test_the_help_states_the_budget_of_the_package() -> None:
-    assert f"(default: {BUDGET})" in " ".join(run("discover --help").out.split())
+    assert f"(default: {MOST_SIMULATIONS})" in " ".join(run("discover --help").out.split())

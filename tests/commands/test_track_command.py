@@ -355,7 +355,7 @@ def test_the_demo_finds_and_names_what_changed(tmp_path: Path, monkeypatch: pyte
     monkeypatch.setattr(service, "TICK_S", math.inf)
     turbines, record, live_s = defaults.demo_turbines(tmp_path)
     record = record.window(record.start_s, live_s + 11.0 * 86400.0)
-    assert list(turbines) == list(defaults.NAMES) and len(turbines) == 3
+    assert list(turbines) == list(defaults.TURBINE_NAMES) and len(turbines) == 3
     assert defaults.demo_stream(record, live_s, 0.0).label.startswith("Demo: ")  # what the page marks it with
     url = f"sqlite:{tmp_path / 'live.db'}"
     Service(turbines, [defaults.demo_stream(record, live_s, 0.0)], url).run(until_ended=True)
@@ -368,13 +368,13 @@ def test_the_demo_finds_and_names_what_changed(tmp_path: Path, monkeypatch: pyte
     finally:
         store.close()
     assert {(turbine, kind) for turbine, kind, *_ in alarms} == {
-        (name, "cabinet changed") for name in list(defaults.NAMES)[:2]
+        (name, "cabinet changed") for name in list(defaults.TURBINE_NAMES)[:2]
     }
     for _, _, statement, remedy, began in alarms:
         assert "loses its heat more slowly: thermal time constant +" in statement and "filters" in remedy
         assert began > live_s + 3.0 * 86400.0
-    assert set(forecasts) == set(defaults.NAMES) and min(forecasts.values()) > 90
+    assert set(forecasts) == set(defaults.TURBINE_NAMES) and min(forecasts.values()) > 90
     assert len(seen) == 3
     # what is there from an earlier demo is used again
     monkeypatch.setattr(defaults, "identify", lambda *_, **__: pytest.fail("the model was identified again"))
-    assert list(defaults.demo_turbines(tmp_path)[0]) == list(defaults.NAMES)
+    assert list(defaults.demo_turbines(tmp_path)[0]) == list(defaults.TURBINE_NAMES)

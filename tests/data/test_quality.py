@@ -10,7 +10,7 @@ import pandas as pd
 import pytest
 
 from hygrokf.data.quality import (
-    UNSTATED,
+    UNSTATED_VOCABULARY,
     VOCABULARIES,
     StatedQuality,
     fitting,
@@ -37,7 +37,7 @@ SYMBOLS = {
               0xC0000000: "bad", "0x80340000": "bad"}),
         (WORDS, {1: "good", 0: "bad", 2: "ambiguous"}),
         (stated_vocabulary([100, "A"]), {100: "good", "a": "good", 0: "bad", "Good": "bad", 192: "bad"}),
-        (UNSTATED, {192: "good", 216: "good", 24: "bad", 64: "uncertain", 0x80340000: "bad",
+        (UNSTATED_VOCABULARY, {192: "good", 216: "good", 24: "bad", 64: "uncertain", 0x80340000: "bad",
                     0: "ambiguous", 1: "ambiguous", 100: "ambiguous", 0.97: "ambiguous"}),
     ],
     ids=["opc-da", "opc-ua", "words", "list", "unstated"],
@@ -59,10 +59,16 @@ def test_a_column_s_whole_evidence_tells_its_vocabulary() -> None:
     assert fitting([0, 0x80340000]) == fitting([0]) == ("opc-ua",)
     assert fitting([0, 1]) == fitting([1, "Good"]) == ("words",)
     assert fitting([0, 100]) == fitting(["Good", "Bad"]) == fitting([24]) == ()
-    for stated, marks in ((UNSTATED, [192, 24]), (DA, [0, 192]), (UNSTATED, ["Good", "Bad"])):
+    for stated, marks in (
+        (UNSTATED_VOCABULARY, [192, 24]),
+        (DA, [0, 192]),
+        (UNSTATED_VOCABULARY, ["Good", "Bad"]),
+    ):
         assert misfit(stated, marks) is None
-    assert 'state vocabulary = "opc-da", which fits 0, 24, 192' in misfit(UNSTATED, [192, 0, 24]).text
-    assert '"opc-da"' in misfit(UA, [0, 192]).text and "[1]" in misfit(UNSTATED, [0, 100]).text
+    assert (
+        'state vocabulary = "opc-da", which fits 0, 24, 192' in misfit(UNSTATED_VOCABULARY, [192, 0, 24]).text
+    )
+    assert '"opc-da"' in misfit(UA, [0, 192]).text and "[1]" in misfit(UNSTATED_VOCABULARY, [0, 100]).text
     assert misfit(stated_vocabulary([100]), [0, 100]) is None
 
 
@@ -112,6 +118,6 @@ def test_readings_are_judged_and_counted() -> None:
     ):
         found = stated.judged("T", "q", marks)
         assert found.usable.tolist() == [bool(one) for one in usable]
-        assert bool(found.doubt) is (stated.vocabulary is UNSTATED)
+        assert bool(found.doubt) is (stated.vocabulary is UNSTATED_VOCABULARY)
     (said,) = StatedQuality({"T": "q"}).judged("T", "q", marks).warnings
     assert said.endswith("1 bad left out, 1 uncertain used, 1 ambiguous left out")

@@ -15,13 +15,13 @@ from hypothesis import strategies as st
 
 from hygrokf.data import table_readers
 from hygrokf.data.columns import FileColumns, Notation, TableFault
-from hygrokf.data.numbers import UNKNOWN, Meaning
+from hygrokf.data.numbers import UNKNOWN_MEANING, Meaning
 
 BASE = 1577836800.0  # 2020-01-01T00:00Z
 
 
 def read_table(path: Path, columns: list[str], time: str, meanings=None, **stated) -> FileColumns:
-    of_columns = dict.fromkeys(columns, UNKNOWN) | (meanings or {})
+    of_columns = dict.fromkeys(columns, UNKNOWN_MEANING) | (meanings or {})
     return table_readers.read_table(path, of_columns, time, Notation(**stated))
 
 

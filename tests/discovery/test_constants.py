@@ -100,14 +100,15 @@ def test_few_constants_decide_and_each_has_a_reason() -> None:
 
 
 def test_a_constant_that_is_missing_or_stale_is_found() -> None:
-    text = "| `search`: `FURTHER=12` | a |\n| `error_model`: `TIMES_H=(1,2/3)`, `LEAST`, `GONE=2` | b |\n"
+    text = "| `search`: `FURTHER_EVIDENCE=12` | a |\n"
+    text += "| `error_model`: `TIMES_H=(1,2/3)`, `SEEN`, `GONE=2` | b |\n"
     told = of_page(text)
     assert told == {
-        ("search", "FURTHER"): 12.0, ("error_model", "TIMES_H"): (1.0, 2 / 3),
-        ("error_model", "LEAST"): None, ("error_model", "GONE"): 2.0,
+        ("search", "FURTHER_EVIDENCE"): 12.0, ("error_model", "TIMES_H"): (1.0, 2 / 3),
+        ("error_model", "SEEN"): None, ("error_model", "GONE"): 2.0,
     }  # fmt: skip
     code = of_code()
-    assert code["search", "FURTHER"] == search.FURTHER != told["search", "FURTHER"]
+    assert code["search", "FURTHER_EVIDENCE"] == search.FURTHER_EVIDENCE != told["search", "FURTHER_EVIDENCE"]
     assert code["error_model", "TIMES_H"] == error_model.TIMES_H
     assert ("error_model", "GONE") not in code and ("search", "SENSOR") not in code
     assert assigned("A, b = 1, 2\nC: int = 3\n_D = 4\nE += 5\ndef f():\n    G = 1\n") == {"A", "C", "_D", "E"}

@@ -15,7 +15,7 @@ from scipy.linalg import expm, solve_continuous_lyapunov
 from hygrokf.discovery import error_model
 from hygrokf.discovery.error_model import (
     HUBER,
-    LEAST,
+    LEAST_VARIANCE,
     TIMES_H,
     VARIANCES,
     Filtered,
@@ -34,8 +34,8 @@ from hygrokf.estimation.likelihood import Likelihood
 from hygrokf.physics.mechanisms import linear_network
 from hygrokf.physics.model import compose
 from hygrokf.physics.parameters import Parameter
+from hygrokf.texts.parts import PARTS
 
-PARTS = len(TIMES_H)
 TIMES = np.array(TIMES_H)
 EVERY = np.ones(PARTS, bool)
 KNOWN = np.array([0.04, 0.3, 0.2, 0.5, 0.4, 0.3, 0.2])
@@ -328,10 +328,12 @@ def test_maximised_variances_stay_within_their_bounds_and_gain(seed):
     for start in (None, KNOWN, np.zeros(VARIANCES), np.full(VARIANCES, 1e6)):
         found = maximised(where, error, start)
         there = np.append([True, True], where.there)
-        assert (found[there] >= LEAST * upper[there] * (1.0 - 1e-9)).all()
+        assert (found[there] >= LEAST_VARIANCE * upper[there] * (1.0 - 1e-9)).all()
         assert (found <= upper * (1.0 + 1e-9)).all()
         assert not found[~there].any()
-        begun = np.clip(start_variances(where, error) if start is None else start, LEAST * upper, upper)
+        begun = np.clip(
+            start_variances(where, error) if start is None else start, LEAST_VARIANCE * upper, upper
+        )
         begun = np.where(there, begun, 0.0)
         assert filtered(where, found, error).deviance <= filtered(where, begun, error).deviance
 

@@ -19,7 +19,7 @@ from hygrokf.data.record import Record
 from hygrokf.data.structured import plain
 from hygrokf.discovery.conditions import LONG_STOPS, conditions
 from hygrokf.discovery.discovery_results import Finding
-from hygrokf.discovery.findings import MATERIAL, findings
+from hygrokf.discovery.findings import MATERIAL_SHARE, findings
 from hygrokf.discovery.residuals import Residuals, binned, closed, duration_h, residuals, run_lengths
 from hygrokf.identification.fit import Fit
 from hygrokf.report.figures.drawing import NothingToShow, inline_svg, png
@@ -244,7 +244,7 @@ def test_two_effects_are_told_both_the_worse_first() -> None:
 def test_what_is_significant_but_small_is_not_told() -> None:
     """A clock of a twelfth of the RMSE over two years: sure, and not worth having."""
     base = made(7, days=240)
-    wave = 0.14 * MATERIAL * 1.5 * 4.0 * np.sin(base.time_h / 12.0 * math.pi)
+    wave = 0.14 * MATERIAL_SHARE * 1.5 * 4.0 * np.sin(base.time_h / 12.0 * math.pi)
     assert findings(with_effect(base, "temperature", wave)) == []
     assert findings(with_effect(base, "temperature", 5.0 * wave))
 

@@ -31,7 +31,7 @@ from hygrokf.data.timestamps import DAY_S, HOUR_S
 from hygrokf.discovery.discover import WET_SENSOR, confidence, discover
 from hygrokf.discovery.discovery_results import Discovery, DiscoveryResults
 from hygrokf.discovery.estimate import Calibration
-from hygrokf.discovery.final_set import FinalSet, final_set, fit_of, without_input
+from hygrokf.discovery.final_set import FinalSet, final_fit, final_set, without_input
 from hygrokf.discovery.own_causes import IDENTIFIER
 from hygrokf.discovery.screening import parent_of, screened
 from hygrokf.discovery.starting_model import base_designs, base_estimate
@@ -166,7 +166,7 @@ def test_the_ambient_humidity_may_be_off_by_the_accuracy_that_the_cabinets_senso
 def test_nothing_rests_on_an_error_of_the_humidity_sensor_that_may_be_water(
     humid: Record, likeliest: FinalSet
 ) -> None:
-    fit = fit_of(humid, likeliest, against=(WET_SENSOR,))
+    fit = final_fit(humid, likeliest, against=(WET_SENSOR,))
     assert fit.results.time_constants["hygric"].verdict == REJECT
     (statement,) = rests_on(inherited(fit.results))
     assert statement == VerdictCode.RESTS_ON_REJECTED(parts=("hygric",), count=1)

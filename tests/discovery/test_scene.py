@@ -16,11 +16,11 @@ from scipy.integrate import quad
 
 from hygrokf.data.record import Record, Series
 from hygrokf.data.shared_clocks import Shift
-from hygrokf.discovery.scene import PARTS, UNKNOWN_K, Scene, driven, over_cells, scene_of
+from hygrokf.discovery.scene import CELL_PARTS, UNKNOWN_K, Scene, driven, over_cells, scene_of
 from hygrokf.discovery.starting_model import base_estimate, free_run_error
-from hygrokf.engine.cell_loop import TEMPERATURE
 from hygrokf.modelling.design import CASCADE, design
 from hygrokf.physics.psychrometrics import absolute_humidity
+from hygrokf.physics.signal_names import CABINET_TEMPERATURE
 
 START_S = 1_700_000_100.0
 DAYS = 12.0
@@ -127,17 +127,17 @@ def test_a_held_input_has_the_means_of_its_steps(hold):
     on = np.append(0.0, np.cumsum(600.0 * (power(stamps[1:]) > 0.0)))
     expected = np.diff(np.interp(edges, stamps, on)) / np.diff(edges)
     inside = edges[1:] <= stamps[-1] - 600.0
-    assert np.abs(found - expected)[inside].max() <= 1.0 / PARTS + 1e-9
-    assert abs((found - expected)[inside].mean()) < 0.1 / PARTS
+    assert np.abs(found - expected)[inside].max() <= 1.0 / CELL_PARTS + 1e-9
+    assert abs((found - expected)[inside].mean()) < 0.1 / CELL_PARTS
 
 
 def test_cells_of_values_at_the_edges_of_parts():
-    value = np.arange(2.0 * PARTS + 1.0)
+    value = np.arange(2.0 * CELL_PARTS + 1.0)
     means, edges = over_cells(value, True)
-    assert_allclose(means, [PARTS / 2.0, 1.5 * PARTS])
-    assert_allclose(edges, [0.0, PARTS, 2.0 * PARTS])
+    assert_allclose(means, [CELL_PARTS / 2.0, 1.5 * CELL_PARTS])
+    assert_allclose(edges, [0.0, CELL_PARTS, 2.0 * CELL_PARTS])
     means, edges = over_cells(value, False)
-    assert_allclose(means, [(PARTS + 1.0) / 2.0, (3.0 * PARTS + 1.0) / 2.0])
+    assert_allclose(means, [(CELL_PARTS + 1.0) / 2.0, (3.0 * CELL_PARTS + 1.0) / 2.0])
     assert_allclose(edges, [means[0], *means])
 
 
@@ -220,7 +220,7 @@ def test_readings_at_the_ends_of_the_sensors_range_are_left_out():
 def test_a_moved_source_shifts_its_inputs_and_nothing_else():
     one = scene(record())
     later = one.moved(Shift("SCADA", 1800.0))
-    names = ("ambient_temperature", "operating", TEMPERATURE)
+    names = ("ambient_temperature", "operating", CABINET_TEMPERATURE)
     before, after = (x.cells(names, (one.heat, one.vapour)).means for x in (one, later))  # type: ignore[arg-type]
     shift = round(1800.0 / (one.cell_h * HOUR_S))
     for c in (0, 1):
@@ -241,7 +241,7 @@ def test_a_moved_logger_shifts_its_readings():
         assert_allclose(later.readings[q].end, one.readings[q].end + shift)
         assert_allclose(later.readings[q].begin, one.readings[q].begin + shift)
         assert later.readings[q].value is one.readings[q].value
-    drive = [x.cells((TEMPERATURE,), (one.heat,)).means[:, 0] for x in (one, later)]
+    drive = [x.cells((CABINET_TEMPERATURE,), (one.heat,)).means[:, 0] for x in (one, later)]
     assert_allclose(drive[1][5:], drive[0][5 - round(shift) : -round(shift)], rtol=0, atol=1e-9)
 
 

@@ -14,7 +14,7 @@ from plants.plant import Plant
 
 from hygrokf.discovery.discover import lines
 from hygrokf.discovery.estimate import Calibration
-from hygrokf.discovery.final_set import FinalSet, final_estimator, final_set, fit_of
+from hygrokf.discovery.final_set import FinalSet, final_estimator, final_fit, final_set
 from hygrokf.discovery.judgement import LEAST_IMPROVEMENT, Scores, judged, levelled, scores
 from hygrokf.discovery.search import Search, composed
 from hygrokf.discovery.starting_model import base_estimate, free_run_error, update_error_models
@@ -88,7 +88,7 @@ def test_base_and_final_set_hold_the_plants_time_constants(nothing: Run, sunny: 
 
 
 def test_a_final_set_is_a_fit_with_its_numbers(sunny: Run, final: FinalSet) -> None:
-    fit = fit_of(sunny[1].base.simulator.scene.record, final)
+    fit = final_fit(sunny[1].base.simulator.scene.record, final)
     assert fit.results.criterion == final.estimator
     for name in ("thermal_time_constant", "solar_heat", "hygric_k"):
         assert fit.values[name] == pytest.approx(final.estimate.values[name], rel=1e-12)

@@ -468,9 +468,7 @@ def test_a_cabinet_faster_than_its_logger_is_at_most_x() -> None:
 
 def test_a_record_that_tells_little_says_so_by_name() -> None:
     """A fast cabinet read once an hour by imperfect sensors: what it cannot tell has a name."""
-    one, truth = cabinet(
-        tau_h=0.1, rho=0.75, logger_step_min=60.0, ambient_step_min=60, sensor_errors="all"
-    )
+    one, truth = cabinet(tau_h=0.1, rho=0.75, logger_step_min=60.0, ambient_step_min=60, sensor_errors="all")
     ratio = one.profile("resistance_ratio")
     assert ratio.upper == 1.0 and ratio.lower < truth.rho
     at_least = FitCode.AT_LEAST(bound=ratio.lower, unit="1")

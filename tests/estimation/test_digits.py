@@ -15,7 +15,10 @@ import pytest
 from builders.many_digits import decay, filtered, trend
 from builders.scores import check_score
 
+from hygrokf.engine.gaps import widened, widened_slopes
+from hygrokf.engine.square_root import factored, factored_slopes
 from hygrokf.engine.timeline import timeline
+from hygrokf.engine.traced_filter import Recursion
 from hygrokf.estimation.inference import confidence_intervals
 from hygrokf.estimation.likelihood import Gaussian, Likelihood
 from hygrokf.estimation.moments import DigitsFault
@@ -300,3 +303,38 @@ def test_a_diffuse_start_is_not_exported_but_what_follows_is(thermal: object, ma
         np.testing.assert_allclose(made.x, trace.mean[20 + k], rtol=1e-9, atol=1e-8)
     first = replace(diffuse, timeline=line.window(0, 20)).value(values)
     assert total + first == pytest.approx(diffuse.value(values), abs=1e-7)
+
+
+# -- derivatives of factors ----------------------------------------------------------------------------------
+@pytest.mark.parametrize("rank", [4, 2])
+def test_slopes_of_factors_are_central_differences(rank: int) -> None:
+    """Of a covariance of full rank, and of one with states that are known exactly."""
+    random = np.random.default_rng(rank)
+    known = np.zeros((4, 4))
+    known[[0, 2, 1, 3][:rank], [0, 2, 1, 3][:rank]] = 1.0
+    roots = [known @ random.normal(size=(4, 4)) for _ in range(4)]
+    covariance, *slopes = [root @ root.T for root in roots]
+    step = 1e-5
+    expected = [
+        (factored(covariance + step * slope) - factored(covariance - step * slope)) / (2 * step)
+        for slope in slopes
+    ]
+    found = factored_slopes(covariance, np.array(slopes))
+    np.testing.assert_allclose(found, expected, rtol=1e-6, atol=1e-6 * np.abs(expected).max())
+
+
+@pytest.mark.parametrize("is_factored", [True, False])
+def test_slopes_of_widened_moments_are_central_differences(averaged: object, is_factored: bool) -> None:
+    """With a running mean, whose row of the factor has a diagonal of its own."""
+    recursion = Recursion(averaged.model, 1, is_factored)
+    random = np.random.default_rng(3)
+    root, added = random.normal(size=(recursion.n, recursion.n)), random.uniform(0.1, 1.0, recursion.n)
+    state = recursion.packed_moments(random.normal(size=recursion.n), root @ root.T)
+    state[recursion.loaded :] = random.normal(size=len(state) - recursion.loaded)
+    step = 1e-5
+    expected = [
+        (widened(recursion, state + move, added) - widened(recursion, state - move, added)) / (2 * step)
+        for move in step * np.eye(len(state))
+    ]
+    found = widened_slopes(recursion, state, added)
+    np.testing.assert_allclose(found, expected, rtol=1e-5, atol=1e-6 * np.abs(expected).max())

@@ -15,7 +15,7 @@ from hygrokf.engine.timeline import timeline
 from hygrokf.estimation import profile_likelihood
 from hygrokf.estimation.confidence import uncertainty, wald_bounds
 from hygrokf.estimation.inference import (
-    METHODS,
+    BOUND_METHODS,
     confidence_intervals,
     modal_time_constants,
     parameter_table,
@@ -370,7 +370,7 @@ def test_nothing_depends_on_the_unit_of_time() -> None:
 
     def bounds(hours: float) -> dict:
         case = in_units(hours)
-        found = {m: confidence_intervals(*case, method=m) for m in METHODS}
+        found = {m: confidence_intervals(*case, method=m) for m in BOUND_METHODS}
         ends = {
             (m, n): np.array([b.lower, b.upper]) / hours ** powers[n]
             for m, each in found.items()

@@ -14,7 +14,7 @@ from hygrokf.engine.timeline import timeline
 from hygrokf.estimation import optimiser
 from hygrokf.estimation.likelihood import Likelihood
 from hygrokf.estimation.optimiser import (
-    BETTER,
+    BETTER_GAIN,
     Objective,
     Optimum,
     bounded_step,
@@ -187,7 +187,7 @@ def test_a_model_starts_from_one_that_it_contains() -> None:
     parent = fit_mle(hills(), {"mean": 1.0}, count=1)
     larger = hills(shift=True)
     cold = fit_mle(larger, count=1)
-    assert cold.values["mean"] < 0 and cold.objective < parent.objective - BETTER  # the wrong hill
+    assert cold.values["mean"] < 0 and cold.objective < parent.objective - BETTER_GAIN  # the wrong hill
     nested = fit_mle(larger, count=1, parents=[parent])
     assert nested.converged and nested.objective >= parent.objective
     assert nested.values["mean"] == pytest.approx(parent.values["mean"], abs=0.05)

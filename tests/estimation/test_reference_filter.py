@@ -12,7 +12,7 @@ from plants import plant
 from plants.as_record import to_record
 
 from hygrokf.data.record import Record
-from hygrokf.engine.schedule import TOLERANCE
+from hygrokf.engine.schedule import STEP_TOLERANCE
 from hygrokf.estimation.likelihood import Likelihood
 from hygrokf.estimation.reference_filter import reference_filter
 from hygrokf.modelling.design import design
@@ -26,7 +26,7 @@ def cabinet() -> Record:
 
 
 def case(
-    kind: str, count: int, step: float = TOLERANCE, wrong: tuple[int, ...] = ()
+    kind: str, count: int, step: float = STEP_TOLERANCE, wrong: tuple[int, ...] = ()
 ) -> tuple[Likelihood, dict[str, float]]:
     """A likelihood and parameter values; `wrong`: instants whose readings are far off."""
     record = cabinet()
@@ -42,9 +42,9 @@ def case(
 @pytest.mark.parametrize(
     ("kind", "step", "tolerance"),
     [
-        ("thermal", TOLERANCE, 1e-9),  # linear: the compiled steps are exact
+        ("thermal", STEP_TOLERANCE, 1e-9),  # linear: the compiled steps are exact
         ("joint", 1e-12, 1e-9),  # short sub-steps
-        ("joint", TOLERANCE, 1e-6),  # ordinary sub-steps
+        ("joint", STEP_TOLERANCE, 1e-6),  # ordinary sub-steps
     ],
 )
 def test_the_compiled_filter_is_the_plain_one(kind, step, tolerance):

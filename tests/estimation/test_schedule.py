@@ -16,12 +16,12 @@ from scipy.integrate import solve_ivp
 from hygrokf.engine.timeline import timeline
 from hygrokf.estimation.inference import confidence_intervals
 from hygrokf.estimation.likelihood import Likelihood, RatesFault
-from hygrokf.estimation.optimiser import fit_mle
+from hygrokf.estimation.optimiser import Objective, changes_by_halving, climb, fit_mle
 from hygrokf.estimation.reference_filter import reference_filter
 from hygrokf.physics.expression import where
 from hygrokf.physics.mechanisms import linear_network
 from hygrokf.physics.model import Model, compose
-from hygrokf.physics.parameters import Parameter
+from hygrokf.physics.parameters import Coordinates, Parameter
 from hygrokf.texts.fit_codes import FitCode
 
 
@@ -193,9 +193,24 @@ def test_a_schedule_is_a_value(joint: object) -> None:
     assert held.value(moved) == pytest.approx(joint.likelihood.value(moved), abs=1e-4)
     finer = replace(joint.likelihood, tolerance=1e-10)
     assert held.value(joint.values) == pytest.approx(finer.value(joint.values), abs=1e-5)
-    assert held.discretisation_error(joint.values) < 1e-5
+    assert held.halved(joint.values).value(joint.values) == pytest.approx(held.value(joint.values), abs=1e-5)
     with pytest.raises(ValueError, match="expected the sub-steps of 10 instants, found those of"):
         replace(held, timeline=joint.timeline.window(0, 10))
+
+
+def test_the_shift_by_halved_sub_steps_is_that_of_a_refit() -> None:
+    """Far shorter sub-steps move the estimate by as much as its score and curvature promise."""
+    likelihood = replace(cubic(44), tolerance=0.1)
+    objective = Objective(likelihood, Coordinates(likelihood.parameters))
+    optimum = climb(objective, objective.coordinates.start({"s": 0.05, "r": 0.02}))
+    change, shift = changes_by_halving(objective, optimum)
+    exact = Objective(replace(likelihood, tolerance=1e-9), objective.coordinates)
+    refitted = climb(exact, optimum.z, tolerance=1e-13)
+    moved, curvature = refitted.z - optimum.z, exact.information(refitted.z).information
+    # half the length removes 15/16 of a fourth-order error
+    assert shift == pytest.approx(math.sqrt(moved @ curvature @ moved), rel=0.2)
+    assert change == pytest.approx(abs(exact.value(optimum.z) - optimum.objective), rel=0.2)
+    assert 1e-4 < shift < change
 
 
 def test_a_coarse_tolerance_is_told() -> None:
@@ -207,4 +222,4 @@ def test_a_coarse_tolerance_is_told() -> None:
 def test_an_exact_model_has_no_schedule(thermal: object) -> None:
     likelihood = thermal.likelihood
     assert likelihood.scheduled(thermal.values) is likelihood
-    assert likelihood.discretisation_error(thermal.values) == 0.0
+    assert likelihood.halved(thermal.values) is likelihood

@@ -9,7 +9,6 @@ import pytest
 from scipy.optimize import brentq
 
 from hygrokf.engine.timeline import timeline
-from hygrokf.engine.traced_filter import traced
 from hygrokf.estimation.likelihood import Likelihood
 from hygrokf.estimation.start import prior, prior_slopes, stationary, stationary_with_slopes
 from hygrokf.physics.expression import exp
@@ -53,7 +52,7 @@ def test_a_nonlinear_steady_state_and_its_slopes() -> None:
     """Against a bracketed root, and Richardson's differences of it, which have ten digits; Newton's steps end
     where one moves the mean by less than 1e-13 of it."""
     model = radiating()
-    found, slopes = stationary_with_slopes(model, traced(model), VALUES, {"u": 3.0})
+    found, slopes = stationary_with_slopes(model, VALUES, {"u": 3.0})
     np.testing.assert_allclose(packed(found.mean, found.covariance), steady(VALUES, 3.0), rtol=1e-12)
     for i, (name, value) in enumerate(VALUES.items()):
         h = 2e-3 * value
@@ -104,4 +103,4 @@ def test_no_steady_state_is_said() -> None:
     )  # fmt: skip
     model = compose([grows])
     with pytest.raises(ValueError, match="no stationary state"):
-        stationary(model, traced(model), {"q": 1.0}, {})
+        stationary(model, {"q": 1.0}, {})

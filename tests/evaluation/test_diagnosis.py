@@ -11,8 +11,14 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from hygrokf.data.structured import plain, structured
-from hygrokf.evaluation.diagnosis import Diagnosis, InnovationTest
-from hygrokf.evaluation.innovation_tests import FEWEST_READINGS, POINTS, diagnose, whitened
+from hygrokf.evaluation.innovation_tests import (
+    FEWEST_DIAGNOSED,
+    MOST_POINTS,
+    Diagnosis,
+    InnovationTest,
+    diagnose,
+    whitened,
+)
 from hygrokf.texts.fit_codes import FitCode
 
 STEP_H = 0.25
@@ -292,7 +298,7 @@ def test_the_result_is_plain_json() -> None:
     assert found.outputs["other"].remark == FitCode.CONSTANT_INNOVATIONS(output="other")
 
 
-@pytest.mark.parametrize("n", [0, 1, 2, FEWEST_READINGS - 1])
+@pytest.mark.parametrize("n", [0, 1, 2, FEWEST_DIAGNOSED - 1])
 def test_few_readings_give_a_statement_and_no_test(n: int) -> None:
     e = np.full(200, np.nan)
     e[:n] = _white(21, n)
@@ -344,7 +350,7 @@ def test_a_minute_logger_gives_short_lists_that_keep_the_extremes() -> None:
         for values in vars(part).values()
         if isinstance(values, tuple)
     ]
-    assert lists and all(len(v) <= POINTS for v in lists)
+    assert lists and all(len(v) <= MOST_POINTS for v in lists)
     assert crossed.lag_h[int(np.argmax(crossed.value))] == pytest.approx(777 / 60.0, rel=1e-5)
     assert list(crossed.lag_h) == sorted(crossed.lag_h)
 

@@ -29,7 +29,7 @@ from hygrokf.data.structured import structured
 from hygrokf.data.toml_form import keys_of
 from hygrokf.fleet import job as job_module
 from hygrokf.fleet.fleet_plan import read_plan
-from hygrokf.fleet.fleet_results import columns_of, table_csv, table_parquet
+from hygrokf.fleet.fleet_results import table_csv, table_parquet, task_columns
 from hygrokf.fleet.job import FleetFault, Job, content_key, perform, stored_row
 from hygrokf.fleet.running import batches, in_processes, on_cluster
 from hygrokf.fleet.tasks import TASKS
@@ -498,7 +498,7 @@ def test_both_tables_say_the_same(serial: tuple[Path, str], tmp_path: Path) -> N
     file = tmp_path / "fleet.parquet"
     file.write_bytes(table_parquet("fit", rows))
     read = parquet.read_table(file)
-    assert read.column_names == list(columns_of("fit")) == serial[1].split("\n")[0].split(",")
+    assert read.column_names == list(task_columns("fit")) == serial[1].split("\n")[0].split(",")
     for name, line in zip(("T1", "T3"), (read.to_pylist()[0], read.to_pylist()[2]), strict=True):
         for column, text in rows_of(serial[1])[name].items():
             value = line[column]

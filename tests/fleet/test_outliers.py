@@ -11,7 +11,7 @@ from builders.fleet_case import departing_rows
 
 from hygrokf.fleet import running
 from hygrokf.fleet.fleet_plan import FleetPlan
-from hygrokf.fleet.outliers import FEWEST_JUDGED, REACH, spread, spreads
+from hygrokf.fleet.outliers import FEWEST_JUDGED, INTERVAL_SD, spread, spreads
 from hygrokf.fleet.tasks import Compared
 
 
@@ -20,7 +20,7 @@ def made_rows(random: np.random.Generator, count: int, between: float, error: np
     return [
         {
             "turbine": f"W{i}", "status": "done", "v": float(np.exp(a)),
-            "l": float(np.exp(a - REACH * e)), "u": float(np.exp(a + REACH * e)),
+            "l": float(np.exp(a - INTERVAL_SD * e)), "u": float(np.exp(a + INTERVAL_SD * e)),
         }
         for i, (a, e) in enumerate(zip(x, error, strict=True))
     ]  # fmt: skip

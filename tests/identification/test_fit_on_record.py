@@ -25,7 +25,7 @@ from hygrokf.data.structured import plain, structured
 from hygrokf.estimation.inference import confidence_intervals
 from hygrokf.estimation.smoother import smoothed_states
 from hygrokf.evaluation.prediction import forecast, innovations, simulate, smooth
-from hygrokf.evaluation.scoring import REGIMES, SCORED
+from hygrokf.evaluation.scoring import REGIMES
 from hygrokf.evaluation.simulation import Prediction, forecasts, free_run, measured, settled
 from hygrokf.identification import fit_on_record
 from hygrokf.identification.fit import Fit
@@ -44,7 +44,8 @@ from hygrokf.modelling.inputs import Run, model_inputs
 from hygrokf.report.blocks import Table
 from hygrokf.report.fit_tables import evaluation_blocks, evaluation_text
 from hygrokf.texts.fit_codes import FitCode
-from hygrokf.texts.wording import NONE, QUANTITIES, RULES
+from hygrokf.texts.parts import SCORED
+from hygrokf.texts.wording import NONE, QUANTITY_NAMES, RULE_NAMES
 
 HOUR = 3600.0
 DAY = 86400.0
@@ -357,14 +358,14 @@ def test_the_tables_show_every_score_under_its_label(found):
                     for regime in REGIMES
                     for value in (getattr(found.rule_errors(period, key, quantity), regime),)
                 ]
-                for key, words in RULES.items()
+                for key, words in RULE_NAMES.items()
             },
         }
         assert {label: list(rows[label]) for label in expected} == expected
     bands = shown["Readings inside the 95 % bands"].rows
     assert [row[0] for row in bands] == ["1 h ahead", "6 h ahead", "24 h ahead", "free run"]
     for row, lead in zip(bands, found.bands, strict=True):
-        for place, quantity in enumerate(QUANTITIES):
+        for place, quantity in enumerate(QUANTITY_NAMES):
             one = found.band(lead, quantity)
             cells = (f"{100 * one.coverage:.1f} %", f"{one.scale:.2f}", str(one.n))
             assert row[3 * place + 1 : 3 * place + 4] == cells

@@ -35,7 +35,7 @@ from hygrokf.identification.composition import (
 from hygrokf.identification.estimation import estimate_design, smoothed_temperature
 from hygrokf.identification.model_forms import (
     CONVECTION,
-    RESPONSE,
+    RESPONSE_FORM,
     SECOND,
     SECOND_MASS,
     _within_ranges,
@@ -160,7 +160,7 @@ def test_a_slow_humidity_sensor_is_told_from_a_slow_exchange(slow_sensor):
     fit, truth = slow_sensor
     entry = fit.results.time_constants["hygric"]
     weights = {form.form: form.weight for form in entry.forms}
-    assert sum(weight for form, weight in weights.items() if form.startswith(RESPONSE)) > 0.95
+    assert sum(weight for form, weight in weights.items() if form.startswith(RESPONSE_FORM)) > 0.95
     said = entry.response
     assert said.kind == "estimated"
     assert said.lower_minutes < truth.lags_s["cabinet_relative_humidity"] / 60.0 < said.upper_minutes
@@ -231,7 +231,7 @@ def test_the_forms_of_the_hygric_part_read_its_inputs_alone():
     base = design(record, kind="cascade")
     values = {p.name: p.start for p in base.model.parameters}
     tried = candidates(base, model_inputs(base, record), values)
-    assert [one.name for one in tried] == [RESPONSE, SECOND["vapour_disturbance"]]
+    assert [one.name for one in tried] == [RESPONSE_FORM, SECOND["vapour_disturbance"]]
     for one in tried:
         assert one.design.model.inputs == base.model.inputs
         assert one.design.model.outputs == base.model.outputs

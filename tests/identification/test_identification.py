@@ -18,7 +18,7 @@ from hygrokf.data.result_file import ResultFault, result_text
 from hygrokf.data.structured import plain
 from hygrokf.estimation.confidence import Limit, describe
 from hygrokf.estimation.likelihood import Likelihood
-from hygrokf.estimation.optimiser import BETTER, Objective
+from hygrokf.estimation.optimiser import BETTER_GAIN, Objective
 from hygrokf.identification.estimation import assess_stage, estimate_design, identify_stage
 from hygrokf.identification.fit import Fit, read_fit, write_fit
 from hygrokf.identification.identify import identify, shared_error, undetermined
@@ -146,7 +146,7 @@ def test_an_estimate_below_its_own_profile_is_climbed_on(record):
     }
     z = coordinates.start(off)
     objective = Objective(whole.likelihood, coordinates).value(z)
-    assert objective < whole.estimate.objective - BETTER
+    assert objective < whole.estimate.objective - BETTER_GAIN
     short = replace(whole, estimate=replace(whole.estimate, z=z, values=off, objective=objective))
     stage = assess_stage(short, True, print)
     assert stage.estimate.objective == pytest.approx(whole.estimate.objective, abs=1e-3)

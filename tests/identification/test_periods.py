@@ -14,7 +14,7 @@ from plants.as_record import to_record
 
 from hygrokf.data.record import Record, Series
 from hygrokf.identification.periods import (
-    ENOUGH,
+    ENOUGH_PERIODS,
     EPISODE_GAP_H,
     EPISODE_LONGEST_H,
     OPERATION,
@@ -321,7 +321,7 @@ def test_a_length_that_loses_the_range_of_power_is_shortened(count: int) -> None
     assert set(np.round(choice.periods.power, 2)) == {0.15, 0.85}
     # with 40 stretches only 20 are longer, too few by themselves; with 80 they would lose the high power
     whole = periods_of_length(changed, earliest_starts(changed, 3.0), OPERATION, 3.0)
-    assert (len(whole) >= ENOUGH[0]) == (count == 80)
+    assert (len(whole) >= ENOUGH_PERIODS[0]) == (count == 80)
     assert set(np.round(whole.power, 2)) == {0.15}
 
 

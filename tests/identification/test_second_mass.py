@@ -80,7 +80,7 @@ def test_the_second_mass_leaves_steady_states_alone_and_adds_a_pole() -> None:
     p |= {"wall_conductance": 0.5, "wall_time_constant": 10.0, "resistance_ratio": 0.8, "wall_position": 1.0}
     likelihood = Likelihood(model, model_inputs(base, record).timeline)
     u = likelihood.first_inputs()
-    mean = stationary(model, likelihood.recursion, p, u)[0].mean
+    mean = stationary(model, p, u)[0].mean
     state = dict(zip(model.states, mean, strict=True))
     release = (state["converter_temperature"] - u["ambient_temperature"]) * p["resistance_ratio"]
     air = u["ambient_temperature"] + release

@@ -415,7 +415,7 @@ def test_plain_data(scattered: HeatRelease, monkeypatch: pytest.MonkeyPatch) -> 
     assert len({len(column) for column in regime["points"].values()}) == 1
     assert regime["points"]["power"] == fit.points.power.tolist()
     assert data["statements"] == []
-    monkeypatch.setattr("hygrokf.identification.steady_state.MOST_POINTS", 50)
+    monkeypatch.setattr("hygrokf.identification.steady_state.MOST_REGIME_POINTS", 50)
     thinned = scattered.thinned().operation.points
     assert 25 <= len(thinned) <= 50
     np.testing.assert_array_equal(thinned.power, fit.points.power[:: -(-fit.n_points // 50)])

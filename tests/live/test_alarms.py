@@ -12,10 +12,10 @@ from builders.documents import document
 from hygrokf.identification.verdict_terms import Inherited
 from hygrokf.live import alarms
 from hygrokf.live.alarms import (
-    CHANGED,
+    ALARM_RULES,
+    CABINET_CHANGED,
     CHANGES,
     FROZEN_S,
-    RULES,
     SENSOR_OR_WATER,
     STUCK,
     SUSPECT,
@@ -57,7 +57,7 @@ def course(levels: list[tuple[float, float | None]], kind: str = "condensation")
     changes: list[Alarm] = []
     for minute, level in levels:
         told = [] if level is None else [Level(kind, level, (condensing(level),))]
-        known, changed = judge("T1", known, minute * MINUTE, told, RULES)
+        known, changed = judge("T1", known, minute * MINUTE, told, ALARM_RULES)
         changes += changed
     return known, changes
 
@@ -104,13 +104,13 @@ def test_a_late_delivery_goes_back_and_ends_only_what_began_before() -> None:
 
 def test_several_subjects_of_one_kind_stand_apart() -> None:
     two = [Level("clock wrong", 1.0, subject=subject) for subject in ("file:a", "file:b")]
-    known, changes = judge("T1", {}, 0.0, two, RULES)
+    known, changes = judge("T1", {}, 0.0, two, ALARM_RULES)
     assert changes == []
-    known, changes = judge("T1", known, 900.0, two, RULES)
+    known, changes = judge("T1", known, 900.0, two, ALARM_RULES)
     assert [one.id for one in changes] == ["T1:clock wrong file:a:0", "T1:clock wrong file:b:0"]
-    known, changes = judge("T1", known, 1200.0, two[:1], RULES)
+    known, changes = judge("T1", known, 1200.0, two[:1], ALARM_RULES)
     assert changes == []
-    known, changes = judge("T1", known, 2100.0, two[:1], RULES)
+    known, changes = judge("T1", known, 2100.0, two[:1], ALARM_RULES)
     assert [(one.id, one.ended) for one in changes] == [("T1:clock wrong file:b:0", 1200.0)]
 
 
@@ -147,7 +147,7 @@ def test_no_change_is_said_while_its_bounds_contain_zero() -> None:
     """What is open then stays open."""
     found = {"heat_release_change": ParameterShift("heat_release_change", 0.0, True, 2.25)}
     (unsure,) = said_of(found, CauseFinding(0.0, ""), {"heat_release_change": TrackedState(1.2, 0.7)})
-    assert CHANGED.off <= unsure.level < CHANGED.on
+    assert CABINET_CHANGED.off <= unsure.level < CABINET_CHANGED.on
     sensor = CauseFinding(0.0, "temperature_sensor", "temperature_reading_change", 0.4, 20.0, sd=0.3)
     (unsure,) = said_of(found, sensor, {})
     assert SUSPECT.off <= unsure.level < SUSPECT.on
@@ -208,7 +208,7 @@ def test_a_frozen_signal_is_named_whichever_it_is() -> None:
 
 
 def test_rules_can_end_what_they_begin() -> None:
-    assert all(rule.off < rule.on for rule in RULES.values())
+    assert all(rule.off < rule.on for rule in ALARM_RULES.values())
 
 
 def test_the_alarm_that_the_page_adds(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -222,7 +222,7 @@ def test_the_alarm_that_the_page_adds(monkeypatch: pytest.MonkeyPatch) -> None:
     space = {**vars(alarms), "ZERO_CELSIUS_K": ZERO_CELSIUS_K, "AlarmCode": codes}
     exec(levels.replace("\nAlarmRule(", "\nrule = AlarmRule("), space)
     hot = space["rule"]
-    monkeypatch.setattr(alarms, "RULES", {hot.kind: hot})
+    monkeypatch.setattr(alarms, "ALARM_RULES", {hot.kind: hot})
     air = Quantity(np.array([300.0, 324.15]), np.array([0.1, 0.1]))
     found = Condition(np.array([0.0, 600.0]), air, *[None] * 7)
     rejected = {part: Inherited(verdict=REJECT) for part in alarms.PARTS}
@@ -237,8 +237,11 @@ def test_the_alarm_that_the_page_adds(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_a_kind_may_begin_with_the_words_of_another(monkeypatch: pytest.MonkeyPatch) -> None:
     soon = replace(alarms.CONDENSATION, kind="condensation soon", severity="notice")
-    monkeypatch.setitem(alarms.RULES, soon.kind, soon)
+    monkeypatch.setitem(alarms.ALARM_RULES, soon.kind, soon)
     assert [one.severity for one in course([(0, 0.6), (20, 0.6)], soon.kind)[1]] == ["notice"]
     levels = [Level("condensation", 0.6), Level(soon.kind, 0.6)]
-    known, _ = judge("T1", {}, 0.0, levels, RULES)
-    assert {one.kind for one in judge("T1", known, 1200.0, levels, RULES)[1]} == {"condensation", soon.kind}
+    known, _ = judge("T1", {}, 0.0, levels, ALARM_RULES)
+    assert {one.kind for one in judge("T1", known, 1200.0, levels, ALARM_RULES)[1]} == {
+        "condensation",
+        soon.kind,
+    }

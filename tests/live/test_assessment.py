@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 
 from hygrokf.data.record import Record
-from hygrokf.live.alarms import RULES
+from hygrokf.live.alarms import ALARM_RULES
 from hygrokf.live.assessment import Facts, Outlook, assess
-from hygrokf.live.batch import Alarm, Batch, content_of, text_of
+from hygrokf.live.batch import Alarm, Batch, stated_content, stated_text
 from hygrokf.live.condition import Condition
 from hygrokf.live.forecast import Forecast
-from hygrokf.live.plan import AMBIENT_HUMIDITIES, Need
+from hygrokf.live.plan import Need
 from hygrokf.live.sources.local import record_messages
 from hygrokf.live.sources.payload import PayloadMapping
 from hygrokf.live.sources.stream import Delivery
@@ -24,6 +24,7 @@ from hygrokf.live.storage.store import Store
 from hygrokf.live.tracker import Reading, Tracker
 from hygrokf.live.turbines import Fleet, Turbine
 from hygrokf.live.web.views import fleet_view, turbine_view
+from hygrokf.physics.signal_names import AMBIENT_HUMIDITIES
 from hygrokf.texts.live_codes import AlarmCode, BasisCode
 
 RECORD = {"seed": 7, "days": 2.0}
@@ -35,7 +36,7 @@ NEED = Need(AMBIENT_HUMIDITIES, True)
 
 
 def alarm(kind: str, severity: str = "warning") -> Alarm:
-    content = content_of((AlarmCode.NOTHING_ARRIVES(age_h=2.5),))
+    content = stated_content((AlarmCode.NOTHING_ARRIVES(age_h=2.5),))
     return Alarm(f"T1:{kind}:0", "T1", kind, severity, NOW, "", "", content=content)
 
 
@@ -89,7 +90,7 @@ def coming(*chances: float) -> Outlook:
 )
 def test_states(changed: dict, state: str, words: str) -> None:
     found, statements = assess(known(**changed), NOW)
-    assert found == state and words in text_of(statements) and statements
+    assert found == state and words in stated_text(statements) and statements
 
 
 def test_every_state_and_no_null_is_ok() -> None:
@@ -99,7 +100,7 @@ def test_every_state_and_no_null_is_ok() -> None:
         "standstill": (False, True),
         "estimate_s": (None, NOW, NOW - 9.0 * HOUR_S),
         "outlook": (None, coming(0.0, 0.1)),
-        "alarms": ([], [alarm(kind) for kind in RULES]),
+        "alarms": ([], [alarm(kind) for kind in ALARM_RULES]),
     }
     for chosen in product(*options.values()):
         one = known(**dict(zip(options, chosen, strict=True)))

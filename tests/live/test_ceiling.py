@@ -17,8 +17,9 @@ from hygrokf.engine.timeline import Timeline
 from hygrokf.estimation.likelihood import Gaussian
 from hygrokf.estimation.smoother import observation
 from hygrokf.live.plan import Plan
-from hygrokf.live.traces import HUMIDITY, censored_trace, truncated_moments
+from hygrokf.live.traces import censored_trace, truncated_moments
 from hygrokf.live.tracker import offline_course
+from hygrokf.physics.signal_names import CABINET_RELATIVE_HUMIDITY
 
 
 @pytest.fixture(scope="module")
@@ -52,8 +53,12 @@ def censored_instant(moist: Record, planned: Plan) -> tuple[Timeline, Gaussian]:
     it."""
     course = offline_course(planned, moist)
     t = course.run.timeline
-    high = t.reading(HUMIDITY) >= SATURATED
-    off = np.where(high, np.abs(course.trace.prediction[:, t.outputs.index(HUMIDITY)] - SATURATED), np.inf)
+    high = t.reading(CABINET_RELATIVE_HUMIDITY) >= SATURATED
+    off = np.where(
+        high,
+        np.abs(course.trace.prediction[:, t.outputs.index(CABINET_RELATIVE_HUMIDITY)] - SATURATED),
+        np.inf,
+    )
     place = int(np.argmin(off))
     before = censored_trace(planned.likelihood(t.window(0, place)), planned.values).last
     return t.window(place, place + 1), before
@@ -61,7 +66,7 @@ def censored_instant(moist: Record, planned: Plan) -> tuple[Timeline, Gaussian]:
 
 def unread(t: Timeline) -> Timeline:
     """The same without the readings of humidity."""
-    return t.with_readings(np.where(np.array(t.outputs) == HUMIDITY, np.nan, t.y))
+    return t.with_readings(np.where(np.array(t.outputs) == CABINET_RELATIVE_HUMIDITY, np.nan, t.y))
 
 
 def test_a_reading_at_the_ceiling_leaves_what_drawn_readings_leave(moist: Record, planned: Plan) -> None:
@@ -70,7 +75,9 @@ def test_a_reading_at_the_ceiling_leaves_what_drawn_readings_leave(moist: Record
     t, before = censored_instant(moist, planned)
     likelihood = planned.likelihood(unread(t))
     prior = likelihood.trace(planned.values, start=before).last
-    predicted, row, variance = observation(likelihood, planned.values, 0, HUMIDITY, prior.mean)
+    predicted, row, variance = observation(
+        likelihood, planned.values, 0, CABINET_RELATIVE_HUMIDITY, prior.mean
+    )
     found = censored_trace(planned.likelihood(t), planned.values, before).last
     random = np.random.default_rng(8)
     drawn = random.multivariate_normal(prior.mean, prior.covariance, 400_000, method="eigh")
@@ -90,13 +97,13 @@ def test_its_likelihood_is_the_chance_of_such_a_reading(moist: Record, planned: 
     t, before = censored_instant(moist, planned)
     found = censored_trace(planned.likelihood(t), planned.values, before)
     without = planned.likelihood(unread(t)).trace(planned.values, start=before)
-    column = t.outputs.index(HUMIDITY)
+    column = t.outputs.index(CABINET_RELATIVE_HUMIDITY)
     z = (SATURATED - without.prediction[0, column]) / np.sqrt(without.variance[0, column])
     assert found.loglik - without.loglik == pytest.approx(_log_above(z), rel=1e-9)
 
 
 def test_readings_below_the_ceiling_are_the_filter_s_own(moist: Record, planned: Plan) -> None:
-    series = moist[HUMIDITY]
+    series = moist[CABINET_RELATIVE_HUMIDITY]
     dry = moist.replace_series(replace(series, value=np.minimum(series.value, SATURATED - 1e-6)))
     course = offline_course(planned, dry)
     plain = planned.likelihood(course.run.timeline).trace(planned.values)
@@ -106,7 +113,7 @@ def test_readings_below_the_ceiling_are_the_filter_s_own(moist: Record, planned:
 def test_pieces_end_in_the_whole_bit_for_bit(moist: Record, planned: Plan) -> None:
     course = offline_course(planned, moist)
     t = course.run.timeline
-    assert (t.reading(HUMIDITY) >= SATURATED).sum() > 100
+    assert (t.reading(CABINET_RELATIVE_HUMIDITY) >= SATURATED).sum() > 100
     state = None
     for first in range(0, len(t), 37):
         part = censored_trace(
@@ -121,7 +128,7 @@ def test_pieces_end_in_the_whole_bit_for_bit(moist: Record, planned: Plan) -> No
 
 def test_how_far_above_the_ceiling_a_sensor_reads_says_nothing(moist: Record, planned: Plan) -> None:
     """A sensor that shows 100 % and one that shows up to 104 % in saturated air leave the same state."""
-    series = moist[HUMIDITY]
+    series = moist[CABINET_RELATIVE_HUMIDITY]
     random = np.random.default_rng(3)
     more = np.where(series.value >= SATURATED, 1.0 + 0.04 * random.random(len(series)), series.value)
     one, other = (

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from hygrokf.data.record import Record
-from hygrokf.live.alarms import BEYOND, Innovation, contradiction_level, innovations
+from hygrokf.live.alarms import CONTRADICTION_SD, Innovation, contradiction_level, innovations
 from hygrokf.live.batch import Batch
 from hygrokf.live.sources.local import record_mapping, record_messages
 from hygrokf.live.sources.stream import Delivery
@@ -24,7 +24,7 @@ HUMIDITY = "cabinet_relative_humidity"
 
 def test_the_level_is_that_of_the_prediction_s_own_bounds() -> None:
     level = contradiction_level(Innovation(HUMIDITY, 0.0, 0.45, 0.77, 0.004))
-    assert level.level == pytest.approx(0.32 / 0.004 / BEYOND)
+    assert level.level == pytest.approx(0.32 / 0.004 / CONTRADICTION_SD)
     (statement,) = level.statements
     assert statement.text.endswith("reads 45.0 %, where the estimate expects 77.0 (76.2 … 77.8)")
     assert contradiction_level(Innovation(HUMIDITY, 0.0, 0.45, 0.77, 0.2)).level < 0.5  # wide bounds say less
@@ -39,11 +39,11 @@ def test_ordinary_data_and_steps_of_a_sensor(record: Record, turbine: Turbine) -
     """Of 1,200 ordinary readings none is flagged, of those with a step of 15 % or 3 K 99 % and more."""
     found = innovations(offline_course(turbine.plan, record))
     assert len(found) > 600
-    assert all(abs(one.deviations) < BEYOND for one in found)
+    assert all(abs(one.deviations) < CONTRADICTION_SD for one in found)
     for signal, step in ((HUMIDITY, 0.15), ("cabinet_temperature", 3.0)):
         some = [one for one in found if one.signal == signal]
         for side in (-step, step):
-            beyond = [abs(one.deviations + side / one.sd) >= BEYOND for one in some]
+            beyond = [abs(one.deviations + side / one.sd) >= CONTRADICTION_SD for one in some]
             assert np.mean(beyond) > 0.98
 
 

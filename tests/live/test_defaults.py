@@ -12,9 +12,9 @@ from hygrokf.data.actuators import ACTUATORS
 from hygrokf.data.signals import SIGNALS
 from hygrokf.identification.fit import write_fit
 from hygrokf.live.config import ConfigFault
-from hygrokf.live.defaults import default_config, default_mapping, page_at, table_of
+from hygrokf.live.defaults import default_config, default_mapping, default_table, page_at
 from hygrokf.live.web.page_settings import PageSettings
-from hygrokf.modelling.design import HOLDS
+from hygrokf.modelling.design import INPUT_HOLDS
 
 
 @pytest.fixture(scope="module")
@@ -56,9 +56,9 @@ def test_several_are_told_apart_by_their_names(models: list[Path]) -> None:
 
 
 def test_a_topic_behind_the_broker() -> None:
-    assert table_of("mqtts://a.example/x/+/#") == {"url": "mqtts://a.example", "topics": ["x/+/#"]}
-    assert table_of("mqtt://a.example") == {"url": "mqtt://a.example"}
-    assert table_of("file:a/b.csv") == {"url": "file:a/b.csv"}
+    assert default_table("mqtts://a.example/x/+/#") == {"url": "mqtts://a.example", "topics": ["x/+/#"]}
+    assert default_table("mqtt://a.example") == {"url": "mqtt://a.example"}
+    assert default_table("file:a/b.csv") == {"url": "file:a/b.csv"}
 
 
 def test_all_faults_at_once(models: list[Path], tmp_path: Path) -> None:
@@ -80,7 +80,9 @@ def test_every_signal_has_a_unit_and_the_hold_of_the_table() -> None:
     holds = {name: one.form.hold for name, one in mapping.fields.items()}
     assert holds == {name: s.hold for name, s in SIGNALS.items()}
     for name in (*ACTUATORS, "preheating", "rain", "cloud_cover", "active_power", "rotor_speed"):
-        assert (holds[name], HOLDS[name]) == ("previous", "mean"), name  # a model takes the mean of each step
+        assert (holds[name], INPUT_HOLDS[name]) == ("previous", "mean"), (
+            name
+        )  # a model takes the mean of each step
     assert holds["ambient_temperature"] == holds["cabinet_relative_humidity"] == "linear"
     assert (
         mapping.fields["ambient_temperature"].unit == "degC" and mapping.fields["active_power"].unit == "kW"

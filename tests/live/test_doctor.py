@@ -127,9 +127,7 @@ def looked(folder: Path, wait_s: float = 0.3, with_page: bool = False) -> list[C
 def said(checks: list[Check], level: str, words: str, remedy: str = "") -> Check:
     """The one check of this level that says so; every one that is not fine says what to do."""
     assert all(bool(one.remedy) == (one.level != "ok") for one in checks), checks
-    found = [
-        c for c in checks if c.level == level and words in f"{c.about}: {c.text}" and remedy in c.remedy
-    ]
+    found = [c for c in checks if c.level == level and words in f"{c.about}: {c.text}" and remedy in c.remedy]
     assert len(found) == 1, "\n".join(map(str, checks))
     return found[0]
 
@@ -345,7 +343,7 @@ def test_without_cryptography_certificates_are_in_doubt(
     authority(folder).issue("mine")
     file = changed(folder, (FILE, FILE + 'certificate = "mine.crt"\n'))
     monkeypatch.setitem(sys.modules, "cryptography", None)
-    said(list(doctor_check.file_checks(file)), "doubt", "mine.crt was not examined", "cryptography")
+    said(list(doctor_check.certificate_checks(file)), "doubt", "mine.crt was not examined", "cryptography")
 
 
 def test_certificates_that_end_and_keys_that_others_read(folder: Path) -> None:
@@ -355,14 +353,19 @@ def test_certificates_that_end_and_keys_that_others_read(folder: Path) -> None:
     past, _ = made.issue("past", "127.0.0.1", days=-1)
     shutil.copy(key, folder / "past.key")
     file = changed(folder, (FILE, FILE + 'certificate = "soon.crt"\nkey = "soon.key"\n'))
-    found = list(doctor_check.file_checks(file))
+    found = list(doctor_check.certificate_checks(file))
     said(found, "doubt", "soon.crt is valid for 10 d", "order a new certificate")
     said(found, "doubt", "every user of this machine can read", f"chmod o-rwx {key}")
     file.write_text(file.read_text().replace("soon.crt", "past.crt"))
     # 24 h or 1 d ago, as the seconds fall
-    said(list(doctor_check.file_checks(file)), "fault", "past.crt has expired ", "replace the certificate")
+    said(
+        list(doctor_check.certificate_checks(file)),
+        "fault",
+        "past.crt has expired ",
+        "replace the certificate",
+    )
     file.write_text(file.read_text().replace("past.crt", "track.toml").replace("soon.key", "none.key"))
-    wrong = list(doctor_check.file_checks(file))
+    wrong = list(doctor_check.certificate_checks(file))
     said(wrong, "fault", "expected a certificate", "PEM or DER")
     said(wrong, "fault", "none.key: No such file")
     assert past.exists()

@@ -19,7 +19,7 @@ from hygrokf.data.timestamps import DAY_S
 from hygrokf.live import forecast_job
 from hygrokf.live.alarms import DELIVERY, kinds_of
 from hygrokf.live.condition import Surface
-from hygrokf.live.fault_isolation import EVERY_S, CauseFinding
+from hygrokf.live.fault_isolation import ISOLATION_EVERY_S, CauseFinding
 from hygrokf.live.forecast_job import isolation_steps
 from hygrokf.live.plan import Plan
 from hygrokf.live.service import Service
@@ -155,7 +155,7 @@ def test_there_is_something_to_compare(expected: tuple[dict, list]) -> None:
     kinds = {row[1] for row in found["alarms"]}
     assert kinds >= {"condensation", "cabinet changed", "reading contradicts", "sensor or water"}
     assert len(times) > 3 and times == sorted(times)
-    assert EVERY_S in set(np.diff(times)), "once a day while shifts last"
+    assert ISOLATION_EVERY_S in set(np.diff(times)), "once a day while shifts last"
     assert all(at % 3600.0 < 900.0 for at in times), "with the first estimate of an hour"
 
 

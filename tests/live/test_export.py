@@ -90,10 +90,10 @@ def test_csv_says_times_units_and_flags(filled: str, tmp_path: Path) -> None:
 
 
 def test_parquet_holds_the_same_as_csv(filled: str, tmp_path: Path) -> None:
-    for form in module.FORMATS:
+    for form in module.EXPORT_FORMATS:
         said = run(f"export --store {filled} --out {tmp_path / form} --format {form}")
         assert said.status == 0 and said.out.count(" rows written: ") == 5
-    for table in module.TABLES:
+    for table in module.EXPORTED_TABLES:
         typed = pd.read_parquet(tmp_path / "parquet" / f"{table.name}.parquet")
         text = frame(tmp_path / "csv", table.name)
         assert list(typed) == list(text) == [one.name for one in table.columns]
@@ -127,9 +127,9 @@ def test_rows_are_read_in_chunks_and_none_twice(
 ) -> None:
     run(f"export --store {filled} --out {tmp_path / 'one'}")
     for size in (1, 3):
-        monkeypatch.setattr(module, "CHUNK", size)
+        monkeypatch.setattr(module, "ROWS_AT_ONCE", size)
         run(f"export --store {filled} --out {tmp_path / 'more'}")
-        for table in module.TABLES:
+        for table in module.EXPORTED_TABLES:
             name = f"{table.name}.csv"
             assert (tmp_path / "one" / name).read_bytes() == (tmp_path / "more" / name).read_bytes()
 
@@ -137,7 +137,7 @@ def test_rows_are_read_in_chunks_and_none_twice(
 def test_memory_does_not_grow_with_the_store(
     store_url: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(module, "CHUNK", 300)
+    monkeypatch.setattr(module, "ROWS_AT_ONCE", 300)
     store = open_store(store_url)
     store.add_turbines({"T1": "a"})
     export(store, tmp_path / "out", "parquet")  # loads its library
@@ -156,7 +156,7 @@ def test_memory_does_not_grow_with_the_store(
 def test_a_store_that_fails_on_the_way_leaves_the_old_files(
     filled: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(module, "CHUNK", 1)
+    monkeypatch.setattr(module, "ROWS_AT_ONCE", 1)
     run(f"export --store {filled} --out {tmp_path}")
     before = {one.name: one.read_bytes() for one in tmp_path.iterdir() if one.suffix == ".csv"}
     assert len(before) == 5

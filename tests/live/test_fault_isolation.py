@@ -14,12 +14,20 @@ from hygrokf.cases.case_file import read_case
 from hygrokf.cases.synthetic import SyntheticParameters, synthetic_turbine, write_case
 from hygrokf.data.record import Record, Series
 from hygrokf.identification.identify import identify
-from hygrokf.live.alarms import CHANGED, shift_levels
+from hygrokf.live.alarms import CABINET_CHANGED, shift_levels
 from hygrokf.live.defaults import SIGNALS
-from hygrokf.live.fault_isolation import CLOSE, LEAST, USUAL, CauseFinding, finding_from, isolate, shift_step
+from hygrokf.live.fault_isolation import (
+    CLOSE,
+    EXPLAINING_GAIN,
+    USUAL,
+    CauseFinding,
+    finding_from,
+    isolate,
+    shift_step,
+)
 from hygrokf.live.plan import Plan, plan
 from hygrokf.live.properties import ParameterShift, TrackedState
-from hygrokf.live.sources.local import form_of
+from hygrokf.live.sources.local import line_form
 from hygrokf.live.tracker import Point, offline_course
 from hygrokf.physics.psychrometrics import saturation_pressure_water
 from hygrokf.texts.live_codes import AlarmCode, CauseCode
@@ -45,7 +53,7 @@ def record(tmp_path_factory: pytest.TempPathFactory) -> Record:
 def tracked(record: Record) -> Plan:
     """The model is identified on other weeks than those that are searched."""
     fit = identify(record.window(record.start_s, record.start_s + FITTED * DAY_S), starts=1)
-    forms = {s.signal: form_of(s) for s in record.series}
+    forms = {s.signal: line_form(s) for s in record.series}
     return plan(fit, forms=forms, site=record.site, rated_power_W=record.rated_power_W)
 
 
@@ -233,7 +241,7 @@ def test_a_stated_change_is_followed_at_once_and_is_the_reference(
 
 def test_judgement_at_its_edges() -> None:
     assert finding_from({}, 5.0) == CauseFinding(5.0, "")
-    little = CauseFinding(5.0, "hygric_k", "log_hygric_change", 0.4, LEAST - 0.01)
+    little = CauseFinding(5.0, "hygric_k", "log_hygric_change", 0.4, EXPLAINING_GAIN - 0.01)
     assert finding_from({"hygric_k": little}, 5.0) == CauseFinding(5.0, "")
     two = {
         "hygric_k": CauseFinding(5.0, "hygric_k", "log_hygric_change", 0.4, 20.0),
@@ -272,7 +280,7 @@ def test_what_is_said_of_it() -> None:
     assert shift_levels(step, None) == []  # nobody has looked yet
     cabinet = CauseFinding(9.0, "heat_release_change", "release_change", 2.0, 50.0, ("temperature_sensor",))
     (one,) = shift_levels(step, cabinet)
-    assert (one.kind, one.subject) == (CHANGED.kind, "heat_release_change")
+    assert (one.kind, one.subject) == (CABINET_CHANGED.kind, "heat_release_change")
     others = AlarmCode.OR_OTHERS(causes=(CauseCode.TEMPERATURE_SENSOR(),))
     assert one.statements[0].values["others"] == others and "+2.2 (+1.8 … +2.6) K" in one.statements[0].text
     assert shift_levels(shift_step(9.0, {}, {}, 0.0), replace(cabinet, cause="temperature_sensor")) == []

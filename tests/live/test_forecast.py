@@ -18,8 +18,8 @@ from hygrokf.estimation.likelihood import Gaussian
 from hygrokf.identification.fit import Fit
 from hygrokf.live.condition import Surface, air_condition, inputs_of
 from hygrokf.live.forecast import (
-    ENOUGH,
-    LONGEST_H,
+    DRY_ENOUGH,
+    LONGEST_HEATING_H,
     STAYS_H,
     NoForecast,
     advice_from,
@@ -161,7 +161,7 @@ def test_the_mixture_is_that_of_drawn_courses(record: Record, planned_for: Plan,
 
 
 # -- the advice ----------------------------------------------------------------------------------------------
-HOURS = np.arange(0.0, LONGEST_H + STAYS_H + 0.01, 1.0 / 6.0)
+HOURS = np.arange(0.0, LONGEST_HEATING_H + STAYS_H + 0.01, 1.0 / 6.0)
 
 
 def test_dry_at_once_needs_no_heating() -> None:
@@ -197,13 +197,13 @@ def test_a_peak_of_vapour_must_have_passed() -> None:
 
 
 def test_the_longest_time_is_the_last_one_that_is_advised() -> None:
-    at_last = advice_from(HOURS, np.where(HOURS > LONGEST_H - 0.01, 0.99, 0.5), 0.6)
-    assert at_last.hours == pytest.approx(LONGEST_H)
-    too_late = advice_from(HOURS, np.where(HOURS > LONGEST_H + 0.1, 0.99, 0.5), 0.6)
+    at_last = advice_from(HOURS, np.where(HOURS > LONGEST_HEATING_H - 0.01, 0.99, 0.5), 0.6)
+    assert at_last.hours == pytest.approx(LONGEST_HEATING_H)
+    too_late = advice_from(HOURS, np.where(HOURS > LONGEST_HEATING_H + 0.1, 0.99, 0.5), 0.6)
     assert too_late.hours is None and too_late.probability == 0.5
-    edge = advice_from(HOURS, np.full(len(HOURS), ENOUGH), 0.6)
+    edge = advice_from(HOURS, np.full(len(HOURS), DRY_ENOUGH), 0.6)
     assert edge.hours == 0.0
-    below = advice_from(HOURS, np.full(len(HOURS), np.nextafter(ENOUGH, 0.0)), 0.6)
+    below = advice_from(HOURS, np.full(len(HOURS), np.nextafter(DRY_ENOUGH, 0.0)), 0.6)
     assert below.hours is None
 
 
@@ -227,14 +227,16 @@ def test_material_that_gives_off_vapour_takes_longer_to_dry(record: Record) -> N
     advice, vapour = [], []
     for one in (bare, sorbing):
         state, scenarios = standstill(one, humidity, NOW_S, "preheating")
-        (course,) = conditions_by_member(one, state, scenarios.with_preheating(LONGEST_H + STAYS_H), COLD)
+        (course,) = conditions_by_member(
+            one, state, scenarios.with_preheating(LONGEST_HEATING_H + STAYS_H), COLD
+        )
         advice.append(restart(one, state, scenarios, COLD, 0.6))
         vapour.append(course.absolute_humidity_g_m3.value)
     without_, with_ = vapour
     assert without_.argmax() == 0 and 0 < with_.argmax() < len(with_) - 1
     assert with_.max() > 1.03 * with_[0] and with_[-1] < 0.99 * with_.max()
     assert 0.0 < advice[0].hours < advice[1].hours - 1.0
-    assert all(ENOUGH <= one.probability < 1.0 for one in advice)
+    assert all(DRY_ENOUGH <= one.probability < 1.0 for one in advice)
     # what is advised is what the air at the surface does
     dry = course.surface_humidity.upper[(course.time_s - NOW_S) >= 3600.0 * advice[1].hours]
     assert np.all(dry < 0.605)
@@ -344,5 +346,5 @@ def test_odd_states_and_weathers_stay_finite(
         assert np.all((chance >= 0.0) & (chance <= 1.0))
     assert found.condition.relative_humidity.value.min() > 0.0
     advice = restart(planned_for, state, scenarios, SURFACE)
-    assert advice.hours is None or 0.0 <= advice.hours <= LONGEST_H
+    assert advice.hours is None or 0.0 <= advice.hours <= LONGEST_HEATING_H
     assert 0.0 <= advice.probability <= 1.0

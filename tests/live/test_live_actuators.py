@@ -20,7 +20,7 @@ from hygrokf.data.record import Record, Series
 from hygrokf.identification.fit import Fit
 from hygrokf.live.condition import Surface
 from hygrokf.live.config import turbine_of
-from hygrokf.live.forecast import LONGEST_H, forecast, heaters, heating, restart
+from hygrokf.live.forecast import LONGEST_HEATING_H, forecast, heaters, heating, restart
 from hygrokf.live.plan import Plan, SignalReporting, plan
 from hygrokf.live.scenarios import persistence
 from hygrokf.live.service import Service
@@ -259,7 +259,7 @@ def test_the_advice_uses_the_heater_and_its_identified_effect(signal: str) -> No
     assert (heater.signal, heater.full) == (signal, HEATER_W if signal == "heater_power" else 1.0)
     advice, idle = advised(one)
     assert heating(one).effect_K == 9.0 and heating(one).bounds_K == (9.0, 9.0)
-    assert 0.5 < advice.hours < LONGEST_H and advice.probability >= 0.95
+    assert 0.5 < advice.hours < LONGEST_HEATING_H and advice.probability >= 0.95
     # the air settles 9 K warmer than without; a heater of 12 K needs less time, one of 3 K never gets there
     assert idle.condition.surface_humidity.value[-1] > 0.6
     stronger, _ = advised(cabinet(signal, logged_heater_heat=12.0))

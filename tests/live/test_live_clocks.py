@@ -18,7 +18,7 @@ from hygrokf.live.batch import Alarm, Batch, Observation
 from hygrokf.live.clock_levels import MACHINE, Ahead, clock_levels
 from hygrokf.live.service import Service
 from hygrokf.live.sources.local import TailedFile, record_mapping, record_messages
-from hygrokf.live.sources.payload_values import AHEAD_S
+from hygrokf.live.sources.payload_values import STAMP_AHEAD_S
 from hygrokf.live.sources.stream import Delivery
 from hygrokf.live.storage.store import Store, StoreFault, open_store
 from hygrokf.live.tracker import Reading
@@ -159,7 +159,7 @@ def test_a_service_whose_clock_is_set_right(
         eventually(lambda: taken(url) == len(rows))
     store = open_store(url)
     assert 0.3 * len(rows) < held(store) < 0.7 * len(rows)
-    assert store.point("T1").time <= now[0] + AHEAD_S
+    assert store.point("T1").time <= now[0] + STAMP_AHEAD_S
     with running(tracker()):
         now[0] = record.end_s + 10.0
         eventually(lambda: held(store) == 0)
@@ -201,6 +201,6 @@ def test_the_newest_reading_tells_the_clock() -> None:
     found.note("A", ahead("A", 7200.0))
     found.note("A", ahead("A", 0.0, "ambient_temperature"))
     assert found.by_turbine() == {"A": 7200.0, "B": 9e9}
-    found.note("A", ahead("A", AHEAD_S))
+    found.note("A", ahead("A", STAMP_AHEAD_S))
     found.note("B", ahead("B", -30.0))
     assert found.by_turbine() == {"A": 0.0, "B": 0.0}

@@ -132,7 +132,7 @@ def test_pauses_double_until_a_source_has_held_and_leave_the_global_generator_al
 def test_whatever_is_raised_in_a_source_is_told_and_it_goes_on(
     grown, monkeypatch: pytest.MonkeyPatch, caplog
 ) -> None:
-    monkeypatch.setattr(streams, "BACK_OFF_S", (0.05, 0.1))
+    monkeypatch.setattr(streams, "SOURCE_BACK_OFF_S", (0.05, 0.1))
     append, stream, _ = grown
     stream.stop()
     append("".join(f"T1,{i},{i}.0\n" for i in range(1, 8)))
@@ -155,7 +155,7 @@ def test_whatever_is_raised_in_a_source_is_told_and_it_goes_on(
 
 
 def test_a_source_that_cannot_go_on_stays_lost(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(streams, "BACK_OFF_S", (0.02, 0.04))
+    monkeypatch.setattr(streams, "SOURCE_BACK_OFF_S", (0.02, 0.04))
     calls = []
 
     def broken(line: bytes) -> None:

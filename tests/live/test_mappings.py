@@ -24,9 +24,15 @@ from builders.track_case import write_model
 from hygrokf.data.numbers import Marks, Meaning, Unread, stated_marks
 from hygrokf.data.timestamps import zone_named
 from hygrokf.live.config import Config, ConfigFault, read_config
-from hygrokf.live.doctor.payloads import as_text, file_payloads, read_trial
-from hygrokf.live.sources.payload import EARLIEST_S, LATEST_S, Field, PayloadMapping, TurbineReadings
-from hygrokf.live.sources.payload_formats import INFLUX, LARGEST, PLAIN, UNPACKED, Refused
+from hygrokf.live.doctor.payloads import file_payloads, read_trial, trials_text
+from hygrokf.live.sources.payload import (
+    EARLIEST_STAMP_S,
+    LATEST_STAMP_S,
+    Field,
+    PayloadMapping,
+    TurbineReadings,
+)
+from hygrokf.live.sources.payload_formats import INFLUX, LARGEST_PAYLOAD, PLAIN, UNPACKED, Refused
 from hygrokf.live.sources.payload_values import (
     Clock,
     number,
@@ -116,7 +122,7 @@ def test_every_layout_of_the_page_is_read_as_it_says(folder: Path, layout: tuple
     found = config(folder, mapping).streams[0].mapping
     file = folder / "captured"
     file.write_text(payloads, encoding="utf-8")
-    said = as_text([read_trial(("captured",), found, file_payloads(file, found))]).splitlines()
+    said = trials_text([read_trial(("captured",), found, file_payloads(file, found))]).splitlines()
     lines = iter(line.strip() for line in said)
     for expected in gives.splitlines():
         assert any(line.startswith(expected) for line in lines), "\n".join(said)
@@ -124,7 +130,7 @@ def test_every_layout_of_the_page_is_read_as_it_says(folder: Path, layout: tuple
     assert len(shown) == len(gives.splitlines()), "\n".join(said)
     packed = folder / "captured.gz"
     packed.write_bytes(gzip.compress(payloads.encode()))
-    unpacked = as_text([read_trial(("captured",), found, file_payloads(packed, found))]).splitlines()
+    unpacked = trials_text([read_trial(("captured",), found, file_payloads(packed, found))]).splitlines()
     assert unpacked[2:4] == said[2:4]
 
 
@@ -354,14 +360,14 @@ def test_line_protocol() -> None:
 
 
 def test_packed_payloads_are_bounded() -> None:
-    text = json.dumps({"turbine": "W01", "time": NOW, "Tcab": 31.2, "note": "x" * LARGEST}).encode()
+    text = json.dumps({"turbine": "W01", "time": NOW, "Tcab": 31.2, "note": "x" * LARGEST_PAYLOAD}).encode()
     packed = gzip.compress(text)
     assert read(fields(), packed) == {("W01", "cabinet_temperature"): 304.35}
     assert kind(fields(), text) == "too large"
     assert kind(fields(), gzip.compress(b" " * (UNPACKED + 1))) == "too large"
     bomb = gzip.compress(b"0" * 50_000_000)
     began = time.process_time()
-    assert len(bomb) < LARGEST and kind(fields(), bomb) == "too large"
+    assert len(bomb) < LARGEST_PAYLOAD and kind(fields(), bomb) == "too large"
     assert time.process_time() - began < 0.5
     assert kind(fields(), packed[:-9]) == kind(fields(), b"\x1f\x8b" + bytes(40)) == "malformed"
 
@@ -553,7 +559,7 @@ def expect_sound(found: list[TurbineReadings]) -> None:
         assert of.turbine in ("", "W01", "W02") and (of.turbine or not of.readings)
         for one in of.readings:
             assert one.signal in {field.signal for field in FIELDS.values()}
-            assert math.isfinite(one.value) and EARLIEST_S <= one.time <= LATEST_S
+            assert math.isfinite(one.value) and EARLIEST_STAMP_S <= one.time <= LATEST_STAMP_S
 
 
 @pytest.mark.parametrize("count", [4_000, pytest.param(100_000, marks=pytest.mark.slow)])

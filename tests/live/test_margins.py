@@ -15,9 +15,9 @@ from hygrokf.live.storage.store import Store, open_store
 from hygrokf.live.web import views
 from hygrokf.live.web.views import (
     AHEAD_STEPS,
-    BACK_S,
+    MARGIN_STEP_S,
     PAST_STEPS,
-    STEP_S,
+    SHOWN_BACK_S,
     MarginsCache,
     lowest_margins,
     margins_of,
@@ -40,7 +40,7 @@ def with_margins(times: np.ndarray, margin: np.ndarray) -> Condition:
 def store(tmp_path: Path) -> Store:
     made = open_store(f"sqlite:{tmp_path / 'live.db'}")
     made.add_turbines(dict.fromkeys("AB", "digest"))
-    times = T0 - BACK_S + 600.0 * np.arange(round(BACK_S / 600.0))
+    times = T0 - SHOWN_BACK_S + 600.0 * np.arange(round(SHOWN_BACK_S / 600.0))
     condition = with_margins(times, np.linspace(10.0, 1.0, len(times)))
     made.commit(Batch(estimates={"A": Estimates(condition, len(times), float(times[0]))}))
     with made.transaction():
@@ -55,12 +55,12 @@ def store(tmp_path: Path) -> Store:
 
 
 def test_each_step_shows_its_lowest_margin_and_its_band(store: Store) -> None:
-    found = margins_of(store, ["A", "B"], T0 - BACK_S)
+    found = margins_of(store, ["A", "B"], T0 - SHOWN_BACK_S)
     assert list(found) == ["A"]  # of B nothing is known
     value, half = found["A"]["value"], found["A"]["half"]
     assert len(value) == len(half) == PAST_STEPS + AHEAD_STEPS
     # the margin falls, so that the last of a step is its lowest
-    per_step = round(STEP_S / 600.0)
+    per_step = round(MARGIN_STEP_S / 600.0)
     fall = np.linspace(10.0, 1.0, PAST_STEPS * per_step)
     assert value[:PAST_STEPS] == [round(v, 1) for v in fall[per_step - 1 :: per_step]]
     assert half[:PAST_STEPS] == [round(Z95, 1)] * PAST_STEPS
@@ -94,12 +94,12 @@ def test_they_are_read_again_when_they_are_old(store: Store, monkeypatch: pytest
     kept, reader = MarginsCache(), Counting()
 
     def starts(now: float) -> float:
-        return kept.view(reader, ["A", "B"], now)["start"] + BACK_S  # type: ignore[arg-type]
+        return kept.view(reader, ["A", "B"], now)["start"] + SHOWN_BACK_S  # type: ignore[arg-type]
 
-    assert starts(T0) == T0 and starts(T0 + 0.9 * views.KEPT_S) == T0 and len(reads) == 1
-    assert starts(T0 + 2.0 * views.KEPT_S) == T0  # a playback is faster than real time
+    assert starts(T0) == T0 and starts(T0 + 0.9 * views.MARGINS_KEPT_S) == T0 and len(reads) == 1
+    assert starts(T0 + 2.0 * views.MARGINS_KEPT_S) == T0  # a playback is faster than real time
     clock[0] += views.KEPT_REAL_S
-    assert starts(T0 + 2.0 * views.KEPT_S) == T0 + 2.0 * views.KEPT_S and len(reads) == 2
-    monkeypatch.setattr(views, "GROUP", 1)
+    assert starts(T0 + 2.0 * views.MARGINS_KEPT_S) == T0 + 2.0 * views.MARGINS_KEPT_S and len(reads) == 2
+    monkeypatch.setattr(views, "TURBINES_AT_ONCE", 1)
     clock[0] += views.KEPT_REAL_S
     assert starts(T0 - 1e6) == T0 - 1e6 and len(reads) == 4  # another start of a record

@@ -41,7 +41,7 @@ from hygrokf.live.sources.broker import Broker
 from hygrokf.live.sources.local import record_mapping, record_messages
 from hygrokf.live.sources.mqtt import Mqtt
 from hygrokf.live.sources.payload import Field, PayloadMapping
-from hygrokf.live.sources.payload_formats import LARGEST, Refused
+from hygrokf.live.sources.payload_formats import LARGEST_PAYLOAD, Refused
 from hygrokf.live.sources.stream import Delivery
 from hygrokf.live.storage.store import open_store
 from hygrokf.live.turbines import Turbine
@@ -58,7 +58,7 @@ ALARM = Alarm(
 
 @pytest.fixture(autouse=True)
 def short_pauses(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(streams, "BACK_OFF_S", (0.05, 0.2))
+    monkeypatch.setattr(streams, "SOURCE_BACK_OFF_S", (0.05, 0.2))
 
 
 @pytest.fixture(scope="module")
@@ -324,13 +324,13 @@ def test_a_stopped_source_takes_the_acknowledgements_that_are_still_to_come(brok
 def test_messages_that_are_too_large_are_cut_or_stay_at_the_broker(
     broker: Mosquitto, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(mqtt, "LARGEST_PACKET", 3 * LARGEST)
+    monkeypatch.setattr(mqtt, "LARGEST_PACKET", 3 * LARGEST_PAYLOAD)
     stream = stream_of(broker)
     with running(stream) as taken, peer(broker) as other:
-        sizes = (3 * LARGEST, 2 * LARGEST, LARGEST, 10)
+        sizes = (3 * LARGEST_PAYLOAD, 2 * LARGEST_PAYLOAD, LARGEST_PAYLOAD, 10)
         publish(other, [(TOPIC, b"x" * size) for size in sizes])
         eventually(lambda: len(taken.found) == 3)
-        assert [len(one) for one in taken.contents] == [LARGEST + 1, LARGEST, 10]
+        assert [len(one) for one in taken.contents] == [LARGEST_PAYLOAD + 1, LARGEST_PAYLOAD, 10]
         with pytest.raises(Refused, match="at most") as fault:
             MAPPING.read(taken.contents[0], 0.0)
         assert fault.value.kind == "too large"
@@ -456,7 +456,7 @@ def test_another_client_with_the_same_name_is_told(broker: Mosquitto) -> None:
 def test_a_denied_subscription_is_lost_and_asked_for_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(mqtt, "RETRY_S", 0.5)
+    monkeypatch.setattr(mqtt, "RESUBSCRIBE_S", 0.5)
     monkeypatch.setenv("BROKER_PASSWORD", "right")
     settings = dynamic_security(tmp_path, "reader", "right", denied="secret/#")
     with mosquitto(tmp_path, *settings) as found:

@@ -13,7 +13,7 @@ import pytest
 from paho.mqtt.client import Client, MQTTv5
 from paho.mqtt.enums import CallbackAPIVersion
 
-from hygrokf.live.sources.mqtt import READ_SIZE, piecewise_client_class
+from hygrokf.live.sources.mqtt import SOCKET_READ_SIZE, piecewise_client_class
 
 ACCEPTED = bytes([0x20, 3, 0, 0, 0])
 """CONNACK: no session, success, no properties."""
@@ -66,7 +66,7 @@ def connected(pieces: list[bytes]) -> Iterator[tuple[Client, list[bytes]]]:
 def test_packets_come_whole_and_in_order_wherever_they_are_cut(seed: int) -> None:
     random = np.random.default_rng(seed)
     payloads = [bytes([i % 256]) * int(2 ** random.uniform(0.0, 12.0)) for i in range(300)]
-    payloads.insert(100, b"x" * (2 * READ_SIZE + 7))
+    payloads.insert(100, b"x" * (2 * SOCKET_READ_SIZE + 7))
     stream = b"".join(map(packet, payloads))
     cuts = np.sort(random.integers(0, len(stream), 400))
     pieces = [stream[a:b] for a, b in zip([0, *cuts], [*cuts, len(stream)], strict=True)]
@@ -88,4 +88,4 @@ def test_many_packets_take_few_calls_to_the_system(monkeypatch: pytest.MonkeyPat
     assert found == payloads
     # paho alone asks three times or more for each
     assert len(calls) < len(payloads) / 10
-    assert set(calls) == {READ_SIZE}
+    assert set(calls) == {SOCKET_READ_SIZE}

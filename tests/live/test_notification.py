@@ -27,7 +27,7 @@ from hygrokf.data.timestamps import DAY_S
 from hygrokf.live.batch import Alarm, Batch, Notice, Shelf
 from hygrokf.live.condition import Surface
 from hygrokf.live.config import Config, ConfigFault, read_config
-from hygrokf.live.doctor.check import file_checks
+from hygrokf.live.doctor.check import certificate_checks
 from hygrokf.live.doctor.examination import channel_checks
 from hygrokf.live.notification import notices as outbox
 from hygrokf.live.notification import sender as module
@@ -222,7 +222,7 @@ def test_a_shelved_alarm_waits_for_the_end_of_its_shelf(
 
 
 def test_a_digest_is_one_message_that_stays_the_same(store_url: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(module, "BACK_OFF_S", (0.0, 0.0))
+    monkeypatch.setattr(module, "SENDER_BACK_OFF_S", (0.0, 0.0))
 
     class Failing(Silent):
         def send(self, message: NoticeMessage) -> None:
@@ -493,7 +493,7 @@ def test_the_doctor_tries_channels_and_sends_on_request(folder: Path) -> None:
     found = channel_checks(channels, send=True)
     assert [one.level for one in found] == ["fault", "fault"]
     assert all("refused" in str(one) and "geheim" not in str(one) for one in found)
-    checks = {one.about: one.level for one in file_checks(folder / "track.toml")}
+    checks = {one.about: one.level for one in certificate_checks(folder / "track.toml")}
     assert checks["[[notify]] 2 secret_file"] == "ok"
 
 
@@ -501,7 +501,7 @@ def test_an_alarm_of_a_tracker_arrives(
     tmp_path: Path, record: Record, turbine: Turbine, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The whole way: readings, an alarm in the store, a mail; also for a channel whose server is away."""
-    monkeypatch.setattr(module, "BACK_OFF_S", (0.05, 0.2))
+    monkeypatch.setattr(module, "SENDER_BACK_OFF_S", (0.05, 0.2))
     monkeypatch.setattr("hygrokf.live.notification.notices.PAST_S", math.inf)
     cold = replace(turbine, surface=Surface(0.0, -8.0))
     url = f"sqlite:{tmp_path / 'live.db'}"

@@ -68,7 +68,7 @@ MAPPING = PayloadMapping(
 
 @pytest.fixture(autouse=True)
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(streams, "BACK_OFF_S", (0.2, 0.4))
+    monkeypatch.setattr(streams, "SOURCE_BACK_OFF_S", (0.2, 0.4))
 
 
 @pytest.fixture(scope="module")
@@ -335,8 +335,8 @@ def test_history_comes_in_one_order_of_time_page_after_page(
 ) -> None:
     """A fast node and a slow one: neither runs ahead of the other, or the filter would find readings too
     late."""
-    monkeypatch.setattr(opcua_client, "PAGE", 7)
-    monkeypatch.setattr(module, "BATCH", 10)
+    monkeypatch.setattr(opcua_client, "SAMPLES_AT_ONCE", 7)
+    monkeypatch.setattr(module, "DELIVERED_TOGETHER", 10)
     fast, slow = named("fast"), named("slow")
     peer.add([fast, slow])
     peer.write(at(*((i, 0.1 * i) for i in range(100)), node=fast))
@@ -471,7 +471,7 @@ def test_history_that_fails_for_now_is_owed(
     peer: Peer, named, started, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Values go on, the place does not: a restart would begin where the gap does; then the gap is closed."""
-    monkeypatch.setattr(module, "RETRY_S", 0.5)
+    monkeypatch.setattr(module, "REQUEST_AGAIN_S", 0.5)
     tcab = named("Tcab")
     peer.add([tcab], history="failing")
     peer.record(at((1, 1.0), (2, 2.0), node=tcab))
@@ -488,7 +488,7 @@ def test_history_that_fails_for_now_is_owed(
 def test_nodes_that_are_not_there_are_named_and_asked_for_again(
     peer: Peer, named, started, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(module, "RETRY_S", 0.5)
+    monkeypatch.setattr(module, "REQUEST_AGAIN_S", 0.5)
     tcab, later = named("Tcab"), named("later")
     peer.add([tcab], value=30.0)
     elsewhere = "nsu=urn:elsewhere;s=x"
@@ -518,8 +518,8 @@ def test_a_server_that_says_nothing_any_more_is_left(
 ) -> None:
     """Its connection stays open: only asking tells that nobody is there."""
     monkeypatch.setattr(opcua_client, "WATCH_S", 0.3)
-    monkeypatch.setattr(opcua_client, "ANSWER_S", 1.0)
-    monkeypatch.setattr(opcua_client, "HISTORY_S", 1.0)
+    monkeypatch.setattr(opcua_client, "SERVER_ANSWER_S", 1.0)
+    monkeypatch.setattr(opcua_client, "HISTORY_ANSWER_S", 1.0)
     tcab = named("Tcab")
     peer.add([tcab])
     run = started(peer.url, {tcab: "Tcab"})
@@ -536,7 +536,7 @@ def test_a_server_that_says_nothing_any_more_is_left(
 def test_a_server_that_is_not_there_yet_is_waited_for_with_bounded_pauses(
     started, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(streams, "BACK_OFF_S", (0.1, 0.3))
+    monkeypatch.setattr(streams, "SOURCE_BACK_OFF_S", (0.1, 0.3))
     seen, wait = [], BackOff.wait
 
     def noted(back_off: BackOff, ended: threading.Event) -> None:
@@ -551,7 +551,7 @@ def test_a_server_that_is_not_there_yet_is_waited_for_with_bounded_pauses(
     assert word == "lost" and "nothing listens there; next attempt within 0.3 s" in said
     run.stream.stop()
     # one attempt: where names are resolved slowly, a second one would not end with the test
-    monkeypatch.setattr(streams, "BACK_OFF_S", (30.0, 30.0))
+    monkeypatch.setattr(streams, "SOURCE_BACK_OFF_S", (30.0, 30.0))
     away = started("opc.tcp://no-such-host.invalid:4840", {"i=1": "Tcab"})
     away.wait(lambda: "the host is not known" in away.stream.state[1])
 
@@ -657,7 +657,7 @@ def test_what_does_not_fit_is_said_in_words(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """No value comes, and no secret shows in the state, the log or what is printed of the stream's parts."""
-    monkeypatch.setattr(opcua_client, "ANSWER_S", 2.0)
+    monkeypatch.setattr(opcua_client, "SERVER_ANSWER_S", 2.0)
     table = {key: value for key, value in {**SIGNED_ON, **stated}.items() if value is not None}
     with caplog.at_level(logging.DEBUG):
         run = started(secured.url, {"ns=2;s=Tcab": "Tcab"}, folder=papers, **table)

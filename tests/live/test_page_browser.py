@@ -25,7 +25,7 @@ from playwright.sync_api import Browser, Page, expect
 
 from hygrokf.identification.verdict_terms import Inherited
 from hygrokf.live import service as service_module
-from hygrokf.live.batch import Alarm, Assessment, Batch, content_of
+from hygrokf.live.batch import Alarm, Assessment, Batch, stated_content
 from hygrokf.live.condition import Surface
 from hygrokf.live.notification.notices import acknowledge
 from hygrokf.live.service import Service
@@ -47,7 +47,7 @@ UNREACHED = re.compile(r"net::ERR_|Failed to load resource")
 
 
 def assessment(name: str, state: str, since: float, reason: Statement) -> Assessment:
-    return Assessment(name, state, reason.text, since, content_of([reason]))
+    return Assessment(name, state, reason.text, since, stated_content([reason]))
 
 
 @pytest.fixture(scope="module")
@@ -76,8 +76,14 @@ def service(tmp_path_factory: pytest.TempPathFactory) -> Service:
                     subject="cabinet_temperature",
                 ),
                 Alarm(
-                    "evil", EVIL, "condensation", "alarm", now - 7200.0, EVIL, "dry <b>it</b>",
-                    content=content_of([StateCode.FILTER_FAILS(fault=EVIL)]),
+                    "evil",
+                    EVIL,
+                    "condensation",
+                    "alarm",
+                    now - 7200.0,
+                    EVIL,
+                    "dry <b>it</b>",
+                    content=stated_content([StateCode.FILTER_FAILS(fault=EVIL)]),
                 ),
                 Alarm("wet", "T1", "condensation", "warning", now - 3600.0, "water condenses", "pre-heat"),
                 Alarm(

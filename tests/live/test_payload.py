@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from hygrokf.live.plan import SignalReporting
 from hygrokf.live.sources.payload import Field, PayloadMapping, TurbineReadings
-from hygrokf.live.sources.payload_formats import DEEPEST, LARGEST, Refused
+from hygrokf.live.sources.payload_formats import DEEPEST_NESTING, LARGEST_PAYLOAD, Refused
 from hygrokf.live.sources.payload_values import seconds
 
 NOW = 1_772_367_000.0  # 2026-03-01T12:10:00Z
@@ -99,8 +99,9 @@ def test_missing_values_are_no_fault() -> None:
     ("text", "kind"),
     [
         (b"\xff\xfe\x00", "malformed"), ("", "malformed"), ("[1]", "malformed"), ("31.2", "malformed"),
-        ('{"turbine": "T07"', "malformed"), ('{"a":' * (DEEPEST + 1) + "1" + "}" * (DEEPEST + 1), "too deep"),
-        ("[" * 60_000, "too deep"), ('{"a": "' + "x" * LARGEST + '"}', "too large"),
+        ('{"turbine": "T07"', "malformed"),
+        ('{"a":' * (DEEPEST_NESTING + 1) + "1" + "}" * (DEEPEST_NESTING + 1), "too deep"),
+        ("[" * 60_000, "too deep"), ('{"a": "' + "x" * LARGEST_PAYLOAD + '"}', "too large"),
         ('{"n": ' + "9" * 5000 + "}", "malformed"),
         ('{"turbine": "T07", "time": 1772367000, "Tcab": 31.2, "Tcab": 13.2}', "malformed"),
         ('{"turbine": "T07", "time": 1772367000, "env": {"T": 1, "T": 2}}', "malformed"),

@@ -96,7 +96,9 @@ def test_another_session_s_lock_is_told_and_waited_for(
     import psycopg
 
     in_small_rounds(monkeypatch, module.MOST_PER_ROUND)
-    monkeypatch.setattr(postgres, "SESSION", ("SET lock_timeout = '100ms'", *postgres.SESSION[1:]))
+    monkeypatch.setattr(
+        postgres, "STORE_SESSION", ("SET lock_timeout = '100ms'", *postgres.STORE_SESSION[1:])
+    )
     open_store(url).close()
     stream = Acknowledging(record)
     service = Service({"T1": turbine}, [stream], url)

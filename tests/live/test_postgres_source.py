@@ -215,7 +215,7 @@ def test_an_outage_of_the_server_and_restarts_end_in_the_offline_filter(
 ) -> None:
     """A record as a narrow table, written in four parts; the server dies, the tracker is restarted."""
     in_small_rounds(monkeypatch, 400)
-    monkeypatch.setattr(streams, "BACK_OFF_S", (0.05, 0.1))
+    monkeypatch.setattr(streams, "SOURCE_BACK_OFF_S", (0.05, 0.1))
     rows = []
     for at, content in record_messages(record, "T1"):
         rows += [(at, name, value) for name, value in content.items() if name not in ("turbine", "time")]

@@ -149,7 +149,7 @@ def test_events_come_through_nginx_at_once(service: Service, tmp_path: Path) -> 
 def test_a_page_that_takes_nothing_is_dropped_by_nginx(
     service: Service, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(web_events, "PAUSE_S", 0.0)
+    monkeypatch.setattr(web_events, "MESSAGE_PAUSE_S", 0.0)
     names = ["x" * 100 + str(number) for number in range(web_events.MOST_NAMED)]
     with (
         served(service, BEHIND) as (page, server),

@@ -15,10 +15,10 @@ from hygrokf.data.prepared import prepare
 from hygrokf.data.record import Record, Series
 from hygrokf.live.scenarios import (
     ERROR_H,
+    FEWEST_PAST_DAYS,
     FINE_S,
+    FORECAST_MEMBERS,
     HORIZON_S,
-    LEAST,
-    MEMBERS,
     NoScenarios,
     Scenarios,
     grid,
@@ -131,10 +131,12 @@ def test_what_comes_after_now_is_not_looked_at(record: Record) -> None:
             assert one[name] == pytest.approx(other[name], abs=1e-9), name
 
 
-@pytest.mark.parametrize(("days", "known"), [(1, 0), (3, 1), (LEAST + 11 / 12, LEAST - 1)])
+@pytest.mark.parametrize(
+    ("days", "known"), [(1, 0), (3, 1), (FEWEST_PAST_DAYS + 11 / 12, FEWEST_PAST_DAYS - 1)]
+)
 def test_too_little_history_gives_words(days: float, known: int) -> None:
     short = cabinet_record(days)
-    with pytest.raises(NoScenarios, match=rf"needs {LEAST} complete days .* found {known}$"):
+    with pytest.raises(NoScenarios, match=rf"needs {FEWEST_PAST_DAYS} complete days .* found {known}$"):
         persistence(short, START_S + days * DAY_S)
 
 
@@ -329,7 +331,7 @@ def test_heating_from_now_on(record: Record) -> None:
 def test_a_weather_forecast_is_followed_and_its_present_error_fades(record: Record) -> None:
     told = coming(record)
     exact = weather_forecast(record, NOW_S, told, error={"temperature_K": 0.0, "vapour": 0.0})
-    assert exact.basis.code is BasisCode.WEATHER_FORECAST and len(exact.members) == MEMBERS
+    assert exact.basis.code is BasisCode.WEATHER_FORECAST and len(exact.members) == FORECAST_MEMBERS
     assert exact.time_s[-1] == NOW_S + HORIZON_S
     kelvin = courses(exact, AMBIENT[0])
     assert np.ptp(kelvin, axis=0).max() == 0.0
@@ -387,8 +389,11 @@ def test_a_forecast_serves_where_the_ambient_is_not_read(record: Record) -> None
         lost = changed(lost, signal, np.nan, NOW_S - 10 * HOUR_S)
     found = weather_forecast(lost, NOW_S, told)
     assert courses(found, AMBIENT[0])[:, found.time_s == NOW_S].std() > 0.5
-    assert weather_forecast(
-        cabinet_record(1.0),
-        START_S + DAY_S,
-        {name: replace(series, time=series.time - (DAYS - 1) * DAY_S) for name, series in told.items()},
-    ).basis.values["operation"] == BasisCode.OPERATION_AS_NOW()  # needs no history
+    assert (
+        weather_forecast(
+            cabinet_record(1.0),
+            START_S + DAY_S,
+            {name: replace(series, time=series.time - (DAYS - 1) * DAY_S) for name, series in told.items()},
+        ).basis.values["operation"]
+        == BasisCode.OPERATION_AS_NOW()
+    )  # needs no history

@@ -201,7 +201,7 @@ def test_a_second_tracker_of_a_turbine_is_refused(
     expect_offline(store_url, record, turbine)
 
 
-@pytest.mark.parametrize(("behind", "share"), [(False, module.SHARE), (True, module.LEAST_SHARE)])
+@pytest.mark.parametrize(("behind", "share"), [(False, module.FORECAST_SHARE), (True, module.BUSY_SHARE)])
 def test_forecasts_give_way_while_anything_waits(
     behind: bool,
     share: float,
@@ -226,7 +226,7 @@ def test_forecasts_give_way_while_anything_waits(
         service._put(stream.url, one)
     while service.round():
         pass
-    assert service.fleet.forecast_due(module.EVERY_S) == "T1"
+    assert service.fleet.forecast_due(module.FORECAST_EVERY_S) == "T1"
     if behind:
         service._put(stream.url, first[500])
     try:

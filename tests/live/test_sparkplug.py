@@ -33,7 +33,7 @@ SIGNAL = "cabinet_temperature"
 
 @pytest.fixture(autouse=True)
 def short_pauses(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(streams, "BACK_OFF_S", (0.05, 0.2))
+    monkeypatch.setattr(streams, "SOURCE_BACK_OFF_S", (0.05, 0.2))
     monkeypatch.setattr(sparkplug, "CHECK_INTERVAL_S", 0.05)
     monkeypatch.setattr(sparkplug_node, "REORDER_S", 0.2)
 

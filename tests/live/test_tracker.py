@@ -18,10 +18,10 @@ from hygrokf.data.record import Record, Series
 from hygrokf.live import tracker as tracker_module
 from hygrokf.live.frozen import Frozen, frozen_runs
 from hygrokf.live.plan import BEFORE, Plan
-from hygrokf.live.sources.local import form_of
+from hygrokf.live.sources.local import line_form
 from hygrokf.live.traces import censored_trace
-from hygrokf.live.tracker import NEITHER, Reading, Tracker, offline_course, record_of
-from hygrokf.live.turbine import SILENT_S, instants_kept
+from hygrokf.live.tracker import NEITHER, Reading, Tracker, offline_course, tracked_record
+from hygrokf.live.turbine import SENSOR_SILENT_S, instants_kept
 
 HOUR_S = 3600.0
 
@@ -198,7 +198,7 @@ def test_what_is_final_is_the_offline_filter_bit_for_bit(
 ) -> None:
     shaped = shape(record)
     model = planned(of_means(record) if shape in (of_means, lagging, saturated_means) else record)
-    model = replace(model, forms={s.signal: form_of(s) for s in shaped.series})
+    model = replace(model, forms={s.signal: line_form(s) for s in shaped.series})
     tracker, course = followed(model, arriving(readings_of(shaped), seed, late_s), batch)
     offline = offline_course(model, shaped)
     assert tracker.counts["late"] == tracker.counts["contradicting"] == 0
@@ -223,7 +223,7 @@ def test_what_is_final_is_the_offline_filter_bit_for_bit(
 def test_a_value_that_holds_acts_from_its_stamp_on_and_never_before(record: Record) -> None:
     """What comes later changes no held input of an earlier instant, final or not; it ends with its age."""
     shaped = on_change(record)
-    model = replace(planned(shaped), forms={s.signal: form_of(s) for s in shaped.series})
+    model = replace(planned(shaped), forms={s.signal: line_form(s) for s in shaped.series})
     whole = offline_course(model, shaped).run.timeline
     names = [n for n in ("operating", "power_1", "preheating", "power_unknown") if n in model.model.inputs]
     assert "operating" in names and "preheating" in names
@@ -273,9 +273,9 @@ def test_estimates_go_on_from_the_inputs_while_sensors_are_silent(record: Record
             told |= set(np.round(course.seconds[instants_kept(course)]).tolist())
             steps += len(course.seconds) * (course.seconds[0] > begin + 2.0 * HOUR_S)
     silent = np.array(sorted(at for at in told if begin <= at))
-    assert np.diff(silent).max() < SILENT_S + 1200.0 and np.median(np.diff(silent)) <= 900.0
+    assert np.diff(silent).max() < SENSOR_SILENT_S + 1200.0 and np.median(np.diff(silent)) <= 900.0
     assert silent[-1] >= begin + 19.5 * HOUR_S
-    offline = offline_course(model, record_of(model, *_columns(kept)))
+    offline = offline_course(model, tracked_record(model, *_columns(kept)))
     assert np.array_equal(course.trace.mean[-1], offline.trace.mean[-1])
     if quiet == ("cabinet_",):
         assert tracker.silent_since() == max(one.time for one in kept if one.signal.startswith("cabinet_"))
@@ -311,7 +311,7 @@ def test_a_late_delivery_fills_in_what_the_inputs_alone_told(record: Record) -> 
 
 
 def test_after_a_week_the_inputs_alone_are_final(record: Record, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(tracker_module, "WAITS_S", 12.0 * HOUR_S)
+    monkeypatch.setattr(tracker_module, "PROVISIONAL_S", 12.0 * HOUR_S)
     model, begin = planned(record), record.start_s + 60.0 * HOUR_S
     kept = [one for one in readings_of(record) if one.time <= begin or not one.signal.startswith("cabinet_")]
     tracker, _ = followed(model, [one for one in kept if one.time <= begin + 11.0 * HOUR_S], 40)
@@ -320,7 +320,7 @@ def test_after_a_week_the_inputs_alone_are_final(record: Record, monkeypatch: py
     tracker.take([Reading("cabinet_temperature", begin + HOUR_S, 300.0)])
     assert tracker.ahead is None and tracker.advance().judged_s < begin, "and are judged again"
     tracker, _ = followed(model, kept, 40)
-    offline = offline_course(model, record_of(model, *_columns(kept)))
+    offline = offline_course(model, tracked_record(model, *_columns(kept)))
     last = int(np.searchsorted(offline.seconds, tracker.point.time + 1e-3, side="right")) - 1
     assert tracker.ahead is None and tracker.newest - tracker.point.time < LATENESS_S + HOUR_S
     assert np.array_equal(tracker.point.state.mean, offline.trace.mean[last])

@@ -16,7 +16,7 @@ from builders.track_case import write_model
 
 from hygrokf.commands.main import main
 from hygrokf.data.quality import VOCABULARIES, QualityVocabulary, stated_vocabulary
-from hygrokf.live.doctor.payloads import as_text, file_payloads, read_trial
+from hygrokf.live.doctor.payloads import file_payloads, read_trial, trials_text
 from hygrokf.live.sources.local import StandardInput, TailedFile
 from hygrokf.live.sources.opcua_client import Node, sample_of
 from hygrokf.live.sources.payload import Field, PayloadMapping
@@ -60,7 +60,7 @@ def test_a_bare_nan_costs_its_own_value_alone(word: str, tmp_path: Path) -> None
     expected = ({"cabinet_relative_humidity": 1}, {"no number": 1})
     assert read(MAPPING, [text.encode()]) == read(MAPPING, [text]) == read(MAPPING, [f"[{text}]"]) == expected
     (tmp_path / "captured.json").write_text(text.replace(', "', ',\n"'), "utf-8")
-    assert "1 of 1 payloads gave readings" in as_text(
+    assert "1 of 1 payloads gave readings" in trials_text(
         [read_trial(("",), MAPPING, file_payloads(tmp_path / "captured.json", MAPPING))]
     )
     for rows in ([f"turbine,time,Tcab,RHcab\nW01,{STAMP},{word},40\n"], [text + "\n"]):

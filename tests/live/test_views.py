@@ -18,7 +18,14 @@ from hygrokf.live.sources.payload import PayloadMapping
 from hygrokf.live.sources.stream import SourceState, Stream
 from hygrokf.live.storage.store import Store, open_store
 from hygrokf.live.tracker import Reading
-from hygrokf.live.web.views import MOST_POINTS, alarms_view, by_hour, fleet_view, health_view, turbine_view
+from hygrokf.live.web.views import (
+    MOST_COURSE_POINTS,
+    alarms_view,
+    by_hour,
+    fleet_view,
+    health_view,
+    turbine_view,
+)
 from hygrokf.texts.live_codes import BasisCode
 
 T0 = 1.7e9
@@ -118,10 +125,10 @@ def test_the_limit_is_that_of_the_forecast(store: Store) -> None:
 
 
 def test_long_courses_are_thinned(store: Store) -> None:
-    times = T0 + 60.0 * np.arange(3 * MOST_POINTS + 7)
+    times = T0 + 60.0 * np.arange(3 * MOST_COURSE_POINTS + 7)
     store.commit(Batch(estimates={"L": Estimates(estimated(times, 290.0, 0.5, 0.1), len(times), T0)}))
     found = turbine_view(store, "L", T0, T0)["time"]
-    assert MOST_POINTS // 2 < len(found) <= MOST_POINTS and found[-1] == times[-1]
+    assert MOST_COURSE_POINTS // 2 < len(found) <= MOST_COURSE_POINTS and found[-1] == times[-1]
 
 
 def test_health() -> None:

@@ -20,7 +20,7 @@ from builders.ports import free_port
 from builders.store_case import queried
 from prometheus_client.parser import text_string_to_metric_families
 
-from hygrokf.live.batch import STATES, Alarm, Batch
+from hygrokf.live.batch import TURBINE_STATES, Alarm, Batch
 from hygrokf.live.service import Service
 from hygrokf.live.web import server as web_access
 from hygrokf.live.web.application import STATIC, PageEndpoints
@@ -97,7 +97,7 @@ def test_the_fleet_is_the_stores(client: httpx.Client, service: Service) -> None
         assert (rows[name]["condensation"], rows[name]["time"]) == (chance, at)
     states = store.assessments()
     assert {name: row["state"] for name, row in rows.items()} == {n: one.state for n, one in states.items()}
-    assert found["summary"] == {s: [o.state for o in states.values()].count(s) for s in STATES}
+    assert found["summary"] == {s: [o.state for o in states.values()].count(s) for s in TURBINE_STATES}
     assert all(row["reason"] and row["since"] for row in rows.values())
     (most,) = queried(store, "SELECT MAX(condensation) FROM forecast WHERE time >= ?", (found["now"],))
     store.close()
@@ -275,8 +275,8 @@ def test_metrics_are_the_stores(service: Service) -> None:
     for name, row in rows.items():
         turbine = ("turbine", name)
         assert found["hygrokf_condensation_probability", turbine] == row["condensation"]
-        states = {s: found["hygrokf_turbine_state", ("state", s), turbine] for s in STATES}
-        assert states == {s: float(s == row["state"]) for s in STATES}
+        states = {s: found["hygrokf_turbine_state", ("state", s), turbine] for s in TURBINE_STATES}
+        assert states == {s: float(s == row["state"]) for s in TURBINE_STATES}
         assert found["hygrokf_dew_point_margin_kelvin", turbine] == row["margin"]
         age = found["hygrokf_heard_age_seconds", turbine]
         assert began - row["heard"] - 1e-3 <= age <= ended - row["heard"] + 1e-3

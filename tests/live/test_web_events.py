@@ -21,7 +21,7 @@ from hygrokf.live.tracker import Reading
 from hygrokf.live.web import server as web_events
 from hygrokf.live.web.application import PageEndpoints
 from hygrokf.live.web.page_settings import PageSettings
-from hygrokf.live.web.server import STOP_S, Hub, PageServer, changed_turbines, serve
+from hygrokf.live.web.server import START_AND_STOP_S, Hub, PageServer, changed_turbines, serve
 
 LOCAL = PageSettings(port=0)
 
@@ -58,7 +58,7 @@ class Listener:
 @pytest.fixture
 def page(monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[Hub, PageServer]]:
     """A hub and a server of a page without turbines."""
-    monkeypatch.setattr(web_events, "PAUSE_S", 0.05)
+    monkeypatch.setattr(web_events, "MESSAGE_PAUSE_S", 0.05)
     hub = Hub(most=3)
     with serve(PageEndpoints(Service({}, [], "sqlite:none"), hub, LOCAL).app(), LOCAL, hub) as server:
         yield hub, server
@@ -135,7 +135,7 @@ def test_the_end_comes_in_time_with_open_streams() -> None:
         listeners = [Listener(server.url) for _ in range(3)]
         began = time.monotonic()
     took = time.monotonic() - began
-    assert not server.thread.is_alive() and took < STOP_S
+    assert not server.thread.is_alive() and took < START_AND_STOP_S
     for one in listeners:
         eventually(lambda one=one: one.ended)
     hub.announce(["A"])  # nobody is there, and nothing breaks

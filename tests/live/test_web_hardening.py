@@ -62,7 +62,7 @@ def test_half_open_clients_stop_no_reading(
     source = Fed("fed:", record_mapping(record, "T1"))
     service = Service({"T1": live_turbine(record)}, [source], f"sqlite:{tmp_path / 'live.db'}")
     waits, held_then = [], []
-    monkeypatch.setattr(web_server, "SILENT_S", 4.0)
+    monkeypatch.setattr(web_server, "REQUEST_SILENT_S", 4.0)
 
     def deliver() -> None:
         began, before = time.monotonic(), service.health.deliveries
@@ -88,7 +88,7 @@ def test_half_open_clients_stop_no_reading(
 
 
 def test_a_connection_that_asks_nothing_is_closed(service: Service, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(web_server, "SILENT_S", 0.3)
+    monkeypatch.setattr(web_server, "REQUEST_SILENT_S", 0.3)
     with served(service, LOCAL) as (_, server), ExitStack() as stack:
         silent, partial = (connected(stack, server, sent) for sent in HALVES)
         watching = connected(stack, server, b"GET /events HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n")

@@ -14,7 +14,7 @@ from hygrokf.data.record import Record, Series
 from hygrokf.data.result_file import result_text
 from hygrokf.data.structured import plain
 from hygrokf.modelling.design import (
-    BRIDGE_H,
+    POWER_BRIDGE_H,
     Design,
     accuracy_of,
     design,
@@ -218,7 +218,7 @@ def test_a_long_gap_of_the_power_brings_its_covariance_and_correlation_time():
     assert "power_unknown" in base.model.inputs
     p = 0.5 + 0.12 * value
     p[1000:1006] = np.nan  # an hour: bridged
-    assert BRIDGE_H == 1.0
+    assert POWER_BRIDGE_H == 1.0
     assert "gap_covariance" not in settings_of(design(record(power(RATED_W * p))), "heat_release")
 
 

@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose
 from hygrokf.evaluation.responses import to_statespace
 from hygrokf.identification.fit import Fit
 from hygrokf.modelling.design import Design
-from hygrokf.modelling.thermal_system import INPUTS, thermal_poles, thermal_system
+from hygrokf.modelling.thermal_system import SYSTEM_INPUTS, thermal_poles, thermal_system
 
 TAU, RHO = 1.7, 0.83
 
@@ -46,7 +46,7 @@ def test_matrices_are_equations_2_and_3(network):
 
 def test_system_has_names_and_poles(network):
     system = to_statespace(Fit("made", *network))
-    assert system.input_labels == list(INPUTS)
+    assert system.input_labels == list(SYSTEM_INPUTS)
     assert system.state_labels == ["converter_temperature"]
     assert system.output_labels == ["cabinet_air_temperature"]
     _, _, poles = control.damp(system, doprint=False)

@@ -47,22 +47,22 @@ from hygrokf.modelling.causes.forms import Form, Ground, Setting
 from hygrokf.modelling.library import CAUSES
 from hygrokf.report.blocks import Card, Cards
 from hygrokf.report.discovery_page import (
+    cause_parameters_table,
     discovery_blocks,
     evidence_table,
     findings_table,
     gains_table,
     held_out_table,
-    parameters_table,
     scores_tables,
     write_discovery_report,
 )
 from hygrokf.report.discovery_text import (
     cause_with_form,
     chosen_words,
+    discovery_verdict,
     form_words,
     held_out_sentences,
     held_out_text,
-    verdict_of,
 )
 from hygrokf.report.figures.drawing import NothingToShow
 from hygrokf.report.figures.residual_structure import figure_error_course, telling_drivers
@@ -121,7 +121,7 @@ def test_tables_and_sentences_carry_the_numbers() -> None:
             "< 0.001",
         ),
     )
-    assert parameters_table(found.causes[0]).rows == (
+    assert cause_parameters_table(found.causes[0]).rows == (
         ("solar_heat", "6.13", "5.47 … 6.88", "K/(kW/m²)", "heat of the sun"),
         ("solar_time", "0.690", "open … 1.01", "h", "lag"),
     )
@@ -339,7 +339,7 @@ def test_levels_of_controllers_are_told_in_degrees() -> None:
     found = discovery_case()
     level = {"value": 288.15, "unit": "K", "lower": 287.15, "upper": 289.15}
     found["causes"][0]["parameters"] = {"throttled_heating_first": level}
-    (row,) = parameters_table(typed(found).causes[0]).rows
+    (row,) = cause_parameters_table(typed(found).causes[0]).rows
     assert row[1:4] == ("15.0", "14.0 … 16.0", "°C")
 
 
@@ -394,7 +394,7 @@ DOUBT = {"code": "same_files", "values": {}}
 def test_a_doubt_about_the_record_comes_before_any_cause() -> None:
     found = typed(discovery_case() | {"doubts": [DOUBT]})
     doubt = found.doubts[0].text
-    reasons = verdict_of(found).reasons
+    reasons = discovery_verdict(found).reasons
     assert doubt in reasons[0] and len(reasons) > 1
     assert doubt in " ".join(page_text(discovery_blocks(found)).split())
     assert doubt in Page(page_html(discovery_blocks(found))).text

@@ -213,14 +213,14 @@ def test_innovations_of_each_output_with_every_input() -> None:
 
 
 def test_what_goes_beyond_the_limits_is_red() -> None:
-    from hygrokf.report.figures.drawing import SIMULATED
+    from hygrokf.report.figures.drawing import SIMULATED_COLOUR
 
     fit, series = report_case()
     data = fit["innovations"]["outputs"]["temperature"]["autocorrelation"]
 
     def red() -> int:
         axes = figure_innovations(results(fit), series).figure().get_axes()[0]
-        return sum(len(line.get_xdata()) for line in axes.get_lines() if line.get_color() == SIMULATED)
+        return sum(len(line.get_xdata()) for line in axes.get_lines() if line.get_color() == SIMULATED_COLOUR)
 
     data["value"] = [0.0] * len(data["value"])
     assert red() == 0

@@ -22,7 +22,7 @@ from hygrokf.report.fit_page import ReportFault, fit_blocks, read_results, write
 from hygrokf.report.fit_tables import rmse_table
 from hygrokf.report.fit_text import judgements
 from hygrokf.report.page import page_html
-from hygrokf.report.terminal import KEY, cells, page_text, shortened
+from hygrokf.report.terminal import MARKS_KEY, cells, page_text, shortened
 from hygrokf.texts.fit_codes import FitCode
 from hygrokf.texts.record_codes import DoubtCode
 from hygrokf.texts.wording import decimals_for, percent, plain_number
@@ -327,7 +327,7 @@ def test_doubts_come_first_and_old_results_have_none(quick) -> None:
     doubts = DoubtCode.MANY_MISSING(signal="the wrong <column>", share=0.5), DoubtCode.NO_RATED_POWER()
     fit["doubts"] = plain(doubts)
     text, page = page_text(fit_blocks(results(fit), {})), page_html(fit_blocks(results(fit), {}))
-    first, second = text.partition(f"{KEY}\n")[2].splitlines()[:2]
+    first, second = text.partition(f"{MARKS_KEY}\n")[2].splitlines()[:2]
     assert first.startswith("! ") and "the wrong <column>" in first
     assert second.startswith("! ") and "no rated power" in second
     first = page.partition('<ul class="judgements">')[2].partition("</li>")[0]

@@ -37,7 +37,7 @@ from hygrokf.report.page import page_html
 from hygrokf.report.summary.contents import (
     MOST_ACTIONS,
     MOST_ROWS,
-    REMEDIES,
+    REASON_REMEDIES,
     Summary,
     summary_blocks,
     summary_of_climate,
@@ -183,7 +183,7 @@ def test_a_wrong_model_without_a_cause_has_something_to_do_too() -> None:
     }  # fmt: skip
     made = summary_of_discovery(typed(data), residuals_case(0.0), None)
     assert made.tone == "open" and "not right" in made.answer and text in " ".join(made.reasons)
-    (longer,) = (action for action, codes in REMEDIES.items() if ReasonCode.RECORD_SHORT in codes)
+    (longer,) = (action for action, codes in REASON_REMEDIES.items() if ReasonCode.RECORD_SHORT in codes)
     assert longer in made.actions
     data = discovery_case()
     data["causes"][0] |= {"remedy": "", "separate_by": ""}
@@ -230,7 +230,7 @@ def test_regions_are_ranked_or_told_by_their_limits() -> None:
 
 def test_every_reason_against_a_time_constant_has_a_remedy() -> None:
     codes = re.findall(r"^\| `(\w+)` \| (?:caution|reject)", document("verdict.md").read_text(), re.M)
-    assert sorted(code.key for asking in REMEDIES.values() for code in asking) == sorted(codes)
+    assert sorted(code.key for asking in REASON_REMEDIES.values() for code in asking) == sorted(codes)
 
 
 # --- on paper --------------------------------------------------------------------------------

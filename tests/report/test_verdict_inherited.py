@@ -21,7 +21,7 @@ from hygrokf.commands.main import main
 from hygrokf.data.record import Record
 from hygrokf.data.result_file import result_text
 from hygrokf.data.structured import plain
-from hygrokf.fleet.fleet_results import FleetResults, columns_of
+from hygrokf.fleet.fleet_results import FleetResults, task_columns
 from hygrokf.fleet.outliers import spreads
 from hygrokf.fleet.tasks import TASKS
 from hygrokf.identification.fit import Fit
@@ -202,7 +202,7 @@ def test_a_fleet_leaves_out_what_is_not_to_be_believed() -> None:
     rows = [row(f"T{i}", 1.5 + 0.02 * i, BELIEVE) for i in range(6)]
     rows += [row("T6", 9.0, REJECT), row("T7", 1.6, CAUTION)]
     for task in TASKS:
-        assert {"thermal_verdict", "hygric_verdict"} <= set(columns_of(task))
+        assert {"thermal_verdict", "hygric_verdict"} <= set(task_columns(task))
     constant = next(
         one for one in spreads(rows, TASKS["fit"].compared) if one.compared.column == "thermal_value_h"
     )

@@ -279,9 +279,9 @@ def test_a_constant_is_varied_wherever_it_stands_and_comes_back() -> None:
         assert error_model.loss(np.array([6.0]))[0] == 36.0
     assert (error_model.HUBER, estimate.HUBER) == (4.0, 4.0)
     assert error_model.loss(np.array([6.0]))[0] == 32.0  # 8 · 6 − 16 beyond 4
-    with constants.varied(constants.Variant("candidates", "THRESHOLD", 0.5)):
-        assert (candidates.THRESHOLD, search.THRESHOLD) == (5.0, 5.0)
-    assert (candidates.THRESHOLD, search.THRESHOLD) == (10.0, 10.0)
+    with constants.varied(constants.Variant("candidates", "ACCEPTED_EVIDENCE", 0.5)):
+        assert (candidates.ACCEPTED_EVIDENCE, search.ACCEPTED_EVIDENCE) == (5.0, 5.0)
+    assert (candidates.ACCEPTED_EVIDENCE, search.ACCEPTED_EVIDENCE) == (10.0, 10.0)
 
 
 def test_every_constant_that_decides_is_varied_but_the_one_of_a_remark() -> None:

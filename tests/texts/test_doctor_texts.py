@@ -7,7 +7,7 @@ from string import Formatter
 import pytest
 
 from hygrokf.data.structured import plain
-from hygrokf.texts.doctor_codes import DOUBT, LEVELS, OK, CheckCode, ExaminedCode
+from hygrokf.texts.doctor_codes import CHECK_LEVELS, DOUBT, OK, CheckCode, ExaminedCode
 from hygrokf.texts.statement import Code, Statement
 
 KINDS = (CheckCode, ExaminedCode)
@@ -27,8 +27,7 @@ VALUES = {
 TEXTS = {
     CheckCode.STAMP_AHEAD: "its newest stamp is 2 h ahead of this machine's clock",
     CheckCode.STAMP_TOO_FAR_AHEAD: (
-        "its newest stamp is 2 h ahead of this machine's clock; readings more than 15 min ahead are held "
-        "back"
+        "its newest stamp is 2 h ahead of this machine's clock; readings more than 15 min ahead are held back"
     ),
     CheckCode.STAMP_AGE: "its newest stamp is 2 h old",
     CheckCode.STAMP_OLD_BY_HOURS: "its newest stamp is 2 h old on arrival: 2 whole hours",
@@ -165,7 +164,7 @@ def test_a_check_says_what_to_do_unless_all_is_well() -> None:
     assert str(slow) == f"doubt  source x: {found}; to do: {to_do}"
     assert CheckCode.FILE_RESTS("x", within=1.0, age=2.0).remedy == ""
     assert CheckCode.FILE_RESTS("x", DOUBT, within=1.0, age=2.0).remedy.startswith("check the program")
-    assert {code.usual for code in CheckCode} == set(LEVELS)
+    assert {code.usual for code in CheckCode} == set(CHECK_LEVELS)
     assert all(code.remedy for code in CheckCode if code.usual != OK)
     data = plain(slow)
     assert data["code"] == "query_slow" and data["remedy"] == slow.remedy and data["found"] == slow.text

@@ -13,6 +13,7 @@ import pytest
 from hygrokf.data.structured import StructureFault, plain, structured
 from hygrokf.texts.reasons import Reason, ReasonCode
 from hygrokf.texts.statement import FIELDS_OF_NAMES, Code, Statement
+from hygrokf.texts.wording import NONE, signed
 
 
 class Example(Code):
@@ -24,6 +25,19 @@ class Example(Code):
 
 
 ENUMERATIONS = [kind for kind in Code.__subclasses__() if kind is not Example]
+
+
+@pytest.mark.parametrize(
+    ("value", "decimals", "text"),
+    [
+        (-0.004, 2, "0.00"), (0.004, 2, "0.00"), (-0.0, 1, "0.0"), (0.0, 2, "0.00"), (-0.4, 0, "0"),
+        (-0.006, 2, "−0.01"), (0.006, 2, "+0.01"), (-12.0, 0, "−12"), (math.nan, 2, NONE),
+    ],
+)  # fmt: skip
+def test_a_difference_has_its_sign_and_a_rounded_zero_has_none(
+    value: float, decimals: int, text: str
+) -> None:
+    assert signed(value, decimals) == text
 
 
 def test_fields_of_a_template() -> None:

@@ -36,7 +36,7 @@ from hygrokf.report.transfer_page import (
     write_transfer,
 )
 from hygrokf.texts.transfer_codes import TransferCode, TransferVerdict
-from hygrokf.transfer.baseline import HEAT, HYGRIC, THERMAL
+from hygrokf.transfer.baseline import HEAT_GROUP, HYGRIC_GROUP, THERMAL_GROUP
 from hygrokf.transfer.transfer_fit import transfer_fit
 from hygrokf.transfer.transfer_results import Reduction, Structure, Transfer, TransferResult, transfer_results
 from hygrokf.transfer.transferability import with_verdict
@@ -60,10 +60,12 @@ def sister(differ: tuple[str, ...], seed: int = SEED + 1) -> Record:
 @pytest.fixture(scope="module")
 def other(origin: Fit) -> Transfer:
     """The one pair whose own fits are made: the heat release differs."""
-    return transfer_fit(origin, sister((HEAT,)))
+    return transfer_fit(origin, sister((HEAT_GROUP,)))
 
 
-@pytest.mark.parametrize("differ", [(), (THERMAL,), (HYGRIC,), (THERMAL, HEAT, HYGRIC)])
+@pytest.mark.parametrize(
+    "differ", [(), (THERMAL_GROUP,), (HYGRIC_GROUP,), (THERMAL_GROUP, HEAT_GROUP, HYGRIC_GROUP)]
+)
 def test_the_verdict_is_right(origin: Fit, differ: tuple[str, ...]) -> None:
     record = sister(differ)
     found = transfer_fit(origin, record, fits=False)
@@ -76,7 +78,7 @@ def test_the_verdict_is_right(origin: Fit, differ: tuple[str, ...]) -> None:
 
 def test_re_estimating_gains_where_something_differs(other: Transfer) -> None:
     assert other.results.verdict is TransferVerdict.PARTLY
-    assert other.results.statement == TransferCode.PARTLY_BY_GROUPS(groups=(HEAT,))
+    assert other.results.statement == TransferCode.PARTLY_BY_GROUPS(groups=(HEAT_GROUP,))
     rows = other.results.rmse["temperature_K"]
     assert rows["re_estimated"].total < 0.7 * rows["as_is"].total
     gain = other.results.gains["temperature_K"]["re_estimated"]["over_as_is"]
@@ -89,7 +91,7 @@ def test_re_estimating_gains_where_something_differs(other: Transfer) -> None:
 
 def test_the_model_as_it_is_has_the_scores_of_evaluate(origin: Fit, other: Transfer) -> None:
     """The same free run as `hygrokf evaluate`, on the instants that all columns score."""
-    record = sister((HEAT,))
+    record = sister((HEAT_GROUP,))
     theirs = evaluate(origin, record).rmse["validation"]["temperature_K"]
     ours = other.results.rmse["temperature_K"]["as_is"]
     assert ours.n.total == theirs.n.total and ours.total == pytest.approx(theirs.total, rel=1e-9)
@@ -149,7 +151,7 @@ def test_parameters_that_a_record_does_not_determine_are_kept(origin: Fit) -> No
     found = transfer_fit(origin, dry, fits=False).results
     (names,) = (one.values["names"] for one in found.statements if one.code is TransferCode.NO_INFORMATION)
     assert "hygric_k" in names
-    assert {row.group: row.outcome for row in found.groups}[HYGRIC] == "not judged"
+    assert {row.group: row.outcome for row in found.groups}[HYGRIC_GROUP] == "not judged"
     assert found.parameters["hygric_k"].kept and "absolute_humidity_g_m3" not in found.rmse
     assert found.verdict is TransferVerdict.TRANSFERS
 
@@ -172,8 +174,8 @@ def with_gain(found: TransferResult, **gains: Reduction) -> TransferResult:
          TransferCode.STRUCTURE_LACKS, {"error": 4.0, "ratio": 2.7}),
         (lambda one: with_gain(one, over_as_is=Reduction("as_is", -3.0, -5.0, -1.0)),
          TransferCode.WORSE_RE_ESTIMATED, {"excess": 3.0, "unit": "K"}),
-        (lambda one: replace(one, re_estimate=(THERMAL, HEAT, HYGRIC)), TransferCode.ALL_GROUPS_DIFFER,
-         {"groups": (THERMAL, HEAT, HYGRIC)}),
+        (lambda one: replace(one, re_estimate=(THERMAL_GROUP, HEAT_GROUP, HYGRIC_GROUP)),
+         TransferCode.ALL_GROUPS_DIFFER, {"groups": (THERMAL_GROUP, HEAT_GROUP, HYGRIC_GROUP)}),
     ],
 )  # fmt: skip
 def test_objections_to_a_transfer_are_named(
@@ -199,7 +201,7 @@ def test_a_short_record_excludes_little_of_the_heat_release(origin: Fit) -> None
     same."""
     record = sister(()).window(0.0, sister(()).start_s + 4 * 86400.0)
     rows = transfer_fit(origin, replace(record, until_s=None), fits=False).results.groups
-    row = next(row for row in rows if row.group == HEAT)
+    row = next(row for row in rows if row.group == HEAT_GROUP)
     assert row.outcome == "travels" and row.effect["temperature_K"] > 0.3
     assert row.statement == TransferCode.GROUP_OPEN()
 
@@ -267,7 +269,7 @@ def test_the_free_run_of_all_sets_is_in_the_series(other: Transfer) -> None:
     )
     from hygrokf.modelling.inputs import model_inputs
 
-    record = sister((HEAT,))
+    record = sister((HEAT_GROUP,))
     again = free_run(
         other.adapted.design, other.adapted.values, model_inputs(other.adapted.design, record)
     ).temperature[0]

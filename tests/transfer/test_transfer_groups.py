@@ -8,10 +8,10 @@ import pytest
 
 from hygrokf.transfer.baseline import (
     DISTURBANCES,
-    HEAT,
-    HYGRIC,
+    HEAT_GROUP,
+    HYGRIC_GROUP,
     OFFSETS,
-    THERMAL,
+    THERMAL_GROUP,
     Difference,
     group_of,
     members,
@@ -20,7 +20,9 @@ from hygrokf.transfer.baseline import (
 )
 
 NAMES = ("tau", "rho", "a", "b", "c", "k")
-GROUPS = dict(zip(NAMES, (THERMAL, THERMAL, HEAT, HEAT, HEAT, HYGRIC), strict=True))
+GROUPS = dict(
+    zip(NAMES, (THERMAL_GROUP, THERMAL_GROUP, HEAT_GROUP, HEAT_GROUP, HEAT_GROUP, HYGRIC_GROUP), strict=True)
+)
 
 
 def difference_of(seed: int, shift: dict[str, float] | None = None) -> Difference:
@@ -66,9 +68,9 @@ def test_large_differences_are_named_and_no_others(right: dict[str, float]) -> N
 
 def test_the_most_telling_comes_first_even_where_p_underflows() -> None:
     found = Difference(("tau", "k"), np.array([60.0, 90.0]), np.eye(2))
-    assert selected(found) == [HYGRIC, THERMAL]
+    assert selected(found) == [HYGRIC_GROUP, THERMAL_GROUP]
     tests = selection(found, GROUPS)
-    assert tests[HYGRIC].p == 0.0 and tests[THERMAL].p_adjusted <= 1.0
+    assert tests[HYGRIC_GROUP].p == 0.0 and tests[THERMAL_GROUP].p_adjusted <= 1.0
 
 
 def test_groups_of_a_base_model_and_of_an_added_mechanism() -> None:
@@ -84,8 +86,8 @@ def test_groups_of_a_base_model_and_of_an_added_mechanism() -> None:
         )
     )
     groups = group_of(extended(base, [("wall_thermal_mass", {})]).model)
-    assert members(groups, THERMAL) == ("thermal_time_constant", "resistance_ratio")
-    assert "heat_release_power_2" in members(groups, HEAT)
+    assert members(groups, THERMAL_GROUP) == ("thermal_time_constant", "resistance_ratio")
+    assert "heat_release_power_2" in members(groups, HEAT_GROUP)
     assert members(groups, OFFSETS) == ("cabinet_temperature_bias",)
     assert "cabinet_temperature_noise" in members(groups, DISTURBANCES)
     assert members(groups, "wall thermal mass") == ("wall_conductance", "wall_time_constant", "wall_position")

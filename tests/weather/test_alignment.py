@@ -15,7 +15,7 @@ from hygrokf.data.record import Record, Series, Site
 from hygrokf.data.timestamps import summer_time
 from hygrokf.texts.record_codes import DoubtCode, RecordCode
 from hygrokf.weather.clock_comparison import (
-    UNKNOWN,
+    UNKNOWN_BOUNDS,
     Bounded,
     ClockError,
     align,
@@ -129,7 +129,7 @@ def test_the_daily_wave_is_that_of_a_least_squares_fit() -> None:
         pytest.approx(2.0, rel=0.015),
         pytest.approx(3.0, rel=0.015),
     )
-    assert found.whole.weather == UNKNOWN  # no weather but the mean day
+    assert found.whole.weather == UNKNOWN_BOUNDS  # no weather but the mean day
 
 
 def test_means_stand_in_the_middle_of_their_interval() -> None:
@@ -242,7 +242,9 @@ def test_several_signals_are_weighed() -> None:
     assert joint.high - joint.value == pytest.approx(1.96 * 100.0 / np.sqrt(2.0), rel=0.01)
     apart = _combined([Bounded(0.0, -196.0, 196.0), Bounded(2000.0, 1804.0, 2196.0)])
     assert apart.high - apart.low > 1900.0  # contradicting ones widen the bounds
-    assert _combined([UNKNOWN, Bounded(1.0, 0.0, 2.0)]).value == 1.0 and _combined([]) == UNKNOWN
+    assert (
+        _combined([UNKNOWN_BOUNDS, Bounded(1.0, 0.0, 2.0)]).value == 1.0 and _combined([]) == UNKNOWN_BOUNDS
+    )
 
 
 # -- measured ------------------------------------------------------------------------------------------------

@@ -13,7 +13,7 @@ from builders.measured import DATA, measured
 
 from hygrokf.data.columns import TableFault
 from hygrokf.data.record import Site
-from hygrokf.weather.reading import form_of, read_weather
+from hygrokf.weather.reading import read_weather, weather_format
 from hygrokf.weather.typical_years import read_epw
 
 TYPICAL = (2006, 2011, 2018, 2006, 2009, 2015, 2007, 2012, 2016, 2010, 2013, 2008)
@@ -187,10 +187,14 @@ def test_an_archive_of_a_weather_service_is_known_by_what_is_in_it(tmp_path: Pat
     }
     path = made.zipped(tmp_path / "FRA_site.zip", members)
     assert (
-        form_of(path) == "epw" and len(read_weather(path, year=2019, years=2)["ambient_temperature"]) == 17544
+        weather_format(path) == "epw"
+        and len(read_weather(path, year=2019, years=2)["ambient_temperature"]) == 17544
     )
-    assert form_of(written(tmp_path, text, "site.txt")) == "epw"
-    assert form_of(made.streams(tmp_path / "era5.nc")) == "era5" and form_of(tmp_path / "no.zip") is None
+    assert weather_format(written(tmp_path, text, "site.txt")) == "epw"
+    assert (
+        weather_format(made.streams(tmp_path / "era5.nc")) == "era5"
+        and weather_format(tmp_path / "no.zip") is None
+    )
     (tmp_path / "cut.zip").write_bytes(path.read_bytes()[:400])
     with pytest.raises(TableFault, match="damaged ZIP"):
         read_weather(tmp_path / "cut.zip")

@@ -13,7 +13,7 @@ from builders.moist_air import specific_humidity
 
 from hygrokf.data.record import Site
 from hygrokf.physics.psychrometrics import saturation_pressure_water
-from hygrokf.weather.reading import form_of, read_weather
+from hygrokf.weather.reading import read_weather, weather_format
 from hygrokf.weather.reanalysis import read_era5, read_merra2
 
 SITE = Site(48.48, 5.57, 400.0)  # nearest to the middle cell
@@ -50,7 +50,7 @@ def test_daily_files_follow_each_other_alone_and_in_an_archive(tmp_path: Path) -
     with zipfile.ZipFile(archive, "w") as into:
         for file in files:
             into.write(file, file.name)
-    assert form_of(archive) == "merra2"
+    assert weather_format(archive) == "merra2"
     for given in (files, [archive], files[::-1]):
         series = read_weather(given, site=SITE)["ambient_temperature"]
         np.testing.assert_allclose(series.value, made.merra2_truth("T2M", days=4), rtol=1e-6)
@@ -59,7 +59,7 @@ def test_daily_files_follow_each_other_alone_and_in_an_archive(tmp_path: Path) -
 
 def test_a_subset_under_another_name_is_known_by_its_fields(tmp_path: Path) -> None:
     path = made.merra2_file(tmp_path, name="site.nc", names=("T2M", "QV2M", "PS", "U10M", "V10M"))
-    assert form_of(path) == "merra2"
+    assert weather_format(path) == "merra2"
     assert read_merra2(path, SITE)["wind_speed"].height_m == 10.0
     assert 'state format = "merra2"' in "\n".join(faults_of(read_era5, path, SITE))
 

@@ -14,7 +14,7 @@ from builders.weather_case import relative_humidity
 
 from hygrokf.data.record import Site
 from hygrokf.weather.open_meteo import read_open_meteo
-from hygrokf.weather.reading import form_of, read_weather, read_weather_file
+from hygrokf.weather.reading import read_weather, read_weather_file, weather_format
 
 START_S = np.datetime64("2021-03-01T00:00", "s").astype(np.int64).astype(float)
 HOUR = np.arange(96.0)
@@ -31,7 +31,7 @@ def truth(name: str) -> np.ndarray:
 @pytest.mark.parametrize("write", [made.open_meteo_json, made.open_meteo_csv])
 def test_both_layouts_give_the_same_record(tmp_path: Path, write) -> None:
     path = write(tmp_path / "site.txt", made.open_meteo())
-    assert form_of(path) == "open_meteo"
+    assert weather_format(path) == "open_meteo"
     record = read_weather_file(path, site=Site(48.48, 5.57, 420.0))
     for signal, values, hold in (
         ("ambient_temperature", truth("temperature_2m") + 273.15, "linear"),
@@ -125,7 +125,7 @@ def test_null_is_missing_and_gzip_is_read(tmp_path: Path) -> None:
     answer["hourly"]["temperature_2m"][5] = None
     path = tmp_path / "site.json.gz"
     path.write_bytes(gzip.compress(json.dumps(answer).encode()))
-    assert form_of(path) == "open_meteo"
+    assert weather_format(path) == "open_meteo"
     assert list(np.flatnonzero(np.isnan(read_open_meteo(path)["ambient_temperature"].value))) == [5]
     csv = made.open_meteo_csv(tmp_path / "site.csv", answer)
     assert list(np.flatnonzero(np.isnan(read_open_meteo(csv)["ambient_temperature"].value))) == [5]

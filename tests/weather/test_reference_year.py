@@ -11,7 +11,7 @@ from builders.faults import faults_of
 from builders.weather_case import relative_humidity
 
 from hygrokf.data.record import Site
-from hygrokf.weather.reading import form_of, read_weather
+from hygrokf.weather.reading import read_weather, weather_format
 from hygrokf.weather.typical_years import geographic, read_try
 
 
@@ -75,7 +75,7 @@ def test_the_layout_of_2011_with_codes_for_what_is_missing(tmp_path: Path) -> No
 
 
 def test_a_reference_year_is_known_by_its_header_and_repeated(file: Path) -> None:
-    assert form_of(file) == "try"
+    assert weather_format(file) == "try"
     weather = read_weather(file, site=Site(51.36, 12.42, 139.0), year=2019, years=2)
     assert len(weather["ambient_temperature"]) == 2 * 8760 + 24
     assert any("2020 is a leap year: 28 February is repeated" in said for said in weather.warnings)

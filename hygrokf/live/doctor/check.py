@@ -16,8 +16,8 @@ from hygrokf.data.timestamps import DAY_S, HOUR_S
 from hygrokf.data.toml_form import read_toml
 from hygrokf.live.sources.endpoint import OTHERS_READ
 from hygrokf.live.sources.payload import PayloadStatistics
-from hygrokf.live.sources.payload_values import AHEAD_S
-from hygrokf.texts.doctor_codes import DOUBT, FAULT, LEVELS, OK, Check, CheckCode, ExaminedCode
+from hygrokf.live.sources.payload_values import STAMP_AHEAD_S
+from hygrokf.texts.doctor_codes import CHECK_LEVELS, DOUBT, FAULT, OK, Check, CheckCode, ExaminedCode
 from hygrokf.texts.statement import Statement, Value
 
 CLOSE_S = 60.0
@@ -53,7 +53,7 @@ def of_names(
 
 def worst(checks: Iterable[Check]) -> str:
     """The worst level of some checks; "ok" without checks."""
-    return max((check.level for check in checks), key=LEVELS.index, default=OK)
+    return max((check.level for check in checks), key=CHECK_LEVELS.index, default=OK)
 
 
 # -- sources -------------------------------------------------------------------------------------------------
@@ -81,8 +81,8 @@ def stamp_check(about: str, lag_s: float, lateness_s: float = math.inf, fresh: b
     if not math.isfinite(lag_s):
         return None
     age, hours = rounded(lag_s), round(lag_s / HOUR_S)
-    if lag_s < -AHEAD_S:
-        return CheckCode.STAMP_TOO_FAR_AHEAD(about, ahead=rounded(-lag_s), limit=AHEAD_S)
+    if lag_s < -STAMP_AHEAD_S:
+        return CheckCode.STAMP_TOO_FAR_AHEAD(about, ahead=rounded(-lag_s), limit=STAMP_AHEAD_S)
     if lag_s < -CLOSE_S:
         return CheckCode.STAMP_AHEAD(about, ahead=rounded(-lag_s))
     if fresh and 1 <= hours <= LARGEST_ZONE_H and abs(lag_s - hours * HOUR_S) < WHOLE_HOURS_S:
@@ -96,7 +96,7 @@ def server_check(about: str, difference_s: float) -> Check:
     """Judge a server's clock by its difference from this machine's clock [s]; positive if it is ahead."""
     if abs(difference_s) <= CLOSE_S:
         return CheckCode.SERVER_CLOCK_AGREES(about, limit=CLOSE_S)
-    level = FAULT if difference_s > AHEAD_S else DOUBT
+    level = FAULT if difference_s > STAMP_AHEAD_S else DOUBT
     code = CheckCode.SERVER_CLOCK_AHEAD if difference_s > 0.0 else CheckCode.SERVER_CLOCK_BEHIND
     return code(about, level, difference=rounded(abs(difference_s)))
 
@@ -137,7 +137,7 @@ def machine_checks(epoch_s: float, received_s: float) -> Iterator[Check]:
 
 
 # -- certificates and secrets --------------------------------------------------------------------------------
-def file_checks(file: Path) -> Iterator[Check]:
+def certificate_checks(file: Path) -> Iterator[Check]:
     """Check all certificates and secrets that a tracker's file names; the tracker's file must be valid."""
     content = read_toml(file)[1]
     for where, table in _tables(content):

@@ -26,7 +26,7 @@ from hygrokf.data.structured import JsonObject, plain
 from hygrokf.data.timestamps import DAY_S, HOUR_S
 from hygrokf.live.config import Config
 from hygrokf.live.doctor.check import (
-    file_checks,
+    certificate_checks,
     machine_checks,
     monotonic_epoch,
     of_names,
@@ -35,23 +35,24 @@ from hygrokf.live.doctor.check import (
 )
 from hygrokf.live.doctor.sources import examine_sources
 from hygrokf.live.notification.channel import Channel, ChannelFault, NoticeMessage
-from hygrokf.live.plan import AMBIENT_HUMIDITIES, Plan
+from hygrokf.live.plan import Plan
 from hygrokf.live.sources.stream import Stream
 from hygrokf.live.storage.database import StoreUnready, one_line
 from hygrokf.live.storage.schema import VERSION, observation
 from hygrokf.live.storage.sqlite import path_of
 from hygrokf.live.storage.statements import select_newest, select_rows
 from hygrokf.live.storage.store import Store, StoreFault, open_store
-from hygrokf.live.tracker import Reading, Tracker, record_of
+from hygrokf.live.tracker import Reading, Tracker, tracked_record
 from hygrokf.live.turbines import Turbine, digest
 from hygrokf.live.web.page_settings import PageFault, PageSettings
 from hygrokf.live.web.server import listening_socket
 from hygrokf.modelling.inputs import model_inputs
-from hygrokf.texts.doctor_codes import DOUBT, FAULT, LEVELS, OK, Check, CheckCode, ExaminedCode
+from hygrokf.physics.signal_names import AMBIENT_HUMIDITIES
+from hygrokf.texts.doctor_codes import CHECK_LEVELS, DOUBT, FAULT, OK, Check, CheckCode, ExaminedCode
 from hygrokf.texts.reasons import REJECT
 from hygrokf.texts.statement import Statement
 
-ANSWER_S = 5.0
+PAGE_ANSWER_S = 5.0
 """Longest time that the page may take to answer [s]."""
 TRIAL_H = 72
 """Length of the artificial readings on which a model is tried [h]."""
@@ -82,7 +83,7 @@ def examine(
             received.setdefault(turbine, set()).add(signal)
     return [
         *machine_checks(epoch_s, contents.received_s),
-        *(file_checks(file) if file is not None else ()),
+        *(certificate_checks(file) if file is not None else ()),
         *(check for checks, _ in sources for check in checks),
         *of_store,
         *model_checks(config.turbines, config.streams, received),
@@ -116,11 +117,11 @@ def _fault_of_page(settings: PageSettings) -> str | None:
     """The fault that a tracker's page at the address reports, "" without a fault; None if the address has no
     such page."""
     host = {"0.0.0.0": "127.0.0.1", "::": "::1"}.get(settings.host, settings.host)
-    connection = http.client.HTTPConnection(host, settings.port, timeout=ANSWER_S)
+    connection = http.client.HTTPConnection(host, settings.port, timeout=PAGE_ANSWER_S)
     try:
         if settings.unix:
             connection.sock = socket.socket(socket.AF_UNIX)
-            connection.sock.settimeout(ANSWER_S)
+            connection.sock.settimeout(PAGE_ANSWER_S)
             connection.sock.connect(settings.unix)
         try:
             connection.request("GET", "/healthz")
@@ -156,14 +157,14 @@ def _channel_checks(channel: Channel, send: bool) -> Iterator[Check]:
         yield CheckCode.CHANNEL_FAILS(about, fault=str(error))
 
 
-def as_text(checks: list[Check]) -> str:
+def checks_text(checks: list[Check]) -> str:
     """One line per check, then the number of checks at each level and a conclusion."""
-    counts = [f"{sum(check.level == level for check in checks)} {level}" for level in LEVELS]
+    counts = [f"{sum(check.level == level for check in checks)} {level}" for level in CHECK_LEVELS]
     conclusion = "ready to track" if worst(checks) != FAULT else "fix the faults first"
     return "\n".join([*map(str, checks), f"{', '.join(counts)}: {conclusion}"])
 
 
-def as_data(checks: list[Check]) -> JsonObject:
+def checks_data(checks: list[Check]) -> JsonObject:
     """The checks as JSON data."""
     return {"level": worst(checks), "checks": plain(checks)}
 
@@ -227,7 +228,7 @@ def model_fault(plan: Plan, signals: Collection[str], about: str) -> Check | Non
     if awaited:
         return CheckCode.INPUTS_NOT_MAPPED(about, names=tuple(awaited))
     try:
-        model_inputs(plan.design, record_of(plan, dict.fromkeys(values, times), values))
+        model_inputs(plan.design, tracked_record(plan, dict.fromkeys(values, times), values))
     except (ValueError, KeyError) as error:
         return CheckCode.MODEL_CANNOT_RUN(about, fault=str(error))
     return None

@@ -34,7 +34,7 @@ MOST_READ = 10_000
 """Largest number of payloads read."""
 MOST_VALUES = 40
 """Largest number of readings, and of rejections, shown for a payload."""
-WIDTH = 100
+SHOWN_CHARACTERS = 100
 """Largest number of characters shown of a payload."""
 
 
@@ -167,13 +167,17 @@ def _text(content: Content) -> str:
     if isinstance(content, Mapping):
         text = ", ".join(f"{name}={value}" for name, value in content.items())
     elif isinstance(content, bytes):
-        text = "(gzip)" if content[:2] == b"\x1f\x8b" else content[: 4 * WIDTH].decode("utf-8", "replace")
+        text = (
+            "(gzip)"
+            if content[:2] == b"\x1f\x8b"
+            else content[: 4 * SHOWN_CHARACTERS].decode("utf-8", "replace")
+        )
     else:
         text = content
-    return text if len(text) <= WIDTH else f"{text[: WIDTH - 1]}…"
+    return text if len(text) <= SHOWN_CHARACTERS else f"{text[: SHOWN_CHARACTERS - 1]}…"
 
 
-def as_text(trials: Sequence[Trial]) -> str:
+def trials_text(trials: Sequence[Trial]) -> str:
     """Each payload with its readings and rejections, and a summary for each mapping."""
     lines = []
     for trial in trials:
@@ -193,6 +197,6 @@ def as_text(trials: Sequence[Trial]) -> str:
     return "\n".join(map(one_line, lines))
 
 
-def as_data(trials: Sequence[Trial]) -> JsonObject:
+def trials_data(trials: Sequence[Trial]) -> JsonObject:
     """The trials as JSON data."""
     return {"trials": plain(list(trials))}

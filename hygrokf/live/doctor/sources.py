@@ -41,10 +41,10 @@ from hygrokf.live.sources.opcua_client import Connection, HistoryFault, Sample
 from hygrokf.live.sources.opcua_form import Node
 from hygrokf.live.sources.payload import PayloadStatistics
 from hygrokf.live.sources.payload_formats import Unreadable
-from hygrokf.live.sources.postgres_source import LOWEST, TIMES, PostgresQuery, reason_of, rows_above
+from hygrokf.live.sources.postgres_source import LOWEST, TIMES, PostgresQuery, postgres_reason, rows_above
 from hygrokf.live.sources.sparkplug import EdgeNodes, Sparkplug
 from hygrokf.live.sources.sparkplug_node import UNEXPLAINED
-from hygrokf.live.sources.stream import PAUSE_S, SourceFault, Stream
+from hygrokf.live.sources.stream import POLL_PAUSE_S, SourceFault, Stream
 from hygrokf.live.storage.database import Row
 from hygrokf.texts.doctor_codes import DOUBT, OK, Check, CheckCode, ExaminedCode
 from hygrokf.texts.statement import Statement
@@ -52,7 +52,7 @@ from hygrokf.texts.statement import Statement
 if TYPE_CHECKING:
     import psycopg
 
-ANSWER_S = 10.0
+BROKER_ANSWER_S = 10.0
 """Longest time that a broker may take to accept the client and answer its subscription [s]."""
 
 Checks: TypeAlias = Generator[Check, None, Statement]
@@ -68,11 +68,11 @@ def mqtt_checks(source: Mqtt, statistics: PayloadStatistics, wait_s: float) -> C
     """
     broker, about = source.broker, f"source {source.url}"
     for caution in broker.cautions():
-        if caution.code is not CheckCode.SECRET_READABLE:  # `file_checks` reports these
+        if caution.code is not CheckCode.SECRET_READABLE:  # `tailed_file_checks` reports these
             yield replace(caution, about=about)
     with listen(doctor_session(broker), source.largest) as link:
         if link.lost.is_set() or not link.answered:
-            raise SourceFault(link.reason or f"{broker.where} has not answered within {ANSWER_S:g} s")
+            raise SourceFault(link.reason or f"{broker.where} has not answered within {BROKER_ANSWER_S:g} s")
         yield CheckCode.BROKER_CONNECTED(
             about,
             security=ExaminedCode.BY_TLS() if broker.tls else "",
@@ -130,7 +130,7 @@ def listen(broker: Broker, largest: int) -> Iterator[BrokerLink]:
     link = BrokerLink(broker, largest)
     try:
         link.open()
-        end = time.monotonic() + ANSWER_S
+        end = time.monotonic() + BROKER_ANSWER_S
         while not (link.answered or link.lost.is_set()) and time.monotonic() < end:
             link.lost.wait(0.02)
         yield link
@@ -188,7 +188,7 @@ def _edge_node_checks(about: str, nodes: EdgeNodes, wait_s: float) -> Iterator[C
 
 
 # -- OPC UA --------------------------------------------------------------------------------------------------
-HISTORY_S = DAY_S
+EXAMINED_HISTORY_S = DAY_S
 """Length of the history that is requested of an OPC UA server [s]."""
 MOST_HISTORIES = 20
 """Largest number of nodes whose history is requested."""
@@ -234,7 +234,7 @@ async def _first_samples(connection: Connection, awaited: set[Node], wait_s: flo
     end = time.monotonic() + wait_s
     while awaited - set(newest) and time.monotonic() < end:
         connection.check()
-        newest.update({sample.node: sample for sample in await connection.samples(PAUSE_S)})
+        newest.update({sample.node: sample for sample in await connection.samples(POLL_PAUSE_S)})
     return newest
 
 
@@ -268,7 +268,7 @@ async def _histories(connection: Connection, about: str, nodes: Sequence[Node]) 
     without = await connection.without_history(examined)
     for node in examined:
         try:
-            if await anext(connection.history(node, now - HISTORY_S, now), None) is not None:
+            if await anext(connection.history(node, now - EXAMINED_HISTORY_S, now), None) is not None:
                 without.pop(node, None)  # even if the node's access level excludes its history
         except HistoryFault as error:
             without[node] = str(error)
@@ -281,7 +281,7 @@ async def _histories(connection: Connection, about: str, nodes: Sequence[Node]) 
 # -- all sources, files and databases ------------------------------------------------------------------------
 TAIL = 4_000_000
 """Length of the end of a file that is read [bytes]."""
-MOST_ROWS = 20_000
+MOST_EXAMINED_ROWS = 20_000
 """Largest number of rows of a database's query that are examined."""
 SPANS_S = (600.0, 2.0 * HOUR_S, DAY_S, 30.0 * DAY_S)
 """Lengths of the past in which rows are looked for [s]; the shortest one with rows is used."""
@@ -320,11 +320,11 @@ def _checks(
     stream: Stream, statistics: PayloadStatistics, wait_s: float, lateness_s: float
 ) -> Iterator[Check]:
     about = f"source {stream.url}"
-    kind = next((kind for kind in KINDS if isinstance(stream, kind)), None)
+    kind = next((kind for kind in SOURCE_CHECKS if isinstance(stream, kind)), None)
     if kind is None:
         yield CheckCode.SOURCE_NOT_EXAMINED(about)
         return
-    (check, failure), examined = KINDS[kind], ExaminedCode.PAYLOADS()
+    (check, failure), examined = SOURCE_CHECKS[kind], ExaminedCode.PAYLOADS()
     try:
         examined = yield from check(stream, statistics, wait_s)
     except SourceFault as error:
@@ -359,7 +359,7 @@ def playback_checks(stream: Playback, statistics: PayloadStatistics, wait_s: flo
     return ExaminedCode.PLAYED_BACK()
 
 
-def file_checks(stream: TailedFile, statistics: PayloadStatistics, wait_s: float) -> Checks:
+def tailed_file_checks(stream: TailedFile, statistics: PayloadStatistics, wait_s: float) -> Checks:
     """Check that a followed file exists, is readable and grows, and add its last rows to the statistics."""
     about, path, examined = f"source {stream.url}", stream.path, ExaminedCode.LAST_ROWS()
     try:
@@ -395,7 +395,7 @@ def _growth(about: str, path: Path, size: int, written_s: float, wait_s: float) 
             return CheckCode.FILE_GROWS(about, grown=present_size - size, within=rounded(wait_s))
         if present_size < size:
             return CheckCode.FILE_REPLACED(about)
-        time.sleep(PAUSE_S)
+        time.sleep(POLL_PAUSE_S)
     age = time.time() - written_s
     level = DOUBT if age > OLD_S else OK
     return CheckCode.FILE_RESTS(about, level, within=rounded(wait_s), age=rounded(age))
@@ -421,7 +421,7 @@ def postgres_checks(source: PostgresQuery, statistics: PayloadStatistics, wait_s
     try:
         return (yield from _postgres_checks(source, statistics, f"source {source.url}"))
     except Exception as error:  # the driver's own class cannot be named, because only the source imports it
-        raise SourceFault(reason_of(error)) from None
+        raise SourceFault(postgres_reason(error)) from None
 
 
 def _postgres_checks(source: PostgresQuery, statistics: PayloadStatistics, about: str) -> Checks:
@@ -457,7 +457,7 @@ def _newest_rows(
     for after, examined in _watermarks(kind):  # noqa: B007
         began = time.monotonic()
         with closing(rows_above(connection, source.form.query, after)) as cursor:
-            rows = list(islice(cursor, MOST_ROWS))
+            rows = list(islice(cursor, MOST_EXAMINED_ROWS))
         took_s = time.monotonic() - began
         if rows:
             break
@@ -473,8 +473,8 @@ def _watermarks(kind: str) -> Iterator[tuple[str, Statement]]:
         yield LOWEST[kind], ExaminedCode.FIRST_ROWS()
 
 
-KINDS: Mapping[type[Stream], tuple[Callable[..., Checks], CheckCode]] = {
-    TailedFile: (file_checks, CheckCode.FILE_FAILS),
+SOURCE_CHECKS: Mapping[type[Stream], tuple[Callable[..., Checks], CheckCode]] = {
+    TailedFile: (tailed_file_checks, CheckCode.FILE_FAILS),
     Playback: (playback_checks, CheckCode.FILE_FAILS),
     Mqtt: (mqtt_checks, CheckCode.BROKER_FAILS),
     OpcUa: (opcua_checks, CheckCode.SERVER_FAILS),

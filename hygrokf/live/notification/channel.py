@@ -13,7 +13,7 @@ from hygrokf.data.structured import JsonObject
 from hygrokf.data.timestamps import DAY_S, duration
 from hygrokf.data.toml_form import FolderKeys, across, setting
 from hygrokf.errors import HygrokfError
-from hygrokf.live.alarms import RULES
+from hygrokf.live.alarms import ALARM_RULES
 from hygrokf.live.batch import Alarm
 from hygrokf.live.sources.endpoint import UrlKeys
 from hygrokf.texts.doctor_codes import Check
@@ -137,7 +137,7 @@ def data(message: NoticeMessage) -> JsonObject:
 
 
 # -- keys common to the tables of all channels ---------------------------------------------------------------
-LONGEST_NAME = 40
+LONGEST_CHANNEL_NAME = 40
 MOST_HOLD_OFF_S, MOST_DIGEST_S = 7.0 * DAY_S, DAY_S
 
 
@@ -152,8 +152,8 @@ class Channel(UrlKeys, FolderKeys):
 
     name: str = setting(
         help="the name of the channel",
-        fits=lambda name: len(name) <= LONGEST_NAME and name.isprintable() and ":" not in name,
-        expected=f"text of 1 to {LONGEST_NAME} printable characters without a colon",
+        fits=lambda name: len(name) <= LONGEST_CHANNEL_NAME and name.isprintable() and ":" not in name,
+        expected=f"text of 1 to {LONGEST_CHANNEL_NAME} printable characters without a colon",
     )
     hold_off_s: float = setting(
         0.0,
@@ -167,7 +167,7 @@ class Channel(UrlKeys, FolderKeys):
         0.0, "interval of collected messages", read=duration, least=0.0, most=MOST_DIGEST_S,
         expected="at most 1 d",
     )  # fmt: skip
-    kinds: tuple[str, ...] = setting((), "kinds of alarms", choices=tuple(RULES))
+    kinds: tuple[str, ...] = setting((), "kinds of alarms", choices=tuple(ALARM_RULES))
     severities: tuple[str, ...] = setting((), "severities of alarms", choices=SEVERITIES)
     turbines: tuple[str, ...] = setting((), "names of turbines", empty=True)
     ca: str = setting("", "certificates of the CAs to trust, PEM")

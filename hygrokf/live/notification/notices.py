@@ -101,7 +101,7 @@ def look_again(store: Store, now: float, channels: Sequence[Channel]) -> Batch:
     """A batch that reopens the open alarms that are due again at `now` [s]: without acknowledgement, with
     notices."""
     batch, at = Batch(), time.time()
-    for alarm in store.records(Alarm, statements.DUE_AGAIN, now=now):
+    for alarm in store.records(Alarm, statements.DUE_ALARMS, now=now):
         assert alarm.look_again is not None, "the query selects alarms with that time"
         # cause and note of the last acknowledgement stay
         reopened = replace(alarm, acknowledged=None, acknowledged_by=None, look_again=None)
@@ -126,7 +126,7 @@ def _notice(channel: Channel, alarm: Alarm, event: str, now: float, record_now: 
     return Notice(
         id=id_prefix(channel.name, alarm.id) + id_endings.get(event, event),
         channel=channel.name,
-        content=as_text(Content(event, alarm)),
+        content=content_text(Content(event, alarm)),
         made=now,
         due=channel.due_s(alarm, now + wait_s),
     )
@@ -137,12 +137,12 @@ def id_prefix(channel: str, alarm: str) -> str:
     return f"{channel}:{alarm}:"
 
 
-def as_text(content: Content) -> str:
+def content_text(content: Content) -> str:
     """The content of a notice as JSON."""
     return json.dumps(asdict(content), ensure_ascii=False)
 
 
-def content_of(notice: Notice) -> Content:
+def notice_content(notice: Notice) -> Content:
     """The content of a stored notice."""
     return structured(Content, json.loads(notice.content))
 
@@ -165,11 +165,11 @@ def decide(
     alarm.
     shelved: whether the alarm is shelved.  record_now: time of the readings [s].
     """
-    content = content_of(notice)
+    content = notice_content(notice)
     if alarm is None:
         return NoticeCode.ALARM_NOT_STORED()
     if content.event not in OPENING:
-        openings = [other for other in others if content_of(other).event in OPENING]
+        openings = [other for other in others if notice_content(other).event in OPENING]
         if any(is_delivered(opening) for opening in openings):
             return content
         waiting = [opening.due for opening in openings if opening.sent is None]
@@ -179,12 +179,12 @@ def decide(
     if shelved:
         return NoticeCode.ENDED_WHILE_SHELVED() if alarm.ended is not None else now + SHELVED_S
     if alarm.ended is not None:
-        ends = [other.made for other in others if content_of(other).event == ENDED]
+        ends = [other.made for other in others if notice_content(other).event == ENDED]
         if alarm.ended - alarm.began < channel.hold_off_s and ends and ends[0] < notice.due:
             return NoticeCode.ENDED_IN_HOLD_OFF()
         if record_now - alarm.ended > PAST_S:
             return NoticeCode.OVER_BEFORE_CAUGHT_UP()
-    sent = (content_of(other) for other in others if is_delivered(other))
+    sent = (notice_content(other) for other in others if is_delivered(other))
     sent_severities = [opening.alarm.severity for opening in sent if opening.event in OPENING]
     if content.event == BEGAN and sent_severities:
         if max(map(SEVERITIES.index, sent_severities)) >= SEVERITIES.index(content.alarm.severity):
@@ -243,7 +243,7 @@ def drop(store: Store, notices: Iterable[tuple[str, Statement]], at: float) -> N
     """Mark notices (id) as never to be sent, each with the reason."""
     _change(
         store,
-        statements.DROP,
+        statements.DROP_NOTICE,
         [{"notice": name, "reason": reason.text, "at": at} for name, reason in notices],
     )
 

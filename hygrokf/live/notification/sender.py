@@ -18,7 +18,7 @@ from hygrokf.data.timestamps import DAY_S
 from hygrokf.live.batch import Notice
 from hygrokf.live.notification import notices
 from hygrokf.live.notification.channel import Channel, ChannelFault, Content, NoticeMessage
-from hygrokf.live.notification.notices import as_text, content_of, decide, id_prefix
+from hygrokf.live.notification.notices import content_text, decide, id_prefix, notice_content
 from hygrokf.live.sources.stream import pause_s
 from hygrokf.live.storage.store import Store, StoreFault, open_store
 from hygrokf.texts.live_codes import NoticeCode
@@ -27,19 +27,19 @@ from hygrokf.texts.statement import Statement
 LOG = logging.getLogger("hygrokf.notify")
 POLL_S = 1.0
 """[s] between two reads of the outbox."""
-BACK_OFF_S = (2.0, 300.0)
+SENDER_BACK_OFF_S = (2.0, 300.0)
 """Shortest and longest pause [s] after a failed attempt."""
-MOST = 1_000
+NOTICES_AT_ONCE = 1_000
 """Largest number of notices read at once."""
 LARGEST_DIGEST = 100
 """Largest number of notices in one message."""
 GIVE_UP_S = 7.0 * DAY_S
 """[s] after which a message that was never accepted is dropped, with an error in the log."""
-KEPT_S = 30.0 * DAY_S
+NOTICE_KEPT_S = 30.0 * DAY_S
 """[s] for which a notice is kept after it was sent or dropped."""
 REFUSALS = 3
 """Number of consecutive refusals from which on the server counts as failing."""
-STOP_S = 5.0
+STOPPED_SENDING_S = 5.0
 """[s] for which a stopped sender still sends due notices; an exchange in progress may take longer."""
 
 
@@ -75,14 +75,14 @@ class Sender:
 
     def end(self) -> None:
         """Send the due notices once more and end; notices that fail are sent after the next start."""
-        self._end_by = time.monotonic() + STOP_S
+        self._end_by = time.monotonic() + STOPPED_SENDING_S
         self._ending.set()
 
     def stop(self) -> None:
         """End the sender and wait for its thread."""
         self.end()
         if self._thread is not None:
-            self._thread.join(timeout=2.0 * STOP_S)
+            self._thread.join(timeout=2.0 * STOPPED_SENDING_S)
 
     # -- the sender's own thread -----------------------------------------------------------------------------
     def _run(self) -> None:
@@ -121,11 +121,11 @@ class Sender:
         """Decide about the notices that are due, and attempt the messages."""
         now = time.time()
         if now >= self._next_tidy:
-            notices.forget(store, now - KEPT_S)
+            notices.forget(store, now - NOTICE_KEPT_S)
             self._next_tidy = now + DAY_S
         if now < self._paused_until:
             return
-        due = notices.due(store, self.channel.name, now, MOST)
+        due = notices.due(store, self.channel.name, now, NOTICES_AT_ONCE)
         for message, made in self._messages(store, due, now):
             if now - made > GIVE_UP_S and message.attempts:
                 self._give_up(store, message)
@@ -137,18 +137,18 @@ class Sender:
         messages: dict[str, list[Notice]] = {}
         fresh: list[Notice] = []
         for notice in due:
-            key = content_of(notice).message
+            key = notice_content(notice).message
             if key:
                 messages.setdefault(key, []).append(notice)
             else:
                 fresh.append(notice)
-        if len(due) == MOST and len(messages) > 1:
+        if len(due) == NOTICES_AT_ONCE and len(messages) > 1:
             messages.popitem()  # the last message may be incomplete
         repeated = [
             (
                 NoticeMessage(
                     key,
-                    {notice.id: content_of(notice) for notice in group},
+                    {notice.id: notice_content(notice) for notice in group},
                     max(notice.attempts for notice in group),
                 ),
                 min(notice.made for notice in group),
@@ -157,7 +157,7 @@ class Sender:
         ]
         new = [NoticeMessage.of(contents) for contents in self._group(self._decide(store, fresh, now))]
         notices.keep_contents(
-            store, [(name, as_text(content)) for m in new for name, content in m.contents.items()]
+            store, [(name, content_text(content)) for m in new for name, content in m.contents.items()]
         )
         return repeated + [(message, now) for message in new]
 
@@ -171,7 +171,7 @@ class Sender:
         dropped: list[tuple[str, Statement]] = []
         postponed: list[tuple[str, float]] = []
         for notice in fresh:
-            alarm = content_of(notice).alarm
+            alarm = notice_content(notice).alarm
             about_alarm = notices.with_prefix(
                 store, self.channel.name, id_prefix(self.channel.name, alarm.id)
             )
@@ -211,7 +211,7 @@ class Sender:
                 fields = {"channel": self.channel.name, "reason": str(fault)}
                 LOG.warning("a message was not sent", extra=fields)
             self.failure = str(fault)
-            due_s = time.time() + pause_s(message.attempts + 1, BACK_OFF_S)
+            due_s = time.time() + pause_s(message.attempts + 1, SENDER_BACK_OFF_S)
             self._refusals += 1
             continues = fault.reached and self._refusals < REFUSALS and not self._ending.is_set()
             if not continues:

@@ -335,7 +335,7 @@ def secret_bytes(text: str, place: str) -> bytes:
     )
 
 
-KINDS: Mapping[str, type[Mail] | type[Webhook]] = {
+TRANSPORTS: Mapping[str, type[Mail] | type[Webhook]] = {
     "smtp": Mail, "smtps": Mail, "https": Webhook, "http": Webhook,
 }  # fmt: skip
 """Scheme of a URL → kind of channel."""
@@ -350,11 +350,12 @@ def channel_of(
     """
     url = table.get("url")
     scheme = url.partition(":")[0] if isinstance(url, str) else ""
-    if scheme not in KINDS:
-        place.fault(f"url must begin with one of {', '.join(f'{kind}:' for kind in KINDS)}, found {scheme!r}")
+    if scheme not in TRANSPORTS:
+        schemes = ", ".join(f"{kind}:" for kind in TRANSPORTS)
+        place.fault(f"url must begin with one of {schemes}, found {scheme!r}")
         return None
     table_place = replace(place, faults=[])
-    channel: Mail | Webhook = read_form(KINDS[scheme], table, table_place, folder=folder)
+    channel: Mail | Webhook = read_form(TRANSPORTS[scheme], table, table_place, folder=folder)
     faults = table_place.faults
     unknown = [] if faults else [name for name in channel.turbines if name not in turbines]
     if unknown:

@@ -30,11 +30,11 @@ if TYPE_CHECKING:
 EXPIRY_S = 7.0 * DAY_S
 """Default time [s] for which a broker keeps the session of a disconnected tracker."""
 LEAST_EXPIRY_S, MOST_EXPIRY_S = 60.0, 2.0**32 - 2.0
-LONGEST_NAME = 100
+LONGEST_CLIENT_NAME = 100
 _TLS = ("ca", "certificate", "key")
 _TOPICS = 'a list of topic filters such as ["scada/+/cabinet"]'
 MAPPED, SPARKPLUG = "mapped", "sparkplug-b"
-FORMATS = (MAPPED, SPARKPLUG)
+MESSAGE_FORMATS = (MAPPED, SPARKPLUG)
 """Formats of messages: payloads that the mapping reads directly, or Sparkplug B."""
 LONGEST_TOPIC = 65_535
 """Longest topic [bytes in UTF-8]."""
@@ -132,8 +132,8 @@ class Broker(UrlKeys, PasswordKeys, SourceKeys):
     client_id: str | None = setting(
         None,
         "name of the session at the broker",
-        fits=lambda name: len(name) <= LONGEST_NAME and name.isprintable(),
-        expected=f"text of 1 to {LONGEST_NAME} printable characters",
+        fits=lambda name: len(name) <= LONGEST_CLIENT_NAME and name.isprintable(),
+        expected=f"text of 1 to {LONGEST_CLIENT_NAME} printable characters",
     )
     session_expiry_s: float = setting(
         EXPIRY_S,
@@ -149,7 +149,7 @@ class Broker(UrlKeys, PasswordKeys, SourceKeys):
     certificate: str = setting("", "of this client, PEM")
     key: str = setting("", "of the certificate, PEM, without a passphrase")
 
-    format: str = setting(MAPPED, "of the messages", choices=FORMATS)
+    format: str = setting(MAPPED, "of the messages", choices=MESSAGE_FORMATS)
     rebirth_requests: bool = setting(False, "whether edge nodes are asked for their birth certificates")
 
     @across("url")

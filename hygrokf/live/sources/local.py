@@ -24,10 +24,10 @@ from hygrokf.data.timestamps import duration
 from hygrokf.data.toml_form import Place, across, setting
 from hygrokf.live.plan import SignalReporting
 from hygrokf.live.sources.payload import Field, PayloadMapping
-from hygrokf.live.sources.payload_formats import JSON, LARGEST, Content, Unreadable
+from hygrokf.live.sources.payload_formats import JSON, LARGEST_PAYLOAD, Content, Unreadable
 from hygrokf.live.sources.payload_values import RECEIVED
 from hygrokf.live.sources.stream import (
-    PAUSE_S,
+    POLL_PAUSE_S,
     Delivery,
     SourceFault,
     SourceKeys,
@@ -37,9 +37,9 @@ from hygrokf.live.sources.stream import (
 
 GROWTHS = 16
 """Number of the latest growths of a file from whose times its usual interval is estimated."""
-LONGEST_LINE = LARGEST
+LONGEST_LINE = LARGEST_PAYLOAD
 """Longest line that is read [bytes]."""
-READ_SIZE = 65_536
+INPUT_READ_SIZE = 65_536
 """Number of bytes read at once from standard input."""
 _JSON_LINE = re.compile(r"\s*(\{|\[\s*[{\]])")
 
@@ -164,7 +164,7 @@ class TailedFile(Stream):
                 if not self.follow:
                     raise SourceFault(f"{self.path}: no such file") from None
                 self._state = SourceState("waiting", f"{self.path} does not exist yet")
-                self._ended.wait(PAUSE_S)
+                self._ended.wait(POLL_PAUSE_S)
             place = None
 
     def _read(self, file: IO[bytes], identity: str, offset: int, put: Callable[[Delivery], None]) -> bool:
@@ -193,7 +193,7 @@ class TailedFile(Stream):
                 self._growth_times.append(time.monotonic())
                 if len(self._growth_times) > 1:
                     self.usual_interval_s = float(np.median(np.diff(self._growth_times)))
-            self._ended.wait(PAUSE_S)
+            self._ended.wait(POLL_PAUSE_S)
             try:
                 status = self.path.stat()
             except FileNotFoundError:
@@ -233,8 +233,8 @@ class StandardInput(Stream):
         while (end := self._buffer.find(b"\n", searched) + 1) == 0 and len(self._buffer) <= LONGEST_LINE:
             searched, piece = len(self._buffer), b""
             while not self._ended.is_set():
-                if select.select([descriptor], [], [], PAUSE_S)[0]:
-                    piece = os.read(descriptor, READ_SIZE)
+                if select.select([descriptor], [], [], POLL_PAUSE_S)[0]:
+                    piece = os.read(descriptor, INPUT_READ_SIZE)
                     break
             if not piece:
                 end = len(self._buffer)
@@ -314,11 +314,11 @@ class Playback(Stream):
 
 def record_mapping(record: Record, turbine: str) -> PayloadMapping:
     """The mapping for the messages of a record: each field has the name of its signal, in SI units."""
-    fields = {s.signal: Field(s.signal, SIGNALS[s.signal].unit, form_of(s)) for s in record.series}
+    fields = {s.signal: Field(s.signal, SIGNALS[s.signal].unit, line_form(s)) for s in record.series}
     return PayloadMapping(fields, turbines={turbine: turbine})
 
 
-def form_of(series: Series) -> SignalReporting:
+def line_form(series: Series) -> SignalReporting:
     """The form of readings in a series."""
     return SignalReporting(**{field.name: getattr(series, field.name) for field in fields(SignalReporting)})
 

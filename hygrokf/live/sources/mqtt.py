@@ -27,7 +27,7 @@ from hygrokf.data.structured import JsonObject
 from hygrokf.live.batch import Alarm
 from hygrokf.live.sources.broker import Broker, alarm_topic, reason_text, tls_error_text, unreachable_text
 from hygrokf.live.sources.payload import PayloadMapping
-from hygrokf.live.sources.payload_formats import LARGEST, Content
+from hygrokf.live.sources.payload_formats import LARGEST_PAYLOAD, Content
 from hygrokf.live.sources.stream import Delivery, SourceFault, SourceState, Stream
 
 if TYPE_CHECKING:
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from paho.mqtt.reasoncodes import ReasonCode
 
 LOG = logging.getLogger("hygrokf.track")
-RETRY_S = 60.0
+RESUBSCRIBE_S = 60.0
 """Time [s] after which the source subscribes to denied filters again."""
 LINGER_S = 10.0
 """Longest time [s] that a stopped source waits for its deliveries to be committed."""
@@ -50,7 +50,7 @@ class Mqtt(Stream):
     """
 
     is_server = True
-    largest = LARGEST
+    largest = LARGEST_PAYLOAD
     """Largest payload [bytes]."""
 
     def __init__(self, broker: Broker, mapping: PayloadMapping) -> None:
@@ -131,7 +131,7 @@ class Mqtt(Stream):
         Messages that arrived before the loss are handed over too, because the broker may have lost the
         session and with it its own copies of these messages.
         """
-        next_retry = time.monotonic() + RETRY_S
+        next_retry = time.monotonic() + RESUBSCRIBE_S
         while not self._ended.is_set():
             try:
                 arrival = link.arrived.get(timeout=1.0)
@@ -144,7 +144,7 @@ class Mqtt(Stream):
             self._do_periodic_work(link, put)
             if time.monotonic() > next_retry:
                 link.retry_denied_filters()
-                next_retry = time.monotonic() + RETRY_S
+                next_retry = time.monotonic() + RESUBSCRIBE_S
         end = time.monotonic() + LINGER_S
         while (
             self._ended.is_set() and self._has_pending() and not link.lost.is_set() and time.monotonic() < end
@@ -228,7 +228,7 @@ REST_S = 0.02
 """Pause [s] of the network thread between two rounds of processing packets; the tracker runs meanwhile."""
 CLOSING_S = 3.0
 """Time [s] in which a closing link may still send its pending packets."""
-READ_SIZE = 65_536
+SOCKET_READ_SIZE = 65_536
 """Number of bytes requested per system call."""
 TLS_RECORD_SIZE = 16_384
 """Largest number of bytes in a TLS record; a read from a TLS socket returns one record."""
@@ -268,7 +268,7 @@ class BrokerLink:
     def __init__(
         self,
         broker: Broker,
-        largest: int = LARGEST,
+        largest: int = LARGEST_PAYLOAD,
         dropped: Sequence[str] = (),
         on_accepted: Callable[[BrokerLink], None] = lambda link: None,
     ) -> None:
@@ -559,7 +559,7 @@ def piecewise_client_class() -> type[Any]:
         def _sock_recv(self, bufsize: int) -> bytes:
             if self._position == len(self._buffer):
                 read = self._read_records if isinstance(self._sock, ssl.SSLSocket) else super()._sock_recv
-                self._buffer, self._position = read(max(bufsize, READ_SIZE)), 0
+                self._buffer, self._position = read(max(bufsize, SOCKET_READ_SIZE)), 0
             piece = self._buffer[self._position : self._position + bufsize]
             self._position += len(piece)
             return piece

@@ -21,17 +21,17 @@ from hygrokf.data.toml_form import Place
 from hygrokf.errors import suggestion
 from hygrokf.live.sources.opcua_client import Connection, HistoryFault, Sample, library, node_fault
 from hygrokf.live.sources.opcua_form import Node, Security, Server
-from hygrokf.live.sources.payload import EARLIEST_S, PayloadMapping
-from hygrokf.live.sources.payload_values import AHEAD_S
-from hygrokf.live.sources.stream import PAUSE_S, Delivery, SourceFault, SourceState, Stream
+from hygrokf.live.sources.payload import EARLIEST_STAMP_S, PayloadMapping
+from hygrokf.live.sources.payload_values import STAMP_AHEAD_S
+from hygrokf.live.sources.stream import POLL_PAUSE_S, Delivery, SourceFault, SourceState, Stream
 from hygrokf.texts.wording import several
 
 LOG = logging.getLogger("hygrokf.track")
-FIRST_S = 2.0
+FIRST_SAMPLES_S = 2.0
 """Time [s] to wait for the first samples of a subscription, in addition to its publishing interval."""
-RETRY_S = 60.0
+REQUEST_AGAIN_S = 60.0
 """Time [s] after which refused nodes and pending histories are requested again."""
-BATCH = 500
+DELIVERED_TOGETHER = 500
 """Largest number of samples that are delivered together; only their last delivery carries a place."""
 
 
@@ -94,11 +94,11 @@ class OpcUa(Stream):
             parsed = {}
         stored = parsed if isinstance(parsed, dict) else {}
         times = {node.id: stored.get(node.id) for node in self.nodes}
-        latest = time.time() + AHEAD_S
+        latest = time.time() + STAMP_AHEAD_S
         return {
             node_id: float(time_s)
             for node_id, time_s in times.items()
-            if isinstance(time_s, int | float) and EARLIEST_S <= time_s <= latest
+            if isinstance(time_s, int | float) and EARLIEST_STAMP_S <= time_s <= latest
         }
 
     # -- connections -----------------------------------------------------------------------------------------
@@ -122,10 +122,10 @@ class OpcUa(Stream):
         self._refused, self._unread, self._bad, self._without_history = {}, {}, {}, {}
         self._pending = set()
         await self._begin(connection, self.nodes)
-        next_retry = time.monotonic() + RETRY_S
+        next_retry = time.monotonic() + REQUEST_AGAIN_S
         while not self._ended.is_set():
             connection.check()
-            samples = await connection.samples(PAUSE_S)
+            samples = await connection.samples(POLL_PAUSE_S)
             overflowed = [sample for sample in samples if sample.overflowed]
             if overflowed:  # the server lost samples before these
                 self._overflows["in the server"] += len(overflowed)
@@ -136,7 +136,7 @@ class OpcUa(Stream):
                 self._overflows["here"] += 1
                 await self._read_back(connection, dict.fromkeys(dropped))
             if time.monotonic() > next_retry:
-                next_retry = time.monotonic() + RETRY_S
+                next_retry = time.monotonic() + REQUEST_AGAIN_S
                 await self._read_back(connection, dict.fromkeys(self._pending))
                 await self._begin(connection, tuple(self._refused))
 
@@ -150,9 +150,9 @@ class OpcUa(Stream):
         first: dict[Node, float | None] = {}
         samples: list[Sample] = []
         awaited = set(nodes) - set(self._refused)
-        end = time.monotonic() + self.server.publishing_s + FIRST_S
+        end = time.monotonic() + self.server.publishing_s + FIRST_SAMPLES_S
         while awaited - set(first) and time.monotonic() < end and not self._ended.is_set():
-            received = await connection.samples(PAUSE_S)
+            received = await connection.samples(POLL_PAUSE_S)
             samples += received
             for sample in received:
                 first.setdefault(sample.node, sample.time)
@@ -172,7 +172,7 @@ class OpcUa(Stream):
         self._reading = bool(histories)
         async for sample in in_order(histories):
             batch.append(sample)
-            if len(batch) == BATCH:
+            if len(batch) == DELIVERED_TOGETHER:
                 await self._hand_over(batch, from_history=True)
                 batch = []
                 connection.check()
@@ -187,7 +187,7 @@ class OpcUa(Stream):
         """A node's history since its last delivered sample; if the history cannot be read, the node stays
         pending unless the fault is final."""
         since_s = self._delivered_until.get(node.id, self._start_s)
-        until_s = time.time() + AHEAD_S if until_s is None else until_s
+        until_s = time.time() + STAMP_AHEAD_S if until_s is None else until_s
         if self._ended.is_set():
             return
         has_samples = False
@@ -218,8 +218,8 @@ class OpcUa(Stream):
         """Deliver samples in the order of time, from a separate thread, so that a busy service does not block
         the connection."""
         ordered = sorted(samples, key=lambda sample: sample.received if sample.time is None else sample.time)
-        for start in range(0, len(ordered), BATCH):
-            batch = ordered[start : start + BATCH]
+        for start in range(0, len(ordered), DELIVERED_TOGETHER):
+            batch = ordered[start : start + DELIVERED_TOGETHER]
             deliveries = [self.delivery(sample) for sample in batch if self._is_new(sample)]
             for sample in batch:
                 self._note(sample, from_history)
@@ -238,7 +238,7 @@ class OpcUa(Stream):
 
     def _note(self, sample: Sample, from_history: bool) -> None:
         """Record a node's quality and, unless its history is pending, its last delivered time."""
-        if sample.time is not None and EARLIEST_S <= sample.time <= sample.received + AHEAD_S:
+        if sample.time is not None and EARLIEST_STAMP_S <= sample.time <= sample.received + STAMP_AHEAD_S:
             if from_history or sample.node not in self._pending:
                 self._delivered_until[sample.node.id] = max(
                     sample.time, self._delivered_until.get(sample.node.id, 0.0)

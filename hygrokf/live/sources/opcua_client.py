@@ -44,7 +44,7 @@ NO_HISTORY = (
     "BadNotImplemented", "BadNotReadable", "BadUserAccessDenied", "BadNodeIdUnknown", "BadAttributeIdInvalid",
 )  # fmt: skip
 """Status codes of a server that will never provide a node's history, so that a retry is useless."""
-REMEDIES = {
+STATUS_REMEDIES = {
     "BadUserAccessDenied": "the server refuses the user: check user and password",
     "BadIdentityTokenRejected": "the server refuses the user: check user and password, or state them if "
     "they are missing",
@@ -151,14 +151,14 @@ def fault_text(fault: Exception) -> str:
     if isinstance(fault, TimeoutError):
         return "no answer in time"
     name = status_name(fault)
-    if name in REMEDIES:
-        return f"{REMEDIES[name]} ({name})"
+    if name in STATUS_REMEDIES:
+        return f"{STATUS_REMEDIES[name]} ({name})"
     return " ".join(f"{type(fault).__name__} {fault}".split())[:160].strip()
 
 
-ANSWER_S = 5.0
+SERVER_ANSWER_S = 5.0
 """Longest time [s] for a server's answer."""
-HISTORY_S = 30.0
+HISTORY_ANSWER_S = 30.0
 """Longest time [s] for the answer to a history request."""
 WATCH_S = 5.0
 """Time [s] between two checks that the server still answers."""
@@ -168,7 +168,7 @@ LIFETIME_S = 120.0
 """Time [s] for which the server keeps the session and the subscription of a lost client."""
 NODES_PER_REQUEST = 500
 """Largest number of nodes in a request."""
-PAGE = 1_000
+SAMPLES_AT_ONCE = 1_000
 """Largest number of samples in the answer to a history request."""
 NO_FILTER = ("BadMonitoredItemFilterUnsupported", "BadMonitoredItemFilterInvalid", "BadFilterNotAllowed")
 """Status codes of a server that does not support the filter by time stamp."""
@@ -205,7 +205,7 @@ class Connection:
             await client.connect()
             await self._create_subscription(client)
             assert client.uaclient.protocol is not None
-            client.uaclient.protocol.timeout = HISTORY_S
+            client.uaclient.protocol.timeout = HISTORY_ANSWER_S
         except Exception as fault:  # asyncua raises many exceptions, also while decoding
             reason = await self._explanation(fault)
             await self.close()
@@ -220,7 +220,9 @@ class Connection:
         from asyncua.crypto import security_policies
         from asyncua.crypto.uacrypto import CertProperties
 
-        client: Client = library().Client(self._server.endpoint, timeout=ANSWER_S, watchdog_intervall=WATCH_S)
+        client: Client = library().Client(
+            self._server.endpoint, timeout=SERVER_ANSWER_S, watchdog_intervall=WATCH_S
+        )
         client.name = client.description = f"hygrokf on {socket.gethostname()}"
         client.session_timeout = int(1e3 * LIFETIME_S)
         client.connection_lost_callback = self._note_loss
@@ -253,7 +255,9 @@ class Connection:
         subscription = self._subscription = Subscription(client.uaclient.session, requested, self)
         granted = await subscription.init()
         subscription.last_publish_at = time.monotonic()
-        self._stale_s = 2e-3 * granted.RevisedPublishingInterval * granted.RevisedMaxKeepAliveCount + ANSWER_S
+        self._stale_s = (
+            2e-3 * granted.RevisedPublishingInterval * granted.RevisedMaxKeepAliveCount + SERVER_ANSWER_S
+        )
 
     async def close(self) -> None:
         """End session and subscription if the server still answers."""
@@ -262,7 +266,7 @@ class Connection:
             return
         protocol = client.uaclient.protocol
         with suppress(Exception):
-            await asyncio.wait_for(client.disconnect(), ANSWER_S)
+            await asyncio.wait_for(client.disconnect(), SERVER_ANSWER_S)
         if protocol is not None and protocol.transport is not None:
             protocol.transport.abort()  # asyncua keeps the socket of a silent server open
         await asyncio.sleep(0.0)
@@ -307,7 +311,10 @@ class Connection:
     async def _mismatch(self) -> str:
         """A message if policy, mode or certificate of the server differ from the configuration; "" if they
         agree or are unknown."""
-        security, client = self._security, library().Client(self._server.endpoint, timeout=0.4 * ANSWER_S)
+        security, client = (
+            self._security,
+            library().Client(self._server.endpoint, timeout=0.4 * SERVER_ANSWER_S),
+        )
         try:
             offers = await client.connect_and_get_server_endpoints()
         except Exception:  # the server does not answer unsecured clients, or does not answer at all
@@ -448,7 +455,9 @@ class Connection:
         """A node's samples in since_s < time ≤ until_s [s], sorted by time.  Raises HistoryFault,
         SourceFault."""
         ua = self._ua
-        details = ua.ReadRawModifiedDetails(NumValuesPerNode=PAGE, ReturnBounds=False, IsReadModified=False)
+        details = ua.ReadRawModifiedDetails(
+            NumValuesPerNode=SAMPLES_AT_ONCE, ReturnBounds=False, IsReadModified=False
+        )
         details.EndTime = datetime.fromtimestamp(until_s, UTC)
         while True:
             details.StartTime = datetime.fromtimestamp(since_s, UTC)
@@ -457,7 +466,7 @@ class Connection:
             new = sorted(timed, key=lambda pair: pair[0])
             for _, sample in new:
                 yield sample
-            if not new or (len(page) < PAGE and not more):
+            if not new or (len(page) < SAMPLES_AT_ONCE and not more):
                 return
             since_s = new[-1][0]
 
@@ -483,7 +492,7 @@ class Connection:
             raise HistoryFault(status_name(fault)) from None
         except TimeoutError:
             self.check()
-            raise HistoryFault(f"no answer within {HISTORY_S:g} s") from None
+            raise HistoryFault(f"no answer within {HISTORY_ANSWER_S:g} s") from None
         except Exception as fault:
             raise SourceFault(fault_text(fault)) from None
         now = time.time()

@@ -29,7 +29,7 @@ from hygrokf.data.quality import (
     BAD,
     GOOD,
     UNCERTAIN,
-    UNSTATED,
+    UNSTATED_VOCABULARY,
     QualityVocabulary,
     misfit,
     quality_columns,
@@ -62,9 +62,9 @@ from hygrokf.live.tracker import Reading
 from hygrokf.texts.doctor_codes import ExaminedCode
 from hygrokf.texts.statement import Statement
 
-EARLIEST_S = 631_152_000.0
+EARLIEST_STAMP_S = 631_152_000.0
 """1990 [s since 1970]: earlier stamps are not times of a turbine."""
-LATEST_S = 4_102_444_800.0
+LATEST_STAMP_S = 4_102_444_800.0
 """2100 [s since 1970]: later stamps are not times of a turbine."""
 FORECAST_S = 20 * DAY_S
 """[s] a weather forecast's stamp may be ahead of this machine's clock."""
@@ -170,7 +170,7 @@ class PayloadMapping:
     quality: str = ""
     tag: str = ""
     value: str = ""
-    vocabulary: QualityVocabulary = UNSTATED
+    vocabulary: QualityVocabulary = UNSTATED_VOCABULARY
     use_uncertain: bool = True
     turbines: Mapping[str, str] = field(default_factory=dict)
     weather: bool = False
@@ -255,8 +255,8 @@ class PayloadMapping:
         order: order of the source's local stamps, updated by this payload; None: the order is unknown.
 
         Raises Refused if the payload cannot be read, or if nothing of its only record can be used.  Stamps
-        before `EARLIEST_S` or after `LATEST_S` are refused; stamps of weather forecasts are refused if they
-        are ahead of the arrival by more than `FORECAST_S`.
+        before `EARLIEST_STAMP_S` or after `LATEST_STAMP_S` are refused; stamps of weather forecasts are
+        refused if they are ahead of the arrival by more than `FORECAST_S`.
         """
         result, fault = ReadingsByTurbine(), None
         for record in records(content, self.form, self.steps, topic, received):
@@ -428,7 +428,7 @@ class PayloadMapping:
         time = seconds(stamp, self.clock, record.received, record.order, series)
         if time is None:
             raise Refused("no time", f"expected a time as {self.clock.expected}, found {quoted(stamp)}")
-        if not EARLIEST_S <= time <= (record.received + FORECAST_S if self.weather else LATEST_S):
+        if not EARLIEST_STAMP_S <= time <= (record.received + FORECAST_S if self.weather else LATEST_STAMP_S):
             too_late = "more than 20 days ahead of this machine's clock" if self.weather else "after 2100"
             raise Refused("impossible time", f"time {quoted(stamp)} is before 1990 or {too_late}")
         return time
@@ -459,7 +459,7 @@ def _names(scopes: Scopes) -> str:
 class _RecordingVocabulary(QualityVocabulary):
     """A vocabulary that records the marks that it judges, in the order of their first occurrence."""
 
-    wrapped: QualityVocabulary = UNSTATED
+    wrapped: QualityVocabulary = UNSTATED_VOCABULARY
     marks: dict[str, None] = field(default_factory=dict)
 
     def judge(self, mark: object) -> str:

@@ -21,14 +21,14 @@ Payload = Mapping[str, Json]
 """A parsed object: names with plain values."""
 Scopes = tuple[Payload, ...]
 """The object of a record, and the objects around it from the innermost to the outermost."""
-LARGEST = 65_536
+LARGEST_PAYLOAD = 65_536
 """Largest payload [bytes]."""
-UNPACKED = 4 * LARGEST
+UNPACKED = 4 * LARGEST_PAYLOAD
 """Largest gzip payload after unpacking [bytes]."""
-DEEPEST = 6
+DEEPEST_NESTING = 6
 """Largest nesting depth of a payload."""
 JSON, PLAIN, INFLUX = "json", "plain", "influx"
-FORMATS = (JSON, PLAIN, INFLUX)
+PAYLOAD_FORMATS = (JSON, PLAIN, INFLUX)
 EACH = "*"
 """Step of a path that stands for every member of an object."""
 PLAIN_NAME = "value"
@@ -77,7 +77,8 @@ def records(
 ) -> Iterable[PayloadRecord]:
     """The records of a payload: the payload itself, the objects of its array, or those at the path `steps`.
 
-    form: format of content that is text, one of `FORMATS`. Raises Refused for a payload without the path.
+    form: format of content that is text, one of `PAYLOAD_FORMATS`. Raises Refused for a payload without the
+    path.
     """
     parsed: Json = content if isinstance(content, Mapping) else parsed_text(content, form)
     if isinstance(parsed, Mapping):
@@ -115,8 +116,8 @@ def parsed_text(content: bytes | str | Unreadable, form: str) -> Json:
     """The parsed content of a payload's text, which may be compressed by gzip.  Raises Refused."""
     if isinstance(content, Unreadable):
         raise Refused(content.kind, content.words)
-    if len(content) > LARGEST:
-        raise Refused("too large", f"a payload of {len(content)} bytes; at most {LARGEST} are read")
+    if len(content) > LARGEST_PAYLOAD:
+        raise Refused("too large", f"a payload of {len(content)} bytes; at most {LARGEST_PAYLOAD} are read")
     text = content.encode("utf-8", "replace") if isinstance(content, str) else content
     if text.startswith(_GZIP):
         text = _unpacked(text)
@@ -144,8 +145,8 @@ def _unpacked(packed: bytes) -> bytes:
 
 # -- JSON ----------------------------------------------------------------------------------------------------
 def _json(text: bytes) -> Json:
-    if _depth(text) > DEEPEST:
-        raise Refused("too deep", f"a payload nested deeper than {DEEPEST} levels")
+    if _depth(text) > DEEPEST_NESTING:
+        raise Refused("too deep", f"a payload nested deeper than {DEEPEST_NESTING} levels")
     try:
         return decoded(text)
     except (ValueError, RecursionError) as fault:
@@ -189,14 +190,14 @@ _DECODER = json.JSONDecoder(object_pairs_hook=_object)
 def _depth(text: bytes) -> int:
     """Largest number of simultaneously open brackets; brackets within strings count too, which is
     harmless."""
-    if text.count(b"{") + text.count(b"[") <= DEEPEST:
+    if text.count(b"{") + text.count(b"[") <= DEEPEST_NESTING:
         return 0  # most payloads are flat
     deepest = level = 0
     for byte in text.translate(None, _NO_BRACKETS):
         if byte in b"{[":
             level += 1
             deepest = max(deepest, level)
-            if deepest > DEEPEST:
+            if deepest > DEEPEST_NESTING:
                 break
         else:
             level -= 1

@@ -173,7 +173,7 @@ def _expression(pattern: str, turbine: str, field: str) -> re.Pattern[str]:
     return re.compile("".join(groups.get(piece, re.escape(piece)) for piece in pieces), re.DOTALL)
 
 
-AHEAD_S = 900.0
+STAMP_AHEAD_S = 900.0
 """Largest time [s] by which a stamp may be ahead of this machine's clock."""
 NEXT_STAMP_STEPS = 1.5
 """A stamp continues its series if it follows the newest one within so many steps of the series."""
@@ -291,7 +291,7 @@ def _local_seconds(
             'state its fixed offset, such as timezone = "+01:00"',
         )
     newest, step = (order or {}).get(series, (math.nan, math.nan))
-    if first < second <= received + AHEAD_S:  # else the second occurrence is still to come
+    if first < second <= received + STAMP_AHEAD_S:  # else the second occurrence is still to come
         # the stamp repeats the newest stamp of its series, or follows it by one step
         within_s = NEXT_STAMP_STEPS * step
         continuing = [time for time in (first, second) if time == newest or 0.0 < time - newest <= within_s]

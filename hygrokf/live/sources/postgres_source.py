@@ -42,7 +42,7 @@ ROWS_PER_FETCH = 1_000
 ROWS_PER_QUERY = 20_000
 """Number of rows after which a query ends, so that no snapshot of the server stays open for long; rows with
 the same watermark stay together."""
-SESSION = (
+SOURCE_SESSION = (
     "SET default_transaction_read_only = on",
     "SET statement_timeout = '5min'",
     "SET lock_timeout = '10s'",
@@ -65,7 +65,7 @@ and the infinities."""
 REMEMBERED_ROWS = 200_000
 """Largest number of rows remembered as delivered; other rows that are read again are delivered again, and the
 store recognises them."""
-AFTER = "%(after)s"
+AFTER_PARAMETER = "%(after)s"
 
 Watermark: TypeAlias = datetime | date | int | float | Decimal
 
@@ -74,13 +74,14 @@ Watermark: TypeAlias = datetime | date | int | float | Decimal
 class PostgresForm(PasswordKeys, SourceKeys):
     """A [[source]] of `postgresql://USER@HOST/NAME`: a query and how it is repeated.
 
-    `query` contains `AFTER` and sorts by the column `watermark`; `poll_s`: time [s] between two queries;
-    `lag_s`: longest time [s] from a row's watermark to its commit; `look_back_s`: time [s] before the first
-    start from which rows are read, None for all rows; `name`: distinguishes several queries of a database.
+    `query` contains `AFTER_PARAMETER` and sorts by the column `watermark`; `poll_s`: time [s] between two
+    queries; `lag_s`: longest time [s] from a row's watermark to its commit; `look_back_s`: time [s] before
+    the first start from which rows are read, None for all rows; `name`: distinguishes several queries of a
+    database.
     """
 
     url: str = setting(help="postgresql://USER@HOST:PORT/NAME")
-    query: str = setting(help=f"SELECT … WHERE received > {AFTER} ORDER BY received")
+    query: str = setting(help=f"SELECT … WHERE received > {AFTER_PARAMETER} ORDER BY received")
     watermark: str = setting(help="column that grows as rows come in")
     poll_s: float = setting(
         10.0, "between two queries", read=duration, least=0.1, expected='"0.1s" or longer'
@@ -97,10 +98,10 @@ class PostgresForm(PasswordKeys, SourceKeys):
 
     @across("query")
     def asks_for_new_rows(self) -> str | None:
-        if AFTER not in self.query:
-            return f"query must ask for new rows: … WHERE received > {AFTER} ORDER BY received"
+        if AFTER_PARAMETER not in self.query:
+            return f"query must ask for new rows: … WHERE received > {AFTER_PARAMETER} ORDER BY received"
         if re.search(r"%(?!%|\(after\)s)", self.query.replace("%%", "")):
-            return f"query: write a % other than that of {AFTER} as %%"
+            return f"query: write a % other than that of {AFTER_PARAMETER} as %%"
         return None
 
     def stream(self, mapping: PayloadMapping, place: Place) -> Stream:
@@ -179,7 +180,7 @@ class PostgresQuery(Stream):
             connection = connect(self.form.url, self.form.password.read())
         except StoreFault as fault:
             raise SourceFault(str(fault)) from None
-        for statement in SESSION:
+        for statement in SOURCE_SESSION:
             connection.execute(statement)
         _read_all_times(connection)
         return connection
@@ -225,7 +226,7 @@ class PostgresQuery(Stream):
         try:
             self._follow_query(place, put)
         except Exception as fault:  # the driver's exceptions are imported only in this module
-            raise SourceFault(reason_of(fault)) from fault
+            raise SourceFault(postgres_reason(fault)) from fault
         finally:
             connection, self._connection = self._connection, None
             if connection is not None:
@@ -294,7 +295,7 @@ class PostgresQuery(Stream):
                 if mark != last:
                     complete, last = last, mark
                     if complete is not None and settled_until is not None and complete <= settled_until:
-                        self._after = text_of(complete)
+                        self._after = watermark_text(complete)
                     if count >= ROWS_PER_QUERY and complete is not None:
                         break
                 if self._ended.is_set():
@@ -308,7 +309,7 @@ class PostgresQuery(Stream):
             self._settle(complete)
         if not self._highest_read or complete > self._highest_read[-1][1]:
             self._highest_read.append((began, complete))
-        return None if last is None else text_of(complete)
+        return None if last is None else watermark_text(complete)
 
     def _put(self, columns: Columns, row: Row, mark: Watermark, put: Callable[[Delivery], None]) -> None:
         """Deliver a row unless it is remembered as delivered."""
@@ -322,7 +323,7 @@ class PostgresQuery(Stream):
 
     def _settle(self, mark: Any) -> None:
         """Settle a watermark: all rows up to it are delivered, and no further one will be committed."""
-        self._after = text_of(mark)
+        self._after = watermark_text(mark)
         self._delivered = {row: watermark for row, watermark in self._delivered.items() if watermark > mark}
 
 
@@ -360,7 +361,7 @@ def _read_all_times(connection: psycopg.Connection[Row]) -> None:
         connection.adapters.register_loader(name, tolerant(kind, EDGES.get(name)))
 
 
-def text_of(mark: Watermark) -> str:
+def watermark_text(mark: Watermark) -> str:
     """A watermark as text that the server reads as the same value."""
     return mark.isoformat() if isinstance(mark, date) else str(mark)
 
@@ -385,7 +386,7 @@ def _plain(value: Any) -> Json:
     return str(value)
 
 
-def reason_of(fault: Exception) -> str:
+def postgres_reason(fault: Exception) -> str:
     """The reason why a source is lost, in one line: the server's own message and hint, if it sent any."""
     message = getattr(getattr(fault, "diag", None), "message_primary", None)
     hint = getattr(getattr(fault, "diag", None), "message_hint", None)

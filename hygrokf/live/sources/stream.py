@@ -25,9 +25,9 @@ from hygrokf.live.sources.payload_formats import Content
 from hygrokf.texts.statement import Statement
 
 LOG = logging.getLogger("hygrokf.track")
-PAUSE_S = 0.2
+POLL_PAUSE_S = 0.2
 """Pause [s] before a source that has nothing new is read again."""
-BACK_OFF_S = (1.0, 60.0)
+SOURCE_BACK_OFF_S = (1.0, 60.0)
 """Shortest and longest pause [s] between attempts to read a source."""
 
 
@@ -78,12 +78,12 @@ class BackOff:
     @property
     def has_held(self) -> bool:
         """Whether the present attempt has lasted longer than the longest pause."""
-        return time.monotonic() - self._began > BACK_OFF_S[1]
+        return time.monotonic() - self._began > SOURCE_BACK_OFF_S[1]
 
     @property
     def next_s(self) -> float:
         """Longest time [s] until the next attempt."""
-        return BACK_OFF_S[0] if self.has_held else pause_s(self._failed, BACK_OFF_S)
+        return SOURCE_BACK_OFF_S[0] if self.has_held else pause_s(self._failed, SOURCE_BACK_OFF_S)
 
     def reset(self) -> None:
         """Begin again with the shortest pause."""
@@ -93,7 +93,7 @@ class BackOff:
         """End the present attempt, wait for the pause or until `ended` is set, and begin the next attempt."""
         if self.has_held:
             self.reset()
-        ended.wait(pause_s(self._failed, BACK_OFF_S) * self._random.uniform(0.5, 1.0))
+        ended.wait(pause_s(self._failed, SOURCE_BACK_OFF_S) * self._random.uniform(0.5, 1.0))
         self._failed += 1
         self._began = time.monotonic()
 
@@ -110,7 +110,7 @@ class SourceState(NamedTuple):
     words: str
 
 
-REACHED = ("connected", "ended", "stopped")
+REACHED_STATES = ("connected", "ended", "stopped")
 """Words of the states in which a source counts as reached."""
 ALARM_INTERVALS = 3.0
 """Number of a source's usual intervals, or at least a minute, after which its absence is an alarm."""
@@ -249,7 +249,7 @@ class Stream:
     def reach(self) -> Reach:
         """Since when the source has not been reached: the first call that finds it so sets the time."""
         word, words = self.state
-        if word in REACHED:
+        if word in REACHED_STATES:
             self._unreached = None
         elif self._unreached is None:
             self._unreached = self.clock()

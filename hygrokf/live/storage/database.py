@@ -34,7 +34,7 @@ REPLACED = (
     "it was replaced while the tracker ran; the tracker goes on with the store that is there now. Restart "
     "the tracker, so that its sources go on from the places of that store"
 )
-RETRY_S = 0.1
+CLAIM_AGAIN_S = 0.1
 """[s] between two attempts to claim."""
 
 Row = tuple[Any, ...]
@@ -237,7 +237,7 @@ class Database:
                     f"{self.url}: the {kind} {name} is already tracked by {holder}; "
                     "end that process, or give this one its own turbines, sources and store"
                 )
-            time.sleep(RETRY_S)
+            time.sleep(CLAIM_AGAIN_S)
         self._held.update(wanted)
 
     def insert_claims(self, wanted: Sequence[tuple[str, str]], holder: int) -> None:

@@ -23,8 +23,8 @@ from hygrokf.live.storage.database import Row
 from hygrokf.live.storage.schema import READABLE_COLUMNS
 from hygrokf.live.storage.store import Store
 
-FORMATS = ("csv", "parquet")
-CHUNK = 20_000
+EXPORT_FORMATS = ("csv", "parquet")
+ROWS_AT_ONCE = 20_000
 """Largest number of rows in memory at once."""
 
 Values = list[Any] | np.ndarray
@@ -74,7 +74,7 @@ def _columns(*rows: str) -> tuple[Column, ...]:
     return tuple(Column(words[0], words[-2], words[-1]) for words in parts)
 
 
-TABLES = (
+EXPORTED_TABLES = (
     ExportedTable(
         "observation", schema.observation,
         _columns(
@@ -134,8 +134,8 @@ def export(
     Memory use does not grow with the store, and the files appear together once all are written.  Raises
     ExportFault, StoreFault, OSError.
     """
-    if form not in FORMATS:
-        raise ExportFault(f"expected a format of {', '.join(FORMATS)}, found {form!r}")
+    if form not in EXPORT_FORMATS:
+        raise ExportFault(f"expected a format of {', '.join(EXPORT_FORMATS)}, found {form!r}")
     turbines = list(store.models())
     if turbine is not None and turbine not in turbines:
         raise ExportFault(
@@ -147,7 +147,7 @@ def export(
     out.mkdir(parents=True, exist_ok=True)
     counts: dict[str, int] = {}
     with ExitStack() as files:
-        for table in TABLES:
+        for table in EXPORTED_TABLES:
             file = files.enter_context(writing_whole(out / f"{table.name}.{form}"))
             counts[table.name] = 0
             write, close = writer(file, table.columns)
@@ -160,7 +160,7 @@ def export(
 
 def alarms_csv(store: Store) -> bytes:
     """All alarms of the store as CSV, with the columns of the exported file."""
-    table = next(table for table in TABLES if table.name == "alarm")
+    table = next(table for table in EXPORTED_TABLES if table.name == "alarm")
     file = io.BytesIO()
     write, close = _csv_writer(file, table.columns)
     for rows in chunks(store, table, None, -math.inf, math.inf):
@@ -177,15 +177,17 @@ def _by_column(table: ExportedTable, rows: Sequence[Row]) -> list[Values]:
 def chunks(
     store: Store, table: ExportedTable, turbine: str | None, since: float, until: float
 ) -> Iterator[list[Row]]:
-    """Rows of a table in the order of its key, at most `CHUNK` per chunk; each chunk starts after the last
-    row of the previous chunk.
+    """Rows of a table in the order of its key, at most `ROWS_AT_ONCE` per chunk; each chunk starts after the
+    last row of the previous chunk.
 
     No query stays open between chunks, so that the tracker can write and its log does not grow during an
     export.
     """
     columns, values = table.source.c, {"since": since, "until": until, "turbine": turbine}
     key = [columns[name] for name in table.key]
-    query = select(*(columns[column.source] for column in table.columns), *key).order_by(*key).limit(CHUNK)
+    query = (
+        select(*(columns[column.source] for column in table.columns), *key).order_by(*key).limit(ROWS_AT_ONCE)
+    )
     if math.isfinite(since):
         end = columns[table.end]
         query = query.where(end.is_(None) | (end >= bindparam("since")))
@@ -198,7 +200,7 @@ def chunks(
     rows = store.rows(query, **values)
     while rows:
         yield [row[: -len(key)] for row in rows]
-        if len(rows) < CHUNK:
+        if len(rows) < ROWS_AT_ONCE:
             return
         after = zip(key, rows[-1][-len(key) :], strict=True)
         values |= {f"last_{column.name}": value for column, value in after}

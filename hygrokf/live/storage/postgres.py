@@ -34,7 +34,7 @@ DEFAULTS = {
 }  # fmt: skip
 """Default connection parameters, which the URL may override; a lost server is detected within a minute."""
 # SQLAlchemy has no expression for SET
-SESSION = (
+STORE_SESSION = (
     f"SET lock_timeout = '{LOCK_S}s'",
     # the server ends the session of a lost client, and with it the claim, within a minute
     "SET tcp_keepalives_idle = 30",
@@ -73,7 +73,7 @@ HOLDERS = select(
 """Query for the keys of claims whose sessions are alive."""
 # within a transaction to_regclass would miss tables that another session has created since the transaction
 # began
-STORE_TABLES = (
+POSTGRES_STORE_TABLES = (
     select(_CLASS.c.relname)
     .join(_NAMESPACE, _NAMESPACE.c.oid == _CLASS.c.relnamespace)
     .where(_CLASS.c.relname == schema_version.name)
@@ -105,7 +105,7 @@ class PostgresDatabase(Database):
         return is_lost or (state is not None and state.startswith(EXTERNAL_CODES))
 
     def has_tables(self) -> bool:
-        return bool(self.rows(STORE_TABLES))
+        return bool(self.rows(POSTGRES_STORE_TABLES))
 
     def take_turn(self) -> None:
         self.rows(select(func.pg_advisory_xact_lock(CREATION_KEY)))
@@ -174,7 +174,7 @@ def import_psycopg(wanted_by: str) -> None:
         raise StoreFault(f"{wanted_by} needs psycopg: pip install 'hygrokf[postgres]'") from None
 
 
-def parameters_of(url: str) -> dict[str, Any]:
+def url_parameters(url: str) -> dict[str, Any]:
     """The connection parameters of libpq in a URL.  Raises StoreFault."""
     if (fault := url_fault(url)) is not None:
         raise StoreFault(fault)
@@ -193,7 +193,7 @@ def connect(url: str, password: str | None = None) -> psycopg.Connection[Row]:
     StoreFault."""
     import psycopg
 
-    parameters = parameters_of(url)
+    parameters = url_parameters(url)
     if set(SECRET_PARAMETERS) & set(parameters):
         raise StoreFault(NO_SECRET)
     settings = {**DEFAULTS, **parameters}
@@ -223,7 +223,7 @@ def open_postgres(url: str, read_only: bool = False) -> PostgresDatabase:
     database = PostgresDatabase(connection, url)
     _load_times_as_seconds(connection)
     try:
-        for statement in SESSION:
+        for statement in STORE_SESSION:
             connection.execute(statement)
         if read_only:
             connection.execute("SET default_transaction_read_only = on")
@@ -248,7 +248,7 @@ def postgres_commands(copy: Path, url: str) -> list[str]:
     database, which is kept under another name.  Raises StoreFault.
 
     """
-    parameters = parameters_of(url)
+    parameters = url_parameters(url)
     from psycopg.conninfo import make_conninfo
 
     name = str(parameters.get("dbname") or parameters.get("user") or "hygrokf")

@@ -24,7 +24,7 @@ from sqlalchemy.sql.functions import FunctionElement
 from sqlalchemy.types import TypeDecorator, TypeEngine
 
 from hygrokf.live.batch import Alarm, Assessment, Event, Loss, Notice, Shelf
-from hygrokf.live.condition import QUANTITIES, Z95
+from hygrokf.live.condition import DISPLAYED_QUANTITIES, Z95
 
 VERSION = 8
 """Number of the schema, increased by 1 with each change.  A store with another number is refused."""
@@ -117,7 +117,7 @@ def _rows_of(kind: type[Any], name: str, *keys: str, index: tuple[str, ...] = ()
 
 def _air(name: str, column: Column[Any], *more: str) -> Table:
     """A table of conditions of the cabinet's air."""
-    names = [*(name for q in QUANTITIES for name in (q.column, q.sd_column)), "condensation", *more]
+    names = [*(name for q in DISPLAYED_QUANTITIES for name in (q.column, q.sd_column)), "condensation", *more]
     # unquoted, as people write them: PostgreSQL keeps them in lower case
     numbers = [Column(quoted_name(each, quote=False), NUMBER) for each in names]
     return Table(name, METADATA, _key("turbine"), _key("time", Instant()), column, *numbers)
@@ -189,7 +189,7 @@ def _compile_cross_join(join: _CrossJoin, compiler: SQLCompiler, **options: Any)
     return f"{left} CROSS JOIN {right}"
 
 
-def columns_of(rows: sa.FromClause, names: str) -> list[sa.ColumnElement[Any]]:
+def named_columns(rows: sa.FromClause, names: str) -> list[sa.ColumnElement[Any]]:
     """Columns by their names; NAME_utc, unless it is a column itself, is the column NAME as a timestamp."""
     return [
         rows.c[name] if name in rows.c else _utc(rows.c[name.removesuffix("_utc")]).label(name)
@@ -206,7 +206,7 @@ def newest_time(rows: Table) -> sa.ScalarSelect[Any]:
 def _readable(air: Table) -> list[sa.ColumnElement[Any]]:
     """The columns of a condition in display units with 95 % bounds."""
     columns: list[sa.ColumnElement[Any]] = []
-    for q in QUANTITIES:
+    for q in DISPLAYED_QUANTITIES:
         value, half_width = q.factor * air.c[q.column] + q.offset, Z95 * q.factor * air.c[q.sd_column]
         columns.append(value.label(f"{q.name}_{q.unit}"))
         columns.append((value - half_width).label(f"{q.name}_lower_{q.unit}"))
@@ -217,12 +217,12 @@ def _readable(air: Table) -> list[sa.ColumnElement[Any]]:
 READABLE_COLUMNS = tuple(column.name for column in _readable(estimate))
 """Columns of `estimate_readable` and `forecast_readable` that describe the cabinet air."""
 estimate_readable = _view(
-    "estimate_readable", select(*columns_of(estimate, "turbine time time_utc final"), *_readable(estimate))
+    "estimate_readable", select(*named_columns(estimate, "turbine time time_utc final"), *_readable(estimate))
 )
 _view(
     "forecast_readable",
     select(
-        *columns_of(forecast, "turbine time time_utc made_utc"),
+        *named_columns(forecast, "turbine time time_utc made_utc"),
         *_readable(forecast),
         (100.0 * forecast.c.above_limit).label("above_limit_percent"),
     ),
@@ -230,16 +230,16 @@ _view(
 alarm_open = _view(
     "alarm_open",
     select(
-        *columns_of(alarm, "id turbine kind severity"),
+        *named_columns(alarm, "id turbine kind severity"),
         sa.case({"alarm": 3, "warning": 2}, value=alarm.c.severity, else_=1).label("severity_rank"),
-        *columns_of(alarm, "began began_utc acknowledged_utc acknowledged_by cause note statement remedy"),
+        *named_columns(alarm, "began began_utc acknowledged_utc acknowledged_by cause note statement remedy"),
     ).where(alarm.c.ended.is_(None)),
 )
 _latest = select(turbine.c.name, newest_time(property_).label("newest")).subquery()
 property_now = _view(
     "property_now",
     select(
-        *columns_of(
+        *named_columns(
             property_, "turbine name unit time time_utc value lower_bound upper_bound reference observable"
         )
     )
@@ -253,8 +253,8 @@ _view(
     "turbine_now",
     select(
         turbine.c.name.label("turbine"),
-        *columns_of(_heard, "heard heard_utc"),
-        *columns_of(
+        *named_columns(_heard, "heard heard_utc"),
+        *named_columns(
             estimate_readable,
             "time time_utc temperature_celsius temperature_lower_celsius temperature_upper_celsius "
             "relative_humidity_percent relative_humidity_lower_percent relative_humidity_upper_percent "
@@ -262,7 +262,7 @@ _view(
         ),
         _open.scalar_subquery().label("open_alarms"),
         func.coalesce(_worst, 0).label("severity_rank"),
-        *columns_of(assessment, "state reason"),
+        *named_columns(assessment, "state reason"),
     )
     .join(_heard, _heard.c.name == turbine.c.name)
     .outerjoin(
@@ -272,19 +272,19 @@ _view(
     .outerjoin(assessment, assessment.c.turbine == turbine.c.name),
 )
 _hours = (
-    select(*columns_of(observation, "turbine signal value"), _hour(observation.c.time).label("time"))
+    select(*named_columns(observation, "turbine signal value"), _hour(observation.c.time).label("time"))
     .where(observation.c.contradicted == 0)
     .subquery()
 )
 _view(
     "observation_hourly",
     select(
-        *columns_of(_hours, "turbine signal time time_utc"),
+        *named_columns(_hours, "turbine signal time time_utc"),
         func.avg(_hours.c.value).label("mean"),
         func.min(_hours.c.value).label("lowest"),
         func.max(_hours.c.value).label("highest"),
         func.count().label("readings"),
-    ).group_by(*columns_of(_hours, "turbine signal time")),
+    ).group_by(*named_columns(_hours, "turbine signal time")),
 )
 
 

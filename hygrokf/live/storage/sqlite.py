@@ -17,7 +17,7 @@ from typing import IO, Any
 from sqlalchemy import Select, column, delete, func, select, table, text
 
 from hygrokf.live.storage.database import (
-    RETRY_S,
+    CLAIM_AGAIN_S,
     Database,
     Row,
     StoreFault,
@@ -41,7 +41,7 @@ another process."""
 
 
 _MASTER = table("sqlite_master", column("name"))
-STORE_TABLES = select(_MASTER.c.name).where(_MASTER.c.name == schema_version.name)
+SQLITE_STORE_TABLES = select(_MASTER.c.name).where(_MASTER.c.name == schema_version.name)
 
 
 class SqliteDatabase(Database):
@@ -66,7 +66,7 @@ class SqliteDatabase(Database):
         return code is not None and code & 0xFF not in INTERNAL_ERRORS
 
     def has_tables(self) -> bool:
-        return bool(self.rows(STORE_TABLES))
+        return bool(self.rows(SQLITE_STORE_TABLES))
 
     def take_turn(self) -> None:
         """Mark the file as a store; BEGIN IMMEDIATE has already waited for other processes."""
@@ -268,7 +268,7 @@ def _use_write_ahead_log(connection: sqlite3.Connection) -> None:
         with suppress(sqlite3.OperationalError):
             connection.execute("PRAGMA journal_mode=WAL")
             return
-        time.sleep(RETRY_S)
+        time.sleep(CLAIM_AGAIN_S)
     connection.execute("PRAGMA journal_mode=WAL")
 
 

@@ -16,9 +16,9 @@ from sqlalchemy.dialects.postgresql import Insert, insert
 from hygrokf.live.storage import schema
 from hygrokf.live.storage.schema import observation, revision
 
-ACKNOWLEDGED = ("acknowledged", "acknowledged_by", "cause", "note", "look_again")
+ACKNOWLEDGED_COLUMNS = ("acknowledged", "acknowledged_by", "cause", "note", "look_again")
 """Columns of an alarm that the page writes and the tracker leaves as they are."""
-ZERO: sa.ColumnElement[int] = sa.literal_column("0")
+CLEARED: sa.ColumnElement[int] = sa.literal_column("0")
 """A cleared flag as a literal, because a statement for many rows has no parameter for it."""
 
 
@@ -116,7 +116,7 @@ FIRST_VERSION = (
     insert(revision)
     .from_select(
         [*_VERSION, "number"],
-        select(*(observation.c[name] for name in _VERSION), ZERO).where(
+        select(*(observation.c[name] for name in _VERSION), CLEARED).where(
             matches(observation, "turbine signal time")
         ),
     )
@@ -132,11 +132,11 @@ USE_VERSION = (
     .values({name: revision.c[name] for name in ("value", "received", "mark")})
     .values(contradicted=bindparam("is_contradicted"))
 )
-PROVISIONAL = delete_rows(schema.estimate, "turbine", since=True).where(schema.estimate.c.final == ZERO)
+PROVISIONAL = delete_rows(schema.estimate, "turbine", since=True).where(schema.estimate.c.final == CLEARED)
 _ALARM = sa.update(schema.alarm).where(matches(schema.alarm, "id"))
 REOPEN = _ALARM.values(dict.fromkeys(("acknowledged", "acknowledged_by", "look_again"), sa.null()))
 ACKNOWLEDGE = _ALARM.where(schema.alarm.c.acknowledged.is_(None)).values(
-    {name: bindparam(f"new_{name}") for name in ACKNOWLEDGED}
+    {name: bindparam(f"new_{name}") for name in ACKNOWLEDGED_COLUMNS}
 )
 OLD_WEATHER = delete(schema.weather).where(schema.weather.c.time < bindparam("until"))
 
@@ -154,7 +154,7 @@ def _signals() -> sa.CTE:
 
 
 _SIGNAL_NAMES = _signals()
-SIGNALS = select(_SIGNAL_NAMES.c.signal).where(_SIGNAL_NAMES.c.signal.is_not(None))
+SIGNALS_READ = select(_SIGNAL_NAMES.c.signal).where(_SIGNAL_NAMES.c.signal.is_not(None))
 BEFORE_TIME = (
     select_rows(observation, "time", "turbine signal")
     .where(observation.c.late == 0, observation.c.time < bindparam("before"))
@@ -209,7 +209,7 @@ _t, _e, _f, _a, _p = (
     rows.c for rows in (schema.turbine, schema.estimate, schema.forecast, schema.alarm, schema.property_now)
 )
 _RECEIVED = select_newest(observation, "received").where(observation.c.turbine == _t.name)
-FLEET = select(
+FLEET_ROWS = select(
     _t.name, _RECEIVED.scalar_subquery(), _e.time, _e.temperature_K, _e.temperature_sd, _e.relative_humidity,
     _e.relative_humidity_sd, _e.margin_K, _e.margin_sd, _e.condensation,
 ).join_from(
@@ -234,7 +234,7 @@ ALARMS = (
     .order_by(_a.began.desc())
 )
 ALARMS_OF = ALARMS.where(matches(schema.alarm, "turbine"))
-CAUSES = select(_a.kind, _a.cause, func.count()).group_by(_a.kind, _a.cause)
+CAUSE_COUNTS = select(_a.kind, _a.cause, func.count()).group_by(_a.kind, _a.cause)
 PAST_MARGINS, FORECAST_MARGINS = (
     select_rows(rows, "time margin_K margin_sd", "turbine", since=True).where(
         rows.c.time < bindparam("until"), rows.c.margin_K.is_not(None)
@@ -263,13 +263,13 @@ NOTICES_ABOUT = select_rows(schema.outbox, same="channel", order="made id").wher
 _NOTICE = sa.update(schema.outbox).where(_n.id == bindparam("notice"))
 KEEP_CONTENT = _NOTICE.values(content=bindparam("text"))
 POSTPONE = _NOTICE.values(due=bindparam("at"))
-DROP = _NOTICE.where(_WAITS).values(failure=bindparam("reason"), sent=bindparam("at"))
+DROP_NOTICE = _NOTICE.where(_WAITS).values(failure=bindparam("reason"), sent=bindparam("at"))
 _ATTEMPTED = _NOTICE.values(attempts=_n.attempts + 1)
 MARK_SENT = _ATTEMPTED.values(failure="", sent=bindparam("at"))
 MARK_FAILED = _ATTEMPTED.values(due=bindparam("at"), failure=bindparam("reason"))
 FORGET_NOTICES = delete(schema.outbox).where(
     _n.made < bindparam("before"), _WAITS | (_n.sent < bindparam("before"))
 )
-DUE_AGAIN = select_rows(schema.alarm, order="look_again id").where(
+DUE_ALARMS = select_rows(schema.alarm, order="look_again id").where(
     _a.ended.is_(None), _a.acknowledged.is_not(None), _a.look_again <= bindparam("now")
 )

@@ -22,7 +22,7 @@ from hygrokf.data.structured import Json, JsonObject
 from hygrokf.data.timestamps import DAY_S
 from hygrokf.estimation.likelihood import Gaussian
 from hygrokf.live.batch import Alarm, Assessment, Batch, Event, Notice, Observation, Shelf
-from hygrokf.live.condition import QUANTITIES, Condition, Quantity
+from hygrokf.live.condition import DISPLAYED_QUANTITIES, Condition, Quantity
 from hygrokf.live.plan import BEFORE
 from hygrokf.live.storage import schema, statements
 from hygrokf.live.storage.database import Database, Row
@@ -30,7 +30,7 @@ from hygrokf.live.storage.database import StoreFault as StoreFault
 from hygrokf.live.storage.postgres import SCHEMES, open_postgres
 from hygrokf.live.storage.sqlite import open_sqlite, path_of
 from hygrokf.live.storage.statements import (
-    ACKNOWLEDGED,
+    ACKNOWLEDGED_COLUMNS,
     count_rows,
     delete_rows,
     insert_new,
@@ -127,7 +127,7 @@ class Store:
 
         Returns False if the store has no such alarm or the alarm was acknowledged before.
         """
-        values = {f"new_{name}": getattr(acknowledged, name) for name in ACKNOWLEDGED}
+        values = {f"new_{name}": getattr(acknowledged, name) for name in ACKNOWLEDGED_COLUMNS}
         with self.transaction():
             changed = self.execute(statements.ACKNOWLEDGE, id=acknowledged.id, **values) == 1
             if changed:
@@ -281,7 +281,7 @@ class Store:
 
     def signals(self, turbine: str) -> list[str]:
         """Signals of a turbine's readings."""
-        return [signal for (signal,) in self.rows(statements.SIGNALS, turbine=turbine)]
+        return [signal for (signal,) in self.rows(statements.SIGNALS_READ, turbine=turbine)]
 
     def place(self, url: str) -> str | None:
         """Position at which a source resumes; None if it was never read."""
@@ -313,7 +313,7 @@ def _changes(batch: Batch) -> Iterator[tuple[ClauseElement, Iterable[Row]]]:
         for p in properties
     ]
     yield upsert(schema.property_), properties
-    yield upsert(schema.alarm, *ACKNOWLEDGED), map(astuple, batch.alarms)
+    yield upsert(schema.alarm, *ACKNOWLEDGED_COLUMNS), map(astuple, batch.alarms)
     yield statements.REOPEN, [(alarm.id,) for alarm in batch.reopened]
     yield upsert(schema.assessment), map(astuple, batch.assessments)
     yield insert_new(schema.outbox), map(astuple, batch.notices)
@@ -369,7 +369,7 @@ def estimate_rows(turbine: str, condition: Condition, final: int) -> list[Row]:
         condition.time_s.tolist(),
         [int(i < final) for i in range(count)],
     ]
-    for row in QUANTITIES:
+    for row in DISPLAYED_QUANTITIES:
         quantity: Quantity | None = getattr(condition, row.column)
         columns += [[None] * count] * 2 if quantity is None else [_plain(quantity.value), _plain(quantity.sd)]
     columns.append([None] * count if condition.condensation is None else _plain(condition.condensation))

@@ -18,15 +18,15 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from hygrokf.data.structured import Json
 from hygrokf.data.timestamps import DAY_S, HOUR_S
 from hygrokf.errors import HygrokfError
-from hygrokf.live.alarms import RULES
-from hygrokf.live.batch import CAUSES, STATES, Event, Shelf
+from hygrokf.live.alarms import ALARM_RULES
+from hygrokf.live.batch import STATED_CAUSES, TURBINE_STATES, Event, Shelf
 from hygrokf.live.notification.notices import LOOK_AGAIN, ChannelState, acknowledge, channel_states
 from hygrokf.live.service import Service
 from hygrokf.live.storage.export import alarms_csv
 from hygrokf.live.storage.schema import alarm_open
 from hygrokf.live.storage.statements import count_rows
 from hygrokf.live.storage.store import Store, StoreFault
-from hygrokf.live.traces import KINDS as EVENT_KINDS
+from hygrokf.live.traces import EVENT_KINDS
 from hygrokf.live.turbines import SOURCE
 from hygrokf.live.web.metrics import exposition
 from hygrokf.live.web.page_settings import MISSING_PACKAGES, PageFault, PageSettings
@@ -50,11 +50,11 @@ if TYPE_CHECKING:
     from starlette.types import ASGIApp
 
 STATIC = Path(__file__).parent / "static"
-DAYS = (1, 3, 7, 14)
+HISTORY_DAYS = (1, 3, 7, 14)
 """Lengths of a turbine's history that may be requested [d]."""
 LOOP_S = 300.0
 """[s] that one cycle of the tracker's loop may take before the loop counts as stuck."""
-KEPT_S = 10.0
+FLEET_KEPT_S = 10.0
 """[s] after which the fleet's rows are read again even without a change."""
 
 
@@ -121,14 +121,14 @@ class PageEndpoints:
     def fleet(self, request: Request) -> Response:
         now = self.service.now
         rows = self.rows(now)
-        summary = dict.fromkeys(STATES, 0) | Counter(row["state"] for row in rows)
+        summary = dict.fromkeys(TURBINE_STATES, 0) | Counter(row["state"] for row in rows)
         return reply({"now": now, "summary": summary, "turbines": rows})
 
     def rows(self, now: float) -> list[View]:
-        """The fleet's rows, read again after a change or `KEPT_S`."""
+        """The fleet's rows, read again after a change or `FLEET_KEPT_S`."""
         generation, read_s, rows = self._fleet
         current = self.hub.generation
-        if generation != current or not 0.0 <= now - read_s < KEPT_S:
+        if generation != current or not 0.0 <= now - read_s < FLEET_KEPT_S:
             verdicts = {name: turbine.verdicts for name, turbine in self.service.turbines.items()}
             rows = self.reader.read(lambda store: fleet_view(store, list(verdicts), now, verdicts))
             self._fleet = (current, now, rows)
@@ -142,8 +142,8 @@ class PageEndpoints:
         name, days = request.path_params["name"], request.query_params.get("days", "3")
         if name not in self.service.turbines:
             return refusal(404, "no such turbine is tracked")
-        if days not in map(str, DAYS):
-            return refusal(400, f"days must be one of {', '.join(map(str, DAYS))}")
+        if days not in map(str, HISTORY_DAYS):
+            return refusal(400, f"days must be one of {', '.join(map(str, HISTORY_DAYS))}")
         now = self.service.now
         turbine, since = self.service.turbines[name], now - int(days) * DAY_S
         view = self.reader.read(
@@ -153,7 +153,7 @@ class PageEndpoints:
 
     def alarms(self, request: Request) -> Response:
         now = self.service.now
-        alarms = self.reader.read(lambda store: alarms_view(store, since=now - max(DAYS) * DAY_S))
+        alarms = self.reader.read(lambda store: alarms_view(store, since=now - max(HISTORY_DAYS) * DAY_S))
         return reply({"now": now, "alarms": alarms})
 
     def health(self, request: Request) -> Response:
@@ -248,7 +248,7 @@ LONGEST_NAME, LONGEST_ID, LONGEST_NOTE = 60, 300, 500
 """Longest name of a person, id of an alarm, and note [characters]."""
 MOST_SHELVED_DAYS, MOST_POSTPONED_DAYS = 30.0, 90.0
 """Longest shelf, and longest time until an alarm is looked at again [d]."""
-EARLIEST_S, AHEAD_S = 400.0 * DAY_S, 300.0
+EVENT_PAST_S, EVENT_AHEAD_S = 400.0 * DAY_S, 300.0
 """Largest time by which an event may lie before, and after, the present [s]."""
 EXPECTED_TURBINE = "expected a turbine that is tracked"
 MOST_EVENTS = 1_000
@@ -268,7 +268,7 @@ def acknowledgement_of(posted: Mapping[str, Json], now: float) -> dict[str, Any]
     alarm, cause = posted.get("id"), posted.get("cause", "unexplained")
     if not isinstance(alarm, str) or not 0 < len(alarm) <= LONGEST_ID or not alarm.isprintable():
         raise StatementFault("expected the id of an alarm")
-    cause = _choice(cause, CAUSES, f"expected a cause of {', '.join(CAUSES)}")
+    cause = _choice(cause, STATED_CAUSES, f"expected a cause of {', '.join(STATED_CAUSES)}")
     look_again_s = None
     if cause == LOOK_AGAIN:
         look_again_s = now + DAY_S * _days(posted, MOST_POSTPONED_DAYS)
@@ -288,7 +288,7 @@ def shelf_of(posted: Mapping[str, Json], turbines: Collection[str], now: float) 
 def shelf_key(posted: Mapping[str, Json], turbines: Collection[str]) -> tuple[str, str]:
     """Turbine ("" for the sources) and kind of alarms in a posted object.  Raises StatementFault."""
     turbine = _choice(posted.get("turbine"), (SOURCE, *turbines), EXPECTED_TURBINE)
-    return turbine, _choice(posted.get("kind"), RULES, f"expected a kind of {', '.join(RULES)}")
+    return turbine, _choice(posted.get("kind"), ALARM_RULES, f"expected a kind of {', '.join(ALARM_RULES)}")
 
 
 def event_of(posted: Mapping[str, Json], turbines: Collection[str], now: float) -> Event:
@@ -296,7 +296,7 @@ def event_of(posted: Mapping[str, Json], turbines: Collection[str], now: float) 
     turbine = _choice(posted.get("turbine"), turbines, EXPECTED_TURBINE)
     kind = _choice(posted.get("kind"), EVENT_KINDS, f"expected a kind of {', '.join(EVENT_KINDS)}")
     at = _number(posted.get("time", now))
-    if not -EARLIEST_S <= at - now <= AHEAD_S:
+    if not -EVENT_PAST_S <= at - now <= EVENT_AHEAD_S:
         raise StatementFault("expected a time in seconds since 1970, within the last 400 days")
     return Event(uuid.uuid4().hex, turbine, at, kind, _note(posted), now, _name(posted))
 

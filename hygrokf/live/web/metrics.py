@@ -14,10 +14,9 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import accumulate
 from typing import TYPE_CHECKING
 
-from hygrokf.live.alarms import CLOCKS, REACH, RULES
-from hygrokf.live.batch import STATES as TURBINE_STATES
-from hygrokf.live.batch import Alarm
-from hygrokf.live.service import WAITS_S, Health, Service
+from hygrokf.live.alarms import ALARM_RULES, CLOCKS, REACH_KIND
+from hygrokf.live.batch import TURBINE_STATES, Alarm
+from hygrokf.live.service import WAIT_CLASSES_S, Health, Service
 from hygrokf.live.turbines import SOURCE
 from hygrokf.live.web.page_settings import MISSING_PACKAGES, PageFault
 from hygrokf.live.web.views import View
@@ -86,7 +85,7 @@ def _tracker(health: Health, store_reached: bool, clients: int) -> Iterator[Metr
     yield _gauge("hygrokf_build_info", text, build, ("version", "python"))
     yield CounterMetricFamily("hygrokf_deliveries", "Deliveries that were committed", health.deliveries)
     yield CounterMetricFamily("hygrokf_store_failures", "Commits that the store refused", health.failures)
-    classes = [*(f"{bound:g}" for bound in WAITS_S), "+Inf"]
+    classes = [*(f"{bound:g}" for bound in WAIT_CLASSES_S), "+Inf"]
     yield HistogramMetricFamily(
         "hygrokf_commit_wait_seconds",
         "Time from delivery to commit",
@@ -174,8 +173,8 @@ def _open_alarms(names: Sequence[str], alarms: Sequence[Alarm]) -> Metric:
     """
     counts: Counter[tuple[str, str, str]] = Counter()
     for name in names:
-        for rule in RULES.values():
-            if rule.follows in (REACH, CLOCKS) if name == SOURCE else rule.follows != REACH:
+        for rule in ALARM_RULES.values():
+            if rule.follows in (REACH_KIND, CLOCKS) if name == SOURCE else rule.follows != REACH_KIND:
                 counts[name, rule.kind, rule.severity] = 0
                 if math.isfinite(rule.severe):
                     counts[name, rule.kind, "alarm"] = 0

@@ -15,7 +15,7 @@ from hygrokf.errors import HygrokfError
 from hygrokf.live.sources.endpoint import Secret, bracketed, is_loopback
 from hygrokf.live.sources.stream import SourceFault
 
-PAGE = "127.0.0.1:8080"
+PAGE_ADDRESS = "127.0.0.1:8080"
 UNIX = "unix:"
 """Beginning of an address that is the path of a Unix socket."""
 NO_TLS = (
@@ -65,7 +65,7 @@ class PageForm:
     """The table [page]; in its place an address alone is allowed."""
 
     REFUSED: ClassVar = {"certificate": NO_TLS, "key": NO_TLS}
-    address: str = setting(PAGE, "HOST:PORT or unix:PATH")
+    address: str = setting(PAGE_ADDRESS, "HOST:PORT or unix:PATH")
     hosts: tuple[str, ...] = setting(
         (), "further names that browsers ask for", expected='a list of names such as ["farm.example"]'
     )
@@ -77,7 +77,7 @@ class PageForm:
     def host_and_port(self) -> str | None:
         if self.address.startswith(UNIX) or address(self.address):
             return None
-        return f"page must be HOST:PORT such as {PAGE}, or unix:PATH, found {self.address!r}"
+        return f"page must be HOST:PORT such as {PAGE_ADDRESS}, or unix:PATH, found {self.address!r}"
 
     @across("token_file", "token_env")
     def one_token(self) -> str | None:
@@ -105,8 +105,9 @@ def page_settings(value: object, folder: Path, place: Place) -> PageSettings:
             inside.fault("behind_proxy needs token_file or token_env: the proxy lets others in")
         if not is_loopback(host) and not form.behind_proxy:
             inside.fault(
-                f"other machines reach {host}: give an address such as {PAGE}; or put a proxy that does TLS "
-                "in front of the page (docs/live_files/nginx.conf) and set behind_proxy = true, token_file"
+                f"other machines reach {host}: give an address such as {PAGE_ADDRESS}; or put a proxy that "
+                "does TLS in front of the page (docs/live_files/nginx.conf) and set behind_proxy = true, "
+                "token_file"
             )
     return PageSettings(host, port, form.hosts, token, form.behind_proxy, unix)
 

@@ -17,9 +17,9 @@ from hygrokf.live.storage.statements import SCHEMA_NUMBER
 from hygrokf.live.storage.store import Store, StoreFault, open_store
 
 LOG = logging.getLogger("hygrokf.page")
-PATIENCE_S = 0.5
+STORE_PATIENCE_S = 0.5
 """[s] for which the page waits for an answer of the store before it repeats the previous answer."""
-SILENT_S = 15.0
+STORE_SILENT_S = 15.0
 """[s] without an answer after which the store counts as not reached."""
 T = TypeVar("T")
 
@@ -83,15 +83,15 @@ class StoreAnswers:
         self._fault = ""
 
     async def fault(self) -> str:
-        """Why the store does not answer, "" if it does; returns within `PATIENCE_S`."""
+        """Why the store does not answer, "" if it does; returns within `STORE_PATIENCE_S`."""
         if self._query is None or self._query.done():
             self._query, self._began = self._start_query(), time.monotonic()
         query = self._query
-        await asyncio.wait([query], timeout=PATIENCE_S)
+        await asyncio.wait([query], timeout=STORE_PATIENCE_S)
         if query.done():
             self._fault = query.result()
-        elif time.monotonic() - self._began > SILENT_S:
-            self._fault = f"the store has not answered for {SILENT_S:g} s"
+        elif time.monotonic() - self._began > STORE_SILENT_S:
+            self._fault = f"the store has not answered for {STORE_SILENT_S:g} s"
         return self._fault
 
     def _start_query(self) -> asyncio.Future[str]:

@@ -37,13 +37,13 @@ if TYPE_CHECKING:
     from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 START_S = 10.0
-STOP_S = 5.0
+START_AND_STOP_S = 5.0
 """Longest time that starting, and stopping, may take [s]."""
 GRACE_S = 2
 """[s] that responses in progress may take when the server stops."""
 MOST_CONNECTIONS = 500
 """Largest number of connections; further ones are closed at once."""
-SILENT_S = 10.0
+REQUEST_SILENT_S = 10.0
 """[s] until a new connection must have sent the headers of its first request."""
 BACKLOG = 100
 """Largest number of connections that wait to be accepted, and that are accepted at a time."""
@@ -54,7 +54,7 @@ REASONS = {
 }
 MOST_CLIENTS = 200
 """Largest number of open event streams."""
-PAUSE_S = 1.0
+MESSAGE_PAUSE_S = 1.0
 """Shortest interval [s] between two messages to one client."""
 HEARTBEAT_S = 10.0
 """[s] without changes after which a client gets a heartbeat."""
@@ -78,7 +78,7 @@ class PageServer:
 def serve(app: ASGIApp, settings: PageSettings, hub: Hub) -> Iterator[PageServer]:
     """Serve an application in a thread within this context; port 0 selects a free port.  Raises PageFault.
 
-    When the context ends, the event streams end and then the server, within `STOP_S`.
+    When the context ends, the event streams end and then the server, within `START_AND_STOP_S`.
     """
     try:
         import uvicorn
@@ -118,7 +118,7 @@ def serve(app: ASGIApp, settings: PageSettings, hub: Hub) -> Iterator[PageServer
     finally:
         hub.close()
         server.should_exit = True
-        thread.join(timeout=STOP_S)
+        thread.join(timeout=START_AND_STOP_S)
 
 
 def bounded_protocol() -> type[asyncio.Protocol]:
@@ -132,7 +132,7 @@ def bounded_protocol() -> type[asyncio.Protocol]:
     class BoundedProtocol(H11Protocol):
         def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
             super().connection_made(transport)
-            self._silence = self.loop.call_later(SILENT_S, self._end_if_silent)
+            self._silence = self.loop.call_later(REQUEST_SILENT_S, self._end_if_silent)
             if len(self.connections) > MOST_CONNECTIONS:
                 transport.abort()
 
@@ -297,7 +297,7 @@ class EventStream:
             if names:
                 named = sorted(names) if len(names) <= MOST_NAMED else None
                 yield message("changed", now=self.hub.clock(), turbines=named)
-                await asyncio.sleep(0.0 if self.hub.closed else PAUSE_S)
+                await asyncio.sleep(0.0 if self.hub.closed else MESSAGE_PAUSE_S)
             elif not self.hub.closed:
                 yield message("alive", now=self.hub.clock())
 

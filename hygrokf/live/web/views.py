@@ -19,9 +19,9 @@ from hygrokf.data.signals import SIGNALS, from_si
 from hygrokf.data.structured import plain, structured
 from hygrokf.data.timestamps import DAY_S, HOUR_S
 from hygrokf.identification.verdict_terms import PARAMETER_OF, Inherited
-from hygrokf.live.alarms import CHANGED, CONTRADICTS
-from hygrokf.live.batch import CAUSES, STATES, Alarm, Assessment, pieces_of, text_of
-from hygrokf.live.condition import QUANTITIES, Z95, Quantity, probability_above
+from hygrokf.live.alarms import CABINET_CHANGED, CONTRADICTS
+from hygrokf.live.batch import STATED_CAUSES, TURBINE_STATES, Alarm, Assessment, pieces_of, stated_text
+from hygrokf.live.condition import DISPLAYED_QUANTITIES, Z95, Quantity, probability_above
 from hygrokf.live.forecast import LIMIT, ForecastMade
 from hygrokf.live.plan import Need
 from hygrokf.live.properties import WATCHED
@@ -41,11 +41,14 @@ DECIMALS = 4
 RIGHT, WRONG = ("defect", "settings changed"), ("false alarm",)
 """Causes of acknowledgements that state that an alarm was right, and that it was wrong."""
 SEVERITY = {"alarm": 2, "warning": 1, "notice": 0}
-COURSES = {q.name: q for q in QUANTITIES if q.name != "frost_point"}
+COURSES = {q.name: q for q in DISPLAYED_QUANTITIES if q.name != "frost_point"}
 _COLUMNS = " ".join(f"{q.column} {q.sd_column}" for q in COURSES.values())
-MOST_POINTS = 3000
+MOST_COURSE_POINTS = 3000
 """Largest number of points in a course; longer courses are thinned."""
-SIGNAL_OF = {"temperature": "cabinet_temperature", "relative_humidity": "cabinet_relative_humidity"}
+CABINET_SIGNALS_SHOWN = {
+    "temperature": "cabinet_temperature",
+    "relative_humidity": "cabinet_relative_humidity",
+}
 """Quantity on the page → the measured signal of the cabinet."""
 Verdicts = Mapping[str, Inherited]
 """Part of a turbine's model → the fit's verdict on its number."""
@@ -88,7 +91,7 @@ def fleet_view(
 
     verdicts: turbine → verdicts on the numbers of its model.
     """
-    latest = {turbine: row for turbine, *row in store.rows(statements.FLEET)}
+    latest = {turbine: row for turbine, *row in store.rows(statements.FLEET_ROWS)}
     observable: dict[str, int] = dict(store.rows(statements.OBSERVABLE))
     highest = {
         turbine: {"condensation": chance, "time": at}
@@ -116,7 +119,9 @@ def fleet_view(
                 "margin_lower": None if margin is None else margin - Z95 * margin_sd,
                 "condensation": chance,
                 "forecast": highest.get(name),
-                "cabinet": "changed" if any(alarm.kind == CHANGED.kind for alarm in alarms) else cabinet,
+                "cabinet": "changed"
+                if any(alarm.kind == CABINET_CHANGED.kind for alarm in alarms)
+                else cabinet,
                 "alarms": alarms,
                 "model": model_view(verdicts.get(name, {}))["verdict"],
                 "severity": max((SEVERITY[alarm.severity] for alarm in alarms), default=-1),
@@ -128,7 +133,7 @@ def fleet_view(
 def _urgency(row: View) -> tuple[int, int, float, str]:
     forecast_risk = row["forecast"]["condensation"] if row["forecast"] else 0.0
     risk = max(row["condensation"] or 0.0, forecast_risk)
-    return STATES.index(row["state"]), -row["severity"], -risk, row["turbine"]
+    return TURBINE_STATES.index(row["state"]), -row["severity"], -risk, row["turbine"]
 
 
 def _state(assessment: Assessment | None) -> View:
@@ -138,7 +143,7 @@ def _state(assessment: Assessment | None) -> View:
     return {
         "state": "no estimate" if assessment is None else assessment.state,
         "since": None if assessment is None else assessment.since,
-        "reason": text_of(statements),
+        "reason": stated_text(statements),
         "content": plain(list(statements)),
         "pieces": pieces_of(statements),
     }
@@ -166,7 +171,7 @@ def turbine_view(
     )
     rows = _thin(store.rows(estimates, turbine=name, since=since))
     readings: View = {}
-    for quantity, signal in SIGNAL_OF.items():
+    for quantity, signal in CABINET_SIGNALS_SHOWN.items():
         factor, offset = COURSES[quantity].factor, COURSES[quantity].offset
         values = _thin(store.rows(statements.USED_VALUES, turbine=name, signal=signal, since=since))
         if values:
@@ -279,13 +284,13 @@ def labels_view(store: Store) -> list[View]:
     """How often each kind of alarm was `right` (something had changed) or `wrong` according to its
     acknowledgements, sorted by kind."""
     by_kind: dict[str, Counter[str | None]] = defaultdict(Counter)
-    for kind, cause, count in store.rows(statements.CAUSES):
+    for kind, cause, count in store.rows(statements.CAUSE_COUNTS):
         by_kind[kind][cause] = int(count)
     return [
         {
             "kind": kind,
             "alarms": counts.total(),
-            "causes": {cause: counts[cause] for cause in CAUSES},
+            "causes": {cause: counts[cause] for cause in STATED_CAUSES},
             "right": sum(counts[cause] for cause in RIGHT),
             "wrong": sum(counts[cause] for cause in WRONG),
         }
@@ -318,8 +323,8 @@ def _scaled(
 
 
 def _thin(rows: Sequence[T]) -> Sequence[T]:
-    """At most `MOST_POINTS` evenly spaced rows, including the last one."""
-    step = -(-len(rows) // MOST_POINTS)
+    """At most `MOST_COURSE_POINTS` evenly spaced rows, including the last one."""
+    step = -(-len(rows) // MOST_COURSE_POINTS)
     return rows if step <= 1 else rows[(len(rows) - 1) % step :: step]
 
 
@@ -394,15 +399,15 @@ def signal_rows(
 
 
 # -- margins of the overview ---------------------------------------------------------------------------------
-BACK_S, AHEAD_S = 3.0 * DAY_S, 2.0 * DAY_S
+SHOWN_BACK_S, SHOWN_AHEAD_S = 3.0 * DAY_S, 2.0 * DAY_S
 """Length of the past and of the forecast that are shown [s]."""
-STEP_S = 2.0 * HOUR_S
+MARGIN_STEP_S = 2.0 * HOUR_S
 """Length of a step [s]."""
-PAST_STEPS, AHEAD_STEPS = round(BACK_S / STEP_S), round(AHEAD_S / STEP_S)
+PAST_STEPS, AHEAD_STEPS = round(SHOWN_BACK_S / MARGIN_STEP_S), round(SHOWN_AHEAD_S / MARGIN_STEP_S)
 """Number of steps of the past, and of the forecast."""
-GROUP = 50
+TURBINES_AT_ONCE = 50
 """Number of turbines read at once; other requests may read the store between two groups."""
-KEPT_S = 300.0
+MARGINS_KEPT_S = 300.0
 """Time of the tracker's clock for which the margins are kept [s]."""
 KEPT_REAL_S = 5.0
 """Real time for which the margins are kept at least [s], because the clock of a playback may run faster."""
@@ -421,15 +426,15 @@ class MarginsCache:
         """
         if self._kept is not None:
             read_s, margins = self._kept
-            age_s = now - margins["start"] - BACK_S
-            if 0.0 <= age_s < KEPT_S or 0.0 <= time.monotonic() - read_s < KEPT_REAL_S:
+            age_s = now - margins["start"] - SHOWN_BACK_S
+            if 0.0 <= age_s < MARGINS_KEPT_S or 0.0 <= time.monotonic() - read_s < KEPT_REAL_S:
                 return margins
-        start = now - BACK_S
+        start = now - SHOWN_BACK_S
         turbines: View = {}
-        for first in range(0, len(names), GROUP):
-            group = names[first : first + GROUP]
+        for first in range(0, len(names), TURBINES_AT_ONCE):
+            group = names[first : first + TURBINES_AT_ONCE]
             turbines |= reader.read(partial(margins_of, names=group, start=start))
-        margins = {"start": start, "step": STEP_S, "past": PAST_STEPS, "turbines": turbines}
+        margins = {"start": start, "step": MARGIN_STEP_S, "past": PAST_STEPS, "turbines": turbines}
         self._kept = (time.monotonic(), margins)
         return margins
 
@@ -438,13 +443,13 @@ def margins_of(store: Store, names: Sequence[str], start: float) -> View:
     """Turbine → the lowest margin `value` [K] in each step from `start` [s] on, and `half` the width of its
     95 % band [K]; None in steps without margins.  Turbines without any margin are left out."""
     margins = {}
-    now = start + BACK_S
+    now = start + SHOWN_BACK_S
     for name in names:
         courses = [
             row
             for query, since, until in (
                 (statements.PAST_MARGINS, start, now),
-                (statements.FORECAST_MARGINS, now, now + AHEAD_S),
+                (statements.FORECAST_MARGINS, now, now + SHOWN_AHEAD_S),
             )
             for row in store.rows(query, turbine=name, since=since, until=until)
         ]
@@ -452,7 +457,7 @@ def margins_of(store: Store, names: Sequence[str], start: float) -> View:
             continue
         rows = np.array(courses, dtype=float)
         value, half = lowest_margins(
-            (rows[:, 0] - start) / STEP_S, rows[:, 1], rows[:, 2], PAST_STEPS + AHEAD_STEPS
+            (rows[:, 0] - start) / MARGIN_STEP_S, rows[:, 1], rows[:, 2], PAST_STEPS + AHEAD_STEPS
         )
         margins[name] = {"value": value, "half": half}
     return margins

@@ -13,6 +13,7 @@ from hygrokf.modelling.causes.forms import Form, Ground, Setting, Settings, usin
 from hygrokf.modelling.derived_inputs import FEATURES, without_settings
 from hygrokf.physics.mechanisms import MECHANISMS
 from hygrokf.physics.model import Feature, Mechanism
+from hygrokf.texts.parts import PARTS
 
 ALWAYS = ("ambient_temperature", "exchange_factor")
 """Inputs that every run has."""
@@ -66,7 +67,7 @@ def cause_of(
     thresholds make a `Cause` with `forms` of your own.  Raises ValueError without a factory, TypeError if a
     factory returns no mechanism.
     """
-    networks = (("thermal", thermal), ("hygric", hygric))
+    networks = zip(PARTS, (thermal, hygric), strict=True)
     factories = {key: factory for key, factory in networks if factory is not None}
     if not factories:
         raise ValueError(f"cause {name!r}: expected a factory for thermal, hygric or both, found none")
@@ -97,7 +98,7 @@ def cause_of(
         ]  # fmt: skip
         if without_inputs or not usable:
             return []
-        heat, vapour = (using(usable[key].name) if key in usable else () for key in ("thermal", "hygric"))
+        heat, vapour = (using(usable[key].name) if key in usable else () for key in PARTS)
         return [Form(name, "", heat, vapour, grid)]
 
     factory_by_name = {mechanisms[key].name: factory for key, factory in factories.items()}

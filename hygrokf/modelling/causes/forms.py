@@ -18,6 +18,11 @@ from hygrokf.data.shared_clocks import in_america, sources
 from hygrokf.data.timestamps import HOUR_S, summer_time
 from hygrokf.modelling.derived_inputs import operating
 from hygrokf.physics.mechanisms.moisture import SLAB
+from hygrokf.physics.signal_names import (
+    AMBIENT_RELATIVE_HUMIDITY,
+    CABINET_RELATIVE_HUMIDITY,
+    CABINET_TEMPERATURE,
+)
 
 if TYPE_CHECKING:
     from hygrokf.modelling.design import Design
@@ -26,12 +31,10 @@ Settings: TypeAlias = Mapping[str, Any]
 """Settings of a mechanism, a feature or a search: numbers, names, and spans of time [s]."""
 MechanismSettings = tuple[str, Settings]
 """A mechanism's name and its settings."""
-TEMPERATURE, HUMIDITY = "cabinet_temperature", "cabinet_relative_humidity"
-AMBIENT_HUMIDITY = "ambient_relative_humidity"
 SLOWEST_H = 2.0
 """[h] shortest time constant of walls, of sorption and of lagging air: shorter time constants would only fit
 the noise of the inputs."""
-OPEN = (-0.95, 50.0)
+OPEN_DOOR = (-0.95, 50.0)
 """Range of the relative change of the exchange through an open door: at its upper end the vapour reaches the
 ambient within the time between two readings."""
 DATES = 23
@@ -109,7 +112,7 @@ class Ground:
 
     @property
     def span_s(self) -> tuple[float, float]:
-        series = self.record[TEMPERATURE]
+        series = self.record[CABINET_TEMPERATURE]
         return float(series.time[0]), float(series.time[-1])
 
     @property
@@ -209,11 +212,11 @@ def wind(ground: Ground) -> Iterator[Form]:
 
 
 def heater(ground: Ground) -> Iterator[Form]:
-    power = "active_power" in ground.record and bool(ground.quantiles(TEMPERATURE, (0.5,), True))
+    power = "active_power" in ground.record and bool(ground.quantiles(CABINET_TEMPERATURE, (0.5,), True))
     for idle in (False, True) if power else (False,):
         for kind, reads, shares, widths in (
-            ("thermostat", TEMPERATURE, (0.1, 0.3, 0.5, 0.7, 0.85), (-1.5, -5.0)),
-            ("humidistat", HUMIDITY, (0.3, 0.5, 0.7, 0.85, 0.95), (0.04, 0.12)),
+            ("thermostat", CABINET_TEMPERATURE, (0.1, 0.3, 0.5, 0.7, 0.85), (-1.5, -5.0)),
+            ("humidistat", CABINET_RELATIVE_HUMIDITY, (0.3, 0.5, 0.7, 0.85, 0.95), (0.04, 0.12)),
         ):
             levels = ground.quantiles(reads, shares, idle)
             yield Form(
@@ -225,8 +228,13 @@ def heater(ground: Ground) -> Iterator[Form]:
 
 def cooling(ground: Ground) -> Iterator[Form]:
     name, shares = "cooling_switching", (0.3, 0.5, 0.65, 0.8, 0.9, 0.96)
-    warm = switched("venting", TEMPERATURE, ground.quantiles(TEMPERATURE, shares), (1.5, 5.0))
-    damp = switched("venting", HUMIDITY, ground.quantiles(HUMIDITY, shares), (0.04, 0.12))
+    warm = switched("venting", CABINET_TEMPERATURE, ground.quantiles(CABINET_TEMPERATURE, shares), (1.5, 5.0))
+    damp = switched(
+        "venting",
+        CABINET_RELATIVE_HUMIDITY,
+        ground.quantiles(CABINET_RELATIVE_HUMIDITY, shares),
+        (0.04, 0.12),
+    )
     yield Form(name, "a_stage_that_grows_with_the_temperature", using("throttled_cooling_loss"), grid=warm)
     yield Form(name, "of_constant_power", using("throttled_cooling"), grid=warm)
     vent = using("vent_loss"), using("vent_exchange")
@@ -246,7 +254,7 @@ def doors(ground: Ground) -> Iterator[Form]:
     if "door_open" not in ground.record:
         yield Form(
             "door_opening", "single_openings", using("open_loss"), using("open_exchange"),
-            (Setting({"door_open": {"spans": [[-1e18, 1e18]]}}),), {"door_exchange": OPEN},
+            (Setting({"door_open": {"spans": [[-1e18, 1e18]]}}),), {"door_exchange": OPEN_DOOR},
             together=True, windows=True,
         )  # fmt: skip
 
@@ -276,7 +284,7 @@ def _hours(workdays: bool) -> tuple[Setting, ...]:
 
 def clock(ground: Ground) -> Iterator[Form]:
     """Shifts of each source against the others; with two sources only their difference is identifiable."""
-    main = {TEMPERATURE, "ambient_temperature", "active_power"}
+    main = {CABINET_TEMPERATURE, "ambient_temperature", "active_power"}
     signals_by_source = sources(ground.record)
     names = [name for name, signals in signals_by_source.items() if main & set(signals)]
     names = names[: {1: 0, 2: 1}.get(len(signals_by_source))]
@@ -284,7 +292,7 @@ def clock(ground: Ground) -> Iterator[Form]:
     steps = {("clock", "shift_s"): 0.125 * HOUR_S}
     for name in names:
         yield Form("clock_shift", f"all_year:{name}", grid=tuple(all_year), steps=steps, clock=name)
-    summer = summer_time(ground.record[TEMPERATURE].time, in_america(ground.record))
+    summer = summer_time(ground.record[CABINET_TEMPERATURE].time, in_america(ground.record))
     for name in names if summer.any() and not summer.all() else ():
         yield Form("clock_shift", f"in_summer_time:{name}", grid=tuple(one_hour), clock=name, summer=True)
 
@@ -318,7 +326,7 @@ def ambient(ground: Ground) -> Iterator[Form]:
     )  # fmt: skip
     yield Form(name, "offset_of_the_vapour", vapour=using("breathed_air", form="vapour"))
     yield Form(name, "gain_of_the_vapour", freed="breathed_gain")
-    if AMBIENT_HUMIDITY in ground.record:
+    if AMBIENT_RELATIVE_HUMIDITY in ground.record:
         yield Form(name, "offset_of_the_relative_humidity", freed="breathed_humidity_offset")
 
 
@@ -355,7 +363,10 @@ def rain(ground: Ground) -> Iterator[Form]:
 
 
 def drier(ground: Ground) -> Iterator[Form]:
-    flag, levels = "throttled_drying", ground.quantiles(HUMIDITY, (0.2, 0.35, 0.5, 0.65, 0.8, 0.92))
+    flag, levels = (
+        "throttled_drying",
+        ground.quantiles(CABINET_RELATIVE_HUMIDITY, (0.2, 0.35, 0.5, 0.65, 0.8, 0.92)),
+    )
     heat_of_drying = using("drying_heat", flag=flag) if ground.humid else ()
     for code, plate, heat in (
         ("a_cold_plate", True, ()),
@@ -364,7 +375,7 @@ def drier(ground: Ground) -> Iterator[Form]:
     ):
         yield Form(
             "dehumidifier", code, heat, using("switched_drying", plate=plate, flag=flag),
-            switched(flag, HUMIDITY, levels, (0.04, 0.15)),
+            switched(flag, CABINET_RELATIVE_HUMIDITY, levels, (0.04, 0.15)),
         )  # fmt: skip
 
 
@@ -384,13 +395,13 @@ def source(ground: Ground) -> Iterator[Form]:
 
 
 def humidity_sensor(ground: Ground) -> Iterator[Form]:
-    if HUMIDITY not in ground.record:
+    if CABINET_RELATIVE_HUMIDITY not in ground.record:
         return
     name = "humidity_sensor_drift"
     yield Form(name, "an_offset_that_grows", vapour=using("humidity_drift"), grid=ground.elapsed)
     yield Form(name, "a_scale_that_goes_off", vapour=using("humidity_scale"), grid=ground.elapsed)
     yield Form(name, "a_scale_that_is_off", freed="humidity_scale_error")
-    levels = ground.quantiles(HUMIDITY, (0.5, 0.8, 0.95))
+    levels = ground.quantiles(CABINET_RELATIVE_HUMIDITY, (0.5, 0.8, 0.95))
     yield Form(
         name, "a_ceiling_of_the_readings", vapour=using("humidity_ceiling"),
         grid=grid(values={"humidity_ceiling": levels}),

@@ -54,11 +54,11 @@ def cabinet_vapour(x: Space, u: Space, q: Space) -> Value:
     return x.vapour * u.ambient_temperature / q.cabinet_air_temperature
 
 
-SHORTEST_H = 0.005
+LEAST_K_H = 0.005
 """[h] default lower bound of k."""
 
 
-def hygric_exchange(shortest_h: float = SHORTEST_H) -> Mechanism:
+def hygric_exchange(shortest_h: float = LEAST_K_H) -> Mechanism:
     """Vapour exchange with the ambient air: equation (4) of the paper as a balance of vapour mass.
 
         dc*/dt = T_conv,a T_amb^0.8 /(k (273 K)^1.8) · (1 + Σ exchange) (c_amb − c* + w) + vapour_release,

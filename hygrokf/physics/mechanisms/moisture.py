@@ -47,9 +47,9 @@ for a slab.
 The two stores of a slab reproduce tanh(√s)/√s, the uptake by Fick's law, within 13 % (root mean square) from
 0.3 to 100 times the slab's own frequency.
 """
-DROP = 0.01
+ROUNDED_FILM = 0.01
 """[g/m³] film over which the size |m| of the film is rounded."""
-EDGE = 0.05
+ROUNDED_VAPOUR = 0.05
 """[g/m³] vapour concentration over which the transition between condensing and drying is rounded."""
 
 
@@ -150,9 +150,12 @@ def condensation(sky: bool = False) -> Mechanism:
 
     def rate(p: Space, x: Space, u: Space, q: Space) -> Value:
         excess = x.vapour - saturated_vapour(x.surface_temperature, u.ambient_temperature)
-        condensing, drying = 0.5 * twice_positive(excess, EDGE), 0.5 * twice_positive(-excess, EDGE)
+        condensing, drying = (
+            0.5 * twice_positive(excess, ROUNDED_VAPOUR),
+            0.5 * twice_positive(-excess, ROUNDED_VAPOUR),
+        )
         # the filter may estimate a slightly negative film; this term then pulls it back to zero
-        wet_share = x.film / (1.0 + sqrt(x.film * x.film + DROP * DROP))
+        wet_share = x.film / (1.0 + sqrt(x.film * x.film + ROUNDED_FILM * ROUNDED_FILM))
         return p.condensation_rate * (condensing - drying * wet_share)
 
     def surface(p: Space, x: Space, u: Space, q: Space) -> Value:
@@ -271,7 +274,7 @@ def rain_ingress() -> Mechanism:
 def _above_plate(x: Space, u: Space, q: Space) -> Value:
     """Vapour of the cabinet air in excess of saturation over a plate at the freezing point [g/m³], at least
     0; rounded over 0.05."""
-    return 0.5 * twice_positive(cabinet_vapour(x, u, q) - PLATE, EDGE)
+    return 0.5 * twice_positive(cabinet_vapour(x, u, q) - PLATE, ROUNDED_VAPOUR)
 
 
 def switched_drying(plate: bool = True, flag: str = "throttled_drying") -> Mechanism:

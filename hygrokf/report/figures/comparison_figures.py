@@ -38,6 +38,7 @@ from hygrokf.report.figures.panels import (
     strokes,
 )
 from hygrokf.report.quantities import quantity, spoken
+from hygrokf.texts.parts import SCORED
 from hygrokf.transfer.comparison import ComparisonResults
 from hygrokf.transfer.transfer_results import RecordCourse, TransferResult
 from hygrokf.transfer.transferability import MATERIAL_DIFFERENCE

@@ -14,11 +14,9 @@ from hygrokf.climate.limits import Exceedance
 from hygrokf.climate.study import RegionClimate, Study, profile_files
 from hygrokf.discovery.discovery_results import DiscoveryResults
 from hygrokf.discovery.residuals import Residuals
-from hygrokf.evaluation.scoring import SCORED
 from hygrokf.identification.fit_results import FitResults
 from hygrokf.identification.verdict import inherited
 from hygrokf.identification.verdict_terms import Inherited
-from hygrokf.modelling.design import PARTS
 from hygrokf.report.blocks import (
     OF_RECORD,
     Banner,
@@ -52,6 +50,7 @@ from hygrokf.report.figures.lead import lead_of_climate, lead_of_discovery, lead
 from hygrokf.report.fit_page import fit_period
 from hygrokf.report.fit_text import judgements
 from hygrokf.report.quantities import quantity, versions
+from hygrokf.texts.parts import BOTH_PARTS, PARTS, SCORED
 from hygrokf.texts.reasons import BELIEVE, CAUTION, REJECT, VERDICTS, WORDS, Kind, Reason, ReasonCode
 from hygrokf.texts.statement import listed
 from hygrokf.texts.wording import NONE, one_line, sentence
@@ -304,7 +303,7 @@ def summary_of_fit(fit: FitResults, series: Mapping[str, np.ndarray]) -> Summary
     )
 
 
-QUANTITIES_OF = {"thermal": "the temperature", "hygric": "the humidity"}
+QUANTITIES_OF = {part.name: f"the {part.output}" for part in BOTH_PARTS}
 
 
 def _uses(constants: Mapping[str, Inherited]) -> tuple[str, ...]:

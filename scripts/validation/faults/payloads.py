@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from builders.brokers import peer, publish
 
-from hygrokf.live.sources.payload_formats import DEEPEST, LARGEST
+from hygrokf.live.sources.payload_formats import DEEPEST_NESTING, LARGEST_PAYLOAD
 from validation.faults.plant import Message, Outcome, Plant, counted, stored
 from validation.faults.tracker import broker_of, mqtt_source, tracking, unacknowledged, until
 
@@ -73,11 +73,11 @@ def _flipped(random: np.random.Generator, at: float) -> bytes:
 
 
 def _huge(random: np.random.Generator, at: float) -> bytes:
-    return _stated(random, at, note="x" * (LARGEST + int(random.integers(0, 30_000))))
+    return _stated(random, at, note="x" * (LARGEST_PAYLOAD + int(random.integers(0, 30_000))))
 
 
 def _deep(random: np.random.Generator, at: float) -> bytes:
-    levels = DEEPEST + int(random.integers(1, 8_000))
+    levels = DEEPEST_NESTING + int(random.integers(1, 8_000))
     opening, closing = (b'{"a":', b"}") if random.random() < 0.5 else (b"[", b"]")
     return b'{"turbine": "T1", "note": ' + opening * levels + b"1" + closing * levels + b"}"
 

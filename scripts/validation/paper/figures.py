@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hygrokf.evaluation.scoring import SCORED
-from hygrokf.report.figures.drawing import INK, MEASURED, RULE, SIMULATED, new_figure, styled
+from hygrokf.report.figures.drawing import INK, MEASURED, RULE, SIMULATED_COLOUR, new_figure, styled
+from hygrokf.texts.parts import SCORED
 from validation.paper.models import CRITERIA, FREE_RUN, LIKELIHOOD
 from validation.paper.tables import SPREAD, UNITS, WORDS, published_total, totals
 
@@ -35,7 +35,7 @@ def figure_errors(seeds: Sequence[Mapping]) -> Figure:
                         color=COLOURS[criterion],
                               markersize=2.6, alpha=0.45, markeredgewidth=0)  # fmt: skip
                     axes.plot(values[0], place + shift, "o", color=COLOURS[criterion], markersize=5.5)
-                axes.plot(published_total(path, quantity), place, "D", color=SIMULATED, markersize=5.5,
+                axes.plot(published_total(path, quantity), place, "D", color=SIMULATED_COLOUR, markersize=5.5,
                           markeredgecolor="white", markeredgewidth=0.7, zorder=4)  # fmt: skip
             axes.set_ylim(rows - 0.5, -0.5)
             axes.set_yticks(range(rows), [words for _, _, words, _ in SPREAD] if column == 0 else [""] * rows)
@@ -44,7 +44,7 @@ def figure_errors(seeds: Sequence[Mapping]) -> Figure:
             axes.set_xlim(left=0.0)
             axes.set_xlabel(f"RMSE of the {('temperature', 'absolute humidity')[column]} [{UNITS[quantity]}]")
         handles = [
-            Line2D([], [], marker="D", color=SIMULATED, linestyle="", markersize=5.0,
+            Line2D([], [], marker="D", color=SIMULATED_COLOUR, linestyle="", markersize=5.0,
                 label="paper, measured cabinet"),
             *(Line2D([], [], marker="o", color=COLOURS[c], linestyle="", markersize=5.0,
                 label=f"here, {WORDS[c]}")

@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 
-from hygrokf.evaluation.scoring import SCORED
+from hygrokf.texts.parts import SCORED
 from hygrokf.texts.wording import fixed, percent
 from validation.counts import markdown
 from validation.paper.cabinets import LocalAir

@@ -3,7 +3,8 @@
 import { areOld, sparkline } from "./spark.js";
 import { Fault, ask } from "./server.js";
 import {
-  FRESH_S, age, celsius, chance, clock, fixed, kelvin, make, near, percent, say, span, timeOf, whole, withTimes,
+  CONDENSATION, FRESH_S, age, celsius, chance, clock, fixed, kelvin, make, near, percent, say, span, timeOf, whole,
+  withTimes,
 } from "./text.js";
 
 const COLUMNS = [
@@ -180,7 +181,7 @@ class Row {
     // the server's reason of another state would contradict the one that is shown
     const reason = state === "ok" ? "" : state === row.state ? withTimes(row.pieces, near) : state === "in doubt" ? "a number of its model is rejected"
       : row.heard === null ? "never heard" : `not heard for ${span(clock() - row.heard)}`;
-    const stated = state === "at risk" ? ["condensation"] : state === "alarm" ? row.content[0].values.kinds : [];
+    const stated = state === "at risk" ? [CONDENSATION] : state === "alarm" ? row.content[0].values.kinds : [];
     const kinds = [...new Set(row.alarms.map((alarm) => alarm.kind))].filter((kind) => !stated.includes(kind));
     return [reason, ...kinds].filter(Boolean).join("; ");
   }

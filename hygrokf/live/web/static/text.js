@@ -64,6 +64,8 @@ export function significant(value) {
 
 export const whole = (value) => known(value) ? Math.round(value).toLocaleString("en-US").replaceAll(",", "\u2009") : DASH;
 
+/** Kind of the alarm of condensation, which is the reason of the state "at risk" too. */
+export const CONDENSATION = "condensation";
 const UNITS = { degC: "°C", "W/m2": "W/m²", "g/m3": "g/m³", 1: "", deg: "°" };
 export const unitText = (unit) => unit in UNITS ? UNITS[unit] : unit;
 
