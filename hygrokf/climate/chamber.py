@@ -1,4 +1,4 @@
-"""What a test in a climate chamber is asked for: the law of ageing, and what the chamber can do.
+"""What a test in a climate chamber has to do: its length, the law of ageing, and the limits of the chamber.
 
 docs/how_to/climate_test.toml is an example of the file.
 """
@@ -35,14 +35,14 @@ class Acceleration:
 
     @property
     def humid(self) -> bool:
-        """Whether the humidity matters."""
+        """Whether the law depends on the humidity."""
         return self.humidity_exponent != 0.0
 
     def rate(self, temperature_K: np.ndarray, relative_humidity: np.ndarray | None = None) -> np.ndarray:
-        """Ageing [h at the reference condition per h] at a temperature [K] and relative humidity [1], any
-        shape; humidity above saturation counts as saturation.
+        """Return the ageing [h at the reference condition per h] at a temperature [K] and relative humidity
+        [1] of any shape; humidity above saturation counts as saturation.
 
-        Raises ValueError where the law needs a humidity and there is none.
+        Raises ValueError if the law needs a humidity and there is none.
         """
         slope = self.activation_energy_eV / BOLTZMANN_EV
         rate = np.exp(slope * (1.0 / (self.reference_degC + ZERO_CELSIUS_K) - 1.0 / temperature_K))
@@ -52,8 +52,8 @@ class Acceleration:
                     "Peck's law needs a relative humidity, found none; set humidity_exponent = 0 for "
                     "Arrhenius"
                 )
-            h = np.clip(relative_humidity, 0.0, 1.0)
-            rate = rate * (100.0 * h / self.reference_percent) ** self.humidity_exponent
+            humidity = np.clip(relative_humidity, 0.0, 1.0)
+            rate = rate * (100.0 * humidity / self.reference_percent) ** self.humidity_exponent
         return rate
 
 
@@ -69,7 +69,7 @@ class Chamber:
 
 @dataclass(frozen=True)
 class ProfileLength:
-    """The length of a test, and of the service that it stands for."""
+    """The length of a test, and the years of service whose ageing it should cause."""
 
     length_h: float = setting(1000.0, "of the test", least=24.0, most=20000.0)
     service_years: float = setting(20.0, "of service, with the same ageing", least=0.001, most=100.0)
@@ -77,8 +77,8 @@ class ProfileLength:
 
 @dataclass(frozen=True)
 class ProfilePlan:
-    """A test, and a file of it: its length, the years of service whose ageing it should reach, the law and
-    the chamber."""
+    """The plan of a test, as in its file: length and years of service, law of ageing, and limits of the
+    chamber."""
 
     test: ProfileLength = setting(ProfileLength, "length of the test, and of the service that it represents")
     law: Acceleration = setting(Acceleration, "of ageing")

@@ -1,6 +1,8 @@
-"""Limits of a requirement specification or of a standard's class, and whether a climate keeps to them.
+"""Limits for the climate in a cabinet, from a specification or from a class of a standard, and the verdict on
+whether they are kept.
 
-docs/how_to/climate_limits.toml is an example.  Of classes only those whose numbers are in public documents.
+docs/how_to/climate_limits.toml is an example. Classes are included only if their numbers are in public
+documents.
 """
 
 from __future__ import annotations
@@ -30,8 +32,8 @@ LIMITED_QUANTITIES = {
     "temperature_rate_K_per_h": "K/h",
     "relative_humidity_rate_percent_per_h": "%/h",
 }
-"""Quantities that may be limited, with their units; rates are absolute ones over an hour."""
-_RATE_OF = {
+"""Quantity that may be limited → its unit; rates are absolute changes over an hour."""
+_QUANTITY_OF_RATE = {
     "temperature_rate_K_per_h": "temperature_degC",
     "relative_humidity_rate_percent_per_h": "relative_humidity_percent",
 }
@@ -39,8 +41,8 @@ _RATE_OF = {
 
 @dataclass(frozen=True)
 class ClimateLimit:
-    """A limit, and a [[limit]] of a file: at most `hours_a_year` of `quantity` `above` or `below` a level,
-    `during` a scope of the year."""
+    """A limit, as in a [[limit]] of a file: `quantity` may be `above` or `below` a level for at most
+    `hours_a_year` hours, of the hours `during` a scope of the year."""
 
     quantity: Name = setting(help="what is limited", choices=tuple(LIMITED_QUANTITIES))
     above: float | None = setting(None, "the level that should not be exceeded")
@@ -51,16 +53,17 @@ class ClimateLimit:
 
     @property
     def side(self) -> str:
-        """The key that gives the level."""
+        """ "above" or "below": the key that states the level."""
         return "below" if self.above is None else "above"
 
     @property
     def level(self) -> float:
-        """The level."""
+        """The level, in the unit of the quantity."""
         return getattr(self, self.side)
 
     @across("above", "below")
     def one_side(self) -> str | None:
+        """Return a fault unless exactly one of `above` and `below` is stated."""
         if (self.above is None) != (self.below is None):
             return None
         found = "neither" if self.above is None else f"above = {self.above:g}, below = {self.below:g}"
@@ -68,6 +71,7 @@ class ClimateLimit:
 
     @across("above", "below", "quantity")
     def level_of_quantity(self) -> Iterator[str]:
+        """Yield faults of a level that does not suit its quantity."""
         if self.quantity == "relative_humidity_percent" and 0.0 < (self.level or 0.0) <= 1.5:
             yield (
                 f"{self.side} = {self.level:g}: expected per cent, its number looks like a fraction; "
@@ -76,11 +80,11 @@ class ClimateLimit:
         if "rate" in self.quantity and self.below is not None:
             yield "a rate is limited from above; write above = …"
 
-    def named(self, of: str = "") -> ClimateLimit:
-        """The limit with a name: its own, or that `of` a class and the limit in words."""
-        when = "" if self.during == "all" else f" in {self.during}"
-        words = f"{self.quantity_words} {self.side} {self.level:g} {LIMITED_QUANTITIES[self.quantity]}{when}"
-        return replace(self, name=self.name or f"{of}{words}")
+    def named(self, prefix: str = "") -> ClimateLimit:
+        """Return the limit with a name: its own, or `prefix` and the limit in words."""
+        scope_text = "" if self.during == "all" else f" in {self.during}"
+        limit_text = f"{self.quantity_words} {self.side} {self.level:g} {LIMITED_QUANTITIES[self.quantity]}{scope_text}"
+        return replace(self, name=self.name or f"{prefix}{limit_text}")
 
     @property
     def quantity_words(self) -> str:
@@ -96,6 +100,7 @@ class LimitsForm:
 
     @across("limit")
     def names(self) -> list[str]:
+        """Return faults if there is no limit, or if limits share a name."""
         if not self.limit:
             return ["expected at least one [[limit]], found none; see docs/how_to/climate.md"]
         return duplicate_name_faults([limit.named() for limit in self.limit])
@@ -103,10 +108,10 @@ class LimitsForm:
 
 @dataclass(frozen=True, kw_only=True)
 class Exceedance(ClimateLimit):
-    """A limit with the exceedances of it in a climate.
+    """A limit with its verdict in a climate.
 
-    `hours` [h] and `number` of exceedances in a year; `longest_h`: the longest exceedance; `why`: what
-    prevents a verdict.
+    `hours` [h] and `number` of exceedances in a year; `longest_h`: length of the longest one; `why`: reason
+    for "undecided", if it is not the bounds.
     """
 
     hours: BoundedMean
@@ -117,7 +122,7 @@ class Exceedance(ClimateLimit):
 
 
 class ClassFault(HygrokfError):
-    """A name that is neither a file of limits nor a known class."""
+    """A name that is neither a file of limits nor a known class of a standard."""
 
 
 CLASSES: Mapping[str, tuple[ClimateLimit, ...]] = {
@@ -132,15 +137,15 @@ CLASSES: Mapping[str, tuple[ClimateLimit, ...]] = {
         ClimateLimit("relative_humidity_percent", below=5.0),
     ),
 }
-"""The known classes by standard and name: no hour of a year may lie beyond their limits;
-docs/how_to/climate.md shows them with their sources."""
+"""Class of a standard → its limits, which allow no hour beyond them; docs/how_to/climate.md lists the classes
+with their sources."""
 
 
 def limits_of(given: str | os.PathLike[str]) -> tuple[ClimateLimit, ...]:
-    """Limits of a file or of a class.
+    """Return the limits in a file or of a class.
 
-    given: path of a TOML file, or the name of a class, with or without its standard: "IEC 60721-3-3 3K3",
-        "EN 60721-3-3 3K3", "3K3".
+    given: path of a TOML file, or name of a class, with or without its standard: "IEC 60721-3-3 3K3", "EN
+        60721-3-3 3K3", "3K3".
 
     Raises FormFault for a file with faults, ClassFault for an unknown name.
     """
@@ -160,7 +165,7 @@ def limits_of(given: str | os.PathLike[str]) -> tuple[ClimateLimit, ...]:
 
 
 def duplicate_name_faults(limits: Sequence[ClimateLimit]) -> list[str]:
-    """A message for every name that several limits share; the limits may come from several files."""
+    """Return a message for every name that several limits share, as limits of several files may."""
     names = [limit.name for limit in limits]
     return [
         f'two limits are called "{name}"; rename one'
@@ -170,45 +175,50 @@ def duplicate_name_faults(limits: Sequence[ClimateLimit]) -> list[str]:
 
 def beyond(year: Year, limit: ClimateLimit) -> np.ndarray | None:
     """Whether each member exceeds the limit at each instant (N, T); None if the model lacks the quantity."""
-    quantity = _RATE_OF.get(limit.quantity, limit.quantity)
+    quantity = _QUANTITY_OF_RATE.get(limit.quantity, limit.quantity)
     values = courses(year).get(quantity)
     if values is None:
         return None
     in_scope = scope_of(year, limit.during)
-    if limit.quantity in _RATE_OF:
-        steep, near = steepness(values, year)
+    if limit.quantity in _QUANTITY_OF_RATE:
+        rate, has_no_gap = steepness(values, year)
         is_beyond = np.zeros(values.shape, dtype=bool)
-        is_beyond[:, 1:] = (steep > limit.level) & near & in_scope[1:] & in_scope[:-1]
+        is_beyond[:, 1:] = (rate > limit.level) & has_no_gap & in_scope[1:] & in_scope[:-1]
         return is_beyond
-    outside = values > limit.level if limit.side == "above" else values < limit.level
-    return outside & in_scope
+    is_outside = values > limit.level if limit.side == "above" else values < limit.level
+    return is_outside & in_scope
 
 
 def exceeded(year: Year, limit: ClimateLimit) -> np.ndarray | None:
-    """Columns (N, 3): hours and number of exceedances a year, and the longest exceedance [h], by member."""
+    """Return for each member (N, 3): hours and number of exceedances in a year, and the longest exceedance
+    [h]; None if the model lacks the quantity."""
     is_beyond = beyond(year, limit)
     if is_beyond is None:
         return None
-    per_year = YEAR_H / year.known.sum()
+    scale_to_year = YEAR_H / year.known.sum()
     number, _, longest = excursions(is_beyond, year.step_h)
-    return np.column_stack([is_beyond.sum(axis=1) * per_year, number * per_year / year.step_h, longest])
+    return np.column_stack(
+        [is_beyond.sum(axis=1) * scale_to_year, number * scale_to_year / year.step_h, longest]
+    )
 
 
-def judge_limit(limit: ClimateLimit, years: np.ndarray, part: Statement | None = None) -> Exceedance:
-    """The verdict on a limit from the members' numbers (years, N, 3), those of `exceeded`.
+def judge_limit(limit: ClimateLimit, years: np.ndarray, part_of_year: Statement | None = None) -> Exceedance:
+    """Return the verdict on a limit from the members' exceedances (years, N, 3), those of `exceeded`.
 
-    "pass" where the upper bound of the hours in a year is within what is allowed, "fail" where the lower
-    bound is beyond it, "undecided" between them.  Also "undecided" if only a `part` of a year is known (its
-    length, such as 80 days) and this part keeps the limit, because the rest of the year may exceed it.
+    "pass" if the upper bound of the hours in a year is within the allowed hours, "fail" if the lower bound
+    exceeds them, else "undecided". A limit that is kept is also "undecided" if only a part of a year is known
+    (`part_of_year`: its length, such as 80 days), because the rest of the year may exceed it.
     """
-    hours, number, longest = (bounded(years[:, :, i]) for i in range(3))
+    hours, number, longest = (bounded(years[:, :, column]) for column in range(3))
     verdict: Literal["pass", "undecided", "fail"] = "undecided"
-    why = None
+    reason = None
     if hours.upper <= limit.hours_a_year:
-        if part is None:
+        if part_of_year is None:
             verdict = "pass"
         else:
-            why = ClimateCode.OF_A_PART(part=part)
+            reason = ClimateCode.OF_A_PART(part=part_of_year)
     elif hours.lower > limit.hours_a_year:
         verdict = "fail"
-    return Exceedance(**vars(limit), hours=hours, number=number, longest_h=longest, verdict=verdict, why=why)
+    return Exceedance(
+        **vars(limit), hours=hours, number=number, longest_h=longest, verdict=verdict, why=reason
+    )

@@ -1,4 +1,4 @@
-"""The climate in a fitted cabinet: one `Study` of one or several regions, and the files that hold it."""
+"""The result of a climate simulation: a `Study` of one or several regions, and its files."""
 
 from __future__ import annotations
 
@@ -31,15 +31,15 @@ if TYPE_CHECKING:
 
 TABLE = "climate.csv"
 STATISTIC_UNITS = {one.name: one.unit for one in STATISTICS}
-"""Of the numbers of a climate, by name."""
+"""Name of a number of a climate → its unit."""
 LIMIT_UNITS = {"hours": "h/a", "number": "1/a", "longest_h": "h"}
-"""Of the numbers of a limit."""
+"""Field of an `Exceedance` → its unit."""
 
 
 @dataclass(frozen=True)
 class YearSpan:
-    """One simulated year: first and last instant [UTC], hours [h] with known weather and power, and the share
-    of these [1] in operation."""
+    """One simulated year: its first and last instant [UTC], the hours [h] with known weather and power, and
+    the share of them [1] in operation."""
 
     hours_known: float
     operating_share: float
@@ -48,15 +48,15 @@ class YearSpan:
 
     @property
     def hours_covered(self) -> float:
-        """[h] from the first to the last instant, gaps included."""
-        first, last = (np.datetime64(one.removesuffix("Z"), "s") for one in (self.start, self.end))
+        """Hours [h] from the first to the last instant, gaps included."""
+        first, last = (np.datetime64(stamp.removesuffix("Z"), "s") for stamp in (self.start, self.end))
         return float((last - first) / np.timedelta64(1, "h")) + 1.0
 
 
 @dataclass(frozen=True, eq=False)
 class DurationCurve:
-    """Values that are exceeded for each share of the time [1] (`share_beyond`), with bounds of a single year,
-    and those of the weather (`outside`)."""
+    """The values that are exceeded for each share of the time [1] (`share_beyond`), with bounds of a single
+    year, and those of the weather (`outside`)."""
 
     share_beyond: np.ndarray
     value: np.ndarray
@@ -70,9 +70,10 @@ class DurationCurve:
 
 @dataclass(frozen=True, eq=False)
 class JointDistribution:
-    """Hours a year [h] by temperature [°C] and relative humidity [%], with bounds, and those of the weather.
+    """Hours a year [h] by temperature [°C] and relative humidity [%] (I, J), with bounds, and those of the
+    weather.
 
-    Edges (I+1,) and (J+1,) of the bins; the others (I, J).
+    The edges of the bins have the shapes (I+1,) and (J+1,).
     """
 
     temperature_edges_degC: np.ndarray
@@ -91,13 +92,12 @@ class JointDistribution:
 class RegionClimate:
     """The climate in a cabinet under the weather of one region.
 
-    `files` of the weather and its `provenance`.  `statements` on weather, power and bounds; `warnings` of the
-    weather's readers.
-    `part_of_year`: its length where no year is known well enough to stand for one.
-    `bounds_hold`, `mean_bounds_hold`: shares [1] of single years, and of means, that the bounds hold.
-    `scopes`: numbers (`climate.statistics.STATISTICS`) by scope and name; `outside`: those of the weather.
-    `duration`, `rates`: duration curves by quantity.  Without humidity there is no class of wetness, no joint
-    distribution and no test profile.
+    `files` and `provenance` of the weather. `statements` on weather, power and bounds; `warnings` of the
+    weather's readers. `part_of_year`: its length, if no year is known well enough to stand for a whole one.
+    `bounds_hold`, `mean_bounds_hold`: probabilities [1] with which the bounds hold a single year, or the mean
+    of years. `scopes`: numbers (`climate.statistics.STATISTICS`) by scope and name; `outside`: those of the
+    weather. `duration`, `rates`: duration curves by quantity. Without humidity there are no class of wetness,
+    joint distribution and test profile.
     """
 
     name: Name
@@ -130,18 +130,17 @@ class RegionClimate:
 
     @property
     def verdict(self) -> str:
-        """The worst verdict on its limits: "fail", "undecided" or "pass"; empty without limits."""
-        found = {limit.verdict for limit in self.limits}
-        return next((verdict for verdict in ("fail", "undecided", "pass") if verdict in found), "")
+        """The worst verdict on the limits: "fail", "undecided" or "pass"; "" without limits."""
+        verdicts = {limit.verdict for limit in self.limits}
+        return next((verdict for verdict in ("fail", "undecided", "pass") if verdict in verdicts), "")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Study:
     """The climate in a fitted cabinet under the weather of one or several regions.
 
-    `name` of the fit and the `version` that simulated it.  `members` of the ensemble, its `seed`, and the
-    `level` [1] of its bounds.  `verdicts`: the fit's time constants, by part.  `provenance` of the
-    fit's record.
+    `name` of the fit; `version` that simulated it; `members` of the ensemble and its `seed`; `level` [1] of
+    the bounds; `verdicts` on the fit's time constants; `provenance` of the fit's record.
     """
 
     name: Name
@@ -165,36 +164,37 @@ class Study:
 
     @property
     def least_measured(self) -> Provenance:
-        """The provenance of what all of it rests on: the fit's record and the weather of every region."""
+        """The provenance of everything behind the study: the fit's record and the weather of every region."""
         return least_measured((self.provenance, *(region.provenance for region in self.regions)))
 
     def rows(self) -> Iterator[dict[str, str | float]]:
-        """Every single number, by region, scope and name, with its bounds and unit; limits follow with scope
-        "limit".  `outside` is NaN where the weather has none."""
+        """Yield every number by region, scope and name, with its bounds and unit; limits follow with the
+        scope "limit". `outside` is NaN if the weather does not have the number."""
         for region in self.regions:
             numbers = [
-                (scope, name, STATISTIC_UNITS.get(name, "1"), one)
+                (scope, name, STATISTIC_UNITS.get(name, "1"), number)
                 for scope, by_name in region.scopes.items()
-                for name, one in by_name.items()
+                for name, number in by_name.items()
             ]
             numbers += [
-                ("limit", f"{limit.name}: {part}", unit, getattr(limit, part))
+                ("limit", f"{limit.name}: {field_name}", unit, getattr(limit, field_name))
                 for limit in region.limits
-                for part, unit in LIMIT_UNITS.items()
+                for field_name, unit in LIMIT_UNITS.items()
             ]
-            for scope, name, unit, one in numbers:
+            for scope, name, unit, number in numbers:
                 weather = region.outside.get(name, math.nan) if scope == "all" else math.nan
-                place = {"region": region.name, "scope": scope, "statistic": name}
-                yield {**place, **vars(one), "outside": weather, "unit": unit}
+                labels = {"region": region.name, "scope": scope, "statistic": name}
+                yield {**labels, **vars(number), "outside": weather, "unit": unit}
 
     def plot(self, axes: Axes | Sequence[Axes] | None = None) -> tuple[Axes, ...]:
-        """Hours a year by temperature [°C] and relative humidity [%], else duration curves; or the regions.
+        """Draw the hours a year by temperature and relative humidity; without humidity the duration curves;
+        or several regions side by side.
 
-        axes: matplotlib's; one, or one for each panel (cabinet and weather; quantities).
-            None: a new figure of pyplot, in the style of the reports.
+        axes: one or more axes of matplotlib, one for each panel; None: a new figure of pyplot, in the style
+            of the reports.
 
-        Returns the axes that were drawn on; nothing is shown.  Raises HygrokfError where the picture's
-        data or matplotlib are missing, ValueError for more axes than panels.
+        Returns the axes that were drawn on. Raises HygrokfError if data for the figure or matplotlib are
+        missing, ValueError for more axes than panels.
         """
         return drawn(self, axes)
 
@@ -215,9 +215,9 @@ def write_climate(study: Study, directory: str | os.PathLike[str]) -> Path:
     """
     folder = Path(directory)
     folder.mkdir(parents=True, exist_ok=True)
-    for old in folder.glob("test_profile*.csv"):  # of regions that are no longer there
+    for old in folder.glob("test_profile*.csv"):  # of regions that the study no longer has
         old.unlink()
-    for name in SUMMARIES:  # of other numbers
+    for name in SUMMARIES:  # summaries of an earlier study
         (folder / name).unlink(missing_ok=True)
     write_text_whole(folder / TABLE, climate_csv(study))
     for name, text in profile_files(study).items():
@@ -226,34 +226,37 @@ def write_climate(study: Study, directory: str | os.PathLike[str]) -> Path:
 
 
 def read_climate(directory: str | os.PathLike[str]) -> Study:
-    """A climate from its directory; raises ResultFault with everything that is wrong, and where."""
+    """Read a study from its directory. Raises ResultFault with everything that is wrong in climate.json."""
     return read_result(Study, Path(directory) / CLIMATE, "hygrokf climate")
 
 
 def climate_csv(study: Study) -> str:
-    """All single numbers, one row for each region, scope and statistic; limits with scope "limit"."""
+    """All numbers as CSV, one row for each region, scope and statistic; limits with the scope "limit"."""
     table = study.to_frame().drop(columns="unit").astype({"outside": object})  # unrounded
     return str(table.to_csv(float_format="%.6g", lineterminator="\n"))
 
 
 def profile_files(study: Study) -> dict[str, str]:
-    """Test profiles by file name: test_profile.csv, or test_profile_REGION.csv for several regions."""
-    found: dict[str, str] = {}
+    """Return the test profiles as CSV by file name: test_profile.csv; for several regions
+    test_profile_REGION.csv."""
+    text_by_file: dict[str, str] = {}
     several = len(study.regions) > 1
     for number, region in enumerate(study.regions, 1):
         profile = region.test_profile
         if profile is None:
             continue
-        short = re.sub(r"[^A-Za-z0-9]+", "_", region.name).strip("_") or str(number)
-        name = f"test_profile_{short}.csv" if several else "test_profile.csv"
-        if name in found:
-            name = f"test_profile_{short}_{number}.csv"
+        region_in_letters = re.sub(r"[^A-Za-z0-9]+", "_", region.name).strip("_") or str(number)
+        name = f"test_profile_{region_in_letters}.csv" if several else "test_profile.csv"
+        if name in text_by_file:
+            name = f"test_profile_{region_in_letters}_{number}.csv"
         columns = ("temperature_degC", "relative_humidity_percent", "site_temperature_degC")
         rows = zip(
             range(len(profile.temperature_degC)),
             *(getattr(profile, column) for column in columns),
             strict=True,
         )
-        head = ",".join(("hour", *columns))
-        found[name] = "\n".join([head, *(",".join(f"{v:g}" for v in row) for row in rows), ""])
-    return found
+        head_line = ",".join(("hour", *columns))
+        text_by_file[name] = "\n".join(
+            [head_line, *(",".join(f"{number:g}" for number in row) for row in rows), ""]
+        )
+    return text_by_file

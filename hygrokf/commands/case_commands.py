@@ -1,4 +1,5 @@
-"""`hygrokf init`, `hygrokf check`, `hygrokf demo`: draft a case, show its contents, fit a synthetic case."""
+"""`hygrokf init`, `hygrokf check`, `hygrokf demo`: draft a case, show the data of a case, fit a synthetic
+case."""
 
 from __future__ import annotations
 
@@ -23,7 +24,7 @@ from hygrokf.data.files import FIT
 
 
 def _degrees(text: str) -> tuple[float, float]:
-    """Read latitude and longitude [°]."""
+    """Read "LAT,LON" as latitude and longitude [°]. Raises ValueError."""
     latitude, longitude = map(float, text.split(","))
     return within(-90.0, latitude, 90.0), within(-180.0, longitude, 180.0)
 
@@ -46,6 +47,7 @@ def _init_arguments(parser: ArgumentParser) -> None:
 
 
 def _init(options: Namespace) -> int:
+    """Draft a case file from exports, and show its signals and doubts."""
     from hygrokf.cases.case_file import CaseFault, read_case
     from hygrokf.drafting.draft import draft_case
     from hygrokf.report.record_text import draft_text
@@ -75,6 +77,7 @@ def _check_arguments(parser: ArgumentParser) -> None:
 
 
 def _check(options: Namespace) -> int:
+    """Show the data of a case as read."""
     from hygrokf.cases.case_file import read_case
     from hygrokf.cases.summary import describe
     from hygrokf.report.record_text import describe_text
@@ -101,6 +104,7 @@ def _demo_arguments(parser: ArgumentParser) -> None:
 
 
 def _demo(options: Namespace) -> int:
+    """Write a synthetic case, fit it, and show its report."""
     from hygrokf.cases.synthetic import synthetic_turbine, write_case
     from hygrokf.report.fit_page import fit_blocks
 
@@ -118,7 +122,7 @@ def _demo(options: Namespace) -> int:
 
 
 def _is_synthetic(case: Path) -> bool:
-    """Whether a case file states that its readings are synthetic; False if the file cannot be read."""
+    """Return whether a case file states that its readings are synthetic; False if it cannot be read."""
     from hygrokf.data.record import Provenance
     from hygrokf.data.toml_form import FormFault, read_toml
 

@@ -1,4 +1,4 @@
-"""`hygrokf climate`: the climate in a fitted cabinet under years of weather."""
+"""`hygrokf climate`: simulate the climate in a fitted cabinet under years of weather."""
 
 from __future__ import annotations
 
@@ -78,14 +78,16 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _surface(text: str) -> Surface:
+    """Read "FOLLOWS" or "FOLLOWS,OFFSET_K" as the coldest surface. Raises ValueError."""
     from hygrokf.physics.psychrometrics import Surface
 
-    follows, *offsets_K = (float(part) for part in text.split(","))
+    share, *offsets_K = (float(part) for part in text.split(","))
     within(0, len(offsets_K), 1)
-    return Surface(within(0.0, follows, 1.0), *(within(-50.0, offset_K, 50.0) for offset_K in offsets_K))
+    return Surface(within(0.0, share, 1.0), *(within(-50.0, offset_K, 50.0) for offset_K in offsets_K))
 
 
 def _run(options: argparse.Namespace) -> int:
+    """Simulate the climate, write its files, and show its report."""
     from hygrokf.climate.climate_profile import climate_profile
     from hygrokf.data.structured import plain
     from hygrokf.report.climate_page import climate_blocks, write_climate_report
@@ -109,7 +111,8 @@ def _run(options: argparse.Namespace) -> int:
 def _inputs(
     options: argparse.Namespace,
 ) -> tuple[Fit, list[Region], Record | PowerCurve | None, tuple[ClimateLimit, ...], ProfilePlan | None]:
-    """Read the files of a command line.  Raises UserFault with the faults of all files."""
+    """Read the files of the command line: fit, weather, power, limits, and plan of the test. Raises UserFault
+    with the faults of all files."""
     from hygrokf.climate.chamber import ProfilePlan
     from hygrokf.climate.limits import limits_of
     from hygrokf.climate.region import PowerCurve, read_power, read_region
@@ -143,18 +146,20 @@ def _inputs(
 
 
 def _regions(options: argparse.Namespace) -> list[tuple[str, list[Path]]]:
+    """Return the weather files of each region by its name. Raises UserFault for a wrong --region, or names
+    that occur twice."""
     groups = [("site", options.weather)] if options.weather else []
     for text in options.region:
-        name, sign, files = text.partition("=")
+        name, equals_sign, files = text.partition("=")
         paths = [Path(file) for file in files.split(",") if file]
-        if not (name.strip() and sign and paths):
+        if not (name.strip() and equals_sign and paths):
             raise UserFault(f"--region {text}: expected NAME=FILE or NAME=FILE,FILE; write it so")
         groups.append((name.strip(), paths))
     names = [name for name, _ in groups]
     if not groups or len(set(names)) < len(names):
         repeated = sorted({name for name in names if names.count(name) > 1})
-        found = f"found twice: {', '.join(repeated)}" if groups else "found none"
-        raise UserFault(f"expected --weather FILE, or --region NAME=FILE with a name each; {found}")
+        remark = f"found twice: {', '.join(repeated)}" if groups else "found none"
+        raise UserFault(f"expected --weather FILE, or --region NAME=FILE with a name each; {remark}")
     return groups
 
 

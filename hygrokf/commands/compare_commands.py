@@ -1,5 +1,5 @@
-"""`hygrokf compare` puts cases, models or ambient sources side by side, `hygrokf transfer` tries a model on
-other turbines."""
+"""`hygrokf compare`: cases, models or ambient sources side by side; `hygrokf transfer`: a model on other
+turbines."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from hygrokf.data import files
 from hygrokf.errors import HygrokfError
 
 TRANSFER_STEPS = 8
-"""Progress messages of one transfer."""
+"""Number of progress messages of one transfer."""
 
 
 def _compare_arguments(parser: ArgumentParser) -> None:
@@ -46,7 +46,8 @@ def _compare_arguments(parser: ArgumentParser) -> None:
 
 
 def pairs_of(cases: Sequence[Path], fits: Sequence[Path]) -> list[tuple[Path, Path | None]]:
-    """Pairs of case and fit to run; raises UserFault that lists the permitted combinations."""
+    """Return the pairs of case and fit (None: to be fitted) to run. Raises UserFault for numbers of cases and
+    fits that do not match."""
     if not fits:
         return [(case, None) for case in cases]
     if len(fits) == 1:
@@ -62,8 +63,8 @@ def pairs_of(cases: Sequence[Path], fits: Sequence[Path]) -> list[tuple[Path, Pa
 
 
 def labels_of(given: Sequence[str], pairs: Sequence[tuple[str, str]]) -> list[str]:
-    """Names of columns: `given`, or the names of cases, fits or both, whichever distinguish the (case, fit)
-    pairs; equal names are numbered."""
+    """Return the labels of columns: `given`, or the names of cases, fits or both, whichever are different for
+    all (case, fit) pairs; equal labels are numbered. Raises UserFault."""
     if given:
         if len(given) != len(pairs):
             raise UserFault(f"--label: expected {len(pairs)} names, one a column, found {len(given)}")
@@ -79,10 +80,11 @@ def labels_of(given: Sequence[str], pairs: Sequence[tuple[str, str]]) -> list[st
         names = [fit for _, fit in pairs]
     else:
         names = [f"{fit} on {case}" for case, fit in pairs]
-    return [name if names.count(name) == 1 else f"{name} ({i + 1})" for i, name in enumerate(names)]
+    return [name if names.count(name) == 1 else f"{name} ({number + 1})" for number, name in enumerate(names)]
 
 
 def _compare(options: Namespace) -> int:
+    """Compare the free runs of the columns, write the files, and show the report."""
     from hygrokf.report.comparison_page import comparison_blocks, write_comparison
     from hygrokf.transfer.comparison import compare, comparison_column
 
@@ -90,18 +92,19 @@ def _compare(options: Namespace) -> int:
     pairs = pairs_of(options.cases, options.fit)
     if len(pairs) < 2:
         raise UserFault("expected at least two columns to compare: several cases, or several fits; found one")
-    fits = {path: stored_fit(path, options.library) for path in options.fit}
+    fits = {fit_path: stored_fit(fit_path, options.library) for fit_path in options.fit}
     records = {case: case_record(case) for case in dict.fromkeys(case for case, _ in pairs)}
-    without_fit = dict.fromkeys(case for case, path in pairs if path is None)
+    without_fit = dict.fromkeys(case for case, fit_path in pairs if fit_path is None)
     own_fits = {case: case_fit(records[case], case) for case in without_fit}
-    chosen = [
-        (records[case], own_fits[case] if path is None else fits[path], case, path) for case, path in pairs
+    inputs_of_columns = [
+        (records[case], own_fits[case] if fit_path is None else fits[fit_path], case, fit_path)
+        for case, fit_path in pairs
     ]
-    labels = labels_of(options.label, [(record.name, fit.name) for record, fit, _, _ in chosen])
+    labels = labels_of(options.label, [(record.name, fit.name) for record, fit, _, _ in inputs_of_columns])
     columns, faults = [], []
-    for label, (record, fit, case, path) in zip(labels, chosen, strict=True):
+    for label, (record, fit, case, fit_path) in zip(labels, inputs_of_columns, strict=True):
         try:
-            columns.append(comparison_column(fit, record, label, own=path is None))
+            columns.append(comparison_column(fit, record, label, own=fit_path is None))
         except ValueError as fault:
             faults.append(f"{case}: {fault}")
     if faults:
@@ -130,6 +133,7 @@ def _transfer_arguments(parser: ArgumentParser) -> None:
 
 
 def _transfer(options: Namespace) -> int:
+    """Try a model on the records of other turbines, write the files, and show the report."""
     from hygrokf.identification.turbine_type import TurbineType, pool_types
     from hygrokf.report.transfer_page import transfer_blocks, write_transfer
     from hygrokf.transfer.transfer_fit import transfer_fit
@@ -145,17 +149,17 @@ def _transfer(options: Namespace) -> int:
                 transfers.append(transfer_fit(source, record, progress))
     fits = [] if isinstance(source, TurbineType) else [source]
     fits += [transfer.own for transfer in transfers if transfer.own is not None]
-    pooled, pooling_fault = None, ""
+    pooled, pooling_remark = None, ""
     if len(fits) > 2:
         try:
             pooled = pool_types(fits)
         except HygrokfError as fault:
-            pooling_fault = f"\n\nno type of turbine was made: {fault}"
+            pooling_remark = f"\n\nno type of turbine was made: {fault}"
     with Progress(1) as progress:
         progress("draw the report")
         page = write_transfer(transfers, options.out, pooled)
         results = transfer_results(transfers, pooled)
-    return show_reported(page, results, transfer_blocks(results), options.json, pooling_fault)
+    return show_reported(page, results, transfer_blocks(results), options.json, pooling_remark)
 
 
 TRANSFER_VERB = Verb(

@@ -1,4 +1,4 @@
-"""Messages of commands on the terminal, heartbeat lines in a log, and checks of outputs before the work."""
+"""What commands print on the terminal and in logs, and checks of their output paths before the work."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from hygrokf.report.blocks import Page
 
 LONGEST_SILENCE_S = 30.0
-"""[s] longest time without a line of a command whose standard error is not a terminal."""
+"""[s] a command whose standard error is not a terminal prints a line at least this often."""
 
 
 class Loudness(IntEnum):
@@ -34,8 +34,8 @@ class Loudness(IntEnum):
 class Activity:
     """A running command: its present step, and its lines on standard error.
 
-    name: name of the command.  beats: print heartbeat lines if standard error is not a terminal.
-    every_s: time between heartbeat lines [s], by default `LONGEST_SILENCE_S`.  clock: monotonic clock [s].
+    name: of the command. beats: print heartbeat lines if standard error is not a terminal.
+    every_s: [s] between heartbeat lines; None: `LONGEST_SILENCE_S`. clock: monotonic clock [s].
     """
 
     def __init__(
@@ -77,21 +77,21 @@ class Activity:
 
     @contextmanager
     def heartbeat(self) -> Iterator[None]:
-        """Within this context, print a line after every `every_s` without another line."""
+        """Print a heartbeat line, in this context, whenever `every_s` has passed without another line."""
         if not self._beats or self.loudness is Loudness.QUIET or self.on_terminal:
             yield
             return
         ended = threading.Event()
 
-        def beat() -> None:
-            wait = self._every_s
-            while not ended.wait(wait):
-                wait = self._last_line + self._every_s - self._clock()
-                if wait <= 0.0:
+        def print_heartbeats() -> None:
+            wait_s = self._every_s
+            while not ended.wait(wait_s):
+                wait_s = self._last_line + self._every_s - self._clock()
+                if wait_s <= 0.0:
                     self.line(f"{self.name}: {self._elapsed()}: {self._step}")
-                    wait = self._every_s
+                    wait_s = self._every_s
 
-        thread = threading.Thread(target=beat, name="heartbeat", daemon=True)
+        thread = threading.Thread(target=print_heartbeats, name="heartbeat", daemon=True)
         thread.start()
         try:
             yield
@@ -105,6 +105,7 @@ class Activity:
             self.line(f"{self.name}: {self._elapsed()}: end")
 
     def _elapsed(self) -> str:
+        """Return the time since the command began, as text."""
         return f"{self._clock() - self._begin:.0f} s"
 
 
@@ -112,7 +113,7 @@ _ACTIVITY: ContextVar[Activity | None] = ContextVar("activity", default=None)
 
 
 def activity() -> Activity:
-    """The running command; outside of any command, an activity of normal loudness."""
+    """Return the running command; outside any command, an activity of normal loudness."""
     return _ACTIVITY.get() or Activity("hygrokf")
 
 
@@ -128,7 +129,7 @@ def running(command: Activity) -> Iterator[Activity]:
 
 
 FOUND, USER_FAULT, INTERRUPTED = 1, 2, 130
-"""Exit status if the command found a fault, after an input error, and after an interruption."""
+"""Exit status of a command that found faults (`doctor`), of an input error, and of an interruption."""
 
 
 class UserFault(HygrokfError):
@@ -156,7 +157,7 @@ class Progress:
             self._bar.update()
 
     def tell(self, text: str) -> None:
-        """Print a line that stays above the bar, unless --quiet is given."""
+        """Print a line above the bar, unless --quiet is given."""
         from tqdm import tqdm
 
         with tqdm.external_write_mode(file=sys.stderr):
@@ -175,7 +176,7 @@ class Progress:
 
 @contextmanager
 def faults_of(file: Path) -> Iterator[None]:
-    """Report a ValueError raised inside as an input error that names the file."""
+    """Turn a ValueError raised in this context into an input error that names the file."""
     try:
         yield
     except ValueError as fault:
@@ -184,7 +185,7 @@ def faults_of(file: Path) -> Iterator[None]:
 
 @contextmanager
 def collect_faults(faults: list[str]) -> Iterator[None]:
-    """Add an input error raised inside to `faults`, so that the other inputs are still read."""
+    """Add an input error raised in this context to `faults`, so that the other inputs are still read."""
     try:
         yield
     except HygrokfError as fault:
@@ -192,15 +193,15 @@ def collect_faults(faults: list[str]) -> Iterator[None]:
 
 
 def show(result: object, text: str, as_json: bool) -> None:
-    """Print a result as JSON or as text."""
+    """Print a result as JSON, or its text."""
     from hygrokf.data.result_file import result_text
 
     print(result_text(result) if as_json else text, end="" if as_json else "\n")
 
 
 def show_reported(page: Path, result: object, blocks: Page, as_json: bool, more: str = "") -> int:
-    """Print a result as JSON or as the text of its page followed by `more`, and the path of the page on
-    standard error; returns the exit status 0."""
+    """Print a result as JSON, or as the text of its page followed by `more`; and the path of the page on
+    standard error. Returns the exit status 0."""
     from hygrokf.report.terminal import page_text
 
     show(result, page_text(blocks) + more, as_json)
@@ -209,12 +210,13 @@ def show_reported(page: Path, result: object, blocks: Page, as_json: bool, more:
 
 
 def printable(text: str) -> str:
-    """Text without control characters, so that the content of a binary file cannot affect the terminal."""
+    """Replace the control characters of a text, so that the content of a binary file cannot affect the
+    terminal."""
     return "".join(c if c.isprintable() or c == "\n" else "\N{REPLACEMENT CHARACTER}" for c in text)
 
 
 def system_message(fault: OSError) -> str:
-    """The message of an error of the operating system, with the remedy."""
+    """Return the message of an error of the operating system, with the remedy."""
     where = fault.filename2 or fault.filename
     return (
         f"{f'{where}: ' if where else ''}cannot be read or written: {fault.strerror or fault}; "
@@ -238,10 +240,10 @@ def expect_directory(path: Path) -> None:
 
 
 def expect_own_directory(out: Path, own: str) -> None:
-    """Raise UserFault if `expect_directory` does, or if the directory holds results of another kind than the
+    """Raise UserFault if the output directory cannot be written, or holds results of another kind than the
     file `own`.
 
-    A directory's report.html is made from a single kind of results.  A discovery's directory also holds the
+    The report.html of a directory belongs to one kind of results. The directory of a discovery also holds the
     fit of its extended model.
     """
     expect_directory(out)
@@ -255,8 +257,8 @@ def expect_own_directory(out: Path, own: str) -> None:
 
 
 def expect_file(path: Path) -> None:
-    """Raise UserFault if the output file cannot be written: a pipe or device must be writable, a file's
-    directory must exist."""
+    """Raise UserFault if the output file cannot be written: a pipe or device must be writable; a file needs a
+    directory that exists and is writable."""
     if is_stream(path):
         if not os.access(path, os.W_OK):
             raise UserFault(
@@ -274,7 +276,7 @@ def expect_file(path: Path) -> None:
 
 
 def expect_other(path: Path, *inputs: Path) -> None:
-    """Raise UserFault if the output would overwrite a file that the command reads."""
+    """Raise UserFault if the output file is one that the command reads."""
     for file in inputs:
         if path.exists() and file.exists() and path.samefile(file):
             raise UserFault(

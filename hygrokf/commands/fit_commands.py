@@ -57,6 +57,7 @@ def _fit_arguments(parser: ArgumentParser) -> None:
 
 
 def _fit(options: Namespace) -> int:
+    """Fit the model of a case, write the files, and show the report."""
     from hygrokf.report.fit_page import fit_blocks
 
     if options.model and options.kind == "cascade":
@@ -76,8 +77,8 @@ def _fit(options: Namespace) -> int:
 
 
 def _record_name_of_fit(out: Path) -> str:
-    """The name of the record whose fit a directory holds, "" without a fit.  Raises UserFault for a fit.json
-    of another program."""
+    """Return the name of the record whose fit a directory holds, "" without a fit. Raises UserFault if its
+    fit.json is not of `hygrokf fit`."""
     file = out / files.FIT
     if not file.exists():
         return ""
@@ -110,6 +111,7 @@ def _discover_arguments(parser: ArgumentParser) -> None:
 
 
 def _discover(options: Namespace) -> int:
+    """Discover what the model of a case lacks, write the files, and show the report."""
     from hygrokf.discovery.discover import MOST_SIMULATIONS, discover
     from hygrokf.report.discovery_page import discovery_blocks, write_discovery_report
 
@@ -148,6 +150,7 @@ def _simulate_arguments(parser: ArgumentParser) -> None:
 
 
 def _simulate(options: Namespace) -> int:
+    """Simulate a fitted model on the inputs of a case, and write the simulation as CSV."""
     from hygrokf.data.files import write_text_whole
     from hygrokf.identification.fit_on_record import simulate_fit, simulation_csv, simulation_summary
     from hygrokf.identification.verdict_terms import verdict_lines
@@ -161,8 +164,8 @@ def _simulate(options: Namespace) -> int:
         _, run, predicted = simulate_fit(fit, record)
         summary = simulation_summary(fit, run, predicted)
     write_text_whole(options.out, simulation_csv(run, predicted))
-    for sentence in summary.statements:
-        activity().note(f"note: {sentence}")
+    for statement in summary.statements:
+        activity().note(f"note: {statement}")
     lines = [f"{summary.n} instants written: {options.out}", *verdict_lines(summary.verdicts)]
     show(summary, "\n".join(lines), options.json)
     return 0
@@ -183,6 +186,7 @@ def _evaluate_arguments(parser: ArgumentParser) -> None:
 
 
 def _evaluate(options: Namespace) -> int:
+    """Score a fitted model on the readings of a case, and show the scores."""
     from hygrokf.identification.fit_on_record import evaluate
     from hygrokf.report.fit_tables import evaluation_text
 

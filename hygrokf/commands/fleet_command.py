@@ -1,4 +1,4 @@
-"""`hygrokf fleet`: one task for many turbines."""
+"""`hygrokf fleet`: do one task for many turbines."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from hygrokf.commands.console import FOUND, Progress, UserFault, expect_own_directory, show_reported
 from hygrokf.commands.verb import Verb, add_json, add_out, whole_number
-from hygrokf.data.files import FLEET, REPORT
+from hygrokf.data.files import FLEET_VERB, REPORT
 
 if TYPE_CHECKING:
     from hygrokf.fleet.job import Row
@@ -30,21 +30,23 @@ def _arguments(parser: ArgumentParser) -> None:
 
 
 def _run(options: Namespace) -> int:
+    """Do the task for every turbine, write the files, and show the report; status 1 if a turbine has no
+    result."""
     from hygrokf.commands.fleet_tasks import run_fleet
     from hygrokf.fleet.fleet_plan import read_plan
     from hygrokf.report.fleet_page import fleet_blocks, outcome_text
 
-    expect_own_directory(options.out, FLEET)
+    expect_own_directory(options.out, FLEET_VERB)
     if options.dask and options.workers:
         raise UserFault("--workers is for this machine; a cluster has its own: leave it out beside --dask")
     plan = read_plan(options.fleet)
     with Progress(len(plan.turbines)) as progress:
 
-        def say(row: Row, is_stored: bool) -> None:
+        def report_row(row: Row, is_stored: bool) -> None:
             progress.tell(outcome_text(row, is_stored))
             progress(str(row["turbine"]))
 
-        results = run_fleet(plan, options.out, workers=options.workers, cluster=options.dask, say=say)
+        results = run_fleet(plan, options.out, workers=options.workers, cluster=options.dask, say=report_row)
     data = {"rows": [dict(row) for row in results.rows]}
     show_reported(options.out / REPORT, data, fleet_blocks(results), options.json)
     return FOUND if results.missing else 0

@@ -1,6 +1,6 @@
 """The tasks of a fleet: `run_fleet` does one task for all turbines.
 
-For one turbine a task does what the command of the same name does for one case.  Processes and Dask workers
+A task does for one turbine what the command of the same name does for one case. Processes and Dask workers
 import `do_task` by its name.
 """
 
@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from hygrokf.identification.verdict_terms import Inherited
 
 ERROR_COLUMNS = {"temperature_K": "temperature_rmse_K", "absolute_humidity_g_m3": "humidity_rmse_g_m3"}
-"""Scored quantity → the column of its free-run error."""
+"""Scored quantity → column of its free-run error."""
 
 
 def run_fleet(
@@ -50,17 +50,17 @@ def run_fleet(
 ) -> FleetResults:
     """Do the task of a plan for every turbine.
 
-    plan: the content of a fleet's file (`fleet.fleet_plan.read_plan`).
-    out: directory of fleet.csv, fleet.parquet, fleet.json and report.html; results of each turbine are in
+    plan: content of FLEET.toml (`fleet.fleet_plan.read_plan`).
+    out: directory for fleet.csv, fleet.parquet, fleet.json and report.html; the results of each turbine go to
         `turbines/NAME`.
-    workers: processes on this machine, by default one per core.
+    workers: number of processes on this machine; None: one per core.
     cluster: address of a Dask scheduler, whose workers see the same files under the same paths.
-    say: called with each row as it comes, and True if the row was on disk already.
+    say: called with each row when it is ready, and with True if the row was on disk already.
 
-    Work with the same files, options and version is not repeated; failures are tried again.
+    A turbine with unchanged files, options and version is not repeated; failed turbines are tried again.
 
-    Returns the table, which does not depend on where it was computed.  Raises FleetFault if the cluster
-    cannot be reached, ClassFault for limits of an unknown class.
+    Returns the table, which does not depend on where it was computed. Raises FleetFault if the cluster cannot
+    be reached, ClassFault for limits of an unknown class.
     """
     from hygrokf.climate.limits import limits_of
 
@@ -73,11 +73,12 @@ def run_fleet(
 
 
 def do_task(job: Job) -> Row:
-    """Do the task of a job; returns the columns of its row.  Raises what the task raises."""
+    """Do the task of a job; returns the columns of its row. Raises the exceptions of the task."""
     return WORK[job.task](job)
 
 
 def _fit(job: Job) -> Row:
+    """Identify the models of a turbine, write the fit, and return its columns."""
     from hygrokf.identification.identify import identify
 
     record, options = read_case(job.case), dict(job.options)
@@ -99,6 +100,7 @@ def _fit(job: Job) -> Row:
 
 
 def _record_columns(record: Record) -> dict[str, Cell]:
+    """Return the columns that describe a record."""
     return {
         "record": record.name,
         "start": stamp_text(record.start_s),
@@ -109,11 +111,12 @@ def _record_columns(record: Record) -> dict[str, Cell]:
 
 
 def _time_constant_columns(constants: Mapping[str, TimeConstant]) -> dict[str, Cell]:
+    """Return the columns of both time constants: value, bounds, remark and verdict."""
     columns: dict[str, Cell] = {}
     for name in PARTS:
         constant = constants.get(name)
-        for end in ("value_h", "lower_h", "upper_h"):
-            columns[f"{name}_{end}"] = getattr(constant, end, math.nan)
+        for field_name in ("value_h", "lower_h", "upper_h"):
+            columns[f"{name}_{field_name}"] = getattr(constant, field_name, math.nan)
         columns[f"{name}_statement"] = (
             "" if constant is None or constant.closed else _open_statement(constant)
         )
@@ -121,7 +124,7 @@ def _time_constant_columns(constants: Mapping[str, TimeConstant]) -> dict[str, C
 
 
 def _open_statement(constant: TimeConstant) -> Statement:
-    """The statement about a time constant that lacks a bound."""
+    """Return the statement on a time constant that lacks a bound."""
     if 0 < constant.upper_h < math.inf:
         return FleetCode.NOT_ABOVE(bound=constant.upper_h)
     if 0 < constant.lower_h < math.inf:
@@ -135,8 +138,8 @@ def _verdict_columns(results: Mapping[str, TimeConstant | Inherited]) -> dict[st
 
 
 def _score_columns(results: Scored) -> dict[str, Cell]:
-    """Total free-run errors of the validation period or, if that was not scored, of the identification
-    period."""
+    """Return the total free-run errors of the validation period, or of the identification period if nothing
+    was validated."""
     is_validated = math.isfinite(results.errors("validation", "temperature_K").total)
     period = "validation" if is_validated else "identification"
     errors = {column: results.errors(period, quantity).total for quantity, column in ERROR_COLUMNS.items()}
@@ -144,6 +147,7 @@ def _score_columns(results: Scored) -> dict[str, Cell]:
 
 
 def _discover(job: Job) -> Row:
+    """Discover what the model of a turbine lacks, write the results, and return their columns."""
     from hygrokf.discovery.discover import discover
     from hygrokf.discovery.discovery_results import write_discovery
     from hygrokf.report.discovery_page import write_discovery_report
@@ -151,25 +155,26 @@ def _discover(job: Job) -> Row:
     library = library_of(job.options["library"], installed=True)
     record = read_case(job.case)
     discovery = discover(record, library=library)
-    write = write_discovery_report if job.options["report"] else write_discovery
-    write(discovery, job.folder)
+    write_results = write_discovery_report if job.options["report"] else write_discovery
+    write_results(discovery, job.folder)
     results = discovery.results
-    named = [row for row in results.causes if row.told_apart]
-    final = results.extended or results.baseline
+    named_causes = [cause for cause in results.causes if cause.told_apart]
+    final_model = results.extended or results.baseline
     columns: dict[str, Cell] = {
         **_record_columns(record),
         "verdict": results.verdict,
-        "causes": tuple("/".join((row.cause, *row.ambiguous_with)) for row in named),
-        "confidence": min((row.confidence for row in named), default=math.nan),
+        "causes": tuple("/".join((cause.cause, *cause.ambiguous_with)) for cause in named_causes),
+        "confidence": min((cause.confidence for cause in named_causes), default=math.nan),
         "not_judged": results.work.not_judged,
-        **_time_constant_columns(final.time_constants),
-        **_score_columns(final.fit),
+        **_time_constant_columns(final_model.time_constants),
+        **_score_columns(final_model.fit),
     }
-    base = _score_columns(results.baseline.fit)
-    return columns | {f"base_{column}": base[column] for column in ERROR_COLUMNS.values()}
+    base_scores = _score_columns(results.baseline.fit)
+    return columns | {f"base_{column}": base_scores[column] for column in ERROR_COLUMNS.values()}
 
 
 def _evaluate(job: Job) -> Row:
+    """Score a fitted model on a turbine's record, write the scores, and return their columns."""
     from hygrokf.identification.fit_on_record import evaluate
 
     fit, record = stored_fit(*_model_files(job)), read_case(job.case)
@@ -191,11 +196,13 @@ def _evaluate(job: Job) -> Row:
 
 
 def _model_files(job: Job) -> tuple[Path, list[Path]]:
+    """Return the fit of a job, and its files with causes of the user."""
     assert job.fit is not None, f"{job.task} needs a fit"
     return job.fit, [Path(file) for file in job.options["library"]]
 
 
 def _transfer(job: Job) -> Row:
+    """Try a fitted model on a turbine's record, write the results, and return their columns."""
     from hygrokf.transfer.transfer_fit import transfer_fit
 
     record = read_case(job.case)
@@ -212,16 +219,17 @@ def _transfer(job: Job) -> Row:
         "scored_period": results.period,
     }
     for quantity, column in ERROR_COLUMNS.items():
-        for which, name in (("re_estimated", column), ("as_is", f"as_is_{column}")):
-            error = results.rmse.get(quantity, {}).get(which)
-            columns[name] = error.total if error is not None else math.nan
+        for set_name, error_column in (("re_estimated", column), ("as_is", f"as_is_{column}")):
+            error = results.rmse.get(quantity, {}).get(set_name)
+            columns[error_column] = error.total if error is not None else math.nan
         gain = results.gains.get(quantity, {}).get("re_estimated", {}).get("over_as_is")
-        for part, suffix in (("gain", ""), ("lower", "_lower"), ("upper", "_upper")):
-            columns[f"{column.replace('rmse', 'gain')}{suffix}"] = getattr(gain, part, math.nan)
+        for field_name, suffix in (("gain", ""), ("lower", "_lower"), ("upper", "_upper")):
+            columns[f"{column.replace('rmse', 'gain')}{suffix}"] = getattr(gain, field_name, math.nan)
     return columns
 
 
 def _climate(job: Job) -> Row:
+    """Simulate the climate in a turbine's cabinet, write the results, and return their columns."""
     from hygrokf.climate.climate_profile import climate_profile
     from hygrokf.climate.limits import limits_of
     from hygrokf.climate.region import Region, read_power
@@ -247,8 +255,8 @@ def _climate(job: Job) -> Row:
         "bounds_hold": region.bounds_hold,
     }
     for name in CLIMATE_COLUMNS:
-        for part, suffix in (("value", ""), ("lower", "_lower"), ("upper", "_upper")):
-            columns[f"{name}{suffix}"] = getattr(region.year.get(name), part, math.nan)
+        for field_name, suffix in (("value", ""), ("lower", "_lower"), ("upper", "_upper")):
+            columns[f"{name}{suffix}"] = getattr(region.year.get(name), field_name, math.nan)
     columns["limits"] = region.verdict
     columns["wetness_class"] = region.wetness_class or ""
     columns["statements"] = (*region.statements, *region.warnings)
@@ -262,4 +270,4 @@ WORK: Mapping[str, Work] = {
     "transfer": _transfer,
     "climate": _climate,
 }
-"""The function of each task of `fleet.tasks.TASKS`."""
+"""Name of a task in `fleet.tasks.TASKS` → function that does it."""

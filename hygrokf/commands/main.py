@@ -38,6 +38,7 @@ def _help_arguments(parser: ArgumentParser) -> None:
 
 
 def _help(options: Namespace) -> int:
+    """Print the help of a command, or of all commands. Raises UserFault for an unknown command."""
     parsers = parsers_of(options.parser)
     if options.name is None:
         options.parser.print_help()
@@ -57,10 +58,12 @@ SHELLS = ("bash", "zsh", "fish", "tcsh", "powershell")
 
 
 def _shell(parser: ArgumentParser) -> None:
+    """Add the argument of `hygrokf completion`."""
     parser.add_argument("shell", choices=SHELLS, help="the shell that is to read the script")
 
 
 def _complete(options: Namespace) -> int:
+    """Print a script with which a shell completes commands, options and files."""
     import shtab  # imported here only, because every command imports this module
 
     commands = parsers_of(options.parser)
@@ -78,8 +81,8 @@ COMPLETION = Verb("completion", "print the completion script of a shell", _shell
 
 
 VERBS = (
-    DEMO, INIT, CHECK, FIT_VERB, DISCOVER, SIMULATE, EVALUATE, FLEET_VERB, CLIMATE_VERB, COMPARE,
-    TRANSFER_VERB, EXPORT, TRACK, DOCTOR, RESTORE, STORE, REPORT_VERB, SUMMARY_VERB, HELP, COMPLETION,
+    DEMO, INIT, CHECK, FIT_VERB, DISCOVER, SIMULATE, EVALUATE, FLEET_VERB, CLIMATE_VERB, COMPARE, TRANSFER_VERB, EXPORT,
+    TRACK, DOCTOR, RESTORE, STORE, REPORT_VERB, SUMMARY_VERB, HELP, COMPLETION,
 )  # fmt: skip
 """The commands in the order of the help."""
 
@@ -88,7 +91,10 @@ MAIN_VERBS = (INIT, CHECK, FIT_VERB, DISCOVER, CLIMATE_VERB)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run one command; returns the exit status, see docs/reference/command_line.md."""
+    """Run one command; returns the exit status, see docs/reference/command_line.md.
+
+    arguments: of the command line; None: those of this process.
+    """
     # the filter's matrices are small: more BLAS threads would only wait for each other
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(name, "1")
@@ -120,6 +126,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _parser() -> argparse.ArgumentParser:
+    """Return the parser of the command line, with one subparser for each command."""
     parser = argparse.ArgumentParser(
         prog="hygrokf",
         description="Hygrothermal models of converter cabinets in wind turbines by Kalman filtering.",
@@ -146,7 +153,7 @@ def _run(options: argparse.Namespace) -> int:
 
 
 def _overview() -> int:
-    """Print the main commands, and how to list the others."""
+    """Print the main commands, and how to list all of them; returns the exit status 0."""
     print("usage: hygrokf COMMAND …\n")
     for verb in MAIN_VERBS:
         print(f"  {verb.name:<10}{verb.help}")

@@ -1,4 +1,4 @@
-"""Records, libraries of causes and models that commands read or estimate."""
+"""How commands read records, libraries of causes and models, and estimate fits."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 def case_record(case: Path, cabinet: bool = True) -> Record:
-    """The record of a case; its warnings go to standard error."""
+    """Read the record of a case, and print its warnings on standard error."""
     from hygrokf.cases.case_file import read_case
 
     record = read_case(case, cabinet=cabinet)
@@ -27,11 +27,11 @@ def case_record(case: Path, cabinet: bool = True) -> Record:
 
 
 def case_fit(
-    record: Record, case: Path, criterion: str = "likelihood", starts: int = STARTS, kind: str | None = None,
+    record: Record, case: Path, criterion: str = "likelihood", starts: int = 4, kind: str | None = None,
     model: Fit | None = None,
 ) -> Fit:  # fmt: skip
-    """Estimate the fit of a record; the options are those of `identify`.  Raises UserFault that names the
-    case."""
+    """Estimate the fit of a record, with a progress bar; the options are those of `identify`. Raises
+    UserFault that names the case."""
     from hygrokf.identification.identify import DEFAULT_KIND, identify
 
     with faults_of(case), Progress(16) as progress:
@@ -42,8 +42,8 @@ def case_fit(
 
 
 def library_of(files: Sequence[str | Path], installed: bool = False) -> Library:
-    """The package's library with the user's own causes in files and, with `installed`, in installed
-    packages."""
+    """Return the library of causes: the package's own, those in the user's files, and with `installed` those
+    of installed packages."""
     from hygrokf.modelling.library import LIBRARY
 
     if not (files or installed):
@@ -54,7 +54,7 @@ def library_of(files: Sequence[str | Path], installed: bool = False) -> Library:
 
 
 def stored_fit(path: Path, files: Sequence[Path]) -> Fit:
-    """Read a fit with the user's own mechanisms; installed packages are searched only if the fit needs
+    """Read a fit that may use mechanisms of the user; installed packages are searched only if the fit needs
     them."""
     from hygrokf.identification.fit import LibraryAbsent, read_fit
 
@@ -66,7 +66,7 @@ def stored_fit(path: Path, files: Sequence[Path]) -> Fit:
 
 
 def source_model(path: Path, files: Sequence[Path]) -> Fit | TurbineType:
-    """Read the fitted model or the type of turbine in a file."""
+    """Read the fit or the type of turbine in a file."""
     from hygrokf.identification.turbine_type import is_type, read_type
 
     return read_type(path, library_of(files)) if is_type(path) else stored_fit(path, files)

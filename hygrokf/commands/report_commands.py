@@ -1,4 +1,4 @@
-"""`hygrokf report`, `hygrokf summary`: pages of stored results."""
+"""`hygrokf report`, `hygrokf summary`: make the pages of stored results."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ PAGES: Mapping[str, Callable[[Path], Path]] = {
     TRANSFER: lambda folder: import_module("hygrokf.report.transfer_page").rewrite_transfer(folder),
     FIT: lambda folder: import_module("hygrokf.report.fit_page").write_report(folder),
 }
-"""File of a kind of results → function that writes its page; the first file that a directory holds
-decides."""
+"""File of results → function that writes their page; of a directory, the first of these files decides."""
 
 
 def _report(options: Namespace) -> int:
+    """Write the page of a directory of results again, and show its path."""
     folder = options.directory.parent if options.directory.is_file() else options.directory
     kind = next((name for name in PAGES if (folder / name).is_file()), FIT)
     page = PAGES[kind](folder)
@@ -63,6 +63,7 @@ def _summary_arguments(parser: ArgumentParser) -> None:
 
 
 def _summary(options: Namespace) -> int:
+    """Write the summary of each result as HTML, with --pdf also as PDF, and show their paths."""
     from hygrokf.report.summary.writing import plan_summaries, write_pdf, write_summary
 
     if options.out is not None:
@@ -70,12 +71,12 @@ def _summary(options: Namespace) -> int:
     plans = plan_summaries(options.results, options.out)
     pages = []
     with Progress(len(plans) + 1) as progress:
-        summaries = [make() for make, _, _ in plans]
+        summaries = [make_summary() for make_summary, _, _ in plans]
         for summary, (_, folder, stem) in zip(summaries, plans, strict=True):
             progress(f"draw the summary of {summary.name}")
             pages.append(write_summary(summary, folder, stem))
-        printed = [write_pdf(page) for page in pages] if options.pdf else []
-    files = [str(file) for file in (*pages, *printed)]
+        pdf_files = [write_pdf(page) for page in pages] if options.pdf else []
+    files = [str(file) for file in (*pages, *pdf_files)]
     show({"summaries": files}, "\n".join(files), options.json)
     return 0
 

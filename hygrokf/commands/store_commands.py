@@ -1,5 +1,5 @@
 """Commands on the store of a live tracker: `hygrokf export` writes it to files, `hygrokf restore` replaces it
-by a copy, and `hygrokf store` works on the store of a tracker that does not run."""
+by a backup, `hygrokf store` filters its readings again while no tracker runs."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def _export_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _moment(text: str) -> float:
-    """Read an ISO 8601 time, UTC if it names no zone, as seconds since 1970."""
+    """Read a time in ISO 8601 (UTC if it names no zone) as seconds since 1970. Raises ValueError."""
     from datetime import UTC, datetime
 
     moment = datetime.fromisoformat(text)
@@ -39,17 +39,20 @@ def _moment(text: str) -> float:
 
 
 def _export(options: argparse.Namespace) -> int:
+    """Write the tables of a store to CSV or Parquet files, and show the numbers of rows."""
     from hygrokf.live.storage.export import export
     from hygrokf.live.storage.store import open_store
 
     expect_directory(options.out)
-    times = {name: at for name in ("since", "until") if (at := getattr(options, name)) is not None}
+    period = {name: at for name in ("since", "until") if (at := getattr(options, name)) is not None}
     store = open_store(options.store, read_only=True)
     try:
-        counts = export(store, options.out, options.format, options.turbine, **times)
+        counts = export(store, options.out, options.format, options.turbine, **period)
     finally:
         store.close()
-    text = "\n".join(f"{n} rows written: {options.out / name}.{options.format}" for name, n in counts.items())
+    text = "\n".join(
+        f"{count} rows written: {options.out / name}.{options.format}" for name, count in counts.items()
+    )
     show({"rows": counts}, text, options.json)
     return 0
 
@@ -76,6 +79,7 @@ def _restore_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _restore(options: argparse.Namespace) -> int:
+    """Replace an SQLite store by a backup; for PostgreSQL, print the commands that do so."""
     from hygrokf.live.defaults import store_at
     from hygrokf.live.storage.postgres import postgres_commands
     from hygrokf.live.storage.schema import VERSION
@@ -87,8 +91,8 @@ def _restore(options: argparse.Namespace) -> int:
         if not options.copy.is_file():
             raise UserFault(f"{options.copy}: there is no such file; name the copy of a store")
         commands = postgres_commands(options.copy, url)
-        head = "# end every tracker of this database, then run as a role that may create databases:"
-        show({"commands": commands}, "\n".join([head, *commands]), options.json)
+        comment = "# end every tracker of this database, then run as a role that may create databases:"
+        show({"commands": commands}, "\n".join([comment, *commands]), options.json)
         return 0
     restored = restore_sqlite(options.copy, path_of(url))
     newest = "none" if restored.newest_s is None else stamp_text(restored.newest_s)
@@ -98,14 +102,14 @@ def _restore(options: argparse.Namespace) -> int:
         *(f"kept: {path}" for path in restored.kept),
         "start the tracker: its sources go on from the places that the copy holds",
     ]
-    data = {
+    result = {
         "store": str(restored.store),
         "version": VERSION,
         "turbines": restored.turbines,
         "newest": restored.newest_s,
         "kept": [str(path) for path in restored.kept],
     }
-    show(data, "\n".join(lines), options.json)
+    show(result, "\n".join(lines), options.json)
     return 0
 
 
@@ -125,13 +129,14 @@ def _store_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _store(options: argparse.Namespace) -> int:
+    """Filter the stored readings of a tracker again, and show what changed."""
     from hygrokf.commands.opening import library_of
     from hygrokf.live.config import read_config
     from hygrokf.live.refilter import refilter
     from hygrokf.live.storage.store import open_store
 
     config = read_config(options.file, library_of(options.library))
-    turbines = {n: turbine for n, turbine in config.turbines.items() if options.turbine in (None, n)}
+    turbines = {name: turbine for name, turbine in config.turbines.items() if options.turbine in (None, name)}
     if not turbines:
         names = ", ".join(config.turbines)
         raise UserFault(f"{options.file}: expected a turbine of {names}, found {options.turbine!r}")

@@ -1,4 +1,4 @@
-"""`hygrokf track` follows cabinets live, `hygrokf doctor` checks everything that a tracker needs."""
+"""`hygrokf track`: follow cabinets live; `hygrokf doctor`: check everything that a tracker needs."""
 
 from __future__ import annotations
 
@@ -31,11 +31,11 @@ if TYPE_CHECKING:
 
 LOG = logging.getLogger("hygrokf.track")
 _LEVELS = {Loudness.QUIET: logging.WARNING, Loudness.NORMAL: logging.INFO, Loudness.VERBOSE: logging.DEBUG}
-"""Loudness → lowest level that the log contains."""
+"""Loudness → lowest level of the messages in the log."""
 
 
 def add_tracker_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments for turbines, sources, store and page."""
+    """Add the arguments for turbines, sources, store and page, which both commands have."""
     parser.add_argument(
         "what",
         nargs="*",
@@ -58,7 +58,8 @@ def add_tracker_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def tracker_config(options: argparse.Namespace) -> Config:
-    """The configuration of TRACK.toml, or of fitted models and sources; --store and --page override it."""
+    """Return the configuration in TRACK.toml, or a default one for fitted models and --source; --store and
+    --page override it. Raises UserFault."""
     from hygrokf.live.config import read_config
     from hygrokf.live.defaults import default_config, page_at, store_at
 
@@ -95,7 +96,7 @@ def _track_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _track_with_log(options: argparse.Namespace) -> int:
-    """Track until a signal ends the tracker; with a JSON log, log the exception that ends it, too."""
+    """Run `_track` with the log on standard error; with a JSON log, also log the exception that ends it."""
     from hygrokf.live.tracking import log_to_stderr
 
     with log_to_stderr(options.log, _LEVELS[activity().loudness]):
@@ -116,6 +117,8 @@ def _track_with_log(options: argparse.Namespace) -> int:
 
 
 def _track(options: argparse.Namespace) -> int:
+    """Track until a signal ends the tracker, or with --until-ended until all sources have ended; returns the
+    exit status."""
     from hygrokf.live.tracking import track
 
     config = _demo_config(options) if options.demo else tracker_config(options)
@@ -141,6 +144,8 @@ def _track(options: argparse.Namespace) -> int:
 
 
 def _demo_config(options: argparse.Namespace) -> Config:
+    """Return a configuration that plays back a synthetic turbine. Raises UserFault beside other turbines or
+    sources."""
     from hygrokf.live.config import Config
     from hygrokf.live.defaults import demo_stream, demo_turbines, page_at, store_at
 
@@ -183,6 +188,7 @@ def _doctor_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _duration(text: str) -> float:
+    """Read a duration such as "10s" in seconds. Raises ValueError."""
     from hygrokf.data.timestamps import duration
 
     return duration(text)
@@ -200,8 +206,8 @@ def _doctor(options: argparse.Namespace) -> int:
         return 0 if any(trial.used for trial in trials) else FOUND
     from hygrokf.live.doctor.examination import checks_data, checks_text, examine
 
-    file = next((path for path in options.what if path.suffix == ".toml"), None)
-    checks = examine(config, file, options.wait, not options.no_page, options.notify)
+    tracker_file = next((path for path in options.what if path.suffix == ".toml"), None)
+    checks = examine(config, tracker_file, options.wait, not options.no_page, options.notify)
     show(checks_data(checks), checks_text(checks), options.json)
     return FOUND if any(check.level == "fault" for check in checks) else 0
 

@@ -1,4 +1,4 @@
-"""A command of the command line, and the arguments that several commands have."""
+"""The commands of the command line, and the arguments that several of them have."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ N = TypeVar("N", int, float)
 
 @dataclass(frozen=True)
 class Verb:
-    """A command: its name and help, the function that adds its arguments, and the function that runs it.
+    """A command: its name, its help, the function that adds its arguments, and the function that runs it.
 
-    `run` returns the exit status.  A `service` runs until a signal ends it, and writes its own log.
+    `run` returns the exit status. A `service` runs until a signal ends it, and writes its own log.
     """
 
     name: str
@@ -30,14 +30,14 @@ class Verb:
 
 
 def parsers_of(parser: ArgumentParser) -> dict[str, ArgumentParser]:
-    """Name of a command → its parser, from the parser of the command line."""
+    """Return the parser of each command by its name, from the parser of the command line."""
     (commands,) = (action for action in parser._actions if isinstance(action, _SubParsersAction))
     return dict(commands.choices)
 
 
 def reader(expected: str, convert: Callable[[str], T]) -> Callable[[str], T]:
-    """Make a type of an argument from `convert`; if that raises ValueError, the message states what is
-    expected."""
+    """Return a type for `argparse`: `convert`, with a message that states what was expected if it raises
+    ValueError."""
 
     def read(text: str) -> T:
         try:
@@ -49,22 +49,24 @@ def reader(expected: str, convert: Callable[[str], T]) -> Callable[[str], T]:
 
 
 def within(low: float, value: N, high: float = math.inf) -> N:
-    """Return a value that lies from `low` to `high`; raise ValueError for any other."""
+    """Return a value that lies within `low` … `high`. Raises ValueError for any other."""
     if not low <= value <= high:
         raise ValueError
     return value
 
 
 def whole_number(least: int) -> Callable[[str], int]:
-    """The type of an argument that is a whole number of at least `least`."""
+    """Return the type of an argument that is a whole number of at least `least`."""
     return reader(f"a whole number from {least} on", lambda text: within(least, int(text)))
 
 
 def add_out(parser: ArgumentParser, help: str) -> None:
+    """Add --out, the output directory or file."""
     parser.add_argument("--out", type=Path, required=True, help=help)
 
 
 def add_json(parser: ArgumentParser) -> None:
+    """Add --json."""
     parser.add_argument("--json", action="store_true", help="print the result as JSON")
 
 
@@ -82,6 +84,7 @@ def add_loudness(parser: ArgumentParser) -> None:
 
 
 def add_library(parser: ArgumentParser) -> None:
+    """Add --library, the user's files with causes."""
     parser.add_argument(
         "--library",
         type=Path,
@@ -93,5 +96,6 @@ def add_library(parser: ArgumentParser) -> None:
 
 
 def add_fit_and_case(parser: ArgumentParser) -> None:
+    """Add the arguments FIT.json and CASE.toml."""
     parser.add_argument("fit", type=Path, metavar="FIT.json", help="the fitted model, or its directory")
     parser.add_argument("case", type=Path, metavar="CASE.toml", help="the case file")

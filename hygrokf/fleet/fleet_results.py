@@ -1,5 +1,4 @@
-"""The table of a fleet: in `fleet.json` with the type of turbine, as CSV, and as Parquet if pyarrow is
-installed."""
+"""The table of a fleet, in fleet.json, as CSV, and (with pyarrow) as Parquet."""
 
 from __future__ import annotations
 
@@ -24,10 +23,10 @@ CSV, PARQUET = "fleet.csv", "fleet.parquet"
 
 @dataclass(frozen=True)
 class FleetResults:
-    """A fleet's table: one row per turbine, in the order of the fleet's file.
+    """The table of a fleet: one row for each turbine, in the order of FLEET.toml.
 
-    `task`: name of the task, with its `options`; `type`: the type of turbine pooled from the fits, without
-    the turbines of `type_without`.  Columns and their units are those of `tasks.TASKS[task]`.
+    `task`: name of the task, with its `options`; `type`: type of turbine pooled from the fits, without the
+    turbines of `type_without`. The columns are those of `tasks.TASKS[task]`.
     """
 
     task: Name
@@ -41,17 +40,17 @@ class FleetResults:
 
     @property
     def done(self) -> list[Row]:
-        """Rows of the turbines with a result."""
+        """Rows of the turbines that have a result."""
         return [row for row in self.rows if row.get("status") == DONE]
 
     @property
     def missing(self) -> list[Row]:
-        """Rows of the turbines without a result."""
+        """Rows of the turbines that have no result."""
         return [row for row in self.rows if row.get("status") != DONE]
 
     def to_frame(self) -> pandas.DataFrame:
-        """The table with the turbines as index and stamps as times in UTC; `attrs["units"]` has the columns'
-        units."""
+        """Return the table as a pandas frame with the turbines as index and stamps as times in UTC;
+        `attrs["units"]` has the units of the columns."""
         import pandas
 
         rows = [{name: flat(cell) for name, cell in row.items()} for row in self.rows]
@@ -69,12 +68,12 @@ class FleetResults:
 
 
 def task_columns(task: str) -> dict[str, str]:
-    """Columns of a task's table in their order, with their meanings."""
+    """Return the columns of a task's table in their order, with their meanings."""
     return {**SHARED_COLUMNS, **TASKS[task].columns}
 
 
 def table_csv(task: str, rows: Sequence[Row]) -> str:
-    """Rows as CSV text with unrounded numbers; cells without a value are empty."""
+    """Return rows as CSV text with unrounded numbers; cells without a value are empty."""
     buffer = io.StringIO()
     writer = csv.writer(buffer, lineterminator="\n")
     names = list(task_columns(task))
@@ -86,7 +85,7 @@ def table_csv(task: str, rows: Sequence[Row]) -> str:
 
 
 def table_parquet(task: str, rows: Sequence[Row]) -> bytes | None:
-    """Rows as a Parquet file, cells without a value as null; None if pyarrow is not installed."""
+    """Return rows as the bytes of a Parquet file; None if pyarrow is not installed."""
     try:
         import pyarrow
         from pyarrow import parquet
@@ -94,6 +93,6 @@ def table_parquet(task: str, rows: Sequence[Row]) -> bytes | None:
         return None
     names = task_columns(task)
     table = pyarrow.Table.from_pylist([{name: flat(row.get(name)) for name in names} for row in rows])
-    sink = pyarrow.BufferOutputStream()
-    parquet.write_table(table, sink)
-    return sink.getvalue().to_pybytes()
+    buffer = pyarrow.BufferOutputStream()
+    parquet.write_table(table, buffer)
+    return buffer.getvalue().to_pybytes()

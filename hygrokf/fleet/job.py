@@ -1,4 +1,5 @@
-"""A job, which is one task for one turbine: the files that it reads, its content key, and its row on disk."""
+"""A job: one task for one turbine, with the files that it reads, the key of their content, and its row on
+disk."""
 
 from __future__ import annotations
 
@@ -39,7 +40,7 @@ Row: TypeAlias = Mapping[str, Cell]
 ROW = "row.json"
 """The last file that a job writes; a job with this file is done."""
 DONE, FAILED, LOST = "done", "failed", "lost"
-"""How a job ended: with results, with a fault of its data, or because its process died."""
+"""Status of a job: it has results, its data have a fault, or its process died."""
 WRITES = (
     ROW, FIT, "series.npz", "evaluation.json", REPORT, BESIDE_DISCOVERY, DISCOVERY, DISCOVERY_SERIES,
     TRANSFER,
@@ -49,11 +50,11 @@ WRITES = (
 
 
 class FleetFault(FormFault):
-    """The fleet cannot be run; `faults` lists every reason."""
+    """The fleet cannot be run; `faults` holds every reason."""
 
 
 def cell_number(row: Row, column: str) -> float:
-    """The number in a column; NaN if the cell has no number."""
+    """Return the number in a column of a row; NaN if there is none."""
     value = row.get(column)
     return float(value) if isinstance(value, int | float) and not isinstance(value, bool) else math.nan
 
@@ -63,7 +64,7 @@ STATEMENT_SEPARATOR = " | "
 
 
 def flat(cell: Cell) -> bool | int | float | str | None:
-    """A cell as a plain value: statements become their text, several names one text."""
+    """Return a cell as a plain value: statements as text, several names or statements joined to one text."""
     if isinstance(cell, Statement):
         return cell.text
     if isinstance(cell, tuple):
@@ -73,7 +74,7 @@ def flat(cell: Cell) -> bool | int | float | str | None:
 
 
 def cell_text(row: Row, column: str) -> str:
-    """The text in a column; "" without a value."""
+    """Return the text in a column of a row; "" without a value."""
     value = flat(row.get(column))
     return "" if value is None else one_line(str(value))
 
@@ -82,9 +83,9 @@ def cell_text(row: Row, column: str) -> str:
 class Job:
     """The task of a fleet for one turbine.
 
-    turbine: the turbine's name, unique in the fleet.  task: a name of `tasks.TASKS`.  case: the case file.
-    folder: the directory of the results.  fit: the fitted model that the task uses, or None.  options: all
-    options of the task as plain data.  key: the hash of everything that the job reads (`content_key`).
+    turbine: its name, unique in the fleet. task: a name of `tasks.TASKS`. case: its case file. folder: of its
+        results. fit: the fitted model for the task, or None. options: of the task, as plain data. key: hash
+        of everything that the job reads (`content_key`).
     """
 
     turbine: str
@@ -107,47 +108,47 @@ class Job:
 
 
 Work: TypeAlias = Callable[[Job], Row]
-"""The function that does a job: it writes results into the job's folder and returns the columns of its task;
-an exception means that the turbine failed.  Processes and Dask workers import the function by its name, so it
-must be defined in a module."""
+"""A function that does a job: it writes results into the job's folder and returns the columns of the task; an
+exception means that the turbine failed.  Processes and Dask workers import it by its name from its module."""
 
 
 def _row(data: Any) -> Row:
-    """Read a row from the data of its file.  Raises StructureFault."""
+    """Return a row from the data of its file. Raises StructureFault."""
     return structured(Mapping[str, Cell], data)  # type: ignore[type-abstract]
 
 
 def row_of(job: Job, status: str, columns: Row | None = None, reason: str | Statement = "") -> Row:
-    """The row of a job: the columns common to all tasks, then the columns of its task; numbers that are not
+    """Return the row of a job: the columns common to all tasks, then those of its task; numbers that are not
     finite become None."""
-    shared = {"turbine": job.turbine, "status": status, "reason": reason, "task": job.task, "key": job.key}
-    return _row(plain({**shared, **(columns or {})}))
+    common = {"turbine": job.turbine, "status": status, "reason": reason, "task": job.task, "key": job.key}
+    return _row(plain({**common, **(columns or {})}))
 
 
 def content_key(job: Job, files: Sequence[Path] = ()) -> str:
-    """SHA-256 of everything that determines the results of a job: version, task, options, and the bytes of
-    its files.
+    """Return the SHA-256 of everything that determines the results of a job: version, task, options, and the
+    bytes of its files.
 
-    The files are the case, the files that its sources name, the fit, and `files`.  A file that cannot be read
-    counts as absent here; the job itself reports the fault.
+    The files are the case, the files of its sources, the fit, and `files`. A file that cannot be read counts
+    as absent; the job itself reports the fault.
     """
     digest = hashlib.sha256()
 
-    def add(*parts: object) -> None:
-        for part in parts:
-            data = part if isinstance(part, bytes) else json.dumps(part, sort_keys=True).encode()
-            digest.update(len(data).to_bytes(8, "little") + data)
+    def add_to_hash(*items: object) -> None:
+        for item in items:
+            item_bytes = item if isinstance(item, bytes) else json.dumps(item, sort_keys=True).encode()
+            digest.update(len(item_bytes).to_bytes(8, "little") + item_bytes)
 
-    add(__version__, job.turbine, job.task, dict(job.options))
-    add(_digest(job.case))
+    add_to_hash(__version__, job.turbine, job.task, dict(job.options))
+    add_to_hash(_digest(job.case))
     for name in _source_files(job.case):
-        add(name, _digest(job.case.parent / name))
+        add_to_hash(name, _digest(job.case.parent / name))
     for path in (*([job.fit] if job.fit else []), *files):
-        add(_digest(path / FIT if path.is_dir() else path))
+        add_to_hash(_digest(path / FIT if path.is_dir() else path))
     return digest.hexdigest()
 
 
 def _digest(path: Path) -> bytes:
+    """Return the SHA-256 of a file; b"absent" if it cannot be read."""
     try:
         with open(path, "rb") as stream:
             return hashlib.file_digest(stream, "sha256").digest()
@@ -156,7 +157,7 @@ def _digest(path: Path) -> bytes:
 
 
 def _source_files(case: Path) -> list[str]:
-    """Files that the sources of a case name; no files if the case cannot be read."""
+    """Return the files that the sources of a case name; empty if the case cannot be read."""
     try:
         tables = read_toml(case)[1].get("source", [])
     except FormFault:
@@ -167,7 +168,7 @@ def _source_files(case: Path) -> list[str]:
 
 
 def stored_row(job: Job) -> Row | None:
-    """The row on disk if the same job is done; None if the job failed, or if its files or options differ."""
+    """The row on disk if the same job is done; None if it failed, or if its files or options have changed."""
     try:
         row = _row(json.loads((job.folder / ROW).read_text(encoding="utf-8")))
         is_done = (row["key"], row["turbine"], row["status"]) == (job.key, job.turbine, DONE)
@@ -177,20 +178,21 @@ def stored_row(job: Job) -> Row | None:
 
 
 def clear_folder(job: Job) -> None:
-    """Remove the results of an earlier run, which belong to other data, from the job's folder."""
+    """Remove the results of an earlier run, made from other data, from the job's folder."""
     job.folder.mkdir(parents=True, exist_ok=True)
     for name in WRITES:
         (job.folder / name).unlink(missing_ok=True)
 
 
 def write_row(job: Job, row: Row) -> None:
-    """Write the row, which marks the job as done.  A process that died may not have made the folder."""
+    """Write the row, which marks the job as done; makes the folder if the job's process died before it
+    did."""
     job.folder.mkdir(parents=True, exist_ok=True)
     write_text_whole(job.folder / ROW, result_text(row))
 
 
 def perform(job: Job, work: Work) -> Row:
-    """Do a job unless its row is on disk already; an exception becomes the reason in its row."""
+    """Do a job unless its row is on disk already; an exception becomes the reason in the row."""
     if (stored := stored_row(job)) is not None:
         return stored
     try:
@@ -206,14 +208,14 @@ def perform(job: Job, work: Work) -> Row:
 
 
 def failure_reason(fault: Exception) -> str:
-    """The reason for a failure on one line, for an unexpected exception with the place where it was
+    """Return the reason for a failure on one line; for an unexpected exception, with the place where it was
     raised."""
     faults = getattr(fault, "faults", ())
-    text = " ".join(("; ".join(map(str, faults)) if faults else str(fault)).split())
+    message = " ".join(("; ".join(map(str, faults)) if faults else str(fault)).split())
     if isinstance(fault, FormFault) and not isinstance(fault, CaseFault):  # the row itself names the turbine
-        text = f"{fault.file}: {text}"
+        message = f"{fault.file}: {message}"
     if isinstance(fault, HygrokfError | RatesFault | DigitsFault) or type(fault) in (ValueError, OSError):
-        return text or type(fault).__name__
-    frames = traceback.extract_tb(fault.__traceback__)
-    place = f" ({Path(frames[-1].filename).name}, line {frames[-1].lineno})" if frames else ""
-    return f"{type(fault).__name__}: {text or 'no message'}{place}"
+        return message or type(fault).__name__
+    stack = traceback.extract_tb(fault.__traceback__)
+    place_text = f" ({Path(stack[-1].filename).name}, line {stack[-1].lineno})" if stack else ""
+    return f"{type(fault).__name__}: {message or 'no message'}{place_text}"

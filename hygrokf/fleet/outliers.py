@@ -1,13 +1,13 @@
-"""Outliers of a fleet by a robust rule that allows for the number of turbines and of quantities.
+"""Outliers of a fleet, by a robust rule that allows for the number of turbines and of quantities.
 
-On the logarithm x of a positive quantity, with standard errors e from its bounds,
+For the logarithm x of a positive quantity, with standard errors e from its bounds,
 
     z_i = (x_i − med x) / √(S² − ē² + e_i²),   S = 1.4826 med |x − med x|,   ē² = med e²  (S² − ē² at least
     0),
 
-so a turbine with wide bounds must deviate further.  |z| is compared with the largest |z| of as many normal
-numbers, which is simulated (`FLEET_SEED`): the probability of any outlier in a fleet of identical turbines is
-`SIGNIFICANCE`, divided among the compared quantities (Bonferroni).
+so that a turbine with wide bounds must deviate further. |z| is compared with the largest |z| among as many
+normal numbers, which is simulated (`FLEET_SEED`): the probability of any outlier in a fleet of identical turbines
+is `LEVEL`, divided among the compared quantities (Bonferroni).
 """
 
 from __future__ import annotations
@@ -18,12 +18,13 @@ from functools import cache
 
 import numpy as np
 
-from hygrokf.estimation.conventions import SIGNIFICANCE
 from hygrokf.fleet.job import Row, cell_number
 from hygrokf.fleet.tasks import Compared
 
+LEVEL = 0.05
+"""[1] probability of any outlier, in all quantities together, in a fleet of identical turbines."""
 FEWEST_JUDGED = 6
-"""Fewest turbines among which outliers are sought."""
+"""Smallest number of turbines among which outliers are looked for."""
 SIMULATED_FLEETS, FLEET_SEED = 4000, 20
 """Number of simulated fleets, and the seed of the simulation."""
 TO_SD = 1.4826
@@ -36,13 +37,13 @@ NUMBERS_AT_ONCE = 2_000_000
 
 @dataclass(frozen=True)
 class Scatter:
-    """A quantity over the N turbines of a fleet that have a value.
+    """The values of a quantity in a fleet, of the N turbines that have one.
 
-    x: logarithms of the values (N,).  error: their standard errors (N,), NaN without bounds.  open: turbines
-    whose value or bounds are not positive and finite.  center: median of x.  between: standard deviation of x
-    between the turbines, without the part that their bounds explain.  z: robust distances (N,); p: their
-    p-values (N,) corrected for the number of turbines and quantities; both NaN below `FEWEST_JUDGED`
-    turbines.  rejected: turbines whose value the verdict rejects.
+    x: (N,) logarithms of the values. error: (N,) their standard errors, NaN without bounds. open: turbines
+        whose value or bounds are not positive and finite. center: median of x. between: standard deviation of
+        x between turbines, without the part that their bounds explain. z: (N,) robust distances; p: (N,)
+        their p-values, corrected for the numbers of turbines and quantities; both NaN for fewer than
+        `FEWEST_JUDGED` turbines. rejected: turbines whose value is not reliable.
     """
 
     compared: Compared
@@ -58,28 +59,28 @@ class Scatter:
 
     @property
     def outliers(self) -> list[int]:
-        """Indices of the outliers, sorted by distance, farthest first."""
-        return [int(i) for i in np.argsort(-np.abs(self.z)) if self.p[i] < SIGNIFICANCE]
+        """Indices of the outliers, the farthest first."""
+        return [int(index) for index in np.argsort(-np.abs(self.z)) if self.p[index] < LEVEL]
 
     @property
     def explained(self) -> bool:
         """Whether the bounds explain the scatter of the turbines that are not outliers (Cochran's Q).
 
-        `between` does not suffice, because the median deviation misses a few deviating turbines, and because
-        fewer than `FEWEST_JUDGED` turbines have no outliers.
+        `between` alone does not tell, because the median deviation misses a few deviating turbines, and
+        because fewer than `FEWEST_JUDGED` turbines have no outliers.
         """
         from scipy.special import chdtrc
 
-        kept = np.delete(np.arange(len(self.x)), self.outliers)
-        x, weight = self.x[kept], self.error[kept] ** -2.0
-        if len(kept) < 2:
+        inner = np.delete(np.arange(len(self.x)), self.outliers)
+        x, weight = self.x[inner], self.error[inner] ** -2.0
+        if len(inner) < 2:
             return True
-        q = float(weight @ (x - weight @ x / weight.sum()) ** 2)
-        return bool(chdtrc(len(kept) - 1, q) > SIGNIFICANCE)
+        cochran_q = float(weight @ (x - weight @ x / weight.sum()) ** 2)
+        return bool(chdtrc(len(inner) - 1, cochran_q) > LEVEL)
 
 
 def spreads(rows: Sequence[Row], compared: Sequence[Compared]) -> list[Scatter]:
-    """The scatter of every quantity of which at least one turbine has a positive value."""
+    """Return the scatter of every quantity of which at least one turbine has a positive value."""
     present = [
         quantity for quantity in compared if any(cell_number(row, quantity.column) > 0 for row in rows)
     ]
@@ -87,9 +88,8 @@ def spreads(rows: Sequence[Row], compared: Sequence[Compared]) -> list[Scatter]:
 
 
 def spread(rows: Sequence[Row], compared: Compared, quantities: int = 1) -> Scatter:
-    """The scatter of one quantity; `quantities` is the number of quantities among which `SIGNIFICANCE` is
-    divided."""
-    names, x, error, open_, rejected = [], [], [], [], []
+    """Return the scatter of one quantity; quantities: number of quantities among which `LEVEL` is divided."""
+    names, logarithms, errors, without_bounds, rejected = [], [], [], [], []
     for row in rows:
         value = cell_number(row, compared.column)
         if not value >= 0:
@@ -98,46 +98,54 @@ def spread(rows: Sequence[Row], compared: Compared, quantities: int = 1) -> Scat
             rejected.append(str(row["turbine"]))
             continue
         if value == 0:  # no logarithm
-            open_.append(str(row["turbine"]))
+            without_bounds.append(str(row["turbine"]))
             continue
-        low, high = (cell_number(row, name) if name else np.nan for name in (compared.lower, compared.upper))
-        if compared.lower and not 0 < low < high:
-            open_.append(str(row["turbine"]))
+        lower, upper = (
+            cell_number(row, name) if name else np.nan for name in (compared.lower, compared.upper)
+        )
+        if compared.lower and not 0 < lower < upper:
+            without_bounds.append(str(row["turbine"]))
             continue
         names.append(str(row["turbine"]))
-        x.append(np.log(value))
-        error.append(np.log(high / low) / (2.0 * INTERVAL_SD) if compared.lower else np.nan)
-    logs, sds = np.array(x), np.array(error)
-    undefined = np.full(len(logs), np.nan)
-    if not len(logs):
+        logarithms.append(np.log(value))
+        errors.append(np.log(upper / lower) / (2.0 * INTERVAL_SD) if compared.lower else np.nan)
+    x, error = np.array(logarithms), np.array(errors)
+    all_nan = np.full(len(x), np.nan)
+    if not len(x):
         return Scatter(
-            compared, (), logs, sds, tuple(open_), np.nan, np.nan, undefined, undefined, tuple(rejected)
+            compared, (), x, error, tuple(without_bounds), np.nan, np.nan, all_nan, all_nan, tuple(rejected)
         )
-    center = float(np.median(logs))
-    scale = TO_SD * float(np.median(np.abs(logs - center)))
-    variances = sds**2 if compared.lower else np.zeros(len(logs))
+    center = float(np.median(x))
+    scale = TO_SD * float(np.median(np.abs(x - center)))
+    variances = error**2 if compared.lower else np.zeros(len(x))
     median_variance = float(np.median(variances))
     between = float(np.sqrt(max(scale**2 - median_variance, 0.0)))
-    z = p = undefined
-    if len(logs) >= FEWEST_JUDGED and scale > 0:
-        total = scale**2 - min(median_variance, scale**2) + variances if variances.any() else scale**2
-        z = (logs - center) / np.sqrt(total)
-        largest = _largest_distances(len(logs))
-        exceeding = len(largest) - np.searchsorted(largest, np.abs(z), side="left")
-        p = np.minimum(1.0, quantities * ((exceeding + 1.0) / (len(largest) + 1.0)))
-    return Scatter(compared, tuple(names), logs, sds, tuple(open_), center, between, z, p, tuple(rejected))
+    z = p = all_nan
+    if len(x) >= FEWEST_JUDGED and scale > 0:
+        variance_of_distance = (
+            scale**2 - min(median_variance, scale**2) + variances if variances.any() else scale**2
+        )
+        z = (x - center) / np.sqrt(variance_of_distance)
+        largest = _largest_distances(len(x))
+        count_exceeding = len(largest) - np.searchsorted(largest, np.abs(z), side="left")
+        p = np.minimum(1.0, quantities * ((count_exceeding + 1.0) / (len(largest) + 1.0)))
+    return Scatter(
+        compared, tuple(names), x, error, tuple(without_bounds), center, between, z, p, tuple(rejected)
+    )
 
 
 @cache
 def _largest_distances(count: int) -> np.ndarray:
-    """Largest |z| of `count` normal numbers, scaled by their median deviation, in each of many draws;
-    sorted."""
+    """Return the largest |z| of `count` normal numbers, scaled by their median deviation, in each of many
+    draws; sorted."""
     random = np.random.default_rng(FLEET_SEED)
     draws = max(SIMULATED_FLEETS // 8, min(SIMULATED_FLEETS, 8_000_000 // count))
     largest = np.empty(draws)
-    part = max(1, NUMBERS_AT_ONCE // count)
-    for start in range(0, draws, part):
-        x = random.normal(size=(min(part, draws - start), count))
-        deviation = np.abs(x - np.median(x, axis=1, keepdims=True))
-        largest[start : start + part] = deviation.max(axis=1) / (TO_SD * np.median(deviation, axis=1))
+    draws_at_once = max(1, NUMBERS_AT_ONCE // count)
+    for start in range(0, draws, draws_at_once):
+        numbers = random.normal(size=(min(draws_at_once, draws - start), count))
+        deviations = np.abs(numbers - np.median(numbers, axis=1, keepdims=True))
+        largest[start : start + draws_at_once] = deviations.max(axis=1) / (
+            TO_SD * np.median(deviations, axis=1)
+        )
     return np.sort(largest)

@@ -1,5 +1,5 @@
-"""Runs the jobs of a plan on one machine or a cluster; writes their table and the type of turbine pooled from
-the fits."""
+"""Runs the jobs of a plan on this machine or a cluster, and writes their table and the type of turbine pooled
+from the fits."""
 
 from __future__ import annotations
 
@@ -48,9 +48,9 @@ from hygrokf.texts.statement import Statement
 from hygrokf.version import __version__
 
 FEWEST_POOLED = 3
-"""Fewest turbines from which a type is pooled."""
+"""Smallest number of turbines from which a type is pooled."""
 TABLE_S = 2.0
-"""Shortest time between two writings of the table while results come [s]."""
+"""[s] while results arrive, the table is written no more often than this."""
 
 
 def run_jobs(
@@ -63,11 +63,11 @@ def run_jobs(
     say: Callable[[Row, bool], None] = lambda row, is_stored: None,
 ) -> FleetResults:
     """Do the work for every turbine of a plan; write fleet.json, fleet.csv, fleet.parquet and, from three
-    fits or more, type.json.
+    fits on, type.json.
 
-    plan, out, workers, cluster, say: as for `hygrokf.run_fleet`.  work: the function called for each turbine.
+    plan, out, workers, cluster, say: as for `hygrokf.run_fleet`. work: called for each turbine.
 
-    Returns the table.  Raises FleetFault if the cluster cannot be reached.
+    Returns the table. Raises FleetFault if the cluster cannot be reached.
     """
     jobs = {job.turbine: job for job in plan.jobs(out)}
     out.mkdir(parents=True, exist_ok=True)
@@ -76,35 +76,36 @@ def run_jobs(
         if (stored := stored_row(job)) is not None:
             rows[name] = stored
             say(stored, True)
-    todo = [job for name, job in jobs.items() if name not in rows]
-    written_s = time.monotonic()
-    if not todo:
-        coming: Iterator[Row] = iter(())
+    jobs_to_do = [job for name, job in jobs.items() if name not in rows]
+    last_written_s = time.monotonic()
+    if not jobs_to_do:
+        new_rows: Iterator[Row] = iter(())
     elif cluster:
-        coming = on_cluster(todo, work, cluster)
+        new_rows = on_cluster(jobs_to_do, work, cluster)
     else:
-        coming = in_processes(todo, work, workers or cores())
-    for row in coming:
+        new_rows = in_processes(jobs_to_do, work, workers or cores())
+    for row in new_rows:
         name = str(row["turbine"])
         rows[name] = row
         if row["status"] == LOST:  # the job's process has died before it could write the row
             write_row(jobs[name], row)
         say(row, False)
-        if time.monotonic() - written_s > TABLE_S:
+        if time.monotonic() - last_written_s > TABLE_S:
             done = [rows[name] for name in jobs if name in rows]
             write_text_whole(out / CSV, table_csv(plan.task, done))
-            written_s = time.monotonic()
+            last_written_s = time.monotonic()
     return _write_results(plan, out, [rows[name] for name in jobs])
 
 
 def _write_results(plan: FleetPlan, out: Path, rows: Sequence[Row]) -> FleetResults:
+    """Write the table and the type of turbine; returns the results."""
     write_text_whole(out / CSV, table_csv(plan.task, rows))
-    binary = table_parquet(plan.task, rows)
-    if binary is None:
+    parquet_bytes = table_parquet(plan.task, rows)
+    if parquet_bytes is None:
         (out / PARQUET).unlink(missing_ok=True)  # a file of an earlier run has other numbers
     else:
-        write_bytes_whole(out / PARQUET, binary)
-    kind, without = _type_of(plan, out, rows)
+        write_bytes_whole(out / PARQUET, parquet_bytes)
+    turbine_type, left_out = _type_of(plan, out, rows)
     results = FleetResults(
         task=plan.task,
         rows=tuple(rows),
@@ -112,8 +113,8 @@ def _write_results(plan: FleetPlan, out: Path, rows: Sequence[Row]) -> FleetResu
         version=__version__,
         created=datetime.now(UTC).isoformat(timespec="seconds"),
         options=dict(plan.options),
-        type=kind,
-        type_without=tuple(without),
+        type=turbine_type,
+        type_without=tuple(left_out),
     )
     write_text_whole(out / FLEET, result_text(results))
     return results
@@ -123,11 +124,11 @@ def _type_of(plan: FleetPlan, out: Path, rows: Sequence[Row]) -> tuple[TurbineTy
     """Pool the type of turbine from a fleet's fits and write `type.json`; returns the type and the turbines
     left out.
 
-    Turbines with outlying time constants are left out.  The type is None if the fits have no time constant in
-    common.
+    Turbines with outlying time constants are left out. The type is None for other tasks, for fewer than
+    `FEWEST_POOLED` turbines, and if the fits have no time constant in common.
     """
-    file = out / TYPE
-    file.unlink(missing_ok=True)  # a file of an earlier run was pooled from other fits
+    type_file = out / TYPE
+    type_file.unlink(missing_ok=True)  # a file of an earlier run was pooled from other fits
     done = [row for row in rows if row["status"] == DONE]
     names = [str(row["turbine"]) for row in done]
     if plan.task != "fit" or len(names) < FEWEST_POOLED:
@@ -137,38 +138,38 @@ def _type_of(plan: FleetPlan, out: Path, rows: Sequence[Row]) -> tuple[TurbineTy
     try:
         kept = [name for name in names if name not in outliers]
         fits = [replace(read_fit(plan.folder(out, name)), name=name) for name in kept]
-        kind = pool_types(fits, plan.name)
+        turbine_type = pool_types(fits, plan.name)
     except (TypeFault, ResultFault):  # no time constant in common, or a fit was removed meanwhile
         return None, []
-    write_type(kind, file)
-    return kind, outliers
+    write_type(turbine_type, type_file)
+    return turbine_type, outliers
 
 
 BATCHES = 8
-"""Number of batches per worker, large enough that no worker waits long for the others at the end."""
+"""Number of batches per worker; with many batches no worker waits long for the others at the end."""
 LARGEST_BATCH = 25
-"""Largest number of jobs in a batch; if its worker dies, all jobs of the batch are repeated."""
+"""Largest number of jobs in a batch; if a worker dies, all jobs of its batch are repeated."""
 WAIT_S = 30.0
-"""Time limit [s] for the connection to the scheduler, and for its first worker."""
+"""[s] longest wait for the connection to the scheduler, and for its first worker."""
 _batch_lock = threading.Lock()
 
 
 def perform_batch(jobs: Sequence[Job], work: Work) -> list[Row]:
-    """Do some jobs one after the other on a worker of the cluster."""
+    """Do the jobs of a batch one after the other on a worker of the cluster."""
     with _batch_lock:  # a worker with several threads receives several batches
         return [perform(job, work) for job in jobs]
 
 
 def batches(jobs: Sequence[Job], workers: int) -> list[Sequence[Job]]:
-    """Split jobs into batches, keeping their order."""
+    """Split jobs into batches; their order is kept."""
     size = max(1, min(LARGEST_BATCH, math.ceil(len(jobs) / (BATCHES * max(workers, 1)))))
     return [jobs[i : i + size] for i in range(0, len(jobs), size)]
 
 
 def on_cluster(jobs: Sequence[Job], work: Work, address: str) -> Iterator[Row]:
-    """Yield exactly one row per job, in the order in which the jobs end.
+    """Yield exactly one row for each job, in the order in which the jobs end.
 
-    Another worker repeats a batch whose worker has died.  If this happens more often than the scheduler
+    A batch whose worker has died is repeated by another worker. If this happens more often than the scheduler
     allows, the jobs of the batch are sent one by one, and a job that still kills its workers is `lost`.
     Raises FleetFault if there is no cluster at the address, if it has no worker or another version of
     hygrokf, or if the scheduler ends before the work is done.
@@ -180,16 +181,16 @@ def on_cluster(jobs: Sequence[Job], work: Work, address: str) -> Iterator[Row]:
         raise FleetFault("--dask", ["needs dask.distributed: pip install 'hygrokf[cluster]'"]) from None
     with _client_log_suppressed(), _client(Client, address) as client:
         workers = _count_workers(client, address)
-        sent = {}
+        batch_of_future = {}
 
         def send(batch: Sequence[Job]) -> object:
             future = client.submit(perform_batch, batch, work, pure=False)
-            sent[future.key] = batch
+            batch_of_future[future.key] = batch
             return future
 
         futures = futures_of([send(batch) for batch in batches(jobs, workers)], loop=client.loop)
         for future in futures:
-            batch = sent.pop(future.key)
+            batch = batch_of_future.pop(future.key)
             if future.status == "finished":
                 yield from future.result()
             elif future.status != "error":  # "error" is a worker's death; other states are the scheduler's
@@ -210,7 +211,8 @@ def on_cluster(jobs: Sequence[Job], work: Work, address: str) -> Iterator[Row]:
 
 @contextmanager
 def _client_log_suppressed() -> Iterator[None]:
-    """Suppress the tracebacks that the client logs when a scheduler ends, which `on_cluster` reports."""
+    """Suppress the tracebacks that the client logs when a scheduler ends; `on_cluster` reports the fault
+    instead."""
     log = logging.getLogger("distributed.client")
     level = log.level
     log.setLevel(logging.CRITICAL)
@@ -220,9 +222,10 @@ def _client_log_suppressed() -> Iterator[None]:
         log.setLevel(level)
 
 
-def _client(kind: type, address: str) -> Any:
+def _client(client_class: type, address: str) -> Any:
+    """Connect to a scheduler. Raises FleetFault if there is none at the address."""
     try:
-        return kind(address, timeout=WAIT_S, set_as_default=False)
+        return client_class(address, timeout=WAIT_S, set_as_default=False)
     except (OSError, ValueError, TypeError) as fault:
         reason = " ".join(str(fault).split())
         raise FleetFault(
@@ -232,7 +235,7 @@ def _client(kind: type, address: str) -> Any:
 
 
 def _count_workers(client: Any, address: str) -> int:
-    """The number of workers; raises FleetFault if one of them cannot do the work."""
+    """Return the number of workers. Raises FleetFault if one of them cannot do the work."""
     try:
         client.wait_for_workers(1, timeout=WAIT_S)
     except TimeoutError:
@@ -261,19 +264,20 @@ def _count_workers(client: Any, address: str) -> int:
 
 
 def _worker_setup() -> JsonObject:
+    """Return the version of hygrokf and the number of threads on a worker."""
     return {"version": __version__, "threads": os.environ.get("OMP_NUM_THREADS", "")}
 
 
 ERROR_TAIL = 4000
-"""Length of the end of a process's standard error in which its last line is looked for [bytes]."""
+"""[bytes] length of the end of a process's standard error that is searched for the last line."""
 ATTEMPTS = 2
-"""Attempts at a job, each in a new process, before it is lost."""
+"""Number of attempts at a job, each in a new process, before it is lost."""
 ENVIRONMENT = {name: "1" for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", THREADS)}
 """One thread for linear algebra, because the matrices are tiny and every core has its own process."""
 
 
 def cores() -> int:
-    """Number of cores that this process may use."""
+    """Return the number of cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
@@ -291,10 +295,10 @@ def answer_jobs(work: Work) -> int:
 
 
 def in_processes(jobs: Sequence[Job], work: Work, workers: int) -> Iterator[Row]:
-    """Yield exactly one row per job, in the order in which the jobs end.
+    """Yield exactly one row for each job, in the order in which the jobs end.
 
-    If a process dies (killed by the system for lack of memory, a crash of compiled code), its job is tried
-    once more, and is `lost` if the second process dies, too.  If the caller stops early, all processes end.
+    If a process dies (killed for lack of memory, crash of compiled code), its job is tried once more; if the
+    second process dies too, the job is `lost`. If the caller stops early, all processes end.
     """
     processes = _Processes(work)
     pool = ThreadPoolExecutor(min(workers, len(jobs)))
@@ -308,7 +312,7 @@ def in_processes(jobs: Sequence[Job], work: Work, workers: int) -> Iterator[Row]
 
 
 class _Processes:
-    """Processes that do jobs, one per calling thread; a process that has died is replaced by a new one."""
+    """Worker processes, one for each calling thread; a process that has died is replaced by a new one."""
 
     def __init__(self, work: Work) -> None:
         self._program = (
@@ -335,6 +339,7 @@ class _Processes:
         return row_of(job, LOST, reason=reason)
 
     def _process(self) -> subprocess.Popen[bytes] | None:
+        """Return the process of the calling thread, started if necessary; None after `kill_all`."""
         with self._lock:  # no process is started after `kill_all`
             process: subprocess.Popen[bytes] | None = getattr(self._of_thread, "process", None)
             if process is None and not self._is_ended:
@@ -364,6 +369,7 @@ class _Processes:
         return _end_statement(status, next((line.strip() for line in reversed(lines) if line.strip()), ""))
 
     def kill_all(self) -> None:
+        """Kill all processes; no new one is started."""
         with self._lock:
             self._is_ended = True
             for process in self._error_files:
@@ -376,12 +382,12 @@ class _Processes:
 
 
 def _end_statement(status: int, last_line: str) -> Statement:
-    """The statement of why a process ended, with the last line that it wrote."""
-    names = {-number.value: number.name for number in signal.Signals}
+    """Return the statement of why a process ended, with the last line that it wrote."""
+    signal_names = {-number.value: number.name for number in signal.Signals}
     if status >= 0:
-        end = FleetCode.PROCESS_ENDED(status=status, attempts=ATTEMPTS)
+        statement = FleetCode.PROCESS_ENDED(status=status, attempts=ATTEMPTS)
     else:
-        end = FleetCode.PROCESS_KILLED(signal=names.get(status, str(status)), attempts=ATTEMPTS)
-    if names.get(status) == "SIGKILL":
-        end = FleetCode.MEMORY_SHORT(end=end)
-    return FleetCode.LAST_OUTPUT(end=end, output=last_line) if last_line else end
+        statement = FleetCode.PROCESS_KILLED(signal=signal_names.get(status, str(status)), attempts=ATTEMPTS)
+    if signal_names.get(status) == "SIGKILL":
+        statement = FleetCode.MEMORY_SHORT(end=statement)
+    return FleetCode.LAST_OUTPUT(end=statement, output=last_line) if last_line else statement

@@ -1,8 +1,7 @@
-"""The tasks that a fleet can do for each of its turbines: options, columns of the table, and the quantities
-by which turbines are compared.
+"""The tasks that a fleet can do for each turbine: options, columns of the table, and the quantities by which
+turbines are compared.
 
-A task is one row of `TASKS`; the function that turns a `Job` into the columns of a row is in
-`commands.fleet_tasks`.
+A task is one entry of `TASKS`; the function that does its jobs is in `commands.fleet_tasks`.
 """
 
 from __future__ import annotations
@@ -21,8 +20,8 @@ from hygrokf.texts.reasons import REJECT
 class Compared:
     """A positive quantity by which turbines are compared on a logarithmic scale.
 
-    column: column of the value.  lower, upper: columns of its bounds, or "".  title, unit: texts for tables
-    and figures.  verdict: column that says whether the value is reliable, or "".
+    column: of the value. lower, upper: columns of its bounds, or "". title, unit: for tables and figures.
+        verdict: column that states whether the value is reliable, or "".
     """
 
     column: str
@@ -33,7 +32,7 @@ class Compared:
     verdict: str = ""
 
     def rejected(self, row: Row) -> bool:
-        """Whether the verdict rejects a turbine's value."""
+        """Return whether a turbine's value is not reliable."""
         return bool(self.verdict) and row.get(self.verdict) == REJECT
 
 
@@ -93,14 +92,14 @@ class Tally:
 
 @dataclass(frozen=True)
 class Task:
-    """One thing that a fleet does for every turbine.
+    """What a fleet does for every turbine.
 
-    options: the dataclass of the options.  columns: name → meaning with unit.  compared: the quantities by
-    which turbines are compared.  tallies: the columns whose values the page counts.  listed: the quantities
-    that the page lists for every turbine besides `compared`.  ranking: the column by which turbines are
-    ranked, largest first.  uses_fit: whether the task needs a fitted model.  files: the options that hold
-    paths of files, on whose content the results depend.  named: the options of `files` that also take a name,
-    which does not end in ".toml".
+    options: dataclass of the options. columns: name → meaning with unit. compared: quantities by which
+        turbines are compared. tallies: columns whose values the page counts. listed: further quantities that
+        the page lists for every turbine. ranking: column by which turbines are ranked, largest first.
+        uses_fit: whether the task needs a fitted model. files: options that hold paths of files, whose
+        content the results depend on. named: options of `files` that also take names, which do not end in
+        ".toml".
     """
 
     meaning: str
@@ -146,7 +145,7 @@ _VERDICTS = {
     for name in PARTS
 }
 _QUANTITIES = (("temperature", "K", "temperature", "K"), ("humidity", "g_m3", "absolute humidity", "g/m³"))
-"""Name and unit in a column's name, then both in its meaning."""
+"""Of each scored quantity: name and unit in names of columns, then name and unit in their meanings."""
 _BOUNDS = ("lower", "upper")
 _SCORES = {
     "scored_period": "period of the errors: validation, or identification if nothing is held out",
@@ -300,7 +299,7 @@ TASKS: Mapping[str, Task] = {
         named=("limits",),
     ),
 }
-"""Every task by its name in FLEET.toml."""
+"""Name of a task in FLEET.toml → the task."""
 
 SHARED_COLUMNS = {
     "turbine": "name of the turbine in the fleet",

@@ -1,6 +1,6 @@
-"""What a result says, as blocks: the template draws them as a page, `terminal` prints them as text.
+"""Blocks: the content of a page as data, which the template draws as HTML and `terminal` prints as text.
 
-A block holds plain text and numbers already printed; it knows neither HTML nor the width of a terminal.
+A block holds plain text and numbers as printed; it knows neither HTML nor the width of a terminal.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ FREE_RUN = (
     "Free run: a simulation from weather, power and other inputs alone, which sees no reading of the cabinet."
 )
 INNOVATIONS = "Innovations: readings less their one-step predictions."
-"""Terms of the reports, explained where a page or a text begins to use them."""
+"""Terms that a page explains at their first use."""
 OF_RECORD = {
     Provenance.SIMULATED: "A model computed the readings in the cabinet. They were not measured.",
     Provenance.SYNTHETIC: "A computer made this record. Nothing on this page was measured.",
@@ -29,7 +29,7 @@ OF_RECORDS = {
     Provenance.SIMULATED: "A model computed the cabinet's readings of at least one of these records.",
     Provenance.SYNTHETIC: "A computer made at least one of these records: its numbers were not measured.",
 }
-"""What the page of one or of several records says of those that were not measured."""
+"""Provenance → warning on a page about one record (`OF_RECORD`), or about several (`OF_RECORDS`)."""
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ class Heading:
 
 @dataclass(frozen=True)
 class Prose:
-    """A paragraph; `style` "note" is smaller, "missing" says what is absent and why."""
+    """A paragraph; `style` "note" is printed smaller, "missing" says what is absent and why."""
 
     text: str
     style: Literal["", "note", "missing"] = ""
@@ -74,7 +74,8 @@ class Banner:
 
 @dataclass(frozen=True)
 class Line:
-    """A sentence with its verdict; `within` marks a reason for the line above it, `head` a main line."""
+    """A sentence with the mark of its verdict `kind`; `head`: a main line; `within`: a reason for a main
+    line."""
 
     kind: str
     text: str
@@ -86,7 +87,7 @@ class Line:
 
 @dataclass(frozen=True)
 class Verdicts:
-    """Sentences, each with the mark of its verdict; `key` explains the marks."""
+    """Sentences, each with the mark of its verdict; `key`: whether the marks are explained above them."""
 
     lines: tuple[Line, ...]
     heading: str = ""
@@ -95,11 +96,11 @@ class Verdicts:
 
 @dataclass(frozen=True)
 class Card:
-    """One number of the answer: label, value, bounds, verdict and its reason.
+    """One number of the answer: label, value, bounds, verdict and the reason for it.
 
-    `symbol`: the formula beside the label, with an underscore before an index ("R_D*·V*").  `kind`: the
-    verdict; "" for an answer without one, whose edge then shows its `tone`: "open" a warning, "plain" none,
-    "reject" a refusal.  `words`: the value is a sentence, not a number.
+    `symbol`: the formula beside the label, with an underscore before an index ("R_D*·V*"). `kind`: the
+    verdict; for "" the card's edge shows its `tone` instead: "open" a warning, "plain" nothing, "reject" a
+    refusal. `words`: the value is a sentence, not a number. `wide`: the card takes the whole width.
     """
 
     label: str
@@ -128,10 +129,11 @@ class Cards:
 
 @dataclass(frozen=True)
 class Table:
-    """Columns and rows of text; `left` columns are words, the others numbers; `marked` rows are set off.
+    """Columns and rows of text; the columns `left` hold words, all others numbers; the rows `marked` are
+    bold.
 
-    `groups` spans columns under a common heading: (heading, number of columns).  `brief` lists the columns
-    that a terminal shows; empty for all.  A table without rows is false, and drawn nowhere.
+    `groups`: headings above the columns, each with the number of columns that it spans. `brief`: the columns
+    that a terminal shows; empty: all. A table without rows is false, and is shown nowhere.
     """
 
     heading: str
@@ -156,9 +158,10 @@ class Table:
 
 @dataclass(frozen=True)
 class Figure:
-    """A drawing made when the page is; `name` (letters, digits, -) makes its identifiers unique on the page.
+    """A figure, drawn when the page is made; `name` (letters, digits, -) makes its identifiers unique on the
+    page.
 
-    The caption says what to look for.  `draw` may raise `NothingToShow` with the reason.
+    The caption says what to look for. `draw` may raise `NothingToShow` with the reason.
     """
 
     name: str
@@ -169,10 +172,7 @@ class Figure:
 
 @dataclass(frozen=True)
 class Details:
-    """Blocks that are folded until a reader asks for them; a printed page shows them.
-
-    `printed`: whether a terminal shows them too.
-    """
+    """Blocks that are folded until a reader opens them; printed pages show them, terminals if `printed`."""
 
     summary: str
     blocks: tuple[Block, ...]
@@ -184,11 +184,12 @@ Block: TypeAlias = Heading | Prose | Link | Items | Banner | Verdicts | Cards | 
 
 @dataclass(frozen=True)
 class Page:
-    """A result to read.
+    """A page about one result.
 
-    `kind` says what sort of result it is, `name` whose, `about` the lines below the name.  `lead` is the
-    first screen: warnings, the answer with its verdict, and the picture that shows it.  `body` holds the
-    rest, `foot` how it was computed.  `sheet` above 0: it prints on one page, in letters of this size [pt].
+    `kind`: sort of result. `name`: of the record or model. `about`: lines below the name. `lead`: the first
+    screen, with warnings, the answer and its verdict, and a figure. `body`: the rest. `foot`: how the result
+    was computed. `sheet`: size of the letters [pt] for a page that is printed on one sheet; 0: any number of
+    sheets.
     """
 
     kind: str
@@ -201,38 +202,38 @@ class Page:
 
 
 def present(*blocks: Block | None) -> tuple[Block, ...]:
-    """The blocks that there are: neither None nor an empty table."""
+    """Return the blocks without None and without empty tables."""
     return tuple(block for block in blocks if block)
 
 
-def table_or(table: Table | None, why: str) -> Block:
-    """A table, or the sentence that says why there is none."""
-    return table or Prose(why, "missing")
+def table_or(table: Table | None, reason_if_empty: str) -> Block:
+    """Return a table, or for an empty one a sentence that says why it is empty."""
+    return table or Prose(reason_if_empty, "missing")
 
 
 def section(heading: str, *blocks: Block | None) -> tuple[Block, ...]:
-    """A heading with blocks below it; nothing where there are none."""
-    found = present(*blocks)
-    return (Heading(heading), *found) if found else ()
+    """Return a heading with the blocks below it; empty without any block."""
+    shown_blocks = present(*blocks)
+    return (Heading(heading), *shown_blocks) if shown_blocks else ()
 
 
 def method(heading: str, *lines: str) -> tuple[Block, ...]:
-    """How a result was computed, a paragraph a line."""
+    """The heading and paragraphs that say how a result was computed."""
     return (Heading(heading), *map(Prose, lines))
 
 
 def unmeasured(provenance: Provenance, texts: Mapping[Provenance, str]) -> tuple[Banner, ...]:
-    """The warning about a result of readings that nobody measured; nothing about a measured one."""
+    """Return the warning about a result whose readings were not measured; empty for a measured one."""
     return (Banner(provenance.upper(), texts[provenance]),) if provenance in texts else ()
 
 
-def inherited_verdicts(found: Mapping[str, Inherited], heading: str) -> Verdicts | None:
-    """The time constants that a result took over from a fit, each with the verdict that it came with.
+def inherited_verdicts(constants: Mapping[str, Inherited], heading: str) -> Verdicts | None:
+    """Return the time constants that a result took over from a fit, with their verdicts; None without any.
 
-    A value that is not reliable is struck through.  None without any.
+    A value that is not reliable is struck through.
     """
     lines = []
-    for part, constant in found.items():
+    for part, constant in constants.items():
         text, struck = constant.line(part)
         lines.append(Line(constant.verdict, text, struck=struck))
     return Verdicts(tuple(lines), heading, key=False) if lines else None

@@ -1,4 +1,4 @@
-"""The page and the terminal text of a climate, from the same blocks."""
+"""The page of a climate study: the answer, limits, numbers of the year, and the test profile."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ PICTURE = "test_profile.png"
 LIMIT_TONES: dict[str, Literal["open", "plain", "reject"]] = {
     "pass": "plain", "undecided": "open", "fail": "reject"
 }  # fmt: skip
-"""How the verdict on limits is shown."""
+"""Verdict on limits → tone of its card."""
 OF_CLIMATE = {
     Provenance.SIMULATED: "The readings behind the model were simulated, or the weather was.",
     Provenance.SYNTHETIC: "The model or the weather is synthetic. Nothing on this page was measured.",
@@ -69,11 +69,12 @@ PROFILE_CAPTION = (
 
 
 def write_climate_report(study: Study | None, directory: str | os.PathLike[str]) -> Path:
-    """Write climate.json, climate.csv, the test profile as CSV and PNG, and `report.html`; returns the page's
-    path.
+    """Write climate.json, climate.csv, the test profile as CSV and PNG, and `report.html`; returns the path
+    of report.html.
 
-    study: None where the directory holds climate.json already: then the page and the picture alone are made
-    again. Raises ResultFault where it is missing or damaged, OSError from the system.
+    study: None: only the page and the PNG are written, from climate.json in the directory.
+
+    Raises ResultFault if climate.json is missing or damaged, OSError from the system.
     """
     folder = Path(directory)
     if study is None:
@@ -89,17 +90,17 @@ def write_climate_report(study: Study | None, directory: str | os.PathLike[str])
 
 
 def climate_blocks(study: Study) -> Page:
-    """What a climate says: the answer with the picture of the year, then statements, tables and the test."""
+    """Return the page of a climate study; the answer and the figure of the year come first."""
     regions = study.regions
     several = len(regions) > 1
     cards = Cards(_cards(study))
-    parts = [_region(region, place, several) for place, region in enumerate(regions, 1)]
-    where = ", ".join(region.name for region in regions)
-    held = f"bounds hold {share_held(regions)} of single years"
+    sections = [_region(region, number, several) for number, region in enumerate(regions, 1)]
+    places = ", ".join(region.name for region in regions)
+    bounds_text = f"bounds hold {share_held(regions)} of single years"
     return Page(
         "Climate report",
         study.name.strip() or "unnamed model",
-        (f"Simulated for {where}: {study.members} members, seed {study.seed}; {held}",),
+        (f"Simulated for {places}: {study.members} members, seed {study.seed}; {bounds_text}",),
         present(
             *unmeasured(study.least_measured, OF_CLIMATE),
             cards if cards.cards else None,
@@ -108,15 +109,15 @@ def climate_blocks(study: Study) -> Page:
         (
             *section("Regions side by side", regions_table(regions)),
             *section("The model", inherited_verdicts(study.verdicts, "The time constants of the model")),
-            *(block for part in parts for block in part),
+            *(block for blocks_of_region in sections for block in blocks_of_region),
         ),
         _method(study),
     )
 
 
 def doubt_text(study: Study) -> str:
-    """A sentence where the climate rests on numbers of the fit that are not reliable; else empty."""
-    return "".join(sentence(one.text) for one in rests_on(study.verdicts))
+    """Return a sentence if the climate rests on numbers of the fit that are not reliable; else ""."""
+    return "".join(sentence(statement.text) for statement in rests_on(study.verdicts))
 
 
 # --- the answer ------------------------------------------------------------------------------
@@ -148,14 +149,19 @@ def _cards(study: Study) -> tuple[Card, ...]:
 
 
 def _number_card(region: RegionClimate, name: str, label: str, doubt: str, *lines: str) -> Card:
+    """The card of one number of a region's year with its bounds; rejected if the fit is in doubt."""
     value, bounds = value_and_bounds(region.year[name], number_text(name))
-    held = f"{share_held([region])} of single years: {bounds}" if bounds else "in every member and year"
+    bounds_text = (
+        f"{share_held([region])} of single years: {bounds}" if bounds else "in every member and year"
+    )
     kind = REJECT if doubt else ""
-    return Card(label, f"{value} {STATISTIC_UNITS[name]}", kind, held, doubt, lines=lines, tone="plain")
+    return Card(
+        label, f"{value} {STATISTIC_UNITS[name]}", kind, bounds_text, doubt, lines=lines, tone="plain"
+    )
 
 
 def _besides(region: RegionClimate) -> list[str]:
-    """Condensation and the verdicts on the limits, as lines of a card."""
+    """Return condensation and the verdicts on the limits as lines of a card."""
     lines = []
     if "condensation_h" in region.year:
         lines.append(f"condensation {span_text(region.year['condensation_h'], hours_text)} h/a")
@@ -163,90 +169,97 @@ def _besides(region: RegionClimate) -> list[str]:
 
 
 def _limits_card(region: RegionClimate) -> Card:
+    """Return the card with the verdicts on a region's limits; names the first two that fail."""
     failed = [limit for limit in region.limits if limit.verdict == "fail"]
-    lines = tuple(f"Fails: {one.name}, {span_text(one.hours, hours_text)} h/a" for one in failed[:2])
-    part = f", judged on {region.part_of_year} of weather, not a year" if region.part_of_year else ""
-    label = f"Limits, {len(region.limits)} in all{part}"
+    lines = tuple(f"Fails: {limit.name}, {span_text(limit.hours, hours_text)} h/a" for limit in failed[:2])
+    remark = f", judged on {region.part_of_year} of weather, not a year" if region.part_of_year else ""
+    label = f"Limits, {len(region.limits)} in all{remark}"
     return Card(label, _counted(region), lines=lines, wide=True, words=True, tone=LIMIT_TONES[region.verdict])
 
 
 def _counted(region: RegionClimate) -> str:
-    found = [limit.verdict for limit in region.limits]
-    return ", ".join(f"{found.count(v)} {v}" for v in ("pass", "undecided", "fail") if v in found)
+    """Return how many limits have each verdict: "2 pass, 1 fail"."""
+    verdicts = [limit.verdict for limit in region.limits]
+    present_verdicts = [verdict for verdict in ("pass", "undecided", "fail") if verdict in verdicts]
+    return ", ".join(f"{verdicts.count(verdict)} {verdict}" for verdict in present_verdicts)
 
 
 # --- a region --------------------------------------------------------------------------------
 
 
-def _region(region: RegionClimate, place: int, several: bool) -> tuple[Block, ...]:
+def _region(region: RegionClimate, number: int, several: bool) -> tuple[Block, ...]:
+    """Return the sections of one region; number: of the region on the page, from 1."""
     limits = table_or(limits_table(region), "No limits were given (--limits FILE).")
-    title = f"{region.name}: {{}}" if several else "{}"
-    one_kind = "The cabinet is only in operation, or only at standstill, all year."
+    title_form = f"{region.name}: {{}}" if several else "{}"
+    reason_if_empty = "The cabinet is only in operation, or only at standstill, all year."
     return (
         *section(
-            title.format("Weather and power"),
+            title_form.format("Weather and power"),
             Prose(weather_text(region)),
-            Items(tuple(sentence(str(one)) for one in (*region.statements, *region.warnings))),
+            Items(tuple(sentence(str(statement)) for statement in (*region.statements, *region.warnings))),
         ),
-        *(section(title.format("Limits"), limits) if not several or region.limits else ()),
+        *(section(title_form.format("Limits"), limits) if not several or region.limits else ()),
         *section(
-            title.format("The year"),
-            year_figure(region, place) if several else None,
+            title_form.format("The year"),
+            year_figure(region, number) if several else None,
             year_table(region),
-            table_or(regimes_table(region), one_kind),
+            table_or(regimes_table(region), reason_if_empty),
             Details("Excursions, rates of change and cycles", (events_table(region),), printed=True),
-            duration_figure(region, place) if region.joint is not None else None,
+            duration_figure(region, number) if region.joint is not None else None,
         ),
-        *section(title.format("Test profile"), *_profile(region, place)),
+        *section(title_form.format("Test profile"), *_profile(region, number)),
     )
 
 
 def weather_text(region: RegionClimate) -> str:
-    """The span and the files of a region's weather, in a sentence."""
-    spans = region.years
-    many = f"{len(spans)} {'year' if len(spans) == 1 else 'years'}"
-    if part := region.part_of_year:
-        many = part.text if len(spans) == 1 else f"parts of {many}, the fullest of {part}"
+    """Return the span and the files of a region's weather in a sentence."""
+    years = region.years
+    years_text = f"{len(years)} {'year' if len(years) == 1 else 'years'}"
+    if part_of_year := region.part_of_year:
+        several = f"parts of {years_text}, the fullest of {part_of_year}"
+        years_text = part_of_year.text if len(years) == 1 else several
     files = ", ".join(region.files) or "a record"
-    return f"Weather from {moment(spans[0].start)} to {moment(spans[-1].end)} UTC ({many}), from {files}."
+    start, end = moment(years[0].start), moment(years[-1].end)
+    return f"Weather from {start} to {end} UTC ({years_text}), from {files}."
 
 
-def _profile(region: RegionClimate, place: int) -> tuple[Block, ...]:
+def _profile(region: RegionClimate, number: int) -> tuple[Block, ...]:
+    """Return the blocks of the test profile: its acceleration, set points, and what it reproduces."""
     profile = region.test_profile
     if profile is None:
         return (Prose("There is no test profile; the statements above give the reason.", "missing"),)
-    table = profile_table(region)
+    table, draw = profile_table(region), partial(figure_profile, region)
     return (
         Prose(_profile_text(profile)),
-        Figure(
-            f"r{place}-profile", "Set points of the chamber", PROFILE_CAPTION, partial(figure_profile, region)
-        ),
+        Figure(f"r{number}-profile", "Set points of the chamber", PROFILE_CAPTION, draw),
         *([Details("What the test profile reproduces", (table,))] if table else []),
     )
 
 
 def _profile_text(profile: ChamberProfile) -> str:
-    aged = profile.closeness.ageing
+    """Return sentences on the ageing that the test profile causes."""
+    ageing = profile.closeness.ageing
     statements = [
         ClimateCode.SAME_AGEING(
             hours=len(profile.temperature_degC),
-            years=aged.years,
-            lower=aged.years_lower,
-            upper=aged.years_upper,
+            years=ageing.years,
+            lower=ageing.years_lower,
+            upper=ageing.years_upper,
             acceleration=profile.acceleration,
             share=profile.share_at_chamber_limit,
         )
     ]
     if not profile.reached:
-        short = aged.test_h < aged.service_h
-        code = ClimateCode.AGEING_TOO_LITTLE if short else ClimateCode.AGEING_TOO_MUCH
+        is_too_little = ageing.test_h < ageing.service_h
+        code = ClimateCode.AGEING_TOO_LITTLE if is_too_little else ClimateCode.AGEING_TOO_MUCH
         statements.append(code())
     return " ".join(sentence(statement.text) for statement in statements)
 
 
 def _method(study: Study) -> tuple[Block, ...]:
+    """Return how the climate was computed."""
     surface, law = study.surface, study.plan.law
-    kind = "Peck's law" if law.humid else "Arrhenius' law"
+    law_name = "Peck's law" if law.humid else "Arrhenius' law"
     return method(
         "How this was computed",
         "Each member of the ensemble is the fitted model with parameters drawn from their estimated "
@@ -259,7 +272,7 @@ def _method(study: Study) -> tuple[Block, ...]:
         "In a model without condensation the air may exceed saturation; such hours count as wet. The "
         f"temperature of the cold surface where vapour condenses is the ambient's plus {surface.follows:g} "
         f"times the difference between cabinet air and ambient, plus {surface.offset_K:g} K.",
-        f"Ageing follows {kind}, rate ∝ RH^{law.humidity_exponent:g} exp(−{law.activation_energy_eV:g} "
+        f"Ageing follows {law_name}, rate ∝ RH^{law.humidity_exponent:g} exp(−{law.activation_energy_eV:g} "
         f"eV/kT), in hours at {law.reference_degC:g} °C and {law.reference_percent:g} %. Its parameters "
         "describe a single failure mechanism (Peck 1986: aluminium corrosion in plastic packages); state the "
         "parameters of your own mechanism.",

@@ -1,4 +1,4 @@
-"""Tables of a climate, as blocks."""
+"""Tables of a climate study, and how its numbers are written."""
 
 from __future__ import annotations
 
@@ -33,60 +33,64 @@ NOT_REPRODUCED = (
 
 
 def hours_text(value: float) -> str:
-    """Hours a year, counted in whole hours: below one hour no digits are shown."""
+    """Return hours a year as text; "< 1" below one hour."""
     return "< 1" if 0.0 < value < 1.0 else plain_number(value)
 
 
 def number_text(name: str) -> Callable[[float], str]:
-    """How a number is written, by its name; ageing is no count of hours."""
+    """The function that writes a number by its `name`: hours as whole hours, others by significant digits."""
     return hours_text if name.endswith("_h") and name != "ageing_h" else plain_number
 
 
-def span_text(one: BoundedMean | None, text: Callable[[float], str] = plain_number) -> str:
-    """A value with its bounds for a year, each as `text` writes it."""
-    value, bounds = value_and_bounds(one, text)
+def span_text(bounded: BoundedMean | None, text: Callable[[float], str] = plain_number) -> str:
+    """Return a value with its bounds for a year, each written by `text`: "120 (90 … 160)"."""
+    value, bounds = value_and_bounds(bounded, text)
     return f"{value} ({bounds})" if bounds else value
 
 
-def value_and_bounds(one: BoundedMean | None, text: Callable[[float], str] = plain_number) -> tuple[str, str]:
-    """A value and its bounds for a year; no bounds where they read like the value."""
-    if one is None or one.value != one.value:
+def value_and_bounds(
+    bounded: BoundedMean | None, text: Callable[[float], str] = plain_number
+) -> tuple[str, str]:
+    """Return a value and its bounds for a year; no bounds if they read like the value."""
+    if bounded is None or bounded.value != bounded.value:
         return NONE, ""
-    value = text(one.value)
-    alike = text(one.lower) == text(one.upper) == value
-    return value, "" if alike else interval(one.lower, one.upper, text)
+    value = text(bounded.value)
+    is_exact = text(bounded.lower) == text(bounded.upper) == value
+    return value, "" if is_exact else interval(bounded.lower, bounded.upper, text)
 
 
 def compared_statistics(regions: Sequence[RegionClimate]) -> list[YearNumber]:
-    """The statistics by which regions are compared, as far as all of them have these."""
-    return [one for one in STATISTICS if one.compared and all(one.name in region.year for region in regions)]
+    """Return the statistics by which regions are compared, if all regions have them."""
+    compared = [statistic for statistic in STATISTICS if statistic.compared]
+    return [one for one in compared if all(one.name in region.year for region in regions)]
 
 
 def share_held(regions: Sequence[RegionClimate]) -> str:
-    """The share of single years that the bounds hold, the least of several regions."""
+    """Return the share of single years that the bounds hold; of several regions the smallest."""
     return percent(min(region.bounds_hold for region in regions))
 
 
 def class_text(region: RegionClimate) -> str:
-    """The class of wetness, with those of its bounds where they differ: "τ1 (bounds τ1 … τ2)"."""
-    found = region.wetness_class
-    low, high = region.wetness_class_bounds or (found, found)
-    return NONE if found is None else found if low == high else f"{found} (bounds {low} … {high})"
+    """Return the class of wetness with the classes of its bounds: "τ2 (bounds τ1 … τ3)"."""
+    if region.wetness_class is None:
+        return NONE
+    low, high = region.wetness_class_bounds or ("", "")
+    return region.wetness_class if low == high else f"{region.wetness_class} (bounds {low} … {high})"
 
 
 def verdict_text(limit: Exceedance) -> str:
-    """A verdict, and why there is none."""
+    """Return a verdict, and for "undecided" the reason."""
     return f"{limit.verdict} ({limit.why.text})" if limit.why else limit.verdict
 
 
 def year_table(region: RegionClimate) -> Table:
-    """The whole year, the year at standstill, and the weather."""
+    """Return the numbers of the whole year, of a year at standstill, and of the weather."""
     note = f"In brackets: bounds that hold {share_held([region])} of single years. Hours refer to a year of "
     return _numbers(region, "Means, hours and ageing", ("all", "standstill_all_year"), f"{note}8766 h.")
 
 
 def regimes_table(region: RegionClimate) -> Table | None:
-    """Operation beside standstill; None where the year has only one of them."""
+    """Return the numbers in operation and at standstill; None if the year has only one of them."""
     if not {"operation", "standstill"} <= set(region.scopes):
         return None
     note = "Means are taken over the hours of each column; hours are the column's share of the year."
@@ -94,7 +98,7 @@ def regimes_table(region: RegionClimate) -> Table | None:
 
 
 def events_table(region: RegionClimate) -> Table:
-    """How often and how long conditions hold, rates of change and temperature cycles."""
+    """Return number and length of excursions, rates of change, and temperature cycles."""
     return _numbers(
         region,
         "Excursions, rates of change and cycles",
@@ -108,31 +112,31 @@ def events_table(region: RegionClimate) -> Table:
 def _numbers(
     region: RegionClimate, heading: str, wanted: Sequence[str], note: str, kinds: Sequence[str] = ("scope",)
 ) -> Table:
-    """The numbers of some scopes; beside the whole year those of the weather."""
+    """The statistics of some scopes, one column each; beside the whole year also those of the weather."""
     scopes = [scope for scope in wanted if scope in region.scopes]
     rows = []
-    for one in STATISTICS:
-        if one.table in kinds and any(one.name in region.scopes[scope] for scope in scopes):
-            text = number_text(one.name)
-            cells = [span_text(region.scopes[scope].get(one.name), text) for scope in scopes]
+    for statistic in STATISTICS:
+        if statistic.table in kinds and any(statistic.name in region.scopes[scope] for scope in scopes):
+            text = number_text(statistic.name)
+            cells = [span_text(region.scopes[scope].get(statistic.name), text) for scope in scopes]
             if "all" in wanted:
-                shown = one.weather and one.name in region.outside
-                cells.append(text(region.outside[one.name]) if shown else "")
-            rows.append((one.words, one.unit, *cells))
+                has_weather = statistic.weather and statistic.name in region.outside
+                cells.append(text(region.outside[statistic.name]) if has_weather else "")
+            rows.append((statistic.words, statistic.unit, *cells))
     weather = ("outside",) if "all" in wanted else ()
     columns = ("", "unit", *(SCOPE_WORDS[scope] for scope in scopes), *weather)
     return Table(heading, columns, tuple(rows), left=(0, 1), note=note)
 
 
 def limits_table(region: RegionClimate) -> Table:
-    """Limits and verdicts."""
+    """Return the limits of a region with their exceedances and verdicts."""
     rows = []
     for limit in region.limits:
-        when = "" if limit.during == "all" else f", {SCOPE_WORDS[limit.during]}"
+        scope_text = "" if limit.during == "all" else f", {SCOPE_WORDS[limit.during]}"
         rows.append(
             (
                 limit.name,
-                f"{limit.side} {limit.level:g} {LIMITED_QUANTITIES[limit.quantity]}{when}",
+                f"{limit.side} {limit.level:g} {LIMITED_QUANTITIES[limit.quantity]}{scope_text}",
                 plain_number(limit.hours_a_year),
                 span_text(limit.hours, hours_text),
                 span_text(limit.number),
@@ -145,7 +149,7 @@ def limits_table(region: RegionClimate) -> Table:
         ("limit", "exceeded", "allowed, h/a", "found, h/a", "number/a", "longest, h", "verdict"),
         tuple(rows),
         left=(0, 1, 6),
-        marked=tuple(i for i, limit in enumerate(region.limits) if limit.verdict == "fail"),
+        marked=tuple(number for number, limit in enumerate(region.limits) if limit.verdict == "fail"),
         note="pass: the upper bound of the hours in a year is within the allowed hours. fail: the lower "
         "bound exceeds them. undecided: the allowed hours lie between the bounds, or too little of a year is "
         "known to pass.",
@@ -154,34 +158,39 @@ def limits_table(region: RegionClimate) -> Table:
 
 
 def profile_table(region: RegionClimate) -> Table | None:
-    """What the test profile reproduces, and how closely; None without a profile."""
+    """Return what the test profile reproduces of the site, and how closely; None without a profile."""
     if region.test_profile is None:
         return None
-    close = region.test_profile.closeness
-    numbers = (("ageing by the stated law, h at the reference", close.ageing.service_h, close.ageing.test_h),)
-    rows = (*numbers, *((number.name.text, number.site, number.test) for number in close.numbers))
+    closeness = region.test_profile.closeness
+    ageing_row = (
+        ("ageing by the stated law, h at the reference", closeness.ageing.service_h, closeness.ageing.test_h),
+    )
+    rows = (*ageing_row, *((number.name.text, number.site, number.test) for number in closeness.numbers))
     return Table(
         "What the test profile reproduces",
         ("", "site", "test"),
-        tuple((words, plain_number(site), plain_number(test)) for words, site, test in rows),
+        tuple((label, plain_number(site), plain_number(test)) for label, site, test in rows),
         note="Distance (total variation, 0 the same, 1 nothing in common, in bins of 5 K and 10 %) of the "
-        f"joint distribution of temperature before warming and humidity: {fixed(close.joint_distance)}; of "
-        f"the ageing over these: {fixed(close.ageing_distance)}. Not reproduced: "
+        "joint distribution of temperature before warming and humidity: "
+        f"{fixed(closeness.joint_distance)}; of "
+        f"the ageing over these: {fixed(closeness.ageing_distance)}. Not reproduced: "
         f"{'; '.join(NOT_REPRODUCED)}.",
     )
 
 
 def regions_table(regions: Sequence[RegionClimate]) -> Table | None:
-    """Regions side by side; None for a single one."""
+    """Return the regions side by side; None for a single region."""
     if len(regions) < 2:
         return None
     rows = []
-    for row in compared_statistics(regions):
-        cells = (span_text(region.year[row.name], number_text(row.name)) for region in regions)
-        rows.append((row.words, row.unit, *cells))
+    for statistic in compared_statistics(regions):
+        cells = (span_text(region.year[statistic.name], number_text(statistic.name)) for region in regions)
+        rows.append((statistic.words, statistic.unit, *cells))
     rows.append(("class of wetness, ISO 9223:1992", "", *map(class_text, regions)))
-    for i, limit in enumerate(regions[0].limits):
-        cells = (verdict_text(region.limits[i]) if i < len(region.limits) else NONE for region in regions)
+    for number, limit in enumerate(regions[0].limits):
+        cells = (
+            verdict_text(region.limits[number]) if number < len(region.limits) else NONE for region in regions
+        )
         rows.append((f"limit: {limit.name}", "", *cells))
     return Table(
         "Regions side by side",

@@ -1,4 +1,4 @@
-"""The blocks, page and text of a comparison: errors side by side, differences with bounds, simple rules."""
+"""The page of a comparison: errors side by side, differences with bounds, and skill against simple rules."""
 
 from __future__ import annotations
 
@@ -51,9 +51,9 @@ from hygrokf.transfer.transfer_results import RecordCourse, read_courses, write_
 COMPARED_PERIODS = ("whole", "validation", "identification")
 COMPARE_COMMAND = "hygrokf compare"
 LEAST_DIFFERENCE = 0.005
-"""Difference of two errors [K], [g/m³] that two decimals do not show."""
+"""[K], [g/m³] a smaller difference of two errors does not show in two decimals."""
 MOST_PAIRS = 3
-"""Number of pairs whose tables are shown; the tables of further pairs are folded."""
+"""Number of pairs of columns whose tables are shown; further tables are folded."""
 COMPARISON_METHOD = (
     "Instants at which an input is unknown are not scored.",
     "Bounds come from a bootstrap of circular blocks of hours. A block is four times as long as the errors "
@@ -72,11 +72,11 @@ def write_comparison(
     directory: str | os.PathLike[str],
     columns: Sequence[ComparisonColumn] = (),
 ) -> Path:
-    """Write compare.json, compare.csv, compare.npz and report.html; without results only the page, from these
-    files.
+    """Write compare.json, compare.csv, compare.npz and report.html, and return the path of report.html.
 
-    Returns the path of report.html.  Raises ResultFault where compare.json is missing or damaged, OSError
-    from the system.
+    results: None: only the page is written, from the files that the directory holds.
+
+    Raises ResultFault if compare.json is missing or damaged, OSError from the system.
     """
     folder = Path(directory)
     if results is None:
@@ -94,7 +94,8 @@ def write_comparison(
 
 
 def read_comparison(directory: str | os.PathLike[str]) -> tuple[ComparisonResults, tuple[RecordCourse, ...]]:
-    """The results and courses in a directory; no courses where compare.npz is missing, as in earlier results.
+    """Read the results and courses in a directory; no courses if compare.npz is missing, as in earlier
+    versions.
 
     Raises ResultFault with all faults.
     """
@@ -110,9 +111,9 @@ def read_comparison(directory: str | os.PathLike[str]) -> tuple[ComparisonResult
 
 
 def comparison_blocks(results: ComparisonResults, courses: Sequence[RecordCourse] = ()) -> Page:
-    """The page of a comparison: the columns with the smallest errors and the courses come first."""
+    """Return the page of a comparison; the columns with the smallest errors and the courses come first."""
     labels = [column.label for column in results.columns]
-    cards = tuple(_card(results, q) for q in SCORED if results.errors("whole", q))
+    cards = tuple(_card(results, name) for name in SCORED if results.errors("whole", name))
     scores = [scores_table(results, name) for name in SCORED]
     differences = [differences_table(results, *pair) for pair in results.pairs]
     skill = skill_table(results)
@@ -121,9 +122,9 @@ def comparison_blocks(results: ComparisonResults, courses: Sequence[RecordCourse
         for column in results.columns
     ]
     notes = tuple(
-        Prose(f"{column.label}: {sentence(line.text)}", "note")
+        Prose(f"{column.label}: {sentence(statement.text)}", "note")
         for column in results.columns
-        for line in column.statements
+        for statement in column.statements
     )
     errors = (
         Figure(f"errors-{period}", f"Errors, {period}", caption, partial(figure_errors, results, period))
@@ -187,25 +188,26 @@ _BOLD = Prose(
 
 
 def _differences(tables: Sequence[Table]) -> tuple[Block, ...]:
+    """Return the tables of differences, the first `MOST_PAIRS` open and the others folded."""
     if not tables:
         return (Prose("No two columns have common instants.", "missing"),)
-    rest = (
+    further_tables = (
         (Details("The other pairs", tuple(tables[MOST_PAIRS:]), printed=True),) if tables[MOST_PAIRS:] else ()
     )
-    return (*tables[:MOST_PAIRS], _BOLD, *rest)
+    return (*tables[:MOST_PAIRS], _BOLD, *further_tables)
 
 
 # --- the answer ------------------------------------------------------------------------------
 
 
 def _card(results: ComparisonResults, name: str) -> Card:
-    """The column with the smallest error in one quantity, and its differences from the other columns."""
+    """The card of a quantity: the column with the smallest error, and its differences from the others."""
     terms = quantity(name)
     period = "validation" if results.errors("validation", name) else "whole"
-    scored = results.errors(period, name)
-    best = min(scored, key=lambda label: scored[label].value)
-    value = f"{best}: {terms.with_unit(scored[best].value)}"
-    lines = summary(results, name, best)
+    errors_by_label = results.errors(period, name)
+    best_label = min(errors_by_label, key=lambda label: errors_by_label[label].value)
+    value = f"{best_label}: {terms.with_unit(errors_by_label[best_label].value)}"
+    lines = summary(results, name, best_label)
     label = f"Smallest error of the {terms.words}, {_WHERE[period]}"
     return Card(label, value, lines=tuple(lines[:2]), words=True, tone="plain")
 
@@ -216,21 +218,22 @@ _WHERE = {
 }
 
 
-def summary(results: ComparisonResults, name: str, best: str) -> list[str]:
-    """Sentences on the differences of the best column from the others in one quantity: in the validation
+def summary(results: ComparisonResults, name: str, best_label: str) -> list[str]:
+    """Return sentences on how the best column differs from the others in one quantity: in the validation
     period, and also over the whole record if the validation period is too short for bounds."""
     sentences = []
-    for column, reference in (pair for pair in results.pairs if best in pair):
+    for column, reference in (pair for pair in results.pairs if best_label in pair):
         rows = [results.row("difference", column, period, name, against=reference) for period in _WHERE]
         rows = [row for row in rows if row.n]
-        last = next((i for i, row in enumerate(rows) if math.isfinite(row.lower)), 0)
-        sentences += [_sentence(row) for row in rows[: last + 1]]
+        last_row = next((number for number, row in enumerate(rows) if math.isfinite(row.lower)), 0)
+        sentences += [_sentence(row) for row in rows[: last_row + 1]]
     if not sentences and len(results.columns) > 1:
         return [sentence(TransferCode.NO_COMMON_INSTANTS().text)]
     return sentences
 
 
 def _sentence(row: ErrorRow) -> str:
+    """Return a difference of two columns in a sentence."""
     if math.isnan(row.lower):
         bounds = TransferCode.BOUNDS_LACKING()
     elif row.sure:
@@ -254,9 +257,8 @@ def _sentence(row: ErrorRow) -> str:
 
 
 def scores_table(results: ComparisonResults, name: str) -> Table:
-    """Table III of one quantity: operation, standstill and total by column and period."""
-    labels = short_labels([column.label for column in results.columns])
-    rows: list[RegimeRow] = []
+    """Return the errors of one quantity by column, period and regime (Table III of the paper)."""
+    labels, rows = short_labels([column.label for column in results.columns]), []
     for period in COMPARED_PERIODS:
         for column, label in zip(results.columns, labels, strict=True):
             if (total := results.errors(period, name).get(column.label)) is not None:
@@ -267,9 +269,8 @@ def scores_table(results: ComparisonResults, name: str) -> Table:
 
 
 def differences_table(results: ComparisonResults, column: str, reference: str) -> Table:
-    """RMSE of `column` minus RMSE of `reference`, by quantity and period; rows whose bounds exclude zero are
-    bold."""
-    rows: list[RegimeRow] = []
+    """RMSE of `column` minus that of `reference`, by quantity and period; bold if the bounds exclude zero."""
+    rows: list[tuple[str, ...]] = []
     bold_rows: list[int] = []
     for name in SCORED:
         for period in COMPARED_PERIODS:
@@ -296,11 +297,13 @@ def differences_table(results: ComparisonResults, column: str, reference: str) -
 
 
 def skill_table(results: ComparisonResults) -> Table:
-    """Total skill against each rule in the validation period, or over the whole record if none was scored."""
+    """The skill against each rule in the validation period; without one over the whole record."""
     labels, rows = short_labels([column.label for column in results.columns]), []
     for column, label in zip(results.columns, labels, strict=True):
         for name in SCORED:
-            period = next((p for p in _WHERE if column.label in results.errors(p, name)), None)
+            period = next(
+                (candidate for candidate in _WHERE if column.label in results.errors(candidate, name)), None
+            )
             if period is None:
                 continue
             total = results.errors(period, name)[column.label]

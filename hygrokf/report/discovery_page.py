@@ -1,5 +1,5 @@
-"""The tables, blocks, page and text of a discovery: verdict, errors of the simulation, causes, checks and
-gains."""
+"""The page of a discovery: verdict, errors of the simulation, causes with their evidence, and what
+remains."""
 
 from __future__ import annotations
 
@@ -73,8 +73,8 @@ from hygrokf.report.quantities import (
 from hygrokf.texts.wording import NONE, fixed, one_line, p_value, percent, plain_number, sentence, stamp_text
 
 
-def findings_table(findings: Sequence[Finding], when: str = "in the identification period") -> Table:
-    """Significant and material errors of a simulation, worst first."""
+def findings_table(findings: Sequence[Finding], column_name: str = "in the identification period") -> Table:
+    """Return the significant and material errors of a simulation, worst first."""
     rows = tuple(
         (
             capital(finding.statement.text),
@@ -87,7 +87,7 @@ def findings_table(findings: Sequence[Finding], when: str = "in the identificati
     )
     return Table(
         "Worst first",
-        (when, "size", "episodes", "sensors", "p"),
+        (column_name, "size", "episodes", "sensors", "p"),
         rows,
         note=(
             "Size: error under this condition less the error at all other times. Episodes: how many of all "
@@ -98,32 +98,33 @@ def findings_table(findings: Sequence[Finding], when: str = "in the identificati
 
 
 def gains_table(results: DiscoveryResults) -> Table:
-    """Free-run errors by quantity of the base model and, if there is one, of the extended model, with the
-    best rule that needs no model."""
+    """Return the free-run errors by quantity, of the base model and (if there is one) of the extended model,
+    beside the best rule that needs no model."""
     rows = []
     has_extended = results.extended is not None
-    places = [readings_of(results, gain) for gain in results.gains]
-    for gain, place in zip(results.gains, places, strict=True):
+    readings_by_gain = [readings_of(results, gain) for gain in results.gains]
+    for gain, readings in zip(results.gains, readings_by_gain, strict=True):
         terms = quantity(gain.quantity)
         name = terms.words
         rule = best_rule(results.baseline.fit, terms.name, gain.period) if terms.name else None
         best_rule_text = NONE if rule is None else f"{terms.with_unit(rule.rule)} (“{rule.words}”)"
-        pair = _pair(gain.rmse_before, gain.rmse_after, terms)
-        has_bounds = not unchanged(gain.rmse_before, gain.rmse_after) and math.isfinite(
-            gain.upper - gain.lower
-        )
+        cells = _pair(gain.rmse_before, gain.rmse_after, terms)
+        is_changed = not unchanged(gain.rmse_before, gain.rmse_after)
+        has_bounds = is_changed and math.isfinite(gain.upper - gain.lower)
         bounds = interval(gain.lower, gain.upper, symbol=terms.unit) if has_bounds else NONE
-        rows.append((name if place == places[0] else f"{name}, {place}", *pair, bounds, best_rule_text))
+        label = name if readings == readings_by_gain[0] else f"{name}, {readings}"
+        rows.append((label, *cells, bounds, best_rule_text))
         if math.isfinite(gain.driven_before):
             driven = _pair(gain.driven_before, gain.driven_after, terms)
             rows.append((f"{name}, on the measured temperature", *driven, NONE, NONE))
-    about = f"free-run error on {places[0] if places else 'readings'}"
-    head = (about, "base model", "extended model", "change", "bounds of the fall", "best rule, no model")
+    first_column = f"free-run error on {readings_by_gain[0] if readings_by_gain else 'readings'}"
+    models = ("base model", "extended model", "change", "bounds of the fall")
+    column_names = (first_column, *models, "best rule, no model")
     shown_columns = range(6) if has_extended else (0, 1, 5)
     return Table(
         "Root mean squares",
-        tuple(head[i] for i in shown_columns),
-        tuple(tuple(row[i] for i in shown_columns) for row in rows),
+        tuple(column_names[column] for column in shown_columns),
+        tuple(tuple(row[column] for column in shown_columns) for row in rows),
         left=(0, len(shown_columns) - 1),
         brief=(0, 1, 2, 3) if has_extended else (),
         note=(
@@ -134,19 +135,20 @@ def gains_table(results: DiscoveryResults) -> Table:
 
 
 def _pair(before: float, after: float, terms: QuantityTerms) -> tuple[str, str, str]:
+    """Return the errors before and after, and their relative change, as cells of a table."""
     change = "±0 %" if unchanged(before, after) else _change(before, after)
     return terms.with_unit(before), terms.with_unit(after), change
 
 
 def held_out_table(test: HeldOutTest) -> Table:
-    """What held-out readings say of a cause, by quantity."""
+    """Return what held-out readings show of a cause, by quantity."""
     rows = []
-    for q in test.before:
-        terms = quantity(q)
+    for name in test.before:
+        terms = quantity(name)
         numbers = (
-            round(by_quantity.get(q, math.nan), 2) + 0.0 for by_quantity in (test.z, test.growth)
+            round(by_quantity.get(name, math.nan), 2) + 0.0 for by_quantity in (test.z, test.growth)
         )  # no −0.00
-        pair = _pair(test.before[q], test.after.get(q, math.nan), terms)
+        pair = _pair(test.before[name], test.after.get(name, math.nan), terms)
         rows.append((terms.words, *pair, *map(fixed, numbers)))
     return Table(
         "Held-out readings, without and with the cause",
@@ -161,46 +163,47 @@ def held_out_table(test: HeldOutTest) -> Table:
 
 
 def cause_parameters_table(cause: CauseFound) -> Table:
-    """The parameters of a cause with bounds."""
+    """Return the parameters of a cause with their bounds."""
     rows = tuple((name, *parameter_cells(row), row.meaning) for name, row in cause.parameters.items())
     columns = ("parameter", "value", "95 % bounds", "unit", "meaning")
     return Table("Parameters", columns, rows, left=(0, 3, 4), brief=(0, 1, 2, 3))
 
 
 def scores_tables(results: DiscoveryResults, period: str) -> tuple[Table, ...]:
-    """Free-run errors in one period by regime, of the base model with the simple rules, and of the extended
-    model; empty without scores."""
+    """Return the free-run errors of one period by regime: of the base model with the simple rules, and of the
+    extended model; empty without scores."""
     models = [("base", results.baseline.fit)]
     if results.extended is not None:
         models.append(("extended", replace(results.extended.fit, baselines={})))
     return tuple(
-        replace(table, heading=f"{table.heading}, {words} model")
-        for words, model in models
+        replace(table, heading=f"{table.heading}, {model_name} model")
+        for model_name, model in models
         if (table := rmse_table(model, period))
     )
 
 
 def _change(before: float, after: float) -> str:
+    """Return the relative change of an error in per cent with its sign; "–" where it is unknown."""
     return signed_percent(after / before - 1.0) if before > 0 and math.isfinite(after) else NONE
 
 
 def evidence_table(results: DiscoveryResults) -> Table:
-    """Every cause that was judged, in order of its evidence; accepted ones are set off."""
+    """Return every cause that was judged, ordered by its evidence; accepted causes are bold."""
     judged: list[CauseFound | Rejected] = [*results.causes, *results.refuted, *results.rejected]
-    judged.sort(key=lambda one: -worth if math.isfinite(worth := one.evidence.evidence) else math.inf)
+    judged.sort(key=lambda row: -net if math.isfinite(net := row.evidence.evidence) else math.inf)
     rows = []
     for cause in judged:
         evidence = cause.evidence
-        price = (str(evidence.constants), str(evidence.searched)) if evidence.gains else (NONE, NONE)
-        gains = (fixed(evidence.gains.get(q, math.nan), 1) for q in ("temperature", "vapour"))
-        net = (fixed(evidence.evidence, 1), fixed(evidence.in_days, 1))
-        rows.append((capital(cause_with_form(cause)), *gains, *price, *net, outcome(results, cause)))
+        counts = (str(evidence.constants), str(evidence.searched)) if evidence.gains else (NONE, NONE)
+        gains = (fixed(evidence.gains.get(name, math.nan), 1) for name in ("temperature", "vapour"))
+        net_cells = (fixed(evidence.evidence, 1), fixed(evidence.in_days, 1))
+        rows.append((capital(cause_with_form(cause)), *gains, *counts, *net_cells, outcome(results, cause)))
     return Table(
         "In order of their evidence",
         ("cause (best form)", "temp.", "hum.", "constants", "settings", "net", "in days", "outcome"),
         tuple(rows),
         left=(0, 7),
-        marked=tuple(i for i, cause in enumerate(judged) if isinstance(cause, CauseFound)),
+        marked=tuple(number for number, cause in enumerate(judged) if isinstance(cause, CauseFound)),
         groups=(("", 1), ("2 ln L", 2), ("paid for", 2), ("evidence", 2), ("", 1)),
         note=(
             "2 ln L: gain in twice the log-likelihood, a difference of maxima. Evidence: this gain less ln N "
@@ -221,35 +224,35 @@ TOGETHER = (
 
 
 def write_discovery_report(discovery: Discovery | None, directory: str | os.PathLike[str]) -> Path:
-    """Write `report.html`, the page of a discovery, and `fit_report.html`, that of the model it ends with.
+    """Write `report.html`, the page of a discovery, and `fit_report.html`, the page of its final model;
+    returns the path of report.html.
 
-    discovery: its results are written first (`write_discovery`); None: `directory` holds them
-        already.
+    discovery: written first (`write_discovery`); None: the directory holds its results already.
 
-    Returns the path of report.html.  The page is a pure function of `discovery.json` and `discovery.npz`.
-    Raises ResultFault where these are missing or damaged, ReportFault where fit.json or series.npz are.
+    The page depends on `discovery.json` and `discovery.npz` alone. Raises ResultFault if one of them is
+    missing or damaged, ReportFault for fit.json and series.npz.
     """
     folder = Path(directory)
     if discovery is not None:
         write_discovery(discovery, folder)
-    read = read_discovery(folder)
+    stored = read_discovery(folder)
     write_report(folder)
-    page = discovery_blocks(read.results, read.before, read.after)
+    page = discovery_blocks(stored.results, stored.before, stored.after)
     return write_text_whole(folder / REPORT, page_html(page))
 
 
 def discovery_blocks(
     results: DiscoveryResults, before: Residuals | None = None, after: Residuals | None = None
 ) -> Page:
-    """The page of a discovery: the verdict, the pictures of the errors and the table of gains come first.
+    """Return the page of a discovery; the verdict, the worst episode and the table of gains come first.
 
-    before, after: residuals of both models, for the pictures.
+    before, after: residuals of the base and the extended model, for the figures.
     """
-    shown = [] if before is None else episodes(results, before, after)
+    episode_figures = [] if before is None else episodes(results, before, after)
     courses = [] if before is None else _courses(results, before, after)
-    lead = [*shown, *courses][:1]
+    lead = [*episode_figures, *courses][:1]
     evidence = evidence_table(results)
-    rest = [figure for figure in shown if figure not in lead]
+    further_episodes = [figure for figure in episode_figures if figure not in lead]
     body = (
         *section(
             "What the simulation gets wrong",
@@ -258,7 +261,7 @@ def discovery_blocks(
                 findings_table(results.findings),
                 "No significant and material error that the accuracy of the sensors does not explain.",
             ),
-            *rest,
+            *further_episodes,
         ),
         *section(
             "The causes" if len(results.causes) > 1 else "The cause",
@@ -298,7 +301,7 @@ def discovery_blocks(
 
 
 def spans_text(before: Residuals | None) -> tuple[str, ...]:
-    """The period of the record and of its held-out part, in words; empty without residuals."""
+    """Return the period of the record and of its held-out part in words; empty without residuals."""
     if before is None or not len(before.time_h):
         return ()
     time = before.time_s
@@ -313,13 +316,13 @@ def spans_text(before: Residuals | None) -> tuple[str, ...]:
 
 
 def _judged(results: DiscoveryResults, cause: CauseFound | Rejected) -> tuple[Block, ...]:
-    """The blocks of a judged cause: its held-out test, and if it was accepted its settings and parameters."""
+    """The blocks of a judged cause: held-out test, and for an accepted cause settings and parameters."""
     blocks: list[Block | None] = [Heading(capital(cause_with_form(cause)), 3)]
     if isinstance(cause, CauseFound):
-        without = "The cause has no parameters of its own: it corrects time stamps."
+        reason_if_empty = "The cause has no parameters of its own: it corrects time stamps."
         blocks += [
             Prose(f"Found by search: {'; '.join(chosen_words(cause))}.") if cause.chosen else None,
-            table_or(cause_parameters_table(cause), without),
+            table_or(cause_parameters_table(cause), reason_if_empty),
         ]
     return present(
         *blocks, Prose(sentence(held_out_text(results, cause.held_out))), held_out_table(cause.held_out)
@@ -329,9 +332,10 @@ def _judged(results: DiscoveryResults, cause: CauseFound | Rejected) -> tuple[Bl
 def _errors(
     results: DiscoveryResults, before: Residuals | None, after: Residuals | None
 ) -> tuple[Block, ...]:
-    course = None
+    """Return the section of the free-run errors: day by day on held-out readings, and by regime."""
+    daily_errors = None
     if before is not None and after is not None and before.validation.any():
-        course = Figure(
+        daily_errors = Figure(
             "error-course",
             "The error on held-out readings, day by day",
             "The green course should stay below the red one, on most days and not on a few.",
@@ -340,23 +344,24 @@ def _errors(
     return section(
         ERRORS_TITLE,
         *map(Prose, held_out_sentences(results)),
-        course,
+        daily_errors,
         *(scores_tables(results, "validation") or [Prose(NOT_HELD_OUT, "missing")]),
         *scores_tables(results, "identification"),
     )
 
 
 def _constants(results: DiscoveryResults) -> tuple[Block, ...]:
+    """Return the section of the time constants, of the base model and of the extended model."""
     heading = "The time constants without and with the cause" if results.extended else "The time constants"
-    base = "Time constants of the base model" if results.extended else "Time constants of the model"
-    models = [(results.baseline, base)]
+    base_heading = "Time constants of the base model" if results.extended else "Time constants of the model"
+    models = [(results.baseline, base_heading)]
     if results.extended is not None:
         models.append((results.extended, "Time constants of the extended model"))
-    return section(heading, *(inherited_verdicts(inherited(model.fit), words) for model, words in models))
+    return section(heading, *(inherited_verdicts(inherited(model.fit), title) for model, title in models))
 
 
 def _left(results: DiscoveryResults) -> tuple[Block, ...]:
-    """Spectral lines in the residuals, and the errors of the extended model if there is one."""
+    """Return the section on what remains: periodic components, and errors of the extended model."""
     lines = (
         Items(tuple(sentence(line_statement(line).text) for line in results.lines)) if results.lines else None
     )
@@ -370,8 +375,9 @@ def _left(results: DiscoveryResults) -> tuple[Block, ...]:
 
 
 def _method(results: DiscoveryResults) -> tuple[Block, ...]:
+    """Return how the discovery was made."""
     count = count_judged(results)
-    which = "base" if results.extended is None else "extended"
+    model_name = "base" if results.extended is None else "extended"
     lines = (
         "The base model was simulated from its inputs alone. What it misses is taken as a disturbance that "
         "enters as flows of heat and vapour, with a spectrum of its own. Score tests under this error model "
@@ -392,7 +398,7 @@ def _method(results: DiscoveryResults) -> tuple[Block, ...]:
     )
     return (
         *method("Data and method", *lines),
-        Link(f"The {which} model with all its parameters:", BESIDE_DISCOVERY),
+        Link(f"The {model_name} model with all its parameters:", BESIDE_DISCOVERY),
         Prose(f"Found by {versions(results.version)}."),
     )
 
@@ -401,6 +407,7 @@ def _method(results: DiscoveryResults) -> tuple[Block, ...]:
 
 
 def _courses(results: DiscoveryResults, before: Residuals, after: Residuals | None) -> list[Figure]:
+    """Return the figures of the errors over the drivers, and by day and hour."""
     return [
         errors_over_drivers(results, before, after),
         *(

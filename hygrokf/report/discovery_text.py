@@ -1,4 +1,4 @@
-"""A discovery in sentences: verdict, causes and their forms, held-out test, and what to check."""
+"""A discovery in sentences: the verdict, the causes and their forms, the held-out test, and what to check."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ MEANINGS = {
     DiscoveryCode.ANSWER_WRONG: DiscoveryCode.NONE_BUT_WRONG,
     DiscoveryCode.ANSWER_UNKNOWN: DiscoveryCode.NONE_EXPLAINS,
 }
-"""What follows from an answer of the causes that were judged."""
+"""Answer → what it means for the causes that were judged."""
 ACTIONS = {
     DiscoveryCode.ANSWER_BESIDE: DiscoveryCode.LOOK_FOR_RHYTHM,
     DiscoveryCode.ANSWER_UNKNOWN: DiscoveryCode.LOOK_FOR_RHYTHM,
@@ -52,7 +52,7 @@ ACTIONS = {
     DiscoveryCode.ANSWER_UNPROVEN: DiscoveryCode.KEEP_BASE_MODEL,
     DiscoveryCode.ANSWER_NONE: DiscoveryCode.KEEP_BASE_MODEL,
 }
-"""What to do after an answer that does not name the whole cause."""
+"""Answer that does not name the whole cause → what to do."""
 WARNINGS = (DiscoveryCode.ANSWER_BESIDE, DiscoveryCode.ANSWER_UNKNOWN, DiscoveryCode.ANSWER_WRONG)
 REFUTATIONS: Mapping[Reason, DiscoveryCode] = {
     "no_effect": DiscoveryCode.REFUTED_NO_EFFECT,
@@ -76,7 +76,7 @@ CRITERION_CODES = {
 }
 PERIOD = {"validation": "held-out readings", "identification": "identification readings"}
 SHORT_DAYS = 14
-"""Held-out days below which little can be refuted."""
+"""[d] with fewer held-out days little can be refuted."""
 MOST_SATURATED = 0.01
 """Share of readings at the sensor's ceiling from which condensation cannot be excluded."""
 UNCHANGED = 5e-3
@@ -87,20 +87,20 @@ UNCHANGED = 5e-3
 
 
 def form_words(code: str) -> str:
-    """The code of a form in words: "humidistat__at_standstill" -> "humidistat, at standstill",
-    "in_summer_time:scada_log" -> "scada_log, in summer time"."""
+    """Return the code of a form in words: "humidistat__at_standstill" → "humidistat, at standstill",
+    "in_summer_time:scada_log" → "scada_log, in summer time"."""
     words, _, source = code.partition(":")
     return ", ".join([source] * bool(source) + [spoken(part) for part in words.split("__")])
 
 
 def cause_with_form(cause: CauseFound | Rejected) -> str:
-    """A cause with its form: "unlogged heater (humidistat, at standstill)"."""
+    """Return a cause with its form: "unlogged heater (humidistat, at standstill)"."""
     name = spoken(cause.cause) or "unnamed cause"
     return f"{name} ({form_words(cause.form)})" if cause.form else name
 
 
 def unchanged(before: float, after: float) -> bool:
-    """Whether two errors are reported as equal."""
+    """Return whether two errors are so close that no change is reported."""
     return abs(after - before) <= UNCHANGED * before
 
 
@@ -109,11 +109,11 @@ def unchanged(before: float, after: float) -> bool:
 
 @dataclass(frozen=True)
 class DiscoveryVerdict:
-    """A discovery's verdict in words.
+    """The verdict of a discovery in words.
 
-    headline: the first sentence; confidence: behind the only cause that it names, else "".
-    reasons: doubts, what is left, the causes, and what limits the verdict.
-    actions: what to check in the turbine, and what to do else.
+    headline: the first sentence. confidence: in the only cause that the headline names, else "".
+    reasons: doubts, errors that remain, the causes, and what limits the verdict.
+    actions: what to check in the turbine, and what else to do.
     warned: whether the model is wrong, or the search did not end.
     """
 
@@ -125,46 +125,49 @@ class DiscoveryVerdict:
 
 
 def discovery_verdict(results: DiscoveryResults) -> DiscoveryVerdict:
-    """The verdict of a discovery in words."""
+    """Return the verdict of a discovery in words."""
     refuted = tuple(map(cause_with_form, results.refuted))
-    wrong = [
+    rejected_constants = [
         DiscoveryCode.CONSTANT_WRONG(part=part, verdict=constant.words, why=constant.why)
         for part, constant in inherited(results.baseline.fit).items()
         if constant.verdict == REJECT
     ]
-    code = _answer(results, bool(wrong))
+    code = _answer(results, bool(rejected_constants))
     answer = code(causes=" + ".join(map(class_of, results.causes)) or "a cause", refuted=refuted)
-    budget, budget_ended = results.work.budget, bool(results.work.not_judged)
+    budget, has_budget_ended = results.work.budget, bool(results.work.not_judged)
     reasons: list[Statement] = []
     actions = [text for cause in results.causes for text in _checks(cause)]
-    if budget_ended:
-        none = code is DiscoveryCode.ANSWER_NONE
-        reasons.append(DiscoveryCode.SO_FAR_NONE() if none else DiscoveryCode.SO_FAR(answer=answer))
+    if has_budget_ended:
+        is_none = code is DiscoveryCode.ANSWER_NONE
+        reasons.append(DiscoveryCode.SO_FAR_NONE() if is_none else DiscoveryCode.SO_FAR(answer=answer))
         not_judged = tuple(map(spoken, results.work.not_judged))
         answer = DiscoveryCode.ANSWER_ENDED(budget=budget, causes=not_judged)
     reasons += [DiscoveryCode.SETTLE_DOUBT(doubt=doubt) for doubt in results.doubts]
     reasons += map(line_statement, results.lines)
-    if code in MEANINGS and not (budget_ended and code is DiscoveryCode.ANSWER_NONE):
+    if code in MEANINGS and not (has_budget_ended and code is DiscoveryCode.ANSWER_NONE):
         reasons.append(MEANINGS[code](tried=count_judged(results)))
     if code is DiscoveryCode.ANSWER_WRONG:
-        reasons += wrong
+        reasons += rejected_constants
     texts = [reason.text for reason in reasons]
     if results.refuted:
-        beside = [] if results.verdict == "refuted" else [DiscoveryCode.ANSWER_REFUTED(refuted=refuted)]
-        texts.append(joined(*beside, *map(refutation, results.refuted)))
-    is_only_cause = len(results.causes) == 1 and not budget_ended
+        refuted_statement = (
+            [] if results.verdict == "refuted" else [DiscoveryCode.ANSWER_REFUTED(refuted=refuted)]
+        )
+        texts.append(joined(*refuted_statement, *map(refutation, results.refuted)))
+    is_only_cause = len(results.causes) == 1 and not has_budget_ended
     texts += [_cause(results, cause, is_only_cause) for cause in results.causes]
     texts += [
         DiscoveryCode.EXTENDED_STILL_ERRS(finding=finding.statement).text for finding in results.left[:1]
     ]
     if results.saturated > MOST_SATURATED:
         texts.append(DiscoveryCode.READINGS_SATURATED(share=results.saturated).text)
-    if budget_ended:
+    if has_budget_ended:
         actions.append(DiscoveryCode.ALLOW_MORE_SIMULATIONS(budget=budget).text)
     elif code in ACTIONS:
         actions.append(ACTIONS[code]().text)
     repeated = {
-        name: [s for s in spans if all(map(math.isfinite, s))] for name, spans in results.repeated.items()
+        name: [span for span in spans if all(map(math.isfinite, span))]
+        for name, spans in results.repeated.items()
     }
     if any(repeated.values()):
         texts.append(repeated_statement(repeated).text)
@@ -179,69 +182,73 @@ def discovery_verdict(results: DiscoveryResults) -> DiscoveryVerdict:
         confidence,
         tuple(filter(None, texts)),
         tuple(actions),
-        budget_ended or code in WARNINGS,
+        has_budget_ended or code in WARNINGS,
     )
 
 
-def _answer(results: DiscoveryResults, wrong: bool) -> DiscoveryCode:
-    """The answer of a discovery; wrong: whether a time constant of its base is rejected."""
+def _answer(results: DiscoveryResults, is_wrong: bool) -> DiscoveryCode:
+    """Return the code of the answer; is_wrong: whether a time constant of the base model is rejected."""
     if results.verdict == "unexplained" and not results.causes:
         return DiscoveryCode.ANSWER_UNKNOWN
     if results.verdict == "refuted" and all(cause.held_out.reason == "unproven" for cause in results.refuted):
         return DiscoveryCode.ANSWER_UNPROVEN
-    return DiscoveryCode.ANSWER_WRONG if results.verdict == "none" and wrong else ANSWERS[results.verdict]
+    return DiscoveryCode.ANSWER_WRONG if results.verdict == "none" and is_wrong else ANSWERS[results.verdict]
 
 
 def joined(*parts: Statement | str) -> str:
-    """Statements parted by semicolons, without empty ones."""
+    """Join statements by semicolons; empty ones are left out."""
     return "; ".join(filter(None, map(str, parts)))
 
 
 def count_judged(results: DiscoveryResults) -> int:
-    """How many causes were judged."""
-    judged = {cause.cause for cause in results.rejected if cause.reason not in ("left_to_budget", "no_form")}
+    """Return how many causes were judged."""
+    rejected = {
+        cause.cause for cause in results.rejected if cause.reason not in ("left_to_budget", "no_form")
+    }
     return len(
-        judged | {cause.cause for cause in results.causes} | {cause.cause for cause in results.refuted}
+        rejected | {cause.cause for cause in results.causes} | {cause.cause for cause in results.refuted}
     )
 
 
 def class_of(cause: CauseFound) -> str:
-    """A cause with the rivals that the record cannot distinguish from it; too many rivals: no cause is
-    named."""
+    """A cause with the rivals that the record cannot distinguish from it; no name for too many rivals."""
     rivals = [spoken(rival) for rival in cause.ambiguous_with]
     if not cause.told_apart:
         return DiscoveryCode.NOT_TOLD_APART(causes=(spoken(cause.cause), *rivals)).text
     return listed([cause_with_form(cause), *rivals], "or")
 
 
-def _cause(results: DiscoveryResults, cause: CauseFound, alone: bool) -> str:
-    """A cause with its meaning, its remark and its rivals; with its name unless the headline states only this
-    cause."""
-    name = "" if alone else ", ".join(filter(None, (class_of(cause), confidence_text(cause))))
-    meaning = ": ".join(filter(None, (name, "" if cause.ambiguous_with else _meaning(cause))))
+def _cause(results: DiscoveryResults, cause: CauseFound, is_headline: bool) -> str:
+    """A cause with its meaning, remark and rivals; without its name if the headline states it."""
+    name_with_confidence = (
+        "" if is_headline else ", ".join(filter(None, (class_of(cause), confidence_text(cause))))
+    )
+    meaning = ": ".join(filter(None, (name_with_confidence, "" if cause.ambiguous_with else _meaning(cause))))
     return joined(meaning, held_out_remark(results, cause.held_out), rivals_text(cause))
 
 
 # --- entries of the library ------------------------------------------------------------------
 
 
-def _entry(one: CauseFound) -> Cause | CauseWords | None:
-    """The entry of a cause in the package's library, or its own."""
-    return one.own or next((cause for cause in LIBRARY.causes if cause.name == one.cause), None)
+def _entry(cause: CauseFound) -> Cause | CauseWords | None:
+    """Return the entry of a cause in the library, or the words that the result itself holds for it."""
+    return cause.own or next((entry for entry in LIBRARY.causes if entry.name == cause.cause), None)
 
 
 def _meaning(cause: CauseFound) -> str:
+    """Return the meaning of a cause; empty if no library has it."""
     entry = _entry(cause)
     return "" if entry is None else entry.meaning
 
 
 def what_it_is(cause: CauseFound) -> str:
-    """What a cause is; its name where no library has it."""
+    """Return the meaning of a cause; its name if no library has it."""
     return _meaning(cause) or spoken(cause.cause)
 
 
 def _checks(cause: CauseFound) -> Iterator[str]:
-    """What to check in the turbine, and the measurement that tells a cause from its rivals."""
+    """Yield what to check in the turbine for a cause, and the measurement that distinguishes it from its
+    rivals."""
     if (entry := _entry(cause)) is None:
         return
     remedy, measurement = _remedy(cause, entry.remedy), entry.separate_by
@@ -254,7 +261,7 @@ def _checks(cause: CauseFound) -> Iterator[str]:
 
 
 def _remedy(cause: CauseFound, remedy: str) -> str:
-    """What to check; for a clock's error also the line that corrects it until then."""
+    """Return what to check; for a clock error also the key of the case file that corrects it until then."""
     shift_s, source = cause.settings.get("shift_s"), cause.settings.get("source")
     if isinstance(shift_s, int | float) and isinstance(source, str) and not cause.settings.get("summer"):
         correction = f"{shift_s / 60.0:+.4g}min"
@@ -263,7 +270,7 @@ def _remedy(cause: CauseFound, remedy: str) -> str:
 
 
 def line_statement(line: SpectralLine) -> Statement:
-    """The statement on a periodic component that remains in the spectrum of the errors or of the scores."""
+    """Return the statement on a periodic component in the spectrum of the errors or of a cause's scores."""
     name = quantity(line.quantity).words
     if line.period_h >= 48.0:
         period = DiscoveryCode.PERIOD_IN_DAYS(days=line.period_h / 24.0)
@@ -278,18 +285,18 @@ def line_statement(line: SpectralLine) -> Statement:
 
 
 def selected(results: DiscoveryResults) -> bool:
-    """Whether held-out readings were used to refute causes."""
+    """Return whether held-out readings were used to refute causes."""
     return results.held_out_days > 0 and bool(results.causes or results.refuted)
 
 
 def readings_of(results: DiscoveryResults, gain: ErrorGain) -> str:
-    """The words for the readings from which the errors of a gain were computed."""
+    """Return in words which readings the errors of a gain were computed from."""
     after = ", after selection" if gain.period == "validation" and selected(results) else ""
     return f"{PERIOD.get(gain.period, gain.period)}{after}"
 
 
 def held_out_sentences(results: DiscoveryResults) -> list[str]:
-    """How both models were estimated, and what the held-out part can show."""
+    """Return sentences on the criterion of both models, and on what the held-out readings can show."""
     statements = []
     if results.estimator:
         has_extended = results.extended is not None
@@ -309,18 +316,18 @@ def held_out_sentences(results: DiscoveryResults) -> list[str]:
 
 
 def confidence_text(cause: CauseFound) -> str:
-    """The confidence in the named cause; empty where too many causes are alike to name any."""
+    """Return the confidence in the named cause; empty if too many causes are alike to name one."""
     if not cause.told_apart:
         return ""
     if not math.isfinite(cause.confidence):
         return DiscoveryCode.CONFIDENCE_NOT_STATED().text
-    near = cause.confidence >= 0.995
-    code = DiscoveryCode.CONFIDENCE_NEAR_ONE if near else DiscoveryCode.CONFIDENCE
+    is_near_one = cause.confidence >= 0.995
+    code = DiscoveryCode.CONFIDENCE_NEAR_ONE if is_near_one else DiscoveryCode.CONFIDENCE
     return code(share=cause.confidence).text
 
 
 def held_out_remark(results: DiscoveryResults, test: HeldOutTest) -> str:
-    """The remark on a cause that does not lower the held-out errors; empty for a cause that lowers them."""
+    """Return the remark on a cause that does not lower the held-out errors; empty for one that does."""
     if not results.held_out_days:
         return ""
     if not test.days:
@@ -329,15 +336,15 @@ def held_out_remark(results: DiscoveryResults, test: HeldOutTest) -> str:
 
 
 def refutation(cause: Rejected) -> Statement:
-    """Why held-out readings refute a cause."""
+    """Return why held-out readings refute a cause."""
     test = cause.held_out
-    grown = [q for q in test.z if test.growth.get(q, math.nan) > WORSE_GROWTH]
-    names = tuple(dict.fromkeys(quantity(q).words for q in grown)) or ("cabinet",)
+    worse_quantities = [name for name in test.z if test.growth.get(name, math.nan) > WORSE_GROWTH]
+    names = tuple(dict.fromkeys(quantity(name).words for name in worse_quantities)) or ("cabinet",)
     return REFUTATIONS[test.reason](cause=cause.cause, quantities=names, least=LEAST_IMPROVEMENT)
 
 
 def held_out_text(results: DiscoveryResults, test: HeldOutTest) -> str:
-    """What held-out readings say of a cause beside the errors of its table."""
+    """Return what the held-out readings show of a cause, besides the errors in its table."""
     if not test.days:
         code = DiscoveryCode.NOT_SEEN if results.held_out_days else DiscoveryCode.NO_READINGS_HELD_OUT
         return code().text
@@ -349,7 +356,7 @@ def held_out_text(results: DiscoveryResults, test: HeldOutTest) -> str:
 
 
 def rivals_text(cause: CauseFound) -> str:
-    """The forms and causes that this record cannot tell apart; empty where there are none."""
+    """Return the forms and causes that this record cannot distinguish; empty without any."""
     statements = []
     if cause.forms_alike:
         statements.append(DiscoveryCode.ALIKE_FORMS(forms=tuple(map(form_words, cause.forms_alike))))
@@ -359,14 +366,14 @@ def rivals_text(cause: CauseFound) -> str:
 
 
 def outcome(results: DiscoveryResults, cause: CauseFound | Rejected) -> str:
-    """Whether a cause was accepted, with the lead [1] of its evidence by days, or why it was excluded."""
+    """Whether a cause was accepted, with its lead over the best rival, or why it was excluded."""
     if isinstance(cause, CauseFound):
         has_lead = math.isfinite(cause.evidence.lead)
         code = DiscoveryCode.ACCEPTED_AHEAD if has_lead else DiscoveryCode.ACCEPTED
         return code(lead=cause.evidence.lead).text
-    why = EXCLUSIONS[cause.reason]()
+    exclusion = EXCLUSIONS[cause.reason]()
     may_be_hidden = cause.cause == "condensation" and results.saturated > MOST_SATURATED
-    return DiscoveryCode.MAYBE_HIDDEN(why=why).text if may_be_hidden else why.text
+    return DiscoveryCode.MAYBE_HIDDEN(why=exclusion).text if may_be_hidden else exclusion.text
 
 
 CHOSEN: Mapping[str, Callable[[Any], Statement]] = {
@@ -380,18 +387,18 @@ CHOSEN: Mapping[str, Callable[[Any], Statement]] = {
     "hours": lambda hours: DiscoveryCode.CHOSEN_LENGTH(hours=float(hours)),
     "shift_s": lambda shift_s: DiscoveryCode.CHOSEN_SHIFT(minutes=float(shift_s) / 60.0),
 }
-"""Setting that a search chose → statement."""
+"""Setting of a cause's form that the search chose → function that makes its statement from the value."""
 
 
 def chosen_words(cause: CauseFound) -> Iterator[str]:
-    """What the search chose of a cause's form, in words."""
+    """Yield the settings of a cause's form that the search chose, in words."""
     for name in (setting for setting in cause.chosen if setting in cause.settings):
         value = cause.settings[name]
         statement = DiscoveryCode.CHOSEN_OTHER(name=name, value=str(value))
         if name in CHOSEN:
             with suppress(TypeError, ValueError):  # a user's own feature may mean something else by it
                 statement = CHOSEN[name](value)
-        against = cause.settings.get("relative_to") if name == "shift_s" else None
-        if against:
-            statement = DiscoveryCode.AGAINST_SOURCE(shift=statement, source=str(against))
+        reference_source = cause.settings.get("relative_to") if name == "shift_s" else None
+        if reference_source:
+            statement = DiscoveryCode.AGAINST_SOURCE(shift=statement, source=str(reference_source))
         yield statement.text

@@ -1,4 +1,4 @@
-"""The blocks, page and text of a fit: `report.html` from `fit.json` and `series.npz`."""
+"""The page of a fit: `report.html` from `fit.json` and `series.npz`."""
 
 from __future__ import annotations
 
@@ -55,17 +55,17 @@ from hygrokf.texts.wording import UNBOUNDED, fixed, moment, one_line, sentence
 
 
 class ReportFault(HygrokfError):
-    """Results from which no report can be made; one message lists everything wrong with them."""
+    """Results from which no page can be made; the message lists everything that is wrong with them."""
 
 
 def write_report(directory: str | os.PathLike[str]) -> Path:
     """Write the page of a fit, `report.html`, beside `fit.json` and `series.npz`.
 
-    directory: what `hygrokf fit` wrote; where `hygrokf discover` did, report.html is the discovery's page,
-        and this one becomes `fit_report.html`.
+    directory: that of the two files. If it also holds a discovery, report.html is the page of the discovery,
+        and this page is written to `fit_report.html`.
 
-    Returns the path of the page.  The page is a pure function of the two files, needs no script and no other
-    file, names no host, and prints on A4.  Raises ReportFault where a file is missing or is not a result.
+    Returns the path of the page. Raises ReportFault if a file is missing or not a result, or if the page
+    cannot be written.
     """
     folder = Path(directory)
     if folder.name == FIT and folder.is_file():
@@ -79,15 +79,17 @@ def write_report(directory: str | os.PathLike[str]) -> Path:
 
 
 def read_results(folder: Path) -> tuple[FitResults, dict[str, np.ndarray]]:
-    """The results of both files; raises ReportFault that lists all faults."""
+    """Read the results in both files. Raises ReportFault with all faults."""
     faults: list[str] = []
     fit = FitResults()
     series: dict[str, np.ndarray] = {}
     try:
         fit = with_verdicts(read_result(FitResults, folder / FIT, "hygrokf fit"))
-        if lacking := [one for one in ("name", "version", "parameters") if not getattr(fit, one)]:
-            lacks = f"it lacks {', '.join(lacking)}; name the directory of one"
-            faults.append(f"{folder / FIT}: not a result of `hygrokf fit`: {lacks}")
+        if missing_fields := [
+            field for field in ("name", "version", "parameters") if not getattr(fit, field)
+        ]:
+            remark = f"it lacks {', '.join(missing_fields)}; name the directory of one"
+            faults.append(f"{folder / FIT}: not a result of `hygrokf fit`: {remark}")
     except ResultFault as fault:
         faults.append(str(fault))
     try:
@@ -103,8 +105,8 @@ def read_results(folder: Path) -> tuple[FitResults, dict[str, np.ndarray]]:
 
 
 def fit_blocks(fit: FitResults, series: Mapping[str, np.ndarray]) -> Page:
-    """What a fit says: the time constants with their verdicts and the validation period first."""
-    pictures = {name: figure_of(name, fit, series) for name in FIGURES}
+    """The page of a fit; the time constants with their verdicts and the validation period come first."""
+    figures = {name: figure_of(name, fit, series) for name in FIGURES}
     body = (
         *section("What is reliable", Prose(FIT_TERMS, "note"), _judgements(fit)),
         *section(
@@ -117,14 +119,14 @@ def fit_blocks(fit: FitResults, series: Mapping[str, np.ndarray]) -> Page:
             table_or(bands_table(fit), "No band could be checked against readings."),
         ),
         *section(
-            "Measured and simulated", *(pictures[one] for one in ("temperature", "humidity", "excerpts"))
+            "Measured and simulated", *(figures[name] for name in ("temperature", "humidity", "excerpts"))
         ),
         *section(
             "What was identified",
             table_or(time_constants_table(fit), "No time constant was identified."),
-            pictures["profiles"],
-            pictures["composition"],
-            pictures["heat-release"],
+            figures["profiles"],
+            figures["composition"],
+            figures["heat-release"],
             actuators_table(fit),
             Details(
                 "All parameters",
@@ -137,14 +139,10 @@ def fit_blocks(fit: FitResults, series: Mapping[str, np.ndarray]) -> Page:
         ),
         *section(
             "What the model leaves unexplained",
-            pictures["residuals"],
+            figures["residuals"],
             Details(
                 "Innovations and their tests",
-                (
-                    *_innovations(fit),
-                    pictures["innovations-temperature"],
-                    pictures["innovations-humidity"],
-                ),
+                (*_innovations(fit), figures["innovations-temperature"], figures["innovations-humidity"]),
                 printed=True,
             ),
         ),
@@ -154,77 +152,87 @@ def fit_blocks(fit: FitResults, series: Mapping[str, np.ndarray]) -> Page:
         "Identification report",
         one_line(fit.name).strip() or "unnamed record",
         _about(fit),
-        (*_banners(fit), Cards(tuple(_card(fit, name) for name in PARTS)), pictures["validation"]),
+        (*_banners(fit), Cards(tuple(_card(fit, name) for name in PARTS)), figures["validation"]),
         body,
         _method(fit),
     )
 
 
 def fit_period(fit: FitResults) -> str:
-    """The record's first and last instant and the end of its identification; empty where unknown."""
-    start, until, end = (moment(one or "") for one in (fit.period.start, fit.period.until, fit.period.end))
+    """Return the record's first and last instant and the end of its identification; empty if unknown."""
+    start, until, end = (
+        moment(instant or "") for instant in (fit.period.start, fit.period.until, fit.period.end)
+    )
     if not (start and end):
         return ""
     return f"{start} to {end} UTC" + (f", identified on the part until {until}" if until else "")
 
 
 def _about(fit: FitResults) -> tuple[str, ...]:
-    span = fit_period(fit)
-    lines = [span] if span else []
-    n, rated = fit.period.n_readings, fit.rated_power_kW
-    facts = [f"{n:,} times with a reading"] if n else []
-    facts.append(f"rated power {rated:,.0f} kW" if math.isfinite(rated) else "rated power not stated")
+    """Return the lines below the name: period, number of readings, rated power and site."""
+    period = fit_period(fit)
+    lines = [period] if period else []
+    count, rated_kW = fit.period.n_readings, fit.rated_power_kW
+    facts = [f"{count:,} times with a reading"] if count else []
+    facts.append(f"rated power {rated_kW:,.0f} kW" if math.isfinite(rated_kW) else "rated power not stated")
     if fit.site is not None:
         facts.append(", ".join(place(fit.site)))
     return (*lines, " · ".join(facts))
 
 
 def _banners(fit: FitResults) -> tuple[Banner, ...]:
-    found = unmeasured(fit.provenance, OF_RECORD)
+    """Return the warnings: readings that were not measured, and a search that did not converge."""
+    banners = unmeasured(fit.provenance, OF_RECORD)
     if fit.converged:
-        return found
+        return banners
     word = "CONVERGENCE UNKNOWN" if fit.converged is None else "NOT CONVERGED"
-    ended = "; ".join(map(str, fit.messages))
-    said = f"{ended} None of the numbers below is final.".strip()
-    return (*found, Banner(word, said, severe=True))
+    messages = "; ".join(map(str, fit.messages))
+    text = f"{messages} None of the numbers below is final.".strip()
+    return (*banners, Banner(word, text, severe=True))
 
 
 def _card(fit: FitResults, name: str) -> Card:
-    """A time constant: value, bounds, verdict with its first reason, and what the free run says."""
+    """Return the card of a time constant: value, bounds, verdict with its first reason, and the free run's
+    estimate."""
     label, symbol = f"{name} time constant", PRODUCT[name]
-    found = fit.time_constants.get(name)
-    if found is None:
-        said = () if fit.design is None else tuple(map(str, fit.design.statements))
-        return Card(label, "not identified", symbol=symbol, lines=said or (f"The model has no {name} part.",))
-    known = inherited(fit)[name]
-    value, bounds = known.texts
-    other, span = free_run_text(found), range_text(found)
-    more = [f"The free run alone gives {other}."] if other else []
-    more += [f"{span} over the record's temperatures."] if span else []
-    reason = sentence(known.why) if known.verdict == REJECT and known.why else known.why
+    constant = fit.time_constants.get(name)
+    if constant is None:
+        reasons = () if fit.design is None else tuple(map(str, fit.design.statements))
+        return Card(
+            label, "not identified", symbol=symbol, lines=reasons or (f"The model has no {name} part.",)
+        )
+    reported = inherited(fit)[name]
+    value, bounds = reported.texts
+    by_free_run, range_of_values = free_run_text(constant), range_text(constant)
+    remarks = [f"The free run alone gives {by_free_run}."] if by_free_run else []
+    remarks += [f"{range_of_values} over the record's temperatures."] if range_of_values else []
+    reason = sentence(reported.why) if reported.verdict == REJECT and reported.why else reported.why
     return Card(
-        label, value, known.verdict, f"{bounds}, {level_and_method(found)}".strip(", "), reason, symbol,
-        (" ".join(more),) if more else (), words=value == UNBOUNDED,
+        label, value, reported.verdict, f"{bounds}, {level_and_method(constant)}".strip(", "), reason, symbol,
+        (" ".join(remarks),) if remarks else (), words=value == UNBOUNDED,
     )  # fmt: skip
 
 
 def _judgements(fit: FitResults) -> Verdicts:
-    """Doubts about the record, the time constants with their reasons, then the rest, the worst first."""
+    """Doubts about the record, time constants with their reasons, then the rest, the worst first."""
     order = {REJECT: 0, BELIEVE: 1, CAUTION: 2}
-    found = sorted(judgements(fit), key=lambda one: 0 if one.about in PARTS else 1 + order[one.verdict])
+    sorted_judgements = sorted(
+        judgements(fit), key=lambda judgement: 0 if judgement.about in PARTS else 1 + order[judgement.verdict]
+    )
     lines = [Line(CAUTION, sentence(ReasonCode.RECORD_DOUBTED(doubt=doubt).text)) for doubt in fit.doubts]
-    for one in found:
-        text = f"{one.head}{':' if one.reasons else '.'}"
-        lines.append(Line(one.verdict, text, head=one.about in PARTS))
-        lines += [Line(why.verdict, sentence(why.text), within=True) for why in one.reasons]
+    for judgement in sorted_judgements:
+        text = f"{judgement.head}{':' if judgement.reasons else '.'}"
+        lines.append(Line(judgement.verdict, text, head=judgement.about in PARTS))
+        lines += [Line(reason.verdict, sentence(reason.text), within=True) for reason in judgement.reasons]
     lines += [Line(CAUTION, sentence(statement.text)) for statement in fit.statements]
     return Verdicts(tuple(lines))
 
 
 def _innovations(fit: FitResults) -> tuple[Block, ...]:
+    """Return the table of the innovations, their tests in sentences, and a note on their meaning."""
     table = innovations_table(fit)
-    said = tuple(sentence(statement.text) for statement in fit.innovations.statements)
-    if not (table or said):
+    statements = tuple(sentence(statement.text) for statement in fit.innovations.statements)
+    if not (table or statements):
         return (Prose("The fit holds no tests of its innovations.", "missing"),)
     return (
         Prose(
@@ -232,12 +240,13 @@ def _innovations(fit: FitResults) -> tuple[Block, ...]:
             "mean that the model uses everything that earlier readings and the inputs can tell."
         ),
         table_or(table, "The tests hold no numbers."),
-        *([Items(said)] if said else []),
+        *([Items(statements)] if statements else []),
         Prose(sentence(NOTE), "note"),
     )
 
 
 def _data(fit: FitResults) -> tuple[Block, ...]:
+    """Return the warnings about masked or repaired readings, and the files that were read."""
     warnings = tuple(sentence(line) for line in fit.warnings)
     return (
         Items(warnings) if warnings else Prose("Nothing had to be masked or repaired."),
@@ -248,15 +257,18 @@ def _data(fit: FitResults) -> tuple[Block, ...]:
 
 
 def _method(fit: FitResults) -> tuple[Block, ...]:
-    how = (
+    """Return how the fit was computed."""
+    criterion = (
         "maximum likelihood over the innovations of an extended Kalman filter"
         if fit.criterion == "likelihood"
         else "least squares on the free run (output error), as in the paper"
     )
-    kind = f" ({fit.kind} model)" if fit.kind else ""
-    estimated = f"The parameters were estimated by {how}{kind}, on the identification period alone. "
-    lines = [FIT_METHOD[0], estimated + FIT_METHOD[1], *FIT_METHOD[2:]]
-    lines += [sentence(one.text) for one in (() if fit.design is None else fit.design.statements)]
+    kind_text = f" ({fit.kind} model)" if fit.kind else ""
+    sentence_on_estimation = (
+        f"The parameters were estimated by {criterion}{kind_text}, on the identification period alone. "
+    )
+    lines = [FIT_METHOD[0], sentence_on_estimation + FIT_METHOD[1], *FIT_METHOD[2:]]
+    lines += [sentence(statement.text) for statement in (() if fit.design is None else fit.design.statements)]
     values = [
         f"{label} {fixed(value)}"
         for label, value in (("log-likelihood", fit.loglik), ("AIC", fit.aic), ("BIC", fit.bic))

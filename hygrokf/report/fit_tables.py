@@ -1,4 +1,4 @@
-"""The tables of a fit, and of its evaluation on another record."""
+"""Tables of a fit, and of its evaluation on another record."""
 
 from __future__ import annotations
 
@@ -32,8 +32,6 @@ from hygrokf.texts.wording import (
     signed,
 )
 
-RegimeRow = tuple[tuple[str, ...], Iterable[float], tuple[float, float] | None, int]
-"""Words of a row, its number in each of `REGIMES`, bounds and readings of the total."""
 ACTUATORS_NOTE = (
     "Mean difference between the simulations with and without the actuator while it is above half of its "
     "span, with 95 % bounds."
@@ -41,25 +39,25 @@ ACTUATORS_NOTE = (
 
 
 def time_constants_table(fit: FitResults) -> Table:
-    """Both time constants by both criteria."""
+    """The time constants: reported, by the likelihood alone, and by the free run alone."""
     rows: list[tuple[str, ...]] = []
     notes: list[str] = []
-    for name, known in inherited(fit).items():
-        found = fit.time_constants[name]
-        for words, one, how, verdict in (
-            (f"{name} {PRODUCT[name]}", known, level_and_method(found), known.words),
-            ("  by the likelihood alone", found.profile, "95 %, profile likelihood", ""),
-            ("  R·C at the median ΔT", found.resistance_capacity, "95 %, all sources", ""),
-            ("  by the free run alone", found.simulation, "95 %, sandwich", ""),
+    for name, reported in inherited(fit).items():
+        constant = fit.time_constants[name]
+        for label, estimate, method, verdict in (
+            (f"{name} {PRODUCT[name]}", reported, level_and_method(constant), reported.words),
+            ("  by the likelihood alone", constant.profile, "95 %, profile likelihood", ""),
+            ("  R·C at the median ΔT", constant.resistance_capacity, "95 %, all sources", ""),
+            ("  by the free run alone", constant.simulation, "95 %, sandwich", ""),
         ):
-            if one is not None and (one is known or math.isfinite(one.value_h)):
-                value, bounds = one.texts
-                rows.append((words, value, bounds if one.closed else NONE, how, verdict))
-        if (response := found.response) is not None:
+            if estimate is not None and (estimate is reported or math.isfinite(estimate.value_h)):
+                value, bounds = estimate.texts
+                rows.append((label, value, bounds if estimate.closed else NONE, method, verdict))
+        if (response := constant.response) is not None:
             rows += _response(response)
-        if span := range_text(found):
-            rows.append(("  over all temperatures", span, NONE, "", ""))
-        notes += _notes(name, found)
+        if range_of_values := range_text(constant):
+            rows.append(("  over all temperatures", range_of_values, NONE, "", ""))
+        notes += _notes(name, constant)
     return Table(
         "Time constants",
         ("", "value", "bounds [h]", "method", "verdict"),
@@ -70,38 +68,38 @@ def time_constants_table(fit: FitResults) -> Table:
     )
 
 
-def _response(found: SensorResponse) -> list[tuple[str, ...]]:
-    """The row of the humidity sensor's response time, where it is not stated to be none."""
-    value, bounds, how = f"{found.minutes:.1f} min", NONE, f"response, {found.kind}"
-    if found.kind == "estimated":
-        bounds = interval(found.lower_minutes, found.upper_minutes, "{:.1f}".format, "min")
-    elif found.kind == "included":
-        value, how = "included", "response not stated, none seen"
-    elif not found.minutes > 0:
+def _response(response: SensorResponse) -> list[tuple[str, ...]]:
+    """Return the row of the humidity sensor's response time; empty if it is stated to be zero."""
+    value, bounds, source = f"{response.minutes:.1f} min", NONE, f"response, {response.kind}"
+    if response.kind == "estimated":
+        bounds = interval(response.lower_minutes, response.upper_minutes, "{:.1f}".format, "min")
+    elif response.kind == "included":
+        value, source = "included", "response not stated, none seen"
+    elif not response.minutes > 0:
         return []
-    return [("  humidity sensor", value, bounds, how, "")]
+    return [("  humidity sensor", value, bounds, source, "")]
 
 
-def _notes(name: str, found: TimeConstant) -> list[str]:
-    """Sentences on the conditions under which a time constant holds."""
+def _notes(name: str, constant: TimeConstant) -> list[str]:
+    """Return sentences on the conditions for which a time constant holds."""
     notes = []
-    differences, decays = found.difference_K or (), found.range_h or ()
+    differences, decays = constant.difference_K or (), constant.range_h or ()
     if len(differences) == 3:
-        low, middle, high = (f"{value:.1f}" for value in differences)
+        low, median, high = (f"{value:.1f}" for value in differences)
         note = (
-            f"The temperature difference between cabinet and ambient is {low}, {middle} and {high} K at the "
+            f"The temperature difference between cabinet and ambient is {low}, {median} and {high} K at the "
             "10th, 50th and 90th percentile of the readings"
         )
         if len(decays) == 3:
-            first, second, third = map(plain_number, decays)
-            note += f"; small changes there decay with {first}, {second} and {third} h"
+            at_low, at_median, at_high = map(plain_number, decays)
+            note += f"; small changes there decay with {at_low}, {at_median} and {at_high} h"
         notes.append(f"{note}.")
-    if (at := found.mean_temperatures) is not None:
-        kelvin = (at.cabinet_temperature_K, at.ambient_temperature_K)
+    if (mean_temperatures := constant.mean_temperatures) is not None:
+        kelvin = (mean_temperatures.cabinet_temperature_K, mean_temperatures.ambient_temperature_K)
         inside, outside = (fixed(value - ZERO_CELSIUS_K, 1) for value in kelvin)
         notes.append(f"The {name} time constant holds at {inside} °C inside and {outside} °C outside.")
-    if len(found.modes) > 1:
-        poles = ", ".join(f"{plain_number(v)} h" for v in found.modes)
+    if len(constant.modes) > 1:
+        poles = ", ".join(f"{plain_number(v)} h" for v in constant.modes)
         notes.append(f"Time constants of all modes of the {name} model: {poles}.")
     return notes
 
@@ -117,16 +115,18 @@ def rmse_table(fit: Scored, period: str) -> Table | None:
         if any(cell != NONE for cell in cells):
             rows.append((words, *cells))
     rows.append(("readings", *(str(getattr(error.n, regime)) for error in errors for regime in REGIMES)))
-    share = [fit.sensor_share.get(period, {}).get(q, math.nan) for q in SCORED]
-    if any(math.isfinite(one) for one in share):
-        cells = [cell for one in share for cell in (NONE, NONE, percent(one))]
+    sensor_shares = [fit.sensor_share.get(period, {}).get(name, math.nan) for name in SCORED]
+    if any(math.isfinite(share_of_quantity) for share_of_quantity in sensor_shares):
+        cells = [
+            cell for share_of_quantity in sensor_shares for cell in (NONE, NONE, percent(share_of_quantity))
+        ]
         rows.append(("share explained by sensor accuracy", *cells))
     return Table(
         f"Root mean squared error, {period}",
         ("", *REGIMES, *REGIMES),
         tuple(rows),
         marked=(0,),
-        groups=(("", 1), *((quantity(q).change, 3) for q in SCORED)),
+        groups=(("", 1), *((quantity(name).change, 3) for name in SCORED)),
     )
 
 
@@ -154,11 +154,12 @@ def regimes_table(
 
 
 def _cells(errors: list[Errors]) -> list[str]:
+    """Return the cells of a row of errors: for each quantity one for each regime."""
     return [fixed(getattr(error, regime)) for error in errors for regime in REGIMES]
 
 
 def bands_table(fit: Scored) -> Table:
-    """Coverage of the 95 % bands by lead."""
+    """Return the share of readings inside the 95 % bands, by lead time."""
     rows = []
     for lead in fit.bands:
         cells = []
@@ -178,7 +179,7 @@ def bands_table(fit: Scored) -> Table:
 
 
 def fit_parameters_table(fit: FitResults) -> Table:
-    """Every parameter with standard error, bounds, unit, meaning and remarks."""
+    """Return every parameter with its standard error, bounds, unit, meaning and remarks."""
     rows: list[tuple[str, ...]] = []
     marked: list[int] = []
     for name, row in fit.parameters.items():
@@ -205,18 +206,18 @@ def fit_parameters_table(fit: FitResults) -> Table:
 
 
 def actuators_table(fit: FitResults) -> Table:
-    """What the logged actuators change while they are on."""
-    rows, left_out = [], []
+    """Return what each logged actuator changes while it is on."""
+    rows, reasons_unused = [], []
     for actuator in fit.actuators:
         if not actuator.used:
-            left_out.append(sentence(str(actuator.statement)))
+            reasons_unused.append(sentence(str(actuator.statement)))
             rows.append((actuator.signal, *[NONE] * 4))
             continue
         cells = []
         factors = {"temperature_K": 1.0, "relative_humidity": 100.0, "absolute_humidity_g_m3": 1.0}
         for name, factor in factors.items():
             change = (actuator.changes or {}).get(name, EstimatedChange())
-            value, low, high = (factor * v for v in (change.value, change.lower, change.upper))
+            value, low, high = (factor * number for number in (change.value, change.lower, change.upper))
             decimals, bounds = 2, ""
             if math.isfinite(high - low):
                 decimals = decimals_for(max(0.25 * (high - low), 0.01 * abs(value)))
@@ -227,17 +228,19 @@ def actuators_table(fit: FitResults) -> Table:
         "What the logged actuators change while they are on",
         ("actuator", "on", "temperature [K]", "relative humidity [%]", "absolute humidity [g/m³]"),
         tuple(rows),
-        note=" ".join([ACTUATORS_NOTE, *left_out]),
+        note=" ".join([ACTUATORS_NOTE, *reasons_unused]),
     )
 
 
 def optima_table(fit: FitResults) -> Table:
-    """Other local optima that the search met."""
+    """Return the other local optima that the search met."""
     rows = []
-    for one in fit.other_optima:
-        constants = {"thermal time constant": one.thermal_time_constant, "hygric k": one.hygric_k}
-        there = [f"{name} {plain_number(value)}" for name, value in constants.items() if math.isfinite(value)]
-        rows.append((fixed(one.objective), fixed(one.objective - fit.loglik), ", ".join(there)))
+    for optimum in fit.other_optima:
+        constants = {"thermal time constant": optimum.thermal_time_constant, "hygric k": optimum.hygric_k}
+        values = [
+            f"{name} {plain_number(value)}" for name, value in constants.items() if math.isfinite(value)
+        ]
+        rows.append((fixed(optimum.objective), fixed(optimum.objective - fit.loglik), ", ".join(values)))
     return Table(
         "Other optima met on the way",
         ("objective", "against the log-likelihood", "there"),
@@ -247,9 +250,11 @@ def optima_table(fit: FitResults) -> Table:
 
 
 def innovations_table(fit: FitResults) -> Table:
-    """Moments and whiteness of the innovations."""
+    """Return moments and tests of whiteness of the innovations."""
     rows = []
-    day = {test.output: test.p for test in reversed(fit.innovations.tests) if test.test == "autocorrelation"}
+    p_over_a_day = {
+        test.output: test.p for test in reversed(fit.innovations.tests) if test.test == "autocorrelation"
+    }
     for name, output in fit.innovations.outputs.items():
         spectrum = output.cumulative_periodogram or CumulativePeriodogram()
         moments = (
@@ -258,8 +263,8 @@ def innovations_table(fit: FitResults) -> Table:
             fixed(output.excess_kurtosis),
             percent(output.beyond_3, 2),
         )
-        chances = (p_value(day.get(name, math.nan)), p_value(spectrum.p))
-        rows.append((name, str(output.n), *moments, *chances))
+        p_values = (p_value(p_over_a_day.get(name, math.nan)), p_value(spectrum.p))
+        rows.append((name, str(output.n), *moments, *p_values))
     columns = ("output", "n", "mean", "variance", "kurtosis", "beyond ±3", "Ljung–Box p", "spectrum p")
     note = (
         "Innovations over their standard deviation. White and normal ones have mean 0, variance 1, excess "
@@ -271,22 +276,22 @@ def innovations_table(fit: FitResults) -> Table:
 # --- evaluation ------------------------------------------------------------------------------
 
 
-def evaluation_text(found: Evaluation) -> str:
-    """The scores of a fit on another record as text of at most 100 columns."""
-    return "\n\n".join(blocks_text(evaluation_blocks(found)))
+def evaluation_text(evaluation: Evaluation) -> str:
+    """Return the scores of a fit on another record as text of at most 100 columns."""
+    return "\n\n".join(blocks_text(evaluation_blocks(evaluation)))
 
 
-def evaluation_blocks(found: Evaluation) -> tuple[Block, ...]:
-    """Table III of the paper for both periods, with the rules that need no model, and the bands."""
-    tables = [rmse_table(found, period) for period in ("identification", "validation")]
-    scored = any(tables)
+def evaluation_blocks(evaluation: Evaluation) -> tuple[Block, ...]:
+    """Return the errors of the free run in both periods, with the rules that need no model, and the bands."""
+    tables = [rmse_table(evaluation, period) for period in ("identification", "validation")]
+    is_scored = any(tables)
     return present(
-        Heading(f"{found.fit} on {found.record}: errors of the free run"),
+        Heading(f"{evaluation.fit} on {evaluation.record}: errors of the free run"),
         Prose(FREE_RUN),
-        inherited_verdicts(found.verdicts, ""),
-        Items(tuple(f"note: {line}" for line in found.statements)) if found.statements else None,
-        *(tables if scored else [Prose(NOTHING, "missing")]),
-        bands_table(found) if scored else None,
+        inherited_verdicts(evaluation.verdicts, ""),
+        Items(tuple(f"note: {line}" for line in evaluation.statements)) if evaluation.statements else None,
+        *(tables if is_scored else [Prose(NOTHING, "missing")]),
+        bands_table(evaluation) if is_scored else None,
     )
 
 

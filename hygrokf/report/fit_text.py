@@ -1,7 +1,7 @@
-"""What a fit says of its time constants, errors, bands and one-step predictions: each with its verdict.
+"""Verdicts of a fit in sentences: on its time constants, errors, bands and one-step predictions.
 
-Any part of the results may be missing.  What speaks for and against each number is decided in
-`identification.verdict`, not here.
+Any part of the results may be missing. The reasons for and against each number come from
+`identification.verdict`.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from functools import partial
 
 from hygrokf.evaluation.innovation_tests import SMALL_CORRELATION
+from hygrokf.evaluation.scoring import SCORED
 from hygrokf.identification.fit_results import FitResults, TimeConstant
 from hygrokf.identification.verdict import (
     COVERAGE,
@@ -38,23 +39,23 @@ METHOD_NAMES = {
 # --- numbers ---------------------------------------------------------------------------------
 
 
-def level_and_method(found: TimeConstant) -> str:
-    """Level of an interval, and how its bounds were made."""
-    level = percent(found.level) if math.isfinite(found.level) else ""
-    return ", ".join(filter(None, (level, METHOD_NAMES.get(found.method, found.method))))
+def level_and_method(constant: TimeConstant) -> str:
+    """Return level and method of a time constant's interval: "95 %, all sources"."""
+    level = percent(constant.level) if math.isfinite(constant.level) else ""
+    return ", ".join(filter(None, (level, METHOD_NAMES.get(constant.method, constant.method))))
 
 
-def free_run_text(found: TimeConstant) -> str:
-    """The estimate by the free run alone with its bounds: "1.52 h (1.29 … 1.75)"; empty without one."""
-    free = found.simulation
-    if free is None or not math.isfinite(free.value_h):
+def free_run_text(constant: TimeConstant) -> str:
+    """The estimate by the free run alone with its bounds, "1.52 h (1.29 … 1.75)"; empty without one."""
+    free_run = constant.simulation
+    if free_run is None or not math.isfinite(free_run.value_h):
         return ""
-    return free.span if free.closed else f"{plain_number(free.value_h)} h"
+    return free_run.span if free_run.closed else f"{plain_number(free_run.value_h)} h"
 
 
-def range_text(found: TimeConstant) -> str:
-    """The time constant at the ends of the record's temperatures; empty where it has no such range."""
-    ends_h = found.range_h or ()
+def range_text(constant: TimeConstant) -> str:
+    """The time constant at both ends of the record's temperatures; empty if it does not depend on them."""
+    ends_h = constant.range_h or ()
     if len(ends_h) != 2 or not all(map(math.isfinite, ends_h)):
         return ""
     decimals = decimals_for(0.2 * abs(ends_h[1] - ends_h[0]))
@@ -62,7 +63,7 @@ def range_text(found: TimeConstant) -> str:
 
 
 def lead_words(lead: str) -> str:
-    """ "24h" -> "24 h ahead", "free_run" -> "free run"."""
+    """Return a lead time in words: "24h" → "24 h ahead", "free_run" → "free run"."""
     hours = lead.removesuffix("h")
     return f"{hours} h ahead" if hours.replace(".", "").isdigit() else spoken(lead)
 
@@ -72,7 +73,7 @@ def lead_words(lead: str) -> str:
 
 @dataclass(frozen=True)
 class SubjectVerdict:
-    """A subject's verdict, in one sentence without its stop, and the reasons for it, the worst first.
+    """The verdict on one subject: its sentence without a full stop, and the reasons, the worst first.
 
     `about`: a time constant ("thermal", "hygric"), a scored quantity, "bands" or "innovations".
     """
@@ -91,38 +92,41 @@ VERDICT_ENDS = {
 
 
 def _judged(about: str, subject: str, reasons: Iterable[Reason]) -> SubjectVerdict:
-    """A judgement by its worst reason; nothing is said for a subject that something speaks against."""
-    found = worst_first(reasons)
-    verdict = verdict_of(found)
-    told = tuple(one for one in found if verdict == BELIEVE or one.verdict != BELIEVE)
-    return SubjectVerdict(about, verdict, subject + VERDICT_ENDS[verdict], told)
+    """Return the verdict of the worst reason; reasons in favour are left out if there is one against."""
+    sorted_reasons = worst_first(reasons)
+    verdict = verdict_of(sorted_reasons)
+    stated_reasons = tuple(
+        reason for reason in sorted_reasons if verdict == BELIEVE or reason.verdict != BELIEVE
+    )
+    return SubjectVerdict(about, verdict, subject + VERDICT_ENDS[verdict], stated_reasons)
 
 
 def judgements(fit: FitResults) -> list[SubjectVerdict]:
-    """The verdicts on the time constants with their reasons, then those on errors, bands and innovations."""
+    """Return the verdicts on the time constants, then those on errors, bands and innovations."""
     constants = [_time_constant(fit, part) for part in PARTS]
     return [*constants, *_errors(fit), *_bands(fit), *_innovations(fit)]
 
 
 def _time_constant(fit: FitResults, part: str) -> SubjectVerdict:
-    found = fit.time_constants.get(part)
-    if found is None:
-        none = f"There is no {part} time constant: nothing in the record determines one"
-        return SubjectVerdict(part, CAUTION, none)
-    known = inherited(fit)[part]
-    size = f", known to {known.spread}" if known.closed else ""
-    head = f"The {part} time constant, {known.texts[0]}{size}{VERDICT_ENDS[known.verdict]}"
+    """Return the verdict on a time constant with its reasons; caution where there is none."""
+    constant = fit.time_constants.get(part)
+    if constant is None:
+        sentence = f"There is no {part} time constant: nothing in the record determines one"
+        return SubjectVerdict(part, CAUTION, sentence)
+    reported = inherited(fit)[part]
+    spread_text = f", known to {reported.spread}" if reported.closed else ""
+    head = f"The {part} time constant, {reported.texts[0]}{spread_text}{VERDICT_ENDS[reported.verdict]}"
     # doubts about the record stand before everything else
     reasons = [
-        reason for reason in known.reasons if reason.source or reason.values.get("doubt") not in fit.doubts
+        reason for reason in reported.reasons if reason.source or reason.values.get("doubt") not in fit.doubts
     ]
-    if known.verdict == BELIEVE and free_run_informs(found):
-        reasons.append(ReasonCode.CRITERIA_AGREE(free=free_run_text(found)))
-    return SubjectVerdict(part, known.verdict, head, tuple(reasons))
+    if reported.verdict == BELIEVE and free_run_informs(constant):
+        reasons.append(ReasonCode.CRITERIA_AGREE(free=free_run_text(constant)))
+    return SubjectVerdict(part, reported.verdict, head, tuple(reasons))
 
 
 def _errors(fit: FitResults) -> Iterator[SubjectVerdict]:
-    """The free run's error in validation, else in identification."""
+    """Yield the verdict on the free-run error of each scored quantity."""
     for part, name in QUANTITY_OF.items():
         terms = quantity(name)
         errors = ((period, fit.errors(period, name).total) for period in ("validation", "identification"))
@@ -133,38 +137,40 @@ def _errors(fit: FitResults) -> Iterator[SubjectVerdict]:
 
 
 def _bands(fit: FitResults) -> Iterator[SubjectVerdict]:
-    """All 95 % bands by how many readings they hold."""
-    shares = {
+    """Yield the verdict on all 95 % bands, by the share of readings that they hold."""
+    coverage_by_band = {
         f"{lead_words(lead)} {quantity(name).words} {percent(band.coverage)}": band.coverage
         for lead in fit.bands
         for name in SCORED
         for band in (fit.band(lead, name),)
         if math.isfinite(band.coverage) and band.n >= FEWEST_IN_BAND
     }
-    if shares:
-        low, high = COVERAGE
-        outside = {
-            ReasonCode.BANDS_NARROW: [words for words, share in shares.items() if share < low],
-            ReasonCode.BANDS_WIDE: [words for words, share in shares.items() if share > high],
+    if coverage_by_band:
+        least, most = COVERAGE
+        bands_outside = {
+            ReasonCode.BANDS_NARROW: [words for words, share in coverage_by_band.items() if share < least],
+            ReasonCode.BANDS_WIDE: [words for words, share in coverage_by_band.items() if share > most],
         }
-        span = f"{100.0 * min(shares.values()):.0f} to {percent(max(shares.values()))}"
-        reasons = (code(bands=tuple(words)) for code, words in outside.items() if words)
-        yield _judged("bands", f"The 95 % band, which holds {span} of the readings", reasons)
+        range_text = (
+            f"{100.0 * min(coverage_by_band.values()):.0f} to {percent(max(coverage_by_band.values()))}"
+        )
+        reasons = (code(bands=tuple(words)) for code, words in bands_outside.items() if words)
+        yield _judged("bands", f"The 95 % band, which holds {range_text} of the readings", reasons)
 
 
 def _innovations(fit: FitResults) -> Iterator[SubjectVerdict]:
-    """The one-step predictions, by the tests of their innovations."""
+    """Yield the verdict on the one-step predictions, by the tests of their innovations."""
     tests = fit.innovations.tests
-    against = [row for row in tests if row.rejected]
+    rejecting = [test for test in tests if test.rejected]
     if not tests:
         return
     largest = max((largest_correlation(fit, name)[0] for name in fit.innovations.outputs), default=0.0)
-    small, reasons = 0 < largest < SMALL_CORRELATION, []
-    if against:
-        kinds = dict.fromkeys(f"{row.test}{' with inputs' * bool(row.input)}" for row in against)
-        reasons.append(ReasonCode.NOT_WHITE(BELIEVE if small else CAUTION, kinds=tuple(kinds)))
+    is_small, reasons = 0 < largest < SMALL_CORRELATION, []
+    if rejecting:
+        kinds = dict.fromkeys(f"{test.test}{' with inputs' * bool(test.input)}" for test in rejecting)
+        reasons.append(ReasonCode.NOT_WHITE(BELIEVE if is_small else CAUTION, kinds=tuple(kinds)))
     if largest > 0:
-        code = ReasonCode.CORRELATED_LITTLE if small else ReasonCode.CORRELATED
+        code = ReasonCode.CORRELATED_LITTLE if is_small else ReasonCode.CORRELATED
         reasons.append(code(correlation=largest))
-    white = f"white by {len(tests) - len(against)} of {len(tests)} tests"
+    white = f"white by {len(tests) - len(rejecting)} of {len(tests)} tests"
     yield _judged("innovations", f"The one-step prediction, whose innovations are {white}", reasons)

@@ -1,6 +1,6 @@
-"""Results on matplotlib's axes: the picture of a result's first screen.
+"""The method `plot` of results: it draws the lead figure of a result on axes of matplotlib.
 
-The methods `plot` of results end here (`hygrokf.data.result_file`).
+`hygrokf.data.result_file.drawn` calls `plotted`.
 """
 
 from __future__ import annotations
@@ -29,49 +29,51 @@ QUARTERS = (1.0, 1.5, 3.0, 4.5, 9.0, 10.0)
 
 
 # -- answers of a linear system ------------------------------------------------------------------------------
-def bode(found: FrequencyResponse) -> Picture:
-    """Magnitude over phase, a column for each input and two rows for each output."""
-    limits = (float(found.omega[0]), float(found.omega[-1]))
+def bode(response: FrequencyResponse) -> Picture:
+    """Draw magnitude above phase over the frequency; a column for each input, two rows for each output."""
+    limits = (float(response.omega[0]), float(response.omega[-1]))
     magnitude = Axis("magnitude [output/input]", kind="logarithmic")
     phase = Axis("phase [°]", most=6, steps=QUARTERS)
     panels = []
-    for output in found.system.outputs:
-        pairs = [(output, name) for name in found.system.inputs]
+    for output in response.system.outputs:
+        pairs = [(output, input_name) for input_name in response.system.inputs]
         for pair in pairs:
-            marks = _marks(found, found.omega, found.magnitude[pair])
+            marks = _marks(response, response.omega, response.magnitude[pair])
             title = f"{spoken(pair[1])} → {spoken(pair[0])}"
             panels.append(Panel(marks, Axis("", limits, "logarithmic"), magnitude, title))
         for pair in pairs:
-            marks = _marks(found, found.omega, found.phase_deg[pair])
+            marks = _marks(response, response.omega, response.phase_deg[pair])
             x = Axis("angular frequency [rad/h]", limits, "logarithmic")
             panels.append(Panel(marks, x, phase))
-    return _picture(found, panels, 0.4 + 3.4 * len(found.system.outputs))
+    return _picture(response, panels, 0.4 + 3.4 * len(response.system.outputs))
 
 
-def step_response(found: StepResponse) -> Picture:
-    """A panel for each output and input."""
-    x = Axis("time after the step [h]", (0.0, float(found.time_h[-1])))
+def step_response(response: StepResponse) -> Picture:
+    """Draw the response of each output to a unit step of each input."""
+    x = Axis("time after the step [h]", (0.0, float(response.time_h[-1])))
     panels = [
         Panel(
-            _marks(found, found.time_h, found.value[pair]),
+            _marks(response, response.time_h, response.value[pair]),
             x,
             Axis("answer [output/input]"),
             f"{spoken(pair[1])} + 1 → {spoken(pair[0])}",
         )
-        for pair in found.pairs
+        for pair in response.pairs
     ]
-    return _picture(found, panels, 0.5 + 2.1 * len(found.system.outputs))
+    return _picture(response, panels, 0.5 + 2.1 * len(response.system.outputs))
 
 
-def _picture(found: Response, panels: Sequence[Panel], height_in: float) -> Picture:
-    return Picture(tuple(panels), height_in, columns=max(len(found.system.inputs), 1))
+def _picture(response: Response, panels: Sequence[Panel], height_in: float) -> Picture:
+    """Return the panels as a picture with one column for each input."""
+    return Picture(tuple(panels), height_in, columns=max(len(response.system.inputs), 1))
 
 
-def _marks(found: Response, x: np.ndarray, answer: Answer) -> tuple[Mark, ...]:
+def _marks(response: Response, x: np.ndarray, answer: Answer) -> tuple[Mark, ...]:
+    """The curve of a response over x (n,), with the band of the parameters' uncertainty if there is one."""
     value, lower, upper = answer
-    band = f"{100.0 * found.level:g} % band from the parameters' uncertainty"
-    shown = (Curve(x, value, MEASURED, 1.1, "at the estimate"),)
-    return (*shown, Band(x, lower, upper, MEASURED, 0.22, band)) if np.isfinite(lower).any() else shown
+    band_label = f"{100.0 * response.level:g} % band from the parameters' uncertainty"
+    curve = (Curve(x, value, MEASURED, 1.1, "at the estimate"),)
+    return (*curve, Band(x, lower, upper, MEASURED, 0.22, band_label)) if np.isfinite(lower).any() else curve
 
 
 PICTURES: Mapping[type, Callable[[Any], Picture]] = {
@@ -84,6 +86,7 @@ PICTURES: Mapping[type, Callable[[Any], Picture]] = {
 
 
 def _fit(fit: Fit) -> Picture:
+    """Return the lead figure of a fit. Raises NothingToShow for a fit that was read without its series."""
     if fit.series:
         return lead_of_fit(fit.series).draw()
     raise NothingToShow(
@@ -93,25 +96,25 @@ def _fit(fit: Fit) -> Picture:
 
 
 def plotted(result: object, axes: Axes | Sequence[Axes] | None = None) -> tuple[Axes, ...]:
-    """Draw a result on the axes given, in the user's style, or on a new figure of pyplot in that of the
-    reports."""
+    """Draw a result on axes of the user, in the user's style; None: on a new figure of pyplot, in the style
+    of the reports. Returns the axes."""
     expect_matplotlib()
     try:
         picture = next(draw for kind, draw in PICTURES.items() if isinstance(result, kind))(result)
-    except NothingToShow as why:
-        name = getattr(getattr(result, "results", result), "name", type(result).__name__)
-        raise HygrokfError(f"{name}: nothing to plot. {why}") from None
+    except NothingToShow as reason:
+        result_name = getattr(getattr(result, "results", result), "name", type(result).__name__)
+        raise HygrokfError(f"{result_name}: nothing to plot. {reason}") from None
     if axes is None:
         from matplotlib import pyplot
 
         with styled():
             figure = pyplot.figure(figsize=(WIDTH_IN, picture.height_in))
             return tuple(picture.on_figure(figure))
-    given = tuple(axes) if isinstance(axes, Iterable) else (axes,)
-    if not 1 <= len(given) <= len(picture.panels):
+    own_axes = tuple(axes) if isinstance(axes, Iterable) else (axes,)
+    if not 1 <= len(own_axes) <= len(picture.panels):
         raise ValueError(
             f"axes: expected 1 … {len(picture.panels)} axes, one for each panel of the picture, found "
-            f"{len(given)}"
+            f"{len(own_axes)}"
         )
-    picture.on(given)
-    return given
+    picture.on(own_axes)
+    return own_axes

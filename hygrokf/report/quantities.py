@@ -1,8 +1,5 @@
-"""How quantities are told: the words, unit and axes of each, its numbers with their bounds, and who computed
-them.
-
-Pages, texts, tables and figures take these from here, so that a quantity reads alike on all of them.
-"""
+"""How quantities are written on pages, in tables and in figures: names, units, labels of axes, and values
+with bounds."""
 
 from __future__ import annotations
 
@@ -30,8 +27,8 @@ from hygrokf.version import __version__
 
 @dataclass(frozen=True)
 class QuantityTerms:
-    """A scored quantity: its `name` in results, its `words`, the `unit` of its errors, and the unit and the
-    `zero` [unit] of its levels."""
+    """The texts of a scored quantity: `name` in results, `words`, `unit` of errors; and of levels the unit
+    and the `zero` that is subtracted [unit]."""
 
     name: str
     words: str
@@ -77,15 +74,18 @@ class QuantityTerms:
 LEVEL_UNITS = {"temperature_K": ("°C", ZERO_CELSIUS_K)}
 """Unit and zero of levels, where they are not those of the errors."""
 NAMED_QUANTITY = {
-    name: part.scored for part in BOTH_PARTS for name in (part.output, part.balance, part.series)
+    "temperature": "temperature_K",
+    "humidity": "absolute_humidity_g_m3",
+    "vapour": "absolute_humidity_g_m3",
+    "absolute_humidity": "absolute_humidity_g_m3",
 }
-"""Quantity of series, of residuals or of a search → scored quantity."""
+"""Name of a quantity in series, residuals or a discovery → name of the scored quantity."""
 COLDEST_K = 150.0
-"""[K] above it a parameter is a temperature, below it a difference."""
+"""[K] a parameter in kelvin above this value is a temperature, below it a difference of temperatures."""
 
 
 def quantity(name: str) -> QuantityTerms:
-    """The quantity of a name; of an unknown name its words alone."""
+    """Return the texts of a quantity; for an unknown name, the name in words without a unit."""
     scored = NAMED_QUANTITY.get(name, name)
     if scored not in QUANTITY_NAMES:
         return QuantityTerms("", spoken(name) or "error", "")
@@ -96,65 +96,66 @@ def quantity(name: str) -> QuantityTerms:
 
 
 def spoken(name: str) -> str:
-    """An identifier as it is read: "moisture_sorption" -> "moisture sorption"."""
+    """Return an identifier in words: "moisture_sorption" → "moisture sorption"."""
     return name.replace("_", " ").strip()
 
 
 def capital(text: str) -> str:
-    """A text with a capital letter."""
+    """Return a text with a capital first letter."""
     return text[:1].upper() + text[1:]
 
 
 def unit(text: str) -> str:
-    """A unit as it is printed."""
-    for plain, printed in (("g/m3", "g/m³"), ("kg/m3", "kg/m³"), ("m2", "m²"), ("/h^0.5", "/√h")):
-        text = text.replace(plain, printed)
+    """Return a unit as it is printed: "g/m3" → "g/m³"."""
+    for ascii_unit, printed in (("g/m3", "g/m³"), ("kg/m3", "kg/m³"), ("m2", "m²"), ("/h^0.5", "/√h")):
+        text = text.replace(ascii_unit, printed)
     return text
 
 
 def place(site: Site, number: Callable[[float], str] = "{:.2f}".format) -> tuple[str, str]:
-    """Latitude and longitude: ("52.40° N", "0.95° W")."""
+    """Return latitude and longitude as texts: ("52.40° N", "0.95° W")."""
     north, east = site.latitude_deg, site.longitude_deg
     latitude = f"{number(abs(north))}° {'N' if north >= 0 else 'S'}"
     return latitude, f"{number(abs(east))}° {'E' if east >= 0 else 'W'}"
 
 
 def versions(version: str, when: str = "") -> str:
-    """The version that computed a result, maybe when, and the one that wrote the page."""
-    on = f" on {when} UTC" if when else ""
-    return f"hygrokf {version or '(version not stated)'}{on}; page by hygrokf {__version__}"
+    """The version that computed a result (and the time, if given), and the version that wrote the page."""
+    date_text = f" on {when} UTC" if when else ""
+    return f"hygrokf {version or '(version not stated)'}{date_text}; page by hygrokf {__version__}"
 
 
 # --- numbers ---------------------------------------------------------------------------------
 
 
 def interval(low: float, high: float, text: Callable[[float], str] = fixed, symbol: str = "") -> str:
-    """Two bounds, each as `text` writes it: "0.48 … 0.56 K"; "–" where neither is known."""
+    """Return two bounds as text, each written by `text`: "0.48 … 0.56 K"; "–" where neither is finite."""
     if not (math.isfinite(low) or math.isfinite(high)):
         return NONE
     return f"{text(low)} … {text(high)}{f' {symbol}' if symbol else ''}"
 
 
 def share_text(share: float) -> str:
-    """A share [1] that may be negative, in whole per cent."""
+    """Return a share [1], which may be negative, in whole per cent."""
     return percent(0.0) if abs(share) < 0.005 else minus(percent(share))
 
 
 def signed_percent(share: float) -> str:
-    """A change [1] in per cent with its sign."""
+    """Return a relative change [1] in per cent with its sign."""
     sign = "+" if share >= 0.0005 else "−" if share <= -0.0005 else "±"
     return sign + percent(abs(share), 1 if abs(share) < 0.095 else 0)
 
 
 def parameter_cells(row: ParameterRow) -> tuple[str, str, str]:
-    """(value, bounds, unit) of a parameter with the digits that its standard error justifies, or its bounds
-    where it has none; temperatures in °C."""
+    """Return value, bounds and unit of a parameter as texts, with the decimals that its standard error (or,
+    without one, its bounds) justifies; temperatures in °C."""
     value, low, high, symbol = row.value, row.lower, row.upper, unit(row.unit)
     if row.unit == "K" and value > COLDEST_K:
-        value, low, high, symbol = *(v - ZERO_CELSIUS_K for v in (value, low, high)), "°C"
-    spread = row.se if row.se > 0.0 else 0.5 * (high - low)
-    decimals = decimals_for(0.5 * spread) if 0.0 < spread < math.inf else MOST_DECIMALS
+        value, low, high, symbol = *(kelvin - ZERO_CELSIUS_K for kelvin in (value, low, high)), "°C"
+    half_width = row.se if row.se > 0.0 else 0.5 * (high - low)
+    decimals = decimals_for(0.5 * half_width) if 0.0 < half_width < math.inf else MOST_DECIMALS
     text: Callable[[float], str] = plain_number
     if decimals < MOST_DECIMALS:
         text = partial(fixed, decimals=decimals)
-    return text(value), interval(low, high, lambda v: text(v) if math.isfinite(v) else "open"), symbol
+    bounds = interval(low, high, lambda bound: text(bound) if math.isfinite(bound) else "open")
+    return text(value), bounds, symbol

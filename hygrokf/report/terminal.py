@@ -1,4 +1,4 @@
-"""Blocks as text of at most so many columns, for the command line."""
+"""Blocks as text for the command line, in lines of limited width."""
 
 from __future__ import annotations
 
@@ -28,27 +28,29 @@ from hygrokf.texts.reasons import PLAIN_MARKS, REJECT, VERDICTS
 from hygrokf.texts.wording import one_line, sentence, unbroken
 
 TEXT_WIDTH = 100
-"""Most columns of a text, and those of one that is printed to a file."""
+"""Largest width of a text [columns], also used for output to a file."""
 NARROWEST = 40
+"""Smallest width of a text [columns]."""
 MARKS_KEY = "Reliable ({}), with caution ({}), not reliable ({})".format(*map(PLAIN_MARKS.get, VERDICTS))
 
 
 def terminal_width() -> int:
-    """Columns for text on standard output: those of the terminal, from `NARROWEST` to `TEXT_WIDTH`."""
+    """Width of text on standard output [columns], within `NARROWEST` … `TEXT_WIDTH`."""
     if sys.stdout is None or not sys.stdout.isatty():
         return TEXT_WIDTH
     return min(max(shutil.get_terminal_size((TEXT_WIDTH, 24)).columns, NARROWEST), TEXT_WIDTH)
 
 
 def page_text(page: Page, width: int | None = None) -> str:
-    """What a terminal prints of a page: its name, its warnings, its answer, and the sections that hold text.
+    """Return the text that a terminal prints of a page: its name, warnings and answer, and the sections that
+    hold text.
 
-    width: [columns]; None: see `terminal_width`.
+    width: [columns]; None: `terminal_width`.
     """
     width = width or terminal_width()
     warnings = [block for block in page.lead if isinstance(block, Banner)]
-    synthetic = any(block.word == "SYNTHETIC" for block in warnings)
-    name = f"{page.name}{' (SYNTHETIC: nothing measured)' if synthetic else ''}"
+    is_synthetic = any(block.word == "SYNTHETIC" for block in warnings)
+    name = f"{page.name}{' (SYNTHETIC: nothing measured)' if is_synthetic else ''}"
     texts = [_paragraph(name, width)]
     heading = ""
     for block in (*page.lead, *page.body):
@@ -62,16 +64,16 @@ def page_text(page: Page, width: int | None = None) -> str:
 
 
 def blocks_text(blocks: Iterable[Block], width: int | None = None) -> list[str]:
-    """The text of each block; a figure has none.
+    """Return the text of each block; a figure has none.
 
-    width: [columns]; None: see `terminal_width`.
+    width: [columns]; None: `terminal_width`.
     """
     width = width or terminal_width()
     return [text for block in blocks if (text := block_text(block, width))]
 
 
 def block_text(block: Block, width: int = TEXT_WIDTH) -> str:
-    """One block as lines of at most `width` columns."""
+    """Return one block as lines of at most `width` columns."""
     match block:
         case Heading() | Prose():
             return _paragraph(block.text, width)
@@ -97,25 +99,25 @@ def block_text(block: Block, width: int = TEXT_WIDTH) -> str:
 
 
 def _card(card: Card) -> str:
-    """A number with its verdict; for a rejected number the verdict comes first."""
+    """A card as a sentence: the number with its verdict; for a rejected number the verdict comes first."""
     value = f"{card.value} ({card.bounds})" if card.bounds else card.value
     if card.kind == REJECT:
-        said = f"{card.label}, {card.verdict}: {value}"
+        statement = f"{card.label}, {card.verdict}: {value}"
     else:
-        said = f"{card.label}: {value}{f', {card.verdict}' if card.kind else ''}"
-    end = "" if said.endswith(".") else "."  # the label may be a name: no capital
-    return " ".join([f"{said}{end}", *(sentence(text) for text in (card.reason, *card.lines) if text)])
+        statement = f"{card.label}: {value}{f', {card.verdict}' if card.kind else ''}"
+    end = "" if statement.endswith(".") else "."  # the label may be a name: no capital
+    return " ".join([f"{statement}{end}", *(sentence(text) for text in (card.reason, *card.lines) if text)])
 
 
 def _line(line: Line, width: int) -> str:
-    """A sentence with its mark; a reason stands further in than the sentence that it is a reason for."""
-    edge = "  " if line.within else ""
-    said = f"{PLAIN_MARKS[line.kind]} {line.text}{f' – {line.struck}' if line.struck else ''}"
-    return "\n".join(edge + row for row in _paragraph(said, width - len(edge), "  ").splitlines())
+    """Return a sentence with its mark; a reason is indented below the sentence that it explains."""
+    indent = "  " if line.within else ""
+    statement = f"{PLAIN_MARKS[line.kind]} {line.text}{f' – {line.struck}' if line.struck else ''}"
+    return "\n".join(indent + row for row in _paragraph(statement, width - len(indent), "  ").splitlines())
 
 
 def _paragraph(text: str, width: int, indent: str = "") -> str:
-    """Lines of at most so many columns that do not part a number from its unit."""
+    """Wrap a text to lines of at most `width` columns that never separate a number from its unit."""
     return "\n".join(wrapped(unbroken(text), width, indent)).replace("\xa0", " ")
 
 
@@ -123,54 +125,56 @@ def _paragraph(text: str, width: int, indent: str = "") -> str:
 
 
 def table_text(table: Table, width: int = TEXT_WIDTH) -> str:
-    """A table in fixed width.
+    """Return a table in fixed width.
 
-    Names of rows that do not fit take several lines; where the longest word of a name does not fit beside the
-    other columns, each row is a paragraph of its own instead, so that no name and no number is cut.
+    Long names of rows are wrapped. If the longest word of a name does not fit beside the other columns, each
+    row becomes a paragraph, so that no name and no number is cut.
     """
-    chosen = table.brief or tuple(range(len(table.columns)))
-    rows = [[one_line(row[i]) for i in chosen] for row in ([*table.columns], *table.rows)]
+    shown_columns = table.brief or tuple(range(len(table.columns)))
+    rows = [[one_line(row[i]) for i in shown_columns] for row in ([*table.columns], *table.rows)]
     widths = [max(cells(text) for text in column) for column in zip(*rows, strict=True)]
-    room = width - sum(widths[1:]) - 2 * (len(widths) - 1)
-    if widths[0] > room:
-        if room < max(_longest_word(row[0]) for row in rows):
-            return _paragraphs(table, chosen, rows, width)
-        widths[0] = room
-        rows = [line for row in rows for line in _name_wrapped(row, room)]
-    left = {place for place, i in enumerate(chosen) if i in table.left}
+    name_width = width - sum(widths[1:]) - 2 * (len(widths) - 1)
+    if widths[0] > name_width:
+        if name_width < max(_longest_word(row[0]) for row in rows):
+            return _paragraphs(table, shown_columns, rows, width)
+        widths[0] = name_width
+        rows = [line for row in rows for line in _name_wrapped(row, name_width)]
+    left_columns = {column for column, i in enumerate(shown_columns) if i in table.left}
     lines = [table.heading] if table.heading else []
     if table.groups and not table.brief:
         lines.append(_group_line(table.groups, widths))
     for row in rows:
-        parts = [_padded(text, widths[k], k in left) for k, text in enumerate(row)]
-        lines.append("  ".join(parts).rstrip())
+        cells_of_row = [
+            _padded(text, widths[column], column in left_columns) for column, text in enumerate(row)
+        ]
+        lines.append("  ".join(cells_of_row).rstrip())
     if table.note:
         lines += wrapped(table.note, width)
     return "\n".join(shortened(line, width) for line in lines)
 
 
 def _longest_word(name: str) -> int:
-    """Columns of a name's longest word, with its indent and that of a continued line."""
+    """The width of a name's longest word [columns], with its indent and the indent of a wrapped line."""
     text = name.lstrip()
     longest = max((cells(word) for word in text.split()), default=0)
     return longest + len(name) - len(text) + (2 if " " in text else 0)
 
 
-def _paragraphs(table: Table, chosen: Sequence[int], rows: list[list[str]], width: int) -> str:
-    """A table as a paragraph for each row: its name, then each column with its value.
+def _paragraphs(table: Table, shown_columns: Sequence[int], rows: list[list[str]], width: int) -> str:
+    """Return a table as a paragraph for each row: its name, then each column with its value.
 
-    chosen: places of the columns. rows: the head and the rows, as text.
+    shown_columns: indices of the columns. rows: the head, then the rows, as text.
     """
     groups = [heading for heading, count in table.groups for _ in range(count)]
-    head, *others = rows
-    terms = [
-        f"{groups[i]}, {name}" if i < len(groups) and groups[i].strip() else name
-        for i, name in zip(chosen, head, strict=True)
+    head, *body_rows = rows
+    column_names = [
+        f"{groups[column]}, {name}" if column < len(groups) and groups[column].strip() else name
+        for column, name in zip(shown_columns, head, strict=True)
     ]
     lines = wrapped(table.heading, width) if table.heading else []
-    for row in others:
+    for row in body_rows:
         lines += wrapped(row[0], width, "  ")
-        for term, text in zip(terms[1:], row[1:], strict=True):
+        for term, text in zip(column_names[1:], row[1:], strict=True):
             if text.strip() not in ("", "–"):
                 lines += [f"  {line}" for line in wrapped(f"{term}: {text}", width - 2, "  ")]
     if table.note:
@@ -179,41 +183,44 @@ def _paragraphs(table: Table, chosen: Sequence[int], rows: list[list[str]], widt
 
 
 def _name_wrapped(row: list[str], width: int) -> list[list[str]]:
-    """A row whose first cell is wrapped to `width` columns; its first line has the other cells."""
+    """Wrap the first cell of a row to `width` columns; only the first line has the other cells."""
     text = row[0].lstrip()
     indent = " " * (len(row[0]) - len(text))
-    first, *others = [indent + line for line in wrapped(text, width - len(indent), "  ")]
-    return [[first, *row[1:]], *([other, *[""] * (len(row) - 1)] for other in others)]
+    first, *further_lines = [indent + line for line in wrapped(text, width - len(indent), "  ")]
+    return [[first, *row[1:]], *([line, *[""] * (len(row) - 1)] for line in further_lines)]
 
 
 def _group_line(groups: tuple[tuple[str, int], ...], widths: list[int]) -> str:
-    parts, at = [], 0
+    """Return the line with the headings of groups, each above the columns that it spans."""
+    headings, first_column = [], 0
     for heading, count in groups:
-        room = sum(widths[at : at + count]) + 2 * (count - 1)
-        at += count
-        parts.append(_padded(shortened(heading, room), room, False))
-    return "  ".join(parts).rstrip()
+        group_width = sum(widths[first_column : first_column + count]) + 2 * (count - 1)
+        first_column += count
+        headings.append(_padded(shortened(heading, group_width), group_width, False))
+    return "  ".join(headings).rstrip()
 
 
 def cells(text: str) -> int:
-    """Columns that a terminal needs for a text."""
+    """Return the number of columns that a terminal needs for a text."""
     return len(text) if text.isascii() else sum(map(_columns, text))
 
 
 @cache
 def _columns(character: str) -> int:
+    """Return the width of a character: 0 for a combining one, 2 for a wide East Asian one, else 1."""
     if unicodedata.combining(character):
         return 0
     return 2 if unicodedata.east_asian_width(character) in "WF" else 1
 
 
 def _padded(text: str, width: int, left: bool) -> str:
+    """Pad a text with blanks to a width [columns], on the right (left: words) or on the left (numbers)."""
     space = " " * max(width - cells(text), 0)
     return text + space if left else space + text
 
 
 def shortened(text: str, width: int) -> str:
-    """Text cut to a width, with an ellipsis where something is gone."""
+    """Cut a text to a width, and mark the cut by an ellipsis."""
     if cells(text) <= width:
         return text
     while text and cells(text) > width - 1:
@@ -222,20 +229,20 @@ def shortened(text: str, width: int) -> str:
 
 
 def wrapped(text: str, width: int = TEXT_WIDTH, indent: str = "") -> list[str]:
-    """Lines of at most `width` columns, further ones indented; words longer than a line are cut."""
+    """Wrap a text to `width` columns, further lines indented; words longer than a line are cut."""
     lines, line = [], ""
     for word in text.split(" "):
         while word:
-            grown = f"{line} {word}" if line.strip() else line + word
-            if cells(grown) <= width:
-                line, word = grown, ""
+            longer_line = f"{line} {word}" if line.strip() else line + word
+            if cells(longer_line) <= width:
+                line, word = longer_line, ""
             elif line.strip():
                 lines.append(line)
                 line = indent
             else:
-                part = word
-                while cells(line + part) > width:
-                    part = part[:-1]
-                lines.append(line + part)
-                line, word = indent, word[len(part) :]
+                piece = word
+                while cells(line + piece) > width:
+                    piece = piece[:-1]
+                lines.append(line + piece)
+                line, word = indent, word[len(piece) :]
     return [*lines, line] if line.strip() or not lines else lines

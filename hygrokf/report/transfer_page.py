@@ -1,4 +1,5 @@
-"""The blocks, page and text of a transfer: verdict, groups that differ, what re-estimating gains."""
+"""The page of a transfer: the verdict, the groups of parameters that differ, and the gain of
+re-estimating."""
 
 from __future__ import annotations
 
@@ -89,18 +90,18 @@ TRANSFER_TONES: dict[TransferVerdict, Literal["plain", "open", "reject"]] = {
 def write_transfer(
     transfers: Sequence[Transfer], directory: str | os.PathLike[str], pooled: TurbineType | None = None
 ) -> Path:
-    """Write transfer.json, transfer.npz and report.html, each record's own fit in a folder of its name, and
-    type.json.
+    """Write transfer.json, transfer.npz, report.html, the fit of each record in a folder of its name, and for
+    a pooled type type.json; returns the path of report.html.
 
-    The fit in a record's folder is the one to use there: re-estimated where that was called for.  Returns the
-    path of report.html.  Raises OSError from the system.
+    The fit in a record's folder is the one to use there: re-estimated if groups of parameters differ. Raises
+    OSError from the system.
     """
     folder = Path(directory)
-    found, courses = transfer_results(transfers, pooled), [transfer.course for transfer in transfers]
-    text, page = result_text(found), page_html(transfer_blocks(found, courses))
+    results, courses = transfer_results(transfers, pooled), [transfer.course for transfer in transfers]
+    text, page = result_text(results), page_html(transfer_blocks(results, courses))
     folder.mkdir(parents=True, exist_ok=True)
     (folder / REPORT).unlink(missing_ok=True)
-    for transfer, name in zip(transfers, folders([record.name for record in found.records]), strict=True):
+    for transfer, name in zip(transfers, folders([record.name for record in results.records]), strict=True):
         if transfer.adapted is not None:
             write_fit(transfer.adapted, folder / name)
             write_report(folder / name)
@@ -112,110 +113,115 @@ def write_transfer(
 
 
 def rewrite_transfer(directory: str | os.PathLike[str]) -> Path:
-    """Write report.html again from transfer.json and transfer.npz.  Raises ResultFault where these cannot be
-    read."""
+    """Write report.html again from the results. Raises ResultFault if they cannot be read."""
     return write_text_whole(Path(directory) / REPORT, page_html(transfer_blocks(*read_transfer(directory))))
 
 
 def read_transfer(directory: str | os.PathLike[str]) -> tuple[TransferResults, tuple[RecordCourse, ...]]:
-    """The results and courses in a directory.  Raises ResultFault with all faults."""
+    """Read the results and courses in a directory. Raises ResultFault with all faults."""
     folder = Path(directory)
-    found = read_result(TransferResults, folder / TRANSFER, TRANSFER_COMMAND)
-    return found, read_courses(folder / TRANSFER_SERIES, len(found.records), TRANSFER_COMMAND)
+    results = read_result(TransferResults, folder / TRANSFER, TRANSFER_COMMAND)
+    return results, read_courses(folder / TRANSFER_SERIES, len(results.records), TRANSFER_COMMAND)
 
 
 def folders(names: Sequence[str]) -> list[str]:
-    """A folder's name for each record: its own in plain letters, numbered where two would be the same."""
-    result: list[str] = []
+    """A folder's name for each record: its name in plain letters, numbered if another record has it."""
+    folder_names: list[str] = []
     for name in names:
-        plain = re.sub(r"[^A-Za-z0-9._-]+", "-", name).strip("-.") or "record"
-        number, made = 2, plain
-        while made in result:
-            made, number = f"{plain}-{number}", number + 1
-        result.append(made)
-    return result
+        plain_name = re.sub(r"[^A-Za-z0-9._-]+", "-", name).strip("-.") or "record"
+        number, folder = 2, plain_name
+        while folder in folder_names:
+            folder, number = f"{plain_name}-{number}", number + 1
+        folder_names.append(folder)
+    return folder_names
 
 
 # --- the page --------------------------------------------------------------------------------
 
 
-def transfer_blocks(found: TransferResults, courses: Sequence[RecordCourse] = ()) -> Page:
-    """What a transfer says: the verdict on each record, and the held-out course of the first, first."""
-    source, names = found.source.name, [record.name for record in found.records]
-    cards = Cards(tuple(_card(found, record) for record in found.records))
-    pictures = [
+def transfer_blocks(results: TransferResults, courses: Sequence[RecordCourse] = ()) -> Page:
+    """Return the page of a transfer; the verdicts and the held-out course of the first record come first."""
+    source_name, names = results.source.name, [record.name for record in results.records]
+    cards = Cards(tuple(_card(results, record) for record in results.records))
+    figures = [
         Figure(
-            f"course-{i}",
-            "The first held-out days" if len(names) == 1 else f"The first held-out days of {names[i]}",
+            f"course-{number}",
+            "The first held-out days" if len(names) == 1 else f"The first held-out days of {names[number]}",
             "Twelve days at most. The simulations are free runs: they should stay with the blue readings.",
             partial(figure_course, course, bool(record.re_estimate)),
         )
-        for i, (record, course) in enumerate(zip(found.records, courses, strict=False))
+        for number, (record, course) in enumerate(zip(results.records, courses, strict=False))
     ]
     body: list[Block] = []
-    for i in range(len(names)):
-        body += _record(found, i, pictures[i] if 0 < i < len(pictures) else None)
-    kind = "type of turbine" if found.source.kind == "type" else "fit"
-    handed = inherited_verdicts(found.source.verdicts, f"The time constants of {source}")
-    body += section("Models used", handed)
-    body += type_section(found.type)
-    provenance = least_measured(record.provenance for record in found.records)
+    for number in range(len(names)):
+        body += _record(results, number, figures[number] if 0 < number < len(figures) else None)
+    source_kind = "type of turbine" if results.source.kind == "type" else "fit"
+    verdicts = inherited_verdicts(results.source.verdicts, f"The time constants of {source_name}")
+    body += section("Models used", verdicts)
+    body += type_section(results.type)
+    provenance = least_measured(record.provenance for record in results.records)
     return Page(
         "Transfer",
-        f"{source} on {', '.join(names) if len(names) < 3 else f'{len(names)} records'}",
-        (f"The {kind} of {source}, tried on the record{'s' if names[1:] else ''} of {', '.join(names)}.",),
-        (*unmeasured(provenance, OF_RECORDS), cards, *pictures[:1]),
+        f"{source_name} on {', '.join(names) if len(names) < 3 else f'{len(names)} records'}",
+        (
+            f"The {source_kind} of {source_name}, tried on the record{'s' if names[1:] else ''} of "
+            f"{', '.join(names)}.",
+        ),
+        (*unmeasured(provenance, OF_RECORDS), cards, *figures[:1]),
         tuple(body),
-        method("Method", *TRANSFER_METHOD, f"Judged by {versions(found.version)}."),
+        method("Method", *TRANSFER_METHOD, f"Judged by {versions(results.version)}."),
     )
 
 
-def _card(found: TransferResults, one: TransferResult) -> Card:
-    """The verdict on one record with its reasons; of several records, with the first reason."""
-    reasons = tuple(sentence(reason.text) for reason in one.reasons)
-    alone = len(found.records) == 1
+def _card(results: TransferResults, result: TransferResult) -> Card:
+    """The card of a record: its verdict with the reasons; with several records only the first reason."""
+    reasons = tuple(sentence(reason.text) for reason in result.reasons)
+    is_only = len(results.records) == 1
     return Card(
-        one.name,
-        sentence(one.statement.text),
-        lines=reasons if alone else reasons[:1],
-        wide=alone,
+        result.name,
+        sentence(result.statement.text),
+        lines=reasons if is_only else reasons[:1],
+        wide=is_only,
         words=True,
-        tone=TRANSFER_TONES[one.verdict],
+        tone=TRANSFER_TONES[result.verdict],
     )
 
 
-def _record(found: TransferResults, place: int, course: Figure | None) -> tuple[Block, ...]:
-    one = found.records[place]
-    several = len(found.records) > 1
-    reasons = [Prose(sentence(reason.text)) for reason in one.reasons] if several else []
-    own = inherited_verdicts(one.verdicts, "The time constants of the model to use here")
+def _record(results: TransferResults, number: int, course: Figure | None) -> tuple[Block, ...]:
+    """Return the section of one record; `course`: the figure of its held-out days."""
+    result = results.records[number]
+    several = len(results.records) > 1
+    reasons = [Prose(sentence(reason.text)) for reason in result.reasons] if several else []
+    verdicts = inherited_verdicts(result.verdicts, "The time constants of the model to use here")
     return section(
-        f"{one.name}: which parameters transfer" if several else "What transfers",
+        f"{result.name}: which parameters transfer" if several else "What transfers",
         *reasons,
-        table_or(groups_table(one), "No group of parameters could be judged."),
-        Prose(" ".join(sentence(line.text) for line in one.statements), "note") if one.statements else None,
+        table_or(groups_table(result), "No group of parameters could be judged."),
+        Prose(" ".join(sentence(statement.text) for statement in result.statements), "note")
+        if result.statements
+        else None,
         Figure(
-            f"parameters-{place}",
+            f"parameters-{number}",
             "Parameters, own against the fit's",
             "The 95 % bounds include the uncertainty of both. Shaded: differences too small to matter. Red: "
             "groups that differ.",
-            partial(figure_parameters, one),
+            partial(figure_parameters, result),
         ),
-        *(errors_tables(one) or (Prose("Nothing was scored.", "missing"),)),
+        *(errors_tables(result) or (Prose("Nothing was scored.", "missing"),)),
         Prose(SETS_NOTE, "note"),
         Figure(
-            f"sets-{place}",
-            "Held-out errors" if one.period == "validation" else "Errors of the identification period",
+            f"sets-{number}",
+            "Held-out errors" if result.period == "validation" else "Errors of the identification period",
             "With 95 % bounds.",
-            partial(figure_sets, one),
+            partial(figure_sets, result),
         ),
         course,
-        own,
+        verdicts,
         Details(
             "All parameters, and likelihood ratios",
             (
-                table_or(transfer_parameters_table(one), "There are no parameters."),
-                table_or(ratios_table(one), "No likelihood ratio was needed."),
+                table_or(transfer_parameters_table(result), "There are no parameters."),
+                table_or(ratios_table(result), "No likelihood ratio was needed."),
             ),
         ),
     )
@@ -224,19 +230,19 @@ def _record(found: TransferResults, place: int, course: Figure | None) -> tuple[
 # --- tables ----------------------------------------------------------------------------------
 
 
-def groups_table(one: TransferResult) -> Table:
-    """Group by group: the statistic, p, the effect of the difference on the simulation, and the outcome."""
+def groups_table(result: TransferResult) -> Table:
+    """Each group of parameters: the test, the effect of its difference on the simulation, and the outcome."""
     rows: list[tuple[str, ...]] = []
     marked: list[int] = []
-    for row in one.groups:
+    for group in result.groups:
         cells: tuple[str, ...] = (NONE,) * 5
-        if row.statistic is not None and row.p_adjusted is not None:
-            effect = row.effect or {}
+        if group.statistic is not None and group.p_adjusted is not None:
+            effect = group.effect or {}
             changes = (fixed(effect.get(q, math.nan)) for q in SCORED)
-            cells = (fixed(row.statistic, 1), str(row.df), p_value(row.p_adjusted), *changes)
-        if row.outcome == "differs":
+            cells = (fixed(group.statistic, 1), str(group.df), p_value(group.p_adjusted), *changes)
+        if group.outcome == "differs":
             marked.append(len(rows))
-        rows.append((row.group, *cells, row.statement.text))
+        rows.append((group.group, *cells, group.statement.text))
     return Table(
         "Groups of parameters",
         ("", "χ²", "df", "p", "[K]", "[g/m³]", "outcome"),
@@ -250,32 +256,39 @@ def groups_table(one: TransferResult) -> Table:
     )
 
 
-def errors_tables(one: TransferResult) -> tuple[Table, ...]:
-    """For each quantity the errors of the four sets and the rules on the instants that all of them score."""
-    held_out = one.period == "validation"
+def errors_tables(result: TransferResult) -> tuple[Table, ...]:
+    """Return for each quantity the errors of the sets and rules, on the instants that all of them score."""
+    held_out = result.period == "validation"
     where = "held out" if held_out else "identification period: nothing is held out"
     tables = []
-    for scored, by_set in one.rmse.items():
-        rows: list[RegimeRow] = []
-        for name in (n for n in SET_LABELS if n in by_set):
+    for quantity_name, by_set in result.rmse.items():
+        rows = []
+        for name in (set_name for set_name in SET_LABELS if set_name in by_set):
             row = by_set[name]
-            values = (row.operation, row.standstill, row.total)
-            rows.append(((SET_LABELS[name],), values, row.bounds, row.n.total))
-        tables.append(regimes_table(f"{quantity(scored).rmse}, {where}", rows))
+            bounds = NONE if row.bounds is None else interval(*row.bounds)
+            numbers = (fixed(error) for error in (row.operation, row.standstill, row.total))
+            rows.append((SET_LABELS[name], *numbers, bounds, str(row.n.total)))
+        tables.append(
+            Table(
+                f"{quantity(quantity_name).rmse}, {where}",
+                ("", "operation", "standstill", "total", "total, 95 %", "n"),
+                tuple(rows),
+            )
+        )
     return tuple(tables)
 
 
-def transfer_parameters_table(one: TransferResult) -> Table:
-    """Every parameter of the cabinet: original, own, difference."""
+def transfer_parameters_table(result: TransferResult) -> Table:
+    """Return every parameter: its original value, its own value on the record, and the difference."""
     rows = []
-    for name, row in one.parameters.items():
+    for name, change in result.parameters.items():
         cells = (NONE, NONE)
-        if row.difference is not None:
-            times = "× " if row.difference_is == "ratio" else ""
-            bounds = interval(row.difference.lower, row.difference.upper, plain_number)
-            cells = (f"{times}{plain_number(row.difference.value)}", bounds)
-        both = (_with_se(row.original, row.original_se), _with_se(row.own, row.own_se))
-        rows.append((f"{name} [{row.unit}]", *both, *cells))
+        if change.difference is not None:
+            times = "× " if change.difference_is == "ratio" else ""
+            bounds = interval(change.difference.lower, change.difference.upper, plain_number)
+            cells = (f"{times}{plain_number(change.difference.value)}", bounds)
+        values = (_with_se(change.original, change.original_se), _with_se(change.own, change.own_se))
+        rows.append((f"{name} [{change.unit}]", *values, *cells))
     return Table(
         "Parameters",
         ("parameter", "original", "own", "difference", "95 %"),
@@ -285,15 +298,16 @@ def transfer_parameters_table(one: TransferResult) -> Table:
     )
 
 
-def ratios_table(one: TransferResult) -> Table:
-    """Exact likelihood ratios on this record."""
+def ratios_table(result: TransferResult) -> Table:
+    """Return the exact likelihood ratios on this record."""
+    rows = []
+    for ratio in result.likelihood_ratios:
+        numbers = (fixed(ratio.likelihood_ratio, 1), str(ratio.df), fixed(ratio.factor), p_value(ratio.p))
+        rows.append((ratio.of.text, *numbers))
     return Table(
         "Likelihood ratios on this record alone",
         ("", "2 ln L", "df", "factor", "p"),
-        tuple(
-            (r.of.text, fixed(r.likelihood_ratio, 1), str(r.df), fixed(r.factor), p_value(r.p))
-            for r in one.likelihood_ratios
-        ),
+        tuple(rows),
         note="The original values count as exact here, so a small p of the rest need not mean that it "
         "differs: the table of groups includes both uncertainties. Factor: how much coloured noise widens "
         "the bounds; 2 ln L is divided by it.",
@@ -303,36 +317,38 @@ def ratios_table(one: TransferResult) -> Table:
 # --- the type of turbine ---------------------------------------------------------------------
 
 
-def type_section(found: TurbineType | None, note: Prose | None = None) -> tuple[Block, ...]:
-    """The section about a type of turbine; nothing without one."""
-    if found is None:
+def type_section(turbine_type: TurbineType | None, note: Prose | None = None) -> tuple[Block, ...]:
+    """Return the section about a type of turbine; empty without one."""
+    if turbine_type is None:
         return ()
-    picture = Figure("type", "Type and next turbine", "", partial(figure_type, found))
-    return section("The type of turbine", type_table(found), note, picture)
+    picture = Figure("type", "Type and next turbine", "", partial(figure_type, turbine_type))
+    return section("The type of turbine", type_table(turbine_type), note, picture)
 
 
-def type_table(found: TurbineType) -> Table:
-    """Each parameter of a type with bounds, its spread, and the range of the next turbine."""
-    rows, alike = [], False
-    for name, row in found.parameters.items():
-        ends = row.in_unit()
+def type_table(turbine_type: TurbineType) -> Table:
+    """Return each parameter of a type with its bounds, its spread, and the range of the next turbine."""
+    rows, has_zero_spread = [], False
+    for name, row in turbine_type.parameters.items():
+        in_unit = row.in_unit()
         spread = percent(row.spread) if row.logarithmic else plain_number(row.spread)
         if row.spread < 0.01 * row.se:
-            spread, alike = "0", True
-        span = interval(ends["lower"], ends["upper"], plain_number)
-        following = interval(ends["next_lower"], ends["next_upper"], plain_number)
-        rows.append((name, plain_number(ends["value"]), span, spread, following, row.unit, str(row.turbines)))
+            spread, has_zero_spread = "0", True
+        span = interval(in_unit["lower"], in_unit["upper"], plain_number)
+        next_range = interval(in_unit["next_lower"], in_unit["next_upper"], plain_number)
+        rows.append(
+            (name, plain_number(in_unit["value"]), span, spread, next_range, row.unit, str(row.turbines))
+        )
     note = (
         "Spread: standard deviation from turbine to turbine beyond the uncertainty of the estimates (REML)."
     )
-    if alike:
+    if has_zero_spread:
         note += (
             " A spread of 0 means that the uncertainty of these turbines' own estimates explains their "
             "differences, not that the next turbine is like them: a few turbines hardly determine the "
             "spread, and the range of the next turbine is then too narrow."
         )
     return Table(
-        f"{len(found.turbines)} turbines: {', '.join(found.turbines)}",
+        f"{len(turbine_type.turbines)} turbines: {', '.join(turbine_type.turbines)}",
         ("parameter", "type", "95 %", "spread", "next turbine, 95 %", "unit", "n"),
         tuple(rows),
         left=(0, 5),
@@ -342,4 +358,5 @@ def type_table(found: TurbineType) -> Table:
 
 
 def _with_se(value: float, se: float) -> str:
+    """Return a value with its standard error: "1.52 ± 0.03"; the value alone if there is none."""
     return plain_number(value) if math.isnan(se) else f"{plain_number(value)} ± {plain_number(se, 2)}"

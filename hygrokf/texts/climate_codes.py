@@ -1,4 +1,4 @@
-"""What a climate says beside its numbers: on weather, power, bounds, limits and what the model lacks."""
+"""Sentences of a climate study: on weather, power, bounds, limits, and what the model lacks."""
 
 from hygrokf.texts.statement import Code
 

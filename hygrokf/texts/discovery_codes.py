@@ -1,5 +1,5 @@
-"""What a discovery says: conditions under which a simulation errs, evidence for and against causes, and what
-to check in the turbine."""
+"""Sentences of a discovery: conditions under which a simulation errs, evidence for and against causes, and
+what to check in the turbine."""
 
 from hygrokf.texts.statement import Code
 

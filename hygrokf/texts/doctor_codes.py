@@ -1,4 +1,4 @@
-"""Codes of what the doctor finds: each with its usual level, and what to do."""
+"""Codes of the results of `hygrokf doctor`: each with its usual level, its sentence, and what to do."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ DOUBT: Final = "doubt"
 FAULT: Final = "fault"
 CHECK_LEVELS = (OK, DOUBT, FAULT)
 ASK_REBIRTH = 'publish the command "Node Control/Rebirth" to spBv1.0/GROUP/NCMD/NODE'
-"""What to do if the tracker must not ask an edge node for its birth certificates."""
+"""Remedy if the tracker is not allowed to request a rebirth itself."""
 _COMPARE_PAYLOADS = "compare [mapping] and known_as of each [[turbine]] with the delivered payloads"
 _COMPARE_CLOCKS = "compare both clocks; stamps in local time need their offset from UTC"
 _SET_CLOCK = "synchronise this machine's clock by NTP (timedatectl set-ntp true, or chrony)"
@@ -33,7 +33,8 @@ _WRITER = "check the program that writes the file"
 
 # fmt: off
 class CheckCode(Code):
-    """What the doctor finds: its usual level, the template of its sentence, and that of what to do."""
+    """A result of the doctor: its usual level, the template of its sentence, and the template of the
+    remedy."""
 
     # clocks
     STAMP_AHEAD = (
@@ -286,14 +287,14 @@ class CheckCode(Code):
         self.usual = usual
 
     def __call__(self, about: str = "", level: str = "", /, **values: Value) -> Check:
-        """The check with this result; `level`: where it is not the usual one."""
+        """The check with these values; `about`: what was checked; `level`: if it is not the usual one."""
         return Check(self, values, about, level or self.usual)
 
 # fmt: on
 
 
 class ExaminedCode(Code):
-    """What the doctor has read of a source, and parts of what it finds."""
+    """What the doctor has read of a source, and phrases in its results."""
 
     PAYLOADS = "payloads"
     LAST_ROWS = "last rows"
@@ -312,14 +313,15 @@ class ExaminedCode(Code):
 
 @dataclass(frozen=True)
 class Check(Statement):
-    """The result of one check: what it is `about`, its `level` (see `CHECK_LEVELS`), and what to do unless it is
-    "ok"."""
+    """The result of one check: what was checked (`about`), its `level` (see `CHECK_LEVELS`), and the remedy, empty
+    for level "ok"."""
 
     about: str = ""
     level: str = OK
 
     @property
     def remedy(self) -> str:
+        """What to do; "" for the level "ok"."""
         return "" if self.level == OK else super().remedy
 
     def to_json(self) -> dict[str, Any]:
@@ -332,6 +334,6 @@ class Check(Statement):
         }
 
     def __str__(self) -> str:
-        """The check as one line of the terminal."""
-        to_do = f"; to do: {self.remedy}" if self.remedy else ""
-        return one_line(f"{self.level:5}  {self.about}: {self.text}{to_do}")
+        """Return the check as one line for the terminal."""
+        remedy_text = f"; to do: {self.remedy}" if self.remedy else ""
+        return one_line(f"{self.level:5}  {self.about}: {self.text}{remedy_text}")

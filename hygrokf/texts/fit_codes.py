@@ -1,4 +1,4 @@
-"""Statements of fits and of their evaluation: every code with its template."""
+"""Sentences of fits and of their evaluation on other records."""
 
 from __future__ import annotations
 
@@ -6,7 +6,8 @@ from hygrokf.texts.statement import Code
 
 
 class FitCode(Code):
-    """What a search, its bounds, a model, the innovations and a fit on another record have to say."""
+    """A sentence about a search for a maximum, its bounds, a model, the innovations, or a fit on another
+    record."""
 
     # how a search for a maximum ended
     CONVERGED = "converged"
@@ -189,6 +190,4 @@ class FitCode(Code):
         "the fit's model has pre-heating, but the record has no such signal: pre-heating counts as off"
     )
     PREHEATING_NOT_MODELLED = "the record has pre-heating, which the fit's model does not use"
-    OTHER_HUMIDITY = (
-        "the fit predicts {predicted}, the record has {recorded}: the humidity is not scored"
-    )
+    OTHER_HUMIDITY = "the fit predicts {predicted}, the record has {recorded}: the humidity is not scored"

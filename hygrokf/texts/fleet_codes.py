@@ -1,10 +1,10 @@
-"""What a fleet says of a turbine: why there is no result, and bounds that are open."""
+"""Sentences of a fleet: why a turbine has no result, and time constants with an open bound."""
 
 from hygrokf.texts.statement import Code
 
 
 class FleetCode(Code):
-    """Why a job was lost, or what is known of a time constant without both bounds."""
+    """Why a job was lost, or the bound that a time constant has."""
 
     NO_WORKER = "no worker of the cluster could run it: {fault}"
     PROCESS_ENDED = "its process ended with status {status:.0}, {attempts:.0} times in a row"

@@ -1,5 +1,5 @@
-"""Codes of what the live tracker says of turbines: its alarms, with what to do, their states, and the advice
-for a restart."""
+"""Sentences of the live tracker: alarms with their remedies, states of turbines, forecasts, and advice for a
+restart."""
 
 from __future__ import annotations
 
@@ -19,7 +19,8 @@ _HELD_BACK = "They are stored and held back until this machine's clock reaches t
 
 
 class AlarmCode(Code):
-    """What an alarm says, and what to do; `change`, `size` and their bounds have the unit of the template."""
+    """The sentence of an alarm, and the remedy; `change`, `size` and their bounds are in the unit that the
+    template states."""
 
     WATER_CONDENSES = (
         "water condenses on the coldest surface with a probability of {probability:chance}: its margin to "
@@ -202,7 +203,7 @@ class BasisCode(Code):
 
 
 class CauseCode(Code):
-    """Causes of a lasting shift."""
+    """Possible causes of a lasting change."""
 
     CHANGED_HEAT_LOSS = "a changed heat loss"
     CHANGED_AIR_EXCHANGE = "a changed exchange of air"

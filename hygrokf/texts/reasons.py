@@ -1,4 +1,4 @@
-"""Verdicts, and the reasons for them: every code with the verdict that it gives and its template."""
+"""Verdicts on numbers, and the reasons for them."""
 
 from __future__ import annotations
 
@@ -21,7 +21,8 @@ PLAIN_MARKS = {BELIEVE: "+", CAUTION: "!", REJECT: "x"}
 
 
 class ReasonCode(Code):
-    """Evidence for or against a number: the verdict that it alone gives, and the template of its sentence."""
+    """A reason for or against a number: the verdict that it gives on its own, and the template of its
+    sentence."""
 
     # against a time constant
     CONVERGENCE_UNKNOWN = (CAUTION, "whether the estimation converged is not stated")
@@ -149,12 +150,12 @@ class ReasonCode(Code):
         self.usual = usual
 
     def __call__(self, verdict: Kind | None = None, /, **values: Value) -> Reason:
-        """The reason with these values; `verdict`: where it is not the usual one."""
+        """Return the reason with these values; `verdict`: if it is not the usual one."""
         return Reason(self, values, verdict or self.usual)
 
 
 class VerdictCode(Code):
-    """What a result says that uses a number with a verdict."""
+    """What a result says if it uses a number that is not reliable."""
 
     RESTS_ON_REJECTED = (
         "the model's {parts:and} time {count:constant|constants}, on which this rests, {count:is|are} not "
@@ -164,9 +165,11 @@ class VerdictCode(Code):
 
 @dataclass(frozen=True)
 class Reason(Statement):
-    """Evidence for or against a number.
+    """A reason for or against a number.
 
-    `verdict` that it alone would give; `source`: name of the fit from which it was taken over, else empty."""
+    `verdict`: the one that this reason gives on its own. `source`: name of the fit that the reason was taken
+    over from, else "".
+    """
 
     codes: ClassVar[type[Code]] = ReasonCode
 
@@ -175,7 +178,7 @@ class Reason(Statement):
 
     @property
     def text(self) -> str:
-        """The sentence, which names the source of a reason that was taken over."""
+        """The sentence; for a reason that was taken over, it names the source."""
         return f"on {self.source}: {super().text}" if self.source else super().text
 
     def to_json(self) -> dict[str, Any]:
@@ -183,19 +186,19 @@ class Reason(Statement):
 
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> Self:
-        """The reason that `to_json` wrote.  Raises ValueError for a code or a verdict that is not known."""
+        """Return the reason that `to_json` wrote. Raises ValueError for an unknown code or verdict."""
         statement, verdict = super().from_json(data), data.get("verdict")
         if verdict not in VERDICTS:
-            words = ", ".join(map(repr, VERDICTS))
-            raise ValueError(f"expected one of {words}, found {verdict!r}")
+            known_verdicts = ", ".join(map(repr, VERDICTS))
+            raise ValueError(f"expected one of {known_verdicts}, found {verdict!r}")
         return replace(statement, verdict=verdict, source=data.get("source", ""))
 
 
 def worst_first(reasons: Iterable[Reason]) -> tuple[Reason, ...]:
-    """Reasons in the order of their verdicts, the most serious first."""
-    return tuple(sorted(reasons, key=lambda one: -VERDICTS.index(one.verdict)))
+    """Sort reasons by their verdicts, the worst first."""
+    return tuple(sorted(reasons, key=lambda reason: -VERDICTS.index(reason.verdict)))
 
 
 def verdict_of(reasons: Iterable[Reason]) -> Kind:
-    """The verdict of the most serious reason; believed without one."""
+    """Return the worst verdict of the reasons; "believe" without any."""
     return max((reason.verdict for reason in reasons), key=VERDICTS.index, default=BELIEVE)

@@ -1,18 +1,23 @@
-"""Doubts about records, what records cannot tell, and the phrases of both: every code with its template."""
+"""Sentences about records: doubts, and what a record cannot tell."""
 
 from __future__ import annotations
 
 from hygrokf.texts.parts import PARTS
 from hygrokf.texts.statement import Code, Statement
 
-TOUCHES_THERMAL, TOUCHES_HYGRIC, TOUCHES_BOTH, TOUCHES_NEITHER = PARTS[:1], PARTS[1:], PARTS, PARTS[:0]
-"""Time constants that a doubt touches."""
+TOUCHES_THERMAL, TOUCHES_HYGRIC, TOUCHES_BOTH, TOUCHES_NEITHER = (
+    ("thermal",),
+    ("hygric",),
+    ("thermal", "hygric"),
+    (),
+)
+"""The time constants that a doubt makes doubtful, too."""
 TOUCHED_BY_SIGNAL = None
-"""Those that depend on the doubt's signal."""
+"""The time constants depend on the signal of the doubt."""
 
 
 class RecordCode(Code):
-    """Phrases of doubts and remedies, and what a record cannot tell."""
+    """Phrases in doubts and remedies, and what a record cannot tell."""
 
     # times
     PERIOD = "{start:stamp} to {end:stamp}"
@@ -83,7 +88,8 @@ class RecordCode(Code):
 
 
 class DoubtCode(Code):
-    """A doubt about a record, with the time constants that it touches."""
+    """A doubt about a record: the time constants that it makes doubtful, too, and the template of its
+    sentence."""
 
     CLOCK_RUNS = (
         TOUCHES_BOTH,
@@ -100,13 +106,16 @@ class DoubtCode(Code):
         "{file} cannot be compared ({signals}): fewer than {fewest_d:g} days in common with the source that "
         "is used",
     )
-    READ_OTHERWISE = (TOUCHES_BOTH, "{what}{witnesses:;}: if so, {line}")
+    READ_OTHERWISE = (TOUCHES_BOTH, "{mistake}{evidence:;}: if so, {remedy}")
     CLOCK_OR_WALL = (
         TOUCHES_BOTH,
-        "clock, or a heavy wall: {what}{witnesses:;}: if so, {line}; a second witness is missing (power, "
-        "humidity, or the sun)",
+        "clock, or a heavy wall: {mistake}{evidence:;}: if so, {remedy}; a second witness is missing "
+        "(power, humidity, or the sun)",
     )
-    EITHER_CLOCK = (TOUCHES_BOTH, "{what}{witnesses:;}: if so, {line}; or {other}: then {other_line}")
+    EITHER_CLOCK = (
+        TOUCHES_BOTH,
+        "{mistake}{evidence:;}: if so, {remedy}; or {other_mistake}: then {other_remedy}",
+    )
     RADIATION_LATE = (
         TOUCHES_BOTH,
         "the sun's radiation is centred {minutes:.0} min after solar noon at the site: wrong zone, wrong "
@@ -246,13 +255,13 @@ class DoubtCode(Code):
 
 
 def touched(doubt: Statement) -> tuple[str, ...]:
-    """The time constants ("thermal", "hygric") that a doubt about a record touches."""
+    """Return the time constants ("thermal", "hygric") that a doubt about a record makes doubtful, too."""
     touches = doubt.code.touches if isinstance(doubt.code, DoubtCode) else TOUCHES_NEITHER
     return told_by(str(doubt.values["signal"])) if touches is TOUCHED_BY_SIGNAL else touches
 
 
 def told_by(signal: str) -> tuple[str, ...]:
-    """The time constants that depend on a signal."""
+    """Return the time constants that depend on a signal."""
     if "humidity" in signal or "dew_point" in signal:
         return TOUCHES_HYGRIC
     return (
@@ -265,6 +274,6 @@ def told_by(signal: str) -> tuple[str, ...]:
 
 
 def period(start_s: float, end_s: float) -> Statement:
-    """A period [s since 1970], an instant where it has no length."""
+    """Return the statement of a period [s since 1970]; for a period without length, of its instant."""
     same = round(start_s) == round(end_s)
     return RecordCode.INSTANT(start=start_s) if same else RecordCode.PERIOD(start=start_s, end=end_s)

@@ -1,6 +1,6 @@
-"""Statements of results: a code with its values, from which the code's template makes the sentence.
+"""Statements of results: a code with values, from which the code's template makes the sentence.
 
-A result holds codes and numbers; whoever shows it asks for the `text`.  Nothing reads a sentence back.
+Results hold codes and values; the sentence is made where it is shown. Nothing parses a sentence.
 """
 
 from __future__ import annotations
@@ -32,22 +32,25 @@ from hygrokf.texts.wording import (
 
 S = TypeVar("S", bound="Statement")
 Value: TypeAlias = "float | str | Statement | Sequence[str | Statement]"
-"""What fills a template: a number, a name, a statement, or several names or statements in a list."""
+"""The value of a field: a number, a name, a statement, or a list of names or statements."""
 
 
 class Code(Enum):
-    """What a statement can say: a member's name is the code in files, its value the template of its sentence
-    or, with what to do about it, the pair of both templates.
+    """The codes of statements: a member's name is the code in files, its value the template of the sentence
+    (or a pair: this template and that of the remedy).
 
-    Fields of a template: `{x}` a name or a statement, `{x:words}` a name without underscores, `{x:unit}` a
-    unit after its number; `{x:3}` a number with three significant digits, `{x:3g}` without closing zeros,
-    `{x:g}` as short as it is, `{x:.2}` with two decimals, `{x:+.2}` with its sign, `{x:,}` a whole number
-    with its thousands parted, `{x:%}` a share in per cent, `{x:.1%}` with one decimal, `{x:chance}` a
-    probability that is never certain, `{x:p}` one with its name, `{x:bytes}` a size; `{x:stamp}` an instant
-    [s since 1970], `{x:day}` its date, `{x:duration}` a duration [s], `{x:lag}` a lag [h], `{x:shift}` the
-    shift of a clock [s], `{x:+shift}` with its sign; `{x:reading|readings}` the word for one or for another
-    number; `{x}` names or statements parted by commas, `{x:and}` the last two by "and", `{x:several}` the
-    first ones of many, `{x:;}` statements parted by semicolons.
+    Fields of a template:
+    `{x}` a name, a statement, or a list of these with commas; `{x:and}`, `{x:or}` with this word before the
+    last one; `{x:several}` the first ones of many; `{x:;}` separated by semicolons; `{x:words}` a name
+    without underscores; `{x:unit}` a unit after its number.
+    `{x:3}` a number with three significant digits, `{x:3g}` without trailing zeros, `{x:g}` as short as
+    possible, `{x:.2}` with two decimals, `{x:+.2}` also with its sign, `{x:,}` a whole number with separated
+    thousands, `{x:%}` a share in per cent, `{x:.1%}` with one decimal; `{x:reading|readings}` the first word
+    for 1, else the second.
+    `{x:chance}` a probability that is never called certain, `{x:p}` a p-value ("p = 0.03"), `{x:bytes}` a
+    size.
+    `{x:stamp}` an instant [s since 1970], `{x:day}` its date, `{x:duration}` a duration [s], `{x:lag}` a lag
+    [h], `{x:shift}` the error of a clock [s], `{x:+shift}` with its sign.
     """
 
     def __init__(self, template: str, remedy: str = "") -> None:
@@ -55,12 +58,12 @@ class Code(Enum):
         self.remedy = remedy
 
     def __call__(self, **values: Value) -> Statement:
-        """The statement with these values."""
+        """Return the statement of this code with these values."""
         return Statement(self, values)
 
     @property
     def key(self) -> str:
-        """The code in files: "not_converged"."""
+        """The code as written to files: "not_converged"."""
         return self.name.lower()
 
     def to_json(self) -> str:
@@ -68,7 +71,8 @@ class Code(Enum):
 
     @classmethod
     def from_json(cls, name: str) -> Code:
-        """The code of a name, of this enumeration or of those below it.  Raises ValueError."""
+        """Return the code with a name, of this enumeration or of its subclasses. Raises ValueError for an
+        unknown name."""
         for kind in (cls, *cls.__subclasses__()):
             if isinstance(name, str) and name.upper() in kind.__members__:
                 return kind[name.upper()]
@@ -77,7 +81,7 @@ class Code(Enum):
 
 @dataclass(frozen=True)
 class Statement:
-    """A `code` and the `values` of its template by name."""
+    """A `code`, and the `values` of the fields of its template by name."""
 
     codes: ClassVar[type[Code]] = Code
 
@@ -89,33 +93,33 @@ class Statement:
 
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> Self:
-        """The statement that `to_json` wrote.  Raises ValueError for other data, an unknown code, and values
+        """Return the statement that `to_json` wrote. Raises ValueError for an unknown code, or for values
         that do not fill its template."""
         if not (isinstance(data, Mapping) and "code" in data and isinstance(data.get("values"), Mapping)):
             raise ValueError(f"expected a code with values, found {str(data)[:60]!r}")
         code = cls.codes.from_json(data["code"])
-        made = cls(code, {name: _value(value) for name, value in data["values"].items()})
+        statement = cls(code, {name: _value(value) for name, value in data["values"].items()})
         try:
-            made.text  # noqa: B018  values that do not fill the template are found here, not on a page
+            statement.text  # noqa: B018  values that do not fill the template are found here, not on a page
         except (KeyError, ValueError, TypeError):
             fields = ", ".join(name for _, name, *_ in Formatter().parse(code.template) if name)
             raise ValueError(f"{code.key}: expected values of {fields}, found {data['values']}") from None
-        return made
+        return statement
 
     @property
     def pieces(self) -> tuple[str | float, ...]:
-        """The sentence in pieces, of which the numbers are instants [s since 1970]: a page shows these in its
-        own time zone."""
+        """The sentence in pieces; the numbers among them are instants [s since 1970], which a page shows in
+        its own time zone."""
         return tuple(piece for piece in _pieces(self.code.template, self.values) if piece != "")
 
     @property
     def text(self) -> str:
-        """The sentence, without a capital letter and a full stop."""
+        """The sentence, without a capital first letter and a full stop."""
         return _joined(self.pieces)
 
     @property
     def remedy(self) -> str:
-        """What to do about it; empty where nothing is."""
+        """What to do about it; "" if there is nothing to do."""
         return _joined(_pieces(self.code.remedy, self.values))
 
     def __str__(self) -> str:
@@ -123,7 +127,8 @@ class Statement:
 
 
 def _value(data: Any) -> Value:
-    """A value from a file: an object is a statement, a list names or statements, null no number."""
+    """Return a value as read from a file: an object is a statement, a list holds names or statements, null is
+    NaN."""
     if isinstance(data, Mapping):
         return Statement.from_json(data)
     if isinstance(data, list):
@@ -132,7 +137,7 @@ def _value(data: Any) -> Value:
 
 
 def _pieces(template: str, values: Mapping[str, Value]) -> Iterator[str | float]:
-    """The pieces of a template whose fields are filled as `Code` describes them."""
+    """Yield the pieces of a template with its fields filled; see `Code`."""
     for literal, name, spec, _ in Formatter().parse(template):
         yield literal
         if name is None:
@@ -147,11 +152,12 @@ def _pieces(template: str, values: Mapping[str, Value]) -> Iterator[str | float]
 
 
 def _joined(pieces: Iterable[str | float]) -> str:
+    """Join the pieces of a sentence; instants are written in UTC."""
     return "".join(piece if isinstance(piece, str) else stamp_text(piece) for piece in pieces)
 
 
 def _filled(value: float | str | Sequence[str | Statement], spec: str) -> str:
-    """A value as the field of a template asks for it.  Raises TypeError for a text in place of a number."""
+    """Write a value in the format `spec` of its field. Raises TypeError for a text in a field of numbers."""
     if isinstance(value, str | Sequence) and spec.split(" ")[0] not in FIELDS_OF_NAMES:
         raise TypeError(f"expected a number, found {value!r}")
     if isinstance(value, str):
@@ -167,30 +173,30 @@ def _filled(value: float | str | Sequence[str | Statement], spec: str) -> str:
 
 
 def _name(text: str, spec: str) -> str:
-    """A name as the field of a template asks for it."""
+    """Write a name in the format `spec` of its field."""
     if spec == "unit":
         return "" if text in ("", "1") else f" {text}"
     return text.replace("_", " ") if spec == "words" else text
 
 
 FIELDS_OF_NAMES = ("", "and", "or", "words", "unit", "several", ";")
-"""First words of the fields of a template that names and statements fill."""
+"""First words of the formats of fields that hold names or statements, not numbers."""
 
 
 def unique(statements: Iterable[S]) -> tuple[S, ...]:
-    """Statements without those that an earlier one says already."""
+    """Return the statements without those whose sentence occurs before."""
     return tuple({statement.text: statement for statement in statements}.values())
 
 
 def listed(names: Sequence[str], last: str = "") -> str:
-    """Names parted by commas, the last two by the word `last`: "a, b and c"."""
+    """Join names by commas, the last two by the word `last`: "a, b and c"."""
     if last and len(names) > 1:
         return f"{', '.join(names[:-1])} {last} {names[-1]}"
     return ", ".join(names)
 
 
 def _number(value: float, spec: str) -> str:
-    """A number as the field of a template asks for it."""
+    """Write a number in the format `spec` of its field."""
     if spec in _FORMATS:
         return _FORMATS[spec](value)
     if spec.endswith("g"):
@@ -214,4 +220,4 @@ _FORMATS: Mapping[str, Callable[[float], str]] = {
     "chance": chance_text,
     "bytes": bytes_text,
 }
-"""Fields of a template that are no count of digits."""
+"""Formats that do not state a number of digits → the function that writes the number."""

@@ -1,6 +1,6 @@
-"""What a text in a result is, where it is no literal and no code of an enumeration.
+"""Types of the texts in results that are neither literals nor codes.
 
-A result holds no other text: what it has to say are statements (`texts.statement`).
+All other sentences of a result are statements (`texts.statement`).
 """
 
 from __future__ import annotations
@@ -8,22 +8,22 @@ from __future__ import annotations
 from typing import Annotated, TypeAlias
 
 Name: TypeAlias = Annotated[str, "name"]
-"""Of an entry of a registry (signal, parameter, mechanism, quantity, form), or one that a user gave."""
+"""The name of a signal, parameter, mechanism, quantity or form, or a name that the user gave."""
 Unit: TypeAlias = Annotated[str, "unit"]
-"""As the registry of signals or of parameters writes it."""
+"""A unit as the tables of signals and parameters write it."""
 Instant: TypeAlias = Annotated[str, "instant"]
-"""In ISO 8601."""
+"""A time in ISO 8601."""
 Source: TypeAlias = Annotated[str, "source"]
-"""A file as a case names it, maybe with a column."""
+"""A file as the case names it, maybe with a column."""
 Digest: TypeAlias = Annotated[str, "digest"]
 """SHA-256 of a file."""
 Version: TypeAlias = Annotated[str, "version"]
-"""Of the package."""
+"""A version of hygrokf."""
 Meaning: TypeAlias = Annotated[str, "meaning"]
-"""The one-line meaning of a registry's entry, where a user's own mechanism may have brought it: a page drawn
-from a file has no registry of those."""
+"""The meaning of a parameter or mechanism in one line; stored in the result, because a page that is made from
+its file does not know the mechanisms of the user."""
 ReaderText: TypeAlias = Annotated[str, "sentence of a reader"]
-"""What a reader of tables masked or repaired, which nothing but pages and terminals reads."""
+"""A sentence on readings that were masked or repaired; only shown, never evaluated."""
 FaultText: TypeAlias = Annotated[str, "text of an exception"]
-"""Why a turbine of a fleet has no result."""
+"""The text of an exception: why a turbine of a fleet has no result."""
 TERMS = (FaultText, Name, Unit, Instant, Source, Digest, Version, Meaning, ReaderText)

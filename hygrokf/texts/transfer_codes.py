@@ -1,4 +1,4 @@
-"""What a transfer and a comparison say: verdicts, groups of parameters, reasons and differences."""
+"""Sentences of a transfer and of a comparison: verdicts, groups of parameters, reasons and differences."""
 
 from hygrokf.texts.statement import Code
 

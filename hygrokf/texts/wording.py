@@ -1,4 +1,4 @@
-"""Formatting of numbers, names and texts, identical on all pages and at the terminal."""
+"""How numbers, names and texts are written on pages and at the terminal."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ RULE_NAMES = {key: words for group in BASELINES.values() for key, words in group
 
 
 def plain_number(value: float, digits: int = 3) -> str:
-    """A number with `digits` significant digits, without an exponent where that is more readable."""
+    """Write a number with `digits` significant digits, without an exponent from 1e-5 to 1e6."""
     if not math.isfinite(value):
         return NONE
     if value == 0:
@@ -38,12 +38,12 @@ def plain_number(value: float, digits: int = 3) -> str:
 
 
 def fixed(value: float, decimals: int = 2) -> str:
-    """A number with `decimals` decimals."""
+    """Write a number with a fixed number of decimals; "–" if it is not finite."""
     return minus(f"{value:.{decimals}f}") if math.isfinite(value) else NONE
 
 
 def chance_text(probability: float) -> str:
-    """A probability [1] in per cent, which never claims certainty."""
+    """Write a probability [1] in per cent, never as 0 or 100 %: "over 99 %", "under 1 %"."""
     if probability > 0.99:
         return "over 99 %"
     return f"{100 * probability:.0f} %" if probability >= 0.01 else "under 1 %"
@@ -58,45 +58,44 @@ def signed(value: float, decimals: int = 2) -> str:
 
 
 def minus(text: str) -> str:
+    """Replace a leading hyphen by a minus sign."""
     return text.replace("-", "−", 1) if text.startswith("-") else text
 
 
 def percent(share: float, decimals: int = 0) -> str:
-    """A share [1] in per cent."""
+    """Write a share [1] in per cent."""
     return f"{100.0 * share:.{decimals}f} %" if math.isfinite(share) else NONE
 
 
 def p_value(p: float) -> str:
-    """A probability as printed."""
+    """Write a p-value; values below `LEAST_P` as "< 0.001", NaN as "–"."""
     return NONE if math.isnan(p) else f"< {LEAST_P}" if p < LEAST_P else f"{p:.3f}"
 
 
 def p_equation(p: float) -> str:
-    """A probability with its name: "p < 0.001", "p = 0.034"."""
+    """Write a p-value with its name: "p < 0.001", "p = 0.034"."""
     return f"p {'' if p < LEAST_P else '= '}{p_value(p)}"
 
 
 LEAST_P = 0.001
-"""[1] below it a probability is told as less than it."""
+"""[1] smaller p-values are written as "< 0.001"."""
 MOST_DECIMALS = 8
-"""A number that would need as many is better told by its significant digits."""
+"""Largest number of decimals; a number that needs more is written with significant digits."""
 
 
 def decimals_for(spread: float) -> int:
-    """Decimals that show a spread with one significant digit, or with two where the first is 1 or 2."""
+    """The decimals that show `spread` with one significant digit, or with two if the first one is 1 or 2."""
     if not (math.isfinite(spread) and spread > 0):
         return 2
     return min(max(math.ceil(0.4 - math.log10(spread)), 0), MOST_DECIMALS)
 
 
 WIDE = 4.0
-"""[1] ratio of upper to lower end above which an interval is given as a factor and its ends get their own
-digits."""
+"""[1] ratio of upper to lower end; above it, value and ends are rounded each by its own size."""
 
 
 def ends(value: float, low: float, high: float) -> tuple[str, str]:
-    """A number and its interval with the significant digits: ("1.49", "1.44 … 1.54"), ("0.169", "0.017 …
-    1.6")."""
+    """Write a value and its interval with the significant digits: ("1.49", "1.44 … 1.54")."""
     if high > WIDE * low:
         return plain_number(value), f"{plain_number(low, 2)} … {plain_number(high, 2)}"
     decimals = decimals_for(0.5 * (high - low))
@@ -104,18 +103,18 @@ def ends(value: float, low: float, high: float) -> tuple[str, str]:
 
 
 NAMES_SHOWN = 5
-"""Names of a list that are shown; further names are only counted."""
+"""Number of names of a list that are shown; further names are only counted."""
 
 
 def several(names: Iterable[str]) -> str:
-    """The first `NAMES_SHOWN` names in one line, and the number of further ones."""
-    found = list(names)
-    more = f" and {len(found) - NAMES_SHOWN} more" if len(found) > NAMES_SHOWN else ""
-    return f"{', '.join(found[:NAMES_SHOWN])}{more}"
+    """Join the first `NAMES_SHOWN` names by commas, and add the number of further names."""
+    all_names = list(names)
+    rest = f" and {len(all_names) - NAMES_SHOWN} more" if len(all_names) > NAMES_SHOWN else ""
+    return f"{', '.join(all_names[:NAMES_SHOWN])}{rest}"
 
 
 def bytes_text(count: float) -> str:
-    """A size [bytes] in a convenient unit, such as "12 MB"."""
+    """Write a size [bytes] in a convenient unit, such as "12 MB"."""
     for unit, size in (("GB", 1e9), ("MB", 1e6), ("kB", 1e3)):
         if count >= size:
             return f"{count / size:.3g} {unit}"
@@ -123,33 +122,33 @@ def bytes_text(count: float) -> str:
 
 
 def one_line(text: str) -> str:
-    """Text without line breaks and control characters."""
+    """Replace line breaks and control characters of a text by blanks."""
     return text if text.isprintable() else "".join(c if c.isprintable() else " " for c in text)
 
 
 def unbroken(text: str) -> str:
-    """A text on one line in which no number is parted from its unit."""
+    """Return a text on one line, with no-break spaces between numbers and their units."""
     return re.sub(r"(?<=\d) (?=(?:%|K|h|g/m³|°C)(?![\w/]))", "\xa0", one_line(text))
 
 
 def sentence(text: str) -> str:
-    """A text with a capital letter and a full stop; a leading name with underscores stays unchanged."""
+    """A text with a capital first letter and a full stop; a leading name with underscores stays unchanged."""
     text = text[:1].upper() + text[1:] if not text.split(" ")[0].count("_") else text
     return text if text.endswith((".", "!", "?")) else text + "."
 
 
 def iso_time(seconds: float) -> str:
-    """An instant [s since 1970] as ISO 8601 in UTC, to the second."""
+    """Write an instant [s since 1970] in ISO 8601, UTC, to the second."""
     return datetime.fromtimestamp(seconds, UTC).isoformat(timespec="seconds")
 
 
 def moment(text: str) -> str:
-    """An instant of a result, "2024-05-01T12:00:00+00:00", as date and time to the minute."""
+    """Write an instant of a result ("2024-05-01T12:00:00+00:00") as date and time to the minute."""
     return text[:16].replace("T", " ") if len(text) >= 16 else text
 
 
 def duration_text(seconds: float) -> str:
-    """A duration in a convenient unit, such as "10 min" or "3.5 d".
+    """Write a duration in a convenient unit, such as "10 min" or "3.5 d".
 
     seconds: [s] ≥ 0.
     """
@@ -160,25 +159,25 @@ def duration_text(seconds: float) -> str:
 
 
 def shift_text(seconds: float) -> str:
-    """The shift of a clock [s] without its sign, such as "1.5 h" or "40 min"."""
+    """Write the error of a clock [s] without its sign, such as "1.5 h" or "40 min"."""
     size = abs(seconds)
     return f"{size / 3600.0:g} h" if size >= 3600.0 and size % 1800.0 == 0.0 else f"{size / 60.0:.0f} min"
 
 
 def signed_shift(seconds: float) -> str:
-    """The shift of a clock [s] with its sign in ASCII, as case files have it: "+2 h"."""
+    """Write the error of a clock [s] with its sign in ASCII, as in case files: "+2 h"."""
     return f"{'+' if seconds >= 0 else '-'}{shift_text(seconds)}"
 
 
 def lag_text(hours: float) -> str:
-    """A lag [h]: "−0.25 h", "0"."""
+    """Write a lag [h]: "−0.25 h", "0"."""
     return minus(f"{hours:.3g} h") if hours else "0"
 
 
 def stamp_text(seconds: float) -> str:
-    """A time in ISO 8601, UTC, such as "2020-12-01T00:00Z".
+    """Write an instant in ISO 8601, UTC, such as "2020-12-01T00:00Z".
 
-    seconds: [s] since 1970-01-01T00:00Z; "-" for NaN.
+    seconds: [s] since 1970-01-01T00:00Z; NaN becomes "-".
     """
     if not math.isfinite(seconds):
         return "-"
@@ -187,12 +186,12 @@ def stamp_text(seconds: float) -> str:
 
 
 def day_text(seconds: float) -> str:
-    """The date of a time [s since 1970], UTC, such as "2020-12-01"; "-" for NaN."""
+    """Write the date of an instant [s since 1970], UTC, such as "2020-12-01"; NaN becomes "-"."""
     return stamp_text(seconds)[:10]
 
 
 def period_text(start_s: float, end_s: float) -> str:
-    """A period such as "2020-01-01T00:00Z to 2020-01-02T00:00Z"; one stamp if it has no length.
+    """Write a period, such as "2020-01-01T00:00Z to 2020-01-02T00:00Z"; one stamp if it has no length.
 
     start_s, end_s: [s] since 1970-01-01T00:00Z.
     """

@@ -1,16 +1,16 @@
-"""The baseline of a transfer: the model's origin, the record's periods, and what the record determines;
-groups of parameters that travel from turbine to turbine together, and which of them differ between two
-estimates.
+"""The baseline of a transfer: the model that is tried, the record's periods, and what the record determines;
+and the groups of parameters that may differ, with a test of which do.
 
-With δ = z₁ − z₀ the difference of two independent estimates in the parameters' coordinates, Σ = V₁ + V₀ its
-covariance and S the groups that may differ, the equality of the others leaves unexplained
+Let δ = z₁ − z₀ be the difference of two independent estimates in the parameters' coordinates, Σ = V₁ + V₀ its
+covariance, and S the groups that may differ. If all others are equal, the squared distance that remains
+unexplained is
 
     Q(S) = min_Δ (δ − D_S Δ)' Σ⁻¹ (δ − D_S Δ),
 
-D_S the columns of the identity that belong to S.  Where all groups outside S ∪ {G} are shared, Q(S) − Q(S ∪
+with D_S the columns of the identity that belong to S. If all groups outside S ∪ {G} are equal, Q(S) − Q(S ∪
 {G}) is χ² with as many degrees of freedom as G has parameters: the likelihood ratio of two quadratic
-likelihoods.  Groups are added to S one by one, the most significant first, as long as its p times the number
-of groups left is below the level (Holm 1979; Bonferroni within a step).
+likelihoods. Groups are added to S one by one, the most significant first, as long as their p times the number
+of remaining groups is below the level (Holm 1979; Bonferroni within a step).
 
 Shapes: d parameters.
 """
@@ -36,7 +36,7 @@ from hygrokf.identification.identify import expect_readings
 from hygrokf.identification.turbine_type import TurbineType
 from hygrokf.identification.verdict import inherited
 from hygrokf.identification.verdict_terms import Inherited
-from hygrokf.modelling.design import Design, read_as
+from hygrokf.modelling.design import CABINET_HUMIDITIES, Design, read_as
 from hygrokf.modelling.inputs import Run, model_inputs
 from hygrokf.physics.model import Model
 from hygrokf.physics.parameters import Coordinates
@@ -53,57 +53,65 @@ OFFSETS = "sensor offsets"
 DISTURBANCES = "disturbances"
 UNKNOWN_GROUP = "not known to the type"
 OF_THE_RECORD = (OFFSETS, DISTURBANCES, UNKNOWN_GROUP)
-"""Groups that belong to a logger, a site and a season, not to a type of cabinet: every record has its own."""
+"""Groups that belong to a logger, a site and a season, not to a cabinet: every record has its own values."""
+LEVEL = 0.05
 _BASE = {"thermal_network": THERMAL_GROUP, "heat_release": HEAT_GROUP, "hygric_exchange": HYGRIC_GROUP}
 _OFFSETS = ("_bias", "_offset")
 
 
 def group_of(model: Model) -> dict[str, str]:
-    """Group of every parameter of a model; mechanisms beside the base models are groups of their own."""
-    found = {}
+    """The group of every parameter of a model; a mechanism beside the base models is a group of its own."""
+    groups = {}
     for mechanism in model.mechanisms:
-        for p in mechanism.parameters:
-            if p.name.endswith(_OFFSETS):
+        for parameter in mechanism.parameters:
+            if parameter.name.endswith(_OFFSETS):
                 group = OFFSETS
-            elif p.noise:
+            elif parameter.noise:
                 group = DISTURBANCES
             else:
                 group = _BASE.get(mechanism.name, mechanism.name.replace("_", " "))
-            found[p.name] = group
-    return found
+            groups[parameter.name] = group
+    return groups
 
 
 def members(groups: Mapping[str, str], *chosen: str) -> tuple[str, ...]:
-    """Names of the parameters of some groups."""
+    """Return the names of the parameters of some groups."""
     return tuple(name for name, group in groups.items() if group in chosen)
 
 
 @dataclass(frozen=True)
 class Difference:
-    """Difference of two estimates (d,) in the coordinates of `names`, with the covariance (d, d) of the
-    difference."""
+    """The difference of two estimates (d,) in the coordinates of the parameters `names`, with its covariance
+    (d, d)."""
 
     names: tuple[str, ...]
     value: np.ndarray
     covariance: np.ndarray
 
     def of(self, names: Sequence[str]) -> Difference:
-        """The difference of some of the parameters, whatever the others do."""
-        place = [self.names.index(name) for name in names if name in self.names]
+        """Return the difference of some of the parameters; the others are ignored."""
+        indices = [self.names.index(name) for name in names if name in self.names]
         return Difference(
-            tuple(self.names[i] for i in place), self.value[place], self.covariance[np.ix_(place, place)]
+            tuple(self.names[index] for index in indices),
+            self.value[indices],
+            self.covariance[np.ix_(indices, indices)],
         )
 
-    def bounds(self, name: str, level: float = CONFIDENCE) -> tuple[float, float, float]:
-        """Difference of one parameter in its coordinate: (value, lower, upper)."""
-        i = self.names.index(name)
-        reach = normal_quantile(level) * math.sqrt(max(self.covariance[i, i], 0.0))
-        return float(self.value[i]), float(self.value[i] - reach), float(self.value[i] + reach)
+    def bounds(self, name: str, level: float = 0.95) -> tuple[float, float, float]:
+        """Return the difference of one parameter in its coordinate: (value, lower, upper)."""
+        index = self.names.index(name)
+        half_width = normal_quantile(level) * math.sqrt(max(self.covariance[index, index], 0.0))
+        return (
+            float(self.value[index]),
+            float(self.value[index] - half_width),
+            float(self.value[index] + half_width),
+        )
 
 
 @dataclass(frozen=True)
 class GroupTest:
-    """The χ² test of a group beside those selected before: `p_adjusted` for the number of groups left."""
+    """The χ² test of a group, given the groups selected before; `p_adjusted`: for the number of remaining
+    groups."""
 
     statistic: float
     df: int
@@ -112,57 +120,56 @@ class GroupTest:
 
     @property
     def significant(self) -> bool:
-        """Whether the group is selected."""
-        return self.p_adjusted < SIGNIFICANCE
+        """Whether the group is selected as different."""
+        return self.p_adjusted < LEVEL
 
 
-def unexplained(found: Difference, differing: Sequence[str]) -> float:
-    """Q(S): the squared distance that remains when the parameters `differing` may differ and all others are
-    equal."""
-    others = [i for i, name in enumerate(found.names) if name not in set(differing)]
+def unexplained(apart: Difference, differing: Sequence[str]) -> float:
+    """Return Q(S): the squared distance that remains if the parameters `differing` may differ and all others
+    are equal."""
+    others = [index for index, name in enumerate(apart.names) if name not in set(differing)]
     if not others:
         return 0.0
-    value = found.value[others]
-    return float(value @ positive_inverse(found.covariance[np.ix_(others, others)]) @ value)
+    value = apart.value[others]
+    return float(value @ positive_inverse(apart.covariance[np.ix_(others, others)]) @ value)
 
 
-def selection(found: Difference, groups: Mapping[str, str]) -> dict[str, GroupTest]:
-    """Forward selection of the groups that differ: the test of each at the step that decided on it, the
-    selected ones first, in their order."""
+def selection(apart: Difference, groups: Mapping[str, str]) -> dict[str, GroupTest]:
+    """Select the groups that differ, one by one; returns the test of each group at the step that decided on
+    it, the selected groups first, in their order."""
     from scipy.stats import chi2
 
-    left = list(dict.fromkeys(groups[name] for name in found.names))
+    remaining = list(dict.fromkeys(groups[name] for name in apart.names))
     selected: dict[str, GroupTest] = {}
-    while left:
-        rest = unexplained(found, [n for n in found.names if groups[n] in selected])
+    while remaining:
+        unexplained_before = unexplained(apart, [name for name in apart.names if groups[name] in selected])
         tests = {}
-        for group in left:
-            wider = [n for n in found.names if groups[n] in (*selected, group)]
-            statistic = max(rest - unexplained(found, wider), 0.0)
-            df = sum(groups[n] == group for n in found.names)
+        for group in remaining:
+            candidates = [name for name in apart.names if groups[name] in (*selected, group)]
+            statistic = max(unexplained_before - unexplained(apart, candidates), 0.0)
+            df = sum(groups[name] == group for name in apart.names)
             p = float(chi2.sf(statistic, df))
-            tests[group] = GroupTest(statistic, df, p, min(1.0, p * len(left)))
+            tests[group] = GroupTest(statistic, df, p, min(1.0, p * len(remaining)))
         # p of large statistics underflows to zero: the mean square decides then
-        best = min(left, key=lambda group: (tests[group].p, -tests[group].statistic / tests[group].df))
+        best = min(remaining, key=lambda group: (tests[group].p, -tests[group].statistic / tests[group].df))
         if not tests[best].significant:
             return selected | tests
         selected[best] = tests[best]
-        left.remove(best)
+        remaining.remove(best)
     return selected
 
 
 EARLY_SHARE = 0.75
-"""[1] share of a record without `until` that serves as its identification period."""
+"""[1] share of a record without `until` that is its identification period."""
 
 
 @dataclass(frozen=True)
 class Origin:
-    """The fit or type that is tried on a record: a design, its values, and their covariance (`names`, in
-    their units).
+    """The fit or type that is tried on a record: its design, its values, and the covariance of the parameters
+    `names` in their units.
 
-    `rmse` [K], [g/m³] the errors of the free run on its own record, by quantity, if known; `files` hashes of
-    the files that a fit was made from; `turbines` names of those that a type was made of; `verdicts` on a
-    fit's time constants.
+    `rmse` [K], [g/m³]: free-run errors on its own record by quantity, if known; `files`: hashes of the files
+    behind a fit; `turbines`: names of the turbines behind a type; `verdicts` on a fit's time constants.
     """
 
     name: str
@@ -177,18 +184,19 @@ class Origin:
     verdicts: Mapping[str, Inherited] = field(default_factory=dict)
 
     def reasons(self, part: str) -> tuple[Reason, ...]:
-        """The reasons against a time constant, for a fit that takes it over from here."""
-        known = self.verdicts[part].reasons if part in self.verdicts else ()
-        return tuple(replace(reason, source=self.name) for reason in known)
+        """Return the reasons against a time constant, marked as taken over from here."""
+        reasons_of_part = self.verdicts[part].reasons if part in self.verdicts else ()
+        return tuple(replace(reason, source=self.name) for reason in reasons_of_part)
 
     @classmethod
     def of(cls, source: Fit | TurbineType) -> Origin:
-        """From a fit, or from a type: then the covariance is that of the next turbine's own values."""
+        """Return the origin of a fit, or of a type: then the covariance is that of the values of the next
+        turbine."""
         if isinstance(source, TurbineType):
             values = source.values
-            names = tuple(n for n in source.parameters if n in values)
-            slopes = [values[n] if source.parameters[n].logarithmic else 1.0 for n in names]
-            sd = [source.parameters[n].next_sd * slope for n, slope in zip(names, slopes, strict=True)]
+            names = tuple(name for name in source.parameters if name in values)
+            slopes = [values[name] if source.parameters[name].logarithmic else 1.0 for name in names]
+            sd = [source.parameters[name].next_sd * slope for name, slope in zip(names, slopes, strict=True)]
             return cls(
                 source.name,
                 "type",
@@ -198,22 +206,26 @@ class Origin:
                 np.diag(np.square(sd)),
                 turbines=source.turbines,
             )
-        names, matrix = source.covariance
-        scored = source.results.rmse.get("identification", {})
-        known = {q: row.total for q, row in scored.items() if row.total > 0}
-        values = {p.name: source.values[p.name] for p in source.design.model.parameters}
+        names, covariance = source.covariance
+        errors_of_period = source.results.rmse.get("identification", {})
+        rmse = {quantity: error.total for quantity, error in errors_of_period.items() if error.total > 0}
+        values = {
+            parameter.name: source.values[parameter.name] for parameter in source.design.model.parameters
+        }
         files = frozenset(digest for _, digest in source.results.files)
-        handed = inherited(source.results)
-        return cls(source.name, "fit", source.design, values, names, matrix, known, files, verdicts=handed)
+        verdicts = inherited(source.results)
+        return cls(
+            source.name, "fit", source.design, values, names, covariance, rmse, files, verdicts=verdicts
+        )
 
 
 @dataclass(frozen=True)
 class Baseline:
-    """The origin, the model, and its runs on the record and on its identification period, which all sets of
-    values share.
+    """What all sets of values share: the origin, the model, and its runs on the record and on its
+    identification period.
 
-    `until_s` [s since 1970] the end of the period; `held`: values of parameters that the record does not
-    determine; `groups`: group of every parameter.
+    `until_s` [s since 1970]: end of the identification period; `held`: original values of parameters that the
+    record does not determine; `groups`: group of every parameter.
     """
 
     origin: Origin
@@ -226,39 +238,47 @@ class Baseline:
 
     @property
     def likelihood(self) -> Likelihood:
+        """The likelihood of the model on the identification period."""
         return Likelihood(self.base.model, self.early_run.timeline)
 
     @property
     def cabinet(self) -> tuple[str, ...]:
-        """Parameters of the cabinet that this record determines."""
-        return tuple(n for n, g in self.groups.items() if g not in OF_THE_RECORD and n not in self.held)
+        """Names of the cabinet's parameters that this record determines."""
+        return tuple(
+            name
+            for name, group in self.groups.items()
+            if group not in OF_THE_RECORD and name not in self.held
+        )
 
 
 def baseline_of(origin: Origin, record: Record) -> tuple[Baseline, list[Statement]]:
-    """The baseline of a transfer, and statements about it.
+    """Return the baseline of a transfer, and statements about it.
 
     Raises ValueError for a record on which no model can be judged.
     """
     statements: list[Statement] = []
     if (until_s := record.until_s) is None:
-        cabinet = [record[n] for n in ("cabinet_temperature", *CABINET_HUMIDITIES) if n in record]
-        first, last = min(s.time[0] for s in cabinet), max(s.time[-1] for s in cabinet)
-        until_s = float(first + EARLY_SHARE * (last - first))
+        cabinet = [record[name] for name in ("cabinet_temperature", *CABINET_HUMIDITIES) if name in record]
+        first_s = min(series.time[0] for series in cabinet)
+        last_s = max(series.time[-1] for series in cabinet)
+        until_s = float(first_s + EARLY_SHARE * (last_s - first_s))
         record = replace(record, until_s=until_s)
         statements.append(TransferCode.NO_UNTIL(until=iso_time(until_s)))
     statements += _kinship(origin, record)
     base = replace(read_as(origin.design, record), priors={})
     groups = group_of(base.model)
-    early = record.identification()
-    expect_readings(early)
-    early_run = model_inputs(base, early)
-    if not any(np.isfinite(one[early_run.scored]).any() for one in measured(early_run).values()):
+    identification_period = record.identification()
+    expect_readings(identification_period)
+    early_run = model_inputs(base, identification_period)
+    if not any(np.isfinite(readings[early_run.scored]).any() for readings in measured(early_run).values()):
         raise ValueError(
             "no reading to judge the model by: the identification period has no reading of the cabinet at a "
             "time when all inputs are known (a model that reads the power needs the power); check the case "
             "with `hygrokf check`"
         )
-    unknown = [n for n, g in groups.items() if g not in OF_THE_RECORD and n not in origin.names]
+    unknown = [
+        name for name, group in groups.items() if group not in OF_THE_RECORD and name not in origin.names
+    ]
     if origin.kind == "type" and unknown:
         groups |= dict.fromkeys(unknown, UNKNOWN_GROUP)
         statements.append(TransferCode.UNKNOWN_TO_THE_TYPE(names=tuple(unknown)))
@@ -272,20 +292,20 @@ def baseline_of(origin: Origin, record: Record) -> tuple[Baseline, list[Statemen
 
 
 def _unknowable(origin: Origin, base: Design, early_run: Run) -> dict[str, float]:
-    """Original values of the parameters whose range the identification period cannot narrow."""
+    """Return the original values of the parameters whose range the identification period does not narrow."""
     coordinates = Coordinates(base.model.parameters)
     objective = Objective(Likelihood(base.model, early_run.timeline), coordinates)
     information = np.diag(objective.information(coordinates.start(origin.values)).information)
-    held = {}
-    for p, known in zip(coordinates.free, information, strict=True):
-        width = p.to_coordinate(p.upper) - p.to_coordinate(p.lower)
-        if not known * width**2 > 1.0:
-            held[p.name] = origin.values[p.name]
-    return held
+    undetermined = {}
+    for parameter, information_of_parameter in zip(coordinates.free, information, strict=True):
+        width = parameter.to_coordinate(parameter.upper) - parameter.to_coordinate(parameter.lower)
+        if not information_of_parameter * width**2 > 1.0:
+            undetermined[parameter.name] = origin.values[parameter.name]
+    return undetermined
 
 
 def _kinship(origin: Origin, record: Record) -> list[Statement]:
-    """A statement where the model was, or seems to be, made from this very record."""
+    """Return a statement if the model was made, or seems to be made, from this very record."""
     files = frozenset(digest for _, digest in record.files)
     if files and files == origin.files:
         return [TransferCode.SAME_FILES()]
@@ -295,28 +315,35 @@ def _kinship(origin: Origin, record: Record) -> list[Statement]:
 
 
 def difference(origin: Origin, own: Estimate, spread: Uncertainty, names: Sequence[str]) -> Difference:
-    """Own less original values of the named parameters in their coordinates; both covariances add up.
+    """Return own minus original values of the named parameters in their coordinates, with the sum of both
+    covariances.
 
-    A parameter that the origin knows without standard error (at a bound there) counts as known as well as
-    here.  Those at a bound here are left out.
+    A parameter without standard error in the origin (there at a bound) counts as known as well as here.
+    Parameters at a bound here are left out.
     """
-    free = {p.name: p for p in own.coordinates.free}
-    kept = [n for n in names if n in spread.names]
-    place = [spread.names.index(n) for n in kept]
+    free_parameters = {parameter.name: parameter for parameter in own.coordinates.free}
+    kept = [name for name in names if name in spread.names]
+    indices = [spread.names.index(name) for name in kept]
     # the exact information's correlations, widened to the sandwich where that is wider
-    grow = np.sqrt(spread.factor[place])
-    covariance = spread.wald[np.ix_(place, place)] * np.outer(grow, grow)
-    old = np.zeros_like(covariance)
-    known = {n: i for i, n in enumerate(origin.names)}
-    slopes = np.array([free[n].slope(origin.values[n]) for n in kept])
-    for i, a in enumerate(kept):
-        if a not in known:
-            old[i, i] = covariance[i, i]
+    widening = np.sqrt(spread.factor[indices])
+    covariance = spread.wald[np.ix_(indices, indices)] * np.outer(widening, widening)
+    original_covariance = np.zeros_like(covariance)
+    index_of = {name: i for i, name in enumerate(origin.names)}
+    slopes = np.array([free_parameters[name].slope(origin.values[name]) for name in kept])
+    for i, row_name in enumerate(kept):
+        if row_name not in index_of:
+            original_covariance[i, i] = covariance[i, i]
             continue
-        for j, b in enumerate(kept):
-            if b in known:
-                old[i, j] = origin.covariance[known[a], known[b]] / (slopes[i] * slopes[j])
+        for j, column_name in enumerate(kept):
+            if column_name in index_of:
+                original_covariance[i, j] = origin.covariance[index_of[row_name], index_of[column_name]] / (
+                    slopes[i] * slopes[j]
+                )
     value = np.array(
-        [free[n].to_coordinate(own.values[n]) - free[n].to_coordinate(origin.values[n]) for n in kept]
+        [
+            free_parameters[name].to_coordinate(own.values[name])
+            - free_parameters[name].to_coordinate(origin.values[name])
+            for name in kept
+        ]
     )
-    return Difference(tuple(kept), value, covariance + old)
+    return Difference(tuple(kept), value, covariance + original_covariance)

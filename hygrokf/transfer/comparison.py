@@ -1,12 +1,12 @@
-"""Cases, models or ambient sources side by side: the paper's Table III with bounds, differences, and the
+"""Compare cases, models or ambient sources: errors with bounds (Table III of the paper), differences, and the
 skill against rules that need no model.
 
-A column is the free run of one fit on one record.  The errors of two columns are compared on the instants
-that both score, with the same blocks drawn for both: errors that the weather causes in both cancel.  Columns
-without common instants (other years, other clocks) are not compared instant by instant.
+A column is the free run of one fit on one record. Two columns are compared at the instants that both score,
+with the same blocks drawn for both, so that errors which the weather causes in both cancel. Columns without
+common instants (other years, other clocks) are not compared instant by instant.
 
-Periods: `identification`, `validation` (by the record's own `until`) and `whole`, as in the paper's Table
-III.
+Periods: `identification`, `validation` (by the record's own `until`), and `whole` as in Table III of the
+paper.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 
 ALL_PERIODS = (*SCORED_PERIODS, "whole")
 SAME_READING = 1e-6
-"""Readings of one instant that differ by less [K], [g/m³] are the same reading."""
+"""[K], [g/m³] two readings at one instant that differ by less are the same reading."""
 UNSCORED = TransferCode.NOTHING_TO_SCORE()
 COMPARED_UNITS = {"temperature_K": "K", "absolute_humidity_g_m3": "g/m3"}
 
@@ -50,12 +50,12 @@ COMPARED_UNITS = {"temperature_K": "K", "absolute_humidity_g_m3": "g/m3"}
 
 @dataclass(frozen=True)
 class ErrorRow:
-    """A number of a comparison in one period, quantity and regime: a row of compare.csv.
+    """A number of a comparison for one period, quantity and regime: a row of compare.csv.
 
-    `kind`: "rmse" of a `column` [K], [g/m³]; "rule": that of the rule without a model which `against` names;
+    `kind`: "rmse": error of `column` [K], [g/m³]; "rule": error of the rule `against`, which needs no model;
     "skill" [1]: 1 − MSE/MSE of that rule; "difference": RMSE of `column` minus RMSE of the column `against`.
-    `n` readings, those that both score.  `lower`, `upper`: 95 % bounds, NaN where there are too few readings.
-    `same_readings`: whether both columns of a difference are scored on the same ones.
+    `n`: number of readings that both score. `lower`, `upper`: 95 % bounds, NaN for too few readings.
+    `same_readings`: whether both columns of a difference have the same readings.
     """
 
     kind: Literal["rmse", "rule", "skill", "difference"]
@@ -78,10 +78,10 @@ class ErrorRow:
 
 @dataclass(frozen=True)
 class ComparedColumn:
-    """What is compared: a `fit` on a `case`.
+    """A column of a comparison: a `fit` on a `case`.
 
-    `identified_here` whether the fit was identified on this record; `weeks` by quantity: middle [s since
-    1970] and RMSE of each week; `verdicts` on the fit's time constants.
+    `identified_here`: whether the fit was identified on this record; `weeks`: by quantity, the middle [s
+    since 1970] and the RMSE of each week; `verdicts` on the fit's time constants.
     """
 
     label: Name
@@ -95,7 +95,7 @@ class ComparedColumn:
 
 @dataclass(frozen=True)
 class ComparisonResults:
-    """The content of compare.json.  `provenance`: the least measured one of all records."""
+    """The content of compare.json; `provenance`: the least measured one of all records."""
 
     version: Version
     created: Instant
@@ -105,8 +105,8 @@ class ComparisonResults:
 
     @property
     def pairs(self) -> list[tuple[str, str]]:
-        """The columns that have common instants."""
-        return list(dict.fromkeys((r.column, r.against) for r in self.rows if r.kind == "difference"))
+        """The pairs of columns that have common instants."""
+        return list(dict.fromkeys((row.column, row.against) for row in self.rows if row.kind == "difference"))
 
     def row(
         self,
@@ -117,31 +117,33 @@ class ComparisonResults:
         regime: str = "total",
         against: str = "",
     ) -> ErrorRow:
-        """One number; NaN where it is not known."""
+        """Return one number; NaN if it is not known."""
         row = self._by_place.get((kind, column, against, quantity, period, regime))
         return row or ErrorRow(kind, column, against, quantity, period, regime)
 
     @cached_property
     def _by_place(self) -> dict[tuple[str, ...], ErrorRow]:
+        """The rows by kind, column, reference, quantity, period and regime."""
         return {(r.kind, r.column, r.against, r.quantity, r.period, r.regime): r for r in self.rows}
 
     def errors(self, period: str, quantity: str) -> dict[str, ErrorRow]:
-        """The errors of all scored instants of a period, by label; without columns that have none."""
-        wanted = ("rmse", quantity, period, "total")
-        return {r.column: r for r in self.rows if (r.kind, r.quantity, r.period, r.regime) == wanted}
+        """Return the total errors of a period by label; columns without scores are left out."""
+        key = ("rmse", quantity, period, "total")
+        return {r.column: r for r in self.rows if (r.kind, r.quantity, r.period, r.regime) == key}
 
     def to_frame(self) -> pandas.DataFrame:
-        """Every number of the comparison in one row, as in compare.csv."""
+        """Return every number of the comparison in one row, as in compare.csv."""
         import pandas as pd
 
         fits = {column.label: (column.fit, column.case) for column in self.columns}
         rows = [
             (
-                r.kind, r.column, r.against, *(("", "") if r.kind == "difference" else fits[r.column]),
-                r.quantity, "1" if r.kind == "skill" else COMPARED_UNITS[r.quantity], r.period, r.regime, r.n,
-                r.value, r.lower, r.upper,
+                row.kind, row.column, row.against,
+                *(("", "") if row.kind == "difference" else fits[row.column]),
+                row.quantity, "1" if row.kind == "skill" else COMPARED_UNITS[row.quantity], row.period, row.regime,
+                row.n, row.value, row.lower, row.upper
             )
-            for r in self.rows
+            for row in self.rows
         ]  # fmt: skip
         return pd.DataFrame(rows, columns=list(TABLE_HEAD))
 
@@ -158,10 +160,10 @@ TABLE_HEAD = (
 
 @dataclass(frozen=True)
 class ComparisonColumn:
-    """The free run of a fit on a record: `errors` (T,) by quantity, NaN where nothing is scored.
+    """The free run of a fit on a record: `errors` (T,) by quantity, NaN at instants that are not scored.
 
-    `names` what was combined; `course` its readings and simulation; `rules` errors of the rules without a
-    model, by quantity and rule; `masks` (T,) by period.
+    `names`: fit, case and label; `course`: readings and simulation; `rules`: errors (T,) of the rules without
+    a model, by quantity and rule; `masks` (T,) by period.
     """
 
     names: ComparedColumn
@@ -173,34 +175,36 @@ class ComparisonColumn:
 
     @property
     def label(self) -> str:
+        """The label of the column."""
         return self.names.label
 
     def scored_at(self, quantity: str, period: str, regime: str) -> np.ndarray:
-        """(T,) True at the scored instants of a period and a regime."""
+        """Return whether each instant (T,) is scored and belongs to a period and a regime."""
         chosen = self.masks[period] & np.isfinite(self.errors[quantity])
         return chosen if regime == "total" else chosen & (self.course.operating == (regime == "operation"))
 
 
 def comparison_column(fit: Fit, record: Record, label: str, own: bool = False) -> ComparisonColumn:
-    """One column of a comparison: the free run of a fit on a record.
+    """Return a column of a comparison: the free run of a fit on a record.
 
-    fit, record: whose free run is compared, and on what; readings in SI units.
-    label: of the column.
-    own: whether the fit was identified on this record.
+    fit: whose free run is compared. record: on which it is run, in SI units.
+    label: of the column. own: whether the fit was identified on this record.
 
-    Returns readings, predictions and regimes (T,) for `compare`.
-    Raises KeyError where the record lacks an input that the model reads.
+    Returns readings, predictions and regimes (T,) for `compare`. Raises KeyError if the record lacks an input
+    of the model.
     """
     _, run, prediction = simulate_fit(fit, record)
     course = RecordCourse.of(run, {"simulated": prediction})
-    guessed = guesses(run)
+    predictions_of_rules = guesses(run)
     errors, rules = {}, {}
     for quantity, simulated in course.simulated["simulated"].items():
         reading = np.where(run.scored, course.measured[quantity], np.nan)
         if np.isfinite(reading).any():
             errors[quantity] = reading - simulated
             rules[quantity] = {
-                name: reading - guess[quantity] for name, guess in guessed.items() if quantity in guess
+                name: reading - prediction_of_rule[quantity]
+                for name, prediction_of_rule in predictions_of_rules.items()
+                if quantity in prediction_of_rule
             }
     masks = {**period_masks(run), "whole": np.ones(len(run.timeline), bool)}
     statements = (*mismatches(fit, record), *(() if errors else (UNSCORED,)))
@@ -211,17 +215,18 @@ def comparison_column(fit: Fit, record: Record, label: str, own: bool = False) -
 
 
 def compare(columns: Sequence[ComparisonColumn]) -> ComparisonResults:
-    """Compare columns: errors with bounds, differences between any two, skill against rules without a model.
+    """Compare columns: their errors with bounds, the differences between any two, and the skill against rules
+    without a model.
 
     columns: of `comparison_column`, with different labels.
 
-    Returns the content of compare.json: RMSE [K], [g/m³] by period, quantity and regime.
-    Raises ValueError for columns of the same label, and where no column has anything to score.
+    Returns the content of compare.json: RMSE [K], [g/m³] by period, quantity and regime. Raises ValueError if
+    labels are equal, or if no column has anything to score.
     """
     labels = [column.label for column in columns]
-    twice = sorted({label for label in labels if labels.count(label) > 1})
-    if twice:
-        raise ValueError(f"expected columns of different names, found several called {', '.join(twice)}")
+    repeated = sorted({label for label in labels if labels.count(label) > 1})
+    if repeated:
+        raise ValueError(f"expected columns of different names, found several called {', '.join(repeated)}")
     if not any(column.errors for column in columns):
         raise ValueError(f"no column can be scored: {UNSCORED}")
     return ComparisonResults(
@@ -231,57 +236,63 @@ def compare(columns: Sequence[ComparisonColumn]) -> ComparisonResults:
         tuple(column.names for column in columns),
         (
             *(row for column in columns for row in _scores(column)),
-            *(row for a, b in combinations(columns, 2) for row in _differences(a, b)),
+            *(row for first, second in combinations(columns, 2) for row in _differences(first, second)),
         ),
     )
 
 
-def _scores(one: ComparisonColumn) -> Iterator[ErrorRow]:
-    """The errors of a column; those of the rules beside them on the same instants."""
-    time = one.course.time_s
-    for period, quantity, regime in product(ALL_PERIODS, one.errors, REGIMES):
-        chosen, place = one.scored_at(quantity, period, regime), (quantity, period, regime)
-        error = np.where(chosen, one.errors[quantity], np.nan)
-        drawn = resampled(time, error[:, None])
-        if drawn is None:
+def _scores(column: ComparisonColumn) -> Iterator[ErrorRow]:
+    """The errors of a column, and on the same instants the errors of the rules and the skill against them."""
+    time = column.course.time_s
+    for period, quantity, regime in product(ALL_PERIODS, column.errors, REGIMES):
+        chosen, key = column.scored_at(quantity, period, regime), (quantity, period, regime)
+        error = np.where(chosen, column.errors[quantity], np.nan)
+        bootstrap = resampled(time, error[:, None])
+        if bootstrap is None:
             continue
-        ends = drawn.bounds(0) or ()
-        yield ErrorRow("rmse", one.label, "", *place, int(chosen.sum()), float(drawn.value[0]), *ends)
-        for name, rule in one.rules[quantity].items():
-            both = resampled(time, np.column_stack([error, rule]))
-            if both is not None:
-                mine, other = map(float, both.value)
-                alone = (1.0 - (mine / other) ** 2 if other > 0 else math.nan,)
-                yield ErrorRow("rule", one.label, name, *place, both.n, other)
-                yield ErrorRow("skill", one.label, name, *place, both.n, *(both.skill(0, 1) or alone))
+        bounds = bootstrap.bounds(0) or ()
+        yield ErrorRow("rmse", column.label, "", *key, int(chosen.sum()), float(bootstrap.value[0]), *bounds)
+        for name, rule_errors in column.rules[quantity].items():
+            pair = resampled(time, np.column_stack([error, rule_errors]))
+            if pair is not None:
+                model_error, rule_error = map(float, pair.value)
+                without_bounds = (1.0 - (model_error / rule_error) ** 2 if rule_error > 0 else math.nan,)
+                skill = pair.skill(0, 1) or without_bounds
+                yield ErrorRow("rule", column.label, name, *key, pair.n, rule_error)
+                yield ErrorRow("skill", column.label, name, *key, pair.n, *skill)
 
 
-def _differences(a: ComparisonColumn, b: ComparisonColumn) -> Iterator[ErrorRow]:
-    common, i, j = np.intersect1d(a.course.time_s, b.course.time_s, assume_unique=True, return_indices=True)
-    shared = [quantity for quantity in a.errors if quantity in b.errors]
+def _differences(first: ComparisonColumn, second: ComparisonColumn) -> Iterator[ErrorRow]:
+    """Yield the differences of the errors of two columns at their common instants."""
+    common, in_first, in_second = np.intersect1d(
+        first.course.time_s, second.course.time_s, assume_unique=True, return_indices=True
+    )
+    shared = [quantity for quantity in first.errors if quantity in second.errors]
     for period, quantity, regime in product(ALL_PERIODS, shared, REGIMES):
-        pair = np.column_stack([a.errors[quantity][i], b.errors[quantity][j]])
-        there = np.isfinite(pair).all(axis=1)
-        chosen = a.scored_at(quantity, period, regime)[i] & b.scored_at(quantity, period, regime)[j]
-        drawn = resampled(common, np.where(chosen[:, None], pair, np.nan))
-        if drawn is not None:
-            apart = np.abs(a.course.measured[quantity][i] - b.course.measured[quantity][j])[there]
-            ends = drawn.difference(0, 1) or (float(drawn.value[0] - drawn.value[1]), math.nan, math.nan)
-            same = bool(apart.max() <= SAME_READING)
-            yield ErrorRow(
-                "difference", a.label, b.label, quantity, period, regime, drawn.n, *ends, same_readings=same
-            )
+        errors = np.column_stack([first.errors[quantity][in_first], second.errors[quantity][in_second]])
+        both_known = np.isfinite(errors).all(axis=1)
+        scored_by_first = first.scored_at(quantity, period, regime)[in_first]
+        chosen = scored_by_first & second.scored_at(quantity, period, regime)[in_second]
+        bootstrap = resampled(common, np.where(chosen[:, None], errors, np.nan))
+        if bootstrap is None:
+            continue
+        readings = first.course.measured[quantity][in_first], second.course.measured[quantity][in_second]
+        is_same = bool(np.abs(readings[0] - readings[1])[both_known].max() <= SAME_READING)
+        without_bounds = (float(bootstrap.value[0] - bootstrap.value[1]), math.nan, math.nan)
+        numbers = (bootstrap.n, *(bootstrap.difference(0, 1) or without_bounds))
+        key = (first.label, second.label, quantity, period, regime)
+        yield ErrorRow("difference", *key, *numbers, same_readings=is_same)
 
 
 def rmse_by_week(course: RecordCourse, error: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Middle [s] and root mean square of an error (T,) in every week with at least a day of scored
-    readings."""
-    there, time = np.isfinite(error), course.time_s
-    week = np.floor(time / WEEK_S).astype(int)
+    """Return the middle [s] and the root mean square of an error (T,) for every week with at least a day of
+    scored readings."""
+    is_scored, time = np.isfinite(error), course.time_s
+    week_of_instant = np.floor(time / WEEK_S).astype(int)
     middles, values = [], []
-    for number in np.unique(week[there]):
-        part = there & (week == number)
-        if np.ptp(time[part]) >= DAY_S:
-            middles.append((number + 0.5) * WEEK_S)
-            values.append(rmse(error[part], course.operating[part]).total)
+    for week_number in np.unique(week_of_instant[is_scored]):
+        in_week = is_scored & (week_of_instant == week_number)
+        if np.ptp(time[in_week]) >= DAY_S:
+            middles.append((week_number + 0.5) * WEEK_S)
+            values.append(rmse(error[in_week], course.operating[in_week]).total)
     return np.array(middles), np.array(values, dtype=float)

@@ -1,5 +1,5 @@
-"""What a transfer finds: the content of transfer.json; and readings and simulations over time, for pictures,
-with the .npz file that holds those of several records."""
+"""The results of a transfer (transfer.json), and the courses of several records (readings and simulations
+over time) in an .npz file, for figures."""
 
 from __future__ import annotations
 
@@ -37,11 +37,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class RecordCourse:
-    """One record's readings and what one or several models simulate of them, by quantity [K], [g/m³].
+    """The readings of one record, and simulations of them, by quantity [K], [g/m³].
 
-    `time_s` (T,) [s since 1970]; `until_s` [s since 1970] the end of the identification period, NaN without
-    one; `scored` (T,) True where all inputs are known; `operating` (T,); `measured` (T,) by quantity;
-    `simulated` (T,) by the name of the model or of its values, then by quantity.
+    `time_s` (T,) [s since 1970]; `until_s` [s since 1970]: end of the identification period, NaN without one;
+    `scored` (T,): whether all inputs are known; `operating` (T,); `measured` (T,) by quantity; `simulated`
+    (T,) by name of the simulation, then by quantity.
     """
 
     time_s: np.ndarray
@@ -53,14 +53,15 @@ class RecordCourse:
 
     @classmethod
     def of(cls, run: Run, simulated: Mapping[str, Prediction]) -> RecordCourse:
-        """The readings of a run, and simulations of it by name."""
-        t, known, until_s = run.timeline, measured(run), run.record.until_s
+        """Return the readings of a run, and simulations of it by name."""
+        timeline, readings, until_s = run.timeline, measured(run), run.record.until_s
         courses = {
-            name: {q: pair[0] for q in SCORED if (pair := prediction.of(q)) is not None}
+            name: {q: mean_and_sd[0] for q in SCORED if (mean_and_sd := prediction.of(q)) is not None}
             for name, prediction in simulated.items()
         }
         end_s = math.nan if until_s is None else until_s
-        return cls(t.seconds, end_s, run.scored, run.operating, {q: known[q] for q in SCORED}, courses)
+        scored_readings = {q: readings[q] for q in SCORED}
+        return cls(timeline.seconds, end_s, run.scored, run.operating, scored_readings, courses)
 
     def __post_init__(self) -> None:
         series = {"scored": self.scored, "operating": self.operating}
@@ -78,36 +79,37 @@ class RecordCourse:
 
 
 def write_courses(courses: Sequence[RecordCourse], path: str | os.PathLike[str]) -> Path:
-    """Write courses to one .npz file, atomically, with the places of arrays in them as names, such as
-    "0/simulated/as_is/temperature_K".  Raises OSError from the system."""
-    tree = {str(place): vars(course) for place, course in enumerate(courses)}
+    """Write the courses of several records to one .npz file; its arrays have names such as
+    "0/simulated/as_is/temperature_K". Raises OSError from the system."""
+    tree = {str(number): vars(course) for number, course in enumerate(courses)}
     buffer = io.BytesIO()
-    np.savez_compressed(buffer, **{"/".join(place): array for place, array in _leaves(tree)})
+    np.savez_compressed(buffer, **{"/".join(path_in_tree): array for path_in_tree, array in _leaves(tree)})
     return write_bytes_whole(path, buffer.getvalue())
 
 
-def _leaves(tree: Mapping[str, Any], *place: str) -> Iterator[tuple[tuple[str, ...], Any]]:
-    for name, one in tree.items():
-        if isinstance(one, Mapping):
-            yield from _leaves(one, *place, name)
+def _leaves(tree: Mapping[str, Any], *parents: str) -> Iterator[tuple[tuple[str, ...], Any]]:
+    """Yield the arrays of a nested mapping, each with the keys that lead to it."""
+    for name, node in tree.items():
+        if isinstance(node, Mapping):
+            yield from _leaves(node, *parents, name)
         else:
-            yield (*place, name), one
+            yield (*parents, name), node
 
 
 def read_courses(path: Path, count: int, command: str) -> tuple[RecordCourse, ...]:
-    """The courses of `count` records from a file that `command` wrote.  Raises ResultFault."""
-    found: dict[str, Any] = {}
+    """Read the courses of `count` records from a file that `command` wrote. Raises ResultFault."""
+    tree_of_records: dict[str, Any] = {}
     try:
         with open(path, "rb") as stream, np.load(stream, allow_pickle=False) as file:
             for key in file.files:
-                *place, name = key.split("/")
-                tree = found
-                for step in place:
-                    tree = tree.setdefault(step, {})
-                tree[name] = file[key][()]
-        if sorted(found) != sorted(map(str, range(count))):
-            raise ValueError(f"those of {len(found)} records where {count} were expected")
-        return tuple(RecordCourse(**found[str(i)]) for i in range(count))
+                *parents, name = key.split("/")
+                node = tree_of_records
+                for parent in parents:
+                    node = node.setdefault(parent, {})
+                node[name] = file[key][()]
+        if sorted(tree_of_records) != sorted(map(str, range(count))):
+            raise ValueError(f"those of {len(tree_of_records)} records where {count} were expected")
+        return tuple(RecordCourse(**tree_of_records[str(number)]) for number in range(count))
     except (OSError, ValueError, TypeError, AttributeError, EOFError, BadZipFile) as fault:
         reason = getattr(fault, "strerror", None) or fault
     raise ResultFault(f"{path}: expected the courses of `{command}`, found: {reason}; run it again")
@@ -118,7 +120,7 @@ Outcome = Literal["travels", "differs", "own", "not judged"]
 
 @dataclass(frozen=True)
 class TransferSource:
-    """The fit or type that is tried elsewhere, with the verdicts on its time constants."""
+    """The fit or type that is tried on other records, with the verdicts on its time constants."""
 
     name: Name
     kind: Literal["fit", "type"]
@@ -127,7 +129,8 @@ class TransferSource:
 
 @dataclass(frozen=True)
 class Contrast:
-    """Own less original value, or own over original value, with 95 % bounds that count both uncertainties."""
+    """The own value minus the original one (or divided by it), with 95 % bounds that include both
+    uncertainties."""
 
     value: float
     lower: float
@@ -135,16 +138,18 @@ class Contrast:
 
     @property
     def ratio(self) -> Contrast:
-        """A difference of logarithms as a ratio."""
-        return Contrast(*(math.exp(min(max(v, -50.0), 50.0)) for v in (self.value, self.lower, self.upper)))
+        """The ratio that a difference of logarithms stands for."""
+        logarithms = (self.value, self.lower, self.upper)
+        return Contrast(*(math.exp(min(max(logarithm, -50.0), 50.0)) for logarithm in logarithms))
 
 
 @dataclass(frozen=True)
 class ParameterChange:
-    """One parameter in its unit: its original value, the record's own, and the value after re-estimating.
+    """One parameter in its unit: the original value, the record's own, and the value after re-estimating.
 
-    `original_se`, `own_se` standard errors, NaN where there are none; `difference` None where the parameter
-    is not compared, and `difference_is` how it is to be read; `kept`: this record says nothing about it.
+    `original_se`, `own_se`: standard errors, NaN without; `difference`: None if the parameter is not
+    compared; `difference_is`: whether it is a ratio or a difference; `kept`: whether the record does not
+    determine the parameter.
     """
 
     group: Name
@@ -164,9 +169,9 @@ class ParameterChange:
 class GroupChange:
     """Whether a group of parameters differs.
 
-    `statistic`, `df`, `p` and `p_adjusted` (for the number of groups) at the step of the selection that
-    decided on the group; `effect` what the group's own values change in the free run, root mean square [K],
-    [g/m³]; all None where the group is not judged.
+    `statistic`, `df`, `p`, and `p_adjusted` for the number of groups: of the test at the step of the
+    selection that decided on the group; `effect`: root mean square change [K], [g/m³] of the free run by the
+    group's own values. All are None if the group is not judged.
     """
 
     group: Name
@@ -182,7 +187,7 @@ class GroupChange:
 
 @dataclass(frozen=True)
 class LikelihoodRatio:
-    """An exact likelihood ratio on this record alone; it is divided by `factor` before `p` is taken."""
+    """An exact likelihood ratio on this record alone; `p` is that of the ratio divided by `factor`."""
 
     of: Statement
     parameters: tuple[Name, ...]
@@ -194,15 +199,16 @@ class LikelihoodRatio:
 
 @dataclass(frozen=True)
 class SetError(Errors):
-    """Root mean squared error [K], [g/m³] of one set of values; `bounds` 95 % of the total, where there are
-    enough readings."""
+    """The root mean squared error [K], [g/m³] of one set of values; `bounds`: 95 % bounds of the total, None
+    for too few readings."""
 
     bounds: tuple[float, float] | None = None
 
 
 @dataclass(frozen=True)
 class Reduction:
-    """By how much the error is smaller than that of the set or rule `against` [K], [g/m³], 95 % bounds."""
+    """By how much the error is smaller than that of the set or rule `against` [K], [g/m³], with 95 %
+    bounds."""
 
     against: Name
     gain: float
@@ -212,8 +218,8 @@ class Reduction:
 
 @dataclass(frozen=True)
 class Structure:
-    """Free-run error [K], [g/m³] with all parameters estimated here, that of the fit on its own record, and
-    the ratio of both with its lower 95 % bound."""
+    """The free-run error [K], [g/m³] with all parameters estimated here, the error of the fit on its own
+    record, and the ratio of both with its lower 95 % bound."""
 
     rmse: float
     rmse_of_the_fit: float
@@ -223,13 +229,14 @@ class Structure:
 
 @dataclass(frozen=True)
 class TransferResult:
-    """A fit or type on one record: an entry of transfer.json.
+    """The result of a fit or type on one record: an entry of transfer.json.
 
-    `until` the end of the identification period; `n_readings` in it; `period` the one that is scored;
-    `re_estimate` the groups that differ; `parameters` by name; `rmse` and `gains` by quantity and set of
-    values, gains then "over_as_is" (the model as it is) and "over_rule" (the best rule without a model);
-    `structure` by quantity; `at_bounds` re-estimated parameters at the edge of their range; `converged` by
-    set of values; `verdicts` on the time constants of the model to use here, empty where no fit was made.
+    `until`: end of the identification period; `n_readings` in it; `period`: the one that is scored;
+    `re_estimate`: groups that differ; `parameters` by name; `rmse` and `gains` by quantity and set of values,
+    gains then by "over_as_is" (compared with the model as it is) and "over_rule" (with the best rule without
+    a model); `structure` by quantity; `at_bounds`: re-estimated parameters at a limit of their range;
+    `converged` by set of values; `verdicts` on the time constants of the model to use here, empty if no fit
+    was made.
     """
 
     name: Name
@@ -254,7 +261,7 @@ class TransferResult:
 
     @property
     def statement(self) -> Statement:
-        """The verdict, with the groups that differ."""
+        """The statement of the verdict, with the groups that differ."""
         if self.verdict is TransferVerdict.PARTLY:
             return TransferCode.PARTLY_BY_GROUPS(groups=self.re_estimate)
         return self.verdict()
@@ -263,7 +270,7 @@ class TransferResult:
         return f"{self.source.name} on {self.name}: {self.statement}"
 
     def to_frame(self) -> pandas.DataFrame:
-        """One row a parameter: its group and unit, its values, and the difference with 95 % bounds."""
+        """Return one row for each parameter: group, unit, values, and the difference with 95 % bounds."""
         import pandas as pd
 
         rows = {}
@@ -280,9 +287,9 @@ class TransferResult:
 
 @dataclass(frozen=True)
 class Transfer:
-    """A fit on another turbine's record: its `results`, the `course` of all sets of values, and the record's
-    own estimates: `adapted` the model to use there, `own` that with every parameter estimated there (None
-    where they were not asked for)."""
+    """A fit on another turbine's record: its `results`, the `course` of all sets of values, the fit `adapted`
+    to use there, and the fit `own` with every parameter estimated there (both None if they were not asked
+    for)."""
 
     results: TransferResult
     course: RecordCourse
@@ -291,6 +298,7 @@ class Transfer:
 
     @property
     def verdict(self) -> TransferVerdict:
+        """The verdict on the transfer."""
         return self.results.verdict
 
     def __str__(self) -> str:
@@ -299,8 +307,8 @@ class Transfer:
 
 @dataclass(frozen=True)
 class TransferResults:
-    """The content of transfer.json: one source on one or more records, and the type of all turbines where it
-    was made."""
+    """The content of transfer.json: one source on one or more records, and the type of turbine pooled from
+    all of them, if any."""
 
     version: Version
     created: Instant
@@ -309,12 +317,12 @@ class TransferResults:
 
     @property
     def source(self) -> TransferSource:
-        """What is tried on all records."""
+        """The fit or type that was tried on all records."""
         return self.records[0].source
 
 
 def transfer_results(transfers: Sequence[Transfer], pooled: TurbineType | None = None) -> TransferResults:
-    """The content of transfer.json of transfers from one source."""
+    """Return the content of transfer.json for transfers of one source."""
     return TransferResults(
         __version__,
         datetime.now(UTC).isoformat(timespec="seconds"),

@@ -1,4 +1,5 @@
-"""The judgement of a transfer: parameters, groups, likelihood ratios, and the verdict with its reasons."""
+"""The judgement of a transfer: tables of parameters, groups and likelihood ratios, and the verdict with its
+reasons."""
 
 from __future__ import annotations
 
@@ -40,27 +41,27 @@ MATERIAL_DIFFERENCE = {
     "temperature_K": 0.3,
     "absolute_humidity_g_m3": 0.26,
 }
-"""Smallest difference that matters; smaller ones do not, however significant: 10 % of a time constant, 0.05
-of R_AT/(R_AT+R_IC), and for the simulated readings the accuracy of the paper's loggers (0.3 K; 2 % relative
+"""Smallest differences that matter, however significant a smaller one is: 10 % of a time constant, 0.05 of
+R_AT/(R_AT+R_IC), and for the simulated readings the accuracy of the paper's loggers (0.3 K; 2 % relative
 humidity, which is 0.26 g/m³ at 15 °C)."""
 DECISIVE_PARAMETERS = {
     THERMAL_GROUP: {"thermal_time_constant": "ln_time_constant", "resistance_ratio": "resistance_ratio"},
     HYGRIC_GROUP: {"hygric_k": "ln_time_constant"},
 }
-"""Parameters that decide whether the difference of a group matters, with their keys of
-`MATERIAL_DIFFERENCE`; for other groups the effect on the simulated readings decides."""
+"""Group → parameters that decide whether its difference matters, with their keys in `MATERIAL_DIFFERENCE`;
+for other groups the effect on the simulated readings decides."""
 STRUCTURE = 1.5
-"""[1] ratio of the free-run error of the model estimated on this record to the free-run error of the fit on
-its own record, above which the form of the model is doubted."""
+"""[1] if the free-run error with all parameters estimated here is larger than that of the fit on its own
+record by this factor, the form of the model is doubted."""
 
 
 def matters(group: str, apart: Difference, effect: Mapping[str, float]) -> bool:
-    """Whether a group's difference is large enough to matter."""
+    """Return whether the difference of a group is large enough to matter."""
     if group not in DECISIVE_PARAMETERS:
         return any(effect.get(quantity, 0.0) >= MATERIAL_DIFFERENCE[quantity] for quantity in SCORED)
-    size = dict(zip(apart.names, np.abs(apart.value), strict=True))
+    sizes = dict(zip(apart.names, np.abs(apart.value), strict=True))
     return any(
-        size.get(name, 0.0) >= MATERIAL_DIFFERENCE[key] for name, key in DECISIVE_PARAMETERS[group].items()
+        sizes.get(name, 0.0) >= MATERIAL_DIFFERENCE[key] for name, key in DECISIVE_PARAMETERS[group].items()
     )
 
 
@@ -71,35 +72,35 @@ def group_parameters(
     spread: Uncertainty,
     own: Estimate,
 ) -> dict[str, ParameterChange]:
-    """Every parameter with its value in the fit and on this record, standard errors, and their difference."""
-    places = {n: i for i, n in enumerate(baseline.origin.names)}
+    """Every parameter with its values in the fit and on this record, standard errors, and difference."""
+    origin_indices = {name: number for number, name in enumerate(baseline.origin.names)}
     rows = {}
-    for p in baseline.base.model.parameters:
-        origin_place, place = places.get(p.name), spread.place(p.name)
+    for parameter in baseline.base.model.parameters:
+        origin_index, index = origin_indices.get(parameter.name), spread.place(parameter.name)
         original_se = own_se = math.nan
-        if origin_place is not None:
-            variance = float(baseline.origin.covariance[origin_place, origin_place])
+        if origin_index is not None:
+            variance = float(baseline.origin.covariance[origin_index, origin_index])
             original_se = math.sqrt(max(variance, 0.0))
-        if place is not None:
-            sd = math.sqrt(spread.wald[place, place] * spread.factor[place])
-            own_se = sd * abs(p.slope(own.values[p.name]))
+        if index is not None:
+            sd = math.sqrt(spread.wald[index, index] * spread.factor[index])
+            own_se = sd * abs(parameter.slope(own.values[parameter.name]))
         change = None
-        if p.name in apart.names:
-            change = Contrast(*apart.bounds(p.name))
-            if p.positive:
+        if parameter.name in apart.names:
+            change = Contrast(*apart.bounds(parameter.name))
+            if parameter.positive:
                 change = change.ratio
-        rows[p.name] = ParameterChange(
-            baseline.groups[p.name],
-            p.unit,
-            p.meaning,
-            original=values["as_is"][p.name],
+        rows[parameter.name] = ParameterChange(
+            baseline.groups[parameter.name],
+            parameter.unit,
+            parameter.meaning,
+            original=values["as_is"][parameter.name],
             original_se=original_se,
-            own=own.values[p.name],
+            own=own.values[parameter.name],
             own_se=own_se if math.isfinite(own_se) else math.nan,
-            re_estimated=values["re_estimated"][p.name],
+            re_estimated=values["re_estimated"][parameter.name],
             difference=change,
-            difference_is=None if change is None else "ratio" if p.positive else "difference",
-            kept=p.name in baseline.held,
+            difference_is=None if change is None else "ratio" if parameter.positive else "difference",
+            kept=parameter.name in baseline.held,
         )
     return rows
 
@@ -111,7 +112,7 @@ def groups_of(
     effects: Mapping[str, Mapping[str, float]],
     differing: Sequence[str],
 ) -> tuple[GroupChange, ...]:
-    """For each group of parameters: the test that decided on it, its effect on the readings, and the
+    """Return for each group of parameters the test that decided on it, its effect on the free run, and the
     outcome."""
     rows = []
     for group in dict.fromkeys(baseline.groups.values()):
@@ -122,25 +123,27 @@ def groups_of(
         if group not in effects:
             rows.append(GroupChange(group, names, "not judged", TransferCode.GROUP_NOT_SHOWN()))
             continue
-        test, alone = tests[group], apart.of(names)
+        test, difference_of_group = tests[group], apart.of(names)
         outcome: Outcome = "differs" if group in differing else "travels"
         code = TransferCode.GROUP_ALIKE
         if group in differing:
             code = TransferCode.GROUP_DIFFERS
         elif test.significant:
             code = TransferCode.GROUP_IMMATERIAL
-        elif _could_matter(group, alone, effects[group]):
+        elif _could_matter(group, difference_of_group, effects[group]):
             code = TransferCode.GROUP_OPEN
         effect = dict(effects[group])
-        rows.append(GroupChange(group, alone.names, outcome, code(), **vars(test), effect=effect))
+        rows.append(
+            GroupChange(group, difference_of_group.names, outcome, code(), **vars(test), effect=effect)
+        )
     return tuple(rows)
 
 
 def _could_matter(group: str, alone: Difference, effect: Mapping[str, float]) -> bool:
-    """Whether the uncertainty of this record includes a difference that is large enough to matter.
+    """Return whether the uncertainty of this record includes a difference that is large enough to matter.
 
     For time constants and the resistance ratio: whether their 95 % bounds include such a difference. For
-    other groups: whether the estimate changes the simulation enough to matter.
+    other groups: whether the own values change the simulation enough to matter.
     """
     if group not in DECISIVE_PARAMETERS:
         return matters(group, alone, effect)
@@ -160,7 +163,7 @@ def ratios_of(
     spread: Uncertainty,
     differing: Sequence[str],
 ) -> tuple[LikelihoodRatio, ...]:
-    """Exact likelihood ratios on this record alone, without the uncertainty of the original values.
+    """Return exact likelihood ratios on this record alone, without the uncertainty of the original values.
 
     The statistic is divided by the mean factor by which the autocorrelation of the noise widens the bounds
     (Kent 1982).
@@ -168,16 +171,18 @@ def ratios_of(
     from scipy.stats import chi2
 
     rows = []
-    for first, second, differ, label in (
+    for restricted, extended, is_differing, label in (
         (logger, adapted, True, TransferCode.RATIO_OF_DIFFERING()),
         (adapted, own, False, TransferCode.RATIO_OF_REST()),
     ):
-        names = tuple(n for n in baseline.cabinet if (baseline.groups[n] in differing) is differ)
+        names = tuple(
+            name for name in baseline.cabinet if (baseline.groups[name] in differing) is is_differing
+        )
         if not names:
             continue
-        place = [spread.names.index(n) for n in names if n in spread.names]
-        factor = float(np.mean(spread.factor[place])) if place else 1.0
-        ratio = max(2.0 * (second.objective - first.objective), 0.0)
+        indices = [spread.names.index(name) for name in names if name in spread.names]
+        factor = float(np.mean(spread.factor[indices])) if indices else 1.0
+        ratio = max(2.0 * (extended.objective - restricted.objective), 0.0)
         p = float(chi2.sf(ratio / factor, len(names)))
         rows.append(LikelihoodRatio(label, names, ratio, factor, len(names), p))
     return tuple(rows)
@@ -187,7 +192,7 @@ def ratios_of(
 
 
 def with_verdict(result: TransferResult) -> TransferResult:
-    """The result with its verdict and the reasons, objections first."""
+    """Return the result with its verdict and the reasons for it, objections first."""
     worse_than_rules, doubts = _against_the_rules(result)
     objections = [*_of_the_model(result), *worse_than_rules, *_worse_than_before(result)]
     if objections:
@@ -201,7 +206,7 @@ def with_verdict(result: TransferResult) -> TransferResult:
 
 
 def _of_the_model(result: TransferResult) -> list[Statement]:
-    """Objections to the model: no group in common, parameters at bounds, errors of the structure."""
+    """Return objections to the model: all groups differ, parameters at limits, errors of its form."""
     objections = []
     differing = result.re_estimate
     judged_groups = {row.group for row in result.groups if row.outcome in ("travels", "differs")}
@@ -218,7 +223,7 @@ def _of_the_model(result: TransferResult) -> list[Statement]:
 
 
 def _against_the_rules(result: TransferResult) -> tuple[list[Statement], list[Statement]]:
-    """Objections and doubts where a rule without a model errs less than the re-estimated model."""
+    """Return objections and doubts because a rule without a model errs less than the re-estimated model."""
     objections, doubts = [], []
     for quantity, gain in _gains(result, "over_rule"):
         values = {
@@ -234,7 +239,7 @@ def _against_the_rules(result: TransferResult) -> tuple[list[Statement], list[St
 
 
 def _worse_than_before(result: TransferResult) -> list[Statement]:
-    """Objections where re-estimating enlarges the error beyond its bounds."""
+    """Return objections because re-estimating enlarges the error beyond its bounds."""
     return [
         TransferCode.WORSE_RE_ESTIMATED(groups=result.re_estimate, **_terms(quantity), excess=-gain.gain)
         for quantity, gain in _gains(result, "over_as_is")
@@ -243,14 +248,15 @@ def _worse_than_before(result: TransferResult) -> list[Statement]:
 
 
 def _errors_before_and_after(result: TransferResult) -> list[Statement]:
+    """Return statements on the errors of the model as it is and after re-estimating."""
     reasons = []
-    held_out = result.period == "validation"
-    error = TransferCode.ERROR_HELD_OUT if held_out else TransferCode.ERROR_IDENTIFIED
+    is_held_out = result.period == "validation"
+    error = TransferCode.ERROR_HELD_OUT if is_held_out else TransferCode.ERROR_IDENTIFIED
     change = TransferCode.BY_RE_ESTIMATING if result.re_estimate else TransferCode.BY_OWN_OFFSETS
     for quantity, gain in _gains(result, "over_as_is"):
-        table = result.rmse[quantity]
+        errors_by_set = result.rmse[quantity]
         values: dict[str, Value] = {**_terms(quantity), "error": error(), "change": change()}
-        values |= {"before": table["as_is"].total, "after": table["re_estimated"].total}
+        values |= {"before": errors_by_set["as_is"].total, "after": errors_by_set["re_estimated"].total}
         if math.isnan(gain.lower):
             reasons.append(TransferCode.ERROR_BEFORE_AND_AFTER(**values))
         else:
@@ -260,7 +266,7 @@ def _errors_before_and_after(result: TransferResult) -> list[Statement]:
 
 
 def _terms(quantity: str) -> dict[str, Value]:
-    """The name and the unit of a scored quantity, for a statement."""
+    """Return name and unit of a scored quantity as values of a statement."""
     name, unit = QUANTITY_NAMES[quantity]
     return {"quantity": name, "unit": unit}
 
@@ -268,6 +274,7 @@ def _terms(quantity: str) -> dict[str, Value]:
 def _gains(
     result: TransferResult, reference: Literal["over_as_is", "over_rule"]
 ) -> Iterator[tuple[str, Reduction]]:
+    """Yield, for each quantity, the gain of the re-estimated model over a reference."""
     for quantity, gains_by_model in result.gains.items():
         gain = gains_by_model.get("re_estimated", {}).get(reference)
         if gain is not None:

@@ -1,4 +1,5 @@
-"""Join records of the same place: different signals side by side, different times one after the other."""
+"""Join weather records of the same place: different signals side by side, different times one after the
+other."""
 
 from __future__ import annotations
 
@@ -12,22 +13,22 @@ from hygrokf.data.readings import order_readings
 from hygrokf.data.record import Record, Series, Site, least_measured
 
 SAME_PLACE_DEG = 0.02
-"""[deg] largest distance between two files of the same point; reanalyses write coordinates with two
-digits."""
+"""[deg] two files whose points are no further apart are of the same point; reanalyses write coordinates with
+two digits."""
 
 PACKED = 5e-5
-"""Share of a field's range by which equal values may differ between two files that are each packed in two
-bytes with a scale of their own: three times 1/65536, rounded up."""
+"""[1] share of a field's range by which equal values may differ between two files, each packed in two bytes
+with its own scale: three times 1/65536, rounded up."""
 
 
 def join_records(records: Sequence[Record], name: str) -> Record:
     """Join records of the same place.
 
-    records: at least one; each with any signals over any time. name: of the result.
+    records: at least one, each with any signals over any time. name: of the result.
 
-    Readings of a signal are sorted by time.  Of several readings with the same stamp one is kept if they
-    agree to the rounding of packed files; contradicting readings are masked, with a warning.  Raises
-    TableFault where the records are of different places, or a signal has different holds or heights.
+    Readings of a signal are sorted by time. Of several readings with the same stamp one is kept if they agree
+    up to the rounding of packed files; contradicting readings are masked, with a warning. Raises TableFault
+    if the records are of different places, or if a signal has different holds or heights.
     """
     if len(records) == 1:
         return dataclasses.replace(records[0], name=name)
@@ -36,19 +37,19 @@ def join_records(records: Sequence[Record], name: str) -> Record:
     site = _common_site(records, faults)
     series = []
     for signal in dict.fromkeys(signal for record in records for signal in record.signals):
-        parts = [record[signal] for record in records if signal in record]
-        if len({(part.hold, part.interval_s) for part in parts}) > 1:
+        series_of_signal = [record[signal] for record in records if signal in record]
+        if len({(part.hold, part.interval_s) for part in series_of_signal}) > 1:
             faults.append(f"{signal}: means over different intervals in different files; convert them first")
             continue
-        heights = sorted({part.height_m for part in parts if part.height_m is not None})
+        heights = sorted({part.height_m for part in series_of_signal if part.height_m is not None})
         if len(heights) > 1:
-            listed = " and ".join(f"{height:g} m" for height in heights)
+            heights_text = " and ".join(f"{height:g} m" for height in heights)
             faults.append(
-                f"{signal}: at {listed} in different files; ask for the same height in all of them, or leave "
-                "it out of some"
+                f"{signal}: at {heights_text} in different files; ask for the same height in all of them, or "
+                "leave it out of some"
             )
             continue
-        joined_series, messages = _join_series(parts)
+        joined_series, messages = _join_series(series_of_signal)
         series.append(joined_series)
         warnings += messages
     if faults:
@@ -58,50 +59,56 @@ def join_records(records: Sequence[Record], name: str) -> Record:
     return Record(name, tuple(series), site, warnings=tuple(warnings), files=files, provenance=provenance)
 
 
-def follows(one: Record, other: Record) -> bool:
-    """Whether two weather records of the same place follow each other, as files of single years do.
+def follows(first: Record, second: Record) -> bool:
+    """Return whether two weather records of the same place follow each other, as files of single years do.
 
-    True where they have a signal in common, and every such signal shares less than half of the shorter
-    series' readings; False for two sources over the same time, and for different places.
+    True if they have a signal in common, and if for every such signal less than half of the shorter series
+    lies inside the other one; False for two sources over the same time, and for different places.
     """
     if (
-        one.site is not None
-        and other.site is not None
-        and _distance_deg(one.site, other.site) > SAME_PLACE_DEG
+        first.site is not None
+        and second.site is not None
+        and _distance_deg(first.site, second.site) > SAME_PLACE_DEG
     ):
         return False
-    pairs = [(one[signal], other[signal]) for signal in one.signals if signal in other]
-    ordered = [sorted(pair, key=len) for pair in pairs if all(map(len, pair))]
-    overlaps = [(short.time >= long.time[0]) & (short.time <= long.time[-1]) for short, long in ordered]
+    common_series = [(first[signal], second[signal]) for signal in first.signals if signal in second]
+    ordered = [sorted(pair, key=len) for pair in common_series if all(map(len, pair))]
+    overlaps = [
+        (shorter.time >= longer.time[0]) & (shorter.time <= longer.time[-1]) for shorter, longer in ordered
+    ]
     return bool(overlaps) and all(np.mean(is_inside) < 0.5 for is_inside in overlaps)
 
 
-def _distance_deg(one: Site, other: Site) -> float:
-    return max(abs(one.latitude_deg - other.latitude_deg), abs(one.longitude_deg - other.longitude_deg))
+def _distance_deg(first: Site, second: Site) -> float:
+    """Return the larger one of the differences in latitude and longitude [deg]."""
+    return max(abs(first.latitude_deg - second.latitude_deg), abs(first.longitude_deg - second.longitude_deg))
 
 
 def _common_site(records: Sequence[Record], faults: list[str]) -> Site | None:
+    """Return the site of the records, preferably one with an altitude; adds a fault to `faults` for different
+    places."""
     sites = [(record.name, record.site) for record in records if record.site is not None]
     for name, site in sites[1:]:
-        first = sites[0][1]
-        if _distance_deg(site, first) > SAME_PLACE_DEG:
+        first_site = sites[0][1]
+        if _distance_deg(site, first_site) > SAME_PLACE_DEG:
             faults.append(
-                f"{sites[0][0]} and {name} are of different places ({first.latitude_deg:g}, "
-                f"{first.longitude_deg:g} and {site.latitude_deg:g}, {site.longitude_deg:g} deg); give files "
-                "of one place"
+                f"{sites[0][0]} and {name} are of different places ({first_site.latitude_deg:g}, "
+                f"{first_site.longitude_deg:g} and {site.latitude_deg:g}, {site.longitude_deg:g} deg); give "
+                "files of one place"
             )
     return min((site for _, site in sites), key=lambda site: site.altitude_m is None, default=None)
 
 
 def _join_series(parts: Sequence[Series]) -> tuple[Series, list[str]]:
+    """Join series of one signal; returns the joined series and messages about its readings."""
     parts = sorted((part for part in parts if len(part)), key=lambda part: part.time[0]) or list(parts[:1])
     first = parts[0]
     if len(parts) == 1:
         return first, []
-    time, value = np.concatenate([part.time for part in parts]), [first.value]
+    time, values_of_parts = np.concatenate([part.time for part in parts]), [first.value]
     for count, part in enumerate(parts[1:], 1):
-        value.append(_without_packing_noise(parts[:count], value, part))
-    time, values, messages = order_readings(time, {first.signal: np.concatenate(value)})
+        values_of_parts.append(_without_packing_noise(parts[:count], values_of_parts, part))
+    time, values, messages = order_readings(time, {first.signal: np.concatenate(values_of_parts)})
     source = first.source
     if len({part.source for part in parts}) > 1:
         source = f"{first.source} and {len(parts) - 1} more"
@@ -122,16 +129,16 @@ def _join_series(parts: Sequence[Series]) -> tuple[Series, list[str]]:
 def _without_packing_noise(
     earlier_parts: Sequence[Series], values: Sequence[np.ndarray], part: Series
 ) -> np.ndarray:
-    """Values of a part (T,), replaced by the earlier parts' values where only packing makes them differ."""
+    """The values of a part (T,), replaced by those of earlier parts where they differ only by packing."""
     value = part.value.copy()
     for earlier, earlier_value in zip(earlier_parts, values, strict=True):
         if earlier.time[-1] < part.time[0]:  # most of many daily files share no stamp
             continue
-        _, i, j = np.intersect1d(earlier.time, part.time, return_indices=True)
+        _, earlier_index, index = np.intersect1d(earlier.time, part.time, return_indices=True)
         finite = np.concatenate([earlier_value, part.value])
         finite = finite[np.isfinite(finite)]
-        if not len(i) or not len(finite):
+        if not len(earlier_index) or not len(finite):
             continue
-        is_equal = np.abs(earlier_value[i] - value[j]) <= PACKED * float(np.ptp(finite))
-        value[j[is_equal]] = earlier_value[i[is_equal]]
+        is_equal = np.abs(earlier_value[earlier_index] - value[index]) <= PACKED * float(np.ptp(finite))
+        value[index[is_equal]] = earlier_value[earlier_index[is_equal]]
     return value

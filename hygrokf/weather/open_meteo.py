@@ -1,4 +1,4 @@
-"""Read Open-Meteo, a service of weather and reanalysis: hourly values of one place as JSON or CSV."""
+"""Read Open-Meteo, a service of weather and reanalysis data: hourly values of one place as JSON or CSV."""
 
 from __future__ import annotations
 
@@ -44,23 +44,24 @@ _VARIABLES = {
     "speed": Variable("wind_speed", "km/h"),
     "direction": Variable("wind_direction", "°"),
 }
-"""The service's names of fields, with `names` from before 2023; speed and direction are at one height."""
+"""Name of a field at the service → its meaning, with `names` from before 2023; "speed" and "direction" stand
+for the wind at the height that is read."""
 _META = ("latitude", "longitude", "elevation", "utc_offset_seconds")
 _WIND = re.compile(r"wind_?(speed|direction)_(\d+)m")
 PREFERRED_WIND_M = 100.0
-"""[m] preferred height of the wind; of several, the nearest on a logarithmic scale is read."""
+"""[m] preferred height of the wind; of several heights the nearest one on a logarithmic scale is read."""
 
 
 def read_open_meteo(path: str | os.PathLike[str]) -> Record:
-    """Record of ambient signals from hourly values of Open-Meteo, in SI units and UTC.
+    """Read ambient signals from hourly values of Open-Meteo, in SI units and UTC.
 
-    path: JSON or CSV, as gzip too. Units are those that the file states (wind is in km/h unless asked for
+    path: JSON or CSV, also as gzip. Units are those that the file states (wind in km/h unless requested
         otherwise).
 
     Stamps are at the fixed offset `utc_offset_seconds` of the file, which is that of the day of the request:
-    the service knows no summer time; stamps of `timeformat=unixtime` are UTC.  Temperature, humidity,
+    the service knows no summer time. Stamps of `timeformat=unixtime` are UTC. Temperature, humidity,
     pressure, wind and cloud are instants; radiation and precipitation belong to the hour that ends at the
-    stamp.  Without `dew_point_2m` the dew point is computed from `relative_humidity_2m` over water.  The
+    stamp. Without `dew_point_2m` the dew point is computed from `relative_humidity_2m` over water. The
     record's site has the `elevation` to which the service has converted temperatures.
 
     Raises TableFault with every fault.
@@ -68,109 +69,123 @@ def read_open_meteo(path: str | os.PathLike[str]) -> Record:
     file = Path(path)
     content, digest = only_content(file, ("json", "csv"), "JSON or CSV of Open-Meteo")
     weather = (_weather_of_json if content.kind == "json" else _weather_of_csv)(file.name, content.data)
-    value = weather.value
-    if "dew_point_2m" not in value and {"temperature_2m", "relative_humidity_2m"} <= set(value):
-        dew_point = dew_point_of(value["relative_humidity_2m"], value["temperature_2m"])
+    values = weather.value
+    if "dew_point_2m" not in values and {"temperature_2m", "relative_humidity_2m"} <= set(values):
+        dew_point = dew_point_of(values["relative_humidity_2m"], values["temperature_2m"])
         weather.add("ambient_dew_point_temperature", dew_point, "relative_humidity_2m")
     record = weather.record(digest)
-    lacking = "no temperature_2m: ask for it in hourly=…"
-    return require_temperature(record, lacking, "dew_point_2m or relative_humidity_2m")
+    no_temperature = "no temperature_2m: ask for it in hourly=…"
+    return require_temperature(record, no_temperature, "dew_point_2m or relative_humidity_2m")
 
 
 # --- layouts ---------------------------------------------------------------------------------
 
 
 def _weather_of_json(file: str, data: bytes) -> SiteWeather:
+    """Read the weather from JSON. Raises TableFault."""
     try:
         content = json.loads(data.decode("utf-8-sig"))
-    except (ValueError, RecursionError) as broken:
-        raise TableFault(f"cannot be read as JSON ({broken}): cut short? fetch it again") from None
+    except (ValueError, RecursionError) as fault:
+        raise TableFault(f"cannot be read as JSON ({fault}): cut short? fetch it again") from None
     if isinstance(content, list):
         raise TableFault(f"holds {len(content)} places; expected one: write each into a file of its own")
     hourly, units = content.get("hourly"), content.get("hourly_units")
     if not isinstance(hourly, dict) or not isinstance(units, dict) or "time" not in hourly:
         raise TableFault("expected hourly and hourly_units with time in them; ask for hourly=…")
     columns = {str(name): column for name, column in hourly.items() if isinstance(column, list)}
-    count = len(columns.get("time", []))
+    stamp_count = len(columns.get("time", []))
     faults = [
-        f"{name}: {len(column)} values for {count} stamps; fetch the file again"
+        f"{name}: {len(column)} values for {stamp_count} stamps; fetch the file again"
         for name, column in columns.items()
-        if len(column) != count
+        if len(column) != stamp_count
     ]
     if faults:
         raise TableFault(*faults)
-    meta = [content.get(name) for name in _META]
-    return _weather(file, meta, columns, {str(name): str(unit) for name, unit in units.items()})
+    place_and_offset = [content.get(name) for name in _META]
+    return _weather(file, place_and_offset, columns, {str(name): str(unit) for name, unit in units.items()})
 
 
 def _weather_of_csv(file: str, data: bytes) -> SiteWeather:
+    """Read the weather from CSV. Raises TableFault."""
     rows = [cells for _, cells in csv_rows(data, "utf-8-sig")]
-    head = [cell.strip() for cell in rows[0]] if rows else []
-    if "location_id" in head:
+    column_names = [cell.strip() for cell in rows[0]] if rows else []
+    if "location_id" in column_names:
         raise TableFault("holds several places; expected one: write each into a file of its own")
-    if "utc_offset_seconds" not in head or len(rows) < 2:
+    if "utc_offset_seconds" not in column_names or len(rows) < 2:
         raise TableFault(
             "expected CSV of Open-Meteo, whose first line names latitude, longitude, elevation, "
-            f"utc_offset_seconds; found {', '.join(head[:6]) or 'nothing'}"
+            f"utc_offset_seconds; found {', '.join(column_names[:6]) or 'nothing'}"
         )
-    stated = dict(zip(head, rows[1], strict=False))
-    meta = [stated.get(name) for name in _META]
-    top = next((i for i, row in enumerate(rows[2:], 2) if row and row[0].strip() == "time"), None)
-    if top is None:
+    stated_values = dict(zip(column_names, rows[1], strict=False))
+    place_and_offset = [stated_values.get(name) for name in _META]
+    header_line = next(
+        (line_number for line_number, row in enumerate(rows[2:], 2) if row and row[0].strip() == "time"), None
+    )
+    if header_line is None:
         raise TableFault("no line that begins with time: ask for hourly=…")
-    names, unit = [], {}
-    for cell in rows[top]:
-        name, _, rest = cell.strip().partition(" (")
+    names, units = [], {}
+    for cell in rows[header_line]:
+        name, _, unit_text = cell.strip().partition(" (")
         names.append(name)
-        unit[name] = rest.removesuffix(")")
+        units[name] = unit_text.removesuffix(")")
     # further blocks, such as daily values, follow after an empty line
-    end = next((i for i in range(top + 1, len(rows)) if not any(rows[i])), len(rows))
-    body = rows[top + 1 : end]
-    wrong = [i for i, row in enumerate(body) if len(row) != len(names)]
-    if wrong:
-        raise TableFault(
-            f"line {top + 2 + wrong[0]}: expected {len(names)} cells, found {len(body[wrong[0]])}: "
-            "cut short? fetch the file again"
-        )
-    columns = {name: [row[column] for row in body] for column, name in enumerate(names)}
-    return _weather(file, meta, columns, unit)
+    later_lines = range(header_line + 1, len(rows))
+    end_line = next((number for number in later_lines if not any(rows[number])), len(rows))
+    value_rows = rows[header_line + 1 : end_line]
+    for line_number, row in enumerate(value_rows, header_line + 2):
+        if len(row) != len(names):
+            raise TableFault(
+                f"line {line_number}: expected {len(names)} cells, found {len(row)}: cut short? fetch the "
+                "file again"
+            )
+    columns = {name: [row[column] for row in value_rows] for column, name in enumerate(names)}
+    return _weather(file, place_and_offset, columns, units)
 
 
 def _weather(
     file: str,
-    meta: Sequence[str | float | None],
+    place_and_offset: Sequence[str | float | None],
     columns: Mapping[str, Sequence[Any]],
-    unit: Mapping[str, str],
+    units: Mapping[str, str],
 ) -> SiteWeather:
-    """The weather from `meta`, latitude, longitude, elevation and offset of the clock, and from columns."""
+    """Return the weather of columns by the service's names.
+
+    place_and_offset: latitude, longitude [deg], elevation [m], and offset of the stamps from UTC [s]. units:
+        of the columns.
+    """
     import pandas as pd
 
     try:
-        latitude, longitude, offset = (float(meta[place]) for place in (0, 1, 3))  # type: ignore[arg-type]
-        elevation = float(meta[2]) if meta[2] is not None else math.nan
+        latitude, longitude, offset = (float(place_and_offset[index]) for index in (0, 1, 3))  # type: ignore[arg-type]
+        elevation = float(place_and_offset[2]) if place_and_offset[2] is not None else math.nan
         site = Site(latitude, longitude, elevation if math.isfinite(elevation) else None)
-    except (TypeError, ValueError) as broken:
+    except (TypeError, ValueError) as fault:
         raise TableFault(
             "expected latitude, longitude, elevation and utc_offset_seconds as numbers, found "
-            f"{', '.join(map(str, meta))} ({broken})"
+            f"{', '.join(map(str, place_and_offset))} ({fault})"
         ) from None
     if not -14.0 * HOUR_S <= offset <= 14.0 * HOUR_S:
         raise TableFault(f"utc_offset_seconds: expected -50400 … 50400, found {offset:g}")
     stamps = pd.Series(columns.get("time", []), dtype=object)
-    unix = pd.to_numeric(stamps, errors="coerce")
-    if len(stamps) and unix.notna().all():
-        stamps, offset = pd.to_datetime(unix, unit="s"), 0.0
-    used = {name: short for name in columns if (short := short_name(_VARIABLES, name)) is not None}
+    unix_seconds = pd.to_numeric(stamps, errors="coerce")
+    if len(stamps) and unix_seconds.notna().all():
+        stamps, offset = pd.to_datetime(unix_seconds, unit="s"), 0.0
+    field_names = {
+        name: field_name for name in columns if (field_name := short_name(_VARIABLES, name)) is not None
+    }
     winds = {name: match for name in columns if (match := _WIND.fullmatch(name))}
     heights = {int(match[2]) for match in winds.values() if match[1] == "speed"}
     height = min(heights, key=lambda height_m: abs(math.log(height_m / PREFERRED_WIND_M)), default=None)
-    used |= {name: match[1] for name, match in winds.items() if int(match[2]) == height}
-    frame = pd.DataFrame({name: columns[name] for name in used}, index=range(len(stamps)))
-    places = Places("row", lambda rows: [int(row) + 1 for row in rows])
+    field_names |= {name: match[1] for name, match in winds.items() if int(match[2]) == height}
+    frame = pd.DataFrame({name: columns[name] for name in field_names}, index=range(len(stamps)))
+    row_places = Places("row", lambda rows: [int(row) + 1 for row in rows])
     notation = Notation(timezone="UTC", decimal=".")
-    table = frame_table(frame, dict.fromkeys(used, UNKNOWN_MEANING), stamps, "time", places, notation)
+    table = frame_table(
+        frame, dict.fromkeys(field_names, UNKNOWN_MEANING), stamps, "time", row_places, notation
+    )
     fields = {
-        short: WeatherField(table.values[name], name, unit.get(name, "")) for name, short in used.items()
+        field_name: WeatherField(table.values[name], name, units.get(name, ""))
+        for name, field_name in field_names.items()
     }
     time, warnings = table.time - offset, list(table.warnings)
     if offset:
@@ -180,10 +195,10 @@ def _weather(
         )
     steps = np.diff(time)
     if len(steps) and (np.abs(steps - HOUR_S) > 1.0).any():
-        place = int(np.argmax(np.abs(steps - HOUR_S) > 1.0))
+        index = int(np.argmax(np.abs(steps - HOUR_S) > 1.0))
         raise TableFault(
-            f"time: expected an hour between stamps, found {steps[place]:g} s after "
-            f"{stamp_text(time[place])}: the stamps follow summer time, or hours were removed; ask for "
+            f"time: expected an hour between stamps, found {steps[index]:g} s after "
+            f"{stamp_text(time[index])}: the stamps follow summer time, or hours were removed; ask for "
             "timezone=GMT and hourly=…"
         )
     return SiteWeather(

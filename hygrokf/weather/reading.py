@@ -1,5 +1,5 @@
-"""Weather files as the record of a site: one file of any kind, several years of files, or a typical year
-repeated."""
+"""Read weather files as the record of a site: one file of any format, several years of files, or a typical
+year that is repeated."""
 
 from __future__ import annotations
 
@@ -34,13 +34,13 @@ _READERS: Mapping[str, Callable[[Path, Site | None, int | None, int], Record]] =
 }
 WEATHER_FORMATS = tuple(_READERS)
 TYPICAL = ("epw", "try")
-"""Formats of typical years, whose hours are assigned to a calendar year."""
+"""Formats of typical years, whose hours are moved to a calendar year."""
 NEEDED_SIGNALS = ("ambient_temperature", "ambient_dew_point_temperature")
 MOST_GAPS_LISTED = 3
 FAR_KM = 50.0
-"""[km] distance between the site and the point of the weather above which there is a warning."""
+"""[km] weather from a point further from the site than this gives a warning."""
 _HEAD = 2**14
-"""Number of bytes at the beginning of a file that determine its format."""
+"""[bytes] length of the beginning of a file from which its format is recognised."""
 
 
 def read_weather_file(
@@ -54,14 +54,14 @@ def read_weather_file(
     to_site_altitude: bool = False,
     lapse_rate: float = LAPSE_RATE,
 ) -> Record:
-    """Record of ambient signals of a site from one weather file, in SI units and UTC.
+    """Read the ambient signals of a site from one weather file, in SI units and UTC.
 
-    path: of one of the `WEATHER_FORMATS`. form: its format; None: by `weather_format`.
-    site: of the cabinet; the nearest cell of a grid is used, with a warning if it is far away.
+    path: of one of the `WEATHER_FORMATS`. form: its format; None: recognised by `weather_format`.
+    site: of the cabinet; selects the nearest cell of a grid, with a warning if it is far away.
     year: calendar year of a typical year. years: number of calendar years from `year` on that repeat it.
-    altitude_m: [m] height of the weather, where the file states none or a wrong one.
-    to_site_altitude: move temperature, dew point and pressure to the site's altitude, see `at_altitude`;
-        otherwise a difference above 100 m gives a warning. lapse_rate: [K/m] for this.
+    altitude_m: [m] height of the weather, if the file states none or a wrong one.
+    to_site_altitude: whether temperature, dew point and pressure are moved to the site's altitude
+        (`at_altitude`); otherwise a difference above 100 m gives a warning. lapse_rate: [K/m] for this.
 
     Raises TableFault with every fault.
     """
@@ -78,10 +78,10 @@ def read_weather_file(
         station_m = weather_site.altitude_m if altitude_m is None else altitude_m
         record = dataclasses.replace(record, site=Site(*point_deg, station_m))
     record = mask(record, within_range=True)  # such as codes of missing values
-    wanted_m = None if site is None else site.altitude_m
+    site_m = None if site is None else site.altitude_m
     if to_site_altitude:
         faults = []
-        if wanted_m is None:
+        if site_m is None:
             faults.append("conversion to the site's altitude needs altitude_m in [site]")
         if station_m is None:
             faults.append(
@@ -89,23 +89,23 @@ def read_weather_file(
                 "in this source "
                 "(of a reanalysis: the height of its ground in that cell, geopotential / 9.80665)"
             )
-        if wanted_m is None or station_m is None:
+        if site_m is None or station_m is None:
             raise TableFault(*faults)
-        return at_altitude(record, wanted_m, station_m, lapse_rate)
-    if wanted_m is not None and station_m is not None and abs(wanted_m - station_m) > WARNED_FROM_M:
-        colder = 6.5e-3 * (wanted_m - station_m)
+        return at_altitude(record, site_m, station_m, lapse_rate)
+    if site_m is not None and station_m is not None and abs(site_m - station_m) > WARNED_FROM_M:
+        difference_K = 6.5e-3 * (site_m - station_m)
         warning = (
-            f"its height is {station_m:.0f} m, the site's {wanted_m:.0f} m: the site will be about "
-            f"{abs(colder):.1f} K {'colder' if colder > 0 else 'warmer'}; to_site_altitude = true corrects "
-            "this"
+            f"its height is {station_m:.0f} m, the site's {site_m:.0f} m: the site will be about "
+            f"{abs(difference_K):.1f} K {'colder' if difference_K > 0 else 'warmer'}; "
+            "to_site_altitude = true corrects this"
         )
         record = dataclasses.replace(record, warnings=(*record.warnings, warning))
     return record
 
 
 def weather_format(path: Path) -> str | None:
-    """The format of a weather file by its name, its first bytes, or the names in a ZIP archive; None for a
-    table and for what cannot be read."""
+    """Return the format of a weather file, recognised by its name, its first bytes, or the names in a ZIP
+    archive; None for a table, and for a file that cannot be read."""
     name = path.name.lower()
     if name.endswith((".epw", ".epw.gz")):
         return "epw"
@@ -113,27 +113,27 @@ def weather_format(path: Path) -> str | None:
         return "merra2"
     try:
         with open(path, "rb") as stream:
-            head = stream.read(_HEAD)
-        if head[:2] == b"\x1f\x8b":
+            first_bytes = stream.read(_HEAD)
+        if first_bytes[:2] == b"\x1f\x8b":
             with gzip.open(path) as stream:
-                head = stream.read(_HEAD)
-        if head[:4] == b"PK\x03\x04":
+                first_bytes = stream.read(_HEAD)
+        if first_bytes[:4] == b"PK\x03\x04":
             with zipfile.ZipFile(path) as archive:
                 return _form_of_members([name.lower().rpartition("/")[2] for name in archive.namelist()])
-        kind = archive_kind(head)
+        kind = archive_kind(first_bytes)
     except (OSError, EOFError, ValueError, zlib.error, zipfile.BadZipFile, TableFault):
         return None
     if kind == "netcdf4":
         return "merra2" if _has_merra2(path) else "era5"
     if kind == "netcdf3":  # the header names the fields
-        return "merra2" if b"T2M" in head else "era5"
-    if kind == "json" or b"utc_offset_seconds" in head.partition(b"\n")[0]:
+        return "merra2" if b"T2M" in first_bytes else "era5"
+    if kind == "json" or b"utc_offset_seconds" in first_bytes.partition(b"\n")[0]:
         return "open_meteo"
-    return "epw" if kind == "epw" else "try" if is_try(head.decode("latin-1")) else None
+    return "epw" if kind == "epw" else "try" if is_try(first_bytes.decode("latin-1")) else None
 
 
 def _form_of_members(names: Sequence[str]) -> str | None:
-    """The format by the names of an archive's files."""
+    """Return the format of an archive by the names of its files; None if it is not recognised."""
     if any(name.startswith("merra2") for name in names):
         return "merra2"
     if any(name.endswith(".epw") for name in names):
@@ -144,7 +144,7 @@ def _form_of_members(names: Sequence[str]) -> str | None:
 
 
 def _has_merra2(path: Path) -> bool:
-    """Whether a file of NetCDF-4 has the temperature of MERRA-2; its fields are not read."""
+    """Return whether a NetCDF-4 file has the temperature of MERRA-2; its fields are not read."""
     try:
         import h5py
 
@@ -164,17 +164,18 @@ def read_weather(
     to_site_altitude: bool = False,
     lapse_rate: float = LAPSE_RATE,
 ) -> Record:
-    """Record of ambient signals over the years of one or several weather files, in SI units and UTC.
+    """Read ambient signals over the years of one or several weather files, in SI units and UTC.
 
-    paths: of one of the `WEATHER_FORMATS`, known by name and first bytes; several follow each other, such as
-        a file for each day or year.
-    site: of the cabinet; needed where a file holds a grid.
-    year: first calendar year of a typical year (EPW, TRY); needed where its months are of different years.
-    years: calendar years from `year` on over which a typical year is repeated; 29 February repeats the 28th.
+    paths: of the `WEATHER_FORMATS`, recognised by name and first bytes; several files follow each other, such as one
+        for each day or year.
+    site: of the cabinet; needed if a file holds a grid.
+    year: first calendar year of a typical year (EPW, TRY); needed if its months are of different years.
+    years: number of calendar years from `year` on over which a typical year is repeated; 29 February repeats
+        the 28th.
     altitude_m, to_site_altitude, lapse_rate: as in `read_weather_file`.
 
-    The record's warnings name the gaps within the files.  Its site is that of the weather, not the cabinet's,
-    unless the weather was moved to the site's altitude.
+    The record's warnings name the gaps inside the files. Its site is that of the weather, not that of the
+    cabinet, unless the weather was moved to the site's altitude.
 
     Raises TableFault with the faults of every file; ValueError for numbers out of range.
     """
@@ -189,8 +190,8 @@ def read_weather(
         raise ValueError("years repeats one typical year; give one file, or years = 1")
     records, faults = [], []
     for file in files:
-        typical = weather_format(file) in TYPICAL
-        if years > 1 and not typical:
+        is_typical = weather_format(file) in TYPICAL
+        if years > 1 and not is_typical:
             faults.append(
                 f"{file.name}: only a typical year (EPW, TRY) is repeated; this file has its own years"
             )
@@ -200,15 +201,15 @@ def read_weather(
                 read_weather_file(
                     file,
                     site=site,
-                    year=year if typical else None,
+                    year=year if is_typical else None,
                     years=years,
                     altitude_m=altitude_m,
                     to_site_altitude=to_site_altitude,
                     lapse_rate=lapse_rate,
                 )
             )
-        except TableFault as broken:
-            faults += [f"{file.name}: {fault}" for fault in broken.faults]
+        except TableFault as fault:
+            faults += [f"{file.name}: {message}" for message in fault.faults]
     if faults:
         raise TableFault(*faults)
     record = join_records(
@@ -222,18 +223,21 @@ def read_weather(
 
 
 def gaps_text(series: Series) -> list[str]:
-    """One sentence on the gaps of a series, or none; a gap is longer than three usual steps."""
+    """Return a sentence on the gaps of a series, as a list; empty without gaps. A gap is longer than three
+    usual steps."""
     time, _ = series.known
     step, _ = modal_step(series.time)
-    length = np.diff(time)
-    gaps = np.flatnonzero(length > 3.01 * step)  # none where the step is unknown
+    lengths_s = np.diff(time)
+    gaps = np.flatnonzero(lengths_s > 3.01 * step)  # none where the step is unknown
     if not len(gaps):
         return []
-    longest = gaps[np.argsort(length[gaps])[::-1][:MOST_GAPS_LISTED]]
-    listed = ", ".join(f"{duration_text(length[gap])} from {stamp_text(time[gap])}" for gap in longest)
-    missing = float(np.sum(length[gaps] - step))
+    longest = gaps[np.argsort(lengths_s[gaps])[::-1][:MOST_GAPS_LISTED]]
+    gaps_listed = ", ".join(
+        f"{duration_text(lengths_s[gap])} from {stamp_text(time[gap])}" for gap in longest
+    )
+    missing_s = float(np.sum(lengths_s[gaps] - step))
     return [
-        f"{series.signal}: {len(gaps)} gaps, {duration_text(missing)} in all; longest {listed}"
+        f"{series.signal}: {len(gaps)} gaps, {duration_text(missing_s)} in all; longest {gaps_listed}"
         if len(gaps) > 1
-        else f"{series.signal}: a gap of {listed}"
+        else f"{series.signal}: a gap of {gaps_listed}"
     ]

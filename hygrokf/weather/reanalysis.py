@@ -1,10 +1,10 @@
-"""Read reanalyses: ERA5 as the Climate Data Store delivers it (NetCDF in either layout, ZIP, CSV of the point
-product), and MERRA-2 of NASA, hourly means of tavg1_2d_slv_Nx (M2T1NXSLV) and its sisters.
+"""Read reanalyses: ERA5 of the Climate Data Store (NetCDF in either layout, ZIP, CSV of the point product),
+and MERRA-2 of NASA (hourly means of tavg1_2d_slv_Nx (M2T1NXSLV) and related collections).
 
-New layout of the Climate Data Store (since September 2024): time axis `valid_time`, `number` and `expver` as
-coordinates that need no dimension.  Legacy layout: `time` in hours since 1900, and where a request reaches
-into the last months a dimension `expver`: each of its two entries, final and preliminary, is NaN where the
-other has values.
+Layout of the Climate Data Store since September 2024: time axis `valid_time`; `number` and `expver` are
+coordinates that need no dimension. Legacy layout: `time` in hours since 1900; if a request reaches into the
+last months, a dimension `expver` with two entries, final and preliminary, each NaN where the other has
+values.
 """
 
 from __future__ import annotations
@@ -51,12 +51,12 @@ _PRELIMINARY = ("5", "0005")
 GROUND = Variable(
     "ambient_pressure", "m2 s-2", part=True, names=("geopotential", "geopotential_at_surface", "PHIS")
 )
-"""The geopotential of the ground, which gives the ground's height."""
+"""The geopotential of the ground, from which its height follows."""
 
 
 # -- fields at one point -------------------------------------------------------------------------------------
 def point_site(latitude_deg: float, longitude_deg: float, altitude_m: float | None = None) -> Site:
-    """A point of a file as a site.  Raises TableFault where it is impossible."""
+    """Return the point of a file as a site. Raises TableFault for impossible coordinates."""
     try:
         return Site(latitude_deg, (longitude_deg + 180.0) % 360.0 - 180.0, altitude_m)
     except ValueError as outside:
@@ -64,9 +64,9 @@ def point_site(latitude_deg: float, longitude_deg: float, altitude_m: float | No
 
 
 def open_dataset(data: bytes, kind: str) -> xarray.Dataset:
-    """The data set in the bytes of a NetCDF file, all of it read, scale and offset undone.
+    """Read the data set in the bytes of a NetCDF file, with scale and offset applied.
 
-    data: all bytes. kind: "netcdf4" or "netcdf3". Raises TableFault where it cannot be read, with the remedy.
+    data: all bytes. kind: "netcdf4" or "netcdf3". Raises TableFault, with the remedy, if it cannot be read.
     """
     engine = {"netcdf4": "h5netcdf", "netcdf3": "scipy"}[kind]
     try:
@@ -89,8 +89,8 @@ def open_dataset(data: bytes, kind: str) -> xarray.Dataset:
         raise TableFault('reading NetCDF needs the extra "weather": pip install "hygrokf[weather]"') from None
     except MemoryError:
         raise TableFault("does not fit into memory: request a smaller area, or one file per year") from None
-    except Exception as broken:  # each layer of the library has its own errors for a damaged file
-        reason = " ".join(str(broken).split())[:160] or type(broken).__name__
+    except Exception as fault:  # each layer of the library has its own errors for a damaged file
+        reason = " ".join(str(fault).split())[:160] or type(fault).__name__
         raise TableFault(
             f"cannot be read as NetCDF ({reason}): the file is damaged or cut short; fetch it again"
         ) from None
@@ -100,47 +100,51 @@ def point_weather(
     dataset: xarray.Dataset, file: str, variables: Mapping[str, Variable], site: Site | None = None,
     shift_s: float = 0.0,
 ) -> SiteWeather:  # fmt: skip
-    """Fields of a data set at the site.
+    """Return the fields of a data set at the site.
 
-    dataset: with a time axis (`valid_time` or `time`, decoded) and latitude and longitude as scalars or axes;
-        other axes must have length 1, except `expver`, whose entries are merged.  Names are short (t2m) or
-        long (2m_temperature).
+    dataset: with a time axis (`valid_time` or `time`, decoded), and latitude and longitude as scalars or
+        axes; other axes must have length 1, except `expver`, whose entries are merged. Names of fields are
+        short (t2m) or long (2m_temperature).
     file: name for messages. variables: of the format. shift_s: [s] from a stamp to the time of its value.
-    site: the nearest grid cell with data is used; may be None for a single cell.
+    site: selects the nearest grid cell with data; None: the data set must have a single cell.
 
-    Raises TableFault: no time, a time that is not decoded, a grid without a site, a site outside of the grid,
-    ensemble members, levels.
+    Raises TableFault without a decoded time axis, for a grid without a site, for a site outside the grid, and
+    for ensemble members or levels.
     """
     time_name = _time_name(dataset)
-    used = {str(name): short for name in dataset.data_vars if (short := short_name(variables, str(name)))}
-    if not used:
-        listed = ", ".join(str(name) for name in dataset.data_vars) or "no field"
-        raise TableFault(f"no field of weather that is known here; found {listed}")
-    dataset = dataset[list(used)]
+    short_names = {
+        str(name): short_name_of_field
+        for name in dataset.data_vars
+        if (short_name_of_field := short_name(variables, str(name)))
+    }
+    if not short_names:
+        names_found = ", ".join(str(name) for name in dataset.data_vars) or "no field"
+        raise TableFault(f"no field of weather that is known here; found {names_found}")
+    dataset = dataset[list(short_names)]
     latitude, longitude = (
         next((name for name in names if name in dataset.variables), None) for names in _AXES_OF_PLACE
     )
     if time_name not in dataset.dims and dataset[time_name].ndim == 0:
         dataset = dataset.expand_dims(time_name)
-    dataset, preliminary = _merge_versions(dataset, time_name)
+    dataset, preliminary_hours = _merge_versions(dataset, time_name)
     dataset = _drop_single_axes(dataset, {time_name, latitude, longitude})
     warnings = []
-    if preliminary:
+    if preliminary_hours:
         warnings.append(
-            f"{preliminary} hours are preliminary (ERA5T): ask again in three months for the final ones"
+            f"{preliminary_hours} hours are preliminary (ERA5T): ask again in three months for the final ones"
         )
     point: tuple[float, float] | None = None
     if latitude is not None and longitude is not None:
-        dataset, point = _select_nearest_cell(dataset, latitude, longitude, site, used)
+        dataset, point = _select_nearest_cell(dataset, latitude, longitude, site, short_names)
     stamps = _stamps(dataset, time_name)
     fields, altitude_m = {}, None
-    for name, short in used.items():
+    for name, short_name_of_field in short_names.items():
         field = dataset[name]
         unit = field.attrs.get("units")
-        if short == "z":
+        if short_name_of_field == "z":
             altitude_m = _altitude(field.values, unit)
         elif field.dims == (time_name,):
-            fields[short] = WeatherField(
+            fields[short_name_of_field] = WeatherField(
                 field.values.astype(float), name, None if unit is None else str(unit)
             )
     return SiteWeather(
@@ -151,7 +155,7 @@ def point_weather(
 
 
 def _altitude(value: np.ndarray, unit: str | None) -> float | None:
-    """Height of the reanalysis' ground [m] from its geopotential, or None."""
+    """The height of the reanalysis' ground [m] from its geopotential; None if it is unknown or impossible."""
     finite = np.asarray(value, dtype=float).ravel()
     finite = finite[np.isfinite(finite)]
     metres_per_unit = {None: 1 / GRAVITY, "m**2 s**-2": 1 / GRAVITY, "m2 s-2": 1 / GRAVITY, "m": 1.0}
@@ -160,7 +164,7 @@ def _altitude(value: np.ndarray, unit: str | None) -> float | None:
 
 
 def _time_name(dataset: xarray.Dataset) -> str:
-    """The name of the time axis.  Raises TableFault where there is none, or where its units are missing."""
+    """Return the name of the time axis. Raises TableFault if there is none, or if it is not decoded."""
     time_names = [name for name in _TIMES if name in dataset.variables]
     if not time_names:
         listed = ", ".join(f"{name} ({size})" for name, size in dataset.sizes.items()) or "none"
@@ -181,7 +185,8 @@ def _time_name(dataset: xarray.Dataset) -> str:
 
 
 def _stamps(dataset: xarray.Dataset, time_name: str) -> np.ndarray:
-    """Times [s] (T,) of the fields; `valid_time` is preferred, which in forecasts is `time` + `step`."""
+    """Return the times [s since 1970] (T,) of the fields; `valid_time` is preferred, which in forecasts is
+    `time` + `step`."""
     times = dataset[time_name]
     if "valid_time" in dataset.variables and dataset["valid_time"].dims == times.dims:
         times = dataset["valid_time"]
@@ -193,42 +198,45 @@ def _stamps(dataset: xarray.Dataset, time_name: str) -> np.ndarray:
 
 
 def _merge_versions(dataset: xarray.Dataset, time_name: str) -> tuple[xarray.Dataset, int]:
-    """The data set without the axis `expver`, and the number of preliminary hours."""
+    """Return the data set without the axis `expver`, and the number of preliminary hours."""
     if "expver" not in dataset.variables and "expver" not in dataset.dims:
         return dataset, 0
     if "expver" not in dataset.dims:
         version = dataset["expver"]
         has_labels = version.dims == (time_name,)
-        number = (
+        count = (
             sum(_label(label) in _PRELIMINARY for label in np.atleast_1d(version.values)) if has_labels else 0
         )
-        return dataset.drop_vars("expver"), int(number)
+        return dataset.drop_vars("expver"), int(count)
     labels = (
         [_label(label) for label in dataset["expver"].values]
         if "expver" in dataset.variables
         else [str(number) for number in range(dataset.sizes["expver"])]
     )
     # the final version first; the preliminary one fills its gaps
-    order = sorted(range(len(labels)), key=lambda place: (labels[place] in _PRELIMINARY, labels[place]))
-    parts = [dataset.isel(expver=place, drop=True) for place in order]
-    merged = parts[0]
-    for part in parts[1:]:
-        merged = merged.fillna(part)
+    order = sorted(
+        range(len(labels)),
+        key=lambda version_number: (labels[version_number] in _PRELIMINARY, labels[version_number]),
+    )
+    versions = [dataset.isel(expver=version_number, drop=True) for version_number in order]
+    merged = versions[0]
+    for later_version in versions[1:]:
+        merged = merged.fillna(later_version)
     name = next(iter(merged.data_vars))
-    filled = merged[name].notnull() & parts[0][name].isnull()
-    others = [axis for axis in filled.dims if axis != time_name]
-    return merged, int(filled.any(others).sum())
+    is_filled = merged[name].notnull() & versions[0][name].isnull()
+    other_axes = [axis for axis in is_filled.dims if axis != time_name]
+    return merged, int(is_filled.any(other_axes).sum())
 
 
 def _label(version: object) -> str:
-    """A version as text: "0005", also where the file has it as bytes."""
+    """Return a version as text, such as "0005"; some files have it as bytes."""
     return (version.decode("ascii", "replace") if isinstance(version, bytes) else str(version)).strip()
 
 
 def _drop_single_axes(dataset: xarray.Dataset, kept: set[str | None]) -> xarray.Dataset:
-    """The data set without those axes of length 1 that are not in `kept`.
+    """Return the data set without its axes of length 1, except those in `kept`.
 
-    Raises TableFault for an axis of greater length that is not in `kept`.
+    Raises TableFault for a longer axis that is not in `kept`.
     """
     faults = []
     for name in [axis for axis in dataset.dims if axis not in kept]:
@@ -252,7 +260,12 @@ def _drop_single_axes(dataset: xarray.Dataset, kept: set[str | None]) -> xarray.
 def _select_nearest_cell(
     dataset: xarray.Dataset, latitude: str, longitude: str, site: Site | None, used: dict[str, str]
 ) -> tuple[xarray.Dataset, tuple[float, float]]:
-    """The data set at the nearest cell with a temperature, and its latitude and longitude [deg]."""
+    """Return the data set at the cell with a temperature that is nearest to the site, and its latitude and
+    longitude [deg].
+
+    used: name of a field → short name. Raises TableFault for a grid without a site, or a site outside the
+        grid.
+    """
     rows, columns = (np.atleast_1d(dataset[name].values.astype(float)) for name in (latitude, longitude))
     gridded = [name for name in (latitude, longitude) if name in dataset.dims]
     for name in (latitude, longitude):
@@ -281,17 +294,17 @@ def _select_nearest_cell(
         distances = np.hypot(north[:, None], cos_latitude * east[None, :])
         has_data = _cells_with_temperature(dataset, latitude, longitude, used, distances.shape)
         nearest = np.unravel_index(int(np.argmin(np.where(has_data, distances, np.inf))), distances.shape)
-        row, column = (int(place) for place in nearest)
-    chosen = {
-        name: int(place) for name, place in ((latitude, row), (longitude, column)) if name in dataset.dims
+        row, column = (int(index) for index in nearest)
+    selection = {
+        name: int(index) for name, index in ((latitude, row), (longitude, column)) if name in dataset.dims
     }
-    return dataset.isel(chosen), (float(rows[row]), float(columns[column]))
+    return dataset.isel(selection), (float(rows[row]), float(columns[column]))
 
 
 def _cells_with_temperature(
     dataset: xarray.Dataset, latitude: str, longitude: str, used: dict[str, str], shape: tuple[int, int]
 ) -> np.ndarray:
-    """Whether each cell (rows, columns) has a temperature: land reanalyses have no values over the sea."""
+    """Whether each cell (rows, columns) has a temperature: reanalyses of land have no values over the sea."""
     name = next((name for name, short in used.items() if short in ("t2m", "T2M")), None)
     if name is None or not {latitude, longitude} <= set(dataset[name].dims):
         return np.ones(shape, dtype=bool)
@@ -322,8 +335,8 @@ MERRA2 = {
     },
     "z": GROUND,
 }
-"""Fields of MERRA-2 that are used: single levels, radiation, precipitation; the geopotential of the ground is
-one of the constant fields const_2d_asm_Nx."""
+"""Fields of MERRA-2 that are used, by their names: single levels, radiation, precipitation; the geopotential
+of the ground comes from the constant fields const_2d_asm_Nx."""
 ERA5 = {
     "t2m": Variable("ambient_temperature", "K", names=("2m_temperature", "2t", "t_2m", "VAR_2T")),
     "d2m": Variable(_DEW_POINT, "K", names=("2m_dewpoint_temperature", "2d", "d_2m", "VAR_2D")),
@@ -352,15 +365,16 @@ ERA5 = {
 
 
 def read_merra2(path: str | os.PathLike[str], site: Site | None = None) -> Record:
-    """Record of ambient signals from a file of MERRA-2, in SI units and UTC.
+    """Read ambient signals from a file of MERRA-2, in SI units and UTC.
 
-    path: NetCDF-4 as delivered (a day each), a subset of it as NetCDF-4 or NetCDF-3, or a ZIP archive of
-        these. site: the nearest cell of a grid is used; may be None for a file of one point.
+    path: NetCDF-4 as delivered (one day each), a subset of it as NetCDF-4 or NetCDF-3, or a ZIP archive of
+        these.
+    site: selects the nearest cell of a grid; may be None for a file of one point.
 
-    All fields are means over an hour whose middle is the stamp (00:30, 01:30, …): every series holds over
-    the hour that ends half an hour after its stamp.  Humidity is the specific humidity QV2M, vapour mass per
-    mass of moist air, at the pressure PS: e = q p / (ε + (1 − ε) q), and the dew point is that over water; a
-    file without them gives T2MDEW.
+    All fields are means over an hour whose middle is the stamp (00:30, 01:30, …): every value of a series
+    holds over the hour that ends half an hour after its stamp. The dew point over water follows from the
+    specific humidity QV2M (vapour mass per mass of moist air) at the pressure PS: e = q p / (ε + (1 − ε) q);
+    in a file without them it is T2MDEW.
 
     Raises TableFault with every fault and, for an archive, its member.
     """
@@ -379,19 +393,19 @@ def read_merra2(path: str | os.PathLike[str], site: Site | None = None) -> Recor
 
 
 def read_era5(path: str | os.PathLike[str], site: Site | None = None) -> Record:
-    """Record of ambient signals from a file of ERA5 (or ERA5-Land), in SI units and UTC.
+    """Read ambient signals from a file of ERA5 or ERA5-Land, in SI units and UTC.
 
     path: NetCDF in the current layout (`valid_time`) or that before September 2024 (`time`, perhaps
-        `expver`), the CSV of the point product, or a ZIP archive of these (instantaneous and accumulated
-        fields come in separate files).
-    site: the nearest cell of a grid is used; may be None for a file of one point.
+        `expver`), CSV of the point product, or a ZIP archive of these (instantaneous and accumulated fields
+        come in separate files).
+    site: selects the nearest cell of a grid; may be None for a file of one point.
 
-    The record's site is the point of the reanalysis, with the height of its ground where the file has the
-    geopotential; the source of each series names the point and its distance from the site.  Temperature, dew
-    point, pressure, wind and cloud are instants.  Radiation and rain are sums over the hour that ends at the
-    stamp: radiation becomes the mean of that hour, J/m² / 3600 s, and both hold over it.  Sums since
-    midnight, as in ERA5-Land, are recognised and made hourly sums first.  Diffuse radiation is global minus
-    direct radiation, both on a horizontal plane.  Wind at 100 m is preferred; 10 m gives a warning.
+    The record's site is the point of the reanalysis, with the height of its ground if the file has the
+    geopotential; the source of each series names this point and its distance from the site. Temperature, dew
+    point, pressure, wind and cloud are instants. Radiation and rain are sums over the hour that ends at the
+    stamp; radiation is turned into the mean of this hour, J/m² / 3600 s. Sums since midnight, as in
+    ERA5-Land, are recognised and turned into hourly sums first. Diffuse radiation is global minus direct
+    radiation, both on a horizontal plane. Wind at 100 m is preferred; wind at 10 m gives a warning.
 
     Raises TableFault with every fault and, for an archive, its member.
     """
@@ -418,7 +432,7 @@ def read_era5(path: str | os.PathLike[str], site: Site | None = None) -> Record:
 
 
 def _read(path: Path, weather_of: Callable[[FileContent, str, bool], SiteWeather | None]) -> Record:
-    """The record of a file or of an archive's members, without members for which `weather_of` returns
+    """Read the record of a file, or of all members of an archive for which `weather_of` does not return
     None."""
     file_contents, digest = contents(path)
 
@@ -433,13 +447,17 @@ def _read(path: Path, weather_of: Callable[[FileContent, str, bool], SiteWeather
 
 
 def _csv_weather(data: bytes, file: str, site: Site | None, is_only: bool) -> SiteWeather | None:
-    """Weather of the point product's CSV: `valid_time`, fields, `latitude`, `longitude`; None for an
-    archive's member without a known field."""
-    head = data.partition(b"\n")[0].decode("utf-8-sig", "replace")
-    names = [name.strip().strip('"') for name in head.split(",")]
+    """Read the point product's CSV (`valid_time`, fields, `latitude`, `longitude`); None for an archive's
+    member without a known field."""
+    first_line = data.partition(b"\n")[0].decode("utf-8-sig", "replace")
+    names = [name.strip().strip('"') for name in first_line.split(",")]
     time_name = next((name for name in ("valid_time", "time", "datetime") if name in names), None)
-    used = {name: short for name in names if (short := short_name(ERA5, name)) not in (None, "z")}
-    if time_name is None or not used:
+    short_names = {
+        name: short_name_of_column
+        for name in names
+        if (short_name_of_column := short_name(ERA5, name)) not in (None, "z")
+    }
+    if time_name is None or not short_names:
         if not is_only and time_name is not None:
             return None
         raise TableFault(
@@ -448,9 +466,12 @@ def _csv_weather(data: bytes, file: str, site: Site | None, is_only: bool) -> Si
         )
     coordinates = [name for name in ("latitude", "longitude") if name in names]
     # stamps carry no offset, and are in UTC
-    columns = dict.fromkeys([*used, *coordinates], UNKNOWN_MEANING)
+    columns = dict.fromkeys([*short_names, *coordinates], UNKNOWN_MEANING)
     table = table_in(data, "", columns, time_name, Notation(timezone="UTC", decimal="."))
-    fields = {str(short): WeatherField(table.values[name], name) for name, short in used.items()}
+    fields = {
+        str(short_name_of_column): WeatherField(table.values[name], name)
+        for name, short_name_of_column in short_names.items()
+    }
     if len(coordinates) < 2:
         return SiteWeather(file, table.time, fields, ERA5, warnings=table.warnings)
     points = np.unique(np.column_stack([table.values[name] for name in coordinates]), axis=0)
@@ -470,11 +491,11 @@ def _csv_weather(data: bytes, file: str, site: Site | None, is_only: bool) -> Si
 
 
 def derive_merra2(weather: SiteWeather) -> None:
-    """Add the humidity and the wind; add faults where the stamps are not the middles of hours."""
+    """Add humidity and wind; add faults if the stamps are not the middles of hours."""
     value = weather.value
     if weather.repeated:
-        merged = "stamps occur more than once: the files of two days or versions were merged wrongly"
-        weather.faults.append(merged)
+        fault = "stamps occur more than once: the files of two days or versions were merged wrongly"
+        weather.faults.append(fault)
     is_off = np.mod(weather.time + 1.0, HOUR_S) > 2.0
     if is_off.any():
         weather.faults.append(
@@ -490,31 +511,31 @@ def derive_merra2(weather: SiteWeather) -> None:
 
 
 def derive_era5(weather: SiteWeather) -> None:
-    """Add diffuse radiation and wind; make sums since midnight those of single hours."""
-    value, name = weather.value, {short: field.name for short, field in weather.fields.items()}
-    for short in value:
+    """Add diffuse radiation and wind; turn sums since midnight into sums of single hours."""
+    values, name = weather.value, {short: field.name for short, field in weather.fields.items()}
+    for short in values:
         weather.faults += _power_for_energy(weather, short)
-    accumulated = [field for field in ("ssrd", "fdir", "tp") if field in value]
-    daily = {field: _since_midnight(weather.time, value[field]) for field in accumulated}
-    for short, is_daily in daily.items():
+    accumulated = [field for field in ("ssrd", "fdir", "tp") if field in values]
+    is_sum_since_midnight = {field: _since_midnight(weather.time, values[field]) for field in accumulated}
+    for short, is_daily_sum in is_sum_since_midnight.items():
         # a field that hardly ever changes is written as the others of its file
-        if is_daily or (is_daily is None and True in daily.values()):
+        if is_daily_sum or (is_daily_sum is None and True in is_sum_since_midnight.values()):
             step = modal_step(weather.time)[0]
             if step > HOUR_S:
                 weather.faults.append(
                     f"{name[short]}: sums since 00:00 UTC, every {duration_text(step)}; expected every hour, "
                     "of which means can be made: ask for all 24 hours of the day"
                 )
-            value[short] = _hourly_sums(weather.time, value[short])
+            values[short] = _hourly_sums(weather.time, values[short])
             weather.warnings.append(f"{name[short]}: sums since 00:00 UTC, turned into those of each hour")
-    if {"ssrd", "fdir"} <= set(value):
-        diffuse = np.maximum(value["ssrd"], 0.0) - value["fdir"]
+    if {"ssrd", "fdir"} <= set(values):
+        diffuse = np.maximum(values["ssrd"], 0.0) - values["fdir"]
         weather.add("diffuse_horizontal_irradiance", diffuse, "ssrd", "fdir")
     weather.add_wind([(float(height), f"u{height}", f"v{height}") for height in (100, 10)])
 
 
 def _power_for_energy(weather: SiteWeather, short: str) -> list[str]:
-    """The fault of radiation in W/m² that is read as J/m² and so becomes 3600 times too small, if any."""
+    """Return a fault if radiation in W/m² seems to be read as J/m², which makes it 3600 times too small."""
     variable, field, time = weather.variables[short], weather.fields[short], weather.time
     known_units = (None, ("W/m2", 1.0))
     if variable.signal != _SUN or unit_in_weather(field.unit or variable.unit, _SUN) in known_units:
@@ -524,44 +545,46 @@ def _power_for_energy(weather: SiteWeather, short: str) -> list[str]:
     # even under winter clouds at 60 degrees of latitude, one hour in three days has more than 1 W/m²
     if not 1e-3 < highest < 1.0 or time[-1] - time[0] < 3.0 * DAY_S:
         return []
-    stated = (
+    unit_text = (
         f'the file states "{field.unit}"' if field.unit else "it has no unit, so J/m² of an hour was taken"
     )
     return [
-        f"{field.name}: the radiation would reach {highest:.2g} W/m² only; {stated}, and its numbers look "
+        f"{field.name}: the radiation would reach {highest:.2g} W/m² only; {unit_text}, and its numbers look "
         "like W/m²: correct the unit or multiply by 3600"
     ]
 
 
 def _since_midnight(time: np.ndarray, value: np.ndarray) -> bool | None:
-    """Whether an accumulated field is summed since 00:00 UTC; None where it hardly ever changes.
+    """Return whether an accumulated field is summed since 00:00 UTC; None if it hardly ever changes.
 
-    time: [s] (T,) increasing. value: (T,).  Sums since 00:00 decrease at the end of the day only, and during
-    the day by no more than the noise of packing (16 bits, whose step grows with the field's range); hourly
-    sums decrease at any hour.  The squared decreases at and before the ends of days, over all days, decide.
+    time: [s] (T,) increasing. value: (T,). Sums since 00:00 decrease only at the end of the day, apart from
+        the noise of packing (16 bits, whose step grows with the field's range); hourly sums decrease at any
+        hour. The squared decreases at the ends of days and at other hours, over all days, decide.
     """
     steps = np.nan_to_num(np.diff(value))
-    falls = np.square(np.minimum(steps, 0.0))
-    at_end = np.diff(_day_of(time)) > 0.0
+    squared_decreases = np.square(np.minimum(steps, 0.0))
+    at_end_of_day = np.diff(_day_of(time)) > 0.0
     if np.count_nonzero(steps**2 > 1e-3 * np.max(steps**2, initial=0.0)) < 6:
         return None
-    return bool(np.sum(falls[~at_end]) < 0.01 * np.sum(falls[at_end]))
+    return bool(np.sum(squared_decreases[~at_end_of_day]) < 0.01 * np.sum(squared_decreases[at_end_of_day]))
 
 
 def _day_of(time: np.ndarray) -> np.ndarray:
-    """Number of the day (T,) to whose sum a stamp [s] belongs: the stamp at 00:00 is the last of the day
-    before, the stamp at 01:00 the first of the new day."""
+    """Return the number of the day (T,) whose sum a stamp [s] belongs to: a stamp at 00:00 is the last one of
+    the day before."""
     return np.ceil(np.round(time) / DAY_S)
 
 
 def _hourly_sums(time: np.ndarray, value: np.ndarray) -> np.ndarray:
-    """Sums of each hour from sums since 00:00 UTC; NaN after a gap.
+    """Return the sums of single hours from sums since 00:00 UTC; NaN after a gap.
 
-    An increase that a later sum of the day reverses is noise of the packing.
+    An increase that a later sum of the day reverses is noise of the packing, and is removed.
     """
     days = np.split(value, np.flatnonzero(np.diff(_day_of(time))) + 1)
-    least = np.concatenate([np.fmin.accumulate(day[::-1])[::-1] for day in days])
-    least[np.isnan(value)] = np.nan
-    before = np.append(np.nan, least[:-1])
-    before[np.append(True, np.round(np.diff(time)) != HOUR_S)] = np.nan
-    return np.where(np.round(np.mod(time, DAY_S)) == HOUR_S, least, np.maximum(least - before, 0.0))
+    corrected = np.concatenate([np.fmin.accumulate(day[::-1])[::-1] for day in days])
+    corrected[np.isnan(value)] = np.nan
+    sum_before = np.append(np.nan, corrected[:-1])
+    sum_before[np.append(True, np.round(np.diff(time)) != HOUR_S)] = np.nan
+    return np.where(
+        np.round(np.mod(time, DAY_S)) == HOUR_S, corrected, np.maximum(corrected - sum_before, 0.0)
+    )

@@ -1,5 +1,5 @@
-"""The weather of a site: the fields of a file, their meaning, and the series made of them; and the conversion
-from the height of a station or grid cell to the height of the site."""
+"""The weather at a site: the fields of a file and their meaning, the series made of them, and the conversion
+from the height of a station or grid cell to that of the site."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from hygrokf.physics.psychrometrics import (
 
 EARTH_RADIUS_KM = 6371.0
 LOW_WIND_M = 50.0
-"""[m] height up to which a warning says that the wind is not measured at hub height."""
+"""[m] wind at this height or below gives a warning, because it is not that at hub height."""
 _FURTHER_UNITS: dict[str, tuple[str, float]] = {
     **dict.fromkeys(("degree_celsius", "degrees_celsius"), ("degC", 1.0)),
     **dict.fromkeys(("m/s", "ms-1"), ("m/s", 1.0)),
@@ -41,24 +41,24 @@ _FURTHER_UNITS: dict[str, tuple[str, float]] = {
     "tenths": ("1", 0.1),
     "eighths": ("1", 0.125),
 }
-"""Units of weather files, in lower case and without blanks, * and ^: the name of a unit in `UNITS`, and the
+"""Unit of a weather file (in lower case, without blanks, * and ^) → the name of a unit in `UNITS`, and the
 factor to that unit.  Energies and rates are those of an hour."""
 
 
 def unit_in_weather(text: str, signal: str) -> tuple[str, float] | None:
-    """The unit in `UNITS` and the factor to it for a weather file's unit; None where the unit does not
-    fit."""
-    unit, count = _FURTHER_UNITS.get(re.sub(r"[\s*^]", "", text).lower(), (unit_named(text), 1.0))
-    return (unit, count) if unit is not None and unit in fitting_units(signal) else None
+    """Return the unit in `UNITS` for a weather file's unit, and the factor to it; None if the unit does not
+    suit the signal."""
+    unit, factor = _FURTHER_UNITS.get(re.sub(r"[\s*^]", "", text).lower(), (unit_named(text), 1.0))
+    return (unit, factor) if unit is not None and unit in fitting_units(signal) else None
 
 
 class Variable(NamedTuple):
     """The meaning of a field of a format.
 
-    signal: of the field, or the signal whose unit the field has. unit: assumed where the file states none.
-    mean: whether values are means or sums of the hour that ends at the stamp. part: whether signals are only
-    derived from the field. missing: numbers of nines from this one on mean that there is no value. names:
-    other names of the field.
+    signal: of the field, or the signal in whose unit the field is. unit: if the file states none. mean:
+        whether values are means or sums of the hour that ends at the stamp. part: whether the field is only
+        used to derive signals. missing: numbers of nines from this one on are codes of missing values. names:
+        other names of the field.
     """
 
     signal: str
@@ -70,7 +70,7 @@ class Variable(NamedTuple):
 
 
 class WeatherField(NamedTuple):
-    """One field at one place: values (T,), its name in the file, and the unit that it states, or None."""
+    """One field at one place: values (T,), name in the file, and the unit that the file states, or None."""
 
     value: np.ndarray
     name: str
@@ -78,21 +78,19 @@ class WeatherField(NamedTuple):
 
 
 def short_name(variables: Mapping[str, Variable], name: str) -> str | None:
-    """The key in `variables` of a field's name, such as "t2m" for "2m_temperature"; None for unused
-    fields."""
+    """Return the key in `variables` of a field's name, such as "t2m" for "2m_temperature"; None for an unused
+    field."""
     spellings = {name, name.lower()}
-    return next(
-        (short for short, variable in variables.items() if spellings & {short, *variable.names}), None
-    )
+    return next((key for key, variable in variables.items() if spellings & {key, *variable.names}), None)
 
 
 class SiteWeather:
-    """Fields of one file at one place, and the series made of them.
+    """The fields of one file at one place, and the series made of them.
 
-    file: its name. time: [s] (T,) since 1970-01-01T00:00Z, in any order, repeats allowed. fields: by the name
-    of their format. variables: by this name. site: the place, or None. near: the site of the cabinet, whose
-    distance from the place `source` states. height_m: [m] of the wind. shift_s: [s] from a stamp to the time
-    of the value.
+    file: its name. time: [s] (T,) since 1970-01-01T00:00Z, in any order; of repeated stamps the first one is
+        kept. fields: by the short names of their format. variables: their meanings. site: the place, or None.
+        near: site of the cabinet; sources state the distance from it. height_m: [m] of the wind. shift_s: [s]
+        from a stamp to the time of its value.
     """
 
     def __init__(
@@ -113,52 +111,54 @@ class SiteWeather:
         if self.repeated:
             self.warnings.append(f"{self.repeated} stamps occur more than once; the first of each kept")
         for name, field in fields.items():
-            raw = np.asarray(field.value, dtype=float)[rows]
-            if (is_infinite := np.isinf(raw)).any():
+            values = np.asarray(field.value, dtype=float)[rows]
+            if (is_infinite := np.isinf(values)).any():
                 message = f"{int(is_infinite.sum())} values are infinite, taken as missing"
                 self.warnings.append(f"{field.name}: {message}")
-            self.value[name] = self._to_si(name, np.where(is_infinite, np.nan, raw))
+            self.value[name] = self._to_si(name, np.where(is_infinite, np.nan, values))
 
     def _to_si(self, name: str, value: np.ndarray) -> np.ndarray:
-        """Values (T,) of a field in the SI unit of its signal; NaN, and a fault, for an unknown unit."""
+        """The values (T,) of a field in the SI unit of its signal; NaN, and a fault, for an unknown unit."""
         variable, field = self.variables[name], self.fields[name]
         unit = variable.unit if field.unit is None else field.unit
         if (unit_and_factor := unit_in_weather(unit, variable.signal)) is not None:
             return to_si(unit_and_factor[1] * value, unit_and_factor[0], variable.signal)
         fitting = fitting_units(variable.signal)
-        further = (text for text, (other, _) in _FURTHER_UNITS.items() if other in fitting)
-        listed = ", ".join(dict.fromkeys((*fitting, *further)))
-        self.faults.append(f'{field.name}: unknown unit "{unit}"; expected one of {listed}')
+        further_units = (
+            file_unit for file_unit, (standard_unit, _) in _FURTHER_UNITS.items() if standard_unit in fitting
+        )
+        units_listed = ", ".join(dict.fromkeys((*fitting, *further_units)))
+        self.faults.append(f'{field.name}: unknown unit "{unit}"; expected one of {units_listed}')
         return np.full(len(value), math.nan)
 
     def add(self, signal: str, value: np.ndarray, *names: str) -> None:
-        """Add a series; or a warning where there is no value, or a fault where the values are impossible.
+        """Add a series; a warning if it has no value, a fault if its values are impossible.
 
         value: (T,) [SI unit], NaN = missing. names: of the fields from which the series is made.
         """
-        finite, properties = value[np.isfinite(value)], signal_named(signal)
+        finite, signal_properties = value[np.isfinite(value)], signal_named(signal)
         fields, variables = [self.fields[name] for name in names], [self.variables[name] for name in names]
-        listed = " and ".join(field.name for field in fields)
+        field_names = " and ".join(field.name for field in fields)
         if not len(finite):
-            self.warnings.append(f"{listed}: no value at this point, {signal} is left out")
+            self.warnings.append(f"{field_names}: no value at this point, {signal} is left out")
             return
         low, high = np.quantile(finite, [0.02, 0.98])
-        if not (properties.low <= low and high <= properties.high):
-            unit = "" if properties.display == "1" else f" {properties.display}"
-            low, high = from_si(np.array([low, high]), properties.display, properties)
+        if not (signal_properties.low <= low and high <= signal_properties.high):
+            unit = "" if signal_properties.display == "1" else f" {signal_properties.display}"
+            low, high = from_si(np.array([low, high]), signal_properties.display, signal_properties)
             stated = (
                 f'the unit "{field.unit}"' if field.unit else f"no unit, so {variable.unit} was taken"
                 for field, variable in zip(fields, variables, strict=True)
             )  # fmt: skip
             self.faults.append(
-                f"{listed}: {signal} would lie at {low:.4g} … {high:.4g}{unit}, which is impossible: the "
-                f"file states {' and '.join(dict.fromkeys(stated))}; correct it, or fetch the file again if "
-                "its columns are shifted"
+                f"{field_names}: {signal} would lie at {low:.4g} … {high:.4g}{unit}, which is impossible: "
+                f"the file states {' and '.join(dict.fromkeys(stated))}; correct it, or fetch the file again "
+                "if its columns are shifted"
             )
             return
-        if properties.dimension == "irradiance" or signal == "rain":
+        if signal_properties.dimension == "irradiance" or signal == "rain":
             value = np.maximum(value, 0.0)  # NaN stays NaN
-        column = listed if listed.startswith("column ") else f'column "{listed}"'
+        column = field_names if field_names.startswith("column ") else f'column "{field_names}"'
         source = f"{self.file}, {column}" + (f" at {self.place}" if self.place else "")
         interval_s = HOUR_S if variables[0].mean else 0.0
         height_m = self.height_m if signal.startswith("wind_") else None
@@ -167,20 +167,23 @@ class SiteWeather:
         )
 
     def add_wind(self, winds: Sequence[tuple[float, str, str]]) -> None:
-        """Add speed and direction of the first wind that the file holds: its height [m], and the names of the
-        fields [m/s] in which it blows towards east and north."""
-        for height_m, *pair in winds:
-            if set(pair) <= set(self.value):
-                east, north = (self.value[name] for name in pair)
+        """Add speed and direction of the first of `winds` that the file holds: (height [m], names of the
+        fields [m/s] towards east and north)."""
+        for height_m, *components in winds:
+            if set(components) <= set(self.value):
+                east, north = (self.value[name] for name in components)
                 self.height_m = height_m
-                self.add("wind_speed", np.hypot(east, north), *pair)
+                self.add("wind_speed", np.hypot(east, north), *components)
                 # where the wind comes from, clockwise from north
-                self.add("wind_direction", np.mod(np.arctan2(-east, -north), 2.0 * math.pi), *pair)
+                self.add("wind_direction", np.mod(np.arctan2(-east, -north), 2.0 * math.pi), *components)
                 return
 
     def record(self, sha256: str) -> Record:
-        """The record of the added series, and of each field whose signal was not added; sha256: of the file.
-        Raises TableFault with every fault."""
+        """Return the record of the added series, and of each field whose signal was not added. Raises
+        TableFault with every fault.
+
+        sha256: of the file.
+        """
         for name, (signal, _, _, part, *_) in self.variables.items():
             if name in self.value and not part and all(series.signal != signal for series in self.series):
                 self.add(signal, self.value[name], name)
@@ -196,31 +199,31 @@ class SiteWeather:
                     "two swapped?"
                 )
         if "wind_speed" in by_signal and (self.height_m or math.inf) <= LOW_WIND_M:
-            mean = "; speed of the hour's mean wind" * (by_signal["wind_speed"].interval_s > 0.0)
-            self.warnings.append(f"wind_speed is measured at {self.height_m:g} m, not at hub height{mean}")
+            remark = "; speed of the hour's mean wind" * (by_signal["wind_speed"].interval_s > 0.0)
+            self.warnings.append(f"wind_speed is measured at {self.height_m:g} m, not at hub height{remark}")
         files = ((self.file, sha256),)
         return Record(self.file, tuple(self.series), self.site, warnings=tuple(self.warnings), files=files)
 
 
-def require_temperature(record: Record, no_temperature: str, ask: str) -> Record:
-    """The record, with a warning that names the fields to `ask` for where it has no humidity.
+def require_temperature(record: Record, no_temperature: str, fields_to_request: str) -> Record:
+    """Return the record, with a warning that names the fields to request if it has no humidity.
 
-    Raises TableFault with the message `no_temperature` where it has no temperature.
+    Raises TableFault with the message `no_temperature` if it has no temperature.
     """
     if "ambient_temperature" not in record:
         raise TableFault(no_temperature)
     if "ambient_dew_point_temperature" in record:
         return record
-    lacking = f"no dew point: this weather has no humidity; ask for {ask}"
-    return dataclasses.replace(record, warnings=(*record.warnings, lacking))
+    warning = f"no dew point: this weather has no humidity; ask for {fields_to_request}"
+    return dataclasses.replace(record, warnings=(*record.warnings, warning))
 
 
-def dew_point_of(share: np.ndarray, temperature: np.ndarray) -> np.ndarray:
-    """Dew point over water (T,) [K] from relative humidity [1] and temperature [K].
+def dew_point_of(relative_humidity: np.ndarray, temperature: np.ndarray) -> np.ndarray:
+    """Return the dew point over water (T,) [K] from relative humidity [1] and temperature [K].
 
     A relative humidity of 0 has no dew point; one above 1 is a rounding error and counts as 1.
     """
-    humidity = np.where(share > 0.0, np.minimum(share, 1.0), np.nan)
+    humidity = np.where(relative_humidity > 0.0, np.minimum(relative_humidity, 1.0), np.nan)
     return np.asarray(dew_point(vapour_pressure(humidity, temperature)))
 
 
@@ -228,7 +231,7 @@ def dew_point_of(share: np.ndarray, temperature: np.ndarray) -> np.ndarray:
 
 
 def distance_km(latitude_deg: float, longitude_deg: float, site: Site) -> float:
-    """Distance on the sphere from a point [deg] to a site [km], by the haversine formula."""
+    """Return the distance on the sphere [km] from a point [deg] to a site, by the haversine formula."""
     latitude, site_latitude = math.radians(latitude_deg), math.radians(site.latitude_deg)
     longitude_difference = math.radians(site.longitude_deg - longitude_deg)
     haversine = (
@@ -239,7 +242,7 @@ def distance_km(latitude_deg: float, longitude_deg: float, site: Site) -> float:
 
 
 def place_text(latitude_deg: float, longitude_deg: float, site: Site | None = None) -> str:
-    """A point in words with its distance from the site, if any: "48.50° N 5.50° E, 11 km from the site"."""
+    """A point in words, with its distance from the site, if any: "48.50° N 5.50° E, 11 km from the site"."""
     east = (longitude_deg + 180.0) % 360.0 - 180.0
     text = (
         f"{abs(latitude_deg):.2f}° {'N' if latitude_deg >= 0 else 'S'} {abs(east):.2f}° "
@@ -255,18 +258,17 @@ GRAVITY = 9.80665
 LAPSE_RATE = 0.0065
 """[K/m] decrease of temperature with height in the standard atmosphere (ICAO)."""
 WARNED_FROM_M = 100.0
-"""[m] difference of height from which a record that is not converted has a warning: 0.65 K."""
+"""[m] a larger difference of height (0.65 K) gives a warning, unless the record is converted."""
 
 
 def pressure_ratio(temperature: np.ndarray, rise_m: float, lapse_rate: float = LAPSE_RATE) -> np.ndarray:
-    """Pressure of the air at a height over that at another, p(z + Δz)/p(z) [-].
+    """Return the pressure of the air at one height over that at another, p(z + Δz)/p(z) [1].
 
-    temperature: [K] any shape, at the lower of the two heights z. rise_m: [m] Δz, may be negative.
-    lapse_rate: [K/m] Γ, decrease of temperature with height.
+    temperature: [K] of any shape, at the height z. rise_m: [m] Δz, may be negative. lapse_rate: [K/m] Γ,
+        decrease of temperature with height.
 
-    Hydrostatic balance of dry air dp/dz = −g p/(R_d T) with T(z + Δz) = T − Γ Δz:
-    (1 − Γ Δz/T)^(g/(R_d Γ)), and exp(−g Δz/(R_d T)) for Γ = 0.  Moisture changes it by less than 0.1 % over
-    500 m.
+    Hydrostatic balance of dry air dp/dz = −g p/(R_d T) with T(z + Δz) = T − Γ Δz: (1 − Γ Δz/T)^(g/(R_d Γ)),
+    and exp(−g Δz/(R_d T)) for Γ = 0. Moisture changes it by less than 0.1 % over 500 m.
     """
     kelvin = np.asarray(temperature, dtype=float)
     if abs(lapse_rate) < 1e-9:
@@ -275,46 +277,48 @@ def pressure_ratio(temperature: np.ndarray, rise_m: float, lapse_rate: float = L
 
 
 def at_altitude(record: Record, altitude_m: float, from_m: float, lapse_rate: float = LAPSE_RATE) -> Record:
-    """A weather record moved to the height of the site.
+    """Move a weather record to the height of the site.
 
     record: of ambient signals. altitude_m: [m] height of the site. from_m: [m] height of the record.
     lapse_rate: [K/m] decrease of temperature with height, -0.02 … 0.02.
 
-    Temperature changes by the lapse rate, pressure by hydrostatic balance.  The mixing ratio ε e/(p − e) is
-    kept, so that vapour pressure and pressure change by the same factor.  Where the cooled air would be
-    supersaturated, the dew point is set to the temperature (the rest condensed on the way up); a warning says
-    how often.  Sun, wind, cloud and rain do not change.  The lapse rate is a mean: that of single hours
-    differs, in winter inversions even in sign.
+    Temperature changes by the lapse rate, pressure by hydrostatic balance. The mixing ratio ε e/(p − e) is
+    kept, so that vapour pressure and pressure change by the same factor. If the cooled air would be
+    supersaturated, the dew point is set to the temperature (the rest has condensed on the way up), and a
+    warning says how often. Sun, wind, cloud and rain do not change. The lapse rate is a mean: that of single
+    hours differs, in winter inversions even in sign.
 
     Raises ValueError for a lapse rate out of its range.
     """
     if not -0.02 <= lapse_rate <= 0.02:
         raise ValueError(f"lapse_rate must lie within -0.02 … 0.02 K/m, found {lapse_rate:g}")
-    rise = altitude_m - from_m
+    rise_m = altitude_m - from_m
     site = record.site and Site(record.site.latitude_deg, record.site.longitude_deg, altitude_m)
     converted, warnings = [], []
     for series in record.series:
         value = series.value
         if series.signal == "ambient_temperature":
-            value = value - lapse_rate * rise
+            value = value - lapse_rate * rise_m
         elif series.signal in ("ambient_pressure", "ambient_dew_point_temperature"):
-            temperature = record["ambient_temperature"].known
+            known_temperature = record["ambient_temperature"].known
             air_temperature = (
-                np.interp(series.time, *temperature) if len(temperature[0]) else np.full(len(series), np.nan)
+                np.interp(series.time, *known_temperature)
+                if len(known_temperature[0])
+                else np.full(len(series), np.nan)
             )
-            ratio = pressure_ratio(air_temperature, rise, lapse_rate)
+            ratio = pressure_ratio(air_temperature, rise_m, lapse_rate)
         if series.signal == "ambient_pressure":
             value = value * ratio
         elif series.signal == "ambient_dew_point_temperature":
-            vapour = saturation_pressure_water(value) * ratio
+            vapour_pressure_there = saturation_pressure_water(value) * ratio
             # supersaturation in the source, by rounding or packing, does not count as condensation
-            limit = air_temperature - lapse_rate * rise + np.fmax(value - air_temperature, 0.0)
-            condensed = dew_point(vapour) > limit
-            value = np.where(condensed, limit, dew_point(vapour))
-            if condensed.any():
+            highest_dew_point = air_temperature - lapse_rate * rise_m + np.fmax(value - air_temperature, 0.0)
+            is_condensed = dew_point(vapour_pressure_there) > highest_dew_point
+            value = np.where(is_condensed, highest_dew_point, dew_point(vapour_pressure_there))
+            if is_condensed.any():
                 warnings.append(
                     f"during the conversion to {altitude_m:g} m the air became saturated in "
-                    f"{100 * np.mean(condensed):.1f} % of the hours"
+                    f"{100 * np.mean(is_condensed):.1f} % of the hours"
                 )
         converted.append(dataclasses.replace(series, value=value))
     warnings.insert(

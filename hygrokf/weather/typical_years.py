@@ -1,6 +1,5 @@
-"""Read typical years. EPW, the weather of building simulation: hours of a typical or real year in local
-standard time. TRY, the test reference years of Germany (DWD, BBSR): a typical year in Central European
-Time."""
+"""Read typical years: EPW, the hours of a typical or real year in local standard time, for building
+simulation; and TRY, the test reference years of Germany (DWD, BBSR), in Central European Time."""
 
 from __future__ import annotations
 
@@ -57,17 +56,18 @@ _NINES = (9.0, 99.0, 99.9, 99.99, *(10.0**power - 1.0 for power in range(3, 10))
 
 
 def read_epw(path: str | os.PathLike[str], year: int | None = None, years: int = 1) -> Record:
-    """Record of ambient signals from an EPW file, in SI units and UTC.
+    """Read ambient signals from an EPW file, in SI units and UTC.
 
-    path: .epw, as gzip, or in a ZIP archive. year: calendar year to which every hour is moved; needed for a
-        typical year, whose months are of different years.  None: the file's own year. years: in how many
-        calendar years from `year` on the hours are repeated.
+    path: .epw, also as gzip or in a ZIP archive.
+    year: calendar year to which every hour is moved; needed for a typical year, whose months are of different
+        years. None: the file's own year.
+    years: number of calendar years from `year` on in which the hours are repeated.
 
-    Hour h of a day ends at h o'clock of local standard time, in the header's time zone.  Temperature,
-    humidity, pressure, wind and cloud are instants at that end; radiation (Wh/m², so W/m² as the mean)
-    and rain belong to the hour.  The codes of missing values (99.9, 999, 9999, 99999, 999999) become NaN.  A
-    missing dew point is computed from relative humidity over water.  In a leap year 28 February is repeated
-    where the file has no 29 February.
+    Hour h of a day ends at h o'clock of local standard time, in the header's time zone. Temperature,
+    humidity, pressure, wind and cloud are instants at that end; radiation (Wh/m², hence W/m² as the mean) and
+    rain belong to the hour. The codes of missing values (99.9, 999, 9999, 99999, 999999) become NaN. A
+    missing dew point is computed from relative humidity over water. In a leap year, 28 February is repeated
+    if the file has no 29 February.
 
     Raises TableFault with every fault: not an EPW file, lines missing, text among numbers, a typical year
     without `year`.
@@ -82,14 +82,14 @@ def read_epw(path: str | os.PathLike[str], year: int | None = None, years: int =
     if faults:
         raise TableFault(*faults)
     stamps = table[:, :4].astype(int)
-    stated = np.unique(stamps[:, 0])
-    if year is None and len(stated) > 1:
+    stated_years = np.unique(stamps[:, 0])
+    if year is None and len(stated_years) > 1:
         raise TableFault(
-            f"is a typical year composed of months from {stated[0]} … {stated[-1]}; state the calendar "
-            "year to assign to it, such as year = 2019"
+            f"is a typical year composed of months from {stated_years[0]} … {stated_years[-1]}; state the "
+            "calendar year to assign to it, such as year = 2019"
         )
-    is_own_year = year is None or (years == 1 and list(stated) == [year])
-    own_years = "" if is_own_year else f"{stated[0]} … {stated[-1]}"
+    is_own_year = year is None or (years == 1 and list(stated_years) == [year])
+    own_years = "" if is_own_year else f"{stated_years[0]} … {stated_years[-1]}"
     columns = {f"column {place}": column for place, column in enumerate(table.T, 1)}
     weather = _weather(file.name, stamps, columns, _EPW, site, zone_h, year, years, own_years, _HEADER)
     _add_epw_dew_point(weather)
@@ -99,20 +99,23 @@ def read_epw(path: str | os.PathLike[str], year: int | None = None, years: int =
 
 def _weather(
     file: str, stamps: np.ndarray, columns: Mapping[str, np.ndarray], variables: Mapping[str, Variable],
-    site: Site | None, zone_h: float, year: int | None, years: int, own: str, header: int,
+    site: Site | None, zone_h: float, year: int | None, years: int, own_years: str, header_lines: int,
 ) -> SiteWeather:  # fmt: skip
-    """The weather of hours, moved to calendar years.  Raises TableFault where they are not consecutive.
+    """Return the weather of hours, moved to calendar years. Raises TableFault if the hours are not
+    consecutive.
 
-    stamps, columns, year, years, own: as for `place_in_years`; year None keeps the years as written.
-    zone_h: [h] of the clock. header: number of lines above the hours.
+    stamps, columns, year, years, own_years: as for `place_in_years`; year None: the years stay as written.
+    zone_h: [h] local clock minus UTC. header_lines: number of lines above the hours.
     """
     warnings: list[str] = []
     if year is not None:
-        stamps, columns, warnings = place_in_years(stamps, columns, year, years, own)
+        stamps, columns, warnings = place_in_years(stamps, columns, year, years, own_years)
     time = local_seconds(stamps) - zone_h * HOUR_S
     if (np.diff(time) <= 0.0).any():
-        repeated = int(np.argmax(np.diff(time) <= 0.0)) + 1
-        raise TableFault(f"line {repeated + header + 1}: the hours must be consecutive, this hour is not")
+        first_fault = int(np.argmax(np.diff(time) <= 0.0)) + 1
+        raise TableFault(
+            f"line {first_fault + header_lines + 1}: the hours must be consecutive, this hour is not"
+        )
     fields = {}
     for name, variable in variables.items():
         if name in columns:
@@ -126,7 +129,7 @@ def _weather(
 
 
 def _location(row: Sequence[str], faults: list[str]) -> tuple[Site | None, float]:
-    """Site and time zone [h] of the first line; adds its faults."""
+    """Return site and time zone [h] of the first line; adds faults to `faults`."""
     cells = [cell.strip() for cell in row]
     names = ("latitude", "longitude", "time zone", "elevation")
     try:
@@ -141,53 +144,61 @@ def _location(row: Sequence[str], faults: list[str]) -> tuple[Site | None, float
         faults.append(f"line 1: expected a time zone within -14 … 14 h, found {zone:g}")
     try:
         return Site(latitude, longitude, altitude), zone
-    except ValueError as outside:
-        faults.append(f"line 1: {outside}")
+    except ValueError as fault:
+        faults.append(f"line 1: {fault}")
         return None, zone
 
 
 def _hours(rows: list[list[str]], faults: list[str]) -> np.ndarray:
-    """The columns (T, C), beginning with year, month, day, hour 1…24; adds their faults."""
-    nothing = np.zeros((0, _FEWEST_COLUMNS))
+    """Return the columns (T, C), which begin with year, month, day, hour 1…24; adds faults to `faults`."""
+    empty_table = np.zeros((0, _FEWEST_COLUMNS))
     periods = next((row for row in rows[:_HEADER] if row and row[0].strip().upper() == "DATA PERIODS"), None)
     if periods is None:
         faults.append(
             f"expected {_HEADER} lines of header that end with DATA PERIODS; the file is cut short or is "
             "not EPW"
         )
-        return nothing
-    hourly = len(periods) > 2 and periods[2].strip()
-    if hourly != "1":
-        faults.append(f"line {_HEADER}: expected 1 record an hour, found {hourly or 'none'}")
-        return nothing
-    body = [row for row in rows[_HEADER:] if any(cell.strip() for cell in row)]
-    used = [0, 1, 2, 3, *(int(name.removeprefix("column ")) - 1 for name in _EPW)]
-    before = len(faults)
+        return empty_table
+    records_per_hour = len(periods) > 2 and periods[2].strip()
+    if records_per_hour != "1":
+        faults.append(f"line {_HEADER}: expected 1 record an hour, found {records_per_hour or 'none'}")
+        return empty_table
+    hour_lines = [row for row in rows[_HEADER:] if any(cell.strip() for cell in row)]
+    used_columns = [0, 1, 2, 3, *(int(name.removeprefix("column ")) - 1 for name in _EPW)]
+    faults_before = len(faults)
     table = hours_table(
-        list(enumerate(body, _HEADER + 1)), _FEWEST_COLUMNS, used, lambda row: row[:4], faults
+        list(enumerate(hour_lines, _HEADER + 1)), _FEWEST_COLUMNS, used_columns, lambda row: row[:4], faults
     )
     expected = _expected_hours(periods)
-    if len(faults) == before and expected is not None and len(body) not in (expected, expected + 24):
-        remedy = "the file is cut short; fetch it again" if len(body) < expected else "lines occur twice"
-        faults.append(f"expected {expected} hours after its DATA PERIODS, found {len(body)}: {remedy}")
+    if (
+        len(faults) == faults_before
+        and expected is not None
+        and len(hour_lines) not in (expected, expected + 24)
+    ):
+        remedy = (
+            "the file is cut short; fetch it again" if len(hour_lines) < expected else "lines occur twice"
+        )
+        faults.append(f"expected {expected} hours after its DATA PERIODS, found {len(hour_lines)}: {remedy}")
     return table
 
 
 def _expected_hours(periods: Sequence[str]) -> int | None:
-    """Hours of the header's period without 29 February; None where it states no period."""
+    """Return the number of hours of the header's period, without 29 February; None if it states no period."""
     try:
-        dates = [[int(part) for part in cell.split("/")[:2]] for cell in periods[5:7]]
-        first, last = (datetime(2019, m, min(d, 28 if m == 2 else 31), tzinfo=UTC) for m, d in dates)
+        dates = [[int(number) for number in cell.split("/")[:2]] for cell in periods[5:7]]
+        first, last = (
+            datetime(2019, month, min(day, 28 if month == 2 else 31), tzinfo=UTC) for month, day in dates
+        )
     except ValueError:
         return None
     return 24 * ((last - first).days + 1) if last >= first else None
 
 
 def _add_epw_dew_point(weather: SiteWeather) -> None:
-    """Add the dew points; missing dew points are computed from relative humidity."""
-    missing = np.full(len(weather.time), math.nan)
+    """Add the dew point; missing values are computed from relative humidity."""
+    all_missing = np.full(len(weather.time), math.nan)
     temperature, dew_points, humidity = (
-        weather.value.get(f"column {number}", missing) for number in (7, 8, 9)
+        weather.value.get(f"column {number}", all_missing) for number in (7, 8, 9)
     )
     computed = dew_point_of(humidity, temperature)
     is_filled = np.isnan(dew_points) & np.isfinite(computed)
@@ -225,31 +236,38 @@ _TRY = {
 
 
 def is_try(text: str) -> bool:
-    """Whether a text begins like a test reference year: a header with its columns that ends in ***."""
+    """Return whether a text begins like a test reference year: with a header whose last line before *** names
+    the columns."""
     lines = text.splitlines()
-    end = next((i for i, line in enumerate(lines) if line.strip().startswith(END_OF_HEADER)), None)
+    end = next(
+        (line_number for line_number, line in enumerate(lines) if line.strip().startswith(END_OF_HEADER)),
+        None,
+    )
     return end is not None and end > 0 and {"MM", "DD", "HH"} <= set(lines[end - 1].split())
 
 
 def read_try(path: str | os.PathLike[str], year: int | None = None, years: int = 1) -> Record:
-    """Record of ambient signals from a test reference year, in SI units and UTC.
+    """Read ambient signals from a test reference year, in SI units and UTC.
 
     path: .dat of the edition of 2017 (a place by Rechtswert and Hochwert) or of 2011 (a region), plain, as
-        gzip, or alone in a ZIP archive. year: calendar year to which the hours are moved; needed, as the file
-        has none. years: in how many calendar years from it on they are repeated.
+        gzip, or alone in a ZIP archive.
+    year: calendar year to which the hours are moved; needed, because the file has none.
+    years: number of calendar years from `year` on in which the hours are repeated.
 
-    Hour h of a day ends at h o'clock of Central European Time, in summer too.  Temperature, pressure,
-    humidity, wind and cloud are instants at that end; radiation is the mean of the hour, global radiation
-    the sum of the direct (B) and the diffuse one (D) on a horizontal plane.  The dew point is that over water
-    of the vapour pressure, from the mixing ratio x (vapour by dry air), e = x p / (ε + x), or from the
-    relative humidity RF, whichever is rounded more finely in that hour.
+    Hour h of a day ends at h o'clock of Central European Time, in summer too. Temperature, pressure,
+    humidity, wind and cloud are instants at that end; radiation is the mean of the hour; global radiation is
+    the sum of direct (B) and diffuse radiation (D) on a horizontal plane. The dew point over water follows
+    from the mixing ratio x (vapour per dry air), e = x p / (ε + x), or from the relative humidity RF,
+    whichever is rounded more finely in that hour.
 
     Raises TableFault with every fault.
     """
     file = Path(path)
     content, digest = only_content(file, ("csv",), "a test reference year as text (.dat)")
     lines = content.data.decode("latin-1").splitlines()
-    header_end = next((i for i, line in enumerate(lines) if line.strip().startswith(END_OF_HEADER)), 0)
+    header_end = next(
+        (line_number for line_number, line in enumerate(lines) if line.strip().startswith(END_OF_HEADER)), 0
+    )
     if header_end == 0:
         raise TableFault(f"expected a header that ends in {END_OF_HEADER}, found none: is this a TRY file?")
     if year is None:
@@ -257,53 +275,56 @@ def read_try(path: str | os.PathLike[str], year: int | None = None, years: int =
             "is a typical year without a calendar year of its own; state the one to assign to it, such as "
             "year = 2019"
         )
-    names = lines[header_end - 1].split()
-    faults = [f'no column "{name}" above {END_OF_HEADER}' for name in _NEEDED if name not in names]
+    column_names = lines[header_end - 1].split()
+    faults = [f'no column "{name}" above {END_OF_HEADER}' for name in _NEEDED if name not in column_names]
     warnings: list[str] = []
     site = _site(lines[:header_end], faults, warnings)
     if faults:
         raise TableFault(*faults)
-    table = _table(lines, header_end, names, faults)
+    table = _table(lines, header_end, column_names, faults)
     if faults:
         raise TableFault(*faults)
-    column = {name: table[:, place] for place, name in enumerate(names)}
+    column = {name: table[:, place] for place, name in enumerate(column_names)}
     stamps = np.column_stack([np.full(len(table), year), *(column[name] for name in ("MM", "DD", "HH"))])
     own_years = "a test reference year"
     weather = _weather(
         file.name, stamps.astype(int), column, _TRY, site, ZONE_H, year, years, own_years, header_end + 1
     )
     weather.warnings[:0] = warnings
-    value = weather.value
-    if {"B", "D"} <= set(value):
-        weather.add("global_horizontal_irradiance", value["B"] + value["D"], "B", "D")
-    if {"x", "RF", "p", "t"} <= set(value):
+    values = weather.value
+    if {"B", "D"} <= set(values):
+        weather.add("global_horizontal_irradiance", values["B"] + values["D"], "B", "D")
+    if {"x", "RF", "p", "t"} <= set(values):
         weather.add(_DEW_POINT, _try_dew_point(weather), "x", "RF", "p", "t")
     return require_temperature(
         weather.record(digest), "no temperature: all values of t are missing", "x and RF"
     )
 
 
-def _table(lines: list[str], end: int, names: list[str], faults: list[str]) -> np.ndarray:
-    """The hours (T, columns); their faults are added to `faults`."""
-    body = [(i + 1, line.split()) for i, line in enumerate(lines) if i > end and line.strip()]
-    if len(body) not in (HOURS, HOURS + 24):
+def _table(lines: list[str], header_end: int, names: list[str], faults: list[str]) -> np.ndarray:
+    """Return the hours (T, columns) below the header; adds faults to `faults`."""
+    below_header = enumerate(lines[header_end + 1 :], header_end + 2)
+    hour_lines = [(number, line.split()) for number, line in below_header if line.strip()]
+    if len(hour_lines) not in (HOURS, HOURS + 24):
         faults.append(
-            f"expected {HOURS} hours after its header, found {len(body)}: cut short? fetch it again"
+            f"expected {HOURS} hours after its header, found {len(hour_lines)}: cut short? fetch it again"
         )
         return np.zeros((0, len(names)))
     month, day, hour = (names.index(name) for name in ("MM", "DD", "HH"))
-    used = range(len(names))
-    return hours_table(
-        body, len(names), used, lambda row: (2020, row[month], row[day], row[hour]), faults, exact=True
-    )
+
+    def date(row: np.ndarray) -> tuple[float, ...]:
+        return 2020, row[month], row[day], row[hour]
+
+    return hours_table(hour_lines, len(names), range(len(names)), date, faults, is_exact=True)
 
 
 def _try_dew_point(weather: SiteWeather) -> np.ndarray:
-    """Dew point over water (T,) [K] from mixing ratio or relative humidity, whichever is rounded more
-    finely."""
-    x, rf, pressure, kelvin = (weather.value[name] for name in ("x", "RF", "p", "t"))
-    ratio, humidity = np.where(x > 0.0, 1e-3 * x, math.nan), np.where(rf > 0.0, rf, math.nan)
-    by_ratio = np.asarray(vapour_pressure_from_humidity_ratio(ratio, pressure))
+    """Return the dew point over water (T,) [K] from mixing ratio or relative humidity, whichever is rounded
+    more finely."""
+    ratio_g_kg, relative_humidity, pressure, kelvin = (weather.value[name] for name in ("x", "RF", "p", "t"))
+    mixing_ratio = np.where(ratio_g_kg > 0.0, 1e-3 * ratio_g_kg, math.nan)
+    humidity = np.where(relative_humidity > 0.0, relative_humidity, math.nan)
+    by_ratio = np.asarray(vapour_pressure_from_humidity_ratio(mixing_ratio, pressure))
     by_humidity = np.asarray(vapour_pressure(np.minimum(humidity, 1.0), kelvin))
     differences = np.abs(by_ratio / by_humidity - 1.0)
     differences = differences[np.isfinite(differences)]
@@ -313,57 +334,61 @@ def _try_dew_point(weather: SiteWeather) -> np.ndarray:
             "columns shifted?"
         )
     # x is written to 0.1 g/kg, RF to 1 %
-    finer = np.where(np.isfinite(by_ratio), 0.1 / np.fmax(x, 1e-3), math.inf) < 0.01 / np.fmax(rf, 1e-5)
-    return np.asarray(dew_point(np.where(finer | ~np.isfinite(by_humidity), by_ratio, by_humidity)))
+    rounding_of_ratio = np.where(np.isfinite(by_ratio), 0.1 / np.fmax(ratio_g_kg, 1e-3), math.inf)
+    is_ratio_finer = rounding_of_ratio < 0.01 / np.fmax(relative_humidity, 1e-5)
+    return np.asarray(dew_point(np.where(is_ratio_finer | ~np.isfinite(by_humidity), by_ratio, by_humidity)))
 
 
 # --- hours of typical years -----------------------------------------------------------------
 
 
 def place_in_years(
-    stamps: np.ndarray, columns: Mapping[str, np.ndarray], year: int, years: int, own: str
+    stamps: np.ndarray, columns: Mapping[str, np.ndarray], year: int, years: int, own_years: str
 ) -> tuple[np.ndarray, dict[str, np.ndarray], list[str]]:
-    """Hours moved to each of several calendar years: their stamps, their columns, and warnings.
+    """Move hours to each of several calendar years; returns their stamps, their columns, and warnings.
 
-    stamps: (T, 4) year, month, day, hour 1…24 as written. columns: of numbers (T,). year: the first calendar
-    year, 1900 … 2200. years: number of calendar years. own: the years of the file in words, "" where no
-    warning is needed because they are the calendar year.
+    stamps: (T, 4) year, month, day, hour 1…24 as written. columns: of numbers (T,). year: first calendar
+        year, 1900 … 2200. years: number of calendar years. own_years: years of the file in words; "": no
+        warning, because they are the calendar year.
 
-    In a leap year 28 February is repeated as 29 February where the file has none; in other years the file's
-    29 February is left out.  Raises TableFault for a year out of range.
+    In a leap year 28 February is repeated as 29 February if the file has none; in other years the file's 29
+    February is left out. Raises TableFault for a year out of range.
     """
-    last = year + years - 1
-    if not 1900 <= year <= last <= 2200:
-        raise TableFault(f"year must lie within 1900 … 2200, found {year if last > 2200 >= year else last}")
+    last_year = year + years - 1
+    if not 1900 <= year <= last_year <= 2200:
+        out_of_range = year if last_year > 2200 >= year else last_year
+        raise TableFault(f"year must lie within 1900 … 2200, found {out_of_range}")
     months, days = stamps[:, 1], stamps[:, 2]
     leap_day = (months == 2) & (days == 29)
     february_28 = np.flatnonzero((months == 2) & (days == 28))
-    rows, dates, repeated, warnings = [], [], [], []
-    for calendar_year in range(year, last + 1):
-        keep, day = np.arange(len(days)), days
+    rows_of_years, dates, leap_years, warnings = [], [], [], []
+    for calendar_year in range(year, last_year + 1):
+        chosen, day = np.arange(len(days)), days
         if calendar.isleap(calendar_year) and not leap_day.any() and len(february_28) == 24:
-            keep, day = (
-                np.insert(keep, february_28[-1] + 1, february_28),
+            chosen, day = (
+                np.insert(chosen, february_28[-1] + 1, february_28),
                 np.insert(day, february_28[-1] + 1, 24 * [29]),
             )
-            repeated.append(str(calendar_year))
+            leap_years.append(str(calendar_year))
         elif not calendar.isleap(calendar_year) and leap_day.any():
-            keep, day = keep[~leap_day], day[~leap_day]
+            chosen, day = chosen[~leap_day], day[~leap_day]
             warnings.append(f"{calendar_year} is not a leap year: 29 February is left out")
-        rows.append(keep)
-        dates.append(np.column_stack([np.full(len(day), calendar_year), months[keep], day, stamps[keep, 3]]))
-    if own:
-        span = f"{year}" if years == 1 else f"{year} … {last}"
-        warnings.append(f"hours of {own} stand in {span}: a typical year, not the weather of {span}")
-    if repeated:
-        leap = "is a leap year" if len(repeated) == 1 else "are leap years"
-        warnings.insert(0, f"{', '.join(repeated)} {leap}: 28 February is repeated as 29 February")
-    kept = np.concatenate(rows)
-    return np.concatenate(dates), {name: column[kept] for name, column in columns.items()}, warnings
+        rows_of_years.append(chosen)
+        year_of_hour = np.full(len(day), calendar_year)
+        dates.append(np.column_stack([year_of_hour, months[chosen], day, stamps[chosen, 3]]))
+    if own_years:
+        span = f"{year}" if years == 1 else f"{year} … {last_year}"
+        warnings.append(f"hours of {own_years} stand in {span}: a typical year, not the weather of {span}")
+    if leap_years:
+        verb = "is a leap year" if len(leap_years) == 1 else "are leap years"
+        warnings.insert(0, f"{', '.join(leap_years)} {verb}: 28 February is repeated as 29 February")
+    all_rows = np.concatenate(rows_of_years)
+    return np.concatenate(dates), {name: column[all_rows] for name, column in columns.items()}, warnings
 
 
 def local_seconds(stamps: np.ndarray) -> np.ndarray:
-    """Ends of hours (T, 4) as seconds since 1970-01-01T00:00 of the local clock (T,) [s]."""
+    """Return the ends of hours, given by stamps (T, 4), as seconds since 1970-01-01T00:00 of the local clock
+    (T,)."""
     months = (stamps[:, 0] - 1970) * 12 + stamps[:, 1] - 1
     days = months.astype("datetime64[M]").astype("datetime64[D]").astype(int) + stamps[:, 2] - 1
     return days * DAY_S + stamps[:, 3] * HOUR_S
@@ -372,23 +397,27 @@ def local_seconds(stamps: np.ndarray) -> np.ndarray:
 def hours_table(
     lines: Sequence[tuple[int, Sequence[str]]],
     width: int,
-    used: Sequence[int],
+    used_columns: Sequence[int],
     date: Callable[[np.ndarray], Iterable[float]],
     faults: list[str],
-    exact: bool = False,
+    is_exact: bool = False,
 ) -> np.ndarray:
-    """The hours (T, columns) of lines, NaN where a cell is empty; adds the faults of the first three lines.
+    """Return the hours (T, columns) of lines, NaN for empty cells; adds the faults of the first three faulty
+    lines to `faults`.
 
-    lines: number and cells of each. width: least number of cells of a line, with `exact` the number itself.
-    used: columns to read as numbers. date: gives year, month, day and hour 1 … 24 of a row.
+    lines: number and cells of each line. width: smallest number of cells of a line; is_exact: the only
+        number.
+    used_columns: to read as numbers. date: returns year, month, day and hour 1 … 24 of a row.
     """
     table = np.full((len(lines), max([width, *(len(cells) for _, cells in lines)])), np.nan)
     messages = []
     for row, (number, cells) in zip(table, lines, strict=True):
         try:
-            if len(cells) < width or (exact and len(cells) > width):
-                raise ValueError(f"expected {'' if exact else 'at least '}{width} cells, found {len(cells)}")
-            for column in used:
+            if len(cells) < width or (is_exact and len(cells) > width):
+                raise ValueError(
+                    f"expected {'' if is_exact else 'at least '}{width} cells, found {len(cells)}"
+                )
+            for column in used_columns:
                 if column < len(cells) and cells[column].strip():
                     row[column] = float(cells[column])
                     if not np.isfinite(row[column]):
@@ -402,8 +431,8 @@ def hours_table(
                 raise ValueError(f"month {month} has no day {day}")
         except ValueError as reason:
             messages.append(f"line {number}: {reason}")
-    more = f" (and {len(messages) - 3} more lines)" if len(messages) > 3 else ""
-    faults += [*messages[:2], *(message + more for message in messages[2:3])]
+    remark_on_rest = f" (and {len(messages) - 3} more lines)" if len(messages) > 3 else ""
+    faults += [*messages[:2], *(message + remark_on_rest for message in messages[2:3])]
     return table
 
 
@@ -411,7 +440,8 @@ def hours_table(
 
 
 def _site(header: list[str], faults: list[str], warnings: list[str]) -> Site | None:
-    """The place from Rechtswert, Hochwert and Hoehenlage; None where the header states none, as in 2011."""
+    """Return the place from Rechtswert, Hochwert and Hoehenlage; None if the header states none, as in the
+    edition of 2011."""
     coordinates = {}
     for line in header:
         if match := re.match(r"\s*(Rechtswert|Hochwert|H\S*henlage)\s*:\s*(-?[\d.]+)\s*Meter", line):
@@ -431,7 +461,8 @@ def _site(header: list[str], faults: list[str], warnings: list[str]) -> Site | N
 
 
 def geographic(easting_m: float, northing_m: float) -> tuple[float, float]:
-    """Latitude and longitude [deg] of a point of ETRS89 / LCC Europe (EPSG:3034), the files' projection.
+    """Return latitude and longitude [deg] of a point in ETRS89 / LCC Europe (EPSG:3034), the projection of
+    the files.
 
     easting_m, northing_m: [m] Rechtswert and Hochwert.
 
@@ -439,23 +470,25 @@ def geographic(easting_m: float, northing_m: float) -> tuple[float, float]:
     (Snyder, Map Projections – A Working Manual, 1987, equations 15-8 to 15-11, 14-9, 14-10 and 7-9).
     """
     radius, flattening = 6378137.0, 1.0 / 298.257222101
-    e = math.sqrt(flattening * (2.0 - flattening))
+    eccentricity = math.sqrt(flattening * (2.0 - flattening))
     first, second, origin, meridian = (math.radians(degrees) for degrees in (35.0, 65.0, 52.0, 10.0))
 
     def scale(angle: float) -> float:
-        return math.cos(angle) / math.sqrt(1.0 - (e * math.sin(angle)) ** 2)
+        return math.cos(angle) / math.sqrt(1.0 - (eccentricity * math.sin(angle)) ** 2)
 
     def conformal(angle: float) -> float:
-        sine = e * math.sin(angle)
-        return math.tan(0.25 * math.pi - 0.5 * angle) / ((1.0 - sine) / (1.0 + sine)) ** (0.5 * e)
+        sine = eccentricity * math.sin(angle)
+        return math.tan(0.25 * math.pi - 0.5 * angle) / ((1.0 - sine) / (1.0 + sine)) ** (0.5 * eccentricity)
 
     cone = math.log(scale(first) / scale(second)) / math.log(conformal(first) / conformal(second))
     factor = radius * scale(first) / (cone * conformal(first) ** cone)
     at_origin = factor * conformal(origin) ** cone
     east, north = easting_m - 4.0e6, at_origin - (northing_m - 2.8e6)
-    t = (math.hypot(east, north) / factor) ** (1.0 / cone)
-    latitude = 0.5 * math.pi - 2.0 * math.atan(t)
+    projected = (math.hypot(east, north) / factor) ** (1.0 / cone)
+    latitude = 0.5 * math.pi - 2.0 * math.atan(projected)
     for _ in range(8):
-        sine = e * math.sin(latitude)
-        latitude = 0.5 * math.pi - 2.0 * math.atan(t * ((1.0 - sine) / (1.0 + sine)) ** (0.5 * e))
+        sine = eccentricity * math.sin(latitude)
+        latitude = 0.5 * math.pi - 2.0 * math.atan(
+            projected * ((1.0 - sine) / (1.0 + sine)) ** (0.5 * eccentricity)
+        )
     return math.degrees(latitude), math.degrees(math.atan2(east, north) / cone + meridian)

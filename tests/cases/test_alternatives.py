@@ -89,7 +89,7 @@ def test_the_named_reading_is_the_right_record() -> None:
 def test_a_doubt_about_a_clock_touches_every_time_constant() -> None:
     doubts = all_doubts(shifted(right(), Shift("cabinet.csv", 7200.0)))
     (doubt,) = (one for one in doubts if one.code is DoubtCode.READ_OTHERWISE)
-    assert doubt.values["line"] == RecordCode.STATE_CORRECTION(correction="-2h")
+    assert doubt.values["remedy"] == RecordCode.STATE_CORRECTION(correction="-2h")
     assert touched(doubt) == ("thermal", "hygric")
 
 

@@ -81,7 +81,7 @@ def test_stretches_of_a_flag() -> None:
     time = np.arange(10.0)
     flag = np.array([1, 1, 0, 0, 1, 0, 1, 1, 0, 0])
     assert stretches(time, flag) == [(0.0, 1.0), (4.0, 4.0), (6.0, 7.0)]
-    assert stretches(time, flag, least=2.5) == [(0.0, 1.0), (4.0, 7.0)]
+    assert stretches(time, flag, shortest_gap=2.5) == [(0.0, 1.0), (4.0, 7.0)]
     assert stretches(time, np.zeros(10)) == []
 
 

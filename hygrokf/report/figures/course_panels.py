@@ -1,11 +1,11 @@
-"""Figures of the record: whole series with band and error, excerpts, and the error over the point of
-operation."""
+"""Figures of a fit over the record: readings, free run and error over time, excerpts, and the error over
+power, ambient temperature and hour of the day."""
 
 from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -18,11 +18,13 @@ from hygrokf.report.figures.drawing import (
     AMBIENT_COLOUR,
     BINS,
     INK,
+    LEVEL_SD,
     MEASURED,
     QUIET,
     SHADE,
     SIMULATED_COLOUR,
     NothingToShow,
+    band,
     envelope,
     means,
     stretches,
@@ -32,13 +34,13 @@ from hygrokf.report.figures.panels import (
     Band,
     CrossLine,
     Curve,
+    Limits,
     Mark,
     Note,
     Panel,
     Picture,
     Shade,
     course,
-    courses,
     strokes,
     validation,
 )
@@ -63,7 +65,7 @@ AMBIENT_SERIES = {TEMPERATURE_PANEL: "ambient_temperature", HUMIDITY_PANEL: "amb
 
 @dataclass(frozen=True)
 class Excerpt:
-    """A part of the record, from `start_s` to `end_s` [s], and why it was chosen."""
+    """A part of the record, from `start_s` to `end_s` [s since 1970], and why it was chosen."""
 
     start_s: float
     end_s: float
@@ -71,21 +73,20 @@ class Excerpt:
 
 
 def hourly(time: np.ndarray, value: np.ndarray, hours: int) -> np.ndarray:
-    """Means (hours,) of `value` (T,) over each hour since the first instant of `time` [s] (T,); NaN in an
-    hour without a value."""
+    """Means (hours,) of `value` (T,) over each hour from the first instant of `time` [s] (T,) on; or NaN."""
     is_known = np.isfinite(value)
     hour = np.minimum(((time[is_known] - time[0]) // HOUR_S).astype(int), hours - 1)
     return means(hour, value[is_known], hours)
 
 
 def choose_excerpts(series: Mapping[str, np.ndarray]) -> tuple[Excerpt, ...]:
-    """Up to three stretches of six days that do not overlap, in order of time.
+    """Choose up to three excerpts of six days that do not overlap, in order of time.
 
-    series: the arrays of series.npz.  Chosen are: the longest standstill with pre-heating (without one:
-    operation close to rated power; without power: the largest errors of the free run), the most dynamic
-    stretch, and part load with a pronounced day-night cycle (without power: the most pronounced cycle).
-    Stretches with few readings or unknown inputs are passed over where there are others.  A record of less
-    than two days is one excerpt.
+    series: the arrays of series.npz. The three are: the longest standstill with pre-heating (without one:
+    operation close to rated power; without power: the largest errors of the free run); the most dynamic days;
+    and part load with a pronounced daily cycle (without power: the most pronounced daily cycle). Days with
+    few readings or unknown inputs are used only if there are no others. A record of less than two days is one
+    excerpt.
     """
     time = series["time_s"]
     if len(time) < 2 or not time[-1] > time[0]:
@@ -102,7 +103,7 @@ def choose_excerpts(series: Mapping[str, np.ndarray]) -> tuple[Excerpt, ...]:
     chosen: list[tuple[int, str]] = []
     for score, reason in (state.rare(window), state.dynamic(window), state.daily(window)):
         is_free = is_usable & np.array(
-            [all(abs(start - other) >= length_h for other, _ in chosen) for start in starts]
+            [all(abs(start - taken) >= length_h for taken, _ in chosen) for start in starts]
         )
         score = np.where(is_free & np.isfinite(score), score, -np.inf)
         if score.max() > -np.inf:
@@ -116,26 +117,29 @@ def choose_excerpts(series: Mapping[str, np.ndarray]) -> tuple[Excerpt, ...]:
 
 @dataclass(frozen=True)
 class _Windows:
+    """Windows of `length` hours that begin at the hours `starts` (W,) of the record; the methods take hourly
+    values (T,) and return one number for each window (W,)."""
+
     starts: np.ndarray
     length: int
 
     def mean(self, value: np.ndarray) -> np.ndarray:
-        """Mean over each window; an hour without a value counts as 0."""
-        total = np.concatenate([[0.0], np.cumsum(np.nan_to_num(value))])
-        return (total[self.starts + self.length] - total[self.starts]) / self.length
+        """Return the mean over each window; an hour without a value counts as 0."""
+        running_sum = np.concatenate([[0.0], np.cumsum(np.nan_to_num(value))])
+        return (running_sum[self.starts + self.length] - running_sum[self.starts]) / self.length
 
     def end(self, value: np.ndarray, hours: int) -> np.ndarray:
-        """Mean over the last hours of each window."""
+        """Return the mean over the last `hours` hours of each window."""
         hours = min(hours, self.length)
         return _Windows(self.starts + self.length - hours, hours).mean(value)
 
     def daily_amplitude(self, value: np.ndarray) -> np.ndarray:
-        """Amplitude of the sine of 24 h in each window."""
-        known = np.isfinite(value)
-        centred = np.where(known, value - (value[known].mean() if known.any() else 0.0), 0.0)
-        wave = np.exp(-2j * np.pi * np.arange(len(value)) / 24.0)
-        total = np.concatenate([[0.0], np.cumsum(centred * wave)])
-        return 2.0 * np.abs(total[self.starts + self.length] - total[self.starts]) / self.length
+        """Return the amplitude of the 24 h cycle in each window, in the unit of the values."""
+        is_known = np.isfinite(value)
+        centred = np.where(is_known, value - (value[is_known].mean() if is_known.any() else 0.0), 0.0)
+        daily_wave = np.exp(-2j * np.pi * np.arange(len(value)) / 24.0)
+        running_sum = np.concatenate([[0.0], np.cumsum(centred * daily_wave)])
+        return 2.0 * np.abs(running_sum[self.starts + self.length] - running_sum[self.starts]) / self.length
 
 
 class _State:
@@ -161,21 +165,21 @@ class _State:
         self.has_power = bool(np.nanmax(self.operating, initial=0.0) > 0)
 
     def rare(self, window: _Windows) -> tuple[np.ndarray, str]:
-        """Rank of each window as an example of a rare state, and the words for this state."""
-        still = 1.0 - self.operating
-        if self.has_power and np.nansum(still) >= 12:
-            heated = window.mean(self.preheating)
-            rank = window.mean(still) + 8.0 * heated
+        """Rank windows by how well they show a rare state; returns ranks (W,) and the words for it."""
+        standing = 1.0 - self.operating
+        if self.has_power and np.nansum(standing) >= 12:
+            heated_share = window.mean(self.preheating)
+            rank = window.mean(standing) + 8.0 * heated_share
             # the end of a standstill is the most informative part: show the return to operation
             rank = rank + 0.2 * window.end(self.operating, 24)
-            words = "standstill and pre-heating" if self.preheating.max() > 0 else "standstill"
-            return rank, words
+            reason = "standstill and pre-heating" if self.preheating.max() > 0 else "standstill"
+            return rank, reason
         if self.has_power:
             return window.mean(self.power), "operation close to rated power"
         return window.mean(self.error**2), "largest errors of the free run"
 
     def dynamic(self, window: _Windows) -> tuple[np.ndarray, str]:
-        """Rank of each window by the hourly changes of readings and power, and the words for it."""
+        """Rank windows by the hourly changes of readings and power; returns ranks (W,) and words."""
         rank = window.mean(np.abs(np.diff(self.measured, prepend=np.nan)))
         rank = rank / max(float(np.max(rank)), 1e-12)
         if self.has_power:
@@ -184,19 +188,47 @@ class _State:
         return rank, "most dynamic"
 
     def daily(self, window: _Windows) -> tuple[np.ndarray, str]:
-        """Rank of each window by its day-night cycle at part load, and the words for it."""
+        """Rank the windows by their daily cycle at part load; return ranks (W,) and the words for them."""
         rank = window.daily_amplitude(self.ambient)
         if not self.has_power:
             return rank, "pronounced day-night cycle"
-        part = (self.power > PART_LOAD[0]) & (self.power < PART_LOAD[1]) & (self.operating > 0.5)
-        return rank * window.mean(part.astype(float)), "part load, day-night cycle"
+        is_part_load = (self.power > PART_LOAD[0]) & (self.power < PART_LOAD[1]) & (self.operating > 0.5)
+        return rank * window.mean(is_part_load.astype(float)), "part load, day-night cycle"
+
+
+def courses(
+    time: np.ndarray, lines: Sequence[tuple[str, np.ndarray, str, float]], sd: np.ndarray | None,
+    span: tuple[float, float], bins: int = BINS,
+) -> tuple[tuple[Mark, ...], Limits]:  # fmt: skip
+    """Return the curves of several series within `span` [s], with the 95 % band of the last one, and the
+    limits of the y axis.
+
+    lines: label, values (T,), colour and width of each series, the simulation last.
+    sd: (T,) standard deviation of the simulation; None: no band. The limits include all values, but not the
+        whole band.
+    """
+    marks: list[Mark] = [
+        course(time, value, span, colour, width, label, bins) for label, value, colour, width in lines
+    ]
+    if sd is not None:
+        simulated = lines[-1][1]
+        band_time, low, high = band(time, simulated - LEVEL_SD * sd, simulated + LEVEL_SD * sd, span, bins)
+        marks.append(
+            Band(band_time, low, high, SIMULATED_COLOUR, label="95 % band" if np.isfinite(sd).any() else "")
+        )
+    in_span = (time >= span[0]) & (time <= span[1])
+    values = np.concatenate([value[in_span & np.isfinite(value)] for _, value, _, _ in lines])
+    if not len(values):
+        return tuple(marks), (None, None)
+    margin = 0.07 * float(np.ptp(values)) or 1.0
+    return tuple(marks), (float(values.min()) - margin, float(values.max()) + margin)
 
 
 # --- the record ------------------------------------------------------------------------------
 
 
 class _Record:
-    """Temperature [°C] and humidity [g/m³] of a record, its span [s] and its shaded periods [s]."""
+    """Series of a fit over the record in the units of figures, and the periods to shade."""
 
     def __init__(self, series: Mapping[str, np.ndarray]) -> None:
         self.time = instants(series)
@@ -214,19 +246,21 @@ class _Record:
 
     @property
     def has_power(self) -> bool:
+        """Whether the record has a power that is not zero throughout."""
         return bool(np.isfinite(self.power).any() and (self.operating.any() or np.nanmax(self.power) > 0))
 
     @property
     def validation(self) -> bool:
+        """Whether the record has a validation period."""
         return math.isfinite(self.until) and self.until < self.span[1]
 
     def quantity(self, name: str) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Readings, simulation, its standard deviation, and ambient value, each (T,)."""
-        shift = quantity(name).zero
+        """Readings, simulation, its standard deviation, and ambient value of a quantity, each (T,)."""
+        zero = quantity(name).zero
         measured, simulated = (
-            array(self.series, f"{name}_{kind}") - shift for kind in ("measured", "simulated")
+            array(self.series, f"{name}_{source}") - zero for source in ("measured", "simulated")
         )
-        ambient = array(self.series, AMBIENT_SERIES[name]) - shift
+        ambient = array(self.series, AMBIENT_SERIES[name]) - zero
         return measured, simulated, array(self.series, f"{name}_sd"), ambient
 
     def has(self, name: str) -> bool:
@@ -242,26 +276,26 @@ class _Record:
     # --- panels ---
 
     def course(self, name: str, span: tuple[float, float], width: float = 0.8, bins: int = BINS) -> Panel:
-        """Ambient, measured, simulated with its 95 % band, or the power."""
+        """The panel of a quantity over a span [s]: ambient, readings, simulation with 95 % band; or power."""
         if name == POWER_PANEL:
             return self.operation(span, bins)
         measured, simulated, sd, ambient = self.quantity(name)
-        shown = (
+        lines = (
             ("ambient", ambient, AMBIENT_COLOUR, width),
             ("readings", measured, MEASURED, 1.25 * width),
             ("simulated", simulated, SIMULATED_COLOUR, 0.8 * width),
         )
-        marks, limits = courses(self.time, shown, sd, span, bins)
+        marks, limits = courses(self.time, lines, sd, span, bins)
         return Panel((*marks, *self.unscored(span)), _time(span), Axis(quantity(name).level, limits))
 
     def operation(self, span: tuple[float, float], bins: int = BINS) -> Panel:
-        """Relative power, and bars where the cabinet was pre-heated."""
-        t, v = envelope(self.time, self.power, span, bins)
-        marks: list[Mark] = [Curve(t, v, INK, 0.5), Band(t, 0.0 * v, v, INK, 0.12)]
-        least = 0.004 * (span[1] - span[0])
-        for start, end in stretches(self.time, self.preheating > 0, least=1800.0):
+        """Return the panel of the relative power, with bars above it while the cabinet was pre-heated."""
+        time, power = envelope(self.time, self.power, span, bins)
+        marks: list[Mark] = [Curve(time, power, INK, 0.5), Band(time, 0.0 * power, power, INK, 0.12)]
+        shortest = 0.004 * (span[1] - span[0])
+        for start, end in stretches(self.time, self.preheating > 0, shortest_gap=1800.0):
             if end >= span[0] and start <= span[1]:
-                middle, half = 0.5 * (start + end), 0.5 * max(end - start, least)
+                middle, half = 0.5 * (start + end), 0.5 * max(end - start, shortest)
                 ends = np.array([middle - half, middle + half])
                 if len(marks) == 2:
                     late = middle > span[0] + 0.7 * (span[1] - span[0])
@@ -271,36 +305,39 @@ class _Record:
         return Panel((*marks, *self.unscored(span)), _time(span), Axis("power / rated", (-0.05, 1.14)))
 
     def unscored(self, span: tuple[float, float]) -> tuple[Mark, ...]:
-        """Hatching over the periods in which inputs are unknown."""
-        least = (span[1] - span[0]) / 300.0
+        """Return hatched shades over the periods in which inputs are unknown."""
+        shortest_s = (span[1] - span[0]) / 300.0
         return tuple(
             Shade(max(start, span[0]), min(end, span[1]), HATCH, label=UNSCORED_LABEL, hatched=True)
-            for start, end in stretches(self.time, ~self.scored, least)
+            for start, end in stretches(self.time, ~self.scored, shortest_s)
             if end >= span[0] and start <= span[1]
         )
 
     def validation_shade(self, span: tuple[float, float]) -> tuple[Mark, ...]:
-        """Shade over the validation period; none where the record has none."""
+        """Return the shade over the validation period; empty without one."""
         return (Shade(max(self.until, span[0]), span[1], SHADE),) if self.validation else ()
 
 
 def _time(span: tuple[float, float]) -> Axis:
+    """Return an axis of time over a span [s since 1970]."""
     return Axis(limits=span, kind="time")
 
 
 def figure_temperature(fit: FitResults, series: Mapping[str, np.ndarray]) -> Picture:
-    """Cabinet temperature over the whole record, error of the free run, relative power (Fig. 6 of the
-    paper)."""
+    """Draw the cabinet temperature over the whole record, with the error of the free run and the relative
+    power (Fig. 6 of the paper)."""
     return _full_record(_Record(series), TEMPERATURE_PANEL, "The fit has no cabinet temperature to show.")
 
 
 def figure_humidity(fit: FitResults, series: Mapping[str, np.ndarray]) -> Picture:
-    """Absolute humidity over the whole record and error of the free run (Fig. 8 of the paper)."""
+    """Draw the absolute humidity over the whole record, with the error of the free run (Fig. 8 there)."""
     why = "There is no cabinet humidity: the record, or the model, lacks it."
     return _full_record(_Record(series), HUMIDITY_PANEL, why)
 
 
 def _full_record(record: _Record, name: str, reason_if_absent: str) -> Picture:
+    """Return the panels of one quantity over the whole record: its course, the error of the free run, and
+    with the temperature also the power."""
     if not record.has(name):
         raise NothingToShow(reason_if_absent)
     measured, simulated, _, _ = record.quantity(name)
@@ -322,8 +359,8 @@ def _full_record(record: _Record, name: str, reason_if_absent: str) -> Picture:
 
 
 def figure_validation(fit: FitResults, series: Mapping[str, np.ndarray]) -> Picture:
-    """Readings, free run and its 95 % band after the identification period, or in the last fortnight: the
-    temperature, and below it the humidity."""
+    """Draw readings and free run with its 95 % band after the identification period (without a validation
+    period: in the last fortnight), temperature above humidity."""
     record = _Record(series)
     if not record.names:
         raise NothingToShow("The fit has neither a temperature nor a humidity of the cabinet to show.")
@@ -337,27 +374,27 @@ def figure_validation(fit: FitResults, series: Mapping[str, np.ndarray]) -> Pict
 
 
 def figure_excerpts(fit: FitResults, series: Mapping[str, np.ndarray]) -> Picture:
-    """Up to three closer views (Fig. 7 of the paper) of both quantities and the power."""
+    """Draw up to three excerpts side by side (Fig. 7 of the paper): temperature, humidity and power."""
     record = _Record(series)
     names = record.names
     usable = {name: array(series, name) for name in _EXCERPT_SERIES} | {"time_s": record.time}
     chosen = choose_excerpts(usable) if names else ()
     if not chosen:
         raise NothingToShow("The record is too short for excerpts.")
-    rows = [*names, POWER_PANEL] if record.has_power else names
+    rows_shown = [*names, POWER_PANEL] if record.has_power else names
     panels = []
-    for name in rows:
+    for name in rows_shown:
         for letter, excerpt in zip("abc", chosen, strict=False):
             span = (excerpt.start_s, excerpt.end_s)
             panel = record.course(name, span, 1.0, EXCERPT_BINS)
-            late = " (validation)" if record.validation and span[0] >= record.until else ""
+            remark = " (validation)" if record.validation and span[0] >= record.until else ""
             panels.append(
                 replace(
                     panel,
                     marks=(*record.validation_shade(span), *panel.marks),
                     x=replace(panel.x, most=7),
                     y=panel.y if letter == "a" else replace(panel.y, label=""),
-                    title=f"({letter}) {excerpt.reason}{late}" if name == names[0] else "",
+                    title=f"({letter}) {excerpt.reason}{remark}" if name == names[0] else "",
                 )
             )
     return Picture(
@@ -365,7 +402,7 @@ def figure_excerpts(fit: FitResults, series: Mapping[str, np.ndarray]) -> Pictur
         height_in=0.75 + 1.55 * len(names) + 0.75 * record.has_power,
         columns=len(chosen),
         shared="x",
-        heights=tuple(0.7 if name == POWER_PANEL else 1.55 for name in rows),
+        heights=tuple(0.7 if name == POWER_PANEL else 1.55 for name in rows_shown),
     )
 
 
@@ -380,35 +417,37 @@ _EXCERPT_SERIES = (
 
 
 def figure_residuals(fit: FitResults, series: Mapping[str, np.ndarray]) -> Picture:
-    """Error of the free run over power, ambient temperature and hour of the day."""
+    """Draw the error of the free run over power, ambient temperature and hour of the day, as boxes with the
+    medians of the validation period."""
     record = _Record(series)
     errors = {}
     for name in (TEMPERATURE_PANEL, HUMIDITY_PANEL):
         measured, simulated, _, _ = record.quantity(name)
-        value = np.where(record.scored, simulated - measured, np.nan)
-        if np.isfinite(value).sum() >= 30:
-            errors[name] = value
+        error_scored = np.where(record.scored, simulated - measured, np.nan)
+        if np.isfinite(error_scored).sum() >= 30:
+            errors[name] = error_scored
     if not errors:
         raise NothingToShow("Fewer than 30 readings can be compared with the free run.")
-    late = record.time > record.until if record.validation else np.zeros(len(record.time), bool)
+    in_validation = record.time > record.until if record.validation else np.zeros(len(record.time), bool)
     panels = []
     for name, error in errors.items():
-        reach = float(np.nanquantile(np.abs(error), 0.97)) or 1.0
-        for place, (axis, x, edges) in enumerate(_conditions(record)):
+        largest_error = float(np.nanquantile(np.abs(error), 0.97)) or 1.0
+        for column, (axis, x, edges) in enumerate(_conditions(record)):
             middles, halves = 0.5 * (edges[1:] + edges[:-1]), 0.36 * np.diff(edges)
-            groups = [error[(x >= a) & (x < b) & ~late] for a, b in itertools.pairwise(edges)]
-            after = [error[(x >= a) & (x < b) & late] for a, b in itertools.pairwise(edges)]
-            medians = [np.nanmedian(g) if np.isfinite(g).sum() >= 10 else np.nan for g in after]
-            shown: list[Mark] = [CrossLine(0.0, "y", INK, 0.7)]
-            if late.any():
+            in_classes = [(x >= low) & (x < high) for low, high in itertools.pairwise(edges)]
+            groups = [error[in_class & ~in_validation] for in_class in in_classes]
+            validated = [error[in_class & in_validation] for in_class in in_classes]
+            medians = [np.nanmedian(g) if np.isfinite(g).sum() >= 10 else np.nan for g in validated]
+            lines: list[Mark] = [CrossLine(0.0, "y", INK, 0.7)]
+            if in_validation.any():
                 label = "median in validation"
-                shown.append(Curve(middles, np.array(medians), SIMULATED_COLOUR, 0.0, label, "D", 3.2))
+                lines.append(Curve(middles, np.array(medians), SIMULATED_COLOUR, 0.0, label, "D", 3.2))
             if "stop" in axis.words:
                 middles, halves = np.append(0.0, middles), np.append(0.02, halves)
-                groups.insert(0, error[~record.operating & ~late])
-            title = "" if place else quantity(name).title
-            y = Axis(quantity(name).error, (-reach, reach))
-            panels.append(Panel((*_boxes(middles, halves, groups), *shown), axis, y, title))
+                groups.insert(0, error[~record.operating & ~in_validation])
+            title = "" if column else quantity(name).title
+            y = Axis(quantity(name).error, (-largest_error, largest_error))
+            panels.append(Panel((*_boxes(middles, halves, groups), *lines), axis, y, title))
     columns = len(panels) // len(errors)
     return Picture(tuple(panels), height_in=0.55 + 1.75 * len(errors), columns=columns, shared="xy")
 
@@ -417,7 +456,7 @@ _POWER_EDGES = np.array([0.035, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0
 
 
 def _conditions(record: _Record) -> list[tuple[Axis, np.ndarray, np.ndarray]]:
-    """The variables over which errors are shown: the axis, the values (T,), and the edges of the classes."""
+    """The variables over which errors are shown: axis, values (T,), and edges of the classes (C + 1,)."""
     conditions = []
     if record.has_power:
         axis = Axis(
@@ -435,9 +474,10 @@ def _conditions(record: _Record) -> list[tuple[Axis, np.ndarray, np.ndarray]]:
 
 
 def _boxes(middles: np.ndarray, halves: np.ndarray, groups: list[np.ndarray]) -> tuple[Mark, ...]:
-    """Median, interquartile range, and 5 to 95 % quantiles of every group of at least ten values.
+    """Draw a box for each group of at least ten values: median, interquartile range, and 5 to 95 % quantiles.
 
-    middles, halves: centre and half the width of each group's box on the x axis.
+    middles, halves: (G,) centre and half the width of each group's box on the x axis. groups: values of each
+    group.
     """
     groups = [values[np.isfinite(values)] for values in groups]
     boxes = [

@@ -1,4 +1,4 @@
-"""How figures look, and how a long record becomes a small drawing: style, envelopes, calendar ticks, SVG and
+"""How figures look, and how they are saved: style, thinning of long records, ticks of a calendar, SVG and
 PNG.
 
 matplotlib is imported inside the functions that need it, without its global state (`pyplot`).
@@ -131,14 +131,14 @@ def expect_matplotlib() -> None:
 
 
 def new_figure(height_in: float) -> Figure:
-    """An empty figure of the page's width and `height_in` [in], without a window on the screen."""
+    """Return an empty figure of the page's width and `height_in` [in], without a window on the screen."""
     from matplotlib.figure import Figure
 
     return Figure(figsize=(WIDTH_IN, height_in))
 
 
 def svg(figure: Figure, name: str) -> str:
-    """The figure as standalone SVG text; `name` (letters, digits, -) makes its identifiers unique on a
+    """Return the figure as standalone SVG text; `name` (letters, digits, -) makes its identifiers unique on a
     page."""
     with styled():
         import matplotlib
@@ -164,6 +164,7 @@ def svg(figure: Figure, name: str) -> str:
 
 
 def _save(save: Callable[..., object], buffer: io.BytesIO | io.StringIO, **settings: Any) -> None:
+    """Call `save` of matplotlib without its warning about letters that the font of the layout lacks."""
     import warnings
 
     with warnings.catch_warnings():
@@ -173,22 +174,22 @@ def _save(save: Callable[..., object], buffer: io.BytesIO | io.StringIO, **setti
 
 
 def inline_svg(figure: Figure, name: str, title: str) -> str:
-    """The figure as SVG for the body of an HTML page: it scales with the page, names no host, and has `title`
-    as its label for screen readers."""
+    """Return the figure as SVG for the body of an HTML page: it scales with the page, names no host, and has
+    `title` as its label for screen readers."""
     from html import escape
 
-    text = svg(figure, name)
-    text = re.sub(r' xmlns(?::xlink)?="[^"]*"', "", text).replace("xlink:href", "href")
-    head = text.index("<svg")
-    end = text.index(">", head)
-    box = re.search(r'viewBox="[^"]*"', text[head:end])
+    drawing_svg = svg(figure, name)
+    drawing_svg = re.sub(r' xmlns(?::xlink)?="[^"]*"', "", drawing_svg).replace("xlink:href", "href")
+    tag_start = drawing_svg.index("<svg")
+    tag_end = drawing_svg.index(">", tag_start)
+    view_box = re.search(r'viewBox="[^"]*"', drawing_svg[tag_start:tag_end])
     label = escape(title, quote=True)
-    attributes = f'{box.group(0) if box else ""} font-family="{FONTS}" stroke-linejoin="round"'
-    return f'<svg {attributes} role="img" aria-label="{label}">{text[end + 1 :]}'
+    attributes = f'{view_box.group(0) if view_box else ""} font-family="{FONTS}" stroke-linejoin="round"'
+    return f'<svg {attributes} role="img" aria-label="{label}">{drawing_svg[tag_end + 1 :]}'
 
 
 def png(figure: Figure, dpi: int = 150) -> bytes:
-    """The figure as a PNG image, for documents that cannot hold SVG."""
+    """Return the figure as a PNG image of `dpi` dots per inch, for documents that cannot hold SVG."""
     with styled():
         buffer = io.BytesIO()
         _save(figure.savefig, buffer, format="png", dpi=dpi)
@@ -201,23 +202,25 @@ def png(figure: Figure, dpi: int = 150) -> bytes:
 def envelope(
     time: np.ndarray, value: np.ndarray, span: tuple[float, float], bins: int = BINS
 ) -> tuple[np.ndarray, ...]:
-    """Points (time, value) of a line, thinned to about 2 `bins` points such that every extreme stays visible.
+    """Return the points (time, value) of a line, thinned to about 2 `bins` points such that every extreme
+    stays visible.
 
     time: [s] (T,) increasing. value: (T,), NaN where missing. span: [s] limits of the axis.
-    Gaps longer than three steps and than the width of a bin break the line (NaN).
+
+    Gaps longer than three steps and longer than a bin break the line (NaN).
     """
-    inside = np.isfinite(value) & (time >= span[0]) & (time <= span[1])
-    x, y = time[inside], value[inside]
+    in_span = np.isfinite(value) & (time >= span[0]) & (time <= span[1])
+    x, y = time[in_span], value[in_span]
     if len(x) == 0:
         return x, y
     step = float(np.median(np.diff(x))) if len(x) > 1 else 0.0
     if len(x) > 2 * bins:
-        starts, place = _bins(x, span, bins)
-        low, high = np.minimum.reduceat(y, starts), np.maximum.reduceat(y, starts)
-        ends = np.append(starts[1:], len(y)) - 1
-        rising = y[ends] >= y[starts]
+        bin_starts, bin_middles = _bins(x, span, bins)
+        low, high = np.minimum.reduceat(y, bin_starts), np.maximum.reduceat(y, bin_starts)
+        bin_ends = np.append(bin_starts[1:], len(y)) - 1
+        rising = y[bin_ends] >= y[bin_starts]
         width = (span[1] - span[0]) / bins
-        x = np.column_stack([place - 0.25 * width, place + 0.25 * width]).ravel()
+        x = np.column_stack([bin_middles - 0.25 * width, bin_middles + 0.25 * width]).ravel()
         y = np.column_stack([np.where(rising, low, high), np.where(rising, high, low)]).ravel()
         step = max(step, width / 1.2)
     return _broken(x, 3.0 * step, y)
@@ -226,46 +229,47 @@ def envelope(
 def band(
     time: np.ndarray, low: np.ndarray, high: np.ndarray, span: tuple[float, float], bins: int = BINS
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Lower and upper edge (time, low, high) of a band, thinned as in `envelope`."""
-    inside = np.isfinite(low) & np.isfinite(high) & (time >= span[0]) & (time <= span[1])
-    x, below, above = time[inside], low[inside], high[inside]
+    """Return lower and upper edge (time, low, high) of a band, thinned as in `envelope`."""
+    in_span = np.isfinite(low) & np.isfinite(high) & (time >= span[0]) & (time <= span[1])
+    x, below, above = time[in_span], low[in_span], high[in_span]
     if len(x) == 0:
         return x, below, above
     step = float(np.median(np.diff(x))) if len(x) > 1 else 0.0
     if len(x) > bins:
-        starts, x = _bins(x, span, bins)
-        below, above = np.minimum.reduceat(below, starts), np.maximum.reduceat(above, starts)
+        bin_starts, x = _bins(x, span, bins)
+        below, above = np.minimum.reduceat(below, bin_starts), np.maximum.reduceat(above, bin_starts)
         step = max(step, (span[1] - span[0]) / bins)
     x, below, above = _broken(x, 3.0 * step, below, above)
     return x, below, above
 
 
 def _bins(x: np.ndarray, span: tuple[float, float], bins: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return the index of the first point in each used bin, and the middles of these bins."""
     width = (span[1] - span[0]) / bins
-    number = np.minimum((x - span[0]) // width, bins - 1)
-    starts = np.flatnonzero(np.append(True, np.diff(number) > 0))
-    return starts, span[0] + (number[starts] + 0.5) * width
+    bin_number = np.minimum((x - span[0]) // width, bins - 1)
+    starts = np.flatnonzero(np.append(True, np.diff(bin_number) > 0))
+    return starts, span[0] + (bin_number[starts] + 0.5) * width
 
 
-def _broken(x: np.ndarray, limit: float, *values: np.ndarray) -> tuple[np.ndarray, ...]:
-    breaks = np.flatnonzero(np.diff(x) > max(limit, 1e-9)) + 1
-    if limit <= 0:
-        breaks = breaks[:0]
-    middle = 0.5 * (x[breaks - 1] + x[breaks])
-    return (np.insert(x, breaks, middle), *(np.insert(v, breaks, np.nan) for v in values))
+def _broken(x: np.ndarray, longest_gap: float, *values: np.ndarray) -> tuple[np.ndarray, ...]:
+    """x (n,) and values (n,) with a NaN in every gap longer than `longest_gap`; 0: no gap is too long."""
+    gap_ends = np.flatnonzero(np.diff(x) > max(longest_gap, 1e-9)) + 1
+    if longest_gap <= 0:
+        gap_ends = gap_ends[:0]
+    middle = 0.5 * (x[gap_ends - 1] + x[gap_ends])
+    return (np.insert(x, gap_ends, middle), *(np.insert(value, gap_ends, np.nan) for value in values))
 
 
-def means(place: np.ndarray, value: np.ndarray, count: int) -> np.ndarray:
-    """Means (count,) of the values (T,) that have the index 0, 1, …, count − 1 in `place` (T,); NaN for an
-    index without values."""
-    number = np.bincount(place, minlength=count).astype(float)
-    total = np.bincount(place, weights=value, minlength=count)
-    return np.divide(total, number, out=np.full(count, np.nan), where=number > 0)
+def means(index: np.ndarray, value: np.ndarray, count: int) -> np.ndarray:
+    """Means (count,) of the values (T,) with the index 0, 1, …, count − 1; NaN without values."""
+    counts = np.bincount(index, minlength=count).astype(float)
+    sums = np.bincount(index, weights=value, minlength=count)
+    return np.divide(sums, counts, out=np.full(count, np.nan), where=counts > 0)
 
 
-def stretches(time: np.ndarray, flag: np.ndarray, least: float = 0.0) -> list[tuple[float, float]]:
-    """Periods (start, end) of `time` [s] (T,) in which `flag` (T,) is true; interruptions shorter than
-    `least` [s] are bridged."""
+def stretches(time: np.ndarray, flag: np.ndarray, shortest_gap: float = 0.0) -> list[tuple[float, float]]:
+    """Return the periods (start, end) of `time` [s] (T,) in which `flag` (T,) is true; interruptions shorter
+    than `shortest_gap` [s] are bridged."""
     flag = np.asarray(flag, dtype=bool)
     if not flag.any():
         return []
@@ -273,7 +277,7 @@ def stretches(time: np.ndarray, flag: np.ndarray, least: float = 0.0) -> list[tu
     starts, ends = time[np.flatnonzero(edges == 1)], time[np.flatnonzero(edges == -1) - 1]
     joined = [[float(starts[0]), float(ends[0])]]
     for start, end in zip(starts[1:], ends[1:], strict=True):
-        if start - joined[-1][1] < least:
+        if start - joined[-1][1] < shortest_gap:
             joined[-1][1] = float(end)
         else:
             joined.append([float(start), float(end)])
@@ -292,23 +296,23 @@ _SECONDS = {"m": 60.0, "h": 3600.0, "D": DAY_S, "M": 30.4 * DAY_S}
 
 
 def calendar_ticks(low: float, high: float, ticks: int) -> tuple[np.ndarray, list[str]]:
-    """At most `ticks` round instants [s] between `low` and `high` [s], and their labels (UTC)."""
-    first, last = (np.datetime64(math.floor(v), "s") for v in (low, high))
-    at, unit = np.array([first]), "s"
+    """Return at most `ticks` round instants [s] between `low` and `high` [s], and their labels (UTC)."""
+    first, last = (np.datetime64(math.floor(bound), "s") for bound in (low, high))
+    instants, unit = np.array([first]), "s"
     for step, unit in _STEPS:
         if (high - low) / _SECONDS[unit] / step > 2 * ticks:
             continue
         # whole multiples since 1970 fall on midnights and on Januaries; weeks begin on Mondays
-        start = first.astype(f"datetime64[{unit}]").astype(int)
-        shift = 4 if (step, unit) in ((7, "D"), (14, "D")) else 0
-        start = (start - shift) // step * step + shift
-        every = np.arange(start, last.astype(f"datetime64[{unit}]").astype(int) + step + 1, step)
-        at = every.astype(f"datetime64[{unit}]").astype("datetime64[s]")
-        at = at[(at >= first) & (at <= last)]
-        if len(at) <= ticks:
+        first_multiple = first.astype(f"datetime64[{unit}]").astype(int)
+        offset = 4 if (step, unit) in ((7, "D"), (14, "D")) else 0
+        first_multiple = (first_multiple - offset) // step * step + offset
+        multiples = np.arange(first_multiple, last.astype(f"datetime64[{unit}]").astype(int) + step + 1, step)
+        instants = multiples.astype(f"datetime64[{unit}]").astype("datetime64[s]")
+        instants = instants[(instants >= first) & (instants <= last)]
+        if len(instants) <= ticks:
             break
-    moments = [instant.item() for instant in at]
-    labels, before = [], None
+    moments = [instant.item() for instant in instants]
+    labels, last_coarse = [], None
     for moment in moments:
         coarse, fine = {
             "m": (f"{moment.day} {moment:%b %Y}", f"{moment:%H:%M}"),
@@ -316,7 +320,7 @@ def calendar_ticks(low: float, high: float, ticks: int) -> tuple[np.ndarray, lis
             "D": (f"{moment:%b %Y}", f"{moment.day}"),
             "M": (f"{moment:%Y}", f"{moment:%b}"),
         }.get(unit, ("", ""))
-        zone = " UTC" if before is None else ""
-        labels.append(fine if coarse == before else f"{fine}\n{coarse}{zone}")
-        before = coarse
-    return at.astype(float), labels
+        zone = " UTC" if last_coarse is None else ""
+        labels.append(fine if coarse == last_coarse else f"{fine}\n{coarse}{zone}")
+        last_coarse = coarse
+    return instants.astype(float), labels

@@ -1,8 +1,8 @@
-"""The figures of a fit in the order of the report, and those of what was identified: heat release by
-operating point, profile likelihood of the time constants, and how their intervals grow source by source.
+"""Figures of a fit in the order of the report; here those of what was identified: heat release by operating
+point, profile likelihood of the time constants, and how their intervals grow source by source.
 
 Each function takes (fit, series), the content of `fit.json` and `series.npz`, and raises
-`drawing.NothingToShow` with one sentence where its data are missing.
+`drawing.NothingToShow` where its data are missing.
 """
 
 from __future__ import annotations
@@ -10,20 +10,10 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from functools import partial
-from statistics import NormalDist
 from typing import Literal
 
 import numpy as np
 
-from hygrokf.data.result_file import array, instants, scalar
-from hygrokf.estimation.conventions import CONFIDENCE
-from hygrokf.evaluation.innovation_tests import (
-    Autocorrelation,
-    CrossCorrelation,
-    CumulativePeriodogram,
-    OutputDiagnosis,
-    Periodogram,
-)
 from hygrokf.identification.composition import CompositionStep
 from hygrokf.identification.fit_results import FitResults, TimeConstant
 from hygrokf.identification.steady_state import Regression
@@ -47,7 +37,6 @@ from hygrokf.report.figures.drawing import (
 )
 from hygrokf.report.figures.panels import (
     Axis,
-    Band,
     ColourScale,
     CrossLine,
     Curve,
@@ -57,21 +46,17 @@ from hygrokf.report.figures.panels import (
     Picture,
     Shade,
     bounds,
-    course,
     point,
     rows,
-    strokes,
 )
-from hygrokf.report.quantities import spoken
-from hygrokf.texts.parts import PARTS
-from hygrokf.texts.wording import one_line, p_equation
+from hygrokf.report.figures.residual_structure import figure_innovations
 
 CHI_SQUARE_95 = 3.8415
 """95 % quantile of χ² with one degree of freedom."""
-PRODUCT = dict(zip(PARTS, ("(R_AT+R_IC)·C", "R_D*·V*"), strict=True))
-"""Symbols of the time constants."""
+PRODUCT = {"thermal": "(R_AT+R_IC)·C", "hygric": "R_D*·V*"}
+"""Time constant → its formula."""
 CLOUD_POINTS = 500
-"""Points of one cloud; more of them only hide each other."""
+"""Largest number of points of a regime that are drawn."""
 LABELS = {
     "profile": "profile likelihood",
     "parts": "+ parts of the record",
@@ -81,7 +66,7 @@ LABELS = {
     "sampling": "+ ambient sampling",
 }
 SHOWN_SD = 1e-3
-"""[1] standard deviation of the logarithm from which a source has a bar of its own."""
+"""[1] a source with a smaller standard deviation of the logarithm has no bar."""
 SHOWN_WEIGHT = 0.01
 """[1] share of the evidence above which another form is drawn."""
 
@@ -90,45 +75,50 @@ SHOWN_WEIGHT = 0.01
 
 
 def figure_heat_release(fit: FitResults, series: Mapping[str, np.ndarray]) -> Picture:
-    """Quasi-stationary periods and the regression over them, operation and standstill (Fig. 4 of the
-    paper)."""
-    release = fit.heat_release
-    reference = (
-        math.nan if release is None or release.reference_K is None else release.reference_K - ZERO_CELSIUS_K
-    )
-    regimes = {} if release is None else release.regimes
-    found = [_Points(name, regime, reference) for name, regime in regimes.items()]
-    shown = [one for one in found if len(one.power)]
-    if not shown:
-        why = ""
-        if release is not None and release.statements:
-            why = f" ({'; '.join(map(str, release.statements))})"
-        raise NothingToShow(f"There are too few quasi-stationary periods for a regression{why}.")
-    edges = _round_edges(*np.quantile(np.concatenate([one.ambient for one in shown]), [0.02, 0.98]))
-    highest = max(float(np.nanmax(one.difference)) for one in shown)
-    lowest = min(0.0, *(float(np.nanmin(one.difference)) for one in shown))
+    """Draw the quasi-stationary periods and the regression over them (Fig. 4 of the paper)."""
+    heat_release = fit.heat_release
+    shown_points: list[_Points] = []
+    reasons = ""
+    if heat_release is not None:
+        kelvin = math.nan if heat_release.reference_K is None else heat_release.reference_K
+        regimes = heat_release.regimes.items()
+        all_points = [_Points(name, regime, kelvin - ZERO_CELSIUS_K) for name, regime in regimes]
+        shown_points = [points for points in all_points if len(points.power)]
+        reasons = "; ".join(map(str, heat_release.statements))
+    if not shown_points:
+        remark = f" ({reasons})" if reasons else ""
+        raise NothingToShow(f"There are too few quasi-stationary periods for a regression{remark}.")
+    all_ambient = np.concatenate([points.ambient for points in shown_points])
+    edges = _round_edges(*np.quantile(all_ambient, [0.02, 0.98]))
+    highest = max(float(np.nanmax(points.difference)) for points in shown_points)
+    lowest = min(0.0, *(float(np.nanmin(points.difference)) for points in shown_points))
     limits = (lowest - 0.3, highest + 0.08 * (highest - lowest))
     panels = []
-    for one in shown:
-        operation = one.regime == "operation"
-        count, episodes = one.data.n_points, one.data.n_episodes
+    for points in shown_points:
+        is_operation = points.regime == "operation"
+        count, episodes = points.data.n_points, points.data.n_episodes
         panels.append(
             Panel(
-                (*one.cloud(edges), *(_operation(one, edges, fit) if operation else _standstill(one, fit))),
-                Axis("power / rated [1]" if operation else "ambient temperature [°C]"),
-                Axis("cabinet − ambient [K]" if one is shown[0] else "", limits),
-                f"{one.regime}: {count} stationary periods, {episodes} episodes",
+                (
+                    *points.cloud(edges),
+                    *(_operation(points, edges, fit) if is_operation else _standstill(points, fit)),
+                ),
+                Axis("power / rated [1]" if is_operation else "ambient temperature [°C]"),
+                Axis("cabinet − ambient [K]" if points is shown_points[0] else "", limits),
+                f"{points.regime}: {count} stationary periods, {episodes} episodes",
             )
         )
     key = [Curve((), (), INK, label="regression over the points")]
     if _likelihood(fit)[0]:
         key.append(Curve((), (), INK, 1.0, "final estimate, all data", dashed=True))
     scale = ColourScale(WARM_TO_COLD, "ambient [°C]", edges=tuple(edges))
-    return Picture(tuple(panels), height_in=2.9, columns=len(shown), key=tuple(key), scale=scale)
+    return Picture(tuple(panels), height_in=2.9, columns=len(shown_points), key=tuple(key), scale=scale)
 
 
 class _Points:
-    """Points and coefficients of one regime; temperatures in °C."""
+    """The quasi-stationary periods of one regime: relative power [1], temperature difference [K], ambient
+    temperature [°C] (n,), and the coefficients of the regression over them, relative to the temperature
+    `reference` [°C]."""
 
     def __init__(self, regime: str, data: Regression, reference: float) -> None:
         self.regime, self.data, self.reference = regime, data, reference
@@ -140,33 +130,38 @@ class _Points:
         self.coefficients = data.coefficients
 
     def cloud(self, edges: np.ndarray) -> tuple[Curve, ...]:
-        """The points, thinned, in the colours of their classes of ambient temperature."""
-        kept = np.unique(np.linspace(0, len(self.power) - 1, min(CLOUD_POINTS, len(self.power))).astype(int))
-        x = (self.power if self.regime == "operation" else self.ambient)[kept]
-        y, place = self.difference[kept], _classes(self.ambient[kept], edges)
+        """Return the points, at most `CLOUD_POINTS`, in the colours of their classes of ambient temperature."""
+        thinned = np.unique(
+            np.linspace(0, len(self.power) - 1, min(CLOUD_POINTS, len(self.power))).astype(int)
+        )
+        x = (self.power if self.regime == "operation" else self.ambient)[thinned]
+        y, class_of_point = self.difference[thinned], _classes(self.ambient[thinned], edges)
+        is_in_class = [class_of_point == number for number in range(len(WARM_TO_COLD))]
         return tuple(
-            Curve(x[place == i], y[place == i], colour, 0.0, marker=".", size=5.0, alpha=0.7)
-            for i, colour in enumerate(WARM_TO_COLD)
+            Curve(x[chosen], y[chosen], colour, 0.0, marker=".", size=5.0, alpha=0.7)
+            for chosen, colour in zip(is_in_class, WARM_TO_COLD, strict=True)
         )
 
 
 def released(
-    coefficients: Mapping[str, float], regime: str, power: np.ndarray | float, warmer: np.ndarray | float
+    coefficients: Mapping[str, float],
+    regime: str,
+    power: np.ndarray | float,
+    above_reference_K: np.ndarray | float,
 ) -> np.ndarray:
-    """Heat release [K] at relative power [1] and ambient temperature above the reference [K]; NaN where
-    unknown."""
-    base = coefficients.get(f"heat_release_{regime}", math.nan)
-    total = base + coefficients.get(f"heat_release_{regime}_ambient", 0.0) * warmer
+    """Heat release [K] at a relative power [1] and an ambient temperature above the reference [K], or NaN."""
+    constant = coefficients.get(f"heat_release_{regime}", math.nan)
+    release_K = constant + coefficients.get(f"heat_release_{regime}_ambient", 0.0) * above_reference_K
     if regime == "operation":
         for name, value in coefficients.items():
-            order = name.removeprefix("heat_release_power_")
-            if order != name and order.isdigit():
-                total = total + value * power ** int(order)
-    return np.asarray(total + 0.0 * power)
+            exponent = name.removeprefix("heat_release_power_")
+            if exponent != name and exponent.isdigit():
+                release_K = release_K + value * power ** int(exponent)
+    return np.asarray(release_K + 0.0 * power)
 
 
 def _likelihood(fit: FitResults) -> tuple[dict[str, float], float]:
-    """Coefficients of the final estimate and their reference temperature [°C]."""
+    """The coefficients of the heat release in the final estimate, and their reference temperature [°C]."""
     values = {name: row.value for name, row in fit.parameters.items() if name.startswith("heat_release_")}
     mechanisms = {} if fit.design is None else dict(fit.design.mechanisms)
     reference = mechanisms.get("heat_release", {}).get("reference_K")
@@ -174,46 +169,49 @@ def _likelihood(fit: FitResults) -> tuple[dict[str, float], float]:
 
 
 def _round_edges(low: float, high: float) -> np.ndarray:
-    """Six classes of ambient temperature [°C] with round edges."""
+    """Return the edges (7,) of six classes of ambient temperature [°C], at round numbers."""
     step = next((s for s in (1.0, 2.0, 2.5, 5.0, 10.0) if 6 * s >= high - low), 20.0)
     first = step * math.floor(low / step)
     return first + step * np.arange(7)
 
 
 def _classes(value: np.ndarray, edges: np.ndarray) -> np.ndarray:
+    """Return the class of each value (n,), from its edges; values beyond the ends belong to the first or last
+    class."""
     return np.clip(np.searchsorted(edges, value, side="right") - 1, 0, len(WARM_TO_COLD) - 1)
 
 
-def _operation(one: _Points, edges: np.ndarray, fit: FitResults) -> list[Mark]:
-    """Curves over the power at a cold, a usual and a warm ambient temperature."""
-    p = np.linspace(min(0.0, float(one.power.min())), max(1.0, float(one.power.max())), 60)
-    values, reference = _likelihood(fit)
+def _operation(points: _Points, edges: np.ndarray, fit: FitResults) -> list[Mark]:
+    """Return curves over the power at a cold, a usual and a warm ambient temperature: by the regression, and
+    by the final estimate (dashed)."""
+    power = np.linspace(min(0.0, float(points.power.min())), max(1.0, float(points.power.max())), 60)
+    final_coefficients, final_reference = _likelihood(fit)
     marks: list[Mark] = []
-    for degrees in sorted({round(float(e)) for e in np.quantile(one.ambient, [0.1, 0.5, 0.9])}):
+    cold, usual, warm = np.quantile(points.ambient, [0.1, 0.5, 0.9])
+    for degrees in sorted({round(float(cold)), round(float(usual)), round(float(warm))}):
         colour = WARM_TO_COLD[int(_classes(np.array([degrees]), edges)[0])]
-        curve = released(one.coefficients, "operation", p, degrees - one.reference)
-        final = released(values, "operation", p, degrees - reference)
-        marks += [Curve(p, curve, colour, 1.6), Curve(p, final, colour, 1.0, dashed=True)]
+        curve = released(points.coefficients, "operation", power, degrees - points.reference)
+        final = released(final_coefficients, "operation", power, degrees - final_reference)
+        marks += [Curve(power, curve, colour, 1.6), Curve(power, final, colour, 1.0, dashed=True)]
         if math.isfinite(float(curve[-1])):
-            marks.append(Note(f"{degrees} °C", float(p[-1]), float(curve[-1]), colour, bold=True))
+            marks.append(Note(f"{degrees} °C", float(power[-1]), float(curve[-1]), colour, bold=True))
     return marks
 
 
-def _standstill(one: _Points, fit: FitResults) -> list[Mark]:
-    """Lines over the ambient temperature."""
-    x = np.linspace(float(one.ambient.min()), float(one.ambient.max()), 2)
-    values, reference = _likelihood(fit)
-    return [
-        Curve(x, released(one.coefficients, "standstill", 0.0, x - one.reference), INK, 1.6),
-        Curve(x, released(values, "standstill", 0.0, x - reference), INK, 1.0, dashed=True),
-    ]
+def _standstill(points: _Points, fit: FitResults) -> list[Mark]:
+    """Return lines over the ambient temperature: by the regression, and by the final estimate (dashed)."""
+    ambient = np.linspace(float(points.ambient.min()), float(points.ambient.max()), 2)
+    final_coefficients, final_reference = _likelihood(fit)
+    by_regression = released(points.coefficients, "standstill", 0.0, ambient - points.reference)
+    final = released(final_coefficients, "standstill", 0.0, ambient - final_reference)
+    return [Curve(ambient, by_regression, INK, 1.6), Curve(ambient, final, INK, 1.0, dashed=True)]
 
 
 # --- time constants --------------------------------------------------------------------------
 
 
 def figure_profiles(fit: FitResults, series: Mapping[str, np.ndarray]) -> Picture:
-    """Profile likelihood of both time constants, with bounds and the estimate by simulation beside it."""
+    """Draw the profile likelihood of both time constants with bounds, beside the free run's estimate."""
     constants = fit.time_constants
     shown = [name for name in PRODUCT if name in constants and constants[name].value_h > 0]
     if not shown:
@@ -221,26 +219,33 @@ def figure_profiles(fit: FitResults, series: Mapping[str, np.ndarray]) -> Pictur
     return Picture(tuple(_profile(name, constants[name]) for name in shown), height_in=2.5, columns=2)
 
 
-def _profile(name: str, found: TimeConstant) -> Panel:
+def _profile(name: str, constant: TimeConstant) -> Panel:
+    """Return the panel of one time constant: twice the drop of the log-likelihood over its values [h]."""
     # the likelihood's own bounds, where they stand beside the headline interval
-    own = found.profile if found.profile is not None and found.profile.value_h > 0 else found
-    value, low, high = own.value_h, own.lower_h, own.upper_h
-    threshold = found.threshold if found.threshold > 0 else CHI_SQUARE_95
+    by_likelihood = (
+        constant.profile if constant.profile is not None and constant.profile.value_h > 0 else constant
+    )
+    value, low, high = by_likelihood.value_h, by_likelihood.lower_h, by_likelihood.upper_h
+    threshold = constant.threshold if constant.threshold > 0 else CHI_SQUARE_95
     top = 2.1 * threshold
-    good = np.isfinite(found.curve).all(axis=1) & (found.curve[:, 0] > 0)
-    points = found.curve[good][np.argsort(found.curve[good][:, 0])]
-    free = found.simulation or Interval()
-    simulated = (free.value_h, free.lower_h, free.upper_h)
-    ends = [v for v in (value, low, high, *simulated) if math.isfinite(v) and value / 8 < v < value * 8]
-    ends += list(points[points[:, 1] <= top, 0])
-    left, right = min(ends) / 1.04, max(ends) * 1.04
-    lower = low if math.isfinite(low) and low > 0 else left / 10
-    upper = high if math.isfinite(high) else right * 10
-    label = f"{100 * found.level:.0f} %" if math.isfinite(found.level) else "threshold"
-    if found.factor > 1.005:
-        label += f", widened × {found.factor:.2f}"
+    is_usable = np.isfinite(constant.curve).all(axis=1) & (constant.curve[:, 0] > 0)
+    points = constant.curve[is_usable][np.argsort(constant.curve[is_usable][:, 0])]
+    free_run = constant.simulation or Interval()
+    free_run_values = (free_run.value_h, free_run.lower_h, free_run.upper_h)
+    shown_values = [
+        hours
+        for hours in (value, low, high, *free_run_values)
+        if math.isfinite(hours) and value / 8 < hours < value * 8
+    ]
+    shown_values += list(points[points[:, 1] <= top, 0])
+    left, right = min(shown_values) / 1.04, max(shown_values) * 1.04
+    shade_left = low if math.isfinite(low) and low > 0 else left / 10
+    shade_right = high if math.isfinite(high) else right * 10
+    label = f"{100 * constant.level:.0f} %" if math.isfinite(constant.level) else "threshold"
+    if constant.factor > 1.005:
+        label += f", widened × {constant.factor:.2f}"
     marks: list[Mark] = [
-        Shade(lower, upper, MEASURED, 0.09),
+        Shade(shade_left, shade_right, MEASURED, 0.09),
         CrossLine(threshold, "y", INK, 0.8, dashed=True),
         Note(label, 1.0, threshold, INK, "right", "bottom", "x"),
         CrossLine(value, "x", MEASURED, 0.8),
@@ -249,19 +254,21 @@ def _profile(name: str, found: TimeConstant) -> Panel:
     if len(points) >= 3:
         marks.append(Curve(*_smooth_profile(points, value), MEASURED, 1.5))
         marks.append(Curve(points[:, 0], points[:, 1], MEASURED, 0.0, marker="o"))
-    if math.isfinite(simulated[0]):
+    if math.isfinite(free_run_values[0]):
         height = 1.62 * threshold
-        first, last = (s if math.isfinite(s) else simulated[0] for s in simulated[1:])
-        marks.append(bounds(first, last, height, SIMULATED_COLOUR, alpha=1.0))
-        marks.append(point(simulated[0], height, "D", SIMULATED_COLOUR, 4.0))
-        middle = min(max(simulated[0], left), right)
-        third = math.log(middle / left) / math.log(right / left)
-        side: Literal["left", "center", "right"] = (
-            "left" if third < 0.3 else "right" if third > 0.7 else "center"
+        free_lower, free_upper = (
+            bound if math.isfinite(bound) else free_run_values[0] for bound in free_run_values[1:]
         )
-        words = "by simulation (free run)"
+        marks.append(bounds(free_lower, free_upper, height, SIMULATED_COLOUR, alpha=1.0))
+        marks.append(point(free_run_values[0], height, "D", SIMULATED_COLOUR, 4.0))
+        middle = min(max(free_run_values[0], left), right)
+        position = math.log(middle / left) / math.log(right / left)
+        side: Literal["left", "center", "right"] = (
+            "left" if position < 0.3 else "right" if position > 0.7 else "center"
+        )
+        note = "by simulation (free run)"
         marks.append(
-            Note(words, middle, 1.04 * height, SIMULATED_COLOUR, side, "bottom", bold=True, boxed=True)
+            Note(note, middle, 1.04 * height, SIMULATED_COLOUR, side, "bottom", bold=True, boxed=True)
         )
     kind: Literal["logarithmic", "linear"] = "logarithmic" if right / left > 3.0 else "linear"
     return Panel(
@@ -273,9 +280,10 @@ def _profile(name: str, found: TimeConstant) -> Panel:
 
 
 def _smooth_profile(points: np.ndarray, value: float) -> tuple[np.ndarray, np.ndarray]:
-    """The curve through few points: the signed root of the drop is nearly straight over the logarithm."""
-    side = np.sign(np.log(points[:, 0] / value))
-    root = side * np.sqrt(np.maximum(points[:, 1], 0.0))
+    """Interpolate the profile (n, 2) between its points: the signed root of the drop is nearly straight over
+    the logarithm of the time constant; `value`: its estimate [h]."""
+    sign = np.sign(np.log(points[:, 0] / value))
+    root = sign * np.sqrt(np.maximum(points[:, 1], 0.0))
     x = np.geomspace(points[0, 0], points[-1, 0], 120)
     return x, np.interp(np.log(x), np.log(points[:, 0]), root) ** 2
 
@@ -284,222 +292,54 @@ def _smooth_profile(points: np.ndarray, value: float) -> tuple[np.ndarray, np.nd
 
 
 def figure_composition(fit: FitResults, series: Mapping[str, np.ndarray]) -> Picture:
-    """One panel a time constant: a bar for each step of the interval, the last one the headline."""
+    """Draw how the interval of each time constant grows source by source: a bar for each step, the last one
+    the reported interval."""
     steps = {name: _steps(fit.time_constants[name]) for name in PRODUCT if name in fit.time_constants}
-    steps = {name: found for name, found in steps.items() if len(found) > 1}
+    steps = {name: rows for name, rows in steps.items() if len(rows) > 1}
     if not steps:
         raise NothingToShow("No interval is composed of several sources, so there is nothing to take apart.")
     return Picture(
-        tuple(_composed(name, fit.time_constants[name], found) for name, found in steps.items()),
+        tuple(_composed(name, fit.time_constants[name], rows) for name, rows in steps.items()),
         height_in=0.75 + 0.2 * max(map(len, steps.values())),
         columns=2,
     )
 
 
-def _steps(found: TimeConstant) -> list[CompositionStep]:
-    """Steps of an interval that is closed throughout, without those that add nothing."""
-    rows = [row for row in found.composition if row.source in LABELS]
+def _steps(constant: TimeConstant) -> list[CompositionStep]:
+    """Return the steps of an interval without those that add nothing; empty if any step is open at an end."""
+    rows = [row for row in constant.composition if row.source in LABELS]
     if not all(0 < row.lower_h < row.upper_h < math.inf for row in rows):
         return []
-    return [row for i, row in enumerate(rows) if i == 0 or row.sd_ln > SHOWN_SD]
+    return [row for number, row in enumerate(rows) if number == 0 or row.sd_ln > SHOWN_SD]
 
 
-def _composed(name: str, found: TimeConstant, steps: list[CompositionStep]) -> Panel:
-    *parts, whole = [(row.lower_h, row.upper_h, place) for place, row in enumerate(steps)]
-    marks: list[Mark] = [bounds(*part, MEASURED, 2.6, 0.55) for part in parts]
-    marks += [bounds(*whole, MEASURED, 5.0, 1.0), CrossLine(found.value_h, "x", INK, 0.8)]
+def _composed(name: str, constant: TimeConstant, steps: list[CompositionStep]) -> Panel:
+    """The panel of one time constant: a bar for each step, and markers for other estimates."""
+    *partial_bars, final_bar = [
+        (step.lower_h, step.upper_h, row_number) for row_number, step in enumerate(steps)
+    ]
+    marks: list[Mark] = [bounds(*bar, MEASURED, 2.6, 0.55) for bar in partial_bars]
+    marks += [bounds(*final_bar, MEASURED, 5.0, 1.0), CrossLine(constant.value_h, "x", INK, 0.8)]
     # other estimates, each on the row of the source that it stands for
-    others = [
+    other_estimates = [
         ("forms", form.value_h, QUIET, 2.5 + 4.0 * form.weight)
-        for form in found.forms
+        for form in constant.forms
         if form.form != "base" and form.weight >= SHOWN_WEIGHT
     ]
-    if found.simulation is not None:
-        others.append(("free run", found.simulation.value_h, SIMULATED_COLOUR, 4.5))
-    places = {row.source: place for place, row in enumerate(steps)}
-    for source, value, colour, size in others:
-        if source in places and math.isfinite(value):
-            marks.append(point(value, places[source], "D", colour, size, edge="white"))
-    labels = [LABELS[row.source] for row in steps]
+    if constant.simulation is not None:
+        other_estimates.append(("free run", constant.simulation.value_h, SIMULATED_COLOUR, 4.5))
+    row_of_source = {step.source: row_number for row_number, step in enumerate(steps)}
+    for source, value, colour, size in other_estimates:
+        if source in row_of_source and math.isfinite(value):
+            marks.append(point(value, row_of_source[source], "D", colour, size, edge="white"))
+    labels = [LABELS[step.source] for step in steps]
     return Panel(tuple(marks), Axis("[h]", most=5), rows(labels), f"{name} time constant")
 
 
 def figure_of(name: str, fit: FitResults, series: Mapping[str, np.ndarray]) -> Figure:
-    """One of `FIGURES` as a block of the page of a fit."""
+    """Return one of the figures of `FIGURES` as a block of the page of a fit."""
     heading, caption, draw = FIGURES[name]
     return Figure(name, heading, caption, lambda: draw(fit, series))
-
-
-# -- innovations ---------------------------------------------------------------------------------------------
-QUANTILES = 160
-"""Points of the quantile plot, evenly spread over the normal distribution's quantiles."""
-MOST_INPUTS = 4
-"""Inputs that are shown; of more of them those with the smallest p."""
-
-
-def figure_innovations(
-    fit: FitResults, series: Mapping[str, np.ndarray], output: str = "temperature"
-) -> Picture:
-    """Standardised innovations [1] of one output, "temperature" or "humidity", over the identification
-    period."""
-    found = fit.innovations.outputs.get(output)
-    time = instants(series)
-    value = array(series, f"{output}_innovation")
-    until = scalar(series, "until_s")
-    known = np.isfinite(value) & (time <= until if math.isfinite(until) else True)
-    if found is None or not known.any():
-        raise NothingToShow(
-            f"There are no innovations of the {output}: the filter observed none of its readings."
-        )
-    if found.autocorrelation is None:
-        raise NothingToShow(f"No diagnosis: {found.remark or 'too few readings'}.")
-    cross = _shown_inputs(found)
-    reach = max((_reach(one) for _, one in cross), default=0.0)
-    e = value[known]
-    panels = (
-        _correlation(found.autocorrelation, _reach(found.autocorrelation), "Autocorrelation"),
-        _cumulative(found.cumulative_periodogram or CumulativePeriodogram()),
-        _periodogram(found.periodogram or Periodogram()),
-        _quantiles(e),
-        _course(time[known], e),
-        *(_correlation(one, reach, f"Correlation with {spoken(one_line(name))}") for name, one in cross),
-        *([] if cross else [Panel(title="no input varies, or none is known: no cross-correlation")]),
-    )
-    return Picture(panels, height_in=1.6 * -(-len(panels) // 3), columns=3)
-
-
-def _columns(*lists: tuple[float, ...]) -> list[np.ndarray]:
-    """Lists of equal length as arrays of the rows in which all are finite; empty where lengths differ."""
-    if len({len(values) for values in lists}) != 1:
-        return [np.empty(0) for _ in lists]
-    rows = np.array(lists, dtype=float)
-    return list(rows[:, np.isfinite(rows).all(axis=0)])
-
-
-def _stems(lag: np.ndarray, value: np.ndarray, limit: float) -> list[Mark]:
-    beyond = np.abs(value) > limit
-    return [
-        strokes(lag[chosen], np.zeros(chosen.sum()), lag[chosen], value[chosen], colour, width)
-        for chosen, colour, width in ((~beyond, MEASURED, 0.7), (beyond, SIMULATED_COLOUR, 1.3))
-    ]
-
-
-def _reach(data: Autocorrelation | CrossCorrelation) -> float:
-    """Height [1] at which a correlation and its limits can be seen."""
-    largest = float(np.abs(_columns(data.lag_h, data.value)[1]).max(initial=0.0))
-    limit = data.limit_all if data.limit_all > 0 else 0.0
-    return min(max(1.9 * limit, 1.15 * largest, 0.02), 1.02)
-
-
-def _correlation(data: Autocorrelation | CrossCorrelation, reach: float, title: str) -> Panel:
-    """A correlation over the lag, with both of its confidence limits."""
-    lag, value = _columns(data.lag_h, data.value)
-    crossed = isinstance(data, CrossCorrelation)
-    if len(lag) < 2 or not lag[-1] > 0:
-        return Panel(title="no autocorrelation in fit.json")
-    marks: list[Mark] = [CrossLine(0.0, "y")]
-    if math.isfinite(data.limit):
-        marks.append(Shade(-data.limit, data.limit, QUIET, 0.16, "", "y"))
-    wide = data.limit_all if math.isfinite(data.limit_all) else 0.0
-    marks += [CrossLine(sign * wide, "y", INK, 0.7, True) for sign in (-1.0, 1.0) if wide]
-    if crossed:
-        marks.append(CrossLine(0.0, "x"))
-        x = _hours("lag [h], > 0: later", float(lag[0]), float(lag[-1]), 5.0)
-    else:
-        x = _hours("lag [h]", 0.0, float(lag[-1]))
-    y = Axis(limits=(-reach, reach), most=5)
-    return Panel((*marks, *_stems(lag, value, wide)), x, y, title, plain=crossed)
-
-
-def _hours(label: str, low: float, high: float, ticks: float = 8.5) -> Axis:
-    """An axis of lags [h] with ticks at hours, parts of a day, or days."""
-    step = next((one for one in (1.0, 3.0, 6.0, 12.0, 24.0) if (high - low) / one <= ticks), 0.0)
-    at: tuple[float, ...] = ()
-    if step and (high - low) / step >= 2:
-        at = tuple(step * np.arange(math.ceil(low / step), math.floor(high / step) + 1))
-    return Axis(label, (1.02 * low, 1.02 * high), at=at)
-
-
-def _cumulative(data: CumulativePeriodogram) -> Panel:
-    frequency, value = _columns(data.frequency_per_h, data.value)
-    if len(frequency) < 2 or not frequency[-1] > 0:
-        return Panel(title="no cumulative periodogram in fit.json")
-    end = float(frequency[-1])
-    line = np.array([0.0, end])
-    words = p_equation(data.p)
-    marks = (
-        Band(line, line / end - data.limit, line / end + data.limit, QUIET),
-        Curve(line, line / end, QUIET, 0.6),
-        Curve(frequency, value, SIMULATED_COLOUR if data.statistic > data.limit else MEASURED, 1.2),
-        Note(f"Kolmogorov–Smirnov\n{words}", 0.03, 0.98, INK, "left", "top", "xy"),
-    )
-    limits = (0.0, end)
-    return Panel(marks, Axis("frequency [1/h]", limits), Axis(limits=(0.0, 1.0)), "Cumulative periodogram")
-
-
-def _periodogram(data: Periodogram) -> Panel:
-    """Power over the period, of white innovations 1, with the 95 % band."""
-    frequency, power, lower, upper = _columns(data.frequency_per_h, data.power, data.lower, data.upper)
-    if len(frequency) < 2 or frequency[0] <= 0 or np.any(np.diff(frequency) <= 0):
-        return Panel(title="no periodogram in fit.json")
-    period = 1.0 / frequency
-    limits = (max(0.02, 0.7 * float(power.min())), 1.4 * max(float(power.max()), 4.0))
-    high, low = min(float(period[0]), 2000.0), float(period[-1])
-    ticks = [p for p in (0.1, 0.5, 2.0, 6.0, 24.0, 168.0, 720.0) if low <= p <= high]
-    return Panel(
-        (
-            Band(period, np.maximum(lower, 1e-3), upper, QUIET),
-            CrossLine(1.0, "y"),
-            Curve(period, np.maximum(power, 1e-3), MEASURED),
-        ),
-        Axis("period [h]", (high, low), "logarithmic", ticks, [f"{p:g}" for p in ticks]),
-        Axis("", limits, "logarithmic"),
-        "Periodogram (white = 1)",
-    )
-
-
-def _shown_inputs(found: OutputDiagnosis) -> list[tuple[str, CrossCorrelation]]:
-    rows = [
-        (name, one)
-        for name, one in found.cross_correlation.items()
-        if len(_columns(one.lag_h, one.value)[0]) > 1
-    ]
-    first = sorted(rows, key=lambda row: math.inf if math.isnan(row[1].p) else row[1].p)[:MOST_INPUTS]
-    return [row for row in rows if row in first]
-
-
-def _quantiles(e: np.ndarray) -> Panel:
-    """Quantiles of the innovations against those of the standard normal, with a pointwise 95 % band."""
-    n = len(e)
-    normal = NormalDist()
-    ends = normal.inv_cdf((n - 0.5) / n) if n > 1 else 0.0
-    wanted = np.linspace(-ends, ends, QUANTILES)
-    place = np.unique(np.clip([math.floor(n * normal.cdf(v)) for v in wanted], 0, n - 1))
-    share = (place + 0.5) / n
-    x = np.array([normal.inv_cdf(float(p)) for p in share])
-    # standard error of an order statistic: √(p(1−p)/n) over the density
-    spread = np.sqrt(share * (1 - share) / n) / (np.exp(-0.5 * x**2) / math.sqrt(2.0 * math.pi))
-    reach = normal.inv_cdf(0.5 + 0.5 * CONFIDENCE)
-    marks = (
-        Band(x, x - reach * spread, x + reach * spread, QUIET),
-        Curve(x, x, QUIET, 0.6),
-        Curve(x, np.sort(e)[place], MEASURED, 0.0, marker=".", size=2.6),
-    )
-    return Panel(marks, Axis("standard normal [1]"), title="Quantiles of e/√S")
-
-
-def _course(time: np.ndarray, value: np.ndarray) -> Panel:
-    span = (float(time[0]), float(time[-1]))
-    reach = min(max(4.5, 1.1 * float(np.max(np.abs(value)))), 12.0)
-    return Panel(
-        (
-            course(time, value, span, MEASURED, 0.5, bins=200),
-            *(CrossLine(level, "y", INK, 0.7, dashed=True) for level in (-3.0, 3.0)),
-        ),
-        Axis(limits=span, kind="time", most=5),
-        Axis(limits=(-reach, reach)),
-        "Course (±3 dashed)",
-    )
 
 
 # -- the report's figures ------------------------------------------------------------------------------------
@@ -567,4 +407,4 @@ FIGURES: Mapping[str, tuple[str, str, Callable[[FitResults, Mapping[str, np.ndar
         partial(figure_innovations, output="humidity"),
     ),
 }
-"""By name: heading, caption that says what to look for, and what draws it."""
+"""Name of a figure → its heading, its caption (what to look for), and the function that draws it."""

@@ -20,10 +20,7 @@ from hygrokf.data.timestamps import DAY_S, HOUR_S
 from hygrokf.report.figures.drawing import (
     BINS,
     INK,
-    LEVEL_SD,
     QUIET,
-    SIMULATED_COLOUR,
-    band,
     calendar_ticks,
     envelope,
     new_figure,
@@ -53,9 +50,9 @@ Limits: TypeAlias = tuple[float | None, float | None]
 
 @dataclass(frozen=True)
 class Curve:
-    """Points x (n,), y (n,) drawn as a line, as markers, or as both; `width` 0: markers alone.
+    """Points x (n,), y (n,) drawn as a line, as markers, or as both; `width` 0: only markers.
 
-    `label`: its entry in the key; a mark without a label is not in the key.
+    `label`: its text in the key; a mark without a label is not in the key.
     """
 
     x: Numbers
@@ -128,8 +125,8 @@ class Note:
 
 @dataclass(frozen=True)
 class ColourScale:
-    """The colours of numbers: from `low` to `high`, in equal steps of their logarithm, or a colour for each
-    class between `edges`; `label` and `ticks` of the bar that explains them."""
+    """The colours of numbers: from `low` to `high` (`logarithmic`: in equal steps of the logarithm), or one
+    colour for each class between `edges`; `label` and `ticks` of the bar that explains the colours."""
 
     colours: tuple[str, ...]
     label: str
@@ -171,7 +168,7 @@ class ColourScale:
 
 @dataclass(frozen=True)
 class Map:
-    """Colours of values (n, m), NaN where there is none, between edges (n + 1,) across and (m + 1,) up."""
+    """Cells in the colours of `values` (n, m), with cell edges x (n + 1,) and y (m + 1,); NaN: no value."""
 
     x: np.ndarray
     y: np.ndarray
@@ -186,9 +183,9 @@ Mark: TypeAlias = Curve | Band | Shade | CrossLine | Note | Map
 class Axis:
     """One axis of a panel.
 
-    `limits`: None where the marks determine them.  `kind`: "time" takes seconds since 1970 and shows a
-    calendar in UTC.  `at` and `words`: positions of the ticks and their labels; without them at most `most`
-    ticks, at multiples of `steps` times a power of ten.
+    `limits`: an end that is None follows from the marks.  `kind`: "time" takes seconds since 1970 and shows a
+    calendar in UTC.  `at` and `words`: positions of the ticks and their labels; without them there are at
+    most `most` ticks, at multiples of `steps` times a power of ten.
     """
 
     label: str = ""
@@ -213,7 +210,7 @@ class Panel:
     """Whether the title is set like the labels, not as a heading."""
 
     def on(self, axes: Axes) -> None:
-        """Draw the panel on axes."""
+        """Draw the panel on axes of matplotlib."""
         if not self.marks:
             axes.set_axis_off()
             words = textwrap.fill(self.title, 34)
@@ -228,34 +225,34 @@ class Panel:
         axes.set_title(self.title, **look)
 
 
-def _draw(mark: Mark, axes: Axes, unit: float) -> None:
-    """Draw a mark; its x coordinates are divided by `unit` (days on an axis of time)."""
+def _draw(mark: Mark, axes: Axes, x_unit: float) -> None:
+    """Draw a mark; x coordinates are divided by `x_unit` (a day in seconds on an axis of time, else 1)."""
     dashes: dict[str, Any] = {"dashes": DASHES} if getattr(mark, "dashed", False) else {}
     match mark:
         case Curve():
             axes.plot(
-                np.asarray(mark.x) / unit, mark.y, color=mark.colour, linewidth=mark.width, alpha=mark.alpha,
-                linestyle="-" if mark.width else "none", **_marker(mark), **dashes,
+                np.asarray(mark.x) / x_unit, mark.y, color=mark.colour, alpha=mark.alpha,
+                linewidth=mark.width, linestyle="-" if mark.width else "none", **_marker(mark), **dashes,
             )  # fmt: skip
         case Band():
             axes.fill_between(
-                mark.x / unit, mark.low, mark.high, color=mark.colour, alpha=mark.alpha, linewidth=0
+                mark.x / x_unit, mark.low, mark.high, color=mark.colour, alpha=mark.alpha, linewidth=0
             )
         case Shade():
-            look: dict[str, Any] = {"color": mark.colour, "alpha": mark.alpha, "zorder": 0.0}
+            settings: dict[str, Any] = {"color": mark.colour, "alpha": mark.alpha, "zorder": 0.0}
             if mark.hatched:
-                look = {"facecolor": "none", "edgecolor": mark.colour, "hatch": "////", "zorder": 0.5}
+                settings = {"facecolor": "none", "edgecolor": mark.colour, "hatch": "////", "zorder": 0.5}
             if mark.of == "x":
-                axes.axvspan(mark.low / unit, mark.high / unit, linewidth=0, **look)
+                axes.axvspan(mark.low / x_unit, mark.high / x_unit, linewidth=0, **settings)
             else:
-                axes.axhspan(mark.low, mark.high, linewidth=0, **look)
+                axes.axhspan(mark.low, mark.high, linewidth=0, **settings)
         case CrossLine(of="x"):
-            axes.axvline(mark.at / unit, color=mark.colour, linewidth=mark.width, **dashes)
+            axes.axvline(mark.at / x_unit, color=mark.colour, linewidth=mark.width, **dashes)
         case CrossLine():
             axes.axhline(mark.at, color=mark.colour, linewidth=mark.width, **dashes)
         case Note():
             x_of, y_of = ("axes fraction" if coordinate in mark.shares else "data" for coordinate in "xy")
-            x = mark.x if "x" in mark.shares else mark.x / unit
+            x = mark.x if "x" in mark.shares else mark.x / x_unit
             shift = {"left": 3, "right": -3}.get(mark.side, 0), {"top": -3, "bottom": 3}.get(mark.level, 0)
             axes.annotate(
                 mark.text, (x, mark.y), xycoords=(x_of, y_of), xytext=shift, textcoords="offset points",
@@ -263,8 +260,8 @@ def _draw(mark: Mark, axes: Axes, unit: float) -> None:
                 fontweight="bold" if mark.bold else "normal", bbox=BOX if mark.boxed else None,
             )  # fmt: skip
         case Map():
-            look = {"cmap": mark.scale.colour_map(), "norm": mark.scale.norm(), "rasterized": True}
-            axes.pcolormesh(mark.x / unit, mark.y, mark.values.T, **look)
+            settings = {"cmap": mark.scale.colour_map(), "norm": mark.scale.norm(), "rasterized": True}
+            axes.pcolormesh(mark.x / x_unit, mark.y, mark.values.T, **settings)
 
 
 def _marker(line: Curve) -> dict[str, Any]:
@@ -278,50 +275,53 @@ def _marker(line: Curve) -> dict[str, Any]:
 
 
 def _scaled(axis: Axis, axes: Axes, which: Literal["x", "y"]) -> None:
-    """Limits, ticks and label of an axis whose marks are drawn."""
+    """Set limits, ticks and label of one of the axes ("x", "y") after its marks are drawn."""
     from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
-    axis_drawn = axes.xaxis if which == "x" else axes.yaxis
-    name = "left right" if which == "x" else "bottom top"
+    drawn_axis = axes.xaxis if which == "x" else axes.yaxis
+    side_names = "left right" if which == "x" else "bottom top"
     unit = DAY_S if axis.kind == "time" else 1.0
     low, high = axis.limits
     if axis.kind == "time" and low is not None and high is not None and not high > low:
         low, high = low - HOUR_S / 2, high + HOUR_S / 2
-    ends: dict[str, Any] = {
-        key: limit / unit for key, limit in zip(name.split(), (low, high), strict=True) if limit is not None
+    limits_by_side: dict[str, Any] = {
+        side: limit / unit
+        for side, limit in zip(side_names.split(), (low, high), strict=True)
+        if limit is not None
     }
     if axis.kind == "logarithmic":
         (axes.set_xscale if which == "x" else axes.set_yscale)("log")
-    if ends:
-        (axes.set_xlim if which == "x" else axes.set_ylim)(**ends)
+    if limits_by_side:
+        (axes.set_xlim if which == "x" else axes.set_ylim)(**limits_by_side)
     if len(axis.at):
-        axis_drawn.set_ticks(np.asarray(axis.at) / unit, axis.words or None)
-        axis_drawn.set_minor_locator(NullLocator())
+        drawn_axis.set_ticks(np.asarray(axis.at) / unit, axis.words or None)
+        drawn_axis.set_minor_locator(NullLocator())
     elif axis.kind == "time" and low is not None and high is not None:
         at, labels = calendar_ticks(low, high, axis.most or 12)
-        axis_drawn.set_ticks(at / unit, labels)
+        drawn_axis.set_ticks(at / unit, labels)
     elif axis.kind == "logarithmic":
-        low, high = axis_drawn.get_view_interval()
-        subs = (1.0, 2.0, 5.0) if math.log10(high / low) < 2.2 else (1.0,)
-        axis_drawn.set_major_locator(LogLocator(base=10.0, subs=subs, numticks=(axis.most or 6) + 4))
-        axis_drawn.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-        axis_drawn.set_minor_locator(NullLocator())
+        low, high = drawn_axis.get_view_interval()
+        multiples = (1.0, 2.0, 5.0) if math.log10(high / low) < 2.2 else (1.0,)
+        drawn_axis.set_major_locator(LogLocator(base=10.0, subs=multiples, numticks=(axis.most or 6) + 4))
+        drawn_axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        drawn_axis.set_minor_locator(NullLocator())
     elif axis.most or axis.steps:
         from matplotlib.ticker import MaxNLocator
 
-        axis_drawn.set_major_locator(MaxNLocator(axis.most or "auto", steps=axis.steps or [1, 2, 2.5, 5, 10]))
+        drawn_axis.set_major_locator(MaxNLocator(axis.most or "auto", steps=axis.steps or [1, 2, 2.5, 5, 10]))
     if not axis.grid:
         axes.grid(visible=False, axis=which)
-    axis_drawn.set_label_text(axis.label)
+    drawn_axis.set_label_text(axis.label)
 
 
 # --- the picture -----------------------------------------------------------------------------
 
 PANEL_LETTER_EM, WIDE_EM, LINE_EM = 0.67, 1.0, 1.25
-"""Width of a letter, of an M or W ("WT03"), and height of a line in sizes of its letters; wide enough for the
-page's fonts."""
+"""Width of a letter, width of an M or W, and height of a line, in multiples of the font size; wide enough for
+the page's fonts."""
 SIGN_EM, KEY_LETTER_EM, KEY_LINE_EM = 3.7, 0.6, 1.75
-"""Width of a key's sign with the space beside it, of a letter, and height of a line."""
+"""In a key: width of a sign with the space beside it, width of a letter, and height of a line, in multiples
+of the font size."""
 GAP_IN, ROW_IN, BAR_IN = 0.09, 0.03, 0.62
 """[in] space between columns and between rows of panels, and width of a bar of colours with its labels."""
 POINT_IN = 1.0 / 72.0
@@ -355,53 +355,55 @@ class Picture:
         return figure
 
     def on(self, axes: Sequence[Axes]) -> None:
-        """Draw the first panels, one on each of the axes, with a key in the first and a bar beside all."""
+        """Draw the first panels on a user's axes, one on each, with a key and a bar of colours."""
         self._draw(axes)
-        if handles := self._handles():
-            axes[0].legend(handles=handles, loc="best")
+        if entries := self._handles():
+            axes[0].legend(handles=entries, loc="best")
         if self.scale is not None:
             figure = axes[0].get_figure(root=True)
             assert figure is not None
             self.scale.draw_bar(figure, ax=list(axes))
 
     def on_figure(self, figure: Figure) -> list[Axes]:
-        """Draw all panels on new axes, below their key; returns the axes."""
+        """Draw all panels on new axes of a figure, below their key; returns the axes."""
         rows = -(-len(self.panels) // self.columns)
         # roughly the final positions: matplotlib chooses ticks by the size of the axes
         axes = [figure.add_subplot(rows, self.columns, i + 1) for i in range(len(self.panels))]
         self._draw(axes)
         width, height = map(float, figure.get_size_inches())
-        key = 0.0
-        if handles := self._handles():
-            columns = _columns(width, [str(handle.get_label()) for handle in handles])
-            figure.legend(handles=handles, ncols=columns, loc="upper left", bbox_to_anchor=(0.0, 1.0))
-            key = -(-len(handles) // columns) * KEY_LINE_EM * _points("legend.fontsize") * POINT_IN
-        right = width - (BAR_IN + GAP_IN if self.scale is not None else 0.0)
-        grid = [axes[i : i + self.columns] for i in range(0, len(axes), self.columns)]
-        _place(grid, right, height - key, (width, height), self.heights or (1.0,) * rows)
+        key_in = 0.0
+        if entries := self._handles():
+            columns = _columns(width, [str(handle.get_label()) for handle in entries])
+            figure.legend(handles=entries, ncols=columns, loc="upper left", bbox_to_anchor=(0.0, 1.0))
+            key_in = -(-len(entries) // columns) * KEY_LINE_EM * _points("legend.fontsize") * POINT_IN
+        width_of_panels_in = width - (BAR_IN + GAP_IN if self.scale is not None else 0.0)
+        axes_by_row = [axes[i : i + self.columns] for i in range(0, len(axes), self.columns)]
+        _place(
+            axes_by_row, width_of_panels_in, height - key_in, (width, height), self.heights or (1.0,) * rows
+        )
         if self.scale is not None:
             boxes = [axis.get_position() for axis in axes]
-            low, high = min(box.y0 for box in boxes), max(box.y1 for box in boxes)
-            beside = figure.add_axes((right / width, low, 0.14 / width, high - low))
-            self.scale.draw_bar(figure, cax=beside)
+            bottom, top = min(box.y0 for box in boxes), max(box.y1 for box in boxes)
+            bar_axes = figure.add_axes((width_of_panels_in / width, bottom, 0.14 / width, top - bottom))
+            self.scale.draw_bar(figure, cax=bar_axes)
         return axes
 
     def _draw(self, axes: Sequence[Axes]) -> None:
         """Draw the first panels, one on each of the axes."""
         last = len(axes) - 1
         for place, (axis, panel) in enumerate(zip(axes, self.panels, strict=False)):
-            inner_x = "x" in self.shared and place + self.columns <= last
-            inner_y = "y" in self.shared and place % self.columns > 0
+            hides_x_labels = "x" in self.shared and place + self.columns <= last
+            hides_y_labels = "y" in self.shared and place % self.columns > 0
             # set before the ticks exist, so that no hidden labels are created
-            axis.tick_params(labelbottom=not inner_x, labelleft=not inner_y)
+            axis.tick_params(labelbottom=not hides_x_labels, labelleft=not hides_y_labels)
             panel.on(axis)
-            if inner_x:
+            if hides_x_labels:
                 axis.set_xlabel("")
-            if inner_y:
+            if hides_y_labels:
                 axis.set_ylabel("")
 
     def _handles(self) -> list[Artist]:
-        """The entries of the key, each label once."""
+        """Return the entries of the key; marks with the same label share one entry."""
         marks = [mark for panel in self.panels for mark in panel.marks]
         handles: dict[str, Artist] = {}
         for mark in (*marks, *self.key):
@@ -411,6 +413,7 @@ class Picture:
 
 
 def _handle(mark: Curve | Band | Shade | CrossLine) -> Artist:
+    """Return the entry of a mark in the key."""
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
@@ -419,9 +422,9 @@ def _handle(mark: Curve | Band | Shade | CrossLine) -> Artist:
             return Patch(facecolor="white", edgecolor=mark.colour, hatch="//////", label=mark.label)
         return Patch(facecolor=mark.colour, alpha=min(1.3 * mark.alpha, 1.0), label=mark.label)
     width = max(mark.width, KEY_WIDTH) if mark.width else 0.0
-    look: dict[str, Any] = {"dashes": DASHES} if mark.dashed else {}
-    look |= _marker(mark) if isinstance(mark, Curve) else {}
-    return Line2D([], [], color=mark.colour, label=mark.label, linewidth=width, **look)
+    settings: dict[str, Any] = {"dashes": DASHES} if mark.dashed else {}
+    settings |= _marker(mark) if isinstance(mark, Curve) else {}
+    return Line2D([], [], color=mark.colour, label=mark.label, linewidth=width, **settings)
 
 
 def _place(
@@ -433,33 +436,32 @@ def _place(
     measured, because measuring would draw the figure twice.
     """
     margins = [[_around(axis) for axis in row] for row in grid]
-    left, right = (
+    left_in, right_in = (
         [max(row[i][side].sum() for row in margins if i < len(row)) for i in range(len(grid[0]))]
         for side in (0, 1)
     )
-    top, bottom = ([max(axis[side].sum() for axis in row) for row in margins] for side in (2, 3))
-    axes_width = (width - sum(left) - sum(right) - GAP_IN * (len(left) - 1)) / len(left)
-    free_height = height - sum(top) - sum(bottom) - ROW_IN * (len(grid) - 1)
-    bottom_in = height
-    for row, share, above, below in zip(grid, heights, top, bottom, strict=True):
-        axes_height = max(free_height * share / sum(heights), 0.2)
-        bottom_in -= above + axes_height
-        left_in = 0.0
+    top_in, bottom_in = ([max(axis[side].sum() for axis in row) for row in margins] for side in (2, 3))
+    gaps_in = GAP_IN * (len(left_in) - 1)
+    axes_width = (width - sum(left_in) - sum(right_in) - gaps_in) / len(left_in)
+    free_height = height - sum(top_in) - sum(bottom_in) - ROW_IN * (len(grid) - 1)
+    y_in = height
+    for row, proportion, above_in, below_in in zip(grid, heights, top_in, bottom_in, strict=True):
+        axes_height = max(free_height * proportion / sum(heights), 0.2)
+        y_in -= above_in + axes_height
+        x_in = 0.0
         for i, axes in enumerate(row):
-            left_in += left[i]
-            axes.set_position(
-                (left_in / size[0], bottom_in / size[1], axes_width / size[0], axes_height / size[1])
-            )
-            axes.yaxis.set_label_coords(-(left[i] - 0.02) / axes_width, 0.5)
+            x_in += left_in[i]
+            axes.set_position((x_in / size[0], y_in / size[1], axes_width / size[0], axes_height / size[1]))
+            axes.yaxis.set_label_coords(-(left_in[i] - 0.02) / axes_width, 0.5)
             axes.yaxis.label.set_verticalalignment("top")
-            ticks = _around(axes)[3][0]
-            axes.xaxis.set_label_coords(0.5, -ticks / axes_height)
-            left_in += axes_width + right[i] + GAP_IN
-        bottom_in -= below + ROW_IN
+            ticks_in = _around(axes)[3][0]
+            axes.xaxis.set_label_coords(0.5, -ticks_in / axes_height)
+            x_in += axes_width + right_in[i] + GAP_IN
+        y_in -= below_in + ROW_IN
 
 
 def _around(axes: Axes) -> tuple[np.ndarray, ...]:
-    """Space [in] that ticks and titles need left of, right of, above and below the axes."""
+    """Space [in] for tick labels (first) and titles (second) left, right, above and below the axes."""
     if not axes.axison:
         return (np.zeros(2),) * 4
     return (
@@ -471,48 +473,52 @@ def _around(axes: Axes) -> tuple[np.ndarray, ...]:
 
 
 def _ticks_in(axes: Axes, which: Literal["x", "y"]) -> float:
-    """Space [in] that the tick labels of an axis need beside the axes."""
+    """Estimate the space [in] that the tick labels of an axis need beside the axes."""
     axis = axes.xaxis if which == "x" else axes.yaxis
     shown = axis.get_tick_params()["labelbottom" if which == "x" else "labelleft"]
     if not shown:
         return 0.05
-    words, size = _words(axis), _points(f"{which}tick.labelsize") * POINT_IN
+    labels, letter_in = _words(axis), _points(f"{which}tick.labelsize") * POINT_IN
     if which == "x":
-        return 0.085 + LINE_EM * size * max((1 + word.count("\n") for word in words.values()), default=1)
+        return 0.085 + LINE_EM * letter_in * max(
+            (1 + label.count("\n") for label in labels.values()), default=1
+        )
     widths = (
-        sum(WIDE_EM if letter in "MW" else PANEL_LETTER_EM for letter in word) for word in words.values()
+        sum(WIDE_EM if letter in "MW" else PANEL_LETTER_EM for letter in word) for word in labels.values()
     )
-    return 0.08 + size * max(widths, default=PANEL_LETTER_EM)
+    return 0.08 + letter_in * max(widths, default=PANEL_LETTER_EM)
 
 
 def _beyond(axes: Axes) -> float:
-    """Space [in] right of the axes into which the label of the last tick extends."""
-    words = _words(axes.xaxis) if axes.xaxis.get_tick_params()["labelbottom"] else {}
-    last = max(words, default=0.0)
-    size = PANEL_LETTER_EM * _points("xtick.labelsize") * POINT_IN
-    return max(0.04, 0.5 * size * len(words.get(last, "").split("\n")[0]) * (last > 0.97))
+    """Estimate how far [in] the label of the last tick extends beyond the right end of the axes."""
+    labels = _words(axes.xaxis) if axes.xaxis.get_tick_params()["labelbottom"] else {}
+    last_position = max(labels, default=0.0)
+    letter_in = PANEL_LETTER_EM * _points("xtick.labelsize") * POINT_IN
+    return max(
+        0.04, 0.5 * letter_in * len(labels.get(last_position, "").split("\n")[0]) * (last_position > 0.97)
+    )
 
 
 def _words(axis: MatplotlibAxis) -> dict[float, str]:
-    """Labels of the visible ticks, by their positions as fractions of the axis."""
-    at, (low, high) = axis.get_majorticklocs(), sorted(axis.get_view_interval())
-    labels = axis.get_major_formatter().format_ticks(list(at))
-    shares = (np.asarray(at) - low) / (high - low)
+    """Return the labels of the visible ticks by their positions, as shares [1] of the axis."""
+    positions, (low, high) = axis.get_majorticklocs(), sorted(axis.get_view_interval())
+    labels = axis.get_major_formatter().format_ticks(list(positions))
+    shares = (np.asarray(positions) - low) / (high - low)
     return {share: word for share, word in zip(shares, labels, strict=False) if 0.0 <= share <= 1.0}
 
 
 def _lines(text: str, size: str) -> float:
-    """Height [in] of a text with the space between it and the axes; 0 for an empty text."""
+    """Return the height [in] of a text with the space beside it; 0 for an empty text."""
     return 0.04 + LINE_EM * _points(size) * POINT_IN * (1 + text.count("\n")) if text else 0.0
 
 
-def _points(name: str) -> float:
-    """Font size [pt] of an entry of matplotlib's settings."""
+def _points(setting: str) -> float:
+    """Return the font size [pt] of an entry of matplotlib's settings."""
     from matplotlib import rcParams
     from matplotlib.font_manager import FontProperties
 
     sizes: dict[Any, Any] = dict(rcParams)
-    return float(FontProperties(size=sizes[name]).get_size_in_points())
+    return float(FontProperties(size=sizes[setting]).get_size_in_points())
 
 
 def _columns(width_in: float, labels: Sequence[str]) -> int:
@@ -534,67 +540,50 @@ def course(
     label: str = "", bins: int = BINS,
 ) -> Curve:  # fmt: skip
     """The curve of a series (T,) within `span` [s], thinned as in `envelope`; a single value is a marker."""
-    t, v = envelope(time, value, span, bins)
-    count = np.isfinite(v).sum()
-    return Curve(t, v, colour, width, label if count else "", marker="o" if count == 1 else "")
-
-
-def courses(
-    time: np.ndarray, shown: Sequence[tuple[str, np.ndarray, str, float]], sd: np.ndarray | None,
-    span: tuple[float, float], bins: int = BINS,
-) -> tuple[tuple[Mark, ...], Limits]:  # fmt: skip
-    """The curves of series within `span` [s] with the band of the last one, and limits that include all
-    values.
-
-    shown: label, values (T,), colour and width of each series, the simulation last.  sd: (T,) standard
-        deviation of the simulation, for its 95 % band; None: no band.  The limits need not include all of
-        the band.
-    """
-    marks: list[Mark] = [
-        course(time, value, span, colour, width, label, bins) for label, value, colour, width in shown
-    ]
-    if sd is not None:
-        simulated = shown[-1][1]
-        t, low, high = band(time, simulated - LEVEL_SD * sd, simulated + LEVEL_SD * sd, span, bins)
-        marks.append(Band(t, low, high, SIMULATED_COLOUR, label="95 % band" if np.isfinite(sd).any() else ""))
-    inside = (time >= span[0]) & (time <= span[1])
-    values = np.concatenate([value[inside & np.isfinite(value)] for _, value, _, _ in shown])
-    if not len(values):
-        return tuple(marks), (None, None)
-    margin = 0.07 * float(np.ptp(values)) or 1.0
-    return tuple(marks), (float(values.min()) - margin, float(values.max()) + margin)
+    thinned_time, thinned_value = envelope(time, value, span, bins)
+    count = np.isfinite(thinned_value).sum()
+    return Curve(
+        thinned_time, thinned_value, colour, width, label if count else "", marker="o" if count == 1 else ""
+    )
 
 
 def validation(start_s: float, span: tuple[float, float]) -> tuple[Mark, ...]:
-    """A line with a note at the begin `start_s` [s] of the validation period, in a `span` [s] of time."""
+    """A line with a note at the begin `start_s` [s] of the validation period, within a `span` of time [s]."""
     start = max(start_s, span[0])
-    late = (span[1] - start) / max(span[1] - span[0], 1e-9) < 0.12
-    note = Note("validation", start, 1.0, INK, "right" if late else "left", "top", "y", boxed=True)
+    is_near_end = (span[1] - start) / max(span[1] - span[0], 1e-9) < 0.12
+    note = Note("validation", start, 1.0, INK, "right" if is_near_end else "left", "top", "y", boxed=True)
     return (CrossLine(start, "x", INK, 0.9, dashed=True), note)
 
 
 def strokes(
-    x1: np.ndarray, y1: np.ndarray, x2: np.ndarray, y2: np.ndarray, colour: str, width: float,
-    label: str = "", alpha: float = 1.0,
-) -> Curve:  # fmt: skip
-    """Separate line segments from points (x1, y1) to points (x2, y2), as one curve."""
+    x1: np.ndarray, y1: np.ndarray, x2: np.ndarray, y2: np.ndarray, colour: str, width: float, label: str = ""
+) -> Curve:
+    """Return separate line segments from points (x1, y1) to points (x2, y2), each (n,), as one curve."""
     gap = np.full(len(x1), np.nan)
-    x, y = (np.column_stack([a, b, gap]).ravel() for a, b in ((x1, x2), (y1, y2)))
-    return Curve(x, y, colour, width, label, alpha=alpha)
+    x, y = (np.column_stack([start, end, gap]).ravel() for start, end in ((x1, x2), (y1, y2)))
+    return Curve(x, y, colour, width, label)
 
 
 def bounds(
     low: float, high: float, at: float, colour: str, width: float = BOUND_WIDTH, alpha: float = 0.6
 ) -> Curve:
-    """A horizontal line from the lower to the upper bound."""
+    """Return a horizontal line from the lower to the upper bound, at the height `at`."""
     return Curve((low, high), (at, at), colour, width, alpha=alpha)
 
 
 def point(x: float, y: float, marker: str, colour: str, size: float, edge: str = "") -> Curve:
-    """A single marker."""
+    """Return a single marker of `size` [pt]; `edge`: colour of its edge."""
     return Curve((x,), (y,), colour, 0.0, marker=marker, size=size, edge=edge)
 
 
+def estimate(
+    value: float, low: float, high: float, at: float, colour: str, marker: str = "o", size: float = 4.0
+) -> tuple[Curve, ...]:
+    """A value with its bounds at the height `at`: a line from bound to bound (none for NaN), and a marker."""
+    line = (bounds(low, high, at, colour),) if math.isfinite(low) else ()
+    return (*line, point(value, at, marker, colour, size))
+
+
 def rows(labels: Sequence[str]) -> Axis:
-    """An axis with one row for each label; the first label, at 0, is on top."""
+    """Return an axis with one row for each label, at the heights 0, 1, …; the first label is on top."""
     return Axis(limits=(len(labels) - 0.4, -0.6), at=range(len(labels)), words=labels, grid=False)

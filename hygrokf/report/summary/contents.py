@@ -1,5 +1,5 @@
-"""The summaries of a fit, of a discovery and of a climate, each a page for a reader who decides: question,
-answer, verdict, bounds, picture, what to do; it prints on one sheet of A4."""
+"""Summaries of a fit, a discovery and a climate: one page for a reader who decides, with question, answer,
+verdict, numbers, figure and actions. A summary prints on one sheet of A4."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ from hygrokf.texts.statement import listed
 from hygrokf.texts.wording import NONE, one_line, sentence
 
 MOST_ROWS, MOST_ACTIONS = 12, 8
-"""What one page can hold."""
+"""Largest numbers of table rows and of actions on the page."""
 TODO = "What to do"
 Tone: TypeAlias = Literal["plain", "open", "reject"]
 """How an answer without a verdict is shown: as it is, as a warning, as a refusal."""
@@ -64,12 +64,12 @@ Tone: TypeAlias = Literal["plain", "open", "reject"]
 
 @dataclass(frozen=True)
 class Summary:
-    """A result for a manager.
+    """The content of a summary.
 
-    `kind` of result and `name`, whose it is.  `question` and `answer`, with the `verdict` on its numbers
-    ("" without one, then with a `tone`) and the `reasons` in sentences; `bounds`: the numbers behind the
-    answer.  `picture`: None where the result has nothing to draw.  `actions`: what to do.  `foot`: record,
-    period, version.  `banners`: what was not measured.
+    `kind`: sort of result. `name`: of the record or model. `question`, `answer` and the `verdict` on the
+    answer's numbers ("": none, then the `tone` decides how the answer is shown); `reasons` in sentences.
+    `bounds`: table of the numbers behind the answer. `picture`: None if there is nothing to draw. `actions`:
+    what to do. `foot`: record, period, version. `banners`: what was not measured.
     """
 
     kind: str
@@ -87,17 +87,17 @@ class Summary:
 
 
 def named(text: str, placeholder: str = "unnamed record") -> str:
-    """A name on one line; `placeholder` where the name is empty."""
+    """Return a name on one line; `placeholder` for an empty name."""
     return one_line(text).strip() or placeholder
 
 
 def foot_line(term: str, text: str) -> tuple[tuple[str, str], ...]:
-    """A line of the foot as a tuple of one pair; an empty tuple where the text is empty."""
+    """Return a line of the foot, as a tuple of one (term, text); empty for an empty text."""
     return ((term, text),) if text else ()
 
 
 def first_rows(table: Table) -> Table:
-    """The first `MOST_ROWS` rows of a table; its note then states how many rows were omitted."""
+    """Return the first `MOST_ROWS` rows of a table; its note then says how many were left out."""
     omitted = len(table.rows) - MOST_ROWS
     if omitted <= 0:
         return table
@@ -106,13 +106,13 @@ def first_rows(table: Table) -> Table:
 
 
 def first_actions(actions: Sequence[str]) -> tuple[str, ...]:
-    """The first `MOST_ACTIONS` actions, then a line that states how many were omitted."""
+    """Return the first `MOST_ACTIONS` actions, and a line that says how many were left out."""
     omitted = len(actions) - MOST_ACTIONS
     return (*actions[:MOST_ACTIONS], *([f"{omitted} more: see the report."] if omitted > 0 else []))
 
 
 def picture_or_none(make: Callable[[], Figure]) -> Figure | None:
-    """The picture that `make` returns; None where the data for drawing it are missing."""
+    """Return the figure that `make` returns; None if its data are missing."""
     try:
         picture = make()
         picture.draw()
@@ -161,7 +161,7 @@ order in which the actions are listed on the page."""
 
 
 def remedies(reasons: Iterable[Reason]) -> tuple[str, ...]:
-    """The actions that the given reasons call for, each action once."""
+    """Return the actions that the given reasons call for, each action once."""
     codes = {reason.code for reason in reasons}
     return tuple(
         action for action, reason_codes in REASON_REMEDIES.items() if codes.intersection(reason_codes)
@@ -169,7 +169,7 @@ def remedies(reasons: Iterable[Reason]) -> tuple[str, ...]:
 
 
 def summary_blocks(summary: Summary) -> Page:
-    """The page of a summary: answer, numbers, picture, then the actions.  It prints on one sheet of A4."""
+    """Return the page of a summary: answer, numbers, figure, then actions; it prints on one sheet of A4."""
     card = Card(
         summary.question, summary.answer, summary.verdict, lines=summary.reasons, wide=True,
         words=True, tone=summary.tone,
@@ -207,21 +207,21 @@ is allowed even above the upper limit."""
 
 
 def page_layout(summary: Summary) -> tuple[float, float]:
-    """Size of the letters [pt] with which the summary fits on its page, and height of its picture [in]."""
+    """Size of the letters [pt] with which the summary fits on one sheet, and height of its figure [in]."""
     usual_height_in = 0.0 if summary.picture is None else summary.picture.draw().height_in
-    size, free_height_in = 0.0, 0.0
-    for size in LETTERS_PT:
-        free_height_in = (HEIGHT_PT - text_pt(summary, size)) / WIDTH_PT * WIDTH_IN
+    letter_pt, free_height_in = 0.0, 0.0
+    for letter_pt in LETTERS_PT:
+        free_height_in = (HEIGHT_PT - text_pt(summary, letter_pt)) / WIDTH_PT * WIDTH_IN
         if free_height_in >= LEAST_SHARE * usual_height_in:
             break
-    return size, max(
+    return letter_pt, max(
         LEAST_SHARE * usual_height_in,
         min(free_height_in, max(MOST_SHARE * usual_height_in, ALWAYS_ALLOWED_IN)),
     )
 
 
-def text_pt(summary: Summary, size: float) -> float:
-    """Height [pt] of all texts in letters of `size` [pt], estimated from the average width of a letter."""
+def text_pt(summary: Summary, letter_pt: float) -> float:
+    """Estimate the height [pt] of all texts of a summary in letters of `letter_pt` [pt]."""
     picture = summary.picture
     picture_texts = () if picture is None else ((1.05, picture.heading), (0.85, picture.caption))
     texts = (
@@ -231,30 +231,35 @@ def text_pt(summary: Summary, size: float) -> float:
         (0.85, summary.bounds.note), *picture_texts, (1.3, TODO), *((1.15, text) for text in summary.actions),
         *((0.75, f"{term}: {text}") for term, text in summary.foot),
     )  # fmt: skip
-    lines = sum(em * math.ceil(len(text) / chars_per_line(em * size)) for em, text in texts)
-    return ((lines + _rows_em(summary.bounds, size)) * LEADING_EM + GAPS_EM) * size
+    lines = sum(
+        relative_size * math.ceil(len(text) / chars_per_line(relative_size * letter_pt))
+        for relative_size, text in texts
+    )
+    return ((lines + _rows_em(summary.bounds, letter_pt)) * LEADING_EM + GAPS_EM) * letter_pt
 
 
-def chars_per_line(size: float) -> float:
-    """Number of characters [1] of `size` [pt] that fit side by side on the page."""
-    return WIDTH_PT / (LETTER_EM * size)
+def chars_per_line(letter_pt: float) -> float:
+    """Return the number of characters that fit into one line in letters of `letter_pt` [pt]."""
+    return WIDTH_PT / (LETTER_EM * letter_pt)
 
 
-def _rows_em(table: Table, size: float) -> float:
-    """Height of a table in lines of the page [1]: numbers stay on one line, the words beside them wrap."""
+def _rows_em(table: Table, letter_pt: float) -> float:
+    """Estimate the height of a table in lines of the page; only cells with words wrap."""
     if not table:
         return 0.0
-    line_chars = chars_per_line(TABLE_LETTER * size)
+    line_chars = chars_per_line(TABLE_LETTER * letter_pt)
     widths = [max(len(text) + CELL_GAP for text in column) for column in zip(*table.rows, strict=True)]
     head_widths = [len(text) + CELL_GAP for text in table.columns]
     head_lines = 1
     if sum(map(max, zip(head_widths, widths, strict=True))) > line_chars:
         head_lines = max(math.ceil(head / width) for head, width in zip(head_widths, widths, strict=True))
-    word_chars = sum(widths[i] for i in table.left)
+    word_chars = sum(widths[column] for column in table.left)
     # how often the columns of words exceed the width that the columns of numbers leave
-    excess = word_chars / max(line_chars - sum(widths) + word_chars, LEAST_WORD_CHARS)
-    fullest = (max((len(row[i]) + CELL_GAP) / widths[i] for i in table.left) for row in table.rows)
-    row_lines = (head_lines, *(math.ceil(excess * share) for share in fullest))
+    wrap_factor = word_chars / max(line_chars - sum(widths) + word_chars, LEAST_WORD_CHARS)
+    fullest = (
+        max((len(row[column]) + CELL_GAP) / widths[column] for column in table.left) for row in table.rows
+    )
+    row_lines = (head_lines, *(math.ceil(wrap_factor * fullness) for fullness in fullest))
     return sum(ROW_PADDING + TABLE_LETTER * lines for lines in row_lines)
 
 
@@ -265,14 +270,14 @@ CELL_GAP, LEAST_WORD_CHARS = 3, 8.0
 
 
 def summary_of_fit(fit: FitResults, series: Mapping[str, np.ndarray]) -> Summary:
-    """The summary of a fit: both time constants with their verdicts, and the errors of the free run.
+    """Return the summary of a fit: the time constants with their verdicts, and the errors of the free run.
 
     series: the arrays of `series.npz`.
     """
     constants = inherited(fit)
     parts = [name for name in PARTS if name in constants]
     quantities = " and ".join(QUANTITIES_OF[name] for name in parts) or "the air"
-    doubted = [name for name in parts if constants[name].verdict != BELIEVE]
+    not_reliable = [name for name in parts if constants[name].verdict != BELIEVE]
     return Summary(
         "Summary of an identification",
         named(fit.name),
@@ -282,7 +287,7 @@ def summary_of_fit(fit: FitResults, series: Mapping[str, np.ndarray]) -> Summary
         " ".join(f"{judgement.head}." for judgement in judgements(fit) if judgement.about in parts)
         or "This record determines no time constant.",
         max((constants[name].verdict for name in parts), key=VERDICTS.index, default=REJECT),
-        tuple(sentence(f"{name} time constant, {constants[name].sentence}") for name in doubted),
+        tuple(sentence(f"{name} time constant, {constants[name].sentence}") for name in not_reliable),
         _constants(fit),
         picture_or_none(lambda: lead_of_fit(series)),
         (
@@ -302,24 +307,24 @@ QUANTITIES_OF = {part.name: f"the {part.output}" for part in BOTH_PARTS}
 
 
 def _uses(constants: Mapping[str, Inherited]) -> tuple[str, ...]:
-    """Sentences that say for which purposes the time constants may be used, grouped by verdict."""
+    """Return sentences on what the time constants may be used for, grouped by verdict."""
     sentences = []
-    for kind in VERDICTS:
-        names = [name for name, constant in constants.items() if constant.verdict == kind]
+    for verdict in VERDICTS:
+        names = [name for name, constant in constants.items() if constant.verdict == verdict]
         if not names:
             continue
-        end, its, them = ("s", "their", "them") if len(names) > 1 else ("", "its", "it")
+        plural, its, them = ("s", "their", "them") if len(names) > 1 else ("", "its", "it")
         permission = {
             BELIEVE: f"can be used with {its} bounds: in simulations, forecasts and the climate of a site",
             CAUTION: f"can be used if {its} bounds and the doubts above are stated with {them}",
             REJECT: f"must not be used, nor what rests on {them}",
-        }[kind]
-        sentences.append(f"The {' and '.join(names)} time constant{end} {permission}.")
+        }[verdict]
+        sentences.append(f"The {' and '.join(names)} time constant{plural} {permission}.")
     return tuple(sentences)
 
 
 def _constants(fit: FitResults) -> Table:
-    """Table of the time constants, followed by the errors of the free run."""
+    """Return the table of the time constants and of the free run's errors."""
     rows = []
     for name, constant in inherited(fit).items():
         value, bounds = constant.texts
@@ -334,11 +339,11 @@ def _constants(fit: FitResults) -> Table:
         if name not in verdicts or (math.isnan(on_new_data) and math.isnan(on_fitted_data)):
             continue
         if math.isnan(on_new_data):
-            error, where = on_fitted_data, "on the data of the fit"
+            error, readings = on_fitted_data, "on the data of the fit"
         else:
-            error, where = on_new_data, "on new data"
-        words = f"error of the simulated {quantity(name).words}, {where}"
-        rows.append((words, quantity(name).with_unit(error), "", WORDS[verdicts[name]]))
+            error, readings = on_new_data, "on new data"
+        label = f"error of the simulated {quantity(name).words}, {readings}"
+        rows.append((label, quantity(name).with_unit(error), "", WORDS[verdicts[name]]))
     return Table(
         "Key figures",
         ("", "value", "95 % bounds", "verdict"),
@@ -351,9 +356,10 @@ def _constants(fit: FitResults) -> Table:
 def summary_of_discovery(
     results: DiscoveryResults, before: Residuals | None, after: Residuals | None
 ) -> Summary:
-    """The summary of a discovery: the cause with its confidence and its gain, or that no cause is named.
+    """Return the summary of a discovery: the named cause with its confidence and its gain, or that none is
+    named.
 
-    before, after: residuals of the base and of the extended model.
+    before, after: residuals of the base and the extended model.
     """
     verdict = discovery_verdict(results)
     return Summary(
@@ -377,8 +383,7 @@ def summary_of_discovery(
 
 
 def _otherwise(results: DiscoveryResults) -> tuple[str, ...]:
-    """Actions where the discovery itself states none: its cause has no check in the turbine, or the base
-    model is wrong although no cause was found."""
+    """The actions if the discovery itself states none."""
     if results.causes:
         return ("use the extended model, fit.json beside the discovery, in the place of the base model",)
     against = [reason for constant in inherited(results.baseline.fit).values() for reason in constant.reasons]
@@ -386,21 +391,23 @@ def _otherwise(results: DiscoveryResults) -> tuple[str, ...]:
 
 
 def summary_of_climate(study: Study) -> Summary:
-    """The summary of a climate: whether the limits are kept; without limits, the hours of wetness."""
+    """Return the summary of a climate: whether the limits are kept; without limits, the hours of wetness."""
     regions = study.regions
     several = len(regions) > 1
     doubt = doubt_text(study)
     limited = any(region.limits for region in regions)
-    worst = next((v for v in WORST_FIRST if v in {region.verdict for region in regions}), "")
-    place = regions[0].name.strip()
-    alone = f"at “{place}”" if place != "site" else "at the site"  # --weather states no name
-    where = f"in {len(regions)} regions" if several else alone
+    worst = next(
+        (verdict for verdict in WORST_FIRST if verdict in {region.verdict for region in regions}), ""
+    )
+    name = regions[0].name.strip()
+    single_place = f"at “{name}”" if name != "site" else "at the site"  # --weather states no name
+    places = f"in {len(regions)} regions" if several else single_place
     return Summary(
         "Summary of a climate",
         named(study.name, "unnamed model"),
-        f"Does the climate in the cabinet keep the limits {where}?"
+        f"Does the climate in the cabinet keep the limits {places}?"
         if limited
-        else f"What is the climate in the cabinet {where}?",
+        else f"What is the climate in the cabinet {places}?",
         _answer_of_regions(regions) if several else _answer(regions[0]),
         REJECT if doubt else "",
         tuple(text for text in (doubt, *_conditions(study)) if text),
@@ -419,13 +426,12 @@ def summary_of_climate(study: Study) -> Summary:
 
 
 def _answer(region: RegionClimate) -> str:
-    """Whether the limits are kept; without limits the hours of wetness and of condensation; without these the
-    mean temperature."""
+    """Whether a region keeps its limits; without limits, its hours of wetness or its mean temperature."""
     if region.limits:
         return _limits_text(region.limits)
     numbers = [
-        f"{words} {span_text(region.year[name], hours_text)} h a year"
-        for name, words in (("wetness_h", "wet for"), ("condensation_h", "condensation for"))
+        f"{label} {span_text(region.year[name], hours_text)} h a year"
+        for name, label in (("wetness_h", "wet for"), ("condensation_h", "condensation for"))
         if name in region.year
     ]
     if not numbers:
@@ -434,23 +440,24 @@ def _answer(region: RegionClimate) -> str:
 
 
 def _answer_of_regions(regions: Sequence[RegionClimate]) -> str:
-    """The regions in which the limits are kept; without limits the regions with the fewest and the most hours
-    of wetness."""
+    """In which regions the limits are kept; without limits, the least and the most wetness."""
     if any(region.limits for region in regions):
         parts = []
-        for verdict, words in VERDICTS_IN_WORDS.items():
+        for verdict, label in VERDICTS_IN_WORDS.items():
             names = [region.name for region in regions if region.verdict == verdict]
             if names:
-                place = listed(names, "and") if len(names) <= MOST_NAMES else f"{len(names)} regions"
-                parts.append(f"{words} in {place}")
+                names_text = listed(names, "and") if len(names) <= MOST_NAMES else f"{len(names)} regions"
+                parts.append(f"{label} in {names_text}")
         return f"The limits are {listed(parts, 'and')}."
-    statistic, words, unit = ("wetness_h", "Wet for", "h a year")
+    statistic, label, unit = ("wetness_h", "Wet for", "h a year")
     if not all(statistic in region.year for region in regions):
-        statistic, words, unit = ("mean_temperature_degC", "On average", "°C")
+        statistic, label, unit = ("mean_temperature_degC", "On average", "°C")
     text = number_text(statistic)
-    least, *_, most = sorted(regions, key=lambda region: region.year[statistic].value)
-    low, high = (f"{text(region.year[statistic].value)} {unit} ({region.name})" for region in (least, most))
-    return f"{words} {low} to {high}."
+    lowest, *_, highest = sorted(regions, key=lambda region: region.year[statistic].value)
+    low, high = (
+        f"{text(region.year[statistic].value)} {unit} ({region.name})" for region in (lowest, highest)
+    )
+    return f"{label} {low} to {high}."
 
 
 WORST_FIRST = ("fail", "undecided", "pass")
@@ -460,29 +467,33 @@ MOST_NAMES = 4
 
 
 def _limits_text(limits: tuple[Exceedance, ...]) -> str:
-    """How many limits are kept and exceeded: "Limits: 2 kept and 1 exceeded." """
+    """Return how many limits are kept and exceeded ("Limits: 2 kept and 1 exceeded.")."""
     verdicts = [limit.verdict for limit in limits]
     parts = [
-        f"{verdicts.count(kind)} {words}" for kind, words in VERDICTS_IN_WORDS.items() if kind in verdicts
+        f"{verdicts.count(verdict)} {word}"
+        for verdict, word in VERDICTS_IN_WORDS.items()
+        if verdict in verdicts
     ]
     return f"Limits: {listed(parts, 'and')}."
 
 
 def _conditions(study: Study) -> tuple[str, ...]:
-    """Sentences on what the answer rests: the share of years inside the bounds, and the length of the
-    weather where it is no full year."""
+    """Return sentences on the share of years inside the bounds, and on weather of less than a year."""
     parts = {region.part_of_year.text for region in study.regions if region.part_of_year}
     bounds_statement = f"The bounds hold {share_held(study.regions)} of single years."
     return (bounds_statement, *(f"Judged on {part} of weather, not on a year." for part in sorted(parts)))
 
 
 def _numbers(study: Study) -> Table:
-    """Table of the limits of a single region; for several regions, of the statistics compared."""
+    """Return the table of key figures: limits of a single region, else the compared statistics."""
     regions = study.regions
     chosen = compared_statistics(regions)
     if len(regions) > MOST_NAMES:
         titles = (f"{short_words(statistic)} [{statistic.unit}]" for statistic in chosen)
-        texts = ((span_text(region.year[s.name], number_text(s.name)) for s in chosen) for region in regions)
+        texts = (
+            (span_text(region.year[statistic.name], number_text(statistic.name)) for statistic in chosen)
+            for region in regions
+        )
         rows_by_region = tuple((region.name, *row) for region, row in zip(regions, texts, strict=True))
         return Table("Key figures", ("", *titles), rows_by_region)
     if (several := regions_table(regions)) is not None:
@@ -491,8 +502,8 @@ def _numbers(study: Study) -> Table:
         worst_first = sorted(regions[0].limits, key=lambda limit: WORST_FIRST.index(limit.verdict))
         table = limits_table(replace(regions[0], limits=tuple(worst_first)))
         kept = table.brief
-        heads = tuple(table.columns[i] for i in kept)
-        cells = tuple(tuple(row[i] for i in kept) for row in table.rows)
+        heads = tuple(table.columns[column] for column in kept)
+        cells = tuple(tuple(row[column] for column in kept) for row in table.rows)
         return Table("Key figures", heads, cells, left=(0, 1, len(kept) - 1))
     rows = []
     for statistic in chosen:
@@ -505,7 +516,7 @@ def _numbers(study: Study) -> Table:
 
 
 def _actions(study: Study, doubt: str) -> list[str]:
-    """Actions that follow from doubts about the model, from the limits and from the test profiles."""
+    """The actions that follow from doubts about the model, from the limits, and from the test profiles."""
     several = len(study.regions) > 1
     profiles = list(profile_files(study))
     actions = ["Do not use this climate before the model is reliable."] if doubt else []
@@ -517,16 +528,18 @@ def _actions(study: Study, doubt: str) -> list[str]:
 
 
 def _limit_actions(region: RegionClimate, several: bool) -> list[str]:
-    """Actions that follow from the verdicts on the limits of a region."""
-    place = f"{region.name}: " if several else ""
+    """Return the actions that follow from the verdicts on a region's limits."""
+    prefix = f"{region.name}: " if several else ""
     actions = []
     for limit in sorted(region.limits, key=lambda limit: WORST_FIRST.index(limit.verdict)):
         hours = f"{span_text(limit.hours, hours_text)} h a year, {hours_text(limit.hours_a_year)} h allowed"
         if limit.verdict == "fail":
-            actions.append(f"{place}Act on the limit “{limit.name.strip()}”: exceeded for {hours}.")
+            actions.append(f"{prefix}Act on the limit “{limit.name.strip()}”: exceeded for {hours}.")
         elif limit.verdict == "undecided":
-            why = limit.why or "the allowed hours lie between the bounds"
-            actions.append(f"{place}Do not decide on the limit “{limit.name.strip()}” yet: {hours} ({why}).")
+            reason = limit.why or "the allowed hours lie between the bounds"
+            actions.append(
+                f"{prefix}Do not decide on the limit “{limit.name.strip()}” yet: {hours} ({reason})."
+            )
     if region.limits and not actions:
-        actions.append(f"{place}The limits are kept, also at the upper bounds: no measure is needed.")
+        actions.append(f"{prefix}The limits are kept, also at the upper bounds: no measure is needed.")
     return actions

@@ -1,4 +1,4 @@
-"""Summaries on disk: the kind of a result from its file, and the files of its summary."""
+"""Files of summaries: which results they are made from, the HTML page, and its PDF."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ from hygrokf.report.summary.contents import (
 
 
 class SummaryFault(HygrokfError):
-    """Results of which no summary can be made; one message lists everything wrong with them."""
+    """Results from which no summary can be made; the message lists everything that is wrong with them."""
 
 
 Planned = tuple[Callable[[], Summary], Path, str]
@@ -41,11 +41,12 @@ Planned = tuple[Callable[[], Summary], Path, str]
 
 
 def plan_summaries(results: Sequence[Path], directory: Path | None) -> list[Planned]:
-    """Plan the summaries of results, before any result is read.
+    """Plan the summaries of results before any result is read.
 
-    directory: where all files go; None: beside each result.  With several results, each gets a folder in it,
-        named like the folder of the result.
-    Raises SummaryFault that lists every path without a result of these kinds, and folders that share a name.
+    directory: for all files; None: each summary beside its result. With several results each gets a folder in
+        it, named like the folder of the result.
+
+    Raises SummaryFault with every path that holds no such result, and with folders that share a name.
     """
     expect_matplotlib()
     plans: list[Planned] = []
@@ -73,7 +74,7 @@ def plan_summaries(results: Sequence[Path], directory: Path | None) -> list[Plan
 
 
 def write_summary(summary: Summary, directory: Path, stem: str) -> Path:
-    """Write the page of a summary in HTML; replaces an earlier page and deletes its PDF."""
+    """Write the HTML page of a summary and return its path; an earlier PDF of the page is deleted."""
     content = page_html(summary_blocks(summary)).encode()
     directory.mkdir(parents=True, exist_ok=True)
     (directory / f"{stem}.pdf").unlink(missing_ok=True)
@@ -81,20 +82,20 @@ def write_summary(summary: Summary, directory: Path, stem: str) -> Path:
 
 
 def write_pdf(page: Path) -> Path:
-    """Write the PDF of a page in HTML beside it; the same page gives the same bytes.
+    """Write the PDF of an HTML page beside it and return its path; the same page gives the same bytes.
 
-    The font is DejaVu Sans, which matplotlib brings; glyphs that it lacks come from fonts of the system.
-    Raises SummaryFault without WeasyPrint or the libraries that it needs.
+    The font is DejaVu Sans of matplotlib; letters that it lacks come from fonts of the system. Raises
+    SummaryFault without WeasyPrint or the libraries that it needs.
     """
     try:
         # WeasyPrint prints advice when it is imported without its libraries
         with redirect_stdout(io.StringIO()):
             from weasyprint import CSS, HTML
             from weasyprint.text.fonts import FontConfiguration
-    except (ImportError, OSError) as lacking:
+    except (ImportError, OSError) as fault:
         raise SummaryFault(
             f"{page} is written, its PDF is not: expected WeasyPrint and the system's library Pango, found: "
-            f"{str(lacking).partition(':')[0]}; "
+            f"{str(fault).partition(':')[0]}; "
             'pip install "hygrokf[pdf]", and on Debian apt-get install libpango-1.0-0 libpangoft2-1.0-0 '
             "libharfbuzz-subset0"
         ) from None
@@ -105,7 +106,7 @@ def write_pdf(page: Path) -> Path:
 
 
 def _faces() -> str:
-    """CSS rules that bind the first font of the pages to the font files of matplotlib."""
+    """Return CSS rules that assign the font files of matplotlib to the first font of the pages."""
     import matplotlib
 
     family = FONTS.split(",")[0]
@@ -118,8 +119,9 @@ def _faces() -> str:
 
 
 def _discovery(folder: Path) -> Summary:
-    read = read_discovery(folder)
-    return summary_of_discovery(read.results, read.before, read.after)
+    """Return the summary of the discovery in a folder."""
+    stored = read_discovery(folder)
+    return summary_of_discovery(stored.results, stored.before, stored.after)
 
 
 SUMMARY_OF: Mapping[str, Callable[[Path], Summary]] = {
@@ -131,13 +133,14 @@ SUMMARY_OF: Mapping[str, Callable[[Path], Summary]] = {
 
 
 def _file_of(path: Path) -> Path | None:
-    """The file of a result in a directory, or `path` itself if it is such a file; None without one."""
+    """Return the file of a result: in a directory, or the path itself; None without one."""
     if path.is_dir():
         return next((path / name for name in SUMMARY_OF if (path / name).is_file()), None)
     return path if path.name in SUMMARY_OF and path.is_file() else None
 
 
 def _refused(path: Path) -> str:
+    """Return the message for a path from which no summary can be made."""
     others = [name for name in RESULTS if name not in SUMMARY_OF]
     expected = f"expected {FIT}, {DISCOVERY} or {CLIMATE}, or a directory that holds one"
     other_result = next((name for name in others if path.name == name or (path / name).exists()), "")
