@@ -1,7 +1,8 @@
-"""Cases that several tests filter: a cabinet simulated by its own few lines, never by the package."""
+"""Settings of all tests; cases that several filter, simulated by a few lines of their own."""
 
 from __future__ import annotations
 
+import gc
 import threading
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
@@ -63,6 +64,18 @@ VALUES = {
 }
 GAP_COVARIANCE = ((0.2, 0.05, 0.04), (0.05, 0.08, 0.07), (0.04, 0.07, 0.08))
 SUBSTEPS = 30
+
+
+def pytest_configure() -> None:
+    """Look for no garbage while tests are collected: their million objects stay."""
+    gc.disable()
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtestloop() -> None:
+    """Look for garbage among the objects of the tests alone; each pass over all others took a second."""
+    gc.freeze()
+    gc.enable()
 
 
 @pytest.fixture(autouse=True)

@@ -15,7 +15,7 @@ from typing import Any, get_type_hints
 import numpy as np
 import pandas as pd
 import pytest
-from builders.climate_case import study_of
+from builders.climate_case import small_study as study
 from builders.comparison_case import made_column
 from builders.discovery_case import discovery_case, residuals_case, typed
 from builders.report_case import report_case
@@ -23,7 +23,6 @@ from builders.report_case import report_case
 from hygrokf.cases.case_file import CaseFault
 from hygrokf.cases.frames import read_frames
 from hygrokf.cases.summary import RecordSummary, describe
-from hygrokf.climate.study import Study
 from hygrokf.data.record import Record, Series
 from hygrokf.data.result_file import result_text
 from hygrokf.data.signals import SIGNALS
@@ -101,11 +100,6 @@ def discovered() -> Discovered:
 
 def discovery() -> Discovery:
     return Discovery(discovery_results(), residuals_case(), base=fit())
-
-
-@cache
-def study() -> Study:
-    return study_of()
 
 
 def fleet() -> FleetResults:

@@ -9,6 +9,7 @@ import numpy as np
 
 from builders.fit_case import typed
 from hygrokf.climate.climate_profile import climate_profile
+from hygrokf.climate.limits import ClimateLimit
 from hygrokf.climate.region import Region
 from hygrokf.climate.study import RegionClimate, Study
 from hygrokf.data.record import Record, Series
@@ -18,6 +19,11 @@ HOUR_S = 3600.0
 BEGIN_S = float(np.datetime64("2021-01-01T00:00:00", "s").astype(int))
 FREE = ("thermal_time_constant", "heat_release_operation", "heat_disturbance_sd", "hygric_k")
 """Parameters that are uncertain in `known_fit`."""
+LIMITS = (
+    ClimateLimit("temperature_degC", above=90.0, name="never"),
+    ClimateLimit("temperature_degC", above=-60.0, name="broken"),
+)
+"""Limits that made-up weather never and always exceeds."""
 
 
 @cache
@@ -101,6 +107,12 @@ def study_of(weather: Record | None = None, power: Record | None = None, **more:
     """The climate of `known_fit` under made-up weather (40 days of it), with three members."""
     made = Region("here", made_up_weather(40) if weather is None else weather)
     return climate_profile(more.pop("fit", None) or known_fit(), [made], power, **{"members": 3} | more)
+
+
+@cache
+def small_study() -> Study:
+    """`study_of` with `LIMITS`."""
+    return study_of(limits=LIMITS)
 
 
 def climate_of(weather: Record | None = None, power: Record | None = None, **more: Any) -> RegionClimate:

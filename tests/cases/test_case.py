@@ -73,22 +73,33 @@ def csv(chosen: dict[str, np.ndarray], start: datetime = START, form: str = "%Y-
     return "\n".join(rows) + "\n"
 
 
+FILES = {"cabinet": ("T", "RH"), "ambient": ("T",), "scada": ("P",)}
+"""Columns of each file."""
+
+
+def table(name: str, **new) -> str:
+    """A file's text with columns changed; `start` and `form` go to the stamps."""
+    everything = columns(list(FILES).index(name))
+    stamps = {key: new.pop(key) for key in ("start", "form") if key in new}
+    return csv({one: new.get(one, everything[one]) for one in FILES[name]}, **stamps)
+
+
+@pytest.fixture(scope="module")
+def texts() -> dict[str, str]:
+    """The text of each file."""
+    return {name: table(name) for name in FILES}
+
+
 @pytest.fixture
-def folder(tmp_path: Path) -> Path:
-    for seed, name in enumerate(("cabinet", "ambient", "scada")):
-        everything = columns(seed)
-        kept = {"cabinet": ("T", "RH"), "ambient": ("T",), "scada": ("P",)}[name]
-        (tmp_path / f"{name}.csv").write_text(csv({one: everything[one] for one in kept}))
+def folder(tmp_path: Path, texts: dict[str, str]) -> Path:
+    for name, text in texts.items():
+        (tmp_path / f"{name}.csv").write_text(text)
     return tmp_path
 
 
 def change(folder: Path, name: str, **new) -> None:
-    """Write one file anew with columns changed; `start` and `form` go to the stamps."""
-    seed = ("cabinet", "ambient", "scada").index(name)
-    everything = columns(seed)
-    kept = {"cabinet": ("T", "RH"), "ambient": ("T",), "scada": ("P",)}[name]
-    stamps = {key: new.pop(key) for key in ("start", "form") if key in new}
-    (folder / f"{name}.csv").write_text(csv({one: new.get(one, everything[one]) for one in kept}, **stamps))
+    """Write one file anew with columns changed."""
+    (folder / f"{name}.csv").write_text(table(name, **new))
 
 
 def read(folder: Path, *changes: tuple[str, str], add: str = "", **more):

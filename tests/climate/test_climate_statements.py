@@ -9,7 +9,14 @@ from typing import Any
 
 import numpy as np
 import pytest
-from builders.climate_case import climate_of, hourly_power, known_fit, made_up_weather, study_of
+from builders.climate_case import (
+    climate_of,
+    hourly_power,
+    known_fit,
+    made_up_weather,
+    small_study,
+    study_of,
+)
 from builders.weather_case import epw_text
 
 from hygrokf.climate.chamber import Chamber, ProfileLength, ProfilePlan
@@ -150,7 +157,7 @@ def test_weather_that_comes_rarely_is_told() -> None:
 
 
 def test_the_class_of_wetness_has_those_of_its_bounds() -> None:
-    region = climate_of()
+    (region,) = small_study().regions
     wet = region.year["wetness_h"]
     low, high = region.wetness_class_bounds
     assert low <= region.wetness_class <= high and wet.lower <= wet.value <= wet.upper
@@ -196,7 +203,7 @@ EXTRAPOLATED = (
 def test_what_the_model_lacks_and_what_its_noise_is_like_are_said() -> None:
     """Hours above saturation that nothing holds back, and innovations with the tails of shots."""
     lacking = {ClimateCode.AIR_ABOVE_SATURATION, ClimateCode.SHOTS}
-    assert not lacking & codes(climate_of())
+    assert not lacking & codes(small_study().regions[0])
     seen = {"n": 17000, "step_h": 0.25, "excess_kurtosis": 60.0}
     damp = known_fit(found={"innovations": {"outputs": {"humidity": seen}}}, vapour_disturbance_sd=4.0)
     found = climate_of(fit=damp)

@@ -20,6 +20,7 @@ import numpy as np
 import pytest
 from builders.command_line import run
 from builders.documents import document
+from builders.fleet_case import first_alone
 
 from hygrokf import identify, read_case, synthetic_turbine, write_case
 from hygrokf.climate.limits import ClassFault
@@ -276,7 +277,7 @@ def test_a_process_that_dies_before_it_begins_stops_nothing(
 
 
 def test_whoever_stops_early_leaves_no_process(park: Path, tmp_path: Path) -> None:
-    coming = in_processes(read_plan(park / "fleet.toml").jobs(tmp_path), do_task, 2)
+    coming = in_processes(read_plan(park / "fleet.toml").jobs(tmp_path), first_alone, 2)
     next(coming)
     coming.close()
     if Path("/proc/self/task").exists():

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import cache
 
 import pytest
-from builders.climate_case import climate_of, known_fit, made_up_weather, study_of
+from builders.climate_case import LIMITS, known_fit, made_up_weather
+from builders.climate_case import small_study as small
 from builders.html_page import Page as Parsed
 
 from hygrokf.climate.bounds import BoundedMean
 from hygrokf.climate.climate_profile import climate_profile
-from hygrokf.climate.limits import ClimateLimit
 from hygrokf.climate.region import Region
 from hygrokf.climate.study import RegionClimate, Study
 from hygrokf.data.record import Provenance
@@ -20,16 +19,6 @@ from hygrokf.report.climate_page import climate_blocks
 from hygrokf.report.climate_tables import class_text, hours_text, limits_table, regions_table, span_text
 from hygrokf.report.page import page_html
 from hygrokf.report.terminal import page_text
-
-LIMITS = (
-    ClimateLimit("temperature_degC", above=90.0, name="never"),
-    ClimateLimit("temperature_degC", above=-60.0, name="broken"),
-)
-
-
-@cache
-def small() -> Study:
-    return study_of(limits=LIMITS)
 
 
 def with_region(**changes: object) -> Study:
@@ -104,7 +93,7 @@ def test_a_part_of_a_year_is_told() -> None:
     [(("τ1", "τ2"), "τ1 (bounds τ1 … τ2)"), (("τ1", "τ1"), "τ1"), (None, "τ1")],
 )
 def test_the_class_of_wetness_has_those_of_its_bounds(bounds: tuple[str, str] | None, shown: str) -> None:
-    region: RegionClimate = replace(climate_of(), wetness_class="τ1", wetness_class_bounds=bounds)
+    region: RegionClimate = replace(small().regions[0], wetness_class="τ1", wetness_class_bounds=bounds)
     assert class_text(region) == shown
 
 

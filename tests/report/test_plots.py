@@ -104,7 +104,8 @@ def test_excerpts_show_three_stretches_of_both_quantities_and_the_power() -> Non
     fit, series = report_case()
     figure = figure_excerpts(results(fit), series).figure()
     assert len(figure.get_axes()) == 9
-    assert all(word in _words(figure) for word in ("(a)", "(b)", "(c)"))
+    words = _words(figure)
+    assert all(word in words for word in ("(a)", "(b)", "(c)"))
 
 
 def test_without_power_there_is_no_power_axis() -> None:
@@ -133,7 +134,8 @@ def test_heat_release_draws_regression_and_estimate_at_round_temperatures() -> N
                 + values["heat_release_power_1"] * drawn[0][0]
             )
             assert any(np.allclose(y, wanted) for _, y in drawn)
-    assert "operation: " in _words(figure) and "standstill: " in _words(figure)
+    words = _words(figure)
+    assert "operation: " in words and "standstill: " in words
 
 
 def test_one_regime_is_enough_for_a_heat_release_figure() -> None:

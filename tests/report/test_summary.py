@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from builders.climate_case import study_of
+from builders.climate_case import small_study as study
 from builders.discovery_case import (
     ambiguous_case,
     discovery_case,
@@ -29,7 +29,7 @@ from builders.discovery_case import (
 from builders.documents import document
 from builders.report_case import report_case, results, write_case
 
-from hygrokf.climate.limits import ClimateLimit, Exceedance
+from hygrokf.climate.limits import Exceedance
 from hygrokf.climate.study import RegionClimate, Study, write_climate
 from hygrokf.data.files import SUMMARIES
 from hygrokf.data.structured import plain
@@ -49,10 +49,6 @@ from hygrokf.texts.fit_codes import FitCode
 from hygrokf.texts.reasons import ReasonCode
 
 LONG = "Windpark Nordfriesland Süd – Umrichterschrank WEA-17/B (Nachrüstung, Prüfstand) " + "x" * 90
-LIMITS = (
-    ClimateLimit("temperature_degC", above=90.0, name="never"),
-    ClimateLimit("temperature_degC", above=-60.0, name="broken"),
-)
 
 
 def fitted(**changes: object) -> Summary:
@@ -89,11 +85,6 @@ def unexplained() -> Summary:
 @cache
 def nothing_found() -> Summary:
     return summary_of_discovery(typed(empty_case()), residuals_case(0.0), None)
-
-
-@cache
-def study() -> Study:
-    return study_of(limits=LIMITS)
 
 
 def with_region(**changes: object) -> Study:

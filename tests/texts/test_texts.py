@@ -16,8 +16,10 @@ from hygrokf.discovery.discovery_results import Exclusion, Reason, Verdict
 from hygrokf.report.discovery_text import ANSWERS, EXCLUSIONS, REFUTATIONS
 from hygrokf.texts.climate_codes import ClimateCode
 from hygrokf.texts.discovery_codes import ConditionCode, DiscoveryCode
+from hygrokf.texts.doctor_codes import DOUBT, LEVELS, OK, CheckCode, ExaminedCode
 from hygrokf.texts.fit_codes import FitCode
 from hygrokf.texts.fleet_codes import FleetCode
+from hygrokf.texts.live_codes import AdviceCode, AlarmCode, BasisCode, CauseCode, NoticeCode, StateCode
 from hygrokf.texts.reasons import ReasonCode, VerdictCode
 from hygrokf.texts.record_codes import DoubtCode, RecordCode, touched
 from hygrokf.texts.statement import Code, Statement
@@ -27,6 +29,8 @@ TABLES = {
     "fit": FitCode, "record": RecordCode, "doubt": DoubtCode, "condition": ConditionCode,
     "discovery": DiscoveryCode, "transfer_verdict": TransferVerdict, "transfer": TransferCode,
     "climate": ClimateCode, "fleet": FleetCode, "reason": ReasonCode, "verdict": VerdictCode,
+    "check": CheckCode, "examined": ExaminedCode, "alarm": AlarmCode, "notice": NoticeCode,
+    "advice": AdviceCode, "basis": BasisCode, "cause": CauseCode, "state": StateCode,
 }  # fmt: skip
 PACKAGE = Path(hygrokf.__file__).parent
 
@@ -44,6 +48,19 @@ def test_every_code_has_its_text(table: str) -> None:
         statement = structured(Statement, {"code": key, "values": row.get("values", {})})
         assert statement.text == row["text"]
         assert structured(Statement, plain(statement)) == statement
+        assert bool(statement.remedy) == bool(statement.code.remedy)
+
+
+def test_a_check_says_what_to_do_unless_all_is_well() -> None:
+    slow = CheckCode.QUERY_SLOW("source x", took=12.0, poll=10.0, watermark="id")
+    found, to_do = "the query took 12 s, longer than poll (10 s)", "create an index on id, or poll less often"
+    assert str(slow) == f"doubt  source x: {found}; to do: {to_do}"
+    assert CheckCode.FILE_RESTS("x", within=1.0, age=2.0).remedy == ""
+    assert CheckCode.FILE_RESTS("x", DOUBT, within=1.0, age=2.0).remedy.startswith("check the program")
+    assert {code.usual for code in CheckCode} == set(LEVELS)
+    assert all(code.remedy for code in CheckCode if code.usual != OK)
+    data = plain(slow)
+    assert data["code"] == "query_slow" and data["remedy"] == slow.remedy and data["found"] == slow.text
 
 
 def test_every_doubt_touches_the_constants_that_it_names_or_that_its_signal_tells() -> None:
