@@ -35,7 +35,7 @@ from hygrokf.discovery.screening import (
     screened,
     widened,
 )
-from hygrokf.discovery.starting_model import update_error_models
+from hygrokf.discovery.starting_model import screening_point, update_error_models
 from hygrokf.modelling.causes.forms import Form, Setting
 
 FURTHER = 100.0
@@ -81,6 +81,7 @@ class Search:
         self._version: Counter[str] = Counter()
         self._kept: dict[tuple[str, str], tuple[object, Any]] = {}
         self._columns: Columns = {}
+        self._starts: Mapping[str, float] = {}
 
     @property
     def names(self) -> frozenset[str]:
@@ -181,9 +182,9 @@ class Search:
             self._version.update(tried.acts)
 
     def candidates(self) -> list[Candidate]:
-        """The causes' best candidates beside the parent, the strongest first."""
-        parent = parent_of(self.parent)
-        self._columns = parent.columns
+        """The causes' best candidates beside the parent, the plausible ones first, then the strongest."""
+        parent = parent_of(screening_point(self.parent))
+        self._columns, self._starts = parent.columns, parent.estimate.values
         screened_of: dict[str, list[Screened]] = {}
         self.not_judged = []
         for cause, forms in self.forms.items():
@@ -214,7 +215,7 @@ class Search:
             for rival in rivals:
                 if rival.evidence > leader.evidence - max(NEAR, NEAR_SHARE * leader.evidence):
                     best[rival.cause] = self._finish(rival, rival is leader)
-        return sorted(best.values(), key=lambda c: -c.strength)
+        return sorted(best.values(), key=lambda c: (not c.plausible, -c.strength))
 
     def _first(self, screened_of: Mapping[str, Sequence[Screened]]) -> list[str]:
         """The causes with the largest screened gains, ranked within each quantity, since gains of temperature
@@ -234,7 +235,9 @@ class Search:
         if result is None:
             tried = []
             for s in _to_estimate(seen):
-                child = estimated(self.parent, s.form, s.setting, s.values, LIGHT, self._columns)
+                free = acting(self.parent, acts(s.form, self.parent.quantities))
+                starts = {**{name: self._starts[name] for name in free}, **s.values}
+                child = estimated(self.parent, s.form, s.setting, starts, LIGHT, self._columns)
                 tried.append(candidate(self.parent, child, s.form, s.setting, self.searched[cause]))
             best = max(tried, key=lambda c: c.evidence)
             near = (c.form.code for c in tried if c.form is not best.form and alike(best, c))
