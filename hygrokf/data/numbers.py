@@ -102,11 +102,11 @@ def value_in(text: str, marks: Marks = POINT, meaning: Meaning = UNKNOWN_MEANING
         number_in(number_and_unit[1], marks) if number_and_unit is not None and unit is not None else None
     )
     if number is None or unit is None or not meaning.unit:
-        raise Unread("no number", f"{shown} is not a number")
-    given, stated = UNITS[unit], UNITS[meaning.unit]
-    if (given.dimension, given.offset) != (stated.dimension, stated.offset):
-        raise Unread("other unit", f"{shown} is in {unit}, not in {meaning.unit} as stated")
-    return number if unit == meaning.unit else number * given.factor / stated.factor
+        raise Unread("no number", f"{quoted} is not a number")
+    unit_of_text, stated_unit = UNITS[unit], UNITS[meaning.unit]
+    if (unit_of_text.dimension, unit_of_text.offset) != (stated_unit.dimension, stated_unit.offset):
+        raise Unread("other unit", f"{quoted} is in {unit}, not in {meaning.unit} as stated")
+    return number if unit == meaning.unit else number * unit_of_text.factor / stated_unit.factor
 
 
 def values_in(

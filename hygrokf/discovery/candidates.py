@@ -30,6 +30,7 @@ from hygrokf.discovery.estimate import (
 )
 from hygrokf.discovery.screening import added, amplitudes, chord_gains, parent_of, widened
 from hygrokf.discovery.simulator import Simulator
+from hygrokf.discovery.starting_model import is_plausible
 from hygrokf.modelling.causes.forms import Form, Setting
 from hygrokf.physics.parameters import Parameter
 
@@ -87,6 +88,11 @@ class Candidate:
     def acts(self) -> set[str]:
         """Quantities that the form changes: "temperature", "vapour" or both."""
         return acts(self.form, self.estimate.quantities)
+
+    @property
+    def plausible(self) -> bool:
+        """Whether the simulations of the quantities that the form acts on are plausible."""
+        return all(is_plausible(self.estimate, q) for q in self.acts)
 
     @property
     def wet(self) -> bool:

@@ -35,7 +35,7 @@ from hygrokf.discovery.screening import (
     screened,
     widened,
 )
-from hygrokf.discovery.starting_model import update_error_models
+from hygrokf.discovery.starting_model import screening_point, update_error_models
 from hygrokf.modelling.causes.forms import Form, Setting
 
 FURTHER_EVIDENCE = 100.0
@@ -89,6 +89,7 @@ class Search:
         self._version: Counter[str] = Counter()
         self._kept: dict[tuple[str, str], tuple[object, Any]] = {}
         self._columns: Columns = {}
+        self._starts: Mapping[str, float] = {}
 
     @property
     def names(self) -> frozenset[str]:
@@ -205,9 +206,9 @@ class Search:
             self._version.update(accepted_cause.acts)
 
     def candidates(self) -> list[Candidate]:
-        """Return the best candidate of each promising cause, the strongest first."""
-        parent = parent_of(self.parent)
-        self._columns = parent.columns
+        """Return the best candidate of each promising cause: plausible ones first, then the strongest."""
+        parent = parent_of(screening_point(self.parent))
+        self._columns, self._starts = parent.columns, parent.estimate.values
         screened_of: dict[str, list[Screened]] = {}
         self.not_judged = []
         for cause, forms in self.forms.items():
@@ -238,7 +239,7 @@ class Search:
             for rival in rivals:
                 if rival.evidence > leader.evidence - max(NEAR_EVIDENCE, NEAR_SHARE * leader.evidence):
                     best[rival.cause] = self._finish(rival, rival is leader)
-        return sorted(best.values(), key=lambda c: -c.strength)
+        return sorted(best.values(), key=lambda c: (not c.plausible, -c.strength))
 
     def _first(self, screened_of: Mapping[str, Sequence[Screened]]) -> list[str]:
         """Return the causes with the largest screened gains, at most `MOST_CAUSES` for each quantity.
@@ -261,7 +262,9 @@ class Search:
         if result is None:
             children = []
             for s in _to_estimate(settings):
-                child = fit_form(self.parent, s.form, s.setting, s.values, LIGHT, self._columns)
+                free = acting(self.parent, acts(s.form, self.parent.quantities))
+                starts = {**{name: self._starts[name] for name in free}, **s.values}
+                child = fit_form(self.parent, s.form, s.setting, starts, LIGHT, self._columns)
                 children.append(candidate(self.parent, child, s.form, s.setting, self.searched[cause]))
             best = max(children, key=lambda c: c.evidence)
             equally_good_forms = (

@@ -12,6 +12,7 @@ from hygrokf.data.record import Record
 from hygrokf.discovery.error_model import Instants, filtered
 from hygrokf.discovery.estimate import (
     LIGHT,
+    TIME_CONSTANT,
     Calibration,
     acting,
     errors_of,
@@ -105,7 +106,7 @@ def _best(simulator: Simulator, errors: Mapping[str, Instants], starts: Sequence
     fits = [fitted(estimate_at(simulator, errors, start)) for start in starts]
     theta = fits[0].theta.copy()
     for q in errors:
-        plausible = [fit for fit in fits if free_run_error(fit, q) <= np.sqrt(errors[q].largest)]
+        plausible = [fit for fit in fits if is_plausible(fit, q)]
         best = min(
             plausible or fits, key=lambda fit: fit.deviances[q] if plausible else free_run_error(fit, q)
         )
@@ -117,6 +118,27 @@ def _best(simulator: Simulator, errors: Mapping[str, Instants], starts: Sequence
 def free_run_error(estimate: Calibration, quantity: str) -> float:
     """Return the root mean square error of a quantity's simulation in the identification period."""
     return float(np.sqrt(np.nanmean(estimate.residual(quantity) ** 2)))
+
+
+def is_plausible(estimate: Calibration, quantity: str) -> bool:
+    """Whether the simulation of a quantity errs no more than its identification readings vary."""
+    return free_run_error(estimate, quantity) <= float(np.sqrt(estimate.errors[quantity].largest))
+
+
+def screening_point(estimate: Calibration) -> Calibration:
+    """The estimate with the time constants of implausible quantities at their start values.
+
+    Such a time constant describes what the model lacks: the search would not see effects that show only with
+    another time constant.  The other parameters and the variances are refitted.
+    """
+    simulator = estimate.simulator
+    held = {TIME_CONSTANT[q]: q for q in estimate.quantities if not is_plausible(estimate, q)}
+    if not held:
+        return estimate
+    start_values = {p.name: p.start for p in simulator.parameters if p.name in held}
+    theta = simulator.vector({**estimate.values, **start_values})
+    moved = estimate_at(simulator, estimate.errors, theta, estimate.linear)
+    return fitted(moved, [name for name in acting(moved, held.values()) if name not in held])
 
 
 def _drive_vapour(estimate: Calibration) -> Calibration:

@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from builders import greenhouse
 from plants.as_record import to_record
 from plants.hidden import hidden_plant
 from plants.plant import Plant
@@ -16,8 +17,15 @@ from hygrokf.discovery.discover import lines
 from hygrokf.discovery.estimate import Calibration
 from hygrokf.discovery.final_set import FinalSet, final_estimator, final_fit, final_set
 from hygrokf.discovery.judgement import LEAST_IMPROVEMENT, Scores, judged, levelled, scores
+from hygrokf.discovery.screening import parent_of, screened
 from hygrokf.discovery.search import Search, refitted_with
-from hygrokf.discovery.starting_model import base_estimate, free_run_error, update_error_models
+from hygrokf.discovery.starting_model import (
+    base_estimate,
+    free_run_error,
+    is_plausible,
+    screening_point,
+    update_error_models,
+)
 from hygrokf.modelling.causes.forms import ground_of
 from hygrokf.modelling.library import LIBRARY
 
@@ -75,6 +83,20 @@ def test_only_the_quantity_that_changed_is_fitted_again(sunny: Run) -> None:
 
 def test_a_plant_that_hides_nothing_has_no_name_and_no_line(nothing: Run) -> None:
     assert nothing[1].accepted == [] and lines(nothing[1].parent, {}) == []
+
+
+def test_a_wet_surface_shows_beside_a_time_constant_that_it_does_not_distort(nothing: Run) -> None:
+    """Without the vapour of its plants, a greenhouse's likeliest model is tight and errs by three times what
+    the readings vary; beside it no source gains.  A plausible model is screened where it is."""
+    base = base_estimate(greenhouse.excerpt("Koala"))
+    point = screening_point(base)
+    assert not is_plausible(base, "vapour") and base.values["hygric_k"] > 50.0 > point.values["hygric_k"]
+    ground = ground_of(base.simulator.scene.record, base.simulator.heat, base.simulator.vapour)
+    forms = LIBRARY.cause("internal_moisture_source").forms(ground)
+    (wet,) = (form for form in forms if form.code == "a_wet_surface")
+    assert screened(parent_of(base), wet) == []
+    assert screened(parent_of(point), wet)[0].gain > 50.0
+    assert screening_point(nothing[1].base) is nothing[1].base
 
 
 def test_base_and_final_set_hold_the_plants_time_constants(nothing: Run, sunny: Run, final: FinalSet) -> None:
