@@ -102,7 +102,11 @@ class PreferredAlternative:
         """Return the finding as a doubt, with the line that would correct it."""
         alternative, rival = self.alternative, self.rival
         code = DoubtCode.CLOCK_OR_WALL if self.verdict == WALL else DoubtCode.READ_OTHERWISE
-        values: dict[str, Value] = {"mistake": alternative.mistake, "remedy": alternative.line, "evidence": ()}
+        values: dict[str, Value] = {
+            "mistake": alternative.mistake,
+            "remedy": alternative.line,
+            "evidence": (),
+        }
         if self.witnesses:
             values["evidence"] = (RecordCode.WITNESSED(witnesses=self.witnesses, gain=self.gain),)
         if self.verdict != WALL and rival is not None:

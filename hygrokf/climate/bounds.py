@@ -13,8 +13,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-LEVEL = 0.95
-"""[1] probability with which the bounds should hold."""
+from hygrokf.estimation.conventions import CONFIDENCE
+
 RESULT_DIGITS = 6
 """Number of significant digits of the numbers in a result."""
 
@@ -40,7 +40,7 @@ class BoundedMean:
         return BoundedMean(*rounded(np.array(list(vars(self).values()))).tolist())
 
 
-def bounded(values: np.ndarray, level: float = LEVEL) -> BoundedMean:
+def bounded(values: np.ndarray, level: float = CONFIDENCE) -> BoundedMean:
     """Return the bounds of a number from its values (years, N).
 
     The bounds are quantiles with the plotting positions k/(n+1): a further draw lies between them with the
@@ -68,7 +68,7 @@ def _known_means(rows: np.ndarray) -> np.ndarray:
     return np.array([row[~np.isnan(row)].mean() for row in rows if not np.isnan(row).all()])
 
 
-def bounded_array(values: np.ndarray, level: float = LEVEL) -> dict[str, np.ndarray]:
+def bounded_array(values: np.ndarray, level: float = CONFIDENCE) -> dict[str, np.ndarray]:
     """Return the fields of `BoundedMean` as arrays, for many numbers at once, from their values (years, N, …)
     without NaN."""
     values = np.asarray(values, dtype=float)
@@ -84,7 +84,7 @@ def bounded_array(values: np.ndarray, level: float = LEVEL) -> dict[str, np.ndar
     }  # fmt: skip
 
 
-def held(draws: float, level: float = LEVEL) -> float:
+def held(draws: float, level: float = CONFIDENCE) -> float:
     """Return the probability [1] with which bounds from so many draws hold a further draw: the level, or less
     for few draws."""
     return min(level, (draws - 1.0) / (draws + 1.0))

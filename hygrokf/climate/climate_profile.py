@@ -221,9 +221,9 @@ def climate_profile(
     progress: called with each step in words; True: shows the steps as one line.
 
     Returns hours, temperatures [°C], relative [%] and absolute humidities [g/m³] of a year by region and
-    scope, with bounds. If there are several years, those with less than `WHOLE_SHARE` of their hours known are left
-    out. Raises ValueError without regions or for fewer than two members, PowerFault if weather and power do
-    not suffice for the model.
+    scope, with bounds. If there are several years, those with less than `WHOLE_SHARE` of their hours known
+    are left out. Raises ValueError without regions or for fewer than two members, PowerFault if weather and
+    power do not suffice for the model.
     """
     if not regions:
         raise ValueError("expected the weather of at least one region, found none")
@@ -401,9 +401,9 @@ def weather_statements(
         statements.append(ClimateCode.NO_LIMIT_PASSES(part=part))
     if hours_known < 0.98 * hours_covered:
         statements.append(ClimateCode.INPUTS_UNKNOWN(share=1.0 - hours_known / hours_covered))
-    if share < LEVEL:
+    if share < CONFIDENCE:
         statement_on_members = ClimateCode.FEW_MEMBERS(
-            members=members, share=share, level=LEVEL, fewest=FEWEST_MEMBERS
+            members=members, share=share, level=CONFIDENCE, fewest=FEWEST_MEMBERS
         )
         statements.append(statement_on_members)
     statements += [text for limit in limits for text in _limit_statements(limit, gathered)]

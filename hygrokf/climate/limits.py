@@ -83,7 +83,8 @@ class ClimateLimit:
     def named(self, prefix: str = "") -> ClimateLimit:
         """Return the limit with a name: its own, or `prefix` and the limit in words."""
         scope_text = "" if self.during == "all" else f" in {self.during}"
-        limit_text = f"{self.quantity_words} {self.side} {self.level:g} {LIMITED_QUANTITIES[self.quantity]}{scope_text}"
+        unit = LIMITED_QUANTITIES[self.quantity]
+        limit_text = f"{self.quantity_words} {self.side} {self.level:g} {unit}{scope_text}"
         return replace(self, name=self.name or f"{prefix}{limit_text}")
 
     @property

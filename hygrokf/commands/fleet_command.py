@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from hygrokf.commands.console import FOUND, Progress, UserFault, expect_own_directory, show_reported
 from hygrokf.commands.verb import Verb, add_json, add_out, whole_number
-from hygrokf.data.files import FLEET_VERB, REPORT
+from hygrokf.data.files import FLEET, REPORT
 
 if TYPE_CHECKING:
     from hygrokf.fleet.job import Row
@@ -36,7 +36,7 @@ def _run(options: Namespace) -> int:
     from hygrokf.fleet.fleet_plan import read_plan
     from hygrokf.report.fleet_page import fleet_blocks, outcome_text
 
-    expect_own_directory(options.out, FLEET_VERB)
+    expect_own_directory(options.out, FLEET)
     if options.dask and options.workers:
         raise UserFault("--workers is for this machine; a cluster has its own: leave it out beside --dask")
     plan = read_plan(options.fleet)

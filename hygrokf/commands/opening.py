@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hygrokf.commands.console import Progress, activity, faults_of
-from hygrokf.estimation.conventions import STARTS
 
 if TYPE_CHECKING:
     from hygrokf.data.record import Record

@@ -219,8 +219,8 @@ def improved_by_jumps(parent: Calibration, best: Candidate) -> Candidate:
     """Return the candidate after trying large changes of its parameters and settings, to leave a local
     maximum.
 
-    Each jump is simulated after one linear step of the other parameters (`chord_gains`).  The `FOLLOWED_JUMPS` best
-    jumps are fitted, unless they are worse than the start by more than `LARGEST_RISE`.
+    Each jump is simulated after one linear step of the other parameters (`chord_gains`).  The
+    `FOLLOWED_JUMPS` best jumps are fitted, unless they are worse than the start by more than `LARGEST_RISE`.
     """
     steps = dict(best.form.steps)
     for _ in range(SWEEPS):

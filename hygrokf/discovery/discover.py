@@ -241,8 +241,6 @@ def remaining_lines(conclusion: Conclusion) -> list[SpectralLine]:
 # -- from a record to its discovery --------------------------------------------------------------------------
 MOST_SIMULATIONS = 40_000
 """Number of simulations after which no further cause is tried."""
-CABINET_SIGNALS = ("cabinet_temperature", "cabinet_relative_humidity", "cabinet_absolute_humidity")
-"""Signals that the simulation explains; their readings must vary."""
 WET_SENSOR = ReasonCode.SENSOR_OR_WATER()
 
 

@@ -29,7 +29,6 @@ from hygrokf.discovery.error_model import (
 )
 from hygrokf.discovery.simulator import Simulator
 from hygrokf.physics.parameters import Parameter
-from hygrokf.texts.parts import BOTH_PARTS
 
 TIME_CONSTANT_OF = {"temperature": "thermal_time_constant", "vapour": "hygric_k"}
 """Quantity -> parameter that is the time constant [h] of its low pass."""
@@ -234,7 +233,8 @@ def _blocks(estimate: Calibration, free: set[str]) -> list[tuple[str, ...]]:
 
 
 def _stepped(estimate: Calibration, free: set[str], block: tuple[str, ...], kept: Columns) -> Calibration:
-    """Make up to `GAUSS_NEWTON_STEPS` damped Gauss–Newton steps of the free parameters, with the error variances fixed.
+    """Make up to `GAUSS_NEWTON_STEPS` damped Gauss–Newton steps of the free parameters, with the error
+    variances fixed.
 
     block: the quantities that count.  kept: Jacobian columns that are not computed again.
     """

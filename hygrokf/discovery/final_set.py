@@ -48,7 +48,7 @@ from hygrokf.identification.identify import Basis, assemble_fit
 from hygrokf.identification.needed_inputs import CHANCE, WithoutInput, alternatives
 from hygrokf.identification.steady_state import heat_release_regression
 from hygrokf.identification.verdict import with_reasons, with_verdicts
-from hygrokf.modelling.design import CABINET_TEMPERATURE, CASCADE, Design
+from hygrokf.modelling.design import CASCADE, Design
 from hygrokf.modelling.inputs import model_inputs
 from hygrokf.physics.parameters import Coordinates
 from hygrokf.physics.signal_names import CABINET_TEMPERATURE

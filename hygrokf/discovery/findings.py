@@ -309,7 +309,6 @@ def benjamini_hochberg(p: np.ndarray, weights: np.ndarray | None = None) -> np.n
 
 
 # -- findings ------------------------------------------------------------------------------------------------
-LEVEL = 0.05
 FINDING_BIN_H = 0.25
 """[h] length of the shortest bins over which errors are averaged before they are tested."""
 FEWEST_H = 72.0
@@ -389,7 +388,7 @@ def findings(residuals: Residuals) -> list[Finding]:
             for condition_index in np.argsort(state.log_p, kind="stable"):
                 finding = (
                     _described(binned_residuals, state, condition_index, float(p_adjusted[condition_index]))
-                    if p_adjusted[condition_index] <= LEVEL
+                    if p_adjusted[condition_index] <= SIGNIFICANCE
                     else None
                 )
                 if finding is not None:

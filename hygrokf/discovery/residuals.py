@@ -15,12 +15,11 @@ import numpy as np
 from hygrokf.data.ambient import AMBIENT_BRIDGE_H, at_times, bridge_h
 from hygrokf.data.prepared import VAPOUR, prepare
 from hygrokf.data.record import Record
-from hygrokf.data.signals import RESIDUAL_UNITS as CASE_UNITS
 from hygrokf.data.signals import SIGNALS
+from hygrokf.data.signals import UNITS as CASE_UNITS
 from hygrokf.identification.fit import Fit
 from hygrokf.modelling.design import accuracy_of
 from hygrokf.physics.psychrometrics import absolute_humidity, absolute_humidity_slope_temperature
-from hygrokf.texts.parts import BOTH_PARTS
 
 Quantity = Literal["temperature", "humidity"]
 TEMPERATURE: Quantity = "temperature"

@@ -24,9 +24,9 @@ from hygrokf.data.readings import SATURATED
 from hygrokf.data.record import Record, Series
 from hygrokf.data.shared_clocks import Shift, in_america
 from hygrokf.data.timestamps import HOUR_S, summer_time
-from hygrokf.engine.cell_loop import CABINET_TEMPERATURE, IDLE, CellInputs
-from hygrokf.modelling.derived_inputs import feature
-from hygrokf.modelling.design import CABINET_HUMIDITIES, Design, reading_step_h
+from hygrokf.engine.cell_loop import IDLE, CellInputs
+from hygrokf.modelling.derived_inputs import SIGNAL_OF, feature
+from hygrokf.modelling.design import Design, reading_step_h
 from hygrokf.modelling.inputs import (
     ambient_inputs,
     bridged,
@@ -45,28 +45,12 @@ late."""
 SHORTEST_CELL_S, LONGEST_CELL_S = 180.0, 1200.0
 """[s] shortest and longest cell."""
 MOST_CELLS = 33_000
-SATURATED, DRY = 0.995, 0.005
-"""Relative humidities at or beyond which a reading is at the end of its sensor's range."""
+DRY = 0.005
+"""[1] relative humidity below which, as above `SATURATED`, a reading is at the end of its sensor's range."""
 UNKNOWN_K = 25.0
 """[K²] variance of the temperature's error at the start of a run and after a gap."""
 UNKNOWN_SHARE = 0.3
 """Standard deviation of the vapour's error at the start of a run and after a gap, as a share of the mean."""
-AMBIENT_HUMIDITIES = (
-    "ambient_absolute_humidity", "ambient_relative_humidity", "ambient_dew_point_temperature",
-)  # fmt: skip
-SIGNAL_OF = {
-    "exchange_factor": "ambient_temperature",
-    "ambient_temperature_rate": "ambient_temperature",
-    "ambient_vapour_rate": "ambient_temperature",
-    "operating": "active_power",
-    "standstill": "active_power",
-    "sunshine": "global_horizontal_irradiance",
-    "sunlit_wall": "global_horizontal_irradiance",
-    "night_sky": "global_horizontal_irradiance",
-    "wind_tenth": "wind_speed",
-    "wind_square": "wind_speed",
-}
-"""Derived input → the signal from which it is computed, and whose clock it has."""
 
 
 @dataclass(frozen=True)
@@ -206,12 +190,9 @@ class Scene:
 
     def source(self, name: str) -> str:
         """Return the source (file) whose clock stamps an input; "" for an input that no signal provides."""
-        signal = SIGNAL_OF.get(name, "active_power" if name.startswith("power_") else name)
-        if name == "ambient_absolute_humidity":
-            humidity_signals = [
-                name_of_humidity for name_of_humidity in AMBIENT_HUMIDITIES if name_of_humidity in self.record
-            ]
-            signal = humidity_signals[0] if humidity_signals else signal
+        if name == VAPOUR and (vapour := self.record.ambient_vapour) is not None:
+            return vapour.file
+        signal = SIGNAL_OF.get(name, name)
         return self.record[signal].file if signal in self.record else ""
 
     def _unmoved(self, name: str, design: Design) -> np.ndarray:

@@ -200,7 +200,8 @@ def start_values(parent: Calibration, wider: Simulator, setting: Setting) -> dic
 
 
 def screened(parent: Parent, form: Form) -> list[Screened]:
-    """Return the settings of a form with the largest gain in −2 ln L, at most `FOLLOWED_SETTINGS`, the best first.
+    """Return the settings of a form with the largest gain in −2 ln L, at most `FOLLOWED_SETTINGS`, the best
+    first.
 
     All settings are ranked by the linearised gain of a small effect; the best are simulated.
     """

@@ -21,7 +21,8 @@ from hygrokf.engine.llvm_writer import LANES
 from hygrokf.modelling.design import Design
 from hygrokf.physics.model import Model, compose
 from hygrokf.physics.parameters import Parameter
-from hygrokf.physics.switches import CABINET_RELATIVE_HUMIDITY, CABINET_TEMPERATURE, CONTROLLED, Throttle
+from hygrokf.physics.signal_names import CABINET_RELATIVE_HUMIDITY, CABINET_TEMPERATURE
+from hygrokf.physics.switches import CONTROLLED, Throttle
 
 OUTPUT = {
     "temperature": ("cabinet_temperature",),

@@ -12,7 +12,7 @@ from hygrokf.data.record import Record
 from hygrokf.discovery.error_model import Instants, filtered
 from hygrokf.discovery.estimate import (
     LIGHT,
-    TIME_CONSTANT,
+    TIME_CONSTANT_OF,
     Calibration,
     acting,
     errors_of,
@@ -23,8 +23,8 @@ from hygrokf.discovery.residuals import ambient_sd
 from hygrokf.discovery.scene import CELL_PARTS, Scene, driven, scene_of
 from hygrokf.discovery.simulator import SimulationWork, Simulator
 from hygrokf.identification.steady_state import heat_release_regression
-from hygrokf.modelling.causes.forms import AMBIENT_RELATIVE_HUMIDITY, MechanismSettings
-from hygrokf.modelling.design import CABINET_TEMPERATURE, CASCADE, Design, accuracy_of, design, extended
+from hygrokf.modelling.causes.forms import MechanismSettings
+from hygrokf.modelling.design import CASCADE, Design, accuracy_of, design, extended
 from hygrokf.modelling.library import LIBRARY, Library
 from hygrokf.physics.signal_names import AMBIENT_RELATIVE_HUMIDITY, CABINET_TEMPERATURE
 
@@ -132,7 +132,7 @@ def screening_point(estimate: Calibration) -> Calibration:
     another time constant.  The other parameters and the variances are refitted.
     """
     simulator = estimate.simulator
-    held = {TIME_CONSTANT[q]: q for q in estimate.quantities if not is_plausible(estimate, q)}
+    held = {TIME_CONSTANT_OF[q]: q for q in estimate.quantities if not is_plausible(estimate, q)}
     if not held:
         return estimate
     start_values = {p.name: p.start for p in simulator.parameters if p.name in held}

@@ -113,7 +113,7 @@ def _effects(
         return {
             parameter.name: min(
                 max(
-                    values[parameter.name] + sign * normal_quantile(LEVEL) * errors[parameter.name],
+                    values[parameter.name] + sign * normal_quantile(CONFIDENCE) * errors[parameter.name],
                     parameter.lower,
                 ),
                 parameter.upper,

@@ -21,8 +21,6 @@ from hygrokf.estimation.confidence import student_quantile
 from hygrokf.estimation.conventions import CONFIDENCE
 from hygrokf.estimation.serial_dependence import autocovariance
 
-LEVEL = 0.95
-"""[1] probability of the bounds."""
 BOOTSTRAP_SEED = 20200925
 """Fixed seed: the same record gives the same result."""
 LEAST_BLOCK_H = 24.0

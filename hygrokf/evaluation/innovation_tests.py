@@ -297,7 +297,7 @@ def _autocorrelation(
     lags_per_hour = int(min(max(round(1.0 / step_h), 1), lags))
     limit_all = _simultaneous(lags) / math.sqrt(count)
     shown_indices = _extremes(values)
-    limit = normal_quantile(1.0 - LEVEL) / math.sqrt(count)
+    limit = normal_quantile(1.0 - SIGNIFICANCE) / math.sqrt(count)
     autocorrelation = Autocorrelation(
         _rounded((shown_indices + 1) * step_h), _rounded(values[shown_indices]), limit, limit_all
     )
@@ -333,7 +333,7 @@ def _spectrum(
     # for white noise the first m−1 values are distributed as the order statistics of m−1 uniform numbers
     kolmogorov = kstest(cumulative[:-1], "uniform")
     distance, p = float(kolmogorov.statistic), float(kolmogorov.pvalue)
-    limit = float(kstwo.isf(LEVEL, frequency_count - 1))
+    limit = float(kstwo.isf(SIGNIFICANCE, frequency_count - 1))
     offset = cumulative - np.arange(1, frequency_count + 1) / frequency_count
     worst = int(np.argmax(np.abs(offset)))
     shown_indices = np.unique(
@@ -354,8 +354,8 @@ def _spectrum(
     periodogram = Periodogram(
         _rounded(np.add.reduceat(frequency, edges[:-1]) / frequencies_in_band),
         _rounded(np.add.reduceat(power, edges[:-1]) / frequencies_in_band),
-        _rounded(chi2.ppf(LEVEL / 2.0, 2 * frequencies_in_band) / (2 * frequencies_in_band)),
-        _rounded(chi2.isf(LEVEL / 2.0, 2 * frequencies_in_band) / (2 * frequencies_in_band)),
+        _rounded(chi2.ppf(SIGNIFICANCE / 2.0, 2 * frequencies_in_band) / (2 * frequencies_in_band)),
+        _rounded(chi2.isf(SIGNIFICANCE / 2.0, 2 * frequencies_in_band) / (2 * frequencies_in_band)),
     )
     code = FitCode.SPECTRUM_TOO_HIGH if offset[worst] > 0 else FitCode.SPECTRUM_TOO_LOW
     statement = code(output=name, distance=distance, limit=limit, period_h=float(1.0 / frequency[worst]))
@@ -387,8 +387,8 @@ def _daily_cycle(name: str, time: np.ndarray, e: np.ndarray) -> list[InnovationT
 def whitened(values: np.ndarray) -> tuple[np.ndarray, int]:
     """Return the errors (n,) with which an autoregression predicts an input (n,), and its order.
 
-    AIC selects the order, at most `WHITENING_ORDER`.  The errors are NaN at missing values, at values predicted
-    from missing ones, and at the first values, as many as the order.
+    AIC selects the order, at most `WHITENING_ORDER`.  The errors are NaN at missing values, at values
+    predicted from missing ones, and at the first values, as many as the order.
     """
     from statsmodels.tsa.stattools import acovf, levinson_durbin
 
@@ -449,7 +449,7 @@ def _cross_correlation(
     correlation = CrossCorrelation(
         _rounded(lag_numbers[shown_indices] * step),
         _rounded(correlations[shown_indices]),
-        normal_quantile(1.0 - LEVEL) / math.sqrt(known_count),
+        normal_quantile(1.0 - SIGNIFICANCE) / math.sqrt(known_count),
         limit_all,
         p,
     )
@@ -483,13 +483,14 @@ def _two_sided(z: float) -> float:
 
 
 def _simultaneous(count: int) -> float:
-    """Return the bound within which `count` independent normal numbers all lie with probability 1 − LEVEL
-    (Šidák)."""
-    return normal_quantile((1.0 - LEVEL) ** (1.0 / count))
+    """Return the bound within which `count` independent normal numbers all lie with probability 1 −
+    SIGNIFICANCE (Šidák)."""
+    return normal_quantile((1.0 - SIGNIFICANCE) ** (1.0 / count))
 
 
 def _extremes(values: np.ndarray) -> np.ndarray:
-    """Return the indices of at most `MOST_POINTS` values to plot: the value farthest from zero in each stretch."""
+    """Return the indices of at most `MOST_POINTS` values to plot: the value farthest from zero in each
+    stretch."""
     width = math.ceil(len(values) / MOST_POINTS)
     if width == 1:
         return np.arange(len(values))

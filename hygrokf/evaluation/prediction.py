@@ -16,7 +16,6 @@ from hygrokf.data.record import Record
 from hygrokf.data.result_file import utc_index, with_units
 from hygrokf.engine.timeline import Timeline
 from hygrokf.estimation.confidence import normal_quantile
-from hygrokf.estimation.conventions import CONFIDENCE
 from hygrokf.estimation.likelihood import Gaussian, Likelihood, Trace
 from hygrokf.estimation.smoother import smoothed_states
 from hygrokf.estimation.subject import Given, Source, Spread, subject

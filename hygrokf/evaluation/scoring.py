@@ -11,7 +11,6 @@ import numpy as np
 
 from hygrokf.engine.schedule import STEP_TOLERANCE
 from hygrokf.estimation.confidence import normal_quantile
-from hygrokf.estimation.conventions import CONFIDENCE
 from hygrokf.evaluation.simulation import QUANTITIES, Prediction, forecasts, measured
 from hygrokf.modelling.design import Design, accuracy_of
 from hygrokf.modelling.inputs import Run
@@ -19,7 +18,6 @@ from hygrokf.physics.psychrometrics import absolute_humidity, absolute_humidity_
 from hygrokf.texts.parts import SCORED
 
 T = TypeVar("T")
-SCORED = ("temperature_K", "absolute_humidity_g_m3")
 SCORED_PERIODS = ("identification", "validation")
 REGIMES = ("operation", "standstill", "total")
 

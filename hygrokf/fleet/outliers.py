@@ -6,8 +6,8 @@ For the logarithm x of a positive quantity, with standard errors e from its boun
     0),
 
 so that a turbine with wide bounds must deviate further. |z| is compared with the largest |z| among as many
-normal numbers, which is simulated (`FLEET_SEED`): the probability of any outlier in a fleet of identical turbines
-is `LEVEL`, divided among the compared quantities (Bonferroni).
+normal numbers, which is simulated (`FLEET_SEED`): the probability of any outlier in a fleet of identical
+turbines is `SIGNIFICANCE`, divided among the compared quantities (Bonferroni).
 """
 
 from __future__ import annotations
@@ -18,11 +18,10 @@ from functools import cache
 
 import numpy as np
 
+from hygrokf.estimation.conventions import SIGNIFICANCE
 from hygrokf.fleet.job import Row, cell_number
 from hygrokf.fleet.tasks import Compared
 
-LEVEL = 0.05
-"""[1] probability of any outlier, in all quantities together, in a fleet of identical turbines."""
 FEWEST_JUDGED = 6
 """Smallest number of turbines among which outliers are looked for."""
 SIMULATED_FLEETS, FLEET_SEED = 4000, 20
@@ -60,7 +59,7 @@ class Scatter:
     @property
     def outliers(self) -> list[int]:
         """Indices of the outliers, the farthest first."""
-        return [int(index) for index in np.argsort(-np.abs(self.z)) if self.p[index] < LEVEL]
+        return [int(index) for index in np.argsort(-np.abs(self.z)) if self.p[index] < SIGNIFICANCE]
 
     @property
     def explained(self) -> bool:
@@ -76,7 +75,7 @@ class Scatter:
         if len(inner) < 2:
             return True
         cochran_q = float(weight @ (x - weight @ x / weight.sum()) ** 2)
-        return bool(chdtrc(len(inner) - 1, cochran_q) > LEVEL)
+        return bool(chdtrc(len(inner) - 1, cochran_q) > SIGNIFICANCE)
 
 
 def spreads(rows: Sequence[Row], compared: Sequence[Compared]) -> list[Scatter]:
@@ -88,7 +87,8 @@ def spreads(rows: Sequence[Row], compared: Sequence[Compared]) -> list[Scatter]:
 
 
 def spread(rows: Sequence[Row], compared: Compared, quantities: int = 1) -> Scatter:
-    """Return the scatter of one quantity; quantities: number of quantities among which `LEVEL` is divided."""
+    """Return the scatter of one quantity; quantities: number of quantities among which `SIGNIFICANCE` is
+    divided."""
     names, logarithms, errors, without_bounds, rejected = [], [], [], [], []
     for row in rows:
         value = cell_number(row, compared.column)

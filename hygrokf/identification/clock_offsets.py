@@ -27,12 +27,9 @@ from hygrokf.data.record import Series
 from hygrokf.estimation.confidence import Uncertainty, positive_inverse
 from hygrokf.estimation.likelihood import Likelihood
 from hygrokf.estimation.optimiser import Estimate, Objective
-from hygrokf.modelling.design import CABINET_HUMIDITIES, CABINET_TEMPERATURE, Design
+from hygrokf.modelling.design import Design
 from hygrokf.modelling.inputs import Run, model_inputs
 from hygrokf.physics.signal_names import (
-    ACTIVE_POWER,
-    AMBIENT_HUMIDITIES,
-    AMBIENT_TEMPERATURE,
     CABINET_HUMIDITIES,
     CABINET_TEMPERATURE,
 )

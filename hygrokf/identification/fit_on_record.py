@@ -15,7 +15,7 @@ from hygrokf.evaluation.simulation import Prediction, free_run, run_on
 from hygrokf.identification.fit import Fit
 from hygrokf.identification.verdict import inherited
 from hygrokf.identification.verdict_terms import Inherited
-from hygrokf.modelling.design import CABINET_HUMIDITIES, Design
+from hygrokf.modelling.design import Design
 from hygrokf.modelling.inputs import Run
 from hygrokf.physics.psychrometrics import ZERO_CELSIUS_K
 from hygrokf.physics.signal_names import CABINET_HUMIDITIES

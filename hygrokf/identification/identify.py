@@ -469,7 +469,7 @@ def _rows(
             rows[name] = replace(
                 rows[name],
                 value=output_error.values[name],
-                se=nan_if_open(0.5 * (upper - lower) / normal_quantile(LEVEL)),
+                se=nan_if_open(0.5 * (upper - lower) / normal_quantile(CONFIDENCE)),
                 lower=nan_if_open(lower),
                 upper=nan_if_open(upper),
                 at_bound=name in output_error.at_bounds,

@@ -27,7 +27,7 @@ from hygrokf.engine.parallel import mapped
 from hygrokf.estimation.confidence import Uncertainty, uncertainty_by
 from hygrokf.estimation.likelihood import Likelihood
 from hygrokf.estimation.optimiser import Estimate, Objective, climb, estimate_of
-from hygrokf.modelling.design import CABINET_TEMPERATURE, Design, extended
+from hygrokf.modelling.design import Design, extended
 from hygrokf.modelling.inputs import Run
 from hygrokf.physics.mechanisms.thermal import STILL_K
 from hygrokf.physics.parameters import Coordinates

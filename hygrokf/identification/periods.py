@@ -15,12 +15,10 @@ import numpy as np
 from hygrokf.data.actuators import HEATERS
 from hygrokf.data.ambient import at_times
 from hygrokf.data.record import Record, Series
-from hygrokf.modelling.design import CABINET_TEMPERATURE, reading_step_h
+from hygrokf.modelling.design import reading_step_h
 from hygrokf.physics.holds import LINEAR
 from hygrokf.physics.signal_names import ACTIVE_POWER, AMBIENT_TEMPERATURE, CABINET_TEMPERATURE
 
-AMBIENT_TEMPERATURE = "ambient_temperature"
-ACTIVE_POWER = "active_power"
 OPERATION = "operation"
 STANDSTILL = "standstill"
 TEMPERATURE_TOLERANCE_K = 0.5
@@ -321,9 +319,9 @@ def choose_length(
 ) -> Choice:
     """Return the periods of the longest length up to `longest_h` [h] that still yields enough of them.
 
-    Enough means `ENOUGH_PERIODS` periods and episodes that retain the share `KEPT_CLASSES` of the classes of power (tenths of
-    the rated) and of ambient temperature (5 K) found with the shortest length.  Lengths are multiples of the
-    cells' length, increasing by a quarter; where none yields enough, the shortest is taken.
+    Enough means `ENOUGH_PERIODS` periods and episodes that retain the share `KEPT_CLASSES` of the classes of
+    power (tenths of the rated) and of ambient temperature (5 K) found with the shortest length.  Lengths are
+    multiples of the cells' length, increasing by a quarter; where none yields enough, the shortest is taken.
     """
     cell_h = float(np.median(cells.end - cells.start)) / 3600.0 if len(cells.start) else shortest_h
     step_count = max(1, math.ceil(math.log(longest_h / shortest_h) / math.log(1.25)))

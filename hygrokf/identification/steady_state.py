@@ -10,8 +10,6 @@ import numpy as np
 
 from hygrokf.data.record import Record
 from hygrokf.identification.periods import (
-    ACTIVE_POWER,
-    AMBIENT_TEMPERATURE,
     OPERATION,
     POWER_TOLERANCE,
     STANDSTILL,
@@ -25,7 +23,7 @@ from hygrokf.identification.periods import (
     has_readings,
     rough_time_constant,
 )
-from hygrokf.modelling.design import CABINET_TEMPERATURE, power_scale, reading_step_h
+from hygrokf.modelling.design import power_scale, reading_step_h
 from hygrokf.physics.mechanisms.thermal import heat_release
 from hygrokf.physics.parameters import Parameter
 from hygrokf.physics.signal_names import ACTIVE_POWER, AMBIENT_TEMPERATURE, CABINET_TEMPERATURE

@@ -34,7 +34,6 @@ from hygrokf.identification.fit_results import (
 )
 from hygrokf.identification.model_forms import FittedForm
 from hygrokf.identification.verdict_terms import Interval
-from hygrokf.modelling.design import CABINET_TEMPERATURE
 from hygrokf.modelling.inputs import Run
 from hygrokf.modelling.thermal_system import thermal_poles
 from hygrokf.physics.mechanisms.hygric import exchange_factor, hygric_time_constant
@@ -42,7 +41,7 @@ from hygrokf.physics.mechanisms.thermal import STILL_K, small_signal
 from hygrokf.physics.signal_names import CABINET_TEMPERATURE
 from hygrokf.texts.parts import TIME_CONSTANTS
 
-THERMAL, HYGRIC = "thermal_time_constant", "hygric_k"
+THERMAL_TIME_CONSTANT, HYGRIC_TIME_CONSTANT = TIME_CONSTANTS
 OPEN_RATIO = 1e3
 """Ratio of the free run's bounds above which they are uninformative."""
 
@@ -65,7 +64,7 @@ def thermal_entry(stage: Stage, simulated: Mapping[str, OutputError]) -> TimeCon
 
     It holds for small changes at the median difference to the ambient; (R_AT+R_IC) C is stated beside it.
     """
-    if THERMAL not in stage.bounds:
+    if THERMAL_TIME_CONSTANT not in stage.bounds:
         return None
     entry = _entry(stage, THERMAL_TIME_CONSTANT, 1.0, simulated)
     exponent = stage.estimate.values.get("convection_exponent", 0.0)
@@ -88,7 +87,7 @@ def thermal_entry(stage: Stage, simulated: Mapping[str, OutputError]) -> TimeCon
 def hygric_entry(stage: Stage, simulated: Mapping[str, OutputError]) -> TimeConstant | None:
     """Return the hygric time constant R_D*·V* at the record's mean temperatures; None if the stage has
     none."""
-    if HYGRIC not in stage.bounds:
+    if HYGRIC_TIME_CONSTANT not in stage.bounds:
         return None
     cabinet, ambient = reference_temperatures(stage.run)
     scale = float(hygric_time_constant(1.0, cabinet, ambient))
@@ -135,10 +134,12 @@ def _resistance_capacity(stage: Stage, entry: TimeConstant, exponent: float) -> 
         forms = []
         for form in stage.forms:
             form_exponent = form.estimate.values.get("convection_exponent", 0.0)
-            form_variance = form.variance({THERMAL: 1.0, "convection_exponent": 1.0 / (1.0 + form_exponent)})
+            form_variance = form.variance(
+                {THERMAL_TIME_CONSTANT: 1.0, "convection_exponent": 1.0 / (1.0 + form_exponent)}
+            )
             forms.append(
                 AlternativeEstimate(
-                    math.log(form.estimate.values[THERMAL] * (1.0 + form_exponent)),
+                    math.log(form.estimate.values[THERMAL_TIME_CONSTANT] * (1.0 + form_exponent)),
                     form_variance,
                     form.weight,
                 )
@@ -149,7 +150,9 @@ def _resistance_capacity(stage: Stage, entry: TimeConstant, exponent: float) -> 
     if _unbounded(entry):
         return Interval(value, 0.0)
     bounds = ANY_CONSTANT.around(value, normal_quantile(entry.level) * math.sqrt(variance))
-    final_step = compose_interval(value, bounds, entry.level, sources, _resolved(stage, THERMAL))[-1]
+    final_step = compose_interval(
+        value, bounds, entry.level, sources, _resolved(stage, THERMAL_TIME_CONSTANT)
+    )[-1]
     return Interval(value, final_step.lower_h, final_step.upper_h)
 
 
@@ -165,7 +168,7 @@ def _response(stage: Stage) -> SensorResponse:
         return SensorResponse("stated" if stage.response_stated else "included", 0.0)
     name = next(p for p in stage.estimate.values if p.endswith("_response"))
     value, variance = stage.estimate.values[name], _variance(stage, name)
-    half_width = normal_quantile(LEVEL) * math.sqrt(variance)
+    half_width = normal_quantile(CONFIDENCE) * math.sqrt(variance)
     return SensorResponse("estimated", 60.0 * value, *ANY_CONSTANT.around(60.0 * value, half_width))
 
 
@@ -180,7 +183,7 @@ def _resolved(stage: Stage, name: str) -> Resolved:
     It runs from a tenth of the median step between readings to ten times the record's length.
     """
     timeline = stage.run.timeline
-    signal = CABINET_TEMPERATURE if name == THERMAL else stage.base.humidity
+    signal = CABINET_TEMPERATURE if name == THERMAL_TIME_CONSTANT else stage.base.humidity
     steps_h = (
         np.diff(timeline.time[np.isfinite(timeline.reading(signal))])
         if signal in timeline.outputs
@@ -273,7 +276,7 @@ def _by_free_run(free_run: OutputError | None, name: str) -> AlternativeEstimate
     index = free_run.names.index(name)
     variance = float(free_run.covariance[index, index])
     # with a singular information matrix the variance may be negative
-    is_informative = 0.0 < variance and 2.0 * normal_quantile(LEVEL) * math.sqrt(variance) <= math.log(
+    is_informative = 0.0 < variance and 2.0 * normal_quantile(CONFIDENCE) * math.sqrt(variance) <= math.log(
         OPEN_RATIO
     )
     return AlternativeEstimate(math.log(free_run.values[name]), variance) if is_informative else None

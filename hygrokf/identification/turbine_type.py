@@ -29,7 +29,6 @@ from hygrokf.data.files import write_text_whole
 from hygrokf.data.result_file import read_result, result_text
 from hygrokf.errors import HygrokfError
 from hygrokf.estimation.confidence import normal_quantile, student_quantile
-from hygrokf.estimation.conventions import CONFIDENCE
 from hygrokf.identification.fit import Fit
 from hygrokf.identification.verdict import inherited
 from hygrokf.identification.verdict_terms import PARAMETER_OF

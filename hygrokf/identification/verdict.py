@@ -22,8 +22,7 @@ from datetime import datetime
 import numpy as np
 
 from hygrokf.estimation.optimiser import INEXACT
-from hygrokf.evaluation.diagnosis import OutputDiagnosis
-from hygrokf.evaluation.innovation_tests import SMALL_CORRELATION
+from hygrokf.evaluation.innovation_tests import SMALL_CORRELATION, OutputDiagnosis
 from hygrokf.identification.fit_results import FitResults, ParameterRow, Sampling, TimeConstant
 from hygrokf.identification.verdict_terms import (
     JUDGED_PERIODS,
@@ -32,7 +31,6 @@ from hygrokf.identification.verdict_terms import (
     Inherited,
     Interval,
 )
-from hygrokf.modelling.design import PARTS
 from hygrokf.texts.fit_codes import FitCode
 from hygrokf.texts.parts import BOTH_PARTS, PARTS
 from hygrokf.texts.reasons import CAUTION, REJECT, VERDICTS, Reason, ReasonCode, verdict_of, worst_first

@@ -26,9 +26,9 @@ from hygrokf.live.frozen import Frozen
 from hygrokf.live.plan import Need
 from hygrokf.live.properties import MOIST, TrackedState, relative_shift
 from hygrokf.live.sources.stream import Reach
-from hygrokf.live.traces import CABINET_RELATIVE_HUMIDITY, SAME_S
+from hygrokf.live.traces import SAME_S
 from hygrokf.live.tracker import TrackedCourse
-from hygrokf.modelling.design import PARTS
+from hygrokf.physics.signal_names import CABINET_RELATIVE_HUMIDITY
 from hygrokf.texts.live_codes import AlarmCode, CauseCode
 from hygrokf.texts.parts import PARTS
 from hygrokf.texts.statement import Statement
@@ -41,7 +41,8 @@ DELIVERY = (SILENCE, CLOCKS, REACH_KIND)
 FROZEN_S = 6 * HOUR_S
 """[s] for which a signal must have repeated a value, beyond its longest repetition before."""
 CONTRADICTION_SD = 8.0
-"""Standard deviations √S of the prediction ŷ beyond which a reading y contradicts it: |y − ŷ| > `CONTRADICTION_SD` √S.
+"""Standard deviations √S of the prediction ŷ beyond which a reading y contradicts it: |y − ŷ| >
+`CONTRADICTION_SD` √S.
 
 On ordinary data of simulated cabinets the innovations have heavier tails than a normal distribution, so that
 the bound is wider than a normal distribution would need: docs/validation/live_trials.md has the shares

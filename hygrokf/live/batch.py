@@ -76,8 +76,8 @@ class Alarm:
     distinguishes alarms of one kind.
 
     `content` holds its statements, `statement` is their text, and `remedy` tells what to do.  Whoever
-    acknowledges the alarm states a `cause` (one of `STATED_CAUSES`) and may add a `note`; `look_again` [s] is the
-    time at which the alarm is due again.
+    acknowledges the alarm states a `cause` (one of `STATED_CAUSES`) and may add a `note`; `look_again` [s] is
+    the time at which the alarm is due again.
     """
 
     id: str
@@ -108,7 +108,8 @@ class Alarm:
 
 @dataclass(frozen=True)
 class Assessment:
-    """The `state` of a turbine (one of `TURBINE_STATES`) `since` a time [s]; `reason` is the text of `content`."""
+    """The `state` of a turbine (one of `TURBINE_STATES`) `since` a time [s]; `reason` is the text of
+    `content`."""
 
     turbine: str
     state: str

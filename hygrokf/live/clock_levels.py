@@ -1,7 +1,7 @@
 """Comparison of stamps with this machine's clock: readings ahead of the clock, wrong clocks, and backlogs.
 
-A reading that is ahead by more than `STAMP_AHEAD_S` is acknowledged and held back in the store until the clock
-reaches its stamp minus `STAMP_AHEAD_S` or is set right.
+A reading that is ahead by more than `STAMP_AHEAD_S` is acknowledged and held back in the store until the
+clock reaches its stamp minus `STAMP_AHEAD_S` or is set right.
 
 A backlog consists of readings that were kept while source or tracker were away.  While a backlog is
 delivered, a turbine whose readings have not come yet looks silent although it is not.  A source delivers a

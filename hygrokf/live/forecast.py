@@ -178,8 +178,6 @@ LONGEST_HEATING_H = 24.0
 """Longest pre-heating that is considered [h]."""
 STAYS_H = 1.0
 """[h] for which the air must stay dry: the peak of the vapour driven out of materials must have passed."""
-LEVEL = 0.95
-"""Confidence level of the bounds of the heaters' effect (`Heating.bounds_K`)."""
 PREHEATING, PREHEATING_HEAT = "preheating", "preheating_heat"
 LOGGED_HEATER, LOGGED_HEATER_HEAT = "logged_heater", "logged_heater_heat"
 
@@ -210,8 +208,8 @@ class Heating:
 
     @property
     def bounds_K(self) -> tuple[float, float]:
-        """Bounds of the effect [K] at the confidence level `LEVEL`; the lower one is not negative."""
-        half_width_K = normal_quantile(LEVEL) * self.sd_K
+        """Bounds of the effect [K] at the confidence level `CONFIDENCE`; the lower one is not negative."""
+        half_width_K = normal_quantile(CONFIDENCE) * self.sd_K
         return max(self.effect_K - half_width_K, 0.0), self.effect_K + half_width_K
 
     def values_at(self, effect_K: float, values: Mapping[str, float]) -> dict[str, float]:
@@ -256,8 +254,9 @@ def heating_sd(fit: Fit) -> float:
 class Advice:
     """How long to pre-heat before a restart.
 
-    `hours` [h] of pre-heating until the air is dry enough, None if `LONGEST_HEATING_H` is not enough or the time is
-    unknown; `probability` [1] of dry air after `hours` or, without them, its maximum within `LONGEST_HEATING_H`.
+    `hours` [h] of pre-heating until the air is dry enough, None if `LONGEST_HEATING_H` is not enough or the
+    time is unknown; `probability` [1] of dry air after `hours` or, without them, its maximum within
+    `LONGEST_HEATING_H`.
     """
 
     statement: Statement

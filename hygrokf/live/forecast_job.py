@@ -24,15 +24,15 @@ from hygrokf.live.fault_isolation import (
     isolate,
 )
 from hygrokf.live.forecast import ForecastMade, NoForecast, forecast, restart
-from hygrokf.live.plan import AMBIENT_HUMIDITIES, Plan
+from hygrokf.live.plan import Plan
 from hygrokf.live.scenarios import PAST_DAYS, NoScenarios, Scenarios, persistence, weather_forecast
 from hygrokf.live.storage.store import Store
 from hygrokf.live.tracker import Point, Tracker, tracked_record
 from hygrokf.live.turbine import Turbine
+from hygrokf.physics.signal_names import AMBIENT_HUMIDITIES, CABINET_SIGNALS
 from hygrokf.texts.live_codes import BasisCode
 
 FORECAST_DRIVERS = ("ambient_temperature", *AMBIENT_HUMIDITIES, "active_power", "preheating")
-CABINET_SIGNALS = ("cabinet_temperature", "cabinet_relative_humidity", "cabinet_absolute_humidity")
 FORECAST_EVERY_S = HOUR_S
 """[s] between two forecasts of a turbine."""
 

@@ -188,8 +188,8 @@ def plan(
     """Return the plan for tracking a turbine with an identified model.
 
     wandering: tracked property → drift rate [per day^0.5], by default all properties of the model at the
-    rates of `TRACKED_PROPERTIES`.  The ambient's readings are used without smoothing, because smoothing would need
-    later readings.
+    rates of `TRACKED_PROPERTIES`.  The ambient's readings are used without smoothing, because smoothing would
+    need later readings.
     """
     model = fit.design.model
     rates = (

@@ -35,7 +35,6 @@ class Watched:
 
 
 TEMPERATURES = ("cabinet_temperature",)
-CABINET_HUMIDITIES = ("cabinet_relative_humidity", "cabinet_absolute_humidity")
 WATCHED = (
     Watched(
         "thermal_time_constant", "log_thermal_change", "thermal_time_constant", "h", math.log(1.15), 0.25,

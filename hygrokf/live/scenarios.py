@@ -114,8 +114,8 @@ def persistence(history: Record, now_s: float, further: Sequence[str] = ()) -> S
     days = _complete_days(history, time, further)
     if len(days) < FEWEST_PAST_DAYS:
         raise NoScenarios(
-            f"persistence needs {FEWEST_PAST_DAYS} complete days of ambient readings that began two days ago or "
-            f"earlier; found {len(days)}"
+            f"persistence needs {FEWEST_PAST_DAYS} complete days of ambient readings that began two days ago "
+            f"or earlier; found {len(days)}"
         )
     ambient = _possible_ambients(history, now_s, time, [day for day, _ in days])
     operations, operation = possible_operation(

@@ -30,8 +30,7 @@ from hygrokf.data.timestamps import DAY_S
 from hygrokf.estimation.likelihood import End, Gaussian, Likelihood, Trace
 from hygrokf.live.properties import WATCHED, TrackedState, observable
 from hygrokf.physics.model import Model
-
-CABINET_RELATIVE_HUMIDITY = "cabinet_relative_humidity"
+from hygrokf.physics.signal_names import CABINET_RELATIVE_HUMIDITY
 
 
 def censored_trace(

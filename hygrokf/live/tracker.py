@@ -26,7 +26,7 @@ from hygrokf.data.timestamps import DAY_S, HOUR_S, whole_microseconds
 from hygrokf.engine.timeline import Timeline
 from hygrokf.estimation.likelihood import Gaussian, Trace
 from hygrokf.live.frozen import Frozen, frozen_runs
-from hygrokf.live.plan import AMBIENT_HUMIDITIES, BEFORE, Plan
+from hygrokf.live.plan import BEFORE, Plan
 from hygrokf.live.traces import SAME_S, changed_trace
 from hygrokf.modelling.inputs import Run, longest_gap_h, model_inputs
 from hygrokf.physics.signal_names import AMBIENT_HUMIDITIES
@@ -138,9 +138,9 @@ class Tracker:
     final, "departed" and "frozen" (rejected by `data.gate`).
 
     While all sensors of the cabinet are silent, estimates follow from the inputs alone.  These estimates are
-    provisional for `PROVISIONAL_S`, because a late delivery replaces them; `provisional_point` is the last estimate
-    that only a late delivery can change, and the filter continues from it.  Alarms do not wait: they are
-    judged up to `judged_s` [s], and again from the point on if a late delivery changes their estimates.
+    provisional for `PROVISIONAL_S`, because a late delivery replaces them; `provisional_point` is the last
+    estimate that only a late delivery can change, and the filter continues from it.  Alarms do not wait: they
+    are judged up to `judged_s` [s], and again from the point on if a late delivery changes their estimates.
 
     plan: what the tracker needs of a fit (`live.plan.plan`).
     point: the final estimate to begin from, or None.

@@ -35,8 +35,8 @@ from hygrokf.live.traces import SAME_S, StatedChange, humidity_sensor_trusted
 from hygrokf.live.tracker import Point, TrackedCourse
 
 THIN_S = 600.0
-"""[s] between two stored estimates of a cabinet whose sensors have been silent for `SENSOR_SILENT_S`, or that has
-none."""
+"""[s] between two stored estimates of a cabinet whose sensors have been silent for `SENSOR_SILENT_S`, or that
+has none."""
 SENSOR_SILENT_S = 0.5 * HOUR_S
 """[s] without a reading after which a cabinet's sensors count as silent for `THIN_S`."""
 STALE_S = 2.0 * HOUR_S

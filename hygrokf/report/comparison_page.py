@@ -258,7 +258,8 @@ def _sentence(row: ErrorRow) -> str:
 
 def scores_table(results: ComparisonResults, name: str) -> Table:
     """Return the errors of one quantity by column, period and regime (Table III of the paper)."""
-    labels, rows = short_labels([column.label for column in results.columns]), []
+    labels = short_labels([column.label for column in results.columns])
+    rows: list[RegimeRow] = []
     for period in COMPARED_PERIODS:
         for column, label in zip(results.columns, labels, strict=True):
             if (total := results.errors(period, name).get(column.label)) is not None:
@@ -270,7 +271,7 @@ def scores_table(results: ComparisonResults, name: str) -> Table:
 
 def differences_table(results: ComparisonResults, column: str, reference: str) -> Table:
     """RMSE of `column` minus that of `reference`, by quantity and period; bold if the bounds exclude zero."""
-    rows: list[tuple[str, ...]] = []
+    rows: list[RegimeRow] = []
     bold_rows: list[int] = []
     for name in SCORED:
         for period in COMPARED_PERIODS:

@@ -32,6 +32,8 @@ from hygrokf.texts.wording import (
     signed,
 )
 
+RegimeRow = tuple[tuple[str, ...], Iterable[float], tuple[float, float] | None, int]
+"""Words of a row, its number in each of `REGIMES`, bounds and readings of the total."""
 ACTUATORS_NOTE = (
     "Mean difference between the simulations with and without the actuator while it is above half of its "
     "span, with 95 % bounds."

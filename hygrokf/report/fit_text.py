@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from functools import partial
 
 from hygrokf.evaluation.innovation_tests import SMALL_CORRELATION
-from hygrokf.evaluation.scoring import SCORED
 from hygrokf.identification.fit_results import FitResults, TimeConstant
 from hygrokf.identification.verdict import (
     COVERAGE,

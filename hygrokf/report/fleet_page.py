@@ -13,7 +13,7 @@ from hygrokf.data.result_file import ResultFault, read_result
 from hygrokf.estimation.conventions import SIGNIFICANCE
 from hygrokf.fleet.fleet_results import CSV, FleetResults
 from hygrokf.fleet.job import DONE, Row, cell_number, cell_text
-from hygrokf.fleet.outliers import FEWEST_JUDGED, LEVEL, SIMULATED_FLEETS, Scatter, spreads
+from hygrokf.fleet.outliers import FEWEST_JUDGED, SIMULATED_FLEETS, Scatter, spreads
 from hygrokf.fleet.tasks import TASKS, Compared, Tally, Task
 from hygrokf.report.blocks import (
     Banner,
@@ -326,10 +326,10 @@ def _method(fleet: FleetResults) -> tuple[Block, ...]:
         f"Each turbine was treated alone, with the same options{options}.",
         "Outliers: the distance of the logarithm of a turbine’s value from the median, in median absolute "
         "deviations (the turbines’ own bounds taken out, and those of the turbine added again), is compared "
-        f"with the largest distance in as many normal numbers ({SIMULATED_FLEETS} simulated fleets at most). If "
-        f"turbines differ normally, the chance of any false outlier is {percent(LEVEL)} for the whole fleet "
-        f"and all quantities together; fewer than {FEWEST_JUDGED} turbines are not judged. An outlier need "
-        "not be faulty: the turbine may have another site, operation or design.",
+        f"with the largest distance in as many normal numbers ({SIMULATED_FLEETS} simulated fleets at most). "
+        f"If turbines differ normally, the chance of any false outlier is {percent(SIGNIFICANCE)} for the "
+        f"whole fleet and all quantities together; fewer than {FEWEST_JUDGED} turbines are not judged. An "
+        "outlier need not be faulty: the turbine may have another site, operation or design.",
         f"{CSV} has all numbers, and each turbine’s folder its results.",
         f"Done by {versions(fleet.version)}.",
     )

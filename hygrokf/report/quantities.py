@@ -11,7 +11,6 @@ from functools import partial
 from hygrokf.data.record import Site
 from hygrokf.identification.fit_results import ParameterRow
 from hygrokf.physics.psychrometrics import ZERO_CELSIUS_K
-from hygrokf.texts.parts import BOTH_PARTS
 from hygrokf.texts.wording import (
     MOST_DECIMALS,
     NONE,

@@ -262,19 +262,12 @@ def errors_tables(result: TransferResult) -> tuple[Table, ...]:
     where = "held out" if held_out else "identification period: nothing is held out"
     tables = []
     for quantity_name, by_set in result.rmse.items():
-        rows = []
+        rows: list[RegimeRow] = []
         for name in (set_name for set_name in SET_LABELS if set_name in by_set):
             row = by_set[name]
-            bounds = NONE if row.bounds is None else interval(*row.bounds)
-            numbers = (fixed(error) for error in (row.operation, row.standstill, row.total))
-            rows.append((SET_LABELS[name], *numbers, bounds, str(row.n.total)))
-        tables.append(
-            Table(
-                f"{quantity(quantity_name).rmse}, {where}",
-                ("", "operation", "standstill", "total", "total, 95 %", "n"),
-                tuple(rows),
-            )
-        )
+            values = (row.operation, row.standstill, row.total)
+            rows.append(((SET_LABELS[name],), values, row.bounds, row.n.total))
+        tables.append(regimes_table(f"{quantity(quantity_name).rmse}, {where}", rows))
     return tuple(tables)
 
 

@@ -313,8 +313,8 @@ class ExaminedCode(Code):
 
 @dataclass(frozen=True)
 class Check(Statement):
-    """The result of one check: what was checked (`about`), its `level` (see `CHECK_LEVELS`), and the remedy, empty
-    for level "ok"."""
+    """The result of one check: what was checked (`about`), its `level` (see `CHECK_LEVELS`), and the remedy,
+    empty for level "ok"."""
 
     about: str = ""
     level: str = OK

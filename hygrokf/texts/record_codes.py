@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from hygrokf.texts.parts import PARTS
 from hygrokf.texts.statement import Code, Statement
 
 TOUCHES_THERMAL, TOUCHES_HYGRIC, TOUCHES_BOTH, TOUCHES_NEITHER = (

@@ -26,7 +26,7 @@ import numpy as np
 
 from hygrokf.data.record import Record
 from hygrokf.estimation.confidence import Uncertainty, normal_quantile, positive_inverse
-from hygrokf.estimation.conventions import CONFIDENCE, SIGNIFICANCE
+from hygrokf.estimation.conventions import SIGNIFICANCE
 from hygrokf.estimation.likelihood import Likelihood
 from hygrokf.estimation.optimiser import Estimate, Objective
 from hygrokf.evaluation.simulation import measured, settled
@@ -36,7 +36,7 @@ from hygrokf.identification.identify import expect_readings
 from hygrokf.identification.turbine_type import TurbineType
 from hygrokf.identification.verdict import inherited
 from hygrokf.identification.verdict_terms import Inherited
-from hygrokf.modelling.design import CABINET_HUMIDITIES, Design, read_as
+from hygrokf.modelling.design import Design, read_as
 from hygrokf.modelling.inputs import Run, model_inputs
 from hygrokf.physics.model import Model
 from hygrokf.physics.parameters import Coordinates
@@ -54,7 +54,6 @@ DISTURBANCES = "disturbances"
 UNKNOWN_GROUP = "not known to the type"
 OF_THE_RECORD = (OFFSETS, DISTURBANCES, UNKNOWN_GROUP)
 """Groups that belong to a logger, a site and a season, not to a cabinet: every record has its own values."""
-LEVEL = 0.05
 _BASE = {"thermal_network": THERMAL_GROUP, "heat_release": HEAT_GROUP, "hygric_exchange": HYGRIC_GROUP}
 _OFFSETS = ("_bias", "_offset")
 
@@ -121,7 +120,7 @@ class GroupTest:
     @property
     def significant(self) -> bool:
         """Whether the group is selected as different."""
-        return self.p_adjusted < LEVEL
+        return self.p_adjusted < SIGNIFICANCE
 
 
 def unexplained(apart: Difference, differing: Sequence[str]) -> float:

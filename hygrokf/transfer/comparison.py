@@ -140,8 +140,8 @@ class ComparisonResults:
             (
                 row.kind, row.column, row.against,
                 *(("", "") if row.kind == "difference" else fits[row.column]),
-                row.quantity, "1" if row.kind == "skill" else COMPARED_UNITS[row.quantity], row.period, row.regime,
-                row.n, row.value, row.lower, row.upper
+                row.quantity, "1" if row.kind == "skill" else COMPARED_UNITS[row.quantity],
+                row.period, row.regime, row.n, row.value, row.lower, row.upper
             )
             for row in self.rows
         ]  # fmt: skip

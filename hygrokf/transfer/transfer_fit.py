@@ -25,7 +25,6 @@ import numpy as np
 from hygrokf.data.progress import Progress, reporting
 from hygrokf.data.record import Record
 from hygrokf.estimation.confidence import Bounds, Uncertainty, normal_quantile, uncertainty
-from hygrokf.estimation.conventions import CONFIDENCE
 from hygrokf.estimation.optimiser import Estimate, Objective, fit_mle
 from hygrokf.evaluation.bootstrap import Resampled, resampled
 from hygrokf.evaluation.scoring import guesses, period_masks, rmse

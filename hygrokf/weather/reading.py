@@ -166,7 +166,8 @@ def read_weather(
 ) -> Record:
     """Read ambient signals over the years of one or several weather files, in SI units and UTC.
 
-    paths: of the `WEATHER_FORMATS`, recognised by name and first bytes; several files follow each other, such as one
+    paths: of the `WEATHER_FORMATS`, recognised by name and first bytes; several files follow each other, such
+    as one
         for each day or year.
     site: of the cabinet; needed if a file holds a grid.
     year: first calendar year of a typical year (EPW, TRY); needed if its months are of different years.

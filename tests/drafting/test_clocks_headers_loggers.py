@@ -358,6 +358,8 @@ def test_flags_in_words_are_drafted_and_an_unstated_polarity_is_not_used(tmp_pat
     assert line in path.read_text()
     path.write_text(path.read_text().replace(line, line[2:] + ', one = "closed"'))
     np.testing.assert_array_equal(read_case(path, cabinet=False)["fan_duty"].value, number % 30 >= 9)
+
+
 def a_logger(path, header="Date-Time (UTC),Temperature (°C),RH (%),Dew Point (°C)"):
     """A logger in the cabinet that exports a dew point of its own readings."""
     warm, moist = TRUTH["cabinet_temperature"], TRUTH["cabinet_relative_humidity"]

@@ -440,9 +440,7 @@ def test_cells_give_the_true_course_of_an_undisturbed_plant(seed):
         ("hygric_exchange", CASCADE, "vapour", "hygric_k"),
     ],
 )
-def test_likelihood_free_run_and_cells_follow_a_mechanism_that_changes(
-    name, kind, quantity, constant
-):
+def test_likelihood_free_run_and_cells_follow_a_mechanism_that_changes(name, kind, quantity, constant):
     """A mechanism whose rates are doubled is that of half the time constant, to all three alike."""
     record = record_of(8601)
 

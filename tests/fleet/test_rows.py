@@ -22,4 +22,4 @@ def test_cells_with_statements_survive_their_file_and_become_texts() -> None:
     assert structured(FleetResults, json.loads(result_text(fleet))) == fleet
     assert row["statements"] == statements and row["ageing_h"] is None and flat(row["causes"]) == "rain door"
     text = table_csv("climate", fleet.rows)
-    assert f"{statements[0]} | {statements[1]}" in text and f"lost,\"{statements[1]}\"" in text
+    assert f"{statements[0]} | {statements[1]}" in text and f'lost,"{statements[1]}"' in text

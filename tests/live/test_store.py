@@ -105,9 +105,7 @@ def test_repeated_contradicting_and_late_observations(store: Store) -> None:
         (5.0, 2.0, 9.0, 0, 1),
     ]  # fmt: skip
     assert queried(store, "SELECT received, mark FROM observation WHERE value = ?", (2.0,)) == [(8.0, 9.0)]
-    assert store.revised("T1", 4.5) == {
-        ("rain", 5.0): [Reading("rain", 5.0, 1.0), Reading("rain", 5.0, 2.0)]
-    }
+    assert store.revised("T1", 4.5) == {("rain", 5.0): [Reading("rain", 5.0, 1.0), Reading("rain", 5.0, 2.0)]}
 
 
 def test_a_restart_reads_each_signal_from_some_readings_before(store: Store) -> None:
@@ -245,9 +243,7 @@ def test_what_is_no_store_is_refused_and_left_as_it_is(tmp_path: Path) -> None:
     assert "expected a store as" in refused("mysql://here/live")
 
 
-def test_a_folder_without_rights_is_no_damaged_store(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_folder_without_rights_is_no_damaged_store(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def refusing(path: Path, mode: str) -> None:
         raise sqlite3.OperationalError("unable to open database file")
 

@@ -47,6 +47,7 @@ from hygrokf.live.turbine import Turbine, digest
 from hygrokf.live.web.page_settings import PageFault, PageSettings
 from hygrokf.live.web.server import listening_socket
 from hygrokf.modelling.inputs import model_inputs
+from hygrokf.physics.signal_names import AMBIENT_HUMIDITIES
 from hygrokf.texts.doctor_codes import CHECK_LEVELS, DOUBT, FAULT, OK, Check, CheckCode, ExaminedCode
 from hygrokf.texts.reasons import REJECT
 from hygrokf.texts.statement import Statement

@@ -361,7 +361,9 @@ def channel_of(
     url = table.get("url")
     scheme = url.partition(":")[0] if isinstance(url, str) else ""
     if scheme not in TRANSPORTS:
-        place.fault(f"url must begin with one of {', '.join(f'{kind}:' for kind in KINDS)}, found {scheme!r}")
+        place.fault(
+            f"url must begin with one of {', '.join(f'{kind}:' for kind in TRANSPORTS)}, found {scheme!r}"
+        )
         return None
     table_place = replace(place, faults=[])
     channel: Mail | Webhook = read_form(TRANSPORTS[scheme], table, table_place, folder=folder)

@@ -255,8 +255,8 @@ class PayloadMapping:
         order: order of the source's local stamps so far, updated by this payload; None: unknown.
 
         Raises Refused if the payload cannot be read, or if nothing of its only record can be used.  Stamps
-        before `EARLIEST_STAMP_S` or after `LATEST_STAMP_S` are refused; stamps of weather forecasts are refused if they
-        are ahead of the arrival by more than `FORECAST_S`.
+        before `EARLIEST_STAMP_S` or after `LATEST_STAMP_S` are refused; stamps of weather forecasts are
+        refused if they are ahead of the arrival by more than `FORECAST_S`.
         """
         result, fault = ReadingsByTurbine(), None
         for record in records(content, self.form, self.steps, topic, received):

@@ -78,7 +78,8 @@ def records(
 ) -> Iterable[PayloadRecord]:
     """Return the records of a payload: itself, the objects of its array, or the objects at the path `steps`.
 
-    form: format of content that is text, one of `PAYLOAD_FORMATS`. Raises Refused for a payload without the path.
+    form: format of content that is text, one of `PAYLOAD_FORMATS`. Raises Refused for a payload without the
+    path.
     """
     parsed: Json = content if isinstance(content, Mapping) else parsed_text(content, form)
     if isinstance(parsed, Mapping):

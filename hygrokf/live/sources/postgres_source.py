@@ -74,9 +74,10 @@ Watermark: TypeAlias = datetime | date | int | float | Decimal
 class PostgresForm(PasswordKeys, SourceKeys):
     """A [[source]] of `postgresql://USER@HOST/NAME`: a query and how it is repeated.
 
-    `query` contains `AFTER_PARAMETER` and sorts by the column `watermark`; `poll_s`: time [s] between two queries;
-    `lag_s`: longest time [s] from a row's watermark to its commit; `look_back_s`: time [s] before the first
-    start from which rows are read, None for all rows; `name`: distinguishes several queries of a database.
+    `query` contains `AFTER_PARAMETER` and sorts by the column `watermark`; `poll_s`: time [s] between two
+    queries; `lag_s`: longest time [s] from a row's watermark to its commit; `look_back_s`: time [s] before
+    the first start from which rows are read, None for all rows; `name`: distinguishes several queries of a
+    database.
     """
 
     url: str = setting(help="postgresql://USER@HOST:PORT/NAME")

@@ -178,8 +178,8 @@ def _by_column(table: ExportedTable, rows: Sequence[Row]) -> list[Values]:
 def chunks(
     store: Store, table: ExportedTable, turbine: str | None, since: float, until: float
 ) -> Iterator[list[Row]]:
-    """Yield the rows of a table in the order of its key, at most `ROWS_AT_ONCE` at a time; each query starts after
-    the last row of the one before.
+    """Yield the rows of a table in the order of its key, at most `ROWS_AT_ONCE` at a time; each query starts
+    after the last row of the one before.
 
     No query stays open between chunks, so that the tracker can write and its log does not grow during an
     export.

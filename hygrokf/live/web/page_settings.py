@@ -107,8 +107,9 @@ def page_settings(value: object, folder: Path, place: Place) -> PageSettings:
             inside.fault("behind_proxy needs token_file or token_env, because others can reach the proxy")
         if not is_loopback(host) and not form.behind_proxy:
             inside.fault(
-                f"other machines reach {host}: give an address such as {PAGE_ADDRESS}; or put a proxy with TLS "
-                "in front of the page (docs/live_files/nginx.conf) and set behind_proxy = true, token_file"
+                f"other machines reach {host}: give an address such as {PAGE_ADDRESS}; or put a proxy with "
+                "TLS in front of the page (docs/live_files/nginx.conf) and set behind_proxy = true, "
+                "token_file"
             )
     return PageSettings(host, port, form.hosts, token, form.behind_proxy, unix)
 

@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hygrokf.data.timestamps import DAY_S, WEEK_S
-from hygrokf.evaluation.scoring import SCORED
 from hygrokf.fleet.outliers import INTERVAL_SD, Scatter
 from hygrokf.identification.turbine_type import TurbineType
 from hygrokf.report.figures.drawing import (

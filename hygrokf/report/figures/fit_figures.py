@@ -130,7 +130,8 @@ class _Points:
         self.coefficients = data.coefficients
 
     def cloud(self, edges: np.ndarray) -> tuple[Curve, ...]:
-        """Return the points, at most `CLOUD_POINTS`, in the colours of their classes of ambient temperature."""
+        """Return the points, at most `CLOUD_POINTS`, in the colours of their classes of ambient
+        temperature."""
         thinned = np.unique(
             np.linspace(0, len(self.power) - 1, min(CLOUD_POINTS, len(self.power))).astype(int)
         )

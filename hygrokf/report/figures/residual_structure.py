@@ -26,7 +26,8 @@ from hygrokf.discovery.residuals import (
     displayed,
     words,
 )
-from hygrokf.evaluation.diagnosis import (
+from hygrokf.estimation.conventions import CONFIDENCE
+from hygrokf.evaluation.innovation_tests import (
     Autocorrelation,
     CrossCorrelation,
     CumulativePeriodogram,
@@ -275,9 +276,8 @@ def _by_day(residuals: Residuals, name: str) -> tuple[int, np.ndarray]:
 # -- innovations ---------------------------------------------------------------------------------------------
 QUANTILES = 160
 """Points of the quantile plot, evenly spread over the normal distribution's quantiles."""
-INPUTS = 4
+MOST_INPUTS = 4
 """Inputs that are shown; of more of them those with the smallest p."""
-LEVEL = 0.95
 
 
 def figure_innovations(
@@ -411,14 +411,14 @@ def _periodogram(data: Periodogram) -> Panel:
 
 
 def _shown_inputs(diagnosis: OutputDiagnosis) -> list[tuple[str, CrossCorrelation]]:
-    """The `INPUTS` inputs whose correlation with the innovations has the smallest p, in their order."""
+    """The `MOST_INPUTS` inputs whose correlation with the innovations has the smallest p, in their order."""
     pairs = [
         (name, correlation)
         for name, correlation in diagnosis.cross_correlation.items()
         if len(_columns(correlation.lag_h, correlation.value)[0]) > 1
     ]
     most_significant = sorted(pairs, key=lambda pair: math.inf if math.isnan(pair[1].p) else pair[1].p)[
-        :INPUTS
+        :MOST_INPUTS
     ]
     return [pair for pair in pairs if pair in most_significant]
 
@@ -438,7 +438,7 @@ def _quantiles(innovations: np.ndarray) -> Panel:
     standard_error = np.sqrt(probability * (1 - probability) / count) / (
         np.exp(-0.5 * x**2) / math.sqrt(2.0 * math.pi)
     )
-    reach_sd = normal.inv_cdf(0.5 + 0.5 * LEVEL)
+    reach_sd = normal.inv_cdf(0.5 + 0.5 * CONFIDENCE)
     marks = (
         Band(x, x - reach_sd * standard_error, x + reach_sd * standard_error, QUIET),
         Curve(x, x, QUIET, 0.6),
