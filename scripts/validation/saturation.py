@@ -9,7 +9,7 @@ from itertools import pairwise
 import numpy as np
 
 from hygrokf.data.readings import SATURATED
-from hygrokf.live.condition import Condition, air_condition, inputs_of, only
+from hygrokf.live.condition import Condition, air_condition, at_instants, inputs_of
 from hygrokf.live.forecast import moments_by_member
 from hygrokf.live.scenarios import HORIZON_S, NoScenarios, Scenarios
 from hygrokf.texts.live_codes import BasisCode
@@ -120,7 +120,7 @@ def _conditions(case: Tracked, now_s: float, scenarios: Scenarios) -> Iterator[t
             for t, *moments in courses
         ]
         kept = np.isin(np.round(found[0].time_s), np.round(scenarios.time_s))
-        yield place, [only(one, kept) for one in found]
+        yield place, [at_instants(one, kept) for one in found]
 
 
 def _compared(case: Tracked, found: Sequence[Condition], surface: Surface) -> tuple[list[tuple], tuple]:

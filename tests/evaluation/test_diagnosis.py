@@ -6,13 +6,19 @@ import json
 
 import numpy as np
 import pytest
-from hygrokf.evaluation.diagnosis import Diagnosis, InnovationTest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
 from hygrokf.data.structured import plain, structured
-from hygrokf.evaluation.innovation_tests import FEWEST_DIAGNOSED, MOST_POINTS, diagnose, whitened
+from hygrokf.evaluation.innovation_tests import (
+    FEWEST_DIAGNOSED,
+    MOST_POINTS,
+    Diagnosis,
+    InnovationTest,
+    diagnose,
+    whitened,
+)
 from hygrokf.texts.fit_codes import FitCode
 
 STEP_H = 0.25

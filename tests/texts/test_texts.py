@@ -16,7 +16,7 @@ from hygrokf.discovery.discovery_results import Exclusion, Reason, Verdict
 from hygrokf.report.discovery_text import ANSWERS, EXCLUSIONS, REFUTATIONS
 from hygrokf.texts.climate_codes import ClimateCode
 from hygrokf.texts.discovery_codes import ConditionCode, DiscoveryCode
-from hygrokf.texts.doctor_codes import DOUBT, LEVELS, OK, CheckCode, ExaminedCode
+from hygrokf.texts.doctor_codes import CHECK_LEVELS, DOUBT, OK, CheckCode, ExaminedCode
 from hygrokf.texts.fit_codes import FitCode
 from hygrokf.texts.fleet_codes import FleetCode
 from hygrokf.texts.live_codes import AdviceCode, AlarmCode, BasisCode, CauseCode, NoticeCode, StateCode
@@ -57,7 +57,7 @@ def test_a_check_says_what_to_do_unless_all_is_well() -> None:
     assert str(slow) == f"doubt  source x: {found}; to do: {to_do}"
     assert CheckCode.FILE_RESTS("x", within=1.0, age=2.0).remedy == ""
     assert CheckCode.FILE_RESTS("x", DOUBT, within=1.0, age=2.0).remedy.startswith("check the program")
-    assert {code.usual for code in CheckCode} == set(LEVELS)
+    assert {code.usual for code in CheckCode} == set(CHECK_LEVELS)
     assert all(code.remedy for code in CheckCode if code.usual != OK)
     data = plain(slow)
     assert data["code"] == "query_slow" and data["remedy"] == slow.remedy and data["found"] == slow.text
