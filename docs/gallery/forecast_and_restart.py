@@ -41,7 +41,7 @@ state, surface = tracker.newest_state, Surface(follows=0.5)
 scenarios = persistence(record, state.time)  # ignores what came later
 ahead = forecast(tracker.plan, state, scenarios, surface)
 advice = restart(tracker.plan, state, scenarios, surface, heating_sd_K=heating_sd(fit))
-print(scenarios.words, advice.statement, sep="\n")
+print(scenarios.basis, advice.statement, sep="\n")
 
 air = ahead.condition
 when = pd.to_datetime(air.time_s, unit="s")

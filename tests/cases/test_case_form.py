@@ -93,7 +93,7 @@ def test_the_form_is_read():
         ("resolution = 0.1", "response_time = 10", 9, ["response_time: expected a duration"]),
         ("resolution = 0.1", 'resolution = "x"', 9, ["resolution: expected a number ≥ 0"]),
         ('stamp = "start"', 'stamp = "begin"', 14, ["instant, start, middle, end"]),
-        ('stamp = "start"', "", 15, ["where in it the stamp is"]),
+        ('stamp = "start"', "", 15, ["position of its stamp in the averaging interval"]),
         ('"10min"', "10", 15, ["interval", "10min"]),
         ('"10min"', '"0s"', 15, ["longer than 0"]),
         ('"2min"', '"two"', 16, ["clock_uncertainty", "duration"]),

@@ -152,7 +152,7 @@ def test_texts_and_serial_days_are_read_as_in_files() -> None:
         "timezone": None, "stamp": None, "time_format": {"scada": "excel"},
     }  # fmt: skip
     frames = {"cabinet": logger, "scada": texts}
-    with pytest.raises(CaseFault, match=r'may be 1\d{3} or 1\.\d+, as .*state thousands = "\."'):
+    with pytest.raises(CaseFault, match=r'may be 1\d{3} or 1\.\d+, since .*state thousands = "\."'):
         made(frames, **told)
     record = made(frames, **told, thousands={"scada": "."})
     for signal in ("cabinet_temperature", "active_power"):
@@ -414,7 +414,7 @@ WRONG = [
     ({"scada": scada()}, {"units": {"P": "kW"}, "signals": {"P": "active_power"}},
      "no source names ambient_temperature, the input that every model needs", ""),
     ({"scada": scada().set_axis(["power"], axis=1)}, {"units": None, "signals": None},
-        'none of its columns is a signal (it has "power")', "signals={"),
+        'none of its columns is named after a signal (it has "power")', "signals={"),
 ]  # fmt: skip
 
 
