@@ -14,6 +14,9 @@ REFERENCES = Path(__file__).resolve().parent / "references"
 NUMBER = re.compile(r"[-\u2212]?\d[\d,\u202f\u2009]*(?:\.\d+)?(?:e[-+]?\d+)?")
 VOLATILE = re.compile(r"(?:_|^)(?:cpu_s|wall_s|seconds|created|began_utc|id|key)$")
 """Keys of JSON whose values are of one run or one version: times that it took, digests of what it read."""
+CANCELLED = 1e-12
+"""Largest size of what is left where numbers cancel, such as an effect [K] that is none: its digits are
+rounding, and have no tolerance of their own."""
 
 
 def read(name: str) -> dict:
@@ -61,7 +64,9 @@ def is_number(value: object) -> bool:
 
 
 def close(was: float, now: float, relative: float) -> bool:
-    return was == now or (math.isnan(was) and math.isnan(now)) or math.isclose(was, now, rel_tol=relative)
+    if was == now or (math.isnan(was) and math.isnan(now)):
+        return True
+    return math.isclose(was, now, rel_tol=relative, abs_tol=CANCELLED if relative > 0.0 else 0.0)
 
 
 def same_text(was: str, now: str, relative: float) -> bool:
