@@ -1,5 +1,4 @@
-"""The tracker's file, `track.toml`: turbines, mapping of payloads, sources, store, page.  All faults are
-reported at once."""
+"""The tracker's file, `track.toml`: turbines, mapping of payloads, sources, store, page."""
 
 from __future__ import annotations
 
@@ -581,8 +580,7 @@ def _turbines(
 
 
 def read_turbine(path: Path, place: Place, library: Library, **options: Any) -> Turbine | None:
-    """Return a turbine with the model in a file or folder; None if the model cannot be used, with a fault at
-    `place`.
+    """Return a turbine with the model in a file or folder; None, with a fault, if it cannot be used.
 
     library: of the mechanisms that the model may contain.  options: arguments of `plan`.
     """
