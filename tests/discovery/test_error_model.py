@@ -34,8 +34,8 @@ from hygrokf.estimation.likelihood import Likelihood
 from hygrokf.physics.mechanisms import linear_network
 from hygrokf.physics.model import compose
 from hygrokf.physics.parameters import Parameter
-from hygrokf.texts.parts import PARTS
 
+PARTS = len(TIMES_H)
 TIMES = np.array(TIMES_H)
 EVERY = np.ones(PARTS, bool)
 KNOWN = np.array([0.04, 0.3, 0.2, 0.5, 0.4, 0.3, 0.2])

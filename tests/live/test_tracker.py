@@ -396,7 +396,7 @@ def test_readings_are_kept_as_long_as_an_instant_may_look_at_them(record: Record
 
 
 def test_no_number_is_no_reading(record: Record) -> None:
-    with pytest.raises(ValueError, match="a missing reading is none"):
+    with pytest.raises(ValueError, match="expected a finite number, found nan; omit missing ones"):
         Tracker(planned(record)).take([Reading("cabinet_temperature", 0.0, np.nan)])
 
 
