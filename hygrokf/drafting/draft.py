@@ -180,8 +180,11 @@ def _rows_of_turbine(
 
 
 def _one_column_per_tag(export: Export, time_column: str) -> Export:
-    """Return a table with a column for each tag, from rows of stamp, tag and value; other exports
-    unchanged."""
+    """Return a table with a column for each tag, from rows of stamp, tag and value (and unit, quality).
+
+    Of other exports with a column of values and one of their unit, the unit is moved to that of the values;
+    all others are returned unchanged.
+    """
     cells = export.cells
     other_names = [name for name in cells if name != time_column]
     sample = {name: cells[name].dropna().iloc[:500] for name in other_names}
@@ -199,16 +202,8 @@ def _one_column_per_tag(export: Export, time_column: str) -> Export:
         if name not in (*numeric, unit_column, quality_column) and 2 <= cells[name].nunique() <= 500
     ]
     tag_columns.sort(key=lambda name: _TAG.search(words_of(name)) is None)
-    is_tagged = bool(tag_columns) and (
-        cells[time_column].duplicated().mean() >= _FEWEST_REPEATED
-        # where a row is written when a value changes, each tag has its own stamps
-        or (
-            len(numeric) == 1
-            and _TAG.search(words_of(tag_columns[0]))
-            and _VALUE.search(words_of(value_columns[0]))
-        )
-    )
-    if not is_tagged:
+    repeated_share = cells[time_column].duplicated().mean()
+    if not tag_columns or not _is_tagged(repeated_share, tag_columns[0], value_columns[0], numeric):
         if unit_column is None or cells[unit_column].nunique() != 1:
             return export
         units = tuple(
@@ -231,6 +226,20 @@ def _one_column_per_tag(export: Export, time_column: str) -> Export:
     )
     table = table.reset_index().rename_axis(columns=None)
     return _with_cells(export, table.where(table.notna(), None), "one row a value", unit_of_tag)
+
+
+def _is_tagged(
+    repeated_share: float, tag_column: str, value_column: str, numeric_columns: Sequence[str]
+) -> bool:
+    """Whether each row holds the value of one tag.
+
+    repeated_share: of the stamps, those that an earlier row has too.  tag_column, value_column: candidates.
+    """
+    if repeated_share >= _FEWEST_REPEATED:
+        return True
+    # where a row is written when a value changes, each tag has its own stamps: the names must tell
+    is_named = _TAG.search(words_of(tag_column)) and _VALUE.search(words_of(value_column))
+    return len(numeric_columns) == 1 and bool(is_named)
 
 
 def _columns_of_turbine(export: Export, turbine: str | None) -> Export:
