@@ -68,15 +68,16 @@ class ExportClock:
 def time_columns(export: Export) -> tuple[str, str | None]:
     """Return the column of stamps or dates, and the column of times of day if that is a separate one.
 
-    Raises TableFault where there is none.
+    A column of one constant date, such as the day of the export, is taken only where no other one varies: in
+    an export of a single day it may be the date beside a time of day.  Raises TableFault where there is none.
     """
     sampled_rows = export.cells.iloc[
         np.linspace(0, len(export.cells) - 1, min(len(export.cells), 200)).astype(int)
     ]
-    candidates: list[tuple[int, int, str]] = []
+    candidates: list[tuple[bool, int, int, str]] = []
     for name in sampled_rows:
         cells = sampled_rows[name].dropna()
-        if len(cells) < 0.5 * len(sampled_rows) or (cells.nunique() < 2 and len(sampled_rows) > 200):
+        if len(cells) < 0.5 * len(sampled_rows):
             continue
         if cells.map(is_date).mean() > 0.9:
             lower_name = name.lower()
@@ -86,13 +87,14 @@ def time_columns(export: Export) -> tuple[str, str | None]:
                 continue
             is_utc = "utc" in lower_name or "gmt" in lower_name
             is_end = bool(re.search(r"\bend|ende\b|bis\b|_end|received|insert", lower_name))
-            candidates.append((is_named + is_utc - is_end, -len(candidates), name))
+            varies = cells.nunique() > 1
+            candidates.append((varies, is_named + is_utc - is_end, -len(candidates), name))
     if not candidates:
         raise TableFault(
             "expected a column of stamps such as 2020-12-01 00:00, found none among "
             f"{', '.join(sampled_rows)[:200]}"
         )
-    column = max(candidates)[2]
+    column = max(candidates)[-1]
     dates = sampled_rows[column].dropna()
     if not dates.str.contains(":").any():
         for name in sampled_rows:

@@ -6,6 +6,10 @@ runs, (blocks, width, RUNS); the data of a step are stored in columns, (width, r
 one number of each run in a block.  Values that depend only on the parameters and on the length of a step are
 kept between steps and recomputed for blocks that are marked as changed.  Lanes differ in their number of
 sub-steps: all lanes compute, and finished lanes keep their previous values.
+
+Methods emit code; strings that they take and return are registers and slots of the text (`llvm_writer`), of
+vectors with one lane for each run.  `block` is the register of a block's number, `slots`, `leaves` and
+`times` are as in `step_codegen`, `lanes` a vector of i1 that says which lanes take new values.
 """
 
 from __future__ import annotations
@@ -44,6 +48,7 @@ def kept_nodes(recursion: Recursion) -> list[int]:
 
 
 def _all(number: int) -> str:
+    """A literal vector of i64 with the same number in all lanes."""
     return "<" + ", ".join([f"i64 {number}"] * RUNS) + ">"
 
 
@@ -55,10 +60,13 @@ def fleet_text(recursion: Recursion) -> str:
 
 @dataclass
 class _Emission:
+    """LLVM text of the function `fleet`."""
+
     recursion: Recursion
     writer: Writer = field(init=False)
 
     def function(self) -> str:
+        """The text: a loop over the blocks, which keeps values where needed and predicts the moments."""
         w = self.writer = Writer("fleet", BATCH_ARGUMENTS, RUNS)
         slots = {e.index: w.slot(RUN_VECTOR) for e in self.recursion.state}
         with w.loop("%blocks") as block:
@@ -74,25 +82,32 @@ class _Emission:
         return w.text()
 
     def _load(self, array: str, block: str, width: int, column: int) -> str:
+        """Emit code that loads one number of each run from an array in blocks; returns the register."""
         w = self.writer
         place = w.integer("add", w.integer("mul", block, width), column)
         return w.load(RUN_VECTOR, w.at(RUN_VECTOR, f"%{array}", place))
 
     def _column(self, array: str, block: str, column: int) -> str:
+        """Emit code that loads one number of each run from an array in columns; returns the register."""
         w = self.writer
         place = w.integer("add", w.integer("mul", "%blocks", column), block)
         return w.load(RUN_VECTOR, w.at(RUN_VECTOR, f"%{array}", place))
 
-    def _row(self, array: str, block: str, nodes: list[int]) -> dict[int, str]:
+    def _load_row(self, array: str, block: str, nodes: list[int]) -> dict[int, str]:
+        """Emit code that loads a row of an array in blocks, one number for each node; returns node →
+        register."""
         return {i: self._load(array, block, len(nodes), c) for c, i in enumerate(nodes)}
 
     def _parameters_and_keys(self, block: str) -> dict[int, str]:
+        """Emit code that loads the parameters and what defines the key of each run; returns node →
+        register."""
         r = self.recursion
         leaves = [e.index for e in (*r.p.values(), *r.given)]
         keys = {e.index: self._column("keys", block, c) for c, e in enumerate(r.key_leaves)}
-        return self._row("theta", block, leaves) | keys
+        return self._load_row("theta", block, leaves) | keys
 
     def _keep(self, block: str) -> None:
+        """Emit code that computes and stores the values that are kept between steps."""
         r, w = self.recursion, self.writer
         nodes, leaves = kept_nodes(r), self._parameters_and_keys(block)
         if r.exact:
@@ -103,8 +118,11 @@ class _Emission:
             w.store(RUN_VECTOR, w.as_vector(kind, name), w.at(RUN_VECTOR, "%known", place))
 
     def _matrices(self, leaves: dict[int, str], share: float) -> dict[int, str]:
-        """Values of a step's matrices: of the symbol of the share, and of the symbols that operations
-        assign."""
+        """Emit code that computes the matrices of a sub-step; returns node → register of all leaves, the
+        share of the sub-step and the symbols that its operations assign.
+
+        share: [1] largest product of the rates and the share of a sub-step.
+        """
         r, w = self.recursion, self.writer
         times, largest = self._doublings(leaves, share)
         bits = w.value(f"shl {LONGS} {w.value(f'sub {LONGS} {_all(1023)}, {times}')}, {_all(52)}")
@@ -127,7 +145,10 @@ class _Emission:
         leaves: dict[int, str],
         lanes: str,
     ) -> None:
-        """Run an operation; only `lanes` take its values."""
+        """Emit code that runs an operation; only `lanes` take its values.
+
+        times, most: doublings of each run, and the largest of them.
+        """
         w = self.writer
         if isinstance(op, Choose):
             for inner in op.plain:
@@ -148,6 +169,7 @@ class _Emission:
     def _assign(
         self, operation: Assign | Repeat, slots: dict[int, str], leaves: dict[int, str], lanes: str
     ) -> None:
+        """Emit code that assigns the values of an operation's block to its symbols, in the chosen lanes."""
         w = self.writer
         needed = set(self.recursion.graph.needed(operation.block))
         all_leaves = leaves | {i: w.load(RUN_VECTOR, slot) for i, slot in slots.items() if i in needed}
@@ -157,7 +179,8 @@ class _Emission:
             w.store(RUN_VECTOR, self._where(lanes, value, old), slots[e.index])
 
     def _doublings(self, leaves: dict[int, str], share: float) -> tuple[str, str]:
-        """Number of doublings of every run, and the largest; 0 for rates that are not finite."""
+        """Emit code for the number of doublings of every run, and for the largest; 0 for rates that are not
+        finite.  Returns the registers of both."""
         w = self.writer
         largest = w.splat(literal(0.5))
         for name in self._values(list(self.recursion.reach), leaves):
@@ -171,11 +194,13 @@ class _Emission:
         return power, w.value(f"call i64 @llvm.vector.reduce.smax.v{RUNS}i64({LONGS} {power})")
 
     def _values(self, outputs: list[Expression], leaves: dict[int, str]) -> list[str]:
+        """Emit code that computes outputs from vectors; returns the registers of vectors."""
         w = self.writer
         results = w.block(self.recursion.graph, outputs, leaves, list(leaves))
         return [w.as_vector(kind, name) for kind, name in results]
 
     def _predict(self, slots: dict[int, str], block: str) -> None:
+        """Emit the loop over the sub-steps of a step, which moves the moments in `slots`."""
         r, w = self.recursion, self.writer
         parts = self._column("parts", block, 0)
         largest = w.value(f"sext i32 {w.load('i32', w.at('i32', '%most', block))} to i64")
@@ -183,7 +208,7 @@ class _Emission:
             counter = w.splat(w.value(f"sitofp i64 {j} to double"))
             runs = w.value(f"fcmp olt {RUN_VECTOR} {counter}, {parts}")
             old = {i: w.load(RUN_VECTOR, slot) for i, slot in slots.items()}
-            leaves = old | self._parameters_and_keys(block) | self._row("known", block, kept_nodes(r))
+            leaves = old | self._parameters_and_keys(block) | self._load_row("known", block, kept_nodes(r))
             leaves |= self._inputs_within(block, counter, parts)
             if not r.exact:
                 leaves |= self._matrices(leaves, SHARE)
@@ -192,10 +217,12 @@ class _Emission:
                 w.store(RUN_VECTOR, self._where(runs, value, old[i]), slot)
 
     def _where(self, truths: str, a: str, b: str) -> str:
+        """Emit code that chooses between two vectors lane by lane; returns the register."""
         return self.writer.value(f"select {TRUTHS} {truths}, {RUN_VECTOR} {a}, {RUN_VECTOR} {b}")
 
     def _inputs_within(self, block: str, j: str, parts: str) -> dict[int, str]:
-        """Inputs at the start and the end of sub-step j of `parts`; exact for a single sub-step."""
+        """Emit code for the inputs at the start and the end of sub-step j of `parts`, exact for a single
+        sub-step; returns node → register."""
         r, w = self.recursion, self.writer
         one = w.splat(literal(1.0))
         after = w.value(f"fadd {RUN_VECTOR} {j}, {one}")

@@ -16,6 +16,9 @@ that the run itself gives at the start of each cell.
 
 The loop is emitted from the traced expressions of the mechanisms; no equation is written here.
 
+`TracedCell` makes expressions, nothing is computed there.  `cell_text`, `exponential` and `logarithm` emit
+code: strings in them are registers and slots of the text (`llvm_writer`).  `run` computes.
+
 Shapes: K cells, m inputs, w inputs of which every run has its own, P parameters, LANES runs, k outputs.
 
 Exponential and logarithm of whole vectors stand in place of one library call for each lane.  Both are
@@ -44,7 +47,9 @@ _MAGIC = 6755399441055744.0
 _LN2_HIGH, _LN2_LOW = 0.6931471803691238, 1.9082149292705877e-10
 """ln 2 as a sum: products of the first term with small integers are exact."""
 _TERMS = 13
+"""Degree of the exponential's Taylor polynomial in the remainder after the rounded multiple of ln 2."""
 _LOG_TERMS = 10
+"""Degree of the logarithm's polynomial in f², f = (m − 1)/(m + 1) for the mantissa m."""
 _SMALLEST = -708.0
 _LARGEST = 709.0
 """Limits of the exponential's argument: e^x is a normal number between them."""
@@ -52,7 +57,11 @@ _LARGEST = 709.0
 
 # -- exponential and logarithm of whole vectors --------------------------------------------------------------
 class _Function(Writer):
-    """A function of one vector, which the compiler copies into its callers."""
+    """Text of a function of one vector, which the compiler copies into its callers.
+
+    Methods emit one operation on vectors and return the register of its result; `all` and `whole` return
+    literal vectors with the same number in all lanes.
+    """
 
     def __init__(self, name: str, lanes: int) -> None:
         super().__init__(name, [], lanes)
@@ -83,12 +92,15 @@ class _Function(Writer):
         return self.value(f"fcmp {word} {self.vector} {a}, {b}")
 
     def bits(self, a: str) -> str:
+        """The bits of doubles as integers."""
         return self.value(f"bitcast {self.vector} {a} to {self.integers}")
 
     def number(self, a: str) -> str:
+        """The doubles with these bits."""
         return self.value(f"bitcast {self.integers} {a} to {self.vector}")
 
     def done(self, result: str) -> str:
+        """The text of the function, which returns the register `result`."""
         head = f"define internal {self.vector} @{self._name}({self.vector} %x) alwaysinline {{"
         return "\n".join([head, *self._lines, f"  ret {self.vector} {result}", "}"]) + "\n"
 
@@ -184,7 +196,12 @@ class CellModel:
 
 
 class TracedCell:
-    """One cell as expressions."""
+    """One cell as expressions of its symbols, by name.
+
+    `mean`, `begin`, `end`: of the shared inputs over the cell and at its ends; `own`: of the inputs that
+    every run has for itself; `before`: positions of the controllers in the cell before; `states`: at the
+    beginning. `positions`: of the controllers in the cell; `after`: states at its end; `readings`: there.
+    """
 
     def __init__(self, model: CellModel) -> None:
         self.model = model
@@ -215,7 +232,7 @@ class TracedCell:
         self.readings = [g.lift(shown[name]) for name in model.outputs]
 
     def _positions(self) -> dict[str, Expression]:
-        """The positions of the controllers in the cell."""
+        """Expressions of the controllers' positions in the cell."""
         # an open vent cools the air that the controller reads
         readings = self._shown(self.states, {**self.begin, **self.own, **self.before}) if self.before else {}
         positions = {}
@@ -235,8 +252,11 @@ class TracedCell:
         begin: Mapping[str, Value],
         end: Mapping[str, Value],
     ) -> dict[str, Value]:
-        """Advance the states of a model in `state`, one after the other; returns their means over the
-        cell."""
+        """Trace the states of a model at the end of the cell, one after the other, into `state`; returns the
+        expressions of their means over the cell.
+
+        mean, begin, end: inputs of the model over the cell and at its ends.
+        """
 
         def rates(at: Mapping[str, Value], inputs: Mapping[str, Value]) -> list[Expression]:
             equations = model.traced([at[name] for name in model.states], inputs, self.values)
@@ -263,12 +283,12 @@ class TracedCell:
         return means
 
     def _stretch(self, rate: Expression, name: str) -> Value:
-        """z of a state: the cell's length times the derivative of the rate with respect to the state."""
+        """Expression of z of a state: the cell's length times the derivative of the rate by the state."""
         ((slope,),) = jacobian([rate], [self.states[name]])
         return self.hours * slope
 
     def _air(self, heat: Mapping[str, Value], inputs: Mapping[str, Value]) -> Value:
-        """The cabinet temperature that the vapour model uses."""
+        """Expression of the cabinet temperature that the vapour model uses."""
         model = self.model.heat
         if model is None:
             return inputs[CABINET_TEMPERATURE]
@@ -277,7 +297,7 @@ class TracedCell:
         return given + self.values[SIMULATED_TEMPERATURE] * (air["cabinet_air_temperature"] - given)
 
     def _shown(self, state: Mapping[str, Value], inputs: Mapping[str, Value]) -> dict[str, Value]:
-        """The readings at a state under inputs."""
+        """Expressions of the readings at a state under inputs."""
         temperature_input = {CABINET_TEMPERATURE: self._air(state, inputs)}
         readings: dict[str, Value] = {}
         for model in self.model.models:
@@ -288,7 +308,7 @@ class TracedCell:
 
 
 def _phi(z: Value) -> tuple[Value, Value]:
-    """φ₁ and φ₂ − φ₁/2; near z = 0 by their Taylor series."""
+    """Expressions of φ₁ and φ₂ − φ₁/2; near z = 0 by their Taylor series."""
     if not isinstance(z, Expression):
         return 1.0, 0.0
     small = z * z < 1e-4

@@ -4,6 +4,14 @@
 before the time loop (parameters, then the table of keys), then the loop over the instants with its blocks of
 straight-line code.  `FILTER_COMMON` lists the arguments that all kinds share, `FILTER_ARGUMENTS` those of
 each kind.
+
+Methods emit code; strings that they take and return are registers and slots of the text (`llvm_writer`), and
+the nouns of `step_codegen` hold here, too.  Further ones:
+
+- bars, dots: adjoints and tangents, by node; `%statebar`, `%keydot` and so on are arrays of them.
+- seeds: node → expression of the adjoint from which a reverse pass starts.
+- pull: to propagate the adjoints of a block's outputs to the nodes that it reads.
+- k, c, y, exists: registers of the instant, of a reading and of whether it exists; the place of its output.
 """
 
 from __future__ import annotations
@@ -55,7 +63,10 @@ def loop_text(recursion: Recursion, kind: str, gain: bool) -> str:
 
 
 class Emission(Stages):
-    """LLVM text of one loop of a recursion, begun with the stages before the time loop."""
+    """LLVM text of one loop of a recursion, begun with the stages before the time loop.
+
+    gain: whether readings correct the moments.  The methods named after the kinds emit the whole time loop.
+    """
 
     def __init__(self, recursion: Recursion, kind: str, gain: bool) -> None:
         self.gain = gain
@@ -67,7 +78,8 @@ class Emission(Stages):
 
     # -- pieces of the time loop -----------------------------------------------------------------------------
     def _readings(self, k: str) -> list[tuple[str, str]]:
-        """(value, condition that a reading exists) of every output at instant k."""
+        """Emit code that loads the readings at instant k; returns, for every output, the registers of the
+        value and of the i1 whether it exists."""
         w = self.writer
         count = len(self.recursion.updates)
         row = w.integer("mul", k, count)
@@ -78,6 +90,8 @@ class Emission(Stages):
         return result
 
     def _update_leaves(self, slots: Names, k: str, key: str, y: str) -> Names:
+        """Emit code that loads all that an update reads: moments, key table, inputs, reading and parameters;
+        returns node → register."""
         return (
             self.read(slots)
             | self.table(key)
@@ -87,7 +101,7 @@ class Emission(Stages):
         )
 
     def _resets(self, slots: Names, k: str, zero: str = literal(0.0), kind: str = SCALAR) -> None:
-        """Set the running means to zero where their interval begins."""
+        """Emit code that sets the running means to zero at an instant where their interval begins."""
         r, w = self.recursion, self.writer
         if not r.model.resets:
             return
@@ -107,6 +121,7 @@ class Emission(Stages):
 
     # -- the functions ---------------------------------------------------------------------------------------
     def _value(self) -> None:
+        """Emit the loop that filters the readings and keeps the sums of the likelihood."""
         w, r = self.writer, self.recursion
         slots = self.slots(r.state)
         self.load_state(slots, "%state")
@@ -120,7 +135,7 @@ class Emission(Stages):
         total.write(w, "%out")
 
     def _schedule(self) -> None:
-        """Choose the sub-steps of every step along the filtered course."""
+        """Emit the loop that chooses the sub-steps of every step along the filtered course."""
         w, r = self.writer, self.recursion
         slots = self.slots(r.state)
         self.load_state(slots, "%state")
@@ -130,6 +145,8 @@ class Emission(Stages):
         going = w.slot("i64", w.value(f"zext i1 {w.value('icmp sgt i64 %count, 0')} to i64"))
 
         def accept(place: str, level: str, times: str) -> str:
+            """Emit code that records a sub-step; returns the register of the i1 whether there are too
+            many."""
             count = w.load("i64", taken)
             with w.when(w.value(f"icmp slt i64 {count}, {room}")):
                 for name, value in (("places", place), ("depths", level), ("doubled", times)):
@@ -156,6 +173,7 @@ class Emission(Stages):
         self.save_state(slots, "%state")
 
     def _correct(self, slots: Names, k: str, key: str, total: RunningSums) -> None:
+        """Emit code that counts the readings at instant k and corrects the moments in `slots` by them."""
         before = self._covariance(slots)
         for c, (y, exists) in enumerate(self._readings(k)):
             self._correct_by(c, y, exists, before, slots, k, key, total)
@@ -163,7 +181,10 @@ class Emission(Stages):
     def _correct_by(
         self, c: int, y: str, exists: str, before: Names, slots: Names, k: str, key: str, total: RunningSums
     ) -> None:
-        """Count one reading and correct the state by it, if it exists."""
+        """Emit code that counts reading c and corrects the moments in `slots` by it, if it exists.
+
+        before: registers of the covariance before the readings of the instant.
+        """
         w, r = self.writer, self.recursion
         with w.when(exists):
             leaves = self._update_leaves(slots, k, key, y)
@@ -174,27 +195,27 @@ class Emission(Stages):
                 self._store(slots, values)
 
     def _covariance(self, slots: Names) -> Names:
-        """The covariance before the readings of an instant."""
+        """Emit code that loads the covariance from the slots; returns node → register."""
         r = self.recursion
         return self.read({e.index: slots[e.index] for e in [*r.packed, *r.units]})
 
     def _watch(self, c: int, leaves: Names, before: Names, total: RunningSums) -> str:
-        """Record the variance of an innovation after and before the other readings of its instant; returns
-        the variance after them."""
+        """Emit code that records the variance of an innovation, given the readings processed before it and
+        without any of its instant; returns the register of the former."""
         w, r = self.writer, self.recursion
-        ((_, spread),) = w.block(r.graph, [r.spreads[c]], leaves)
-        ((_, first),) = w.block(r.graph, [r.spreads[c]], leaves | before)
-        total.watch(w, c, spread, first)
-        return spread
+        ((_, variance),) = w.block(r.graph, [r.spreads[c]], leaves)
+        ((_, variance_before),) = w.block(r.graph, [r.spreads[c]], leaves | before)
+        total.watch(w, c, variance, variance_before)
+        return variance
 
     def _results(self, update: Block) -> Block:
-        """Results of an update; without gain only the innovation, its variance and the quadratic form
+        """The expressions of an update that are computed; without gain only the innovation, its variance and
         e²/S."""
         return update if self.gain else update[-3:]
 
     def _trace(self) -> None:
-        """Write one row for each instant (`packing.trace_width`): moments before the readings; prediction and
-        variance of every output; moments after the readings; transition; noise."""
+        """Emit the loop that writes one row for each instant (`packing.trace_width`): moments before the
+        readings; prediction and variance of every output; moments after the readings; transition; noise."""
         w, r = self.writer, self.recursion
         slots = self.slots(r.state)
         self.load_state(slots, "%state")
@@ -231,6 +252,8 @@ class Emission(Stages):
         total.write(w, "%out")
 
     def _predict_with_transition(self, slots: Names, transition: Sequence[str], noise: Names, k: str) -> None:
+        """Emit code that moves the moments to instant k, and multiplies the `transition` (n², slots by rows)
+        and accumulates the `noise` of its sub-steps."""
         r, w = self.recursion, self.writer
         n = r.n
         with self.sub_steps(k) as sub_step:
@@ -252,7 +275,8 @@ class Emission(Stages):
             self._store(slots, values)
 
     def _adjoint(self) -> None:
-        """Compute the score: a forward pass stores the moments, a backward pass propagates the adjoints."""
+        """Emit the loops of the score: a forward pass that stores the moments, and a backward pass that
+        propagates the adjoints."""
         w, r = self.writer, self.recursion
         slots = self.slots(r.state)
         self.load_state(slots, "%state")
@@ -282,6 +306,8 @@ class Emission(Stages):
         self._reverse_stages()
 
     def _reverse_updates(self, slots: Names, k: str, key: str) -> None:
+        """Emit code that propagates the adjoints back through the readings of instant k; the moments before
+        each reading are recomputed into the buffer first."""
         w, r = self.writer, self.recursion
         readings = self._readings(k)
         self.load_state(slots, "%store", w.integer("mul", k, 2))
@@ -300,15 +326,15 @@ class Emission(Stages):
             with w.when(exists):
                 self.load_state(slots, "%buffer", c)
                 leaves = self._update_leaves(slots, k, key, y)
-                spread, quadratic = update[-2:]
+                variance, quadratic = update[-2:]
                 seeds: Symbols = {}
-                seed(seeds, spread, -0.5 / spread)
+                seed(seeds, variance, -0.5 / variance)
                 seed(seeds, quadratic, r.graph.lift(-0.5 * r.term_derivative(quadratic)))
                 self._pull(list(slots) if self.gain else [], update, leaves, key, seeds)
 
     def _reverse_predict(self, slots: Names, k: str) -> None:
-        """Propagate the adjoints back through the sub-steps; the moments before each of several sub-steps are
-        recomputed into the buffer first."""
+        """Emit code that propagates the adjoints back through the sub-steps to instant k; the moments before
+        each of several sub-steps are recomputed into the buffer first."""
         w, r = self.writer, self.recursion
         first = w.value(f"icmp eq i64 {k}, 0")
         self.load_state(slots, "%first")
@@ -341,8 +367,13 @@ class Emission(Stages):
         seeds: Symbols | None = None,
         stage: int = INSTANT,
     ) -> None:
-        """Propagate the adjoints of the symbols `into`, whose values a block computes, to the nodes that the
-        block reads; the adjoints of `into` itself are replaced."""
+        """Emit code that propagates the adjoints of the symbols `into`, whose values a block computes, to the
+        nodes that the block reads; the adjoints of `into` itself are replaced.
+
+        leaves: registers from which the block is computed.  key: register of its row of the key table.
+        seeds: adjoints of outputs of the block that are known without symbols.  stage: at which the block
+        runs; the nodes of earlier stages keep sums of their adjoints.
+        """
         w, r = self.writer, self.recursion
         seeds = dict(seeds or {})
         names: Names = {}
@@ -371,7 +402,8 @@ class Emission(Stages):
                 accumulate(w, name, w.at(SCALAR, "%keybar", column))
 
     def _reverse_stages(self) -> None:
-        """Pass the adjoints of the key table on to the parameter stage, and from there to the parameters."""
+        """Emit code that passes the adjoints of the key table on to the parameter stage, and from there to
+        the parameters."""
         w, r, g = self.writer, self.recursion, self.recursion.graph
         keys = [Expression(g, i) for i in r.key_nodes]
         bars = {i: g.symbol(f"keybar:{i}") for i in r.key_nodes}
@@ -380,7 +412,7 @@ class Emission(Stages):
             self.bars = {i: w.slot(SCALAR, literal(0.0)) for i in slots}
             times, leaves = self.times(key), self.key_leaves(key) | self.at_parameters
             self.perform(r.early, slots, times, leaves, levels=True)
-            names = self._row("%keybar", key, [bars[i].index for i in r.key_nodes])
+            names = self._load_row("%keybar", key, [bars[i].index for i in r.key_nodes])
             self._pull([], keys, leaves | self.read(slots) | names, key, bars, KEY)
 
             def pull(into: Sequence[int], block: Sequence[Expression], block_leaves: Names, row: str) -> None:
@@ -399,7 +431,8 @@ class Emission(Stages):
             w.store(SCALAR, w.load(SCALAR, self.parameter_bars[e.index]), w.at(SCALAR, "%thetabar", c))
 
     def _tangent(self) -> None:
-        """Compute innovations, variances and their derivatives along `LANES` directions of the parameters."""
+        """Emit the loop that computes innovations, variances and the derivatives of both along `LANES`
+        directions of the parameters."""
         w, r, g = self.writer, self.recursion, self.recursion.graph
         directions, dots = self._stage_tangents()
         key_dots = {i: g.symbol(f"dot:{i}") for i in r.key_nodes}
@@ -415,7 +448,9 @@ class Emission(Stages):
         tangents = directions | key_dots | state_dots | within
 
         def dot_leaves(key: str) -> Names:
-            keys = self._row("%keydot", key, [key_dots[i].index for i in r.key_nodes], VECTOR)
+            """Emit code that loads all tangents that a block may read; returns symbol of the tangent →
+            register."""
+            keys = self._load_row("%keydot", key, [key_dots[i].index for i in r.key_nodes], VECTOR)
             states = {state_dots[i].index: w.load(VECTOR, s) for i, s in dot_slots.items()}
             inner = {within[i].index: w.load(VECTOR, s) for i, s in register_dots.items()}
             return dots | keys | states | inner
@@ -423,6 +458,8 @@ class Emission(Stages):
         def run(
             outputs: list[Expression], leaves: Names, key: str
         ) -> tuple[list[tuple[str, str]], list[str]]:
+            """Emit code that computes outputs and their tangents; returns the (kind, register) of the former
+            and the registers of the latter."""
             vectors = dot_leaves(key)
             derivative = forward(g, outputs, tangents)
             values_and_dots = w.block(g, [*outputs, *derivative], leaves | vectors, list(vectors))
@@ -436,6 +473,8 @@ class Emission(Stages):
                 leaves = self.read(slots) | self.table(sub_step.key) | sub_step.inputs | self.at_parameters
 
                 def compute(operation: Assign | Repeat, all_leaves: Names, row: str = sub_step.key) -> None:
+                    """Emit code that computes an operation and its tangents, and stores both in their
+                    slots."""
                     values, derivatives = run(list(operation.block), all_leaves, row)
                     for e, (_, name), dot in zip(operation.into, values, derivatives, strict=True):
                         w.store(SCALAR, name, self.registers[e.index])
@@ -454,11 +493,11 @@ class Emission(Stages):
                     leaves = self._update_leaves(slots, k, key, y)
                     values, derivatives = run(self._results(r.updates[c]), leaves, key)
                     total.take(w, values[-2][1], values[-1][1], r.square)
-                    spread = self._watch(c, leaves, before, total)
+                    variance = self._watch(c, leaves, before, total)
                     place = w.integer("add", row, c)
                     error, error_dot = values[-3][1], derivatives[-3]
                     if r.unknown:  # a reading that merely shows what was unknown has no quadratic form
-                        is_unknown = w.value(f"fcmp uno double {spread}, {literal(0.0)}")
+                        is_unknown = w.value(f"fcmp uno double {variance}, {literal(0.0)}")
                         error = w.value(f"select i1 {is_unknown}, double {literal(0.0)}, double {error}")
                         error_dot = w.value(
                             f"select i1 {is_unknown}, {VECTOR} zeroinitializer, {VECTOR} {error_dot}"
@@ -479,8 +518,8 @@ class Emission(Stages):
         total.write(w, "%out")
 
     def _stage_tangents(self) -> tuple[Symbols, Names]:
-        """Tangents of the parameter stage: symbols by node, and LLVM names by the symbol's node.  The
-        tangents of the key table are stored."""
+        """Emit code that computes the tangents of the parameter stage, and stores those of the key table;
+        returns node → symbol of its tangent, and symbol → register, of the parameter stage."""
         w, r, g = self.writer, self.recursion, self.recursion.graph
         dots: Names = {}
         directions = {e.index: g.symbol(f"dot:{e.index}") for e in r.p.values()}
@@ -498,10 +537,12 @@ class Emission(Stages):
         dot_slots = {i: w.slot(VECTOR, "zeroinitializer") for i in slots}
 
         def derivatives(block: Sequence[Expression], leaves: Names) -> list[tuple[str, str]]:
+            """Emit code for the tangents of a block; returns their (kind, register)."""
             vectors = dots | {slot_dots[i].index: w.load(VECTOR, s) for i, s in dot_slots.items()}
             return w.block(g, forward(g, block, directions | slot_dots), leaves | vectors, list(vectors))
 
         def compute(operation: Assign | Repeat, leaves: Names) -> None:
+            """Emit code that computes an operation and its tangents, and stores both in their slots."""
             names = [w.as_vector(*item) for item in derivatives(operation.block, leaves)]
             self._compute(slots)(operation, leaves)
             for e, name in zip(operation.into, names, strict=True):

@@ -89,8 +89,8 @@ def controlled_text(r: Recursion, controls: Sequence[Control]) -> str:
 
 
 def _shown(recursion: Recursion, control: Control) -> Expression:
-    """The reading that a control follows; for an interval mean, the reading whose running mean grows at the
-    state's rate."""
+    """Expression of the reading that a control follows; for an interval mean, the reading whose running mean
+    grows at the state's rate."""
     if control.mean_h:
         place = recursion.model.states.index(f"mean_{control.reads}")
         return recursion.rates[place] * control.mean_h
@@ -98,6 +98,10 @@ def _shown(recursion: Recursion, control: Control) -> Expression:
 
 
 def _position(w: Writer, control: Control, c: int, value: str, idle: str) -> str:
+    """Emit code for the position of control c; returns its register.
+
+    value: register of the reading that it follows.  idle: of the i1 whether the turbine stands still.
+    """
     first, second = (w.load(SCALAR, w.at(SCALAR, "%levels", 2 * c + i)) for i in (0, 1))
     zero, one = literal(0.0), literal(1.0)
     share = w.real("fdiv", w.real("fsub", value, first), w.real("fsub", second, first))
@@ -135,7 +139,7 @@ def filter_loop(
 
 # -- the compiled loops of a filter with many states, with the arguments of straight-line loops --------------
 Common = tuple[Any, ...]
-"""Number of instants, and arrays (`wide_codegen.COMMON`, and the sums of the likelihood)."""
+"""Number of instants, and arrays (`wide_codegen.WIDE_COMMON`, and the sums of the likelihood)."""
 
 
 @dataclass(frozen=True)
@@ -160,6 +164,7 @@ class WideLoop:
         getattr(self, "_" + kind)(numbers, common, *rest)
         state[:] = self._packed(block)
 
+    # the methods named after the kinds call the compiled loop and convert what it takes and returns
     def _value(self, numbers: Numbers, common: Common) -> None:
         self.code("value", *common)
 

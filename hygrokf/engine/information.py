@@ -7,6 +7,9 @@ the bound c,
     z = e √(w/S),   a = e˙ √(w/S),   b = S˙/(√2 S):     score −z a − (1 − z²) b/√2,   information a a' + b b'.
 
 Shapes: T instants, k outputs, B blocks of L = `LANES` directions.
+
+All functions but `summed` emit code: w is the writer, strings that they take and return are registers and
+slots of its text (`llvm_writer`), and names with % are arguments of the emitted function.
 """
 
 from __future__ import annotations
@@ -22,7 +25,8 @@ from hygrokf.engine.llvm_writer import LANES, SCALAR, VECTOR, Writer, declaratio
 
 # -- sums that a loop keeps ----------------------------------------------------------------------------------
 class RunningSums:
-    """Running sums Σ log S and Σ e²/S, with b² (1 + ln(e²/(b² S))) in place of e²/S beyond b².
+    """Slots of the running sums Σ log S and Σ e²/S, with b² (1 + ln(e²/(b² S))) in place of e²/S beyond b²;
+    the methods emit code that changes them.  b is the model's bound of an innovation, in standard deviations.
 
     Σ log S is kept as a product, whose binary exponent is moved to a separate sum before the product leaves
     the range of doubles.  The time loop contains no call, since a call would spill the whole state from the
@@ -40,7 +44,11 @@ class RunningSums:
         self.number = w.slot("i64", "0")
 
     def take(self, w: Writer, variance: str, quadratic: str, square: float) -> None:
-        """Count one reading with innovation variance S and e²/S; `square` b² is whole or infinite."""
+        """Emit code that counts one reading: `variance` and `quadratic` are the registers of S and e²/S.
+
+        square: b², the largest e²/S that enters the sum as it is; a whole number, since a larger e²/S adds
+        b² ln(e²/(b² S)) as b² factors of the product, or infinity for no bound.
+        """
         w.store("i64", w.integer("add", w.load("i64", self.number), 1), self.number)
         self._multiply(w, variance)
         if math.isinf(square):
@@ -49,14 +57,15 @@ class RunningSums:
         beyond = w.value(f"fcmp ogt double {quadratic}, {literal(square)}")
         bounded = w.value(f"select i1 {beyond}, double {literal(square)}, double {quadratic}")
         accumulate(w, bounded, self.quadratic)
-        with w.when(beyond):  # b² ln(e²/(b² S)) as b² factors
+        with w.when(beyond):
             ratio = w.real("fdiv", quadratic, literal(square))
             with w.loop(str(round(square))):
                 self._multiply(w, ratio)
 
     def watch(self, w: Writer, place: int, variance: str, before: str) -> None:
-        """Update the smallest and largest innovation variance of output `place` by a reading's `variance` and
-        by its variance `before` the other readings of the instant; NaN is ignored."""
+        """Emit code that updates the smallest and largest innovation variance of output `place` by a
+        reading's `variance` and by its variance `before` the other readings of the instant; NaN is
+        ignored."""
         updates = ((self.lowest[place], "olt", variance), (self.highest[place], "ogt", before))
         for slot, order, value in updates:
             former = w.load(SCALAR, slot)
@@ -64,6 +73,7 @@ class RunningSums:
             w.store(SCALAR, w.value(f"select i1 {exceeds}, double {value}, double {former}"), slot)
 
     def _multiply(self, w: Writer, factor: str) -> None:
+        """Emit code that multiplies the product whose logarithm is Σ log S."""
         product = w.real("fmul", w.load(SCALAR, self.product), factor)
         w.store(SCALAR, product, self.product)
         low = w.value(f"fcmp ult double {product}, {literal(1e-100)}")
@@ -72,6 +82,8 @@ class RunningSums:
             self._set_exponent_aside(w, product)
 
     def _set_exponent_aside(self, w: Writer, product: str) -> None:
+        """Emit code that moves the binary exponent of the product to its sum; NaN where it is not
+        positive."""
         bits = w.value(f"bitcast double {product} to i64")
         exponent = w.integer("sub", w.integer("lshr", bits, 52), 1023)  # valid for a positive number
         w.store("i64", w.integer("add", w.load("i64", self.exponent), exponent), self.exponent)
@@ -85,8 +97,8 @@ class RunningSums:
         )
 
     def write(self, w: Writer, out: str) -> None:
-        """out[0] = Σ log S, out[1] = Σ e²/S, out[2] = number of readings, then the smallest
-        variance of every output, then the largest."""
+        """Emit code that writes the sums: out[0] = Σ log S, out[1] = Σ e²/S, out[2] = number of readings,
+        then the smallest variance of every output, then the largest."""
         fraction = w.value(f"call double @llvm.log.f64(double {w.load(SCALAR, self.product)})")
         exponent = w.value(f"sitofp i64 {w.load('i64', self.exponent)} to double")
         exponent_part = w.real("fmul", exponent, literal(math.log(2.0)))
@@ -100,7 +112,7 @@ class RunningSums:
 
 # -- score and information -----------------------------------------------------------------------------------
 def accumulate(w: Writer, value: str, pointer: str) -> None:
-    """Add a number to the value at a pointer."""
+    """Emit code that adds a number to the double at a pointer."""
     w.store(SCALAR, w.real("fadd", w.load(SCALAR, pointer), value), pointer)
 
 
@@ -124,6 +136,7 @@ def summed(
 
 @cache
 def _code() -> CompiledCode:
+    """The compiled function `summed`."""
     names = "square e s edot sdot scores information".split()
     integers = [("i64", name) for name in ("blocks", "count", "outputs")]
     w = Writer("summed", [*integers, *(("ptr", name) for name in names)])
@@ -138,7 +151,12 @@ def _code() -> CompiledCode:
 
 
 def _scaled(w: Writer, block: str, first: str, k: str, c: str) -> None:
-    """Replace one reading's tangents by a and b; add its terms to the score of its instant."""
+    """Emit code that replaces one reading's tangents by a and b, and adds its terms to the score of its
+    instant.
+
+    block, k, c: registers of the block of directions, the instant and the output; first: of the position of
+    the block's first tangents.
+    """
     reading = w.integer("add", w.integer("mul", k, "%outputs"), c)
     e, s = (w.load(SCALAR, w.at(SCALAR, base, reading)) for base in ("%e", "%s"))
     square = w.load(SCALAR, "%square")
@@ -165,7 +183,7 @@ def _scaled(w: Writer, block: str, first: str, k: str, c: str) -> None:
 
 
 def _products(w: Writer, row_block: str, column_block: str, readings: str) -> None:
-    """Add a a' + b b' of all readings to the information between two blocks."""
+    """Emit code that sums a a' + b b' of all readings into the information between two blocks."""
     sums = [w.slot(VECTOR, "zeroinitializer") for _ in range(LANES)]
     starts = [w.integer("mul", index, readings) for index in (row_block, column_block)]
     with w.loop(readings) as reading:

@@ -4,6 +4,12 @@
 nodes to values; loops and conditions are context managers whose counters are stack slots (LLVM turns them
 into registers). Scalars are `double`; vectors have one lane for each of several directions (tangents) or
 runs.
+
+Nothing is computed while the text is written.  What these functions take and return for a number is its name
+in the text: that of a *register*, such as "%v12", which is assigned once, or a literal.  A *slot* is the name
+of an address on the stack, whose number can be stored anew; a *pointer* is any address.  The *kind* of a
+value is its LLVM type: `SCALAR`, a vector, "i64" and so on; the *leaves* of a block are the nodes whose
+values are in registers already.
 """
 
 from __future__ import annotations
@@ -85,16 +91,19 @@ class Writer:
 
     # -- plain instructions ----------------------------------------------------------------------------------
     def line(self, text: str) -> None:
+        """Emit an instruction without a result."""
         self._lines.append("  " + text)
 
     def value(self, text: str) -> str:
+        """Emit an instruction; returns the register of its result."""
         self._count += 1
         name = f"%v{self._count}"
         self._lines.append(f"  {name} = {text}")
         return name
 
     def slot(self, kind: str, initial: str | None = None) -> str:
-        """A stack slot, allocated in the entry block and set to `initial` at the current position."""
+        """A new stack slot, allocated in the entry block; emits code that sets it to `initial` at the current
+        position."""
         self._count += 1
         name = f"%s{self._count}"
         self._slots.append(f"  {name} = alloca {kind}")
@@ -103,29 +112,35 @@ class Writer:
         return name
 
     def load(self, kind: str, pointer: str) -> str:
+        """Emit code that loads a value; returns its register."""
         return self.value(f"load {kind}, ptr {pointer}, align {_align(kind)}")
 
     def store(self, kind: str, value: str, pointer: str) -> None:
+        """Emit code that stores a value."""
         self.line(f"store {kind} {value}, ptr {pointer}, align {_align(kind)}")
 
     def at(self, kind: str, base: str, index: str | int) -> str:
-        """Address of element `index` of an array of `kind`."""
+        """Emit code for the address of element `index` of an array of `kind`; returns its register."""
         return self.value(f"getelementptr {kind}, ptr {base}, i64 {index}")
 
     def integer(self, operation: str, a: str | int, b: str | int) -> str:
+        """Emit an operation on two i64; returns the register of its result."""
         return self.value(f"{operation} i64 {a}, {b}")
 
     def real(self, operation: str, a: str, b: str) -> str:
+        """Emit an operation on two doubles; returns the register of its result."""
         return self.value(f"{operation} double {a}, {b}")
 
     # -- control flow ----------------------------------------------------------------------------------------
     def _label(self, name: str) -> str:
+        """A new label that begins with `name`."""
         self._count += 1
         return f"{name}{self._count}"
 
     @contextmanager
     def loop(self, count: str, *, backwards: bool = False) -> Iterator[str]:
-        """for i in range(count) (or reversed): yields the counter's value."""
+        """Emit the loop `for i in range(count)`, or its reverse, around the code emitted meanwhile; yields
+        the register of i."""
         counter = self.slot("i64", "0")
         with self._repeated(counter, f"slt i64 {{}}, {count}") as i:
             yield self.integer("sub", self.integer("sub", count, 1), i) if backwards else i
@@ -133,13 +148,15 @@ class Writer:
 
     @contextmanager
     def during(self, going: str) -> Iterator[None]:
-        """Repeat as long as the i64 in the slot `going` is not 0."""
+        """Emit a loop around the code emitted meanwhile, which runs as long as the i64 in the slot `going` is
+        not 0."""
         with self._repeated(going, "ne i64 {}, 0"):
             yield
 
     @contextmanager
     def _repeated(self, slot: str, comparison: str) -> Iterator[str]:
-        """Repeat as long as the `comparison` of the i64 in a slot holds; yields the i64."""
+        """Emit a loop that runs as long as the `comparison` of the i64 in a slot holds; yields the register
+        of the i64."""
         head, body, done = (self._label(x) for x in ("head", "body", "done"))
         self.line(f"br label %{head}")
         self._lines.append(f"{head}:")
@@ -153,8 +170,8 @@ class Writer:
 
     @contextmanager
     def when(self, condition: str) -> Iterator[None]:
-        """Run the block only if the i1 `condition` holds; values made inside must leave it through slots or
-        memory."""
+        """Emit a condition: the code emitted meanwhile runs only if the i1 `condition` holds.  Its results
+        must leave it through slots or memory, not through registers."""
         body, done = self._label("then"), self._label("after")
         self.line(f"br i1 {condition}, label %{body}, label %{done}")
         self._lines.append(f"{body}:")
@@ -170,8 +187,8 @@ class Writer:
         leaves: Mapping[int, str],
         vectors: Sequence[int] = (),
     ) -> list[tuple[str, str]]:
-        """Compute `outputs` at the current position from the values of `leaves`; returns (kind, value) for
-        each.
+        """Emit code that computes `outputs` from `leaves` (node → its register); returns (kind, register) of
+        each output.
 
         `vectors` lists the leaves that are vectors.
         """
@@ -222,18 +239,19 @@ class Writer:
         return [(kinds[e.index], names[e.index]) for e in outputs]
 
     def fma(self, kind: str, a: Sequence[str]) -> str:
-        """a b + c of three values."""
+        """Emit a₀ a₁ + a₂ of three values; returns the register of the result."""
         if has_fused_multiply_add():
             three = ", ".join(f"{kind} {value}" for value in a)
             return self.value(f"call {kind} @llvm.fma.{_suffix(kind)}({three})")
         return self.value(f"fadd {kind} {self.value(f'fmul {kind} {a[0]}, {a[1]}')}, {a[2]}")
 
     def as_vector(self, kind: str, value: str) -> str:
-        """The value as a tangent vector (a structural zero tangent is a scalar constant)."""
+        """The register of a value as a vector: a tangent that is zero for structural reasons is a scalar
+        constant, which is copied to every lane."""
         return value if kind == self.vector else self.splat(value)
 
     def splat(self, value: str) -> str:
-        """A double in every lane of a vector."""
+        """Emit code that copies a double to every lane of a vector; returns the vector's register."""
         first = self.value(f"insertelement {self.vector} poison, double {value}, i64 0")
         mask = f"<{self.lanes} x i32> zeroinitializer"
         return self.value(f"shufflevector {self.vector} {first}, {self.vector} poison, {mask}")

@@ -17,6 +17,16 @@ is halved until it is 2^−`KINK` of the step: a comparison of moments misses a 
 the error is within the tolerance, the single sub-step is accepted, otherwise its first half is tried.  After
 an interval the next one is as long, or twice as long where its position allows.  The number of doublings
 follows from the rates at the beginning.
+
+Methods emit code; strings that they take and return are registers and slots of the text (`llvm_writer`), and
+the nouns of `step_codegen` hold here, too.  Further ones:
+
+- walk: the choice of the sub-steps of one step, from left to right.
+- i, level: the interval (i, l) above; at `level` l it is 2^−l of the step.
+- origin, once: slots of the moments before an interval, and after it in one sub-step; those after two halves
+  stand in the state's slots.
+- ahead: slots of the transition E of the last sub-step.
+- tags: for each row of the workspace, the key whose values it holds.
 """
 
 from __future__ import annotations
@@ -129,9 +139,12 @@ class Walk:
         return [*errors, total, changed]
 
     def through(self, k: str, accept: Callable[[str, str, str], str | None]) -> None:
-        """Move the moments to instant k; `accept(i, level, doublings)` is called for every sub-step, and may
-        return an i1 that ends the walk.  If it does, or if the deepest interval exceeds the tolerance,
-        `worst` is the state with the largest error, and the moments stay before that interval."""
+        """Emit code that moves the moments to instant k.
+
+        `accept(i, level, doublings)` emits code that runs for every accepted sub-step, and may return an i1
+        that ends the walk.  If that holds, or if the deepest interval exceeds the tolerance, `worst` is the
+        state with the largest error, and the moments stay before that interval.
+        """
         w = self.stages.writer
         key = self.stages.key_of(k)
         self.compute_key_row(key)
@@ -183,18 +196,19 @@ class Walk:
                 self._stop(w.value(f"icmp sge i64 {level}, {MOST_HALVINGS}"), state)
 
     def _stop(self, condition: str, state: str) -> None:
+        """Emit code that ends the walk if an i1 holds, and records the state with the largest error."""
         w = self.stages.writer
         with w.when(condition):
             w.store("i64", state, self.worst)
             w.store("i64", "0", self.going)
 
     def compute_key_row(self, key: str) -> None:
-        """Compute the values of a key as row 0 of the workspace, which the updates read."""
-        self._row(key, "0", "0", self.stages.key_leaves(key))
+        """Emit code that computes the values of a key as row 0 of the workspace, which the updates read."""
+        self._provide_row(key, "0", "0", self.stages.key_leaves(key))
 
-    def _row(self, key: str, row: str, times: str, leaves: Names) -> str:
-        """First position of a key table's row in the workspace; its values are computed if they are
-        missing."""
+    def _provide_row(self, key: str, row: str, times: str, leaves: Names) -> str:
+        """Emit code that computes a row of the workspace from its leaves unless it holds this key's values
+        already; returns the register of the row's first position."""
         s, w, r = self.stages, self.stages.writer, self.stages.recursion
         start, tag = w.integer("mul", row, len(r.key_nodes)), w.at("i64", "%tags", row)
         with w.when(w.value(f"icmp ne i64 {w.load('i64', tag)}, {key}")):
@@ -204,12 +218,14 @@ class Walk:
         return start
 
     def _copy(self, source: list[str], target: list[str]) -> None:
+        """Emit code that copies slots to other slots."""
         w = self.stages.writer
         for a, b in zip(source, target, strict=True):
             w.store(SCALAR, w.load(SCALAR, a), b)
 
     def _sub_step(self, k: str, key: str, hours: str, at: str, level: str) -> str:
-        """Move the moments over an interval; returns its doublings."""
+        """Emit code that moves the moments over interval `at` of a level of the step of `hours` [h]; returns
+        the register of its number of doublings."""
         s, w, r = self.stages, self.stages.writer, self.stages.recursion
         part = s.power(level)
         left = w.real("fmul", w.value(f"sitofp i64 {at} to double"), part)
@@ -219,7 +235,7 @@ class Walk:
         times = w.value(f"select i1 {w.value(f'icmp slt i64 {doublings}, 0')}, i64 0, i64 {doublings}")
         leaves[r.share.index] = s.power(times)
         row = w.integer("add", w.integer("mul", level, DOUBLINGS + 1), times)
-        start = self._row(key, row, times, leaves)
+        start = self._provide_row(key, row, times, leaves)
         row_values = {
             i: w.load(SCALAR, w.at(SCALAR, "%table", w.integer("add", start, c)))
             for c, i in enumerate(r.key_nodes)
@@ -234,8 +250,9 @@ class Walk:
         return times
 
     def _assess(self, k: str, key: str) -> tuple[str, str, str]:
-        """The largest error, NaN where a moment is not finite; the index of its state, from n on of a
-        reading; and the number of comparisons whose result changed."""
+        """Emit code that compares the halves of an interval with the whole; returns the registers of the
+        largest error, NaN where a moment is not finite; of the index of its state, from n on of a reading;
+        and of the number of comparisons whose result changed."""
         s, w, r = self.stages, self.stages.writer, self.stages.recursion
         leaves = s.read(self.slots) | s.read(self.ahead) | s.table(key) | s.inputs_at(k) | s.at_parameters
         leaves[r.reading.index] = literal(0.0)

@@ -15,6 +15,16 @@ Along directions, with V = [P˙; m˙'] F' and U = F P F˙',
 
     P⁺˙ = F V + N˙ + U + U',   m⁺˙' = v_n + m' F˙' + (Σ b_e w_e)˙;
     P⁺˙ = P˙ − t c' − c t',   t = g c˙ + g˙ c / 2.
+
+Methods emit code; strings that they take and return are registers, slots and pointers of the text
+(`llvm_writer`); a matrix is the pointer to its first number, in rows of `width` numbers.
+
+- drive: the entries b_e, which move the mean along the columns w_e in a step.
+- head: the scalars of a reading's update: e, S, e²/S, and the factors `gain` g and `push` p.
+- leaves: node → register of its value, from which a block is computed; `spread` is the register of S.
+- tile, strip, plus: as in `wide_products`.
+- along: the tangents of expressions or numbers along `LANES` directions at a time, one in each lane.
+- r, w, g, k, c: the recursion, the writer, the graph, the register of the instant, the output of a reading.
 """
 
 from __future__ import annotations
@@ -60,7 +70,11 @@ def workspace(r: WideRecursion) -> int:
 
 
 class WideEmission(Emission):
-    """LLVM text of one loop; matrices are pointers to their first number."""
+    """LLVM text of one loop; the methods named after the kinds emit the whole of it.
+
+    gain: whether readings correct the moments.  Arrays of the workspace: `x` holds [P; m'] F', `c` the row
+    c', `v` a row of adjoints, `b` the drive, `before` P before the readings of the instant.
+    """
 
     recursion: WideRecursion
 
@@ -87,36 +101,39 @@ class WideEmission(Emission):
         return address
 
     def _at(self, base: str, row: str | int, width: int, column: str | int = 0) -> str:
-        """Address of an entry of a matrix with rows of `width` numbers."""
+        """Emit code for the address of an entry of a matrix with rows of `width` numbers; returns its
+        register."""
         w = self.writer
         return w.at(SCALAR, base, w.integer("add", w.integer("mul", row, width), column))
 
     def _number(self, base: str, row: str | int, width: int = 1, column: str | int = 0) -> str:
+        """Emit code that loads an entry; returns its register."""
         return self.writer.load(SCALAR, self._at(base, row, width, column))
 
     def _vector(self, base: str, row: str | int, width: int = LANES, column: str | int = 0) -> str:
+        """Emit code that loads the vector which begins at an entry; returns its register."""
         return self.writer.load(VECTOR, self._at(base, row, width, column))
 
     def _add(self, pointer: str, a: str, b: str) -> None:
-        """Add the product of two vectors to the vector at a pointer."""
+        """Emit code that adds the product of two vectors, lane by lane, to the vector at a pointer."""
         w = self.writer
         w.store(VECTOR, w.fma(VECTOR, [a, b, w.load(VECTOR, pointer)]), pointer)
 
     @contextmanager
     def _strip(self) -> Iterator[str]:
-        """Loop over the strips of a row; yields the first column of each strip."""
+        """Emit a loop over the strips of a row; yields the register of a strip's first column."""
         with self.writer.loop(str(self.strips)) as s:
             yield self.writer.integer("mul", s, LANES)
 
     def _add_row(self, pointer: str, factor: str, row: str) -> None:
-        """Add `factor` times a row to the row at a pointer."""
+        """Emit code that adds `factor` times a row to the row at a pointer."""
         w = self.writer
         scale = w.splat(factor)
         with self._strip() as j:
             self._add(w.at(SCALAR, pointer, j), scale, self._vector(row, j, 1))
 
     def _dot(self, a: str, b: str) -> str:
-        """Scalar product of two rows."""
+        """Emit code for the scalar product of two rows; returns its register."""
         w = self.writer
         total = w.slot(VECTOR, "zeroinitializer")
         with self._strip() as j:
@@ -128,12 +145,13 @@ class WideEmission(Emission):
         return parts[0]
 
     def _call(self, name: str, pointers: Sequence[str], *integers: str | int) -> None:
+        """Emit a call of a function of `wide_products`."""
         arguments = [*(f"ptr {value}" for value in pointers), *(f"i64 {value}" for value in integers)]
         self.writer.line(f"call void @{name}({', '.join(arguments)})")
 
     def _product(self, result: str, plus: str, a: str, b: str, tiles: int, lower: bool = False) -> None:
-        """result = plus + a b; with `lower` a symmetric result: the lower triangle is computed and
-        mirrored."""
+        """Emit code for result = plus + a b of `tiles` tiles; with `lower` the result is symmetric, and only
+        its lower triangle is computed and mirrored."""
         sizes = tiles, self.n, self.strips, self.width, 1, self.width, int(lower)
         self._call("product", [result, plus, a, b], *sizes)
         if lower:
@@ -142,23 +160,30 @@ class WideEmission(Emission):
     def _lane_product(
         self, result: str, plus: str, a: str, b: str, strips: int, *, turned: bool = False, inner: int = 0
     ) -> None:
-        """result = plus + a b, or a' b, with rows of b of `strips` vectors."""
+        """Emit code for result = plus + a b, or a' b if `turned`, where an entry of b is a vector of
+        tangents.
+
+        strips: vectors in a row of b.  inner: terms of each sum, n by default.
+        """
         down, across = (1, self.width) if turned else (self.width, 1)
         sizes = self.tiles, inner or self.n, strips, down, across, strips * LANES, 0
         self._call("product", [result, plus, a, b], *sizes)
 
     def _copy(self, target: str, source: str, count: int) -> None:
+        """Emit code that copies `count` numbers."""
         arguments = f"ptr {target}, ptr {source}, i64 {8 * count}, i1 false"
         self.writer.line(f"call void @llvm.memcpy.p0.p0.i64({arguments})")
 
     def _matrices(self, k: str, base: str = "%table") -> list[str]:
-        """F, F', N and the columns w_e of the step to an instant."""
+        """Emit code for the addresses of F, F', N and the columns w_e of the step to instant k; returns their
+        registers."""
         w, square = self.writer, self.width**2
         row = self._at(base, self._index("%key", k), 3 * square + len(self.recursion.columns) * self.width)
         return [w.at(SCALAR, row, i * square) for i in range(4)]
 
     def _clear_running_means(self, base: str, k: str, kind: str = SCALAR) -> None:
-        """Set rows and columns of the running means to zero at an instant where their interval begins."""
+        """Emit code that sets rows and columns of the running means to zero at an instant where their
+        interval begins."""
         r, w = self.recursion, self.writer
         width, zero = (self.width, ZERO_LITERAL) if kind == SCALAR else (r.rows, "zeroinitializer")
         for bit, state in enumerate(r.model.resets):
@@ -172,11 +197,13 @@ class WideEmission(Emission):
 
     # -- forwards --------------------------------------------------------------------------------------------
     def _leaves(self, k: str) -> Names:
-        """Values of the regimes at an instant, and of the parameters."""
+        """Emit code that loads the regimes at an instant; returns node → register of these and of the
+        parameters."""
         return self._key_row(self._index("%key", k)) | self.at_parameters
 
     def _drive(self, k: str) -> Names:
-        """Store the drive in `b`; returns the leaves of its expressions."""
+        """Emit code that computes the drive of the step to instant k and stores it in `b`; returns the leaves
+        of its expressions."""
         w, r = self.writer, self.recursion
         leaves = self._leaves(k) | self.inputs_between(k)
         for e, (_, name) in enumerate(w.block(r.graph, r.predict, leaves)):
@@ -184,7 +211,8 @@ class WideEmission(Emission):
         return leaves
 
     def _step(self, k: str) -> None:
-        """Predict the moments to an instant, before its readings; `x` then holds [P; m'] F'."""
+        """Emit code that predicts the moments to an instant, before its readings, and leaves [P; m'] F' in
+        `x`."""
         f, turned, noise, columns = self._matrices(k)
         self._drive(k)
         self._product(self.x, "null", "%state", turned, self.recursion.held // ROWS)
@@ -196,7 +224,8 @@ class WideEmission(Emission):
             self._copy(self.before, "%state", self.mean)
 
     def _measure(self, c: int, k: str) -> tuple[Names, Names, list[str]]:
-        """Store P H' of reading c in `c`; returns the leaves of its update and of its head, and H."""
+        """Emit code that computes c = P H' of reading c and stores it in the array `c`; returns the leaves of
+        its update, those of its head, and the registers of the non-zero entries of H."""
         w, r = self.writer, self.recursion
         means = {e.index: self._number("%state", self.mean + i) for i, e in enumerate(r.mean)}
         leaves = self._leaves(k) | self.inputs_at(k) | means
@@ -212,13 +241,19 @@ class WideEmission(Emission):
         return leaves, head, row
 
     def _head(self, c: int, known: Names, y: str) -> list[str]:
-        """Innovation, its variance, e²/S, g and p."""
+        """Emit code for the head of reading c; returns the registers of e, S, e²/S, g and p.
+
+        known: the leaves of the head.  y: register of the reading.
+        """
         r = self.recursion
         return [name for _, name in self.writer.block(r.graph, r.heads[c], known | {r.reading.index: y})]
 
     def _count(self, c: int, head: Names, spread: str, quadratic: str, total: RunningSums) -> None:
-        """Add a reading to the sums, and record its variance after and before the other readings of its
-        instant."""
+        """Emit code that adds a reading to the sums, and records its variance given the readings before it
+        and without any of its instant.
+
+        head: leaves of its head.  spread, quadratic: registers of S and e²/S.
+        """
         w, r, first = self.writer, self.recursion, spread
         total.take(w, spread, quadratic, r.square)
         if c:
@@ -233,7 +268,7 @@ class WideEmission(Emission):
         total.watch(w, c, spread, first)
 
     def _correct_moments(self, gain: str, push: str) -> None:
-        """Correct the moments by a reading."""
+        """Emit code that corrects the moments by a reading with these factors g and p, and c in its array."""
         w = self.writer
         with w.loop(str(self.n)) as i:
             factor = w.real("fmul", w.value(f"fneg double {gain}"), self._number(self.c, i))
@@ -241,7 +276,10 @@ class WideEmission(Emission):
         self._add_row(w.at(SCALAR, "%state", self.mean), push, self.c)
 
     def _update(self, c: int, reading: tuple[str, str], k: str, total: RunningSums) -> None:
-        """Add one reading to the sums and correct the moments by it, if it exists."""
+        """Emit code that counts one reading in the sums and corrects the moments by it, if it exists.
+
+        reading: registers of its value and of the i1 whether it exists.
+        """
         y, exists = reading
         with self.writer.when(exists):
             _, head, _ = self._measure(c, k)
@@ -251,6 +289,7 @@ class WideEmission(Emission):
                 self._correct_moments(gain, push)
 
     def _value(self) -> None:
+        """Emit the loop that filters the readings and keeps the sums of the likelihood."""
         w, total = self.writer, RunningSums(self.writer, len(self.recursion.updates))
         with w.loop("%count") as k:
             self._step(k)
@@ -260,8 +299,8 @@ class WideEmission(Emission):
         total.write(w, "%out")
 
     def _trace(self) -> None:
-        """Write one row for each instant: moments before the readings; prediction and variance of every
-        output; moments after the readings."""
+        """Emit the loop that writes one row for each instant: moments before the readings; prediction and
+        variance of every output; moments after the readings."""
         w, r = self.writer, self.recursion
         total = RunningSums(w, len(r.updates))
         pairs = 2 * len(r.updates)
@@ -282,7 +321,8 @@ class WideEmission(Emission):
 
     # -- backwards -------------------------------------------------------------------------------------------
     def _adjoint(self) -> None:
-        """Compute the score: a forward pass stores the moments, a backward pass propagates the adjoints."""
+        """Emit the loops of the score: a forward pass that stores the moments, and a backward pass that
+        propagates the adjoints."""
         w, total = self.writer, RunningSums(self.writer, len(self.recursion.updates))
         count = len(self.recursion.updates)
         # store: for every instant the moments before each reading and after the last one
@@ -306,10 +346,13 @@ class WideEmission(Emission):
             self._reverse_step(k)
 
     def _stored(self, k: str, c: int) -> str:
-        """Address of the stored moments before reading c of an instant."""
+        """Emit code for the address of the stored moments before reading c of an instant; returns its
+        register."""
         return self._at("%store", k, (len(self.recursion.updates) + 1) * self.size, c * self.size)
 
     def _reverse_reading(self, c: int, y: str, k: str) -> None:
+        """Emit code that propagates the adjoints back through reading c of an instant, whose moments are in
+        `%state`.  y: register of the reading."""
         w, r, g = self.writer, self.recursion, self.recursion.graph
         leaves, head, row = self._measure(c, k)
         _, _, _, gain, push = self._head(c, head, y)
@@ -349,7 +392,8 @@ class WideEmission(Emission):
         self._pull_back(r.updates[c], direct, leaves)
 
     def _pull_back(self, block: Block, bars: Sequence[str], leaves: Names) -> None:
-        """Propagate the adjoints of a block to the mean and to the parameter stage."""
+        """Emit code that propagates the adjoints of a block, one register each in `bars`, to the mean and to
+        the parameter stage."""
         w, r, g = self.writer, self.recursion, self.recursion.graph
         symbols = [g.symbol(f"bar:{i}") for i in range(len(block))]
         seeds: Symbols = {}
@@ -363,7 +407,7 @@ class WideEmission(Emission):
             accumulate(w, name, w.at(SCALAR, *places[i]))
 
     def _reverse_step(self, k: str) -> None:
-        """Propagate the adjoints back through the step to an instant."""
+        """Emit code that propagates the adjoints back through the step to an instant."""
         w, r = self.writer, self.recursion
         f, turned, _, columns = self._matrices(k)
         f_bar, _, noise_bar, columns_bar = self._matrices(k, "%tablebar")
@@ -388,7 +432,8 @@ class WideEmission(Emission):
 
     # -- along directions ------------------------------------------------------------------------------------
     def _tangent(self) -> None:
-        """Compute innovations, variances and their derivatives along `LANES` directions."""
+        """Emit the loop that computes innovations, variances and the derivatives of both along `LANES`
+        directions."""
         w, r, g = self.writer, self.recursion, self.recursion.graph
         total = RunningSums(w, len(r.updates))
         estimated = set(r.estimated_nodes)
@@ -414,12 +459,16 @@ class WideEmission(Emission):
     def _along(
         self, outputs: Sequence[Expression], dots: Symbols, leaves: Names, vectors: Names
     ) -> list[str]:
-        """Derivatives of expressions as vectors."""
+        """Emit code for the tangents of expressions; returns the registers of vectors.
+
+        dots: node → symbol of its tangent.  vectors: symbol of a tangent → register.
+        """
         w, g = self.writer, self.recursion.graph
         derivatives = w.block(g, forward(g, outputs, dots), leaves | vectors, list(vectors))
         return [w.as_vector(*item) for item in derivatives]
 
     def _step_tangent(self, k: str) -> None:
+        """Emit code that predicts the moments and their tangents to an instant, before its readings."""
         w, r = self.writer, self.recursion
         f, _, _, columns = self._matrices(k)
         rows, line, count = r.rows, self.line, len(r.columns)
@@ -449,6 +498,8 @@ class WideEmission(Emission):
         self._copy(w.at(SCALAR, "%statedot", self.n * line), of_mean, line)
 
     def _reading_tangent(self, c: int, y: str, k: str, place: str, total: RunningSums) -> None:
+        """Emit code that counts reading c, stores its innovation, its variance and the tangents of both at
+        `place`, and corrects the moments and their tangents by it."""
         w, r, g = self.writer, self.recursion, self.recursion.graph
         leaves, head, row = self._measure(c, k)
         error, spread, quadratic, gain, push = self._head(c, head, y)
@@ -478,7 +529,8 @@ class WideEmission(Emission):
             self._correct_moments(gain, push)
 
     def _correct_tangents(self, gain: str, push: str, gain_dot: str, push_dot: str, mean_dot: str) -> None:
-        """Correct the tangents of the moments by a reading; `t` holds −t of the module's formulas."""
+        """Emit code that corrects the tangents of the moments by a reading; the array `t` holds −t of the
+        module's formulas."""
         w = self.writer
         half_gain_dot = w.value(f"fmul {VECTOR} {gain_dot}, {w.splat(literal(-0.5))}")
         minus_gain, push_vector = w.splat(w.value(f"fneg double {gain}")), w.splat(push)

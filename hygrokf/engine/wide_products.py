@@ -1,8 +1,17 @@
 """Products of matrices as compiled functions, for models with too many states for straight-line code.
 
 A matrix (n, n) is stored in `width` = ⌈n/8⌉ 8 rows of `width` numbers; the numbers beyond n are zero.  The
-functions do not depend on the model: their loops run over tiles of `ROWS` rows and strips of `LANES` columns,
-    so that a tile's sums stay in registers.
+functions do not depend on the model: their loops run over tiles and strips, so that a tile's sums stay in the
+processor's registers.
+
+Functions of this module emit code; strings that they take and return are registers and slots of the text
+(`llvm_writer`), and names with % are arguments of the emitted function.
+
+- tile: `ROWS` neighbouring rows of a matrix.
+- strip: `LANES` neighbouring columns, one vector in each row.
+- plus: the matrix, or row, to which a product is added; null for none.
+- inner: number of terms in each sum of a product.
+- place: position of a number in an array, counted in numbers.
 """
 
 from __future__ import annotations
@@ -26,28 +35,31 @@ def functions() -> str:
 
 
 def _function(name: str, pointers: str, integers: str) -> Writer:
+    """A writer of the function `name(pointers, integers)`."""
     kinds = [(_POINTER, one) for one in pointers.split()], [("i64", one) for one in integers.split()]
     return Writer(name, [*kinds[0], *kinds[1]])
 
 
-def _accumulators(w: Writer, places: list[str], test: str) -> list[str]:
-    """Accumulator slots, initialised with the vectors of `plus` at these places if the i1 `test` holds, else
-    0."""
+def _accumulators(w: Writer, places: list[str], has_plus: str) -> list[str]:
+    """Emit code that prepares a sum for each place; returns the slots of the sums.
+
+    A sum starts with the vector of `%plus` at its place where the i1 `has_plus` holds, else with 0.
+    """
     slots = [w.slot(VECTOR, "zeroinitializer") for _ in places]
-    with w.when(test):
+    with w.when(has_plus):
         for slot, place in zip(slots, places, strict=True):
             w.store(VECTOR, w.load(VECTOR, w.at(SCALAR, "%plus", place)), slot)
     return slots
 
 
 def _product() -> Writer:
-    """result = plus + a b, of `tiles` tiles, `strips` strips and `inner` terms.
+    """The function `product`: result = plus + a b, of `tiles` tiles, `strips` strips and `inner` terms.
 
     Entry (i, k) of a stands at i·down + k·across, so that a transposed matrix needs no copy; `plus` may be
     null; with `lower`, strips right of the diagonal are not computed.
     """
     w = _function("product", "result plus a b", "tiles inner strips down across width lower")
-    added = w.value("icmp ne ptr %plus, null")
+    has_plus = w.value("icmp ne ptr %plus, null")
     triangle = w.value("icmp ne i64 %lower, 0")
     with w.loop("%tiles") as tile:
         top = w.integer("mul", tile, ROWS)
@@ -56,7 +68,7 @@ def _product() -> Writer:
             left = w.integer("mul", strip, LANES)
             rows = [w.integer("add", top, r) for r in range(ROWS)]
             places = [w.integer("add", w.integer("mul", row, "%width"), left) for row in rows]
-            sums = _accumulators(w, places, added)
+            sums = _accumulators(w, places, has_plus)
             with w.loop("%inner") as k:
                 b = w.load(VECTOR, w.at(SCALAR, "%b", w.integer("add", w.integer("mul", k, "%width"), left)))
                 column = w.integer("mul", k, "%across")
@@ -70,12 +82,12 @@ def _product() -> Writer:
 
 
 def _combined() -> Writer:
-    """result = plus + Σ_k x_k b_k, with the rows b_k of b; `plus` may be null."""
+    """The function `combined`: result = plus + Σ_k x_k b_k, with the rows b_k of b; `plus` may be null."""
     w = _function("combined", "result plus x b", "inner strips width")
-    added = w.value("icmp ne ptr %plus, null")
+    has_plus = w.value("icmp ne ptr %plus, null")
     with w.loop("%strips") as strip:
         left = w.integer("mul", strip, LANES)
-        (total,) = _accumulators(w, [left], added)
+        (total,) = _accumulators(w, [left], has_plus)
         with w.loop("%inner") as k:
             b = w.load(VECTOR, w.at(SCALAR, "%b", w.integer("add", w.integer("mul", k, "%width"), left)))
             x = w.splat(w.load(SCALAR, w.at(SCALAR, "%x", k)))
@@ -85,7 +97,7 @@ def _combined() -> Writer:
 
 
 def _mirrored() -> Writer:
-    """Copy the lower triangle of a matrix to its upper triangle."""
+    """The function `mirrored`: copies the lower triangle of a matrix to its upper triangle."""
     w = _function("mirrored", "matrix", "n width")
     with w.loop("%n") as i, w.loop(i) as j:
         low = w.integer("add", w.integer("mul", i, "%width"), j)

@@ -21,8 +21,16 @@ differentiate these recursions.
 Source: Van Loan 1978, doi:10.1109/TAC.1978.1101743 (the integrals); Moler & Van Loan 2003,
 doi:10.1137/S00361445024180 (scaling and squaring).
 
+Here nothing is emitted: the matrices are numbers, computed by numpy before a loop runs.
+
+- drive: the rates at x = 0, at the start and the end of a step; they act on the *driven* states alone.
+- share, doublings: the share h/2^s of a step for which the series are evaluated, and s.
+- later: what the loops need of the parameters: nodes of the parameter stage, and the entries of A and Q.
+- head: the scalars of a reading's update (`wide_codegen`).
+- `_t`, `_plus_transpose`: the transposed matrix, and its sum with the matrix.
+
 Shapes: K distinct steps, U distinct pairs of A and Q, n states, r directions, c driven states, d parameters,
-e entries of the drive, w = `width`, L directions.
+e entries of the drive, w = `width` (in `StepSeries` and `Powers`: n + 2 c, the columns of T), L directions.
 """
 
 from __future__ import annotations
@@ -204,6 +212,7 @@ def _ramp(whole: np.ndarray, n: int, hours: np.ndarray) -> np.ndarray:
 
 
 def _t(matrix: np.ndarray) -> np.ndarray:
+    """The transposed matrices (…, n, m)."""
     return np.swapaxes(matrix, -1, -2)
 
 
@@ -297,7 +306,11 @@ class WideRecursion(Recursion):
 
     @cached_property
     def stage(self) -> list[int]:
-        """Regimes count with the inputs: the table of keys holds matrices alone."""
+        """For every node, the earliest stage at which its value is known, as in `Recursion`.
+
+        What a filter of few states computes for each key, from the regimes, is computed here at every
+        instant: in these loops the table of keys holds only the matrices of the steps.
+        """
         return [INSTANT if stage == KEY else stage for stage in super().stage]
 
     # -- sizes -----------------------------------------------------------------------------------------------
@@ -349,9 +362,11 @@ class WideRecursion(Recursion):
 
     @cached_property
     def _driven(self) -> list[int]:
+        """Indices of the states that the drive acts on."""
         return sorted({i for i, _, _ in self.columns})
 
     def _known(self, values: Values, keys: np.ndarray) -> dict[str, Value]:
+        """Parameters and regimes by the names of their symbols."""
         regimes = {f"g:{name}": keys[:, 1 + i] for i, name in enumerate(self.regimes)}
         return self.symbols(values) | regimes
 
@@ -394,8 +409,12 @@ class WideRecursion(Recursion):
 
 @dataclass(frozen=True)
 class Numbers:
-    """The parameters' and keys' numbers of one pass: `distinct` (U, 1 + regimes): one key for each
-    combination of regimes; `nodes`: numbers of the parameter stage; `steps`: (indices of keys, matrices)."""
+    """The numbers that the loops read in one pass, at the parameters `values` and for the `keys`.
+
+    `distinct` (U, 1 + regimes): one key for each combination of regimes; `nodes`: numbers of the parameter
+    stage; `series`: of each of these combinations; `steps`: (indices of keys, their matrices) for each number
+    of doublings.
+    """
 
     recursion: WideRecursion
     values: Values

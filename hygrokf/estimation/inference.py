@@ -30,7 +30,8 @@ from hygrokf.estimation.confidence import (
 )
 from hygrokf.estimation.conventions import CONFIDENCE
 from hygrokf.estimation.joint_likelihood import AnyLikelihood, records_of
-from hygrokf.estimation.optimiser import Objective, natural_units, shortened
+from hygrokf.estimation.newton_steps import natural_units
+from hygrokf.estimation.optimiser import Estimate, Objective, shortened
 from hygrokf.estimation.profile_likelihood import profile
 from hygrokf.estimation.subject import Given, Source, estimated
 from hygrokf.physics.parameters import Coordinates, Parameter
@@ -158,24 +159,9 @@ def modal_time_constants(
     objective = Objective(likelihood, coordinates).at(estimate.z)
     known = known or uncertainty(objective, estimate)
     inside = [coordinates.names.index(name) for name in known.names]
-    lifted = np.array([p.lifted_limits() for p in coordinates.free]).reshape(-1, 2)
 
     def matrix(point: np.ndarray) -> np.ndarray:
         return likelihood.jacobian(coordinates.values(point), at_state, at_inputs).astype(float)
-
-    def ends(value: float, slope: np.ndarray) -> list[float]:
-        """Bounds by the delta method of a value whose logarithm has this slope (f,)."""
-        along = known.wider @ slope if len(slope) else slope
-        sd = math.sqrt(max(float(slope @ along), 0.0))
-        if not 0.0 < sd <= FLAT_SE:
-            return [value, value] if sd == 0.0 else [0.0, math.inf]
-        constants = []
-        for reach, open_ in ((-normal_quantile(level), 0.0), (normal_quantile(level), math.inf)):
-            moved = z.copy()
-            moved[inside] += reach / sd * along
-            drop = estimate.objective - objective.value(np.clip(moved, lifted[:, 0], lifted[:, 1]))
-            constants.append(value * math.exp(reach * sd) if 2.0 * drop >= DROPPED * reach**2 else open_)
-        return constants
 
     slopes = []
     for place, step in zip(inside, COORDINATE_STEP * natural_units(coordinates)[inside], strict=True):
@@ -195,11 +181,48 @@ def modal_time_constants(
         if rate >= -rounding:
             constants.append(ModalTimeConstant(math.inf, math.inf, math.inf, level, period, ordered))
             continue
-        value, bounds = -1.0 / rate, [math.nan, math.nan]
+        value, lower, upper = -1.0 / rate, math.nan, math.nan
         if abs(overlap) > ALIKE:
-            bounds = ends(value, np.array([-((w @ s @ v) / overlap).real / rate for s in slopes]))
-        constants.append(ModalTimeConstant(value, bounds[0], bounds[1], level, period, ordered))
+            slope = np.array([-((w @ s @ v) / overlap).real / rate for s in slopes])
+            lower, upper = _delta_bounds(value, slope, objective, estimate, known, level)
+        constants.append(ModalTimeConstant(value, lower, upper, level, period, ordered))
     return tuple(sorted(constants, key=lambda constant: -constant.value))
+
+
+def _delta_bounds(
+    value: float,
+    slope: np.ndarray,
+    objective: Objective,
+    estimate: Estimate,
+    known: Uncertainty,
+    level: float,
+) -> tuple[float, float]:
+    """Bounds of a positive value by the delta method, from the slope (f,) of its logarithm along the f
+    coordinates inside their bounds.
+
+    Both ends stay open, 0 and infinity, where the logarithm has a standard error above `FLAT_SE`.  One end
+    stays open where the likelihood, at the coordinates that the delta method assigns to this end, has dropped
+    by less than `DROPPED` of its threshold: there it is so far from a parabola that the standard error says
+    nothing about this side.
+    """
+    along = known.wider @ slope if len(slope) else slope
+    sd = math.sqrt(max(float(slope @ along), 0.0))
+    if sd == 0.0:
+        return value, value
+    if not sd <= FLAT_SE:
+        return 0.0, math.inf
+    coordinates, quantile = estimate.coordinates, normal_quantile(level)
+    inside = [coordinates.names.index(name) for name in known.names]
+    lowest, highest = np.array([p.lifted_limits() for p in coordinates.free]).T
+
+    def end(standard_errors: float, open_end: float) -> float:
+        moved = estimate.z.copy()
+        moved[inside] += standard_errors / sd * along
+        drop = estimate.objective - objective.value(np.clip(moved, lowest, highest))
+        has_dropped = 2.0 * drop >= DROPPED * standard_errors**2
+        return value * math.exp(standard_errors * sd) if has_dropped else open_end
+
+    return end(-quantile, 0.0), end(quantile, math.inf)
 
 
 def operating_point(
@@ -298,6 +321,7 @@ class ParameterTable:
 
 
 def _cells(row: ParameterEstimate) -> tuple[str, ...]:
+    """The cells of one row of the printed table."""
     prior = "" if row.prior is None else f"prior {row.prior[0]:.4g} ± {row.prior[1]:.2g}"
     at = f"at its {row.at} limit" if row.at in ("lower", "upper") else row.at
     is_known = math.isfinite(row.standard_error)
@@ -347,6 +371,11 @@ def parameter_table(source: Source, given: Given | None = None, level: float = C
 
 
 def _combinations(coordinates: Coordinates, spread: Uncertainty) -> tuple[Combination, ...]:
+    """Combinations of the parameters of each group that trade against each other, best known first.
+
+    Groups come from eigenvectors of the scaled information with eigenvalues below `POOR`; those that share a
+    parameter are joined.  The combinations of a group are the eigenvectors of its correlation.
+    """
     parameters = [coordinates.parameter(name) for name in spread.names]
     places = [coordinates.names.index(name) for name in spread.names]
     curvature = spread.curvature[np.ix_(places, places)]

@@ -1,6 +1,9 @@
-"""One likelihood from its design to bounds: estimate, form, uncertainty, profiles, sensitivities.
+"""A stage of an identification: a model design, fitted to a record, with all that is said of its estimate.
 
-A cascade has two stages (thermal, hygric), a joint identification one.
+`identify_stage` fits the design by maximum likelihood, chooses the form of the model by its evidence, and
+computes the uncertainty of the parameters, the bounds of the time constants, and how these depend on the
+clocks, on the sampling of the ambient and on each input.  A cascade has two stages (thermal, hygric), a joint
+identification one.
 """
 
 from __future__ import annotations
@@ -61,7 +64,7 @@ class DesignEstimate:
 
 @dataclass(frozen=True)
 class Stage(DesignEstimate):
-    """A maximum of the likelihood with its uncertainty.
+    """A maximum of the likelihood with its uncertainty, and what the time constants depend on.
 
     bounds: of the time constants, by the profile likelihood.
     clock: effect of the other sources' clocks on the time constants.

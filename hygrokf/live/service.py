@@ -392,11 +392,14 @@ class Service:
         return fleet.note_connections(now, self._unreached(self.reaches(), now), left, begins)
 
     def _unreached(self, reaches: Mapping[str, Reach], now: float) -> dict[str, dict[str, float | None]]:
-        """Return turbine -> signal that is held while connected -> time [s] since when all its sources are
-        lost.
+        """Return, for every turbine, since when [s] the sources of each signal that is held while connected
+        are all lost.
 
-        The time is None while one source is reached, and ∞ before the limits of all sources have passed.
-        Signals that only played-back records deliver are left out.
+        reaches: url of a source → whether it is reached.  now: [s] present time.
+
+        The time is None while at least one source of the signal is reached.  While all are lost, it is ∞
+        until the limit of each has passed, then the time at which the last one was lost.  Signals that no
+        source sends, since they come from played-back records, are left out.
         """
         lost_by_turbine: dict[str, dict[str, float | None]] = {}
         for name, turbine in self.turbines.items():

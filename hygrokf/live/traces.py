@@ -167,7 +167,10 @@ class StatedChange:
 
 
 def jump_variance(model: Model) -> np.ndarray:
-    """Return the variance (n,) that a stated change adds to the states."""
+    """Return the variance (n,) of the jump that each state may make at a stated change, in its unit squared.
+
+    It is the square of `WATCHED`'s `blind` of the states that are watched, 0 for all others.
+    """
     blind = {watched.state: watched.blind for watched in WATCHED}
     return np.array([blind.get(state, 0.0) ** 2 for state in model.states])
 

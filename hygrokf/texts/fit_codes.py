@@ -175,12 +175,13 @@ class FitCode(Code):
     )
     # a fit on another record
     INPUT_UNKNOWN_THROUGHOUT = (
-        "no row has all inputs known (inputs_known is 0 throughout): throughout, an input is unknown or was "
-        "until shortly before; see the gaps in `hygrokf check`"
+        "at no instant are all inputs known (inputs_known is 0 in every row): some input is always missing, "
+        "or was until shortly before; `hygrokf check` lists the gaps"
     )
     POWER_UNKNOWN_THROUGHOUT = (
-        "no row has all inputs known (inputs_known is 0 throughout): the fit uses the power, but the record "
-        "has no active_power: all of it counts as standstill"
+        "at no instant are all inputs known (inputs_known is 0 in every row): the fit uses the power, but "
+        "the record has no active_power, so the simulation takes the turbine to stand still throughout; add "
+        "active_power to the record"
     )
     OTHER_RATED_POWER = (
         "this turbine's rated power is {ratio:.2} times that of the fit: another type? The heat release "

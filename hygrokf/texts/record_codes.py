@@ -77,8 +77,8 @@ class RecordCode(Code):
     )
     AND_MORE = " …"
     FURTHER_ADVICE = "; {advice}"
-    QUALITY_MISFIT = "the vocabulary does not tell what all marks of quality mean: {advice}"
-    QUALITY_MEANING = "what the marks of quality mean: {advice}"
+    QUALITY_MISFIT = "the vocabulary does not define all quality marks: {advice}"
+    QUALITY_MEANING = "the meaning of the quality marks is not known: {advice}"
     QUALITY_OF_COLUMN = 'column "{column}", "{name}": {doubt}'
     QUALITY_UNSTATED = (
         'column "{column}": "{name}" beside it seems to hold its quality, which is not used: state quality = '
@@ -108,12 +108,12 @@ class DoubtCode(Code):
     READ_OTHERWISE = (TOUCHES_BOTH, "{mistake}{evidence:;}: if so, {remedy}")
     CLOCK_OR_WALL = (
         TOUCHES_BOTH,
-        "clock, or a heavy wall: {mistake}{evidence:;}: if so, {remedy}; a second witness is missing "
-        "(power, humidity, or the sun)",
+        "either the clock is wrong ({mistake}{evidence:;}; then {remedy}) or a wall is heavy; power, "
+        "humidity or the sun would tell which, and none of them does here",
     )
     EITHER_CLOCK = (
         TOUCHES_BOTH,
-        "{mistake}{evidence:;}: if so, {remedy}; or {other_mistake}: then {other_remedy}",
+        "{mistake}{evidence:;} (then {remedy}), or {other_mistake} (then {other_remedy})",
     )
     RADIATION_LATE = (
         TOUCHES_BOTH,

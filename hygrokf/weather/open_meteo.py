@@ -74,7 +74,7 @@ def read_open_meteo(path: str | os.PathLike[str]) -> Record:
         dew_point = dew_point_of(values["relative_humidity_2m"], values["temperature_2m"])
         weather.add("ambient_dew_point_temperature", dew_point, "relative_humidity_2m")
     record = weather.record(digest)
-    no_temperature = "no temperature_2m: ask for it in hourly=…"
+    no_temperature = "no temperature_2m: add it to hourly=… in the request URL"
     return require_temperature(record, no_temperature, "dew_point_2m or relative_humidity_2m")
 
 
@@ -91,7 +91,10 @@ def _weather_of_json(file: str, data: bytes) -> SiteWeather:
         raise TableFault(f"holds {len(content)} places; expected one: write each into a file of its own")
     hourly, units = content.get("hourly"), content.get("hourly_units")
     if not isinstance(hourly, dict) or not isinstance(units, dict) or "time" not in hourly:
-        raise TableFault("expected hourly and hourly_units with time in them; ask for hourly=…")
+        raise TableFault(
+            "expected the keys hourly, with time in it, and hourly_units; add hourly=temperature_2m (and "
+            "other variables) to the request URL"
+        )
     columns = {str(name): column for name, column in hourly.items() if isinstance(column, list)}
     stamp_count = len(columns.get("time", []))
     faults = [
@@ -122,7 +125,10 @@ def _weather_of_csv(file: str, data: bytes) -> SiteWeather:
         (line_number for line_number, row in enumerate(rows[2:], 2) if row and row[0].strip() == "time"), None
     )
     if header_line is None:
-        raise TableFault("no line that begins with time: ask for hourly=…")
+        raise TableFault(
+            'expected a header line beginning with "time" below the first two lines, found none; add '
+            "hourly=temperature_2m (and other variables) to the request URL"
+        )
     names, units = [], {}
     for cell in rows[header_line]:
         name, _, unit_text = cell.strip().partition(" (")

@@ -48,6 +48,27 @@ def test_the_offset_above_a_header_is_kept(stated, offset_h, tmp_path):
     assert first == TIMES[0].timestamp() - 3600.0 * offset_h
 
 
+@pytest.mark.parametrize("count", [144, len(STAMPS)])
+def test_the_constant_date_of_an_export_is_no_column_of_stamps(count, tmp_path):
+    header = "Export date,time,Outside (degC)"
+    stamps = [f"2021-06-01,{stamp}" for stamp in STAMPS[:count]]
+    export = written(tmp_path / "o.csv", header, ["ambient_temperature"], stamps=stamps)
+    drafted(tmp_path, export)
+    assert (
+        read_case(tmp_path / "case.toml", cabinet=False)["ambient_temperature"].time[0]
+        == TIMES[0].timestamp()
+    )
+
+
+def test_the_date_of_a_single_day_is_joined_with_the_time_of_day(tmp_path):
+    first_day = [stamp for stamp in STAMPS if stamp[:10] == STAMPS[0][:10]]
+    stamps = [stamp.replace(" ", ",") for stamp in first_day]
+    export = written(tmp_path / "o.csv", "Date,Time,Outside (degC)", ["ambient_temperature"], stamps=stamps)
+    drafted(tmp_path, export)
+    time = read_case(tmp_path / "case.toml", cabinet=False)["ambient_temperature"].time
+    assert len(time) == len(first_day) > 1
+
+
 def test_central_european_time_in_a_header_is_no_utc(tmp_path):
     export = written(tmp_path / "o.csv", "Zeit (MEZ),Outside (degC)", ["ambient_temperature"])
     draft, _ = drafted(tmp_path, export)

@@ -259,7 +259,11 @@ class Hub:
         self._clients.discard(client)
 
     def _pass_on(self, names: frozenset[str]) -> None:
-        """Pass names to the clients in the page's loop."""
+        """Have the event loop of the page add names to what every client has to send; callable from any
+        thread.
+
+        Nothing happens while the page has no loop yet, or none any more.
+        """
         if self._loop is not None:
             with suppress(RuntimeError):  # the page has stopped
                 self._loop.call_soon_threadsafe(self._add_to_clients, names)
