@@ -349,7 +349,8 @@ def test_a_page_s_address_that_is_in_use(folder: Path) -> None:
 def test_the_demo_finds_and_names_what_changed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Fewer days than the demo has, as fast as they are taken: the same model, cabinets, change and
     questions."""
-    for name, days in (("LIVE_DAYS", 30.0), ("KNOWN_DAYS", 8.0), ("CHANGED_DAYS", 3.0), ("RECORD_DAYS", 60.0)):
+    days_of = {"LIVE_DAYS": 30.0, "KNOWN_DAYS": 8.0, "CHANGED_DAYS": 3.0, "RECORD_DAYS": 60.0}
+    for name, days in days_of.items():
         monkeypatch.setattr(defaults, name, days)
     # whether a gap of the record is noticed depends on how quick the machine is
     monkeypatch.setattr(service, "TICK_S", math.inf)
