@@ -39,9 +39,10 @@ from hygrokf.discovery.estimate import (
 from hygrokf.discovery.judgement import levelled
 from hygrokf.estimation.confidence import Uncertainty, wald_bounds
 from hygrokf.estimation.conventions import CONFIDENCE
-from hygrokf.estimation.likelihood import Likelihood, RatesFault
+from hygrokf.estimation.likelihood import Likelihood
 from hygrokf.estimation.moments import DigitsFault
 from hygrokf.estimation.optimiser import Estimate, Objective, climb
+from hygrokf.estimation.rates_fault import RatesFault
 from hygrokf.identification.estimation import Stage
 from hygrokf.identification.fit import Fit
 from hygrokf.identification.identify import Basis, assemble_fit

@@ -18,7 +18,7 @@ from hygrokf.engine.packing import place, unpack
 from hygrokf.engine.schedule import STEP_TOLERANCE
 from hygrokf.engine.schedule_codegen import CHANGE, LEAST_SD, MEAN_ROUNDING, MOST_HALVINGS, VALUE
 from hygrokf.engine.traced_filter import traced
-from hygrokf.estimation.likelihood import RatesFault
+from hygrokf.estimation.rates_fault import RatesFault
 from hygrokf.physics.holds import between
 from hygrokf.physics.model import Model
 

@@ -26,7 +26,8 @@ import numpy as np
 from hygrokf.engine.parallel import mapped
 from hygrokf.estimation.conventions import CONFIDENCE
 from hygrokf.estimation.likelihood import Sensitivities
-from hygrokf.estimation.optimiser import Estimate, Objective, natural_units
+from hygrokf.estimation.newton_steps import natural_units
+from hygrokf.estimation.optimiser import Estimate, Objective
 from hygrokf.estimation.serial_dependence import long_run_covariance
 from hygrokf.physics.parameters import Coordinates, Parameter
 from hygrokf.texts.fit_codes import FitCode
@@ -47,7 +48,7 @@ OPEN_VARIANCE = 1e8
 
 @dataclass(frozen=True)
 class Uncertainty:
-    """Second-order description of an estimate; `names` of the coordinates inside their bounds.
+    """Covariances of an estimate, of the f coordinates inside their bounds, which are those of `names`.
 
     `wald`, `sandwich` (f, f) covariances of the coordinates; `factor` (f,) ratios of their diagonals, at
     least 1; `flat` names of coordinates that the data hardly determine.  `curvature` (d, d) observed
@@ -76,6 +77,7 @@ class Uncertainty:
         return self.wald * np.outer(root, root)
 
     def place(self, name: str) -> int | None:
+        """Index of a parameter in the covariances; None for one at a bound, or fixed."""
         return self.names.index(name) if name in self.names else None
 
 
@@ -102,7 +104,7 @@ class Limit:
 
     @property
     def values(self) -> Mapping[str, Value]:
-        """What statements about the limit are filled with."""
+        """The values of statements about the limit, by the names of their placeholders."""
         return {key: value for key, value in vars(self).items() if key != "effect"}
 
 
@@ -151,10 +153,11 @@ def uncertainty(objective: Objective, estimate: Estimate) -> Uncertainty:
 def uncertainty_by(
     objective: Objective, estimate: Estimate, expected: Sensitivities, curvature: np.ndarray | None = None
 ) -> Uncertainty:
-    """The uncertainty of an estimate.
+    """Compute the uncertainty of an estimate from sums over the instants.
 
     expected: its sensitivities with the score of each instant.  curvature: (d, d) observed information, by
-    default the expected one."""
+    default the expected one.
+    """
     coordinates, timeline = estimate.coordinates, objective.likelihood.timeline
     curvature = expected.information if curvature is None else curvature
     inside = np.array([name not in estimate.at_bounds for name in coordinates.names], dtype=bool)
@@ -250,11 +253,11 @@ def _curvature(objective: Objective, z: np.ndarray, steps: np.ndarray) -> np.nda
 
 
 def positive_inverse(matrix: np.ndarray, without: np.ndarray | None = None) -> np.ndarray:
-    """Inverse of a symmetric matrix (f, f), with eigenvalues below `LEAST_EIGENVALUE` of the scaled matrix
-    raised to it.
+    """Invert a symmetric matrix (f, f) after raising the eigenvalues of the scaled matrix to at least
+    `LEAST_EIGENVALUE`: directions without positive curvature get a very large variance, not a negative one.
 
-    Directions without positive curvature so get a very large variance instead of a negative one.  Given the
-    directions `without` (f, m), the inverse is on their complement.
+    without: directions (f, m) that are left out; the inverse is that on all directions conjugate to them, and
+    0 along them.
     """
     basis = np.eye(len(matrix))
     scale, values, vectors = scaled_spectrum(matrix)
@@ -297,6 +300,7 @@ def scaled_spectrum(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndar
 def _undetermined_names(
     coordinates: Coordinates, names: tuple[str, ...], covariance: np.ndarray
 ) -> tuple[str, ...]:
+    """The parameters whose standard error exceeds `largest_se`."""
     parameters = map(coordinates.parameter, names)
     variances = np.diag(covariance)
     return tuple(p.name for p, v in zip(parameters, variances, strict=True) if v > largest_se(p) ** 2)
@@ -347,13 +351,15 @@ def wald_bounds(
 
 
 def too_short(spread: Uncertainty, name: str) -> Statement:
-    """Why a parameter has no sandwich covariance, and how long a record it needs."""
+    """State that a parameter has no sandwich covariance, and how long a record it takes."""
     return FitCode.NO_SANDWICH(parameter=name, length=max(spread.needed[name], 1.1))
 
 
 def in_unit(p: Parameter, ends: Sequence[float | None]) -> tuple[float, float]:
-    """Bounds in the parameter's unit of coordinates, None where they are open: 0 and infinity, or the limits
-    of the search where it is not positive."""
+    """Convert the lower and upper bound of a parameter's coordinate to its unit.
+
+    An open end, None, becomes 0 or infinity; of a parameter that is not positive, the limit of its search.
+    """
     lower = (0.0 if p.positive else p.lower) if ends[0] is None else p.from_coordinate(ends[0])
     upper = (math.inf if p.positive else p.upper) if ends[1] is None else p.from_coordinate(ends[1])
     return lower, upper
@@ -377,8 +383,11 @@ def standard_error(estimate: Estimate, spread: Uncertainty, name: str) -> float:
 def describe(
     unit: str, lower: float, upper: float, ends: Sequence[float | None], limits: Sequence[Limit] = ()
 ) -> tuple[Statement, ...]:
-    """Statements of bounds that are open on one or both sides, with the limits of other parameters that left
-    them open."""
+    """State which sides of a value's bounds are open, and which limits of other parameters left them open;
+    nothing where both are closed.
+
+    unit, lower, upper: of the value.  ends: coordinates of its bounds, None where they are open.
+    """
     if ends[0] is None and ends[1] is None:
         open_ = FitCode.OPEN_ON_BOTH_SIDES()
     elif ends[0] is None:

@@ -30,7 +30,8 @@ from hygrokf.estimation.confidence import (
 )
 from hygrokf.estimation.conventions import CONFIDENCE
 from hygrokf.estimation.joint_likelihood import AnyLikelihood, records_of
-from hygrokf.estimation.optimiser import Estimate, Objective, natural_units, shortened
+from hygrokf.estimation.newton_steps import natural_units
+from hygrokf.estimation.optimiser import Estimate, Objective, shortened
 from hygrokf.estimation.profile_likelihood import profile
 from hygrokf.estimation.subject import Given, Source, estimated
 from hygrokf.physics.parameters import Coordinates, Parameter

@@ -36,7 +36,7 @@ from hygrokf.engine.schedule import (
     whole_steps,
 )
 from hygrokf.engine.schedule_codegen import table_room
-from hygrokf.engine.step_codegen import DOUBLINGS, level_room
+from hygrokf.engine.step_codegen import level_room
 from hygrokf.engine.timeline import Timeline
 from hygrokf.engine.traced_filter import Recursion, traced
 from hygrokf.engine.wide_recursion import recursion_of
@@ -45,21 +45,16 @@ from hygrokf.estimation.moments import Gaussian as Gaussian
 from hygrokf.estimation.moments import Sensitivities as Sensitivities
 from hygrokf.estimation.moments import Trace as Trace
 from hygrokf.estimation.moments import checked_loglik, covariances, expect_initial, loglik_of
+from hygrokf.estimation.rates_fault import diverging_rates, unresolved_rates
 from hygrokf.estimation.start import Moments, law, law_with_slopes, packed, packed_slopes
-from hygrokf.physics.expression import Expression
 from hygrokf.physics.model import Model, describe_fields, field_values
 from hygrokf.physics.parameters import Parameter, expect_values
-from hygrokf.texts.wording import duration_text, stamp_text
 
 CHUNK = 4096
 """Number of instants for which sensitivities are held in memory at a time."""
 
 Blocks = tuple[list[np.ndarray], list[np.ndarray], list[np.ndarray]]
 """First moments, their tangents, and the directions: one array each for every `LANES` directions."""
-
-
-class RatesFault(FloatingPointError, ValueError):
-    """Rates that no step can represent; the message names the state or the step, and the remedy."""
 
 
 @dataclass(frozen=True)
@@ -134,6 +129,7 @@ class Likelihood:
 
     @cached_property
     def _inputs(self) -> dict[str, np.ndarray]:
+        """All values of each input over the run."""
         t = self.timeline
         return {name: t.input(name) for name in (*t.varying, *t.regimes)}
 
@@ -166,6 +162,7 @@ class Likelihood:
 
     @cached_property
     def _sub_steps(self) -> SubSteps:
+        """The sub-steps of the schedule."""
         assert self.schedule is not None
         return sub_steps(self.timeline, self.schedule)
 
@@ -183,12 +180,15 @@ class Likelihood:
 
     @cached_property
     def _latest(self) -> dict[str, Any]:
+        """The last run whose sub-steps were chosen: what identifies it, and the likelihood that holds
+        them."""
         return {}
 
     def _schedule_of_run(
         self, values: Mapping[str, float], theta: np.ndarray, state: np.ndarray, gain: bool
     ) -> Schedule | None:
-        """The schedule of a run from packed moments; None where a covariance becomes indefinite."""
+        """Choose the sub-steps along a run from packed moments; None where a covariance becomes
+        indefinite."""
         schedules = []
         for part in self._pieces(self._span):
             state[:] = self._widened(part.start, state)
@@ -196,7 +196,7 @@ class Likelihood:
             if isinstance(schedule, Unresolved):
                 if not self.square_root and self._is_indefinite(state):
                     return None
-                raise RatesFault(self._unresolved_message(values, schedule))
+                raise unresolved_rates(self.recursion, self.timeline, values, schedule)
             schedules.append(schedule)
         return joined(schedules)
 
@@ -205,49 +205,14 @@ class Likelihood:
         covariance = self.recursion.covariance_of(state)
         return bool(np.isfinite(covariance).all() and np.linalg.eigvalsh(covariance).min() < 0.0)
 
-    def _unresolved_message(self, values: Mapping[str, float], where: Unresolved) -> str:
-        t, r = self.timeline, self.recursion
-        state = (*self.model.states, *self.model.outputs)[where.state]
-        parameters = self._depends_on(r.rates if where.state >= r.n else [r.rates[where.state]], values)
-        hours = float(t.steps[t.key[where.instant], 0])
-        return (
-            f"expected rates that sub-steps resolve, found faster ones of {state} in the step of "
-            f"{duration_text(3600.0 * hours)} until {stamp_text(t.origin_s + 3600.0 * t.time[where.instant])}"
-            f"{parameters}: the state leaves every bound, its rate is not finite there, "
-            "or it jumps; narrow the bounds of these parameters, or smooth the jump"
-        )
-
-    def _divergence_message(self, values: Mapping[str, float]) -> str:
-        """The message that names the states without a finite rate, and the parameters of these rates."""
-        r, t = self.recursion, self.timeline
-        symbols = r.symbols(values, (), {name: t.input(name) for name in t.regimes})
-        with np.errstate(all="ignore"):
-            arrays = {name: np.asarray(value, dtype=float) for name, value in symbols.items()}
-            jacobian = [r.graph.evaluate([r.graph.lift(v) for v in row], arrays) for row in r.jacobian]
-        largest_rate = 2.0**DOUBLINGS / t.steps[:, 0].max()
-        diverging = [
-            i for i, row in enumerate(jacobian) if not all(np.all(np.abs(v) < largest_rate) for v in row)
-        ]
-        rates = [r.graph.lift(v) for i in diverging for v in r.jacobian[i]]
-        return (
-            f"expected finite rates, found none for {', '.join(self.model.states[i] for i in diverging)}"
-            f"{self._depends_on(rates, values)}: narrow the bounds of these parameters, or correct the "
-            "inputs that the states follow"
-        )
-
-    def _depends_on(self, rates: Sequence[Expression], values: Mapping[str, float]) -> str:
-        """The parameters on which rates depend, with their values, as a phrase of a message."""
-        nodes = (self.recursion.graph.nodes[k] for k in self.recursion.graph.needed(rates))
-        names = [node[1][2:] for node in nodes if node[0] == "symbol" and node[1].startswith("p:")]
-        listed = ", ".join(f"{name} = {values[name]:.3g}" for name in names)
-        return f" with {listed}" if listed else ""
-
     @cached_property
     def _gaps(self) -> dict[int, np.ndarray]:
+        """Variance (n,) that the end of each gap adds, by the instant of the end."""
         return gap_variances(self.model, self.recursion, self.timeline)
 
     def _pieces(self, part: slice) -> list[slice]:
-        """Pieces of a run that the loops take in one call; every end of a gap begins a new piece."""
+        """Divide a part of a run into the pieces that the loops take in one call; every end of a gap begins a
+        new piece."""
         ends = {*self._gaps, *self.recursion.cuts(self.timeline)}
         inner = sorted(k for k in ends if part.start < k < part.stop)
         return [slice(a, b) for a, b in pairwise([part.start, *inner, part.stop])]
@@ -259,6 +224,7 @@ class Likelihood:
         return self.recursion.packed_moments(start.mean, start.covariance)
 
     def first_inputs(self) -> dict[str, float]:
+        """The inputs at the first instant, by name."""
         t = self.timeline
         named = {name: float(t.u[1, i]) for i, name in enumerate(t.varying)}
         return named | {name: float(t.steps[t.key[0], 1 + i]) for i, name in enumerate(t.regimes)}
@@ -316,18 +282,20 @@ class Likelihood:
             state.copy(), *further,
         )  # fmt: skip
         if steps.times.min(initial=0) < 0:
-            raise RatesFault(self._divergence_message(values))
+            raise diverging_rates(self.recursion, self.timeline, values)
 
     @property
     def _span(self) -> slice:
+        """All instants."""
         return slice(0, len(self.timeline))
 
     def _widened(self, k: int, state: np.ndarray) -> np.ndarray:
-        """Packed moments before instant k, with the variance that the end of a gap adds."""
+        """Packed moments (w,) before instant k: `state`, with the variance that the end of a gap adds
+        there."""
         return widened(self.recursion, state, self._gaps[k]) if k in self._gaps else state
 
     def _gap_jacobian(self, k: int, state: np.ndarray) -> np.ndarray:
-        """Derivatives (w, w) of `_widened`; row i is by entry i of `state`."""
+        """Transposed Jacobian (w, w) of the packed moments after gap k: row i = ∂`_widened`/∂state[i]."""
         return widened_slopes(self.recursion, state, self._gaps[k])
 
     @cached_property
@@ -361,20 +329,21 @@ class Likelihood:
         return End(value, last)
 
     def _loglik_of_run(self, values: Mapping[str, float], state: np.ndarray) -> float:
-        """ln L of a run, NaN where it must be repeated with factors; moves `state` to its end."""
+        """Filter the whole run; returns ln L, NaN where the run must be repeated with factors, and moves
+        `state` to its end."""
         steps = self._steps(values)
         return self._loglik([self._run(values, steps, part, state) for part in self._pieces(self._span)])
 
     def _run(
         self, values: Mapping[str, float], steps: SubSteps, part: slice, state: np.ndarray
     ) -> np.ndarray:
-        """Sums of a piece of a run; moves `state` to its end."""
+        """Filter a piece of a run; returns its sums, and moves `state` to its end."""
         state[:], sums = self._widened(part.start, state), self._sums()
         self._loop("value", values, steps, state, part, sums)
         return sums
 
     def _sums(self) -> np.ndarray:
-        """Room for the sums of a piece (`information`)."""
+        """Zeros for the sums of a piece of a run, which the loop writes (`information.RunningSums.write`)."""
         return np.zeros(3 + 2 * len(self.model.outputs))
 
     def controlled(
@@ -469,6 +438,8 @@ class Likelihood:
         return Sensitivities(loglik, score, information, scores)
 
     def _tangent_start(self, values: Mapping[str, float], directions: np.ndarray) -> Blocks:
+        """The first moments with their derivatives along directions (d, r), in blocks of `LANES` directions;
+        the last block is filled with zeros."""
         count = directions.shape[1]
         blocks = range(0, max(count, 1), LANES)
         padded = np.zeros((directions.shape[0], len(blocks) * LANES))
@@ -507,6 +478,7 @@ class Likelihood:
 
     @property
     def _chunks(self) -> list[slice]:
+        """The run in parts of `CHUNK` instants."""
         count = len(self.timeline)
         return [slice(first, min(first + CHUNK, count)) for first in range(0, max(count, 1), CHUNK)]
 

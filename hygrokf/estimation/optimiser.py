@@ -27,6 +27,13 @@ import numpy as np
 from hygrokf.data.record import kind_of
 from hygrokf.estimation.joint_likelihood import AnyLikelihood
 from hygrokf.estimation.likelihood import Sensitivities
+from hygrokf.estimation.newton_steps import (
+    bounded_step,
+    damped_step,
+    natural_units,
+    reach_of,
+    secant_update,
+)
 from hygrokf.physics.parameters import Coordinates, Parameter, expect_starts
 from hygrokf.texts.fit_codes import FitCode
 from hygrokf.texts.statement import Statement
@@ -46,10 +53,6 @@ values would be rounding."""
 MOST_FILTER_STEPS = 3_000.0
 """Filter steps per instant of the record after which a climb is stopped; the fit of the demo's cabinet takes
 at most 76."""
-STEP_SHARE = 1.0 / 30.0
-"""[1] share of a search range that counts as much as a step of 1 in a logarithm."""
-LEAST_BOX = 1.5
-"""Least half width of the box of one step, in the coordinates' natural units."""
 LIMIT_DISTANCE = 1e-9
 """Distance within which a coordinate counts as being at a limit, in its natural unit."""
 BETTER_GAIN = 0.1
@@ -66,8 +69,11 @@ OTHER_SPREAD = 3.0
 
 @dataclass(frozen=True)
 class Optimum:
-    """End of one climb: coordinates z (d,), penalised log-likelihood, whether it converged, how it ended,
-    and the curvature (d, d) there of a climb that converged."""
+    """The point at which a climb ended: coordinates `z` (d,) and penalised log-likelihood `objective` there.
+
+    `end`: why the climb ended.  `curvature` (d, d): minus the second derivatives of the objective, as the
+    climb approximated them; None of a climb that has not converged.
+    """
 
     z: np.ndarray
     objective: float
@@ -78,7 +84,7 @@ class Optimum:
 
 @dataclass(frozen=True, repr=False)
 class Estimate:
-    """The best optimum of several climbs.
+    """The best local optimum over all starts.
 
     `values` all parameters; `loglik` without the prior; `others` further distinct optima (objective, values);
     `at_bounds` free parameters that ended at a bound; `discretisation_error` what sub-steps of half the
@@ -176,7 +182,7 @@ class _Metered:
         self.best = (-math.inf, np.empty(0))
 
     def renew_sub_steps(self, z: np.ndarray) -> bool:
-        """Fix the sub-steps that suit z (d,); False where these are fixed already."""
+        """Fix the sub-steps that suit z (d,); returns whether they have changed."""
         before, self._fixed = self._fixed.likelihood, self._base.at(z)
         return self._fixed.likelihood is not before
 
@@ -204,6 +210,7 @@ class _Metered:
         return sensitivities
 
     def _spend(self, z: np.ndarray) -> None:
+        """Take the filter steps of one pass off the budget; raises _BudgetSpent when it is used up."""
         try:
             steps = self._fixed.likelihood.steps_per_instant(self.coordinates.values(z))
         except FloatingPointError:  # without finite rates there are no steps to count
@@ -213,6 +220,7 @@ class _Metered:
             raise _BudgetSpent(FitCode.BUDGET_SPENT(budget=self._budget, steps=steps))
 
     def _keep(self, z: np.ndarray, value: float) -> None:
+        """Remember a point if it is the best one so far."""
         if value > self.best[0]:
             self.best = (value, z.copy())
 
@@ -239,6 +247,12 @@ def climb(
 
 
 def _climb(objective: _Metered, start: np.ndarray, passes: int, tolerance: float) -> Optimum:
+    """Climb from one start until convergence; raises _BudgetSpent.
+
+    Each pass takes the first of up to 25 steps, more and more damped, whose gain is a fair share of what its
+    quadratic model promised.  Far from the maximum a step is judged by its value and the expected information
+    is computed anew after it; near it, by its score, from which every step corrects the curvature.
+    """
     lower, upper = objective.coordinates.lower, objective.coordinates.upper
     z = np.clip(start, lower, upper)
     sensitivities = objective.information(z)
@@ -290,92 +304,9 @@ def _climb(objective: _Metered, start: np.ndarray, passes: int, tolerance: float
     return Optimum(z, value, False, FitCode.PASSES_SPENT(passes=passes))
 
 
-def secant_update(curvature: np.ndarray, s: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """The curvature (d, d) corrected by a step s (d,) that changed the score by −y (Broyden, Fletcher,
-    Goldfarb and Shanno); unchanged where the step met no positive curvature."""
-    along = curvature @ s
-    if not (float(s @ y) > 0.0 and float(s @ along) > 0.0):
-        return curvature
-    return curvature - np.outer(along, along) / float(s @ along) + np.outer(y, y) / float(s @ y)
-
-
-def natural_units(coordinates: Coordinates) -> np.ndarray:
-    """Units (d,) in which steps of the coordinates compare: 1 of a logarithm, else a share of the search
-    range's width, so that nothing depends on the parameters' units."""
-    return np.array([1.0 if p.positive else STEP_SHARE * (p.upper - p.lower) for p in coordinates.free])
-
-
-def reach_of(coordinates: Coordinates, z: np.ndarray) -> np.ndarray:
-    """Half widths (d,) of the trust box of one step from z; wider far from the parameters' starts."""
-    return np.maximum(LEAST_BOX * natural_units(coordinates), 0.5 * np.abs(z - coordinates.start()))
-
-
-def bounded_step(
-    information: np.ndarray,
-    gradient: np.ndarray,
-    free: np.ndarray,
-    z: np.ndarray,
-    lower: np.ndarray,
-    upper: np.ndarray,
-    damping: float,
-    reach: np.ndarray,
-) -> tuple[np.ndarray, float]:
-    """The damped step within the bounds and a trust box of half width `reach` (d,), and the gain that the
-    quadratic model promises for it.
-
-    The step is the most promising of three: the full step with coordinates that would leave the box set to
-    its edge and the other coordinates solved again; the full step shortened; the steepest ascent.  Shortening
-    alone would let a flat direction, whose full step is unbounded, shrink the steps of all other coordinates
-    to nothing and so simulate convergence.
-    """
-    low, high = np.maximum(lower - z, -reach), np.minimum(upper - z, reach)
-    held, moving = np.zeros_like(z), free.copy()
-    shortened = np.zeros_like(z)
-    while moving.any():
-        rest = gradient - information @ np.where(moving, 0.0, held)
-        held[moving] = _damped_step(information[np.ix_(moving, moving)], rest[moving], damping, reach[moving])
-        if moving.sum() == free.sum():
-            shortened = np.clip(held / max(1.0, float(np.max(np.abs(held) / reach))), lower - z, upper - z)
-        beyond = moving & ((held < low) | (held > high))
-        if not beyond.any():
-            break
-        held[beyond] = np.clip(held[beyond], low[beyond], high[beyond])
-        moving &= ~beyond
-
-    candidates = []
-    diagonal = np.maximum(np.diag(information), 1e-300)
-    steepest = np.where(free, gradient / (diagonal * (1.0 + damping)), 0.0)
-    for direction in (held, shortened, np.clip(steepest, low, high)):
-        # the box is convex, so any share of the way stays in it; the best share promises no loss
-        slope, curvature = float(gradient @ direction), float(direction @ information @ direction)
-        share = min(max(slope / max(curvature, 1e-300), 0.0), 1.0)
-        candidates.append((share * slope - 0.5 * share**2 * curvature, share * direction))
-    promised, step = max(candidates, key=lambda pair: pair[0])
-    return step, promised
-
-
-def _damped_step(
-    information: np.ndarray, gradient: np.ndarray, damping: float, unit: np.ndarray
-) -> np.ndarray:
-    """The solution δ of the module's equation.
-
-    Each coordinate's information, in its `unit`, counts as at least 1e-12 of the largest coordinate's.
-    """
-    curvatures = np.diag(information)
-    diagonal = np.maximum(
-        curvatures, 1e-12 * max(float(np.max(curvatures * unit**2, initial=0.0)), 1e-300) / unit**2
-    )
-    root = 1.0 / np.sqrt(diagonal)
-    scaled = information * root[:, None] * root[None, :] + damping * np.eye(len(gradient))
-    try:
-        return root * np.linalg.solve(scaled, root * gradient)
-    except np.linalg.LinAlgError:
-        return root * np.linalg.lstsq(scaled, root * gradient, rcond=1e-12)[0]
-
-
 def starts(coordinates: Coordinates, values: Mapping[str, float] | None, count: int) -> list[np.ndarray]:
-    """The given start and `count`−1 further starts; each varies the noise parameters, every second all
-    parameters.
+    """The given start and `count`−1 further ones around it: the first, third, … of these vary only the noise
+    parameters, the others all parameters.
 
     The starts fill their ranges evenly by an additive recurrence with the generalised golden ratio (Roberts
     2018): the k-th start has the shares ½ + k φ^−j mod 1, φ^(d+1) = φ + 1."""
@@ -595,5 +526,5 @@ def changes_by_halving(objective: Objective, optimum: Optimum) -> tuple[float, f
     (value, score), (finer_value, finer_score) = held.score(z), halved.score(z)
     is_free = (z > coordinates.lower) & (z < coordinates.upper)
     change, curvature = (finer_score - score)[is_free], optimum.curvature[np.ix_(is_free, is_free)]
-    shift = _damped_step(curvature, change, 0.0, natural_units(coordinates)[is_free])
+    shift = damped_step(curvature, change, 0.0, natural_units(coordinates)[is_free])
     return abs(finer_value - value), math.sqrt(max(float(change @ shift), 0.0))

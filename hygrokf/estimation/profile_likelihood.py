@@ -29,15 +29,12 @@ from hygrokf.estimation.confidence import (
     with_positive_eigenvalues,
 )
 from hygrokf.estimation.conventions import CONFIDENCE
+from hygrokf.estimation.newton_steps import bounded_step, natural_units, reach_of, secant_update
 from hygrokf.estimation.optimiser import (
     BETTER_GAIN,
     LIMIT_DISTANCE,
     Estimate,
     Objective,
-    bounded_step,
-    natural_units,
-    reach_of,
-    secant_update,
 )
 from hygrokf.physics.parameters import Parameter
 from hygrokf.texts.fit_codes import FitCode
@@ -119,8 +116,7 @@ def profile(
 
 
 def limit_statements(name: str, bounds: Bounds) -> list[Statement]:
-    """One statement for each limit of another parameter that closed ends of a profile met; `name` is the
-    profiled parameter."""
+    """State which other parameters reached a limit at the finite ends of the profile of `name`."""
     codes = {"lifted": FitCode.BOUND_BEYOND_GUARD, "held": FitCode.BOUND_AT_PHYSICAL_LIMIT}
     return [
         codes[limit.effect](bounded=name, **limit.values)
@@ -130,11 +126,12 @@ def limit_statements(name: str, bounds: Bounds) -> list[Statement]:
 
 
 class _Walk:
-    """Re-estimation of the other coordinates with one fixed: quasi-Newton steps starting from the observed
-    information.
+    """The profile of one coordinate `index`: at any value of it, all other coordinates are re-estimated by
+    quasi-Newton steps, which start from the observed information.
 
     Steps stay within the limits with guards lifted.  A coordinate that the score pushes against a limit is
-    held there, and the others are solved without it.
+    held there, and the others are solved without it.  `last`: offset of the fixed coordinate → point and
+    score after re-estimation there; `best`: (drop, point) of the most likely point met; `left`: passes left.
     """
 
     def __init__(self, objective: Objective, estimate: Estimate, spread: Uncertainty, index: int) -> None:
@@ -158,7 +155,8 @@ class _Walk:
         self.left = WALK_PASSES
 
     def drop(self, offset: float) -> float:
-        """Twice the drop of the profile log-likelihood at this offset of the fixed coordinate."""
+        """Re-estimate the other coordinates at this offset of the fixed one from the estimate; returns twice
+        the drop of the log-likelihood."""
         near = min(self.last, key=lambda visited: abs(visited - offset))
         z = self.last[near][0] + self.path * (offset - near)
         z = np.clip(z, self.lower, self.upper)
@@ -206,7 +204,8 @@ class _Walk:
         return None if drop >= -BETTER_GAIN else self.objective.coordinates.values(z)
 
     def limits(self, side: Side, offset: float, threshold: float) -> list[Limit]:
-        """Limits of other coordinates that act at this offset, except those of the estimate itself."""
+        """The limits at which other coordinates are, at this offset of the fixed one; without those at which
+        they are at the estimate already."""
         z, gradient = self.last[min(self.last, key=lambda visited: abs(visited - offset))]
         coordinates = self.estimate.coordinates
         limits = []
@@ -235,6 +234,7 @@ class _Walk:
         return limits
 
     def _score(self, z: np.ndarray) -> tuple[float, np.ndarray]:
+        """Value and score (d,); −∞ and zeros where the filter breaks down.  Counts the pass."""
         self.left -= 1
         try:
             value, gradient = self.objective.score(z)
@@ -246,8 +246,13 @@ class _Walk:
 def _end(
     walk: _Walk, p: Parameter, index: int, direction: float, threshold: float, first: float
 ) -> tuple[float | None, list[tuple[float, float]]]:
-    """The coordinate at which the profile crosses the threshold on one side, None if it does not cross within
-    the search limit; and the points (value, drop) that were evaluated."""
+    """Find one end of a profile: the coordinate at which twice the drop reaches the threshold.
+
+    direction: 1 for the upper end, −1 for the lower one.  first: offset that is tried first.
+
+    Returns the coordinate, None if the profile does not reach the threshold within the search limit, and all
+    points (value, drop) on the way.
+    """
     z = walk.estimate.z[index]
     limit = abs(p.to_coordinate(p.upper if direction > 0 else p.lower) - z)
     points: list[tuple[float, float]] = []

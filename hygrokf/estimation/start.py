@@ -40,7 +40,8 @@ class Moments:
 
 
 def law(name: str, model: Model, values: Mapping[str, float], inputs: Mapping[str, float]) -> Moments:
-    """Moments of the steady state for "stationary", of the mechanisms' prior for any other name."""
+    """The moments before the first reading: of the steady state where `name` is "stationary", else of the
+    mechanisms' prior."""
     return stationary(model, values, inputs)[0] if name == "stationary" else prior(model, values, inputs)
 
 
@@ -54,7 +55,8 @@ def law_with_slopes(
 
 
 class _StartEquations:
-    """The first state's equations of a model, traced in a graph apart from the filter's."""
+    """The equations that determine a model's moments before the first reading, and their derivatives, as
+    expressions in a graph of their own."""
 
     def __init__(self, model: Model) -> None:
         self.model, self.graph = model, Graph()
@@ -85,6 +87,7 @@ class _StartEquations:
 
     @cached_property
     def is_linear(self) -> bool:
+        """Whether A depends on no state: a single step then leads to the steady state."""
         n, names = len(self.x), [f"x:{name}" for name in self.model.states]
         return not any(depends_on(self.graph, entry, names) for entry in self.equations[n : n + n * n])
 
@@ -95,7 +98,7 @@ class _StartEquations:
 
 
 def _equations(model: Model) -> _StartEquations:
-    """The equations of a model, cached on the model as its filters are."""
+    """The equations of a model, traced at first use and cached on the model."""
     if "_start" not in vars(model):
         vars(model)["_start"] = _StartEquations(model)
     traced: _StartEquations = vars(model)["_start"]
@@ -157,9 +160,11 @@ def stationary_with_slopes(
 
 
 def packed(recursion: Recursion, first: Moments, unknown: Sequence[int], begun: bool) -> np.ndarray:
-    """Moments (w,) packed for the loops of a recursion; nothing is known of the states `unknown`.
+    """Pack moments (w,) for the loops of a recursion.
 
-    Without `begun`, the loadings start at the first reading: nothing is known of these states until then.
+    unknown: indices of states of which nothing is known; their moments do not count.  begun: whether their
+    loadings move with the state from the first instant on; else from the first reading on, so that nothing
+    is known of these states until then.
     """
     first = _of_known(first, unknown)
     state = recursion.packed_moments(first.mean, first.covariance)
@@ -178,14 +183,14 @@ def packed_slopes(
 
 
 def _of_known(moments: Moments, unknown: Sequence[int]) -> Moments:
-    """Moments (…) or their derivatives, with zeros for the states `unknown`."""
+    """Set the moments (…), or their derivatives, of the states `unknown` to zero."""
     is_known = np.ones(moments.mean.shape[-1])
     is_known[list(unknown)] = 0.0
     return Moments(moments.mean * is_known, moments.covariance * np.outer(is_known, is_known))
 
 
 def lyapunov(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
-    """The matrices X (r, n, n) of A X + X A' + B = 0 for A (n, n) and symmetric B (r, n, n)."""
+    """Solve A X + X A' + B = 0 for X (r, n, n), with A (n, n) and symmetric B (r, n, n)."""
     n, eye = len(matrix), np.eye(len(matrix))
     operator = (
         matrix[:, None, :, None] * eye[None, :, None, :] + eye[:, None, :, None] * matrix[None, :, None]

@@ -29,8 +29,8 @@ from hygrokf.data.result_file import result_text
 from hygrokf.data.structured import Cell, StructureFault, plain, structured
 from hygrokf.data.toml_form import FormFault, read_toml
 from hygrokf.errors import HygrokfError
-from hygrokf.estimation.likelihood import RatesFault
 from hygrokf.estimation.moments import DigitsFault
+from hygrokf.estimation.rates_fault import RatesFault
 from hygrokf.texts.statement import Statement
 from hygrokf.texts.wording import one_line
 from hygrokf.version import __version__

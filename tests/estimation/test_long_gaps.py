@@ -25,7 +25,8 @@ from hygrokf.climate.region import driven
 from hygrokf.data.record import Record
 from hygrokf.engine.timeline import Timeline, timeline
 from hygrokf.estimation.batch_filter import SideBySide
-from hygrokf.estimation.likelihood import Likelihood, RatesFault, Trace
+from hygrokf.estimation.likelihood import Likelihood, Trace
+from hygrokf.estimation.rates_fault import RatesFault
 from hygrokf.estimation.smoother import smoothed_states, transition
 from hygrokf.evaluation.simulation import free_run
 from hygrokf.live.plan import Plan

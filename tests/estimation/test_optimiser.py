@@ -13,11 +13,11 @@ from builders.constant_level import constant_level
 from hygrokf.engine.timeline import timeline
 from hygrokf.estimation import optimiser
 from hygrokf.estimation.likelihood import Likelihood
+from hygrokf.estimation.newton_steps import bounded_step
 from hygrokf.estimation.optimiser import (
     BETTER_GAIN,
     Objective,
     Optimum,
-    bounded_step,
     climb,
     fit_mle,
     least_objective,

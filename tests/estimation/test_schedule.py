@@ -15,8 +15,9 @@ from scipy.integrate import solve_ivp
 
 from hygrokf.engine.timeline import timeline
 from hygrokf.estimation.inference import confidence_intervals
-from hygrokf.estimation.likelihood import Likelihood, RatesFault
+from hygrokf.estimation.likelihood import Likelihood
 from hygrokf.estimation.optimiser import Objective, changes_by_halving, climb, fit_mle
+from hygrokf.estimation.rates_fault import RatesFault
 from hygrokf.estimation.reference_filter import reference_filter
 from hygrokf.physics.expression import where
 from hygrokf.physics.mechanisms import linear_network
