@@ -34,6 +34,15 @@ is never formed while D is small, so that slow states keep all digits beside fas
 is one step, whose cost grows with the logarithm of its stiffness.  A sparse model costs as much as its
 non-zero entries, and entries that depend only on h and the parameters are computed once for each distinct h.
 
+Everything here is traced: functions take and return expressions, and nothing is computed.
+
+- node: one of the two instants of a sub-step, at the fractions `NODES`, at which f is linearised.
+- operations: assignments to symbols, before the step's formulas; `early` ones depend on h, the parameters and
+  regimes alone, `late` ones also on states or inputs.
+- steady, quiet: a state whose rate has constant derivatives; constant noise.
+- driven, rising: a state whose remainder b is not 0; one whose b changes within the sub-step.
+- D, G, W, E, N: in names of symbols, the matrices D, Γ, W, e^Ω and N above; N' and N'' of a parabola.
+
 Sources: Magnus step: Iserles & Nørsett 1999, doi:10.1098/rsta.1999.0362; Van Loan 1978,
 doi:10.1109/TAC.1978.1101743; scaling and squaring: Moler & Van Loan 2003, doi:10.1137/S00361445024180.
 """
@@ -58,10 +67,16 @@ from hygrokf.physics.expression import (
 )
 from hygrokf.physics.matrices import (
     add,
+    closure,
     congruence,
+    difference,
     dot,
+    has_entries,
     identity,
+    mean_of,
+    minus,
     product,
+    same,
     scale,
     symmetric,
     transpose,
@@ -170,20 +185,20 @@ def step(
     a0 = field.jacobian_at(state, start)
     points, late = _nodes(field, state, start, inputs, a0, h, share) if field.nonlinear else ([state] * 2, [])
     a1, a2 = (field.jacobian_at(x, u) for x, u in zip(points, inputs, strict=True))
-    difference = _difference(a2, a1)
-    varies = _any(difference)
+    jacobian_change = difference(a2, a1)
+    varies = has_entries(jacobian_change)
     origin = state if varies else [0.0] * n
     b1, b2 = (field.remainder_at(x, u, a, origin) for x, u, a in zip(points, inputs, (a1, a2), strict=True))
     correction = math.sqrt(3.0) / 12.0 * h * h
-    mean_rate = [[_mean(x, y) for x, y in zip(r, s, strict=True)] for r, s in zip(a1, a2, strict=True)]
+    mean_rate = [[mean_of(x, y) for x, y in zip(r, s, strict=True)] for r, s in zip(a1, a2, strict=True)]
     omega = scale(h, mean_rate)
     intensities = [noise(inputs[0])]
-    if _any(_difference(noise(inputs[1]), intensities[0])):
+    if has_entries(difference(noise(inputs[1]), intensities[0])):
         intensities = [noise(_between(start, end, c)) for c in (0.0, 0.5, 1.0)]
     spreads = [scale(h, q) for q in intensities]
     if varies:
-        omega = add(omega, scale(correction, _difference(product(a2, a1), product(a1, a2))))
-        changes = [product(difference, q) for q in intensities]
+        omega = add(omega, scale(correction, difference(product(a2, a1), product(a1, a2))))
+        changes = [product(jacobian_change, q) for q in intensities]
         spreads = [
             add(q, scale(correction, add(change, transpose(change))))
             for q, change in zip(spreads, changes, strict=True)
@@ -191,9 +206,9 @@ def step(
 
     changing = [*changing, *(graph.nodes[e.index][1] for op in operations(late) for e in op.into)]
     driven = [j for j in range(n) if not (is_zero(b1[j]) and is_zero(b2[j]))]
-    rising = [j for j in driven if not _same(b1[j], b2[j])]
+    rising = [j for j in driven if not same(b1[j], b2[j])]
     columns = [  # of Γ and W; the corrections add columns
-        {*indices, *(k for k in range(n) if any(not is_zero(difference[k][j]) for j in indices))}
+        {*indices, *(k for k in range(n) if any(not is_zero(jacobian_change[k][j]) for j in indices))}
         for indices in (driven, rising)
     ]
     steady = [not any(depends_on(graph, v, changing) for a in (a1, a2) for v in a[i]) for i in range(n)]
@@ -207,7 +222,9 @@ def step(
             for r, t in zip(exponential, squared, strict=True)
         ]
     drives = [field.u[name] for name in start if start[name].index != end[name].index]
-    weights, slopes = (_corrected(h, m, correction, difference) if varies else scale(h, m) for m in (g, w))
+    weights, slopes = (
+        _corrected(h, m, correction, jacobian_change) if varies else scale(h, m) for m in (g, w)
+    )
     carried = state if varies else [dot(row, state) for row in exponential]
     # b(t) is the straight line through b1 and b2 at the nodes; the weights do not depend on the inputs
     mean = [x + _driven(i, weights, slopes, b1, b2) for i, x in enumerate(carried)]
@@ -276,7 +293,10 @@ def constant_rates(
 
 
 class _Field:
-    """f, its Jacobian and its affine remainder as functions of the state and the inputs."""
+    """f, its Jacobian and its affine remainder as functions of the state and the inputs.
+
+    `curved`: for every state, whether its rate is not affine in the states; `nonlinear`: whether any is.
+    """
 
     def __init__(self, graph: Graph, drift: Drift, n: int, inputs: Inputs) -> None:
         self.graph = graph
@@ -289,6 +309,7 @@ class _Field:
         self.nonlinear = any(self.curved)
 
     def _at(self, expressions: Sequence[Value], x: Sequence[Value], u: Inputs) -> list[Value]:
+        """Expressions with the states x and the inputs u put in."""
         values = {s.index: self.graph.lift(v) for s, v in zip(self.x, x, strict=True)}
         values |= {self.u[name].index: self.graph.lift(u[name]) for name in self.u}
         result = self.graph.substitute(expressions, values)
@@ -308,9 +329,9 @@ class _Field:
         base = self.value_at(origin, u)
         if not self.nonlinear:
             return base
-        offset = [_minus(v, o) for v, o in zip(x, origin, strict=True)]
+        offset = [minus(v, o) for v, o in zip(x, origin, strict=True)]
         value = self.value_at(x, u)
-        return [_minus(value[i], dot(a[i], offset)) if self.curved[i] else base[i] for i in range(len(value))]
+        return [minus(value[i], dot(a[i], offset)) if self.curved[i] else base[i] for i in range(len(value))]
 
 
 def _doublings(
@@ -323,12 +344,14 @@ def _doublings(
     order: int,
     decays: bool,
 ) -> tuple[list[Operation], list[Matrix]]:
-    """Operations that double D, Γ, W (of the `columns` of Γ and of W), E and N, and these matrices as
-    symbols.
+    """Trace the doublings: returns their operations, and D, Γ, W, E and N after them, as symbols.
+
+    prefix: of the symbols' names.  share: c.  omega: Ω.  noises: one Q̄, or three of them at the start, the
+    middle and the end of the step.  columns: those of Γ and of W that are needed.  order: degree of the
+    polynomials.
 
     Entries of I + D far below 1 have lost their relative accuracy.  With `decays`, E = e^Ω is squared for
-    them; elsewhere I + D is better, as squaring doubles a relative error.  `noises` is one Q̄, or three of
-    them at the start, the middle and the end of the step.
+    them; elsewhere I + D is better, as squaring doubles a relative error.
     """
     n = len(omega)
     linked = closure(omega)
@@ -448,7 +471,7 @@ def _nodes(
         states.append([symbols.get(i, state[i]) for i in range(n)])
         targets += symbols.values()
         midpoint += [graph.lift(state[i] + (0.25 * c) * h * (rate[i] + 3.0 * slope[i])) for i in needed]
-        change = [_minus(v, r) for v, r in zip(field.value_at(state, node_inputs), rate, strict=True)]
+        change = [minus(v, r) for v, r in zip(field.value_at(state, node_inputs), rate, strict=True)]
         doublings, pushed = _push(graph, f"node{node}:", share, scale(c * h, at_start), rate, change)
         stiff += doublings
         exponential += [graph.lift(state[i] + c * h * pushed[i]) for i in needed]
@@ -459,7 +482,8 @@ def _nodes(
 def _push(
     graph: Graph, prefix: str, share: Expression, omega: Matrix, rate: Sequence[Value], rise: Sequence[Value]
 ) -> tuple[list[Operation], list[Value]]:
-    """Operations that double the vectors Γ `rate` and W `rise`, and the sum (n,) of both."""
+    """Trace the products Γ `rate` and W `rise` without the matrices Γ and W: returns the operations that
+    double these vectors, and their sum (n,)."""
     n, powers = len(omega), closure(omega)
 
     def symbols(name: str, factor: Sequence[Value]) -> list[Value]:
@@ -525,20 +549,9 @@ def _reach(graph: Graph, matrix: Matrix, h: Expression) -> list[Expression]:
     return rows
 
 
-def closure(a: Matrix) -> list[list[bool]]:
-    """(n, n) True where some power A, A², … of a matrix has an entry that is not structurally zero."""
-    n = len(a)
-    reaches = [[not is_zero(v) for v in row] for row in a]
-    for k in range(n):
-        for i in range(n):
-            if reaches[i][k]:
-                reaches[i] = [x or y for x, y in zip(reaches[i], reaches[k], strict=True)]
-    return reaches
-
-
-def _corrected(h: Expression, weights: Matrix, correction: Expression, difference: Matrix) -> Matrix:
-    """W (h I + correction (A2 - A1))."""
-    return add(scale(h, weights), scale(correction, product(weights, difference)))
+def _corrected(h: Expression, weights: Matrix, correction: Expression, jacobian_change: Matrix) -> Matrix:
+    """W (h I + correction D) for the matrix W of the `weights`, with the change D = A₂ − A₁."""
+    return add(scale(h, weights), scale(correction, product(weights, jacobian_change)))
 
 
 def _driven(i: int, weights: Matrix, ramps: Matrix, b1: Sequence[Value], b2: Sequence[Value]) -> Value:
@@ -547,7 +560,7 @@ def _driven(i: int, weights: Matrix, ramps: Matrix, b1: Sequence[Value], b2: Seq
     total: Value = 0.0
     gap = NODES[1] - NODES[0]
     for weight, ramp, x1, x2 in zip(weights[i], ramps[i], b1, b2, strict=True):
-        if _same(x1, x2):
+        if same(x1, x2):
             total = total + dot([weight], [x1])
         else:
             early = _combined(weight, NODES[1] / gap, ramp, -1.0 / gap)
@@ -557,41 +570,18 @@ def _driven(i: int, weights: Matrix, ramps: Matrix, b1: Sequence[Value], b2: Seq
 
 
 def _combined(x: Value, a: float, y: Value, b: float) -> Value:
+    """a x + b y."""
     return 0.0 if is_zero(x) and is_zero(y) else a * x + b * y
 
 
-def _same(x: Value, y: Value) -> bool:
-    if isinstance(x, Expression) and isinstance(y, Expression):
-        return x.index == y.index
-    return is_zero(x) and is_zero(y)
-
-
 def _between(start: Inputs, end: Inputs, c: float) -> dict[str, Expression]:
+    """The inputs at the fraction c of a sub-step."""
     return {
         name: start[name]
         if start[name].index == end[name].index
         else start[name] + c * (end[name] - start[name])
         for name in start
     }
-
-
-def _difference(a: Matrix, b: Matrix) -> Matrix:
-    return [[_minus(x, y) for x, y in zip(r, s, strict=True)] for r, s in zip(a, b, strict=True)]
-
-
-def _minus(x: Value, y: Value) -> Value:
-    result = x - y
-    return 0.0 if is_zero(result) else result
-
-
-def _mean(x: Value, y: Value) -> Value:
-    if isinstance(x, Expression) and isinstance(y, Expression) and x.index == y.index:
-        return x
-    return 0.0 if is_zero(x) and is_zero(y) else 0.5 * (x + y)
-
-
-def _any(a: Matrix) -> bool:
-    return not all(is_zero(x) for row in a for x in row)
 
 
 def _factorials(count: int) -> list[float]:

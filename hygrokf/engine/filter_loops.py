@@ -164,6 +164,7 @@ class WideLoop:
         getattr(self, "_" + kind)(numbers, common, *rest)
         state[:] = self._packed(block)
 
+    # the methods named after the kinds call the compiled loop and convert what it takes and returns
     def _value(self, numbers: Numbers, common: Common) -> None:
         self.code("value", *common)
 

@@ -115,6 +115,11 @@ def _cache_entry(content: str, ending: str) -> tuple[str, Path]:
 
 
 def _engine(text: str | Callable[[], str], source: str) -> llvm.ExecutionEngine:
+    """The engine of a module: of this process, else from the cache on disk, else compiled.
+
+    text: of the module, or a function that writes it.  source: what determines the text; a note on disk leads
+    from it to the object code, so that the text need not be written again.  "" without a note.
+    """
     note = _cache_entry(f"{_writers_digest()}\n{source}", "key")[1] if source else None
     with _compiling:
         cached_key = _read(note) if note else None
@@ -137,6 +142,7 @@ def _load_engine(key: str) -> llvm.ExecutionEngine | None:
 
 
 def _compile_engine(text: str, file: Path) -> llvm.ExecutionEngine:
+    """Compile a module, keep its object code in a file of the cache, and start it."""
     machine = _machine()
     module = llvm.parse_assembly(text)
     module.verify()

@@ -161,6 +161,7 @@ class Stages:
         columns = self._level_columns(program)
 
         def run(operation: Operation) -> None:
+            """Emit code that runs one operation."""
             if isinstance(operation, Choose):
                 for inner in self._chosen(operation, times):
                     for item in inner:
@@ -189,6 +190,7 @@ class Stages:
         columns = self._level_columns(program)
 
         def run(operation: Operation) -> None:
+            """Emit the adjoint of one operation."""
             if isinstance(operation, Choose):
                 for inner in self._chosen(operation, times):
                     for item in reversed(inner):

@@ -321,6 +321,7 @@ class ParameterTable:
 
 
 def _cells(row: ParameterEstimate) -> tuple[str, ...]:
+    """The cells of one row of the printed table."""
     prior = "" if row.prior is None else f"prior {row.prior[0]:.4g} ± {row.prior[1]:.2g}"
     at = f"at its {row.at} limit" if row.at in ("lower", "upper") else row.at
     is_known = math.isfinite(row.standard_error)
@@ -370,6 +371,11 @@ def parameter_table(source: Source, given: Given | None = None, level: float = C
 
 
 def _combinations(coordinates: Coordinates, spread: Uncertainty) -> tuple[Combination, ...]:
+    """Combinations of the parameters of each group that trade against each other, best known first.
+
+    Groups come from eigenvectors of the scaled information with eigenvalues below `POOR`; those that share a
+    parameter are joined.  The combinations of a group are the eigenvectors of its correlation.
+    """
     parameters = [coordinates.parameter(name) for name in spread.names]
     places = [coordinates.names.index(name) for name in spread.names]
     curvature = spread.curvature[np.ix_(places, places)]

@@ -89,7 +89,7 @@ def _lagged(signal: str, columns: np.ndarray, lag_h: float) -> np.ndarray:
     decay = math.exp(-QUARTER_S / HOUR_S / lag_h)
     lagged = np.vstack([columns[:1], (1.0 - decay) * columns[1:]])
     width = 1
-    while width < len(lagged):  # Σ keepⁱ of twice as many quarters each time
+    while width < len(lagged):  # each pass doubles the number of earlier quarters in the sum Σ decayⁱ xₖ₋ᵢ
         lagged[width:] += decay**width * lagged[:-width]
         width *= 2
     return np.hstack([columns[:, :1], lagged]) if signal.startswith("ambient_") else lagged
@@ -108,6 +108,8 @@ def relations(record: Record) -> tuple[Relation, ...]:
 
 
 def _heat_inputs(record: Record) -> dict[str, list[Series]]:
+    """The inputs of the temperature, each as one or several series: power as its share of the largest
+    reading, the square of this share, and 1 in operation."""
     inputs: dict[str, list[Series]] = {}
     for series in record.series:
         if len(series.known[0]) < 2:
@@ -126,6 +128,10 @@ _HEAT_INPUTS = ("ambient_temperature", "global_horizontal_irradiance", "wind_spe
 
 
 def _relation(name: str, target: Series, inputs: Mapping[str, list[Series]]) -> Relation | None:
+    """The relation of a target and its inputs by means over quarters of an hour, where all of them overlap.
+
+    None where they overlap for less than `FEWEST_QUARTERS`, or where nothing varies.
+    """
     known_times = [times.known[0] for times in (target, *(group[0] for group in inputs.values()))]
     if any(len(times) < 2 for times in known_times):
         return None
@@ -173,6 +179,7 @@ def _means(series: Series, first: float, count: int) -> tuple[np.ndarray, np.nda
 
 
 def _standardise(value: np.ndarray, is_present: np.ndarray) -> np.ndarray:
+    """Values (N,) with gaps bridged by straight lines, mean 0 and standard deviation 1; zeros if constant."""
     indices = np.flatnonzero(is_present)
     filled = (
         np.interp(np.arange(len(value)), indices, value[indices]) if len(indices) else np.zeros(len(value))

@@ -68,6 +68,7 @@ class Graph:
         self._programs: dict[tuple[int, ...], _Program] = {}
 
     def _node(self, key: Node) -> Expression:
+        """The node with this content, added if there is none yet."""
         index = self._index.get(key)
         if index is None:
             with self._append_lock:  # likelihoods of one model may run on several threads
@@ -86,6 +87,8 @@ class Graph:
         return self._node(("symbol", name))
 
     def lift(self, value: Expression | float) -> Expression:
+        """A number as a node of this graph; an expression as it is.  Raises ValueError for an expression of
+        another graph, TypeError for anything else."""
         if isinstance(value, Expression):
             if value.graph is not self:
                 raise ValueError("an expression of another graph was mixed in: trace the model once, whole")
@@ -116,6 +119,11 @@ class Graph:
 
     # -- construction with the simplifications that keep sparse models sparse --------------------------------
     def make(self, operation: str, *arguments: Expression) -> Expression:
+        """The node of an operation, or a simpler one of the same value.
+
+        Each `_make_…` simplifies one operation, given its arguments `a` and the values `v` of those that are
+        constants, and returns None where it cannot.
+        """
         indices = [a.index for a in arguments]
         constants_or_none = [self.number(i) for i in indices]
         constants = [v for v in constants_or_none if v is not None]
@@ -255,6 +263,7 @@ class Graph:
         return [result[i] for i in output_indices]
 
     def _program(self, output_indices: Sequence[int]) -> _Program:
+        """The interpreter's steps for some outputs."""
         nodes = [(i, self.nodes[i]) for i in self.needed([Expression(self, i) for i in output_indices])]
         return _Program(
             {i: node[1] for i, node in nodes if node[0] == "const"},
@@ -380,6 +389,8 @@ def arguments(node: Node) -> tuple[int, ...]:
 
 # -- functions for those who write mechanisms ----------------------------------------------------------------
 def _unary(name: str, number: Callable[[Value], Value]) -> Callable[[Value], Value]:
+    """The function `name` of values, which computes numbers and arrays by `number`."""
+
     def function(value: Value) -> Value:
         return value.graph.make(name, value) if isinstance(value, Expression) else number(value)
 
@@ -548,6 +559,7 @@ def partials(
 
 
 def _without_constant_node(value: Expression | float) -> Expression | float:
+    """The number of a constant node; any other value as it is."""
     if isinstance(value, Expression):
         number = value.graph.number(value.index)
         return value if number is None else number
@@ -555,6 +567,7 @@ def _without_constant_node(value: Expression | float) -> Expression | float:
 
 
 def _dependent_nodes(graph: Graph, order: Sequence[int], leaves: set[int]) -> set[int]:
+    """The nodes of `order` that are leaves or depend on one."""
     active: set[int] = set()
     for i in order:
         if i in leaves or not active.isdisjoint(arguments(graph.nodes[i])):
