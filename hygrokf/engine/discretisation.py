@@ -252,7 +252,10 @@ def _matrices(
     quiet: bool,
     decays: bool,
 ) -> tuple[list[Operation], list[Operation], list[Matrix]]:
-    """Early and late operations, and the matrices D, Γ, W, E and N.
+    """Trace the matrices of a sub-step: returns the early and the late operations, and D, Γ, W, E and N.
+
+    share, omega, columns, decays: as in `_doublings`.  spreads: its `noises`.  steady: of every state,
+    whether the derivatives of its rate are constant.  quiet: whether the noise is.
 
     Rows of a state are early (`fixed`) where its rate and the rates of all states that act on it are constant
     (`steady`); entries of N are early (`still`) only where the noise is constant too (`quiet`)."""
@@ -447,8 +450,9 @@ def _nodes(
     h: Expression,
     share: Expression,
 ) -> tuple[list[Sequence[Value]], list[Operation]]:
-    """The states at the nodes, where the field is linearised, and the operations that predict them: by the
-    midpoint rule or, where the rule could be unstable, by the exponential of the Jacobian at the beginning,
+    """Trace the states at the nodes, where f is linearised; returns them, and the operations that predict
+    them: by the midpoint rule or, where the rule could be unstable, by the exponential of the Jacobian at the
+    beginning,
 
         x(c h) = x + c h (Γ f + W (f(x, u(c h)) − f)),    with Γ and W of c h A.
     """

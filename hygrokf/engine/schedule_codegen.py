@@ -87,8 +87,9 @@ class Walk:
         self.errors = self._errors()
 
     def _errors(self) -> list[Expression]:
-        """The error of every state (n,) and reading (k,); a sum that is finite only if all moments are; and
-        the number of comparisons in the rates whose results differ between the means before and after."""
+        """Trace the errors of an interval: that of every state (n,) and reading (k,); a sum that is finite
+        only if all moments are; and the number of comparisons in the rates whose results differ between the
+        means before and after."""
         r = self.stages.recursion
         g, n, single_step, halves = r.graph, r.n, self.single, r.state
 

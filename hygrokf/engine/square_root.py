@@ -56,7 +56,8 @@ def orthogonalised(rows: Matrix, weights: Sequence[Value]) -> tuple[Matrix, list
 def corrected(
     lower: Matrix, diagonal: Sequence[Value], row: Sequence[Value], noise: Value
 ) -> tuple[Matrix, list[Value]]:
-    """L and D after a reading with the derivatives `row` (n,) and the noise variance `noise`."""
+    """Trace the factors L and D after a reading with the derivatives `row` (n,) and the noise variance
+    `noise`, by Bierman's correction: one state after the other, from the last one."""
     n = len(lower)
     projected = [dot([lower[i][j] for i in range(j, n)], row[j:]) for j in range(n)]
     new_lower, new_diagonal = [list(r) for r in lower], list(diagonal)
@@ -85,10 +86,12 @@ def _or_one(value: Value) -> Value:
 
 
 def _positive(value: Value) -> Value:
+    """The value, or 0 where it is not above 0."""
     return where(value > 0.0, value, 0.0) if isinstance(value, Expression) else max(value, 0.0)
 
 
 def _minus_product(value: Value, a: Value, b: Value) -> Value:
+    """value − a b, without an operation where a or b is a structural zero."""
     return value if is_zero(a) or is_zero(b) else value - a * b
 
 

@@ -135,7 +135,8 @@ class Recursion:
         return [[_lifted(self.graph, v) for v in row] for row in self.model.noise(self.p, u)]
 
     def _trace(self) -> None:
-        """The blocks of a step: `predict`, `updates` and `transition`, and the rates with their Jacobian."""
+        """Trace the blocks of a step: `predict`, `updates` and `transition`, and the rates with their
+        Jacobian."""
         g, model, d = self.graph, self.model, self.unknown
         traced_step = step(
             g,
@@ -239,7 +240,7 @@ class Recursion:
         return [[packed[place(i, j)] for j in range(self.n)] for i in range(self.n)]
 
     def _predicted(self, traced_step: Step) -> list[Expression]:
-        """Packed factors of F P F' + Q."""
+        """Trace the packed factors of F P F' + Q."""
         lower, diagonal = self._factors()
         noise_lower, noise_diagonal = factors(traced_step.noise)
         rows = [[*a, *b] for a, b in zip(product(traced_step.transition, lower), noise_lower, strict=True)]
@@ -281,7 +282,10 @@ class Recursion:
     def _known_update(
         self, row: list[Value], cross: list[Value], error: Expression, spread: Expression, variance: Value
     ) -> tuple[list[Value], Expression]:
-        """Mean and covariance after a reading that depends on no unknown direction, and e²/S."""
+        """Trace mean and covariance after a reading that depends on no unknown direction, and e²/S.
+
+        row: derivatives H of its prediction.  cross: P H'.  error, spread: e and S.  variance: of its noise.
+        """
         inverse = 1.0 / spread
         quadratic = error * error * inverse
         weight = self._weight(quadratic)
@@ -331,8 +335,8 @@ class Recursion:
     def _diffuse_update(
         self, row: list[Value], cross: list[Value], error: Expression, spread: Expression, variance: Value
     ) -> tuple[Block, Expression]:
-        """The exact diffuse update where the reading depends on an unknown direction of the start, else the
-        usual update."""
+        """Trace the exact diffuse update where the reading depends on an unknown direction of the start, else
+        the usual update; arguments as in `_known_update`, returns as in `_trace_update`."""
         g, n = self.graph, self.n
         towards, rest = self._resolved(row)
         m = [dot(loading, towards) for loading in self.loadings]
@@ -362,8 +366,8 @@ class Recursion:
         return [*map(g.lift, block), *ends], where(seen, math.nan, spread)
 
     def _resolved(self, row: list[Value]) -> tuple[list[Value], list[Value]]:
-        """The combination (unknown,) of the start that a reading with the derivatives `row` determines, 0 if
-        none, and the directions (unknown²,) that remain unknown after the reading.
+        """Trace what a reading with the derivatives `row` tells of the unknown start: the combination
+        (unknown,) that it determines, 0 if none, and the directions (unknown²,) that remain unknown after it.
 
         A Householder reflection rotates the columns of N so that the reading depends on, and determines, a
         single column: the column with the largest dependence, so that small entries keep their digits.

@@ -242,6 +242,8 @@ class WideRecursion(Recursion):
     wide = True
 
     def _trace(self) -> None:
+        """Trace the rates; where they are constant within a step, also the drive, and prediction, variance,
+        derivatives and head of every reading."""
         g, model = self.graph, self.model
         at = model.traced(self.mean, self.now, self.p)
         self.rates = [g.lift(v) for v in at.rates]
@@ -265,7 +267,8 @@ class WideRecursion(Recursion):
             self._trace_head()
 
     def _drive(self) -> tuple[Block, list[tuple[int, float, float]]]:
-        """The rates at x = 0 at the start and the end of a step; a rate that is equal at both enters once."""
+        """Trace the drive, and by which weights each entry acts (`columns`): the rates at x = 0 at the start
+        and the end of a step; a rate that is equal at both enters once."""
         g = self.graph
         origin = {m.index: g.constant(0.0) for m in self.mean}
         rates = []
@@ -289,15 +292,15 @@ class WideRecursion(Recursion):
         matrices."""
         g, c = self.graph, len(self.heads)
         row = self.updates[c][2:]
-        made = [g.symbol(f"{word}:{c}") for word in ("prediction", "variance")]
+        prediction, variance = (g.symbol(f"{word}:{c}") for word in ("prediction", "variance"))
         cross = [g.symbol(f"cross:{c}:{i}") for i in range(len(row))]
         slopes = [g.symbol(f"row:{c}:{i}") for i in range(len(row))]
-        spread = g.lift(dot(slopes, cross) + made[1])
+        spread = g.lift(dot(slopes, cross) + variance)
         inverse = 1.0 / spread
-        error = self.reading - made[0]
+        error = self.reading - prediction
         quadratic = error * error * inverse
         gain = self._weight(quadratic) * inverse
-        self.leaves.append([*made, *slopes, *cross])
+        self.leaves.append([prediction, variance, *slopes, *cross])
         self.heads.append([error, spread, quadratic, g.lift(gain), g.lift(gain * error)])
 
     @cached_property

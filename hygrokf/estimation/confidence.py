@@ -130,7 +130,7 @@ class Bounds:
 
 
 def uncertainty(objective: Objective, estimate: Estimate) -> Uncertainty:
-    """Observed information, Wald and sandwich covariance at an estimate.
+    """Compute the observed information and the Wald and sandwich covariances at an estimate.
 
     Raises ValueError where the likelihood is not finite around the estimate.
     """

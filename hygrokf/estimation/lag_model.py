@@ -206,9 +206,11 @@ def fit_autoregression(
     quarters: int = 0,
     summer: np.ndarray | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """φ (2,) and each row's ln L (N,) at a lag [h] with some inputs shifted; ln L is 0 in other rows.
+    """Fit a relation at one lag [h], with the inputs of `move` shifted by `quarters` of an hour.
 
-    Least squares of the inputs and of the autoregression alternate.
+    summer: (N,) True in summer time.  Least squares of the inputs and of the autoregression alternate.
+
+    Returns φ (2,), and each row's ln L (N,), 0 in rows that are not compared.
     """
     inputs, more = move
     is_summer = np.zeros(len(relation.time), dtype=bool) if summer is None else summer
@@ -249,7 +251,7 @@ def fit_without_shift(relation: Relation) -> tuple[np.ndarray, np.ndarray]:
 def shift_logliks(
     relation: Relation, phi: np.ndarray, moves: set[Move], summer: np.ndarray
 ) -> dict[Move, np.ndarray]:
-    """ln L (K, H) of every shift of each move at every lag, with the autoregression φ (2,) fixed.
+    """Compute ln L (K, H) of every shift of each move at every lag, with the autoregression φ (2,) fixed.
 
     The normal equations consist of correlations between shifted and unshifted columns.  Products of two
     shifted columns are correlated with the rows that are compared.
@@ -270,7 +272,12 @@ def shift_logliks(
 
 
 def _all_shifts(relation: Relation, phi: np.ndarray, fixed: np.ndarray, shifted: np.ndarray) -> np.ndarray:
-    """ln L (K,) with the columns `shifted` (N, b) at every shift beside the columns `fixed` (N, a)."""
+    """Compute ln L (K,) of the linear model whose columns are `fixed` (N, a) and `shifted` (N, b), the latter
+    moved by every shift; all columns are whitened.
+
+    The normal equations of all shifts, `products` (K, a + b, a + b) and `with_target` (K, a + b), are put
+    together from blocks: of fixed columns alike for all shifts, of the others from correlations.
+    """
     rows = relation.rows.astype(float)
     target = relation.whitened(relation.target, phi) * rows
     fixed_count, masked = fixed.shape[1], fixed * rows[:, None]

@@ -52,6 +52,7 @@ def expect_initial(model: Model, initial: object, diffuse_states: Sequence[str])
 
 
 def _gaussian_faults(initial: Gaussian, n: int) -> list[str]:
+    """Why a Gaussian cannot be the start of a model of n states; empty if it can."""
     mean, covariance = np.asarray(initial.mean), np.asarray(initial.covariance)
     if mean.shape != (n,) or covariance.shape != (n, n):
         return [

@@ -509,13 +509,13 @@ def estimate_of(likelihood: AnyLikelihood, coordinates: Coordinates, optima: lis
 
 
 def changes_by_halving(objective: Objective, optimum: Optimum) -> tuple[float, float]:
-    """What sub-steps of half the length change at an optimum, zeros where steps are exact: |Δl|, and the
-    largest shift of a combination of the parameters [standard errors],
+    """Measure the error of the sub-steps at an optimum by halving them: returns |Δl|, and the largest shift
+    of a combination of the parameters [standard errors],
 
         √(Δg' M⁻¹ Δg),
 
-    with the change Δg of the score and the curvature M in the coordinates that are not at a bound.  Without a
-    curvature the shift is given as 0.
+    with the change Δg of the score and the curvature M in the coordinates that are not at a bound.  Both are
+    0 where steps are exact; the shift is also given as 0 without a curvature.
     """
     z, coordinates = optimum.z, objective.coordinates
     held, halved = objective.at(z), objective.halved(z)

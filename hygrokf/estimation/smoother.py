@@ -72,8 +72,11 @@ def smoothed_states(
 def _given_next(
     root: np.ndarray, start: np.ndarray, carried: np.ndarray, noise: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The law of the states at some instants k given those at k + 1 and the readings until k: C (t, n, n),
-    D D' (t, n, n), and the directions (t, n, d) that stay unknown.
+    """Compute the law of the states at some instants k given those at k + 1 and the readings until k: returns
+    C (t, n, n), D D' (t, n, n), and the directions (t, n, d) that stay unknown.
+
+    root, start: W and B at the instants k.  carried: F, with zeros for running means that restart.  noise:
+    the factor V of the step's noise.
 
     With η the unknown start, x_k = m_k + B η + W ε and x_{k+1} = m⁻ + F (B η + W ε) + V ω.  Along F B the
     next state determines η; across F B it determines ε and ω by regression.

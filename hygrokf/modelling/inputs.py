@@ -193,6 +193,7 @@ def _readings(
 
 
 def _check_intervals(design: Design, record: Record, outputs: list[str]) -> None:
+    """Raise ValueError where readings are means over other intervals than those of the design."""
     faults = []
     for name in outputs:
         stated_h, interval_h = design.averaged.get(name, 0.0), record[name].interval_s / 3600.0
@@ -227,6 +228,12 @@ def _interval_starts(series: Series, first: float) -> np.ndarray:
 def ambient_inputs(
     ambient: dict[str, Series], time: np.ndarray, inputs_read: set[str]
 ) -> tuple[dict[str, np.ndarray], np.ndarray]:
+    """Values (T,) of the ambient inputs at the instants `time` (T,) [s], and where one of them is unknown.
+
+    inputs_read: by the model; `exchange_factor` is computed if it is among them.  Humidity is in g/m³.
+
+    Raises ValueError for an input without a reading in this time.
+    """
     values: dict[str, np.ndarray] = {}
     unknown = np.zeros(len(time), bool)
     middle = 0.5 * (time[:-1] + time[1:])

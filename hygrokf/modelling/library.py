@@ -133,6 +133,7 @@ class Library:
     def _with_definitions(
         self, mechanisms: Mapping[str, Factory], features: Mapping[str, Any], origin: Origin
     ) -> Library:
+        """The library with further mechanisms and features, all of one origin."""
         with_hold = {
             name: (pair[0], hold_named(pair[1])) for name, pair in features.items() if is_feature(pair)
         }
@@ -168,6 +169,7 @@ class Library:
 def _unpickle(
     mechanisms: Mapping[str, Factory], features: Mapping[str, Feature], origins: Mapping[str, Origin]
 ) -> Library:
+    """The package's library with a user's definitions (`Library.__reduce__`)."""
     if not origins:
         return LIBRARY
     definitions = {**LIBRARY.mechanisms, **mechanisms}, {**LIBRARY.features, **features}
@@ -244,6 +246,7 @@ def _origin_text(origin: Origin) -> str:
 
 
 def _remedy(origin: Origin) -> str:
+    """What a user has to do for a definition of this origin."""
     if "file" in origin:
         file = origin["file"]
         return f'pass the file as it was then: --library {file}, in Python library=load_library("{file}")'

@@ -383,14 +383,14 @@ class Model:
 
     def _quantities(self, spaces: tuple[Space, Space, Space]) -> dict[str, Value]:
         p, x, u = spaces
-        g: Value = 0.0
-        for m in self.mechanisms:
-            if m.conductance is not None:
-                g = g + m.conductance(p, u)
-        quantities: dict[str, Value] = {"air_conductance": g}
-        for m in self.mechanisms:
-            if m.quantities is not None:
-                quantities.update(m.quantities(p, x, u, g))
+        conductance: Value = 0.0
+        for mechanism in self.mechanisms:
+            if mechanism.conductance is not None:
+                conductance = conductance + mechanism.conductance(p, u)
+        quantities: dict[str, Value] = {"air_conductance": conductance}
+        for mechanism in self.mechanisms:
+            if mechanism.quantities is not None:
+                quantities.update(mechanism.quantities(p, x, u, conductance))
         return quantities
 
     @cached_property

@@ -78,6 +78,7 @@ def _log_saturation_slope(temperature: np.ndarray, coefficients: tuple[float, ..
 def _saturation(
     temperature: Number, coefficients: tuple[float, ...], valid: tuple[float, float], slope: bool = False
 ) -> Number:
+    """Saturation vapour pressure [Pa], or its slope [Pa/K], at a temperature [K]; NaN outside `valid` [K]."""
     kelvin = _as_number(temperature)
     with np.errstate(all="ignore"):
         pressure = np.exp(_log_saturation(kelvin, coefficients))

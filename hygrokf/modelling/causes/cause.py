@@ -88,6 +88,7 @@ def cause_of(
     grid = tuple(Setting(settings, values) for values in start_values or ({},))
 
     def forms(ground: Ground) -> list[Form]:
+        """The one form of the cause; none where the record lacks an input of its mechanisms."""
         usable = {key: mechanism for key, mechanism in mechanisms.items() if ground.humid or key == "thermal"}
         available = {*ALWAYS, *settings, *ground.record.signals}
         if prepare(ground.record).ambient_vapour is not None:

@@ -65,6 +65,7 @@ def _driven_heat(name: str, parameter: str, flag: str, when: str, leaves: str, r
 def _scaled_heat(
     name: str, parameter: str, signal: str, full: float, when: str, leaves: str, settings: Mapping[str, Any]
 ) -> Mechanism:
+    """Heat release in proportion to a logged signal: f += a · signal/full [K]."""
     scale, meaning = Given(1.0 / full), f"heat release {when}"
     return effect(
         name, "heat_release",

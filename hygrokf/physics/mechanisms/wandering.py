@@ -66,6 +66,9 @@ def _random_walk_factory(
     inputs: tuple[str, ...] = (),
     **effects: Callable[..., Values],
 ) -> Factory:
+    """A factory of `_random_walk` with the setting `rate`, and with a docstring that begins with
+    `summary`."""
+
     def factory(rate: float = usual_rate) -> Mechanism:
         return _random_walk(name, state, unit, rate, bounds, meaning, leaves, source, inputs, **effects)
 
