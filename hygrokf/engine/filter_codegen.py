@@ -431,8 +431,7 @@ class Emission(Stages):
             w.store(SCALAR, w.load(SCALAR, self.parameter_bars[e.index]), w.at(SCALAR, "%thetabar", c))
 
     def _tangent(self) -> None:
-        """Emit the loop that computes innovations, variances and the derivatives of both along `LANES`
-        directions of the parameters."""
+        """Emit the loop of innovations, variances and their derivatives along `LANES` directions."""
         w, r, g = self.writer, self.recursion, self.recursion.graph
         directions, dots = self._stage_tangents()
         key_dots = {i: g.symbol(f"dot:{i}") for i in r.key_nodes}
@@ -448,8 +447,7 @@ class Emission(Stages):
         tangents = directions | key_dots | state_dots | within
 
         def dot_leaves(key: str) -> Names:
-            """Emit code that loads all tangents that a block may read; returns symbol of the tangent →
-            register."""
+            """Emit loads of the tangents that a block may read; returns symbol of the tangent → register."""
             keys = self._load_row("%keydot", key, [key_dots[i].index for i in r.key_nodes], VECTOR)
             states = {state_dots[i].index: w.load(VECTOR, s) for i, s in dot_slots.items()}
             inner = {within[i].index: w.load(VECTOR, s) for i, s in register_dots.items()}
@@ -458,23 +456,20 @@ class Emission(Stages):
         def run(
             outputs: list[Expression], leaves: Names, key: str
         ) -> tuple[list[tuple[str, str]], list[str]]:
-            """Emit code that computes outputs and their tangents; returns the (kind, register) of the former
-            and the registers of the latter."""
+            """Emit outputs and their tangents; returns (kind, register) of the former, registers of these."""
             vectors = dot_leaves(key)
             derivative = forward(g, outputs, tangents)
             values_and_dots = w.block(g, [*outputs, *derivative], leaves | vectors, list(vectors))
             split = len(outputs)
             return values_and_dots[:split], [w.as_vector(*v) for v in values_and_dots[split:]]
 
-        width = len(r.updates)
         with w.loop("%count") as k:
             key = self.key_of(k)
             with self.sub_steps(k) as sub_step:
                 leaves = self.read(slots) | self.table(sub_step.key) | sub_step.inputs | self.at_parameters
 
                 def compute(operation: Assign | Repeat, all_leaves: Names, row: str = sub_step.key) -> None:
-                    """Emit code that computes an operation and its tangents, and stores both in their
-                    slots."""
+                    """Emit code that computes and stores an operation and its tangents."""
                     values, derivatives = run(list(operation.block), all_leaves, row)
                     for e, (_, name), dot in zip(operation.into, values, derivatives, strict=True):
                         w.store(SCALAR, name, self.registers[e.index])
@@ -486,8 +481,7 @@ class Emission(Stages):
                 self._store(slots, values)
                 for s, name in zip(dot_slots.values(), derivatives, strict=True):
                     w.store(VECTOR, name, s)
-            row = w.integer("mul", k, width)
-            before = self._covariance(slots)
+            row, before = w.integer("mul", k, len(r.updates)), self._covariance(slots)
             for c, (y, exists) in enumerate(self._readings(k)):
                 with w.when(exists):
                     leaves = self._update_leaves(slots, k, key, y)
